@@ -1,0 +1,36 @@
+"""Doing something on one rank for all, and raising on all ranks or none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from bcid.errors import BcidError
+
+T = TypeVar("T")
+
+
+def on_root(comm: Any, work: Callable[[], T]) -> T:
+    """Run `work` on rank 0 and give its result to every rank; collective on `comm`.
+
+    A `BcidError` raised by `work` is raised on every rank. `comm` may be None: then `work` is just called.
+    """
+    if comm is None or comm.size == 1:
+        return work()
+    result, error = None, None
+    if comm.rank == 0:
+        try:
+            result = work()
+        except BcidError as caught:
+            error = caught
+    result, error = comm.bcast((result, error), root=0)
+    if error is not None:
+        raise error
+    return result  # type: ignore[return-value]
+
+
+def agree(comm: Any, error: BcidError | None) -> None:
+    """Raise the first error of any rank on every rank; collective on `comm`."""
+    found = [e for e in comm.allgather(error) if e is not None]
+    if found:
+        raise found[0]

@@ -1,0 +1,50 @@
+"""The differences between DOLFINx 0.9, 0.10 and 0.11, found by feature, not by version."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def make_mesh(comm: Any, cells: NDArray[np.int64], points: NDArray[np.float64], element: Any) -> Any:
+    """Distributed mesh from `cells` (n, 4) and `points` (m, 3); collective, each rank gives its own share."""
+    import ufl
+    from dolfinx import mesh
+
+    domain = ufl.Mesh(element)
+    names = list(inspect.signature(mesh.create_mesh).parameters)
+    if names.index("x") < names.index("e"):
+        return mesh.create_mesh(comm, cells, points, domain)
+    return mesh.create_mesh(comm, cells, domain, points)
+
+
+def geometry_dofmap(mesh: Any) -> NDArray[np.int32]:
+    """Geometry nodes of every cell, shape (cells, 4)."""
+    maps = getattr(mesh.geometry, "dofmaps", None)
+    return mesh.geometry.dofmap if maps is None or callable(maps) else maps[0]
+
+
+def create_vector(form: Any) -> Any:
+    """PETSc vector that a compiled linear `form` assembles into; collective."""
+    from dolfinx import fem
+    from dolfinx.fem import petsc
+
+    extract = getattr(fem, "extract_function_spaces", None)
+    if extract is None or "L" in inspect.signature(petsc.create_vector).parameters:
+        return petsc.create_vector(form)
+    return petsc.create_vector(extract(form))
+
+
+def interpolation_points(space: Any) -> NDArray[np.float64]:
+    """Reference points at which `fem.Expression` must be evaluated to interpolate into `space`."""
+    points = space.element.interpolation_points
+    return points() if callable(points) else points
+
+
+def cell_name(mesh: Any) -> str:
+    """Name of the cell type, as ``"tetrahedron"``."""
+    name = mesh.ufl_cell().cellname
+    return name() if callable(name) else name

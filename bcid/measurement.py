@@ -1,0 +1,232 @@
+"""The measurement: where the fiducials were while a gripper moved the body.
+
+One `Measurement` holds any number of actions. A frame is one step of one action. Everything inside is SI; the units of the
+files it came from are kept, so that it is written back in them. The folder format is described in docs/measurement.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from bcid.errors import InputError, Problems, nearest
+from bcid.fingerprint import fingerprint
+
+if TYPE_CHECKING:
+    from bcid.scene import Scene
+
+FORMAT = "bcid-measurement/1"
+AXES = ["x", "y", "z"]
+WRENCH = ["fx", "fy", "fz", "tx", "ty", "tz"]
+QUATERNION = ["qw", "qx", "qy", "qz"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Units:
+    """Units of the files, by name; numbers in memory are SI."""
+
+    length: str = "mm"
+    time: str = "s"
+    force: str = "N"
+
+
+@dataclass(frozen=True)
+class Action:
+    """One motion of the gripper, as the forward model needs it.
+
+    Attributes:
+        name: the action's name.
+        frames: positions in the measurement's frame axis, shape (steps,).
+        steps: step numbers, shape (steps,); the first is 0.
+        grasp: name of the grasp, or "" when nothing holds the body.
+        translation: of the gripper from its rest pose, shape (steps, 3), m.
+        rotation: unit quaternions (w, x, y, z) about the rest centre of the grasp, shape (steps, 4).
+        loads: known dead loads by place, each of shape (steps, 3), N.
+    """
+
+    name: str
+    frames: NDArray[np.int64]
+    steps: NDArray[np.int64]
+    grasp: str
+    translation: Array
+    rotation: Array
+    loads: dict[str, Array] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Trajectories of fiducials, motions of the gripper, and what else was recorded.
+
+    `data` is an xarray Dataset with dimensions frame, fiducial, axis (and component, place): coordinates action, step, time (s);
+    variables position (m, NaN where a fiducial was not seen), grasp, translation (m), rotation (unit quaternion), and
+    optionally sigma (m), wrench (N, N m), load (N).
+
+    Attributes:
+        noise_sigma: per-axis standard deviation of a fiducial, m; None when not stated.
+        wrench_sigma: standard deviation of a force, N; None when not stated.
+    """
+
+    data: xr.Dataset
+    noise_sigma: float | None = None
+    wrench_sigma: float | None = None
+    units: Units = Units()
+    description: str = ""
+    source: str = "measurement"
+
+    @classmethod
+    def read(cls, path: str | Path) -> Measurement:
+        """Open a measurement folder, a NetCDF file written by `to_netcdf`, or a mapping file for a foreign table or C3D.
+
+        Raises:
+            InputError: with every problem of the files.
+        """
+        path = Path(path)
+        if path.suffix == ".nc":
+            return cls.from_netcdf(path)
+        if path.suffix == ".toml" and path.is_file():
+            from bcid.mapping import read_mapped
+
+            return read_mapped(path)
+        from bcid.measurement_folder import read_folder
+
+        return read_folder(path)
+
+    def write(self, folder: str | Path) -> None:
+        """Write the folder format in this measurement's units; an existing folder is refused."""
+        from bcid.measurement_folder import write_folder
+
+        write_folder(self, Path(folder))
+
+    def to_netcdf(self, path: str | Path) -> None:
+        """Write everything into one NetCDF file (SI units)."""
+        data = self.data.copy()
+        data.attrs = {"format": FORMAT, "description": self.description}
+        data.attrs |= {f"{name}_unit": getattr(self.units, name) for name in ("length", "time", "force")}
+        for name in ("noise_sigma", "wrench_sigma"):
+            if getattr(self, name) is not None:
+                data.attrs[name] = getattr(self, name)
+        data.to_netcdf(path, engine="scipy")
+
+    @classmethod
+    def from_netcdf(cls, path: str | Path) -> Measurement:
+        """Read what `to_netcdf` wrote."""
+        path = Path(path)
+        if not path.is_file():
+            raise InputError(f"{path}: no such file")
+        try:
+            with xr.open_dataset(path, engine="scipy") as opened:
+                data = opened.load()
+        except (OSError, ValueError, TypeError, IndexError, KeyError) as error:
+            raise InputError(f"{path}: not a NetCDF measurement: {error}") from None
+        attrs, data.attrs = dict(data.attrs), {}
+        if attrs.get("format") != FORMAT:
+            raise InputError(f"{path}: expected format '{FORMAT}', found {attrs.get('format')!r}")
+        for name in ("action", "grasp", "fiducial", "axis", "component", "place", "quaternion"):
+            if name in data:
+                data[name] = data[name].astype(str)
+        units = Units(*(str(attrs[f"{name}_unit"]) for name in ("length", "time", "force")))
+        sigma, wrench = (float(attrs[k]) if k in attrs else None for k in ("noise_sigma", "wrench_sigma"))
+        return cls(data, sigma, wrench, units, str(attrs.get("description", "")), str(path))
+
+    @property
+    def fiducial_names(self) -> list[str]:
+        """Names in the order of the fiducial axis."""
+        return [str(name) for name in self.data["fiducial"].values]
+
+    @property
+    def positions(self) -> Array:
+        """Measured positions, shape (frames, fiducials, 3), m; NaN where a fiducial was not seen."""
+        return np.asarray(self.data["position"].values, dtype=float)
+
+    @property
+    def action_names(self) -> list[str]:
+        """Names in the order of the files."""
+        return list(dict.fromkeys(str(name) for name in self.data["action"].values))
+
+    @property
+    def actions(self) -> list[Action]:
+        """The motions, in the order of the files."""
+        return [self._action(name) for name in self.action_names]
+
+    def _action(self, name: str) -> Action:
+        frames = np.flatnonzero(self.data["action"].values.astype(str) == name)
+        rows = self.data.isel(frame=frames)
+        loads = {}
+        if "load" in rows:
+            for place in rows["place"].values:
+                load = rows["load"].sel(place=place).values
+                if np.any(load):
+                    loads[str(place)] = np.asarray(load, dtype=float)
+        return Action(
+            name,
+            frames,
+            rows["step"].values.astype(np.int64),
+            str(rows["grasp"].values[0]),
+            np.asarray(rows["translation"].values, dtype=float),
+            np.asarray(rows["rotation"].values, dtype=float),
+            loads,
+        )
+
+    def sigma(self, default: float | None = None) -> Array | None:
+        """Standard deviation of every coordinate, shape (frames, fiducials, 3), m.
+
+        Rows with their own sigma keep it; the others have `noise_sigma`, else `default`; None when none of them is known.
+        """
+        common = self.noise_sigma if self.noise_sigma is not None else default
+        if "sigma" in self.data:
+            own = np.asarray(self.data["sigma"].values, dtype=float)
+            if common is None and np.isnan(own[~np.isnan(self.positions)]).any():
+                return None
+            return np.where(np.isnan(own), np.nan if common is None else common, own)
+        return None if common is None else np.full(self.positions.shape, common)
+
+    def fingerprint(self) -> str:
+        """Short hash of the content; equal measurements have equal fingerprints whatever file they came from."""
+        arrays = {name: self.data[name].values for name in sorted(self.data.variables)}
+        return fingerprint({"noise": self.noise_sigma, "wrench": self.wrench_sigma, **arrays})
+
+    def check(self, scene: Scene) -> None:
+        """Refuse names that the scene does not have, and positions that cannot be in its frame or units.
+
+        Raises:
+            InputError: with every problem.
+        """
+        problems = Problems(f"measurement {self.source} does not fit scene {scene.source}")
+        known = {"fiducial": scene.fiducials, "grasp": scene.grasps, "place": scene.places}
+        for what, names in known.items():
+            used = [str(n) for n in np.unique(self.data[what].values.astype(str))] if what in self.data else []
+            for name in used:
+                if name and name not in names:
+                    problems.add(self.source, f"{what} '{name}' is not in the scene; {nearest(name, names)}")
+        if not problems.found:
+            self._check_frame(scene, problems)
+        problems.raise_if_any()
+
+    def _check_frame(self, scene: Scene, problems: Problems) -> None:
+        rest = np.array([scene.fiducials[name] for name in self.fiducial_names])
+        size = np.linalg.norm(np.ptp(scene.rest, axis=0)) or 1.0
+        first = self.data["step"].values == 0
+        away = np.linalg.norm(self.positions[first] - rest, axis=-1)
+        if np.isfinite(away).any() and np.nanmedian(away) > size:
+            problems.add(
+                self.source,
+                f"at step 0 the fiducials are {np.nanmedian(away) * 1e3:.4g} mm (median) from their rest positions in the scene, "
+                f"which span {size * 1e3:.4g} mm: check length_unit ('{self.units.length}') and the frame of the positions",
+            )
+
+
+def quaternion_rotate(rotation: Array, points: Array) -> Array:
+    """Turn `points` (n, 3) by a unit quaternion (w, x, y, z)."""
+    w, axis = rotation[0], rotation[1:]
+    across = np.cross(axis, points)
+    return points + 2 * (w * across + np.cross(axis, across))

@@ -1,0 +1,461 @@
+"""The measurement folder: `measurement.toml` and plain CSV files that any lab can write from a spreadsheet."""
+
+from __future__ import annotations
+
+import csv
+import math
+import shutil
+import tomllib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from bcid.errors import InputError, MachineError, Problems, nearest
+from bcid.measurement import AXES, FORMAT, QUATERNION, WRENCH, Measurement, Units
+from bcid.units import unit_factor
+
+_UNIT_KEYS = {"length_unit": "m", "time_unit": "s", "force_unit": "N"}
+_KEYS = ("format", *_UNIT_KEYS, "noise_sigma", "wrench_sigma", "description")
+_SIGMA = ["sigma_x", "sigma_y", "sigma_z"]
+_TIME_TOLERANCE = 1e-9
+_REST_TOLERANCE = 1e-6
+
+Frame = tuple[str, int]
+
+
+@dataclass
+class _Table:
+    """Rows of one CSV file: where each frame's numbers stand, with the line for messages."""
+
+    rows: list[tuple[int, dict[str, str]]] = field(default_factory=list)
+    columns: list[str] = field(default_factory=list)
+
+
+@dataclass
+class _Header:
+    units: Units
+    length: float
+    time: float
+    force: float
+    noise_sigma: float | None
+    wrench_sigma: float | None
+    description: str
+
+
+def read_folder(folder: Path) -> Measurement:
+    """Read a measurement folder; see `bcid.measurement.Measurement.read`."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such measurement folder; expected a folder with measurement.toml and CSV files")
+    problems = Problems(f"measurement {folder}")
+    for name in ("measurement.toml", "fiducials.csv", "grasps.csv"):
+        if not (folder / name).is_file():
+            hint = "; write its header line alone when nothing grasps the body" if name == "grasps.csv" else ""
+            problems.add(folder / name, f"is missing{hint}")
+    problems.raise_if_any()
+    header = _read_header(folder / "measurement.toml", problems)
+    reader = _FolderReader(folder, header, problems)
+    data = reader.dataset()
+    problems.raise_if_any()
+    assert data is not None
+    return Measurement(data, header.noise_sigma, header.wrench_sigma, header.units, header.description, str(folder))
+
+
+def _read_header(path: Path, problems: Problems) -> _Header:
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        problems.add(path, f"not a TOML file: {error}")
+        problems.raise_if_any()
+        raise AssertionError from error
+    for key in table:
+        if key not in _KEYS:
+            problems.add(path, f"{key}: unknown key; {nearest(key, _KEYS)}")
+    if table.get("format") != FORMAT:
+        problems.add(path, f'format: expected "{FORMAT}", found {table.get("format")!r}')
+    factors = [_unit(path, table, key, like, problems) for key, like in _UNIT_KEYS.items()]
+    noise, wrench = (_sigma(path, table, key, problems) for key in ("noise_sigma", "wrench_sigma"))
+    description = table.get("description", "")
+    if not isinstance(description, str):
+        problems.add(path, f"description: expected text, found {description!r}")
+    return _Header(
+        Units(*(str(table.get(key, like)) for key, like in _UNIT_KEYS.items())),
+        *factors,
+        None if noise is None else noise * factors[0],
+        None if wrench is None else wrench * factors[2],
+        str(description),
+    )
+
+
+def _unit(path: Path, table: dict[str, Any], key: str, like: str, problems: Problems) -> float:
+    unit = table.get(key)
+    if not isinstance(unit, str):
+        found = "is missing" if unit is None else f"expected text, found {unit!r}"
+        problems.add(path, f'{key}: {found}; write {key} = "{"mm" if like == "m" else like}"')
+        return 1.0
+    try:
+        return unit_factor(unit, like)
+    except InputError as error:
+        problems.add(path, f"{key}: {error}")
+        return 1.0
+
+
+def _sigma(path: Path, table: dict[str, Any], key: str, problems: Problems) -> float | None:
+    value = table.get(key)
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or value <= 0:
+        problems.add(path, f"{key}: expected a positive number (its unit is the folder's), found {value!r}")
+        return None
+    return float(value)
+
+
+class _FolderReader:
+    """Reads the CSV files into one Dataset, noting every problem with its line."""
+
+    def __init__(self, folder: Path, header: _Header, problems: Problems) -> None:
+        self.folder = folder
+        self.header = header
+        self.problems = problems
+        self.times: dict[Frame, float] = {}
+        self.file = ""
+
+    def bad(self, line: int | None, text: str) -> None:
+        self.problems.add(self.folder / self.file, text, line)
+
+    def dataset(self) -> xr.Dataset | None:
+        seen = self.fiducials()
+        poses = self.grasps()
+        wrench = self.vectors("wrench.csv", WRENCH, [])
+        loads = self.vectors("loads.csv", WRENCH[:3], ["place"])
+        if self.problems.found:
+            return None
+        self.check_frames(seen, poses)
+        if self.problems.found:
+            return None
+        return self.assemble(seen, poses, wrench, loads)
+
+    def table(self, name: str, required: list[str], optional: list[str] | None = None) -> _Table:
+        """Rows of a CSV file whose columns are `required` and any of `optional`, in any order."""
+        self.file = name
+        path = self.folder / name
+        if not path.exists():
+            return _Table()
+        try:
+            text = path.read_text(encoding="utf-8-sig")
+        except (OSError, UnicodeDecodeError) as error:
+            self.bad(None, f"cannot be read as text: {error}")
+            return _Table()
+        if "\0" in text:
+            self.bad(None, "holds NUL characters: this is not a text file")
+            return _Table()
+        return self.rows(csv.reader(text.splitlines()), required, optional or [])
+
+    def rows(self, lines: Any, required: list[str], optional: list[str]) -> _Table:
+        try:
+            columns = [name.strip() for name in next(lines, [])]
+            table = self.columns(columns, required, optional)
+            for row in lines:
+                if not any(cell.strip() for cell in row):
+                    continue
+                if len(row) != len(columns):
+                    self.bad(lines.line_num, f"has {len(row)} values, the header names {len(columns)} columns")
+                elif table.columns:
+                    cells = {column: cell.strip() for column, cell in zip(columns, row, strict=True)}
+                    table.rows.append((lines.line_num, cells))
+        except csv.Error as error:
+            self.bad(lines.line_num, f"is not a table: {error}")
+            return _Table()
+        return table
+
+    def columns(self, columns: list[str], required: list[str], optional: list[str]) -> _Table:
+        missing = [name for name in required if name not in columns]
+        unknown = [name for name in columns if name not in required + optional]
+        double = sorted({name for name in columns if columns.count(name) > 1})
+        if missing:
+            self.bad(1, f"column {', '.join(missing)} is missing; expected {','.join(required)}")
+        for name in unknown:
+            self.bad(1, f"unknown column '{name}'; {nearest(name, required + optional)}")
+        if double:
+            self.bad(1, f"column {', '.join(double)} stands twice")
+        return _Table() if missing or unknown or double else _Table(columns=columns)
+
+    def number(self, line: int, row: dict[str, str], column: str) -> float:
+        text = row[column]
+        try:
+            value = float(text) if text.isascii() and "_" not in text else math.nan
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            hint = "; leave position cells empty when a fiducial was not seen" if column in AXES else ""
+            self.bad(line, f"{column}: expected a finite number, found '{text}'{hint}")
+            return 0.0
+        return value
+
+    def frame(self, line: int, row: dict[str, str], last: dict[str, int]) -> Frame | None:
+        """Action and step of a row; steps must not go back within an action."""
+        action, step = row["action"], row["step"]
+        if not action or any(c in action for c in "\"'\\/") or not action.isprintable() or len(action) > 64:
+            self.bad(line, f"action: expected a short name without quotes or slashes, found '{action}'")
+            return None
+        if not step.isascii() or not step.isdigit() or len(step) > 9:
+            self.bad(line, f"step: expected a whole number from 0, found '{step}'")
+            return None
+        frame = action, int(step)
+        if frame[1] < last.get(action, 0):
+            self.bad(line, f"step {step} of action {action} stands after step {last[action]}: sort the rows by step")
+            return None
+        last[action] = frame[1]
+        return frame if self.timed(line, row, frame) else None
+
+    def timed(self, line: int, row: dict[str, str], frame: Frame) -> bool:
+        before = len(self.problems.found)
+        time = self.number(line, row, "time") * self.header.time
+        if len(self.problems.found) > before:
+            return False
+        known = self.times.setdefault(frame, time)
+        if abs(known - time) > _TIME_TOLERANCE * max(1.0, abs(known)):
+            self.bad(
+                line, f"time: step {frame[1]} of action {frame[0]} is at {known:g} s elsewhere, here at {time:g} s"
+            )
+            return False
+        return True
+
+    def frames(self, table: _Table, keys: list[str]) -> Iterator[tuple[int, dict[str, str], Frame]]:
+        """Valid rows, refusing a second row for the same frame and `keys`."""
+        last: dict[str, int] = {}
+        seen: dict[tuple[Any, ...], int] = {}
+        for line, row in table.rows:
+            frame = self.frame(line, row, last)
+            if frame is None:
+                continue
+            key = (*frame, *(row[k] for k in keys))
+            if key in seen:
+                what = ", ".join(f"{k} {v}" for k, v in zip(["action", "step", *keys], key, strict=True))
+                self.bad(line, f"a second row for {what}; the first is in line {seen[key]}")
+                continue
+            seen[key] = line
+            yield line, row, frame
+
+    def fiducials(self) -> dict[tuple[Frame, str], tuple[list[float], list[float]]]:
+        """Positions and sigmas (m) by frame and fiducial."""
+        table = self.table("fiducials.csv", ["action", "step", "time", "fiducial", *AXES], _SIGMA)
+        result = {}
+        for line, row, frame in self.frames(table, ["fiducial"]):
+            name = row["fiducial"]
+            if not name:
+                self.bad(line, "fiducial: its name is empty")
+                continue
+            cells = [row[axis] for axis in AXES]
+            if any(cells) and not all(cells):
+                self.bad(line, f"position of fiducial {name}: give x, y and z, or leave all three empty; found {cells}")
+                continue
+            position = [self.number(line, row, a) * self.header.length if row[a] else math.nan for a in AXES]
+            result[frame, name] = position, [self.row_sigma(line, row, column) for column in _SIGMA]
+        if table.columns and not table.rows:
+            self.bad(None, "is empty: expected one row for each step and fiducial")
+        elif result and not any(np.isfinite(position).all() for position, _ in result.values()):
+            self.bad(None, "holds no position: no fiducial was ever seen")
+        return result
+
+    def row_sigma(self, line: int, row: dict[str, str], column: str) -> float:
+        if not row.get(column):
+            return math.nan
+        value = self.number(line, row, column)
+        if value <= 0:
+            self.bad(line, f"{column}: expected a positive number, found '{row[column]}'")
+        return value * self.header.length
+
+    def grasps(self) -> dict[Frame, tuple[int, str, list[float], list[float]]]:
+        """Line, grasp name, translation (m) and unit quaternion by frame."""
+        table = self.table("grasps.csv", ["action", "step", "time", "grasp", *AXES, *QUATERNION])
+        result = {}
+        for line, row, frame in self.frames(table, []):
+            translation = [self.number(line, row, axis) * self.header.length for axis in AXES]
+            rotation = np.array([self.number(line, row, q) for q in QUATERNION])
+            norm = float(np.linalg.norm(rotation))
+            if not row["grasp"]:
+                self.bad(line, "grasp: its name is empty; leave out the rows of an action without a grasp")
+            if abs(norm - 1) > 1e-3:
+                self.bad(line, f"qw,qx,qy,qz: expected a unit quaternion, found one of length {norm:.4g}")
+                norm = norm or 1.0
+            result[frame] = line, row["grasp"], translation, list(rotation / norm)
+        return result
+
+    def vectors(self, name: str, columns: list[str], keys: list[str]) -> dict[tuple[Frame, str], list[float]]:
+        """Forces (N) and torques (N m) of an optional file, by frame and place."""
+        result = {}
+        for line, row, frame in self.frames(self.table(name, ["action", "step", "time", *keys, *columns]), keys):
+            unit = [self.header.force * (self.header.length if column.startswith("t") else 1.0) for column in columns]
+            values = [self.number(line, row, column) * u for column, u in zip(columns, unit, strict=True)]
+            result[frame, row[keys[0]] if keys else ""] = values
+        return result
+
+    def check_frames(self, seen: dict[tuple[Frame, str], Any], poses: dict[Frame, Any]) -> None:
+        self.file = "fiducials.csv"
+        frames = {frame for frame, _ in seen}
+        for action in dict.fromkeys(action for action, _ in self.times):
+            steps = sorted(step for a, step in self.times if a == action)
+            if steps[0] != 0:
+                self.bad(None, f"action {action} starts at step {steps[0]}: step 0, the rest pose, is missing")
+            if not any(a == action for a, _ in frames):
+                self.bad(None, f"action {action} has a motion but no fiducial was recorded")
+            times = [self.times[action, step] for step in steps]
+            back = next((i for i in range(1, len(times)) if times[i] < times[i - 1]), None)
+            if back is not None:
+                self.bad(None, f"time: goes back at step {steps[back]} of action {action}, to {times[back]:g} s")
+            self.check_motion(action, steps, poses)
+
+    def check_motion(self, action: str, steps: list[int], poses: dict[Frame, Any]) -> None:
+        self.file = "grasps.csv"
+        present = [step for step in steps if (action, step) in poses]
+        if present and present != steps:
+            absent = ", ".join(str(step) for step in steps if step not in present)
+            self.bad(None, f"action {action}: no pose of the gripper for step {absent}")
+        names = list(dict.fromkeys(poses[action, step][1] for step in present))
+        if len(names) > 1:
+            self.bad(None, f"action {action} uses grasps {', '.join(names)}: start another action for another grasp")
+        if (action, 0) in poses:
+            line, _, translation, rotation = poses[action, 0]
+            if max(map(abs, translation)) > _REST_TOLERANCE or abs(rotation[0]) < 1 - _REST_TOLERANCE:
+                self.bad(
+                    line, f"step 0 of action {action} must be the rest pose: x,y,z = 0,0,0 and qw,qx,qy,qz = 1,0,0,0"
+                )
+
+    def assemble(
+        self,
+        seen: dict[tuple[Frame, str], tuple[list[float], list[float]]],
+        poses: dict[Frame, tuple[int, str, list[float], list[float]]],
+        wrench: dict[tuple[Frame, str], list[float]],
+        loads: dict[tuple[Frame, str], list[float]],
+    ) -> xr.Dataset:
+        actions = list(dict.fromkeys(action for action, _ in self.times))
+        frames = sorted(self.times, key=lambda frame: (actions.index(frame[0]), frame[1]))
+        names = list(dict.fromkeys(name for _, name in seen))
+        identity = (0, "", [0.0] * 3, [1.0, 0.0, 0.0, 0.0])
+        held = [poses.get(frame, identity) for frame in frames]
+        positions = _stack(frames, names, lambda key: seen[key][0] if key in seen else [math.nan] * 3)
+        sigma = _stack(frames, names, lambda key: seen[key][1] if key in seen else [math.nan] * 3)
+        data = frames_dataset(frames, [self.times[frame] for frame in frames], names, positions)
+        data["grasp"] = ("frame", [pose[1] for pose in held])
+        data["translation"] = (("frame", "axis"), np.array([pose[2] for pose in held]))
+        data["rotation"] = (("frame", "quaternion"), np.array([pose[3] for pose in held]))
+        if np.isfinite(sigma).any():
+            data["sigma"] = (("frame", "fiducial", "axis"), sigma)
+        if wrench:
+            values = [wrench.get((frame, ""), [math.nan] * 6) for frame in frames]
+            data = data.assign_coords(component=WRENCH)
+            data["wrench"] = (("frame", "component"), np.array(values))
+        if loads:
+            places = list(dict.fromkeys(place for _, place in loads))
+            data = data.assign_coords(place=places)
+            stacked = _stack(frames, places, lambda key: loads.get(key, [0.0] * 3))
+            data["load"] = (("frame", "place", "axis"), stacked)
+        return data
+
+
+def frames_dataset(frames: list[Frame], times: list[float], names: list[str], positions: np.ndarray) -> xr.Dataset:
+    """Dataset of fiducial positions (frames, fiducials, 3) with the identity as motion of no grasp."""
+    count = len(frames)
+    return xr.Dataset(
+        {
+            "position": (("frame", "fiducial", "axis"), positions),
+            "grasp": ("frame", [""] * count),
+            "translation": (("frame", "axis"), np.zeros((count, 3))),
+            "rotation": (("frame", "quaternion"), np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))),
+        },
+        coords={
+            "action": ("frame", [action for action, _ in frames]),
+            "step": ("frame", np.array([step for _, step in frames], dtype=np.int32)),
+            "time": ("frame", np.array(times)),
+            "fiducial": names,
+            "axis": AXES,
+        },
+    )
+
+
+def _stack(frames: list[Frame], names: list[str], get: Callable[[tuple[Frame, str]], list[float]]) -> np.ndarray:
+    return np.array([[get((frame, name)) for name in names] for frame in frames], dtype=float)
+
+
+def write_folder(measurement: Measurement, folder: Path) -> None:
+    """Write the folder format; the folder appears whole or not at all.
+
+    Raises:
+        InputError: the folder exists.
+        MachineError: it cannot be written.
+    """
+    if folder.exists():
+        raise InputError(f"{folder}: exists already; choose another place or remove it")
+    partial = folder.with_name(folder.name + ".partial")
+    try:
+        shutil.rmtree(partial, ignore_errors=True)
+        partial.mkdir(parents=True)
+        for name, lines in _texts(measurement).items():
+            (partial / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
+        partial.rename(folder)
+    except OSError as error:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise MachineError(f"{folder}: cannot be written: {error.strerror or error}") from None
+
+
+def _texts(measurement: Measurement) -> dict[str, list[str]]:
+    data, units = measurement.data, measurement.units
+    length, time, force = (unit_factor(getattr(units, n), like) for n, like in zip(_UNIT_NAMES, "msN", strict=True))
+    head = [
+        f"{a},{s},{_text(t / time)}"
+        for a, s, t in zip(*(data[n].values for n in ("action", "step", "time")), strict=True)
+    ]
+    texts = {"measurement.toml": _header_lines(measurement, length, force)}
+    sigma = data["sigma"].values / length if "sigma" in data else None
+    lines = ["action,step,time,fiducial,x,y,z" + (",sigma_x,sigma_y,sigma_z" if sigma is not None else "")]
+    for i, start in enumerate(head):
+        for j, name in enumerate(measurement.fiducial_names):
+            cells = [_text(v) for v in measurement.positions[i, j] / length]
+            cells += [] if sigma is None else [_text(v) for v in sigma[i, j]]
+            lines.append(f"{start},{name},{','.join(cells)}")
+    texts["fiducials.csv"] = lines
+    lines = ["action,step,time,grasp,x,y,z,qw,qx,qy,qz"]
+    for i, start in enumerate(head):
+        if data["grasp"].values[i]:
+            cells = [_text(v) for v in [*data["translation"].values[i] / length, *data["rotation"].values[i]]]
+            lines.append(f"{start},{data['grasp'].values[i]},{','.join(cells)}")
+    texts["grasps.csv"] = lines
+    if "wrench" in data:
+        scale = np.array([force] * 3 + [force * length] * 3)
+        rows = [
+            f"{start},{','.join(_text(v) for v in row / scale)}"
+            for start, row in zip(head, data["wrench"].values, strict=True)
+        ]
+        rows = [row for row, values in zip(rows, data["wrench"].values, strict=True) if np.isfinite(values).all()]
+        texts["wrench.csv"] = ["action,step,time," + ",".join(WRENCH), *rows]
+    if "load" in data:
+        texts["loads.csv"] = ["action,step,time,place,fx,fy,fz"] + [
+            f"{start},{place},{','.join(_text(v) for v in data['load'].values[i, k] / force)}"
+            for i, start in enumerate(head)
+            for k, place in enumerate(data["place"].values)
+        ]
+    return texts
+
+
+_UNIT_NAMES = ("length", "time", "force")
+
+
+def _header_lines(measurement: Measurement, length: float, force: float) -> list[str]:
+    lines = [f'format = "{FORMAT}"']
+    lines += [f'{name}_unit = "{getattr(measurement.units, name)}"' for name in _UNIT_NAMES]
+    for name, scale in (("noise_sigma", length), ("wrench_sigma", force)):
+        value = getattr(measurement, name)
+        if value is not None:
+            lines.append(f"{name} = {_text(value / scale)}")
+    if measurement.description:
+        escaped = measurement.description.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+        lines.append(f'description = "{escaped}"')
+    return lines
+
+
+def _text(value: float) -> str:
+    return "" if math.isnan(value) else f"{value:.12g}"

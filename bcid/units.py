@@ -1,0 +1,115 @@
+"""Units at the border: text such as ``"15 kPa"`` or ``"15 10 12.5 mm"`` becomes SI numbers, and back.
+
+Inside bcid everything is SI (m, s, N, Pa, kg) and angles are degrees.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+
+from bcid.errors import InputError
+
+# Each unit: factor to SI and exponents of (metre, kilogram, second, degree).
+_NEWTON = (1, 1, -2, 0)
+_PASCAL = (-1, 1, -2, 0)
+_UNITS: dict[str, tuple[float, tuple[int, int, int, int]]] = {
+    "1": (1.0, (0, 0, 0, 0)),
+    "%": (0.01, (0, 0, 0, 0)),
+    "m": (1.0, (1, 0, 0, 0)),
+    "cm": (1e-2, (1, 0, 0, 0)),
+    "mm": (1e-3, (1, 0, 0, 0)),
+    "um": (1e-6, (1, 0, 0, 0)),
+    "µm": (1e-6, (1, 0, 0, 0)),
+    "in": (0.0254, (1, 0, 0, 0)),
+    "kg": (1.0, (0, 1, 0, 0)),
+    "g": (1e-3, (0, 1, 0, 0)),
+    "s": (1.0, (0, 0, 1, 0)),
+    "ms": (1e-3, (0, 0, 1, 0)),
+    "min": (60.0, (0, 0, 1, 0)),
+    "N": (1.0, _NEWTON),
+    "mN": (1e-3, _NEWTON),
+    "kN": (1e3, _NEWTON),
+    "Pa": (1.0, _PASCAL),
+    "kPa": (1e3, _PASCAL),
+    "MPa": (1e6, _PASCAL),
+    "GPa": (1e9, _PASCAL),
+    "deg": (1.0, (0, 0, 0, 1)),
+    "rad": (180.0 / math.pi, (0, 0, 0, 1)),
+}
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_QUANTITY = re.compile(rf"^\s*((?:{_NUMBER}[\s,]+)*{_NUMBER})\s*([^\d\s.,+-].*)?$")
+_FACTOR = re.compile(r"^([A-Za-zµ%1]+)(?:\^(-?\d+))?$")
+
+Dimension = tuple[int, int, int, int]
+
+
+def parse_unit(text: str) -> tuple[float, Dimension]:
+    """Factor to SI and dimension exponents (metre, kilogram, second, degree) of a unit such as ``"N/m^3"``.
+
+    Raises `InputError` for a unit that is not known.
+    """
+    factor, exponents = 1.0, [0, 0, 0, 0]
+    for position, part in enumerate(re.split(r"([*/])", text.replace(" ", "").replace("²", "^2").replace("³", "^3"))):
+        if position % 2:
+            continue
+        sign = -1 if position and _operator_before(text, position) == "/" else 1
+        match = _FACTOR.match(part)
+        if not match or match.group(1) not in _UNITS:
+            raise InputError(f"unit '{text}' is not known; units are products of {', '.join(_UNITS)}")
+        power = sign * int(match.group(2) or 1)
+        unit_factor, unit_exponents = _UNITS[match.group(1)]
+        factor *= unit_factor**power
+        exponents = [e + power * u for e, u in zip(exponents, unit_exponents, strict=True)]
+    return factor, (exponents[0], exponents[1], exponents[2], exponents[3])
+
+
+def _operator_before(text: str, position: int) -> str:
+    return re.split(r"([*/])", text.replace(" ", ""))[position - 1]
+
+
+def unit_factor(unit: str, like: str) -> float:
+    """SI value of one `unit`, which must have the dimension of `like` (``unit_factor("mm", like="m") == 1e-3``)."""
+    factor, dimension = parse_unit(unit)
+    if dimension != parse_unit(like)[1]:
+        raise InputError(f"unit '{unit}' cannot be used here: expected a unit like '{like}'")
+    return factor
+
+
+def quantities(text: object, like: str, count: int) -> list[float]:
+    """`count` numbers and one unit, as in ``"15 10 12.5 mm"``, in SI.
+
+    Args:
+        text: the value as written; anything but a string is refused, for a bare number has no unit.
+        like: a unit of the wanted dimension, as ``"m"``.
+        count: how many numbers must stand before the unit.
+
+    Raises:
+        InputError: names the value, the rule and an example.
+    """
+    example = f'"{" ".join(["1"] * count)} {"mm" if like == "m" else like}"'
+    if not isinstance(text, str):
+        raise InputError(f"{text!r} has no unit: write text with a number and a unit, as {example}")
+    match = _QUANTITY.match(text)
+    if not match:
+        raise InputError(f"'{text}' is not a quantity: write {count} number(s) and a unit, as {example}")
+    numbers = [float(word) for word in re.split(r"[\s,]+", match.group(1).strip())]
+    if not match.group(2):
+        raise InputError(f"'{text}' has no unit: write a unit like '{like}' behind it, as {example}")
+    if len(numbers) != count:
+        raise InputError(f"'{text}' has {len(numbers)} number(s), expected {count}, as {example}")
+    factor = unit_factor(match.group(2).strip(), like)
+    values = [number * factor for number in numbers]
+    if not all(math.isfinite(value) for value in values):
+        raise InputError(f"'{text}' is not finite")
+    return values
+
+
+def quantity(text: object, like: str) -> float:
+    """One number with its unit, as ``"15 kPa"``, in SI; see `quantities`."""
+    return quantities(text, like, 1)[0]
+
+
+def show(value: float, unit: str, digits: int = 3) -> str:
+    """An SI value in `unit`, for a message: ``show(15e3, "kPa") == "15 kPa"``."""
+    return f"{value / parse_unit(unit)[0]:.{digits}g} {unit}"
