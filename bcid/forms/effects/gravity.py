@@ -1,0 +1,18 @@
+"""Gravity: the weight of the body, as a dead body force along the scene's down.
+
+Energy per rest volume: -w d . u, with weight per rest volume w (N/m^3; density times 9.81 m/s^2) and unit vector d.
+"""
+
+from __future__ import annotations
+
+import ufl
+
+from bcid.forms.effects.effect import Effect
+from bcid.forms.parameter import Parameter
+
+effect = Effect(
+    name="gravity",
+    parameters=(Parameter("weight", "N/m^3", "weight per rest volume; water has 9810", lower=0.0, neutral=0.0),),
+    about="weight of the body along the scene's down",
+    energy=lambda point, c: -c["weight"] * ufl.inner(point.down, point.u),
+)

@@ -1,0 +1,239 @@
+"""The model: a law, plus effects, plus loads, plus what is held. Parts join with ``+``.
+
+model = Model.of(scene) + Dose("gravity", {"weight": 9810.0}) + Anchors({"1", "2"}) + Held("II")
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import ufl
+
+from bcid.errors import InputError
+from bcid.forms import effects, materials
+from bcid.forms.effects.effect import Effect, Point
+from bcid.forms.materials.law import Law
+from bcid.forms.parameter import Parameter
+from bcid.scene import Scene, Values
+from bcid.units import quantity
+
+
+@dataclass(frozen=True)
+class Anchors:
+    """The patches that are fixed."""
+
+    patches: frozenset[str]
+
+    def __init__(self, patches: Iterable[str] = ()) -> None:
+        object.__setattr__(self, "patches", frozenset(patches))
+
+
+@dataclass(frozen=True)
+class Held:
+    """The grasp that the gripper moves; "" when nothing is grasped."""
+
+    grasp: str
+
+
+@dataclass(frozen=True)
+class Dose:
+    """An effect with its parameter values (SI), as a part of a model.
+
+    `effect` is an `Effect` or the name of one of the catalogue.
+
+    Raises:
+        InputError: a value is missing, unknown or out of bounds.
+    """
+
+    effect: Effect
+    values: Mapping[str, float]
+    label: str = ""
+
+    def __init__(self, effect: Effect | str, values: Mapping[str, float], label: str = "") -> None:
+        known = effects.effect(effect) if isinstance(effect, str) else effect
+        problems = known.check(values)
+        if problems:
+            raise InputError("; ".join(problems))
+        defaults = {p.name: p.default for p in known.parameters if p.default is not None}
+        object.__setattr__(self, "effect", known)
+        object.__setattr__(self, "values", defaults | dict(values))
+        object.__setattr__(self, "label", label or known.name)
+
+
+def pressure(place: str, value: float) -> Dose:
+    """A pressure (Pa) that follows the surface of a place and pushes into the body.
+
+    Virtual work: p J F^-T N . v per rest area (Bonet & Wood 2008, section 8.5.3).
+    """
+
+    def work(point: Point, c: Mapping[str, Any]) -> Any:
+        kin = point.kin
+        return c["pressure"] * kin.J * ufl.inner(ufl.inv(kin.F).T * point.N, point.v) * point.surface(place)
+
+    follower = Effect(
+        "pressure",
+        (Parameter("pressure", "Pa", "pressure into the body", neutral=0.0),),
+        "follower pressure",
+        work=work,
+        symmetric=False,
+    )
+    return Dose(follower, {"pressure": value}, f"pressure on {place}")
+
+
+def traction(place: str, vector: Iterable[float]) -> Dose:
+    """A dead traction (Pa per rest area, three components) on a place."""
+    names = ("tx", "ty", "tz")
+    values = dict(zip(names, vector, strict=True))
+
+    def work(point: Point, c: Mapping[str, Any]) -> Any:
+        return -ufl.inner(ufl.as_vector([c[n] for n in names]), point.v) * point.surface(place)
+
+    dead = Effect(
+        "traction", tuple(Parameter(n, "Pa", "dead traction", neutral=0.0) for n in names), "dead traction", work=work
+    )
+    return Dose(dead, values, f"traction on {place}")
+
+
+@dataclass(frozen=True)
+class Model:
+    """Everything the forward model needs besides the mesh.
+
+    Attributes:
+        law: the material law.
+        values: its constants, SI.
+        formulation: "displacement", or "mixed" (displacement and pressure).
+        volumetric: form of the volumetric energy; None for the law's own.
+        doses: effects and surface loads with their values.
+        anchors: names of the fixed patches.
+        grasp: name of the grasp, or "".
+        down: unit vector of gravity.
+        rollers: places held in one axis only, as (place, axis) with axis 0, 1 or 2.
+    """
+
+    law: Law
+    values: Mapping[str, float]
+    formulation: str = "displacement"
+    volumetric: str | None = None
+    doses: tuple[Dose, ...] = ()
+    anchors: frozenset[str] = frozenset()
+    grasp: str = ""
+    down: tuple[float, float, float] = (0.0, -1.0, 0.0)
+    rollers: tuple[tuple[str, int], ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        problems = self.law.check(self.values, self.mixed)
+        if problems:
+            raise InputError("; ".join(problems))
+
+    @property
+    def mixed(self) -> bool:
+        """Whether a pressure is an unknown too."""
+        return self.formulation == "mixed"
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether the tangent is symmetric."""
+        return all(dose.effect.symmetric for dose in self.doses)
+
+    @property
+    def name(self) -> str:
+        """As in tables: "neo_hooke + gravity"."""
+        return " + ".join([self.law.name, *(dose.label for dose in self.doses)])
+
+    def __add__(self, part: Dose | Anchors | Held) -> Model:
+        """The model with one more part; a second part of the same name is refused."""
+        if isinstance(part, Anchors):
+            return replace(self, anchors=part.patches)
+        if isinstance(part, Held):
+            return replace(self, grasp=part.grasp)
+        if any(part.label == dose.label for dose in self.doses):
+            raise InputError(f"the model has '{part.label}' already: {self.name}")
+        return replace(self, doses=(*self.doses, part))
+
+    def constants(self) -> dict[str, float]:
+        """Every number of the model by its full name, as "young" or "gravity.weight"."""
+        numbers = dict(self.law.complete(self.values))
+        for dose in self.doses:
+            numbers |= {f"{dose.label}.{name}": value for name, value in dose.values.items()}
+        return numbers
+
+    def neutral(self) -> dict[str, float]:
+        """The numbers of the effects at their neutral values (their own values where they have none)."""
+        result = {}
+        for dose in self.doses:
+            for parameter in dose.effect.parameters:
+                own = dose.values[parameter.name]
+                result[f"{dose.label}.{parameter.name}"] = own if parameter.neutral is None else parameter.neutral
+        return result
+
+    @classmethod
+    def of(cls, scene: Scene) -> Model:
+        """The model that a scene describes, without anchors and grasp.
+
+        Raises:
+            InputError: an unknown law or effect, or wrong values.
+        """
+        problems: list[str] = []
+        model = _model(scene, problems)
+        if problems or model is None:
+            raise InputError("\n".join([f"scene {scene.source}:", *(f"  {problem}" for problem in problems)]))
+        return model
+
+
+def check_physics(scene: Scene) -> list[str]:
+    """Problems of a scene's law, constants and effects, one readable line each."""
+    problems: list[str] = []
+    _model(scene, problems)
+    return problems
+
+
+def _model(scene: Scene, problems: list[str]) -> Model | None:
+    material = scene.material
+    try:
+        law = materials.law(material.law)
+    except InputError as error:
+        problems.append(f"material.law: {error}")
+        return None
+    values = _numbers(material.values, law.parameters, "material", problems)
+    mixed = material.formulation == "mixed"
+    if not problems:
+        problems += [f"material.{problem}" for problem in law.check(values, mixed)]
+    if mixed and any(level.degree < 2 for level in scene.levels):
+        problems.append("material.formulation: the mixed formulation needs degree = 2 on every level")
+    doses = [_dose(name, written, problems) for name, written in scene.effects.items()]
+    if problems:
+        return None
+    return Model(law, values, material.formulation, doses=tuple(d for d in doses if d), down=scene.down)
+
+
+def _dose(name: str, written: Values, problems: list[str]) -> Dose | None:
+    try:
+        effect = effects.effect(name)
+    except InputError as error:
+        problems.append(f"effects.{name}: {error}")
+        return None
+    values = _numbers(written, effect.parameters, f"effects.{name}", problems)
+    found = effect.check(values)
+    problems += [f"effects.{problem}" for problem in found]
+    return None if found else Dose(effect, values)
+
+
+def _numbers(written: Values, parameters: tuple[Parameter, ...], where: str, problems: list[str]) -> dict[str, Any]:
+    """SI values; a parameter with a dimension must carry its unit, a pure number must not."""
+    units = {parameter.name: parameter.unit for parameter in parameters}
+    values: dict[str, Any] = {}
+    for name, value in written.items():
+        unit = units.get(name, "1")
+        if unit != "1":
+            try:
+                value = quantity(value, unit)
+            except InputError as error:
+                problems.append(f"{where}.{name}: {error}")
+                continue
+        elif name in units and isinstance(value, str):
+            problems.append(f"{where}.{name}: expected a bare number without unit, found '{value}'")
+            continue
+        values[name] = value
+    return values

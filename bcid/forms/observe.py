@@ -1,0 +1,153 @@
+"""What the fiducials would show: a sparse matrix that takes nodal displacements to fiducial displacements."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+
+from bcid import compat
+from bcid.errors import Problems
+from bcid.forms.body import Body
+from bcid.forms.mesh import BodyMesh
+
+Array = NDArray[np.float64]
+_INSIDE = 1e-9
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """Where a fiducial is fixed to the mesh: a cell, the nearest point in it, and how far the fiducial was from it (m)."""
+
+    cell: int
+    point: Array
+    distance: float
+
+
+def attach(
+    mesh: BodyMesh, positions: Mapping[str, tuple[float, float, float]], limit: float, source: str = "scene"
+) -> dict[str, Attachment]:
+    """Attach fiducials to the rest state of a mesh by the closest point.
+
+    Args:
+        mesh: the body.
+        positions: stress-free positions by name, m.
+        limit: the largest distance allowed, m.
+        source: file named in messages.
+
+    Raises:
+        InputError: naming every fiducial that is further away.
+    """
+    problems = Problems(f"fiducials of {source}")
+    result = {}
+    for name, position in positions.items():
+        found = _closest(mesh, np.array(position, dtype=float))
+        if found.distance > limit:
+            place = " ".join(f"{x * 1e3:.4g}" for x in position)
+            near = " ".join(f"{x * 1e3:.4g}" for x in found.point)
+            text = f"fiducial {name} at {place} mm lies {found.distance * 1e3:.3g} mm outside the body (closest point {near} mm); "
+            problems.add(source, text + f"allowed are {limit * 1e3:.3g} mm: move it, or raise attach_within")
+        result[name] = found
+    problems.raise_if_any()
+    return result
+
+
+def _closest(mesh: BodyMesh, position: Array) -> Attachment:
+    weights = _barycentric(mesh.points[mesh.cells], position)
+    depth = weights.min(axis=1)
+    cell = int(depth.argmax())
+    if depth[cell] >= -_INSIDE:
+        return Attachment(cell, position, 0.0)
+    triangles = mesh.boundary
+    candidates = closest_on_triangles(mesh.points[triangles], position)
+    best = int(np.linalg.norm(candidates - position, axis=1).argmin())
+    point = candidates[best]
+    shared = np.isin(mesh.cells, triangles[best]).sum(axis=1)
+    return Attachment(int(np.flatnonzero(shared == 3)[0]), point, float(np.linalg.norm(point - position)))
+
+
+def _barycentric(corners: Array, position: Array) -> Array:
+    """Barycentric coordinates of a point in many tetrahedra (n, 4, 3), shape (n, 4)."""
+    edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
+    rest = np.linalg.solve(edges, (position - corners[:, 0])[:, :, None])[:, :, 0]
+    return np.column_stack([1 - rest.sum(axis=1), rest])
+
+
+def closest_on_triangles(triangles: Array, position: Array) -> Array:
+    """Closest point of each triangle (n, 3, 3) to a position, shape (n, 3)."""
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    options = [_closest_on_segments(p, q, position) for p, q in ((a, b), (b, c), (c, a))]
+    normal = np.cross(b - a, c - a)
+    squared = np.einsum("ij,ij->i", normal, normal)
+    offset = np.einsum("ij,ij->i", position - a, normal) / squared
+    foot = position - offset[:, None] * normal
+    inside = np.ones(len(a), dtype=bool)
+    for p, q in ((a, b), (b, c), (c, a)):
+        inside &= np.einsum("ij,ij->i", np.cross(q - p, foot - p), normal) >= 0
+    distances = np.array([np.linalg.norm(o - position, axis=1) for o in options])
+    edge = np.array(options)[distances.argmin(axis=0), np.arange(len(a))]
+    return np.where(inside[:, None], foot, edge)
+
+
+def _closest_on_segments(a: Array, b: Array, position: Array) -> Array:
+    along = b - a
+    t = np.einsum("ij,ij->i", position - a, along) / np.einsum("ij,ij->i", along, along)
+    return a + np.clip(t, 0, 1)[:, None] * along
+
+
+class Observer:
+    """Predicts fiducial positions from the state of a body. Building one and `positions` are collective.
+
+    Args:
+        body: the body.
+        fiducials: stress-free positions by name, m; predictions keep this order.
+        limit: largest distance from the body, m.
+        source: file named in messages.
+
+    Attributes:
+        rest: stress-free positions, shape (fiducials, 3), m.
+        matrix: this rank's part, shape (fiducials, nodes); the parts of all ranks add up.
+        distances: how far each fiducial was from the mesh, m.
+    """
+
+    def __init__(
+        self, body: Body, fiducials: Mapping[str, tuple[float, float, float]], limit: float, source: str = "scene"
+    ) -> None:
+        self.body = body
+        self.rest = np.array(list(fiducials.values()), dtype=float).reshape(-1, 3)
+        attachments = list(attach(body.mesh, fiducials, limit, source).values())
+        self.distances = np.array([a.distance for a in attachments])
+        self.matrix = self._build(attachments)
+        covered = body.comm.allreduce(np.asarray(self.matrix.sum(axis=1)).ravel())
+        if not np.allclose(covered, 1.0):
+            raise AssertionError("a fiducial is attached to no cell, or to several")
+
+    def _build(self, attachments: list[Attachment]) -> csr_matrix:
+        body = self.body
+        topology = body.domain.topology
+        local = np.asarray(topology.original_cell_index)[: topology.index_map(3).size_local]
+        here = {int(original): i for i, original in enumerate(local)}
+        geometry = np.asarray(compat.geometry_dofmap(body.domain))
+        rows, columns, values = [], [], []
+        for i, attachment in enumerate(attachments):
+            cell = here.get(attachment.cell)
+            if cell is None:
+                continue
+            corners = body.domain.geometry.x[geometry[cell]][None]
+            reference = _barycentric(corners, attachment.point)[:, 1:]
+            shapes = body.displacement_space.element.basix_element.tabulate(0, reference)[0, 0, :, 0]
+            nodes = body.displacement_space.dofmap.cell_dofs(cell)
+            rows += [i] * len(nodes)
+            columns += list(nodes)
+            values += list(shapes)
+        return csr_matrix((values, (rows, columns)), shape=(len(attachments), len(body.nodes)))
+
+    def positions(self, displacement: Array) -> Array:
+        """Predicted positions, shape (fiducials, 3), m, the same on every rank, from this rank's `displacement` (nodes, 3)."""
+        moved = self.matrix @ displacement
+        if self.body.comm.size > 1:
+            moved = self.body.comm.allreduce(moved)
+        return self.rest + moved

@@ -1,0 +1,446 @@
+"""Equilibrium of one body under one model: PETSc SNES behind a thin wrapper, and a check of every answer it accepts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from itertools import count
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from dolfinx.fem import petsc as fp
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from bcid import compat
+from bcid.errors import InputError, nearest
+from bcid.forms.body import Body
+from bcid.forms.effects.effect import Point
+from bcid.forms.factor import Factor, FactorShell
+from bcid.forms.kinematics import Kinematics
+from bcid.forms.model import Model
+from bcid.measurement import quaternion_rotate
+from bcid.scene import Region, Scene
+
+Array = NDArray[np.float64]
+_prefixes = count()
+
+
+class Status(StrEnum):
+    """How a solve ended. Only `CONVERGED` may be used as a prediction."""
+
+    CONVERGED = "converged"
+    UNSTABLE = "unstable"
+    INVERTED = "inverted"
+    LINE_SEARCH = "line_search"
+    MAX_ITERATIONS = "max_iterations"
+    LINEAR_SOLVER = "linear_solver"
+    NOT_FINITE = "not_finite"
+    OUT_OF_MEMORY = "out_of_memory"
+    DIVERGED = "diverged"
+
+
+WORDS = {
+    Status.CONVERGED: "the equilibrium was found",
+    Status.UNSTABLE: "the only equilibrium found is unstable (the tangent has a negative pivot): the body buckles",
+    Status.INVERTED: "an element is turned inside out (det F <= 0)",
+    Status.LINE_SEARCH: "PETSc's line search found no smaller residual",
+    Status.MAX_ITERATIONS: "Newton's method needed too many iterations",
+    Status.LINEAR_SOLVER: "the tangent could not be factorised",
+    Status.NOT_FINITE: "the residual is not a number (an element was turned inside out)",
+    Status.OUT_OF_MEMORY: "the factorisation ran out of memory",
+    Status.DIVERGED: "Newton's method diverged",
+}
+_REASONS = {
+    PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH: Status.LINE_SEARCH,
+    PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT: Status.MAX_ITERATIONS,
+    PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE: Status.LINEAR_SOLVER,
+    PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN: Status.NOT_FINITE,
+    PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN: Status.NOT_FINITE,
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Accuracy and patience of a solve.
+
+    Attributes:
+        rtol: norm of the out-of-balance force against that of the reactions and loads.
+        max_iterations: Newton iterations per step.
+        halvings: how often a step may be halved before it counts as failed.
+    """
+
+    rtol: float = 1e-8
+    max_iterations: int = 20
+    halvings: int = 5
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the gripper is, and the dead loads: what a step prescribes.
+
+    Attributes:
+        translation: from the rest pose, m.
+        rotation: unit quaternion (w, x, y, z) about the rest centre of the grasp.
+        loads: force on each loaded place, N.
+        dose: fraction of the effects that acts, 0 to 1 (below 1 only while they are being applied).
+    """
+
+    translation: Array = field(default_factory=lambda: np.zeros(3))
+    rotation: Array = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
+    loads: Mapping[str, Array] = field(default_factory=dict)
+    dose: float = 1.0
+
+    def vector(self) -> Array:
+        """All numbers in one row, the rotation scaled to about the size of a grasp (0.02 m)."""
+        return np.concatenate([self.translation, 0.02 * self.rotation, *(self.loads[k] for k in sorted(self.loads))])
+
+
+class Equilibrium:
+    """Finds where the body rests, given what is held and how it is loaded.
+
+    Built once per process and level: forms, sparsity, solver and boundary conditions are shared by all candidates; `hold` toggles
+    patches without recompiling anything. All methods are collective on the body's communicator.
+
+    Args:
+        body: the meshed body.
+        model: law, effects and loads; its anchors and grasp are held at the start.
+        scene: where patches, grasps and places are.
+        settings: accuracy and patience.
+
+    Attributes:
+        u: the unknown, a DOLFINx Function (displacement, or displacement and pressure).
+        iterations, factor.count: work done since it was built.
+    """
+
+    def __init__(self, body: Body, model: Model, scene: Scene, settings: Settings | None = None) -> None:
+        self.body, self.model, self.scene = body, model, scene
+        self.settings = settings or Settings()
+        self.iterations = 0
+        self.u = fem.Function(body.space)
+        self._gripper = fem.Function(body.displacement_space)
+        self._compile()
+        self._prepare_solver()
+        self._conditions: dict[str, Any] = {}
+        self._weights: dict[str, Array] = {}
+        self.hold(model.anchors, model.grasp)
+
+    # -- forms ---------------------------------------------------------------------------------------------------------------
+
+    def _compile(self) -> None:
+        body, model = self.body, self.model
+        self._constants = {name: fem.Constant(body.domain, float(value)) for name, value in model.constants().items()}
+        # Body forces need more than the one point that is exact for the energy of linear elements.
+        dx = ufl.Measure("dx", domain=body.domain, metadata={"quadrature_degree": body.quadrature_degree})
+        dx_force = ufl.Measure("dx", domain=body.domain, metadata={"quadrature_degree": 2 * body.degree})
+        test = ufl.TestFunction(body.space)
+        if body.mixed:
+            u, p = ufl.split(self.u)
+            v = ufl.split(test)[0]
+        else:
+            u, v, p = self.u, test, None
+        kin = Kinematics.of(u)
+        constants = {name: self._constants[name] for name in model.law.complete(model.values)}
+        if p is None:
+            energy = model.law.psi(kin, constants, model.volumetric) * dx
+        else:
+            energy = model.law.psi_mixed(kin, p, constants, model.volumetric) * dx
+        down = ufl.as_vector(model.down)
+        point = Point(
+            u, v, kin, ufl.SpatialCoordinate(body.domain), ufl.FacetNormal(body.domain), down, self._surfaces()
+        )
+        works = []
+        for dose in model.doses:
+            c = {name: self._constants[f"{dose.label}.{name}"] for name in dose.values}
+            if dose.effect.energy:
+                energy += dose.effect.energy(point, c) * dx_force
+            if dose.effect.work:
+                works.append(dose.effect.work(point, c))
+        residual = (
+            ufl.derivative(energy, self.u, test) + sum(works[1:], works[0])
+            if works
+            else ufl.derivative(energy, self.u, test)
+        )
+        self.energy_form = fem.form(energy)
+        self.residual_form = fem.form(residual)
+        self.tangent_form = fem.form(ufl.derivative(residual, self.u))
+        self._jacobian = fem.Expression(kin.J, _sample_points(body.degree))
+
+    def _surfaces(self) -> Any:
+        """`surface(name)`: the measure of a place; a place is any patch, grasp or place of the scene."""
+        places = self.places
+        names = list(places)
+        measures: list[Any] = []
+
+        def surface(name: str) -> Any:
+            if name not in places:
+                raise InputError(f"place '{name}' is not in the scene; {nearest(name, names)}")
+            if not measures:
+                usable = [n for n in names if self.body.mesh.select(places[n], n).shape[1] == 3]
+                measures.extend([self.body.facet_measure([places[n] for n in usable], usable), usable])
+            return measures[0](measures[1].index(name) + 1)
+
+        return surface
+
+    @property
+    def places(self) -> dict[str, Region]:
+        """Every named region of the scene."""
+        scene = self.scene
+        return {**{n: g.region for n, g in scene.grasps.items()}, **scene.patches, **scene.places}
+
+    def set_constants(self, values: Mapping[str, float]) -> None:
+        """Change numbers of the model by full name ("young", "gravity.weight"); nothing is recompiled."""
+        for name, value in values.items():
+            self._constants[name].value = value
+
+    # -- what is held --------------------------------------------------------------------------------------------------------
+
+    def hold(self, anchors: Iterable[str], grasp: str = "") -> None:
+        """Fix these patches, let the gripper hold `grasp`, and go back to the undeformed state."""
+        scene, anchors = self.scene, sorted(set(anchors))
+        regions = [(f"patch {name}", scene.patches.get(name), None) for name in anchors]
+        regions += (
+            [(f"grasp {grasp}", scene.grasps[grasp].region if grasp in scene.grasps else None, None)] if grasp else []
+        )
+        regions += [(f"place {place}", self.places.get(place), axis) for place, axis in self.model.rollers]
+        self._bcs = [self._condition(what, region, axis) for what, region, axis in regions]
+        self._grasp = grasp
+        owned = self._owned
+        self._held = np.unique(np.concatenate([bc.dof_indices()[0] for bc in self._bcs] or [np.zeros(0, np.int32)]))
+        self._held_owned = self._held[self._held < owned]
+        self._gripped = self._bcs[len(anchors)].dof_indices()[0] if grasp else np.zeros(0, np.int32)
+        self.reset()
+
+    def _condition(self, what: str, region: Region | None, axis: int | None) -> Any:
+        key = f"{what}/{axis}"
+        if key not in self._conditions:
+            if region is None:
+                kind, name = what.split(" ", 1)
+                known = {"patch": self.scene.patches, "grasp": self.scene.grasps}.get(kind, self.places)
+                raise InputError(f"{kind} '{name}' is not in scene {self.scene.source}; {nearest(name, known)}")
+            value = self._gripper if what.startswith("grasp ") else None
+            self._conditions[key] = self.body.dirichlet(region, what, value, axis)
+        return self._conditions[key]
+
+    def reset(self) -> None:
+        """Back to the undeformed state; the factor is no longer trusted."""
+        self.u.x.array[:] = 0.0
+        self.factor.usable = False
+        self.external[:] = 0.0
+
+    def _move_gripper(self, pose: Pose) -> None:
+        if not self._grasp:
+            return
+        arm = self.body.nodes - np.array(self.scene.grasps[self._grasp].centre)
+        moved = pose.translation + quaternion_rotate(pose.rotation, arm) - arm
+        self._gripper.x.array[:] = moved.ravel()
+
+    def _prescribe(self, pose: Pose) -> None:
+        """Gripper, dead loads and the fraction of the effects of a pose."""
+        self._move_gripper(pose)
+        self.external[:] = 0.0
+        for place, force in pose.loads.items():
+            self.external += self._weight(place) * np.tile(force, len(self.external) // 3)
+        full, neutral = self.model.constants(), self.model.neutral()
+        self.set_constants({name: n + pose.dose * (full[name] - n) for name, n in neutral.items()})
+
+    def _weight(self, place: str) -> Array:
+        """Share of a dead force on `place` that each displacement component carries (consistent nodal forces), shape (3 * nodes,)."""
+        if place not in self._weights:
+            from bcid.forms.loads import nodal_weights
+
+            if place not in self.places:
+                raise InputError(f"loads: place '{place}' is not in the scene; {nearest(place, self.places)}")
+            self._weights[place] = np.repeat(nodal_weights(self.body, self.places[place], f"place {place}"), 3)
+        return self._weights[place]
+
+    # -- solver --------------------------------------------------------------------------------------------------------------
+
+    def _prepare_solver(self) -> None:
+        comm = self.body.comm
+        self.matrix = fp.create_matrix(self.tangent_form)
+        self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, self.model.symmetric)
+        self.vector = compat.create_vector(self.residual_form)
+        self.iterate = self.vector.duplicate()
+        self.correction = self.vector.duplicate()
+        self._owned = self.vector.getLocalSize()
+        self.external = np.zeros(3 * len(self.body.nodes))
+        self.internal = np.zeros(self._owned)
+        self.factor = Factor(self.matrix, self.model.symmetric, self.body.pressures)
+        snes = PETSc.SNES().create(comm)
+        snes.setOptionsPrefix(prefix := f"bcid_snes_{next(_prefixes)}_")
+        snes.setType("newtonls")
+        snes.setFunction(self._residual, self.vector)
+        snes.setJacobian(self._tangent, self.matrix)
+        snes.setTolerances(max_it=self.settings.max_iterations)
+        PETSc.Options()[f"{prefix}snes_linesearch_type"] = "bt"
+        snes.setConvergenceTest(self._converged)
+        ksp = snes.getKSP()
+        ksp.setType("preonly")
+        ksp.getPC().setType("python")
+        ksp.getPC().setPythonContext(FactorShell(self.factor))
+        snes.setFromOptions()
+        self.snes = snes
+        shear = float(self.model.law.shear(self.model.law.complete(self.model.values)))
+        # Below this force nothing can be told from round-off: a body that only moves rigidly has no reactions to compare with.
+        self._floor = 1e-13 * shear * self.body.mesh.size**2
+
+    def _residual(self, _snes: PETSc.SNES, x: PETSc.Vec, F: PETSc.Vec) -> None:
+        self._copy_in(x)
+        self._assemble_forces(F)
+        F.array[self._held_owned] = 0.0
+
+    def _copy_in(self, x: PETSc.Vec) -> None:
+        self.u.x.array[: self._owned] = x.array_r
+        self.u.x.scatter_forward()
+
+    def _assemble_forces(self, F: PETSc.Vec) -> None:
+        """Internal minus external nodal forces into F; the force and reaction norms are kept for the convergence test."""
+        with F.localForm() as local:
+            local.set(0.0)
+        fp.assemble_vector(F, self.residual_form)
+        F.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        forces = F.array
+        dofs = self.body.displacement_dofs
+        own = dofs < self._owned
+        forces[dofs[own]] -= self.external[own]
+        self.internal[:] = forces
+
+    def _scale(self) -> float:
+        """Norm of reactions and loads: what the out-of-balance force is measured against."""
+        reactions = self.internal[self._held_owned]
+        squares = float(reactions @ reactions) + float(self.external @ self.external)
+        if self.body.comm.size > 1:
+            squares = self.body.comm.allreduce(squares)
+        return float(np.sqrt(squares))
+
+    def _tangent(self, _snes: PETSc.SNES, _x: PETSc.Vec, J: PETSc.Mat, _P: PETSc.Mat) -> None:
+        J.zeroEntries()
+        fp.assemble_matrix(J, self.tangent_form, self._bcs)
+        J.assemble()
+
+    def _converged(self, _snes: PETSc.SNES, _iteration: int, norms: tuple[float, float, float]) -> Any:
+        residual = norms[2]
+        if not np.isfinite(residual):
+            return PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN
+        if residual <= max(self.settings.rtol * self._scale(), self._floor):
+            return PETSc.SNES.ConvergedReason.CONVERGED_FNORM_RELATIVE
+        return PETSc.SNES.ConvergedReason.CONVERGED_ITERATING
+
+    def solve(self, pose: Pose, start: Array | None = None) -> Status:
+        """Equilibrium for one pose, starting from the present state or from `start` (this rank's unknowns).
+
+        The state is changed only when the result is `Status.CONVERGED`.
+        """
+        before = self.u.x.array.copy()
+        self._prescribe(pose)
+        if start is not None:
+            self.u.x.array[:] = start
+        status = self._lift()
+        if status is Status.CONVERGED:
+            status = self._newton()
+        if status is not Status.CONVERGED:
+            self.u.x.array[:] = before
+            self.factor.usable = False
+        return status
+
+    def _lift(self) -> Status:
+        """Bring the held nodes to their prescribed places, the others following by the tangent."""
+        state = self.u.x.array
+        wanted = state.copy()
+        for bc in self._bcs:
+            bc.set(wanted)
+        gap = self._largest(np.abs(wanted[self._held] - state[self._held]).max(initial=0.0))
+        if gap > 1e-9 * self.body.mesh.size:
+            if not self.factor.usable:
+                self._tangent(self.snes, self.iterate, self.matrix, self.matrix)
+                if not self.factor.refresh():
+                    return Status.LINEAR_SOLVER
+            b = self.vector
+            with b.localForm() as local:
+                local.set(0.0)
+            fp.apply_lifting(b, [self.tangent_form], [self._bcs], [self.u.x.petsc_vec], 1.0)
+            b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+            fp.set_bc(b, self._bcs, self.u.x.petsc_vec, 1.0)
+            self.factor.solve(b, self.correction)
+            state[: self._owned] += self.correction.array_r
+            self.u.x.scatter_forward()
+        state[self._held] = wanted[self._held]
+        return Status.CONVERGED
+
+    def _newton(self) -> Status:
+        self.iterate.array[:] = self.u.x.array[: self._owned]
+        factored = self.factor.count
+        try:
+            self.snes.solve(None, self.iterate)
+        except PETSc.Error as error:
+            return Status.OUT_OF_MEMORY if error.ierr == 55 else Status.LINEAR_SOLVER
+        self.iterations += self.snes.getIterationNumber()
+        reason = self.snes.getConvergedReason()
+        if reason <= 0:
+            return _REASONS.get(reason, Status.DIVERGED)
+        self._copy_in(self.iterate)
+        if self.factor.count > factored and self.factor.negative:
+            return Status.UNSTABLE
+        return Status.CONVERGED if self.smallest_jacobian() > 0 else Status.INVERTED
+
+    def verify(self) -> Status:
+        """Factorise the tangent of the present state and look at its pivots: `CONVERGED` or `UNSTABLE`."""
+        self._tangent(self.snes, self.iterate, self.matrix, self.matrix)
+        if not self.factor.refresh():
+            return Status.LINEAR_SOLVER
+        return Status.UNSTABLE if self.factor.negative else Status.CONVERGED
+
+    def smallest_jacobian(self) -> float:
+        """Smallest det F over all elements, at their corners and edge middles (at degree 1 it is one number per element)."""
+        cells = np.arange(self.body.domain.topology.index_map(3).size_local, dtype=np.int32)
+        values = self._jacobian.eval(self.body.domain, cells)
+        return -self._largest(-float(values.min(initial=np.inf)))
+
+    def _largest(self, value: float) -> float:
+        if self.body.comm.size == 1:
+            return float(value)
+        from mpi4py import MPI
+
+        return float(self.body.comm.allreduce(value, op=MPI.MAX))
+
+    def energy(self) -> float:
+        """Energy of the present state (strain energy and potential of the effects that have one), J."""
+        return float(self.body.comm.allreduce(fem.assemble_scalar(self.energy_form)))
+
+    def displacement(self) -> Array:
+        """Displacement of this rank's nodes, ghosts included, shape (nodes, 3), m."""
+        return self.u.x.array[self.body.displacement_dofs].reshape(-1, 3)
+
+    def wrench(self, pose: Pose) -> Array:
+        """Force (N) and torque (N m) of the gripper on the body, about the moved centre of the grasp, shape (6,)."""
+        result = np.zeros(6)
+        if self._grasp:
+            self._assemble_forces(self.vector)
+            dofs = self.body.displacement_dofs
+            mine = np.isin(dofs, self._gripped) & (dofs < self._owned)
+            forces = np.zeros(len(dofs))
+            forces[mine] = self.internal[dofs[mine]]
+            forces = forces.reshape(-1, 3)
+            centre = np.array(self.scene.grasps[self._grasp].centre) + pose.translation
+            arms = self.body.nodes + self.displacement() - centre
+            result = np.concatenate([forces.sum(axis=0), np.cross(arms, forces).sum(axis=0)])
+        return np.asarray(self.body.comm.allreduce(result)) if self.body.comm.size > 1 else result
+
+    def destroy(self) -> None:
+        """Free the PETSc objects; collective."""
+        self.factor.destroy()
+        for item in (self.snes, self.matrix, self.vector, self.iterate, self.correction):
+            item.destroy()
+
+
+def _sample_points(degree: int) -> Array:
+    """Reference points at which det F is looked at."""
+    if degree == 1:
+        return np.full((1, 3), 0.25)
+    corners = np.vstack([np.zeros(3), np.eye(3)])
+    middles = [(corners[i] + corners[j]) / 2 for i in range(4) for j in range(i)]
+    return np.vstack([corners, middles, np.full(3, 0.25)])
