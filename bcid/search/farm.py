@@ -1,0 +1,205 @@
+"""Evaluating candidates on all ranks: every rank takes a share, none idles as a manager, and all know every result.
+
+The searches run in lock-step on every rank and see the same results in the same order, so that the answer never depends on how many
+ranks there are: a candidate's outcome depends on nothing but the candidate, its level and its bound.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.collective import agree
+from bcid.errors import BcidError
+from bcid.forms.forward import Forward, Prediction
+from bcid.forms.mesh import level_mesh
+from bcid.forms.model import Model
+from bcid.forms.solve import Settings, Status
+from bcid.measurement import Measurement
+from bcid.progress import Progress, Silent
+from bcid.scene import Scene
+from bcid.search.misfit import Misfit
+
+Array = NDArray[np.float64]
+Candidate = frozenset[str]
+
+
+def label(candidate: Iterable[str], order: Iterable[str]) -> str:
+    """A candidate in words, patches in the scene's order: "{1 2}"."""
+    chosen = set(candidate)
+    return "{" + " ".join(name for name in order if name in chosen) + "}"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What is known of one candidate on one level.
+
+    Attributes:
+        chi2: sum of squared residuals in units of noise; a lower bound when `complete` is False; infinite when the model failed.
+        rms: RMS residual per coordinate, m; a lower bound when `complete` is False.
+        complete: whether all frames were compared.
+        share: fraction of the trajectory that was computed, 0 to 1.
+        status, reason: how the forward model ended, and why in words.
+        seconds: time spent.
+    """
+
+    candidate: Candidate
+    level: int
+    chi2: float
+    rms: float
+    complete: bool
+    share: float
+    status: Status = Status.CONVERGED
+    reason: str = ""
+    seconds: float = 0.0
+
+    @property
+    def failed(self) -> bool:
+        """Whether the forward model found no acceptable equilibrium."""
+        return self.status is not Status.CONVERGED
+
+
+class Farm:
+    """Evaluates anchor sets on mesh levels, spread over the ranks of `comm`, each at most once.
+
+    Args:
+        scene: the scene.
+        measurement: what to compare with; must fit the scene.
+        comm: an MPI communicator; each rank holds the meshes and solvers it needs privately.
+        model: the model, by default the scene's.
+        settings: accuracy and patience of the solver.
+        progress: told how far a batch is (rank 0).
+
+    Attributes:
+        outcomes: everything evaluated so far, by level and candidate; equal on all ranks.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        measurement: Measurement,
+        comm: Any,
+        model: Model | None = None,
+        settings: Settings | None = None,
+        progress: Progress | None = None,
+    ) -> None:
+        measurement.check(scene)
+        self.scene, self.measurement, self.comm = scene, measurement, comm
+        self.model = model or Model.of(scene)
+        self.settings = settings or Settings(rtol=1e-6)
+        self.progress = progress or Silent()
+        self.misfit = Misfit(scene, measurement)
+        self.actions = measurement.actions
+        self.outcomes: dict[tuple[int, Candidate], Outcome] = {}
+        self._forwards: dict[int, Forward] = {}
+
+    @property
+    def patches(self) -> list[str]:
+        """Names of the candidate patches, in the scene's order."""
+        return list(self.scene.patches)
+
+    def forward(self, level: int) -> Forward:
+        """This process's forward model of a level, built on first use; collective."""
+        if level not in self._forwards:
+            mesh = level_mesh(self.scene, self.scene.levels[level], self.comm)
+            # One rank compiles the forms, the others find them in the cache: compiling at once would race for it.
+            for turn in (0, 1):
+                error = None
+                if (self.comm.rank > 0) == turn:
+                    try:
+                        self._forwards[level] = Forward(self.scene, level, None, self.model, self.settings, mesh)
+                    except BcidError as caught:
+                        error = caught
+                agree(self.comm, error)
+            self.progress.say(f"level {level}: {self._forwards[level].describe}")
+        return self._forwards[level]
+
+    def evaluate(self, level: int, bounds: Mapping[Candidate, float]) -> dict[Candidate, Outcome]:
+        """Outcomes of candidates on a level; collective, the same on every rank.
+
+        Args:
+            level: the mesh level.
+            bounds: each candidate with the chi-square above which its exact value is of no interest: its evaluation stops there.
+        """
+        wanted = sorted(bounds, key=lambda c: (len(c), sorted(c)))
+        forward = self.forward(level)
+        todo = [c for c in wanted if not self._known(level, c, bounds[c])]
+        mine = []
+        error = None
+        for i, candidate in enumerate(todo[self.comm.rank :: self.comm.size]):
+            try:
+                mine.append(self._evaluate(forward, candidate, bounds[candidate]))
+            except BcidError as caught:
+                error = caught
+                break
+            self.progress.step(f"level {level}: candidate {i * self.comm.size + 1} of {len(todo)} in this batch")
+        agree(self.comm, error)
+        for outcomes in self.comm.allgather(mine):
+            for outcome in outcomes:
+                earlier = self.outcomes.get((level, outcome.candidate))
+                if earlier is not None:
+                    outcome = _adding(outcome, earlier)
+                self.outcomes[level, outcome.candidate] = outcome
+        return {c: self.outcomes[level, c] for c in wanted}
+
+    def _known(self, level: int, candidate: Candidate, bound: float) -> bool:
+        known = self.outcomes.get((level, candidate))
+        return known is not None and (known.complete or known.failed or known.chi2 > bound)
+
+    def _evaluate(self, forward: Forward, candidate: Candidate, bound: float) -> Outcome:
+        start = time.perf_counter()
+        chi2 = squares = 0.0
+        computed = 0
+
+        def watch(frame: int, predicted: Array) -> bool:
+            nonlocal chi2, squares, computed
+            more, square = self.misfit.frame(frame, predicted)
+            chi2, squares, computed = chi2 + more, squares + square, computed + 1
+            return chi2 <= bound
+
+        prediction = forward.predict(candidate, self.actions, watch)
+        failure = prediction.failure
+        return Outcome(
+            candidate,
+            forward.level,
+            math.inf if failure else chi2,
+            math.inf if failure else self.misfit.rms(squares),
+            prediction.complete and not failure,
+            computed / self.misfit.frames,
+            failure.status if failure else Status.CONVERGED,
+            failure.reason if failure else "",
+            time.perf_counter() - start,
+        )
+
+    def predict(self, level: int, candidate: Candidate) -> Prediction:
+        """Full prediction of one candidate, computed by rank 0 and given to all; collective."""
+        forward = self.forward(level)
+        prediction = forward.predict(candidate, self.actions) if self.comm.rank == 0 else None
+        result: Prediction = self.comm.bcast(prediction, root=0)
+        return result
+
+    def evaluations(self) -> dict[int, float]:
+        """Forward trajectories computed per level, in whole-trajectory equivalents."""
+        counts: dict[int, float] = {}
+        for (level, _), outcome in sorted(self.outcomes.items(), key=lambda item: (item[0][0], sorted(item[0][1]))):
+            counts[level] = counts.get(level, 0.0) + outcome.share
+        return counts
+
+    def destroy(self) -> None:
+        """Free meshes and solvers of this process."""
+        for forward in self._forwards.values():
+            forward.destroy()
+        self._forwards.clear()
+
+
+def _adding(now: Outcome, earlier: Outcome) -> Outcome:
+    """The later outcome, with the work of both."""
+    from dataclasses import replace
+
+    return replace(now, share=now.share + earlier.share, seconds=now.seconds + earlier.seconds)

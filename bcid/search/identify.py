@@ -1,0 +1,356 @@
+"""The main job: from a scene and a measurement to the anchored patches."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from bcid.errors import InputError, SolveError
+from bcid.forms.forward import Prediction
+from bcid.forms.model import Model
+from bcid.forms.solve import Settings
+from bcid.measurement import Measurement
+from bcid.progress import Progress, Silent
+from bcid.scene import Scene
+from bcid.search.belief import Belief, finest, log_likelihood
+from bcid.search.climb import climb, interest, neighbours, rank
+from bcid.search.farm import Candidate, Farm, Outcome, label
+from bcid.search.seeds import above, all_candidates, maxima, perturbed, random_seeds
+from bcid.search.termination import Termination
+
+METHODS = ("climb", "enumerate")
+_MOST_PATCHES = 12
+_GROUP = 4
+# A set this much less likely than the best on a coarser level is not carried to the next.
+_LEAST = math.log(1e-4)
+
+
+@dataclass(frozen=True)
+class Options:
+    """How the search is done.
+
+    Attributes:
+        method: "climb" (Algorithm 1 from many seeds, then over the ladder), or "enumerate" (every set of patches, certified).
+        seeds: random seeds of the first stage.
+        random_state: of the seeds; the same number gives the same search.
+        coarsest, climbed: first level, and how many levels are climbed on; on finer ones only the likely sets are looked at.
+        finest: last level that may be used; None leaves it to `settled`.
+        start: what seeds the second and later stages: "maxima", or "threshold" for every state above `threshold`.
+        threshold: similarity, a fraction of the best on the level.
+        toggles: random toggles that perturb the seeds of later stages.
+        termination: when enough seeds have been climbed from.
+    """
+
+    method: str = "climb"
+    seeds: int = 24
+    random_state: int = 0
+    coarsest: int = 0
+    climbed: int = 2
+    finest: int | None = None
+    start: str = "maxima"
+    threshold: float = 0.95
+    toggles: int = 0
+    termination: Termination = field(default_factory=Termination)
+
+    def check(self, scene: Scene) -> None:
+        """Raise `InputError` for options that the scene cannot serve."""
+        levels = len(scene.levels)
+        if self.method not in METHODS:
+            raise InputError(f"method '{self.method}': allowed are {', '.join(METHODS)}")
+        if self.start not in ("maxima", "threshold"):
+            raise InputError(f"start '{self.start}': allowed are maxima, threshold")
+        if self.seeds < 1:
+            raise InputError(f"seeds = {self.seeds}: at least 1 is needed")
+        for name, level in (("coarsest", self.coarsest), ("finest", self.finest)):
+            if level is not None and not 0 <= level < levels:
+                raise InputError(f"{name} level {level}: the scene has levels 0 to {levels - 1}")
+        if self.finest is not None and self.finest < self.coarsest:
+            raise InputError(f"finest level {self.finest} is coarser than the coarsest level {self.coarsest}")
+        if self.method == "enumerate" and len(scene.patches) > _MOST_PATCHES:
+            count = len(scene.patches)
+            raise InputError(
+                f"enumerating {count} patches means {2**count} sets; up to {_MOST_PATCHES} patches are enumerated: use climb"
+            )
+
+
+@dataclass(frozen=True)
+class Identification:
+    """The anchored patches and how sure that is; lengths in m.
+
+    Attributes:
+        anchored: names of the anchored patches, in the scene's order.
+        probability: of this set among all visited ones.
+        patches: probability that each patch is anchored.
+        rms, noise: RMS residual of the set on the finest level used, and the stated noise (None if unknown).
+        certified: whether every set of patches was looked at on the finest level used.
+        evaluations: forward trajectories per level, in whole-trajectory equivalents.
+        alternatives: the next best sets, best first.
+        levels: the levels used.
+        stages: what happened on each level, in words.
+        prediction: of the reported set on the finest level used.
+        failures: sets for which the forward model found no acceptable equilibrium, with the reason.
+        seconds: time spent.
+    """
+
+    anchored: tuple[str, ...]
+    probability: float
+    patches: dict[str, float]
+    rms: float
+    noise: float | None
+    certified: bool
+    evaluations: dict[int, float]
+    alternatives: tuple[Alternative, ...]
+    levels: tuple[int, ...]
+    stages: tuple[str, ...]
+    prediction: Prediction
+    failures: dict[str, str]
+    seconds: float
+
+    def to_json(self, length: float = 1e-3) -> dict[str, Any]:
+        """The content of `identification.json`; lengths are given in units of `length` (m)."""
+        others = [asdict(a) | {"anchored": list(a.anchored), "rms": a.rms / length} for a in self.alternatives]
+        return {
+            "anchored": list(self.anchored),
+            "probability": self.probability,
+            "patches": self.patches,
+            "rms": self.rms / length,
+            "noise_rms": None if self.noise is None else self.noise / length,
+            "certified": self.certified,
+            "evaluations": {str(level): round(count, 3) for level, count in self.evaluations.items()},
+            "alternatives": others,
+            "levels": list(self.levels),
+            "stages": list(self.stages),
+            "failures": self.failures,
+        }
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """A set that was considered: its probability and RMS residual (m) on the finest level it was evaluated on.
+
+    `stopped` says that its evaluation ended as soon as it had lost: probability is then an upper, rms a lower bound.
+    """
+
+    anchored: tuple[str, ...]
+    probability: float
+    rms: float
+    level: int
+    stopped: bool
+
+
+def identify(
+    scene: Scene,
+    measurement: Measurement,
+    comm: Any = None,
+    options: Options | None = None,
+    model: Model | None = None,
+    settings: Settings | None = None,
+    progress: Progress | None = None,
+) -> Identification:
+    """Find the anchored patches; collective on `comm`, with the same result for any number of ranks.
+
+    Args:
+        scene: body, candidate patches, mesh ladder.
+        measurement: fiducial trajectories and gripper motion; must fit the scene.
+        comm: MPI communicator over which candidates are spread; COMM_SELF by default.
+        options: how to search.
+        model: the model; by default the scene's.
+        settings: accuracy and patience of the solver.
+        progress: told what is going on (give it on rank 0 only).
+
+    Raises:
+        InputError: scene, measurement or options do not fit each other.
+        SolveError: the forward model failed for every set.
+    """
+    from mpi4py import MPI
+
+    options = options or Options()
+    options.check(scene)
+    farm = Farm(scene, measurement, comm or MPI.COMM_SELF, model, settings, progress)
+    try:
+        return _Search(farm, options, progress or Silent()).run()
+    finally:
+        farm.destroy()
+
+
+class _Search:
+    """The stages of one identification."""
+
+    def __init__(self, farm: Farm, options: Options, progress: Progress) -> None:
+        self.farm, self.options, self.progress = farm, options, progress
+        self.rng = np.random.default_rng(options.random_state)
+        self.stages: list[str] = []
+        self.levels: list[int] = []
+
+    def run(self) -> Identification:
+        start = time.perf_counter()
+        options = self.options
+        last = len(self.farm.scene.levels) - 1 if options.finest is None else options.finest
+        seeds: list[Candidate] = []
+        best: list[Outcome] = []
+        for level in range(options.coarsest, last + 1):
+            self.levels.append(level)
+            if options.method == "enumerate":
+                self.enumerate(level)
+            else:
+                if level < options.coarsest + options.climbed:
+                    seeds = self.climb(level, seeds)
+                self.promote(level)
+            best.append(self.best(level))
+            self.note(level, best[-1])
+            if options.finest is None and self.settled(best):
+                break
+        return self.result(best, time.perf_counter() - start)
+
+    def say(self, text: str) -> None:
+        self.stages.append(text)
+        self.progress.say(text)
+
+    def name(self, candidate: Candidate) -> str:
+        return label(candidate, self.farm.patches)
+
+    def best(self, level: int) -> Outcome:
+        found = [o for (at, _), o in self.farm.outcomes.items() if at == level and o.complete]
+        if not found:
+            reason = next(o.reason for (at, _), o in self.farm.outcomes.items() if at == level and o.failed)
+            raise SolveError(f"level {level}: the forward model failed for every anchor set tried; the first: {reason}")
+        return min(found, key=rank)
+
+    def note(self, level: int, best: Outcome) -> None:
+        noise = self.farm.misfit.noise
+        known = f", noise {noise * 1e3:.3g} mm" if noise is not None else ""
+        count = self.farm.evaluations()[level]
+        self.say(
+            f"level {level}: best {self.name(best.candidate)}, residual {best.rms * 1e3:.3g} mm{known}; {count:.1f} trajectories"
+        )
+
+    def climb(self, level: int, seeds: Sequence[Candidate]) -> list[Candidate]:
+        """Climb on a level, in groups of seeds; returns the seeds of the next level."""
+        options, farm = self.options, self.farm
+        if not seeds:
+            seeds = random_seeds(farm.patches, options.seeds, self.rng)
+        climbs = []
+        unchanged = 0
+        top: Outcome | None = None
+        why = "all seeds are used"
+        for i in range(0, len(seeds), _GROUP):
+            group = seeds[i : i + _GROUP]
+            climbs += climb(farm, level, group)
+            now = self.best(level)
+            unchanged = unchanged + len(group) if top is not None and now.candidate == top.candidate else 0
+            top = now
+            self.progress.step(f"level {level}: {len(climbs)} climbs, best so far {self.name(now.candidate)}")
+            reached = options.termination.reached(farm, level, now, unchanged)
+            if reached:
+                why = reached
+                break
+        self.say(f"level {level}: {len(climbs)} climbs ended on {len({c.top for c in climbs})} maxima; {why}")
+        if options.start == "maxima":
+            following = maxima(climbs, farm, level)
+        else:
+            following = above(farm, level, options.threshold * farm.misfit.similarity(self.best(level).rms))
+        return perturbed(following, farm.patches, options.toggles, self.rng)
+
+    def enumerate(self, level: int) -> None:
+        """Every set of patches: those that cannot win stop early, against the best of a first look at the likely ones."""
+        farm = self.farm
+        everything = all_candidates(farm.patches)
+        if len(self.levels) > 1:
+            order = sorted((farm.outcomes[level - 1, c] for c in everything), key=rank)
+            everything = [outcome.candidate for outcome in order]
+        bound = float("inf")
+        for i in range(0, len(everything), 16):
+            group = everything[i : i + 16] if i or len(self.levels) == 1 else everything[:16]
+            farm.evaluate(level, dict.fromkeys(group, bound))
+            complete = [o.chi2 for (at, _), o in farm.outcomes.items() if at == level and o.complete]
+            bound = min(bound, interest(min(complete))) if complete else bound
+            self.progress.step(f"level {level}: {i + len(group)} of {len(everything)} sets")
+        self.say(f"level {level}: all {len(everything)} sets looked at")
+
+    def promote(self, level: int) -> None:
+        """Carry every set that is not unlikely on a coarser level up to this one, one level at a time, until none is left behind.
+
+        The neighbours of the best set are looked at too, on the finest level that is climbed on.
+        """
+        farm, options = self.farm, self.options
+        if level > options.coarsest and not any(at == level for at, _ in farm.outcomes):
+            farm.evaluate(level, {self.best(level - 1).candidate: math.inf})
+        while True:
+            best = self.best(level)
+            for below in range(options.coarsest, level):
+                farm.evaluate(below, {best.candidate: math.inf})
+            climbed = min(level, options.coarsest + options.climbed - 1)
+            around = interest(farm.outcomes[climbed, best.candidate].chi2)
+            farm.evaluate(climbed, dict.fromkeys(neighbours(best.candidate, farm.patches), around))
+            waiting: dict[int, list[Candidate]] = {}
+            for candidate, outcome in finest(farm).items():
+                reference = farm.outcomes.get((outcome.level, best.candidate))
+                if outcome.level < level and reference and log_likelihood(outcome, reference, farm.misfit) > _LEAST:
+                    waiting.setdefault(outcome.level + 1, []).append(candidate)
+            if not waiting and self.best(level).candidate == best.candidate:
+                return
+            for target, candidates in sorted(waiting.items()):
+                reference = farm.outcomes[target, best.candidate]
+                farm.evaluate(
+                    target, dict.fromkeys(candidates, math.inf if reference.failed else interest(reference.chi2))
+                )
+
+    def settled(self, best: Sequence[Outcome]) -> bool:
+        """The residual is the noise; or two levels agree on the set, and the residual has stopped changing with the mesh."""
+        noise = self.farm.misfit.noise
+        if noise is not None and best[-1].rms <= 1.1 * noise:
+            return True
+        same = len(best) > 1 and best[-1].candidate == best[-2].candidate
+        return same and abs(best[-1].rms - best[-2].rms) < 0.05 * best[-1].rms
+
+    def result(self, best: Sequence[Outcome], seconds: float) -> Identification:
+        farm, winner = self.farm, best[-1]
+        # The belief compares sets level by level with the winner, which may not have been visited on a coarse one.
+        for level in self.levels:
+            farm.evaluate(level, {winner.candidate: float("inf")})
+        belief = Belief.of(farm, winner.candidate)
+        patches = farm.patches
+        return Identification(
+            anchored=tuple(p for p in patches if p in winner.candidate),
+            probability=belief.probability[winner.candidate],
+            patches=belief.patches,
+            rms=winner.rms,
+            noise=farm.misfit.noise,
+            certified=all((winner.level, c) in farm.outcomes for c in all_candidates(patches))
+            if len(patches) <= _MOST_PATCHES
+            else False,
+            evaluations=farm.evaluations(),
+            alternatives=self.alternatives(belief, winner),
+            levels=tuple(self.levels),
+            stages=tuple(self.stages),
+            prediction=farm.predict(winner.level, winner.candidate),
+            failures={self.name(c): o.reason for (_, c), o in sorted(farm.outcomes.items(), key=_order) if o.failed},
+            seconds=seconds,
+        )
+
+    def alternatives(self, belief: Belief, winner: Outcome, count: int = 8) -> tuple[Alternative, ...]:
+        farm = self.farm
+        others = [o for c, o in finest(farm).items() if c != winner.candidate and not o.failed]
+        likely = sorted(
+            others, key=lambda o: (-log_likelihood(o, farm.outcomes[o.level, winner.candidate], farm.misfit), rank(o))
+        )
+        return tuple(
+            Alternative(
+                tuple(p for p in farm.patches if p in o.candidate),
+                belief.probability[o.candidate],
+                o.rms,
+                o.level,
+                not o.complete,
+            )
+            for o in likely[:count]
+        )
+
+
+def _order(item: tuple[tuple[int, Candidate], Outcome]) -> tuple[int, int, list[str]]:
+    (level, candidate), _ = item
+    return level, len(candidate), sorted(candidate)
