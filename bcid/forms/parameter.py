@@ -1,0 +1,78 @@
+"""A named number of the model: its unit, its meaning and the values it may take."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from numbers import Real
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of a material law or an effect.
+
+    Args:
+        name: word used in scene files, tables and JSON.
+        unit: unit of every value below, SI inside: "Pa", "1" (a pure number), "deg", "N/m^3".
+        about: physical meaning in one phrase.
+        default: value used when none is given; None if the user must give one.
+        lower, upper: bounds of the allowed range.
+        open_lower, open_upper: whether the bound itself is excluded.
+        neutral: value at which the parameter has no influence, None if there is none.
+        prior: mean and standard deviation believed before any measurement, None if nothing is.
+
+    Raises:
+        ValueError: the bounds are reversed, or the default or neutral value lies outside them.
+    """
+
+    name: str
+    unit: str
+    about: str
+    default: float | None = None
+    lower: float = -math.inf
+    upper: float = math.inf
+    open_lower: bool = False
+    open_upper: bool = False
+    neutral: float | None = None
+    prior: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if not self.lower < self.upper:
+            raise ValueError(f"parameter {self.name}: lower bound {self.lower} is not below upper bound {self.upper}")
+        for value in (self.default, self.neutral):
+            problem = None if value is None else self.check(value)
+            if problem is not None:
+                raise ValueError(f"default or neutral value: {problem}")
+
+    @property
+    def allowed(self) -> str:
+        """The allowed range in words, such as "greater than 0 Pa"."""
+        bounds = []
+        if math.isfinite(self.lower):
+            bounds.append(f"{'greater than' if self.open_lower else 'at least'} {self._number(self.lower)}")
+        if math.isfinite(self.upper):
+            bounds.append(f"{'less than' if self.open_upper else 'at most'} {self._number(self.upper)}")
+        return " and ".join(bounds) or "any finite number"
+
+    def check(self, value: object) -> str | None:
+        """Say what is wrong with a value, in one readable line; None if it is allowed."""
+        if isinstance(value, bool) or not isinstance(value, Real):
+            return f"{self.name} = {value!r} is not a number; allowed: {self.allowed}"
+        number = float(value)
+        if not math.isfinite(number):
+            return f"{self.name} = {number} is not a finite number; allowed: {self.allowed}"
+        if self._is_below(number) or self._is_above(number):
+            return f"{self.name} = {self._number(number)} is outside the allowed range: {self.allowed}"
+        return None
+
+    def _is_below(self, number: float) -> bool:
+        return number <= self.lower if self.open_lower else number < self.lower
+
+    def _is_above(self, number: float) -> bool:
+        return number >= self.upper if self.open_upper else number > self.upper
+
+    def _number(self, number: float) -> str:
+        # 12 digits hide the binary tail of 1/3, but a value refused for its last digit must still show it
+        short = f"{number:.12g}"
+        text = short if float(short) == number or number in (self.lower, self.upper) else repr(number)
+        return text if self.unit == "1" else f"{text} {self.unit}"
