@@ -30,12 +30,14 @@ class Prediction:
         positions: shape (frames, fiducials, 3), m; NaN in frames that were not reached.
         wrench: force (N) and torque (N m) of the gripper, shape (frames, 6); NaN likewise, zero without a grasp.
         trajectories: how each action went.
+        displacement: at the nodes of the mesh, shape (frames, nodes, 3), m, when it was asked for.
         complete: whether every frame was reached.
     """
 
     positions: Array
     wrench: Array
     trajectories: tuple[Trajectory, ...]
+    displacement: Array | None = None
 
     @property
     def complete(self) -> bool:
@@ -86,7 +88,9 @@ class Forward:
         nodes, cells = len(self.mesh.points), len(self.mesh.cells)
         return f"{nodes} nodes, {cells} tetrahedra, degree {self.body.degree}, {self.body.unknowns} unknowns"
 
-    def predict(self, anchors: Iterable[str], actions: Sequence[Action], watch: Watch | None = None) -> Prediction:
+    def predict(
+        self, anchors: Iterable[str], actions: Sequence[Action], watch: Watch | None = None, fields: bool = False
+    ) -> Prediction:
         """Fiducial positions while the actions are made with these patches anchored.
 
         Args:
@@ -94,31 +98,29 @@ class Forward:
             actions: the motions; each starts from the undeformed state.
             watch: called after each frame with its index and the predicted positions (fiducials, 3); when it returns False the rest
                 is not computed.
+            fields: also keep the displacement of every mesh node.
         """
-        anchors = sorted(anchors)
         frames = 1 + max(int(action.frames.max()) for action in actions)
         positions = np.full((frames, len(self.observer.rest), 3), np.nan)
         wrench = np.full((frames, 6), np.nan)
+        displacement = np.full((frames, len(self.mesh.points), 3), np.nan) if fields else None
+        equilibrium = self.equilibrium
         trajectories = []
         for action in actions:
-            trajectories.append(self._follow(anchors, action, positions, wrench, watch))
+            equilibrium.hold(anchors, action.grasp)
+
+            def seen(step: int, pose: Pose, action: Action = action) -> bool | None:
+                frame = int(action.frames[step])
+                positions[frame] = self.observer.positions(equilibrium.displacement())
+                wrench[frame] = equilibrium.wrench(pose)
+                if displacement is not None:
+                    displacement[frame] = self.body.at_mesh_nodes(equilibrium.displacement())
+                return None if watch is None else watch(frame, positions[frame])
+
+            trajectories.append(follow(equilibrium, action, seen))
             if trajectories[-1].steps < len(action):
                 break
-        return Prediction(positions, wrench, tuple(trajectories))
-
-    def _follow(
-        self, anchors: list[str], action: Action, positions: Array, wrench: Array, watch: Watch | None
-    ) -> Trajectory:
-        equilibrium = self.equilibrium
-        equilibrium.hold(anchors, action.grasp)
-
-        def seen(step: int, pose: Pose) -> bool | None:
-            frame = int(action.frames[step])
-            positions[frame] = self.observer.positions(equilibrium.displacement())
-            wrench[frame] = equilibrium.wrench(pose)
-            return None if watch is None else watch(frame, positions[frame])
-
-        return follow(equilibrium, action, seen)
+        return Prediction(positions, wrench, tuple(trajectories), displacement)
 
     def destroy(self) -> None:
         """Free the PETSc objects; collective."""

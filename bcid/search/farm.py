@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -59,6 +59,22 @@ class Outcome:
     reason: str = ""
     seconds: float = 0.0
 
+    def to_json(self) -> dict[str, Any]:
+        """As JSON: infinite numbers become null."""
+        plain = asdict(self) | {"candidate": sorted(self.candidate)}
+        return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in plain.items()}
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> Outcome:
+        """What `to_json` gave; numbers survive exactly."""
+        numbers = {
+            k: math.inf if content[k] is None else float(content[k]) for k in ("chi2", "rms", "share", "seconds")
+        }
+        status = Status(content["status"])
+        complete, reason = bool(content["complete"]), str(content["reason"])
+        candidate = frozenset(str(name) for name in content["candidate"])
+        return cls(candidate, int(content["level"]), complete=complete, status=status, reason=reason, **numbers)
+
     @property
     def failed(self) -> bool:
         """Whether the forward model found no acceptable equilibrium."""
@@ -75,6 +91,8 @@ class Farm:
         model: the model, by default the scene's.
         settings: accuracy and patience of the solver.
         progress: told how far a batch is (rank 0).
+        keep: called with what was computed in each batch, on every rank, so that it can be stored.
+        known: what `keep` was given by an interrupted search: it is taken when it is asked for, and not computed again.
 
     Attributes:
         outcomes: everything evaluated so far, by level and candidate; equal on all ranks.
@@ -88,12 +106,18 @@ class Farm:
         model: Model | None = None,
         settings: Settings | None = None,
         progress: Progress | None = None,
+        keep: Callable[[list[Outcome]], None] | None = None,
+        known: Iterable[Outcome] = (),
     ) -> None:
         measurement.check(scene)
         self.scene, self.measurement, self.comm = scene, measurement, comm
         self.model = model or Model.of(scene)
         self.settings = settings or Settings(rtol=1e-6)
         self.progress = progress or Silent()
+        self.keep = keep
+        self._stored: dict[tuple[int, Candidate], list[Outcome]] = {}
+        for outcome in known:
+            self._stored.setdefault((outcome.level, outcome.candidate), []).append(outcome)
         self.misfit = Misfit(scene, measurement)
         self.actions = measurement.actions
         self.outcomes: dict[tuple[int, Candidate], Outcome] = {}
@@ -129,7 +153,10 @@ class Farm:
         """
         wanted = sorted(bounds, key=lambda c: (len(c), sorted(c)))
         forward = self.forward(level)
-        todo = [c for c in wanted if not self._known(level, c, bounds[c])]
+        for c in wanted:
+            if not self._enough(self.outcomes.get((level, c)), bounds[c]):
+                self._add(next((o for o in self._stored.get((level, c), []) if self._enough(o, bounds[c])), None))
+        todo = [c for c in wanted if not self._enough(self.outcomes.get((level, c)), bounds[c])]
         mine = []
         error = None
         for i, candidate in enumerate(todo[self.comm.rank :: self.comm.size]):
@@ -140,17 +167,28 @@ class Farm:
                 break
             self.progress.step(f"level {level}: candidate {i * self.comm.size + 1} of {len(todo)} in this batch")
         agree(self.comm, error)
-        for outcomes in self.comm.allgather(mine):
-            for outcome in outcomes:
-                earlier = self.outcomes.get((level, outcome.candidate))
-                if earlier is not None:
-                    outcome = _adding(outcome, earlier)
-                self.outcomes[level, outcome.candidate] = outcome
+        found = [outcome for outcomes in self.comm.allgather(mine) for outcome in outcomes]
+        for outcome in found:
+            self._add(outcome)
+        if self.keep is not None and found:
+            self.keep(found)
         return {c: self.outcomes[level, c] for c in wanted}
 
-    def _known(self, level: int, candidate: Candidate, bound: float) -> bool:
-        known = self.outcomes.get((level, candidate))
-        return known is not None and (known.complete or known.failed or known.chi2 > bound)
+    @staticmethod
+    def _enough(outcome: Outcome | None, bound: float) -> bool:
+        """Whether an outcome answers a question with this bound."""
+        return outcome is not None and (outcome.complete or outcome.failed or outcome.chi2 > bound)
+
+    def _add(self, outcome: Outcome | None) -> None:
+        """Take an outcome as evaluated; the work of an earlier evaluation, with a smaller bound, adds up."""
+        if outcome is None:
+            return
+        key = outcome.level, outcome.candidate
+        earlier = self.outcomes.get(key)
+        if earlier is not None:
+            more = {"share": outcome.share + earlier.share, "seconds": outcome.seconds + earlier.seconds}
+            outcome = replace(outcome, **more)
+        self.outcomes[key] = outcome
 
     def _evaluate(self, forward: Forward, candidate: Candidate, bound: float) -> Outcome:
         start = time.perf_counter()
@@ -180,7 +218,7 @@ class Farm:
     def predict(self, level: int, candidate: Candidate) -> Prediction:
         """Full prediction of one candidate, computed by rank 0 and given to all; collective."""
         forward = self.forward(level)
-        prediction = forward.predict(candidate, self.actions) if self.comm.rank == 0 else None
+        prediction = forward.predict(candidate, self.actions, fields=True) if self.comm.rank == 0 else None
         result: Prediction = self.comm.bcast(prediction, root=0)
         return result
 
@@ -196,10 +234,3 @@ class Farm:
         for forward in self._forwards.values():
             forward.destroy()
         self._forwards.clear()
-
-
-def _adding(now: Outcome, earlier: Outcome) -> Outcome:
-    """The later outcome, with the work of both."""
-    from dataclasses import replace
-
-    return replace(now, share=now.share + earlier.share, seconds=now.seconds + earlier.seconds)

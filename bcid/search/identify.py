@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -151,6 +151,8 @@ def identify(
     model: Model | None = None,
     settings: Settings | None = None,
     progress: Progress | None = None,
+    known: Iterable[Outcome] = (),
+    keep: Callable[[list[Outcome]], None] | None = None,
 ) -> Identification:
     """Find the anchored patches; collective on `comm`, with the same result for any number of ranks.
 
@@ -162,6 +164,8 @@ def identify(
         model: the model; by default the scene's.
         settings: accuracy and patience of the solver.
         progress: told what is going on (give it on rank 0 only).
+        known: outcomes of an interrupted search with the same input: they are not computed again.
+        keep: called with the outcomes of each batch as they come, on every rank.
 
     Raises:
         InputError: scene, measurement or options do not fit each other.
@@ -171,7 +175,7 @@ def identify(
 
     options = options or Options()
     options.check(scene)
-    farm = Farm(scene, measurement, comm or MPI.COMM_SELF, model, settings, progress)
+    farm = Farm(scene, measurement, comm or MPI.COMM_SELF, model, settings, progress, keep, known)
     try:
         return _Search(farm, options, progress or Silent()).run()
     finally:

@@ -1,0 +1,292 @@
+"""The command line: ``bcid demo``, ``identify``, ``simulate``, ``doctor``. Any of them runs under ``mpirun -n N`` too."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+# Set before numpy is loaded: ranks must not fight for cores.
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+from bcid import __version__
+from bcid.errors import BcidError, InputError
+from bcid.progress import Lines, Progress, Silent
+
+if TYPE_CHECKING:
+    from bcid.search.identify import Options
+
+DEMO_SCENE = "examples/scenes/slab.toml"
+DEMO_MEASUREMENT = "examples/measurements/slab-12-semicircle"
+
+_DESCRIPTION = """bcid finds out how a soft body is held by watching it being pulled.
+
+From the trajectories of a few markers on the body and the motion of the gripper it computes which patches of the boundary are
+anchored, and how sure that is."""
+
+_EXAMPLES = """examples:
+  bcid demo                                                     the main job on a shipped measurement, in under a minute
+  bcid identify scene.toml measurement -o run                   which patches are anchored?
+  mpirun -n 2 bcid identify scene.toml measurement -o run       the same on two ranks, with the same answer
+  bcid simulate scene.toml --anchors 1,2 --motion pull -o made  a measurement made by the model
+  bcid doctor                                                   is everything installed that is needed?
+
+exit codes: 0 done, 1 a fault of bcid, 2 bad input, 3 the machine (disk, memory, programs), 4 the model could not be solved"""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run a command; returns its exit code."""
+    parser = build_parser()
+    arguments = parser.parse_args(argv)
+    if arguments.command == "doctor":
+        from bcid import doctor
+
+        return doctor.main()
+    comm = _communicator()
+    try:
+        arguments.run(arguments, comm)
+        return 0
+    except BcidError as error:
+        if comm.rank == 0:
+            print(f"bcid: {error}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        if comm.rank == 0:
+            print("bcid: interrupted; the same command goes on where it was", file=sys.stderr)
+        return _end_all(comm, 130)
+    except BaseException:
+        traceback.print_exc()
+        return _end_all(comm, 1)
+
+
+def _communicator() -> Any:
+    try:
+        from mpi4py import MPI
+    except ImportError:
+        print("bcid: mpi4py and DOLFINx are not installed here; `bcid doctor` tells what is missing", file=sys.stderr)
+        raise SystemExit(3) from None
+    return MPI.COMM_WORLD
+
+
+def _end_all(comm: Any, code: int) -> int:
+    """An error on one rank must not leave the others waiting for it."""
+    if comm.size > 1:
+        sys.stderr.flush()
+        comm.Abort(code)
+    return code
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser of all commands."""
+    raw = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser("bcid", description=_DESCRIPTION, epilog=_EXAMPLES, formatter_class=raw)
+    parser.add_argument("--version", action="version", version=f"bcid {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    _add_demo(commands)
+    _add_identify(commands)
+    _add_simulate(commands)
+    commands.add_parser("doctor", help="tell what is installed and whether it works")
+    return parser
+
+
+def _add(commands: Any, name: str, run: Callable[..., None], help_text: str, more: str = "") -> argparse.ArgumentParser:
+    raw = argparse.RawDescriptionHelpFormatter
+    text = help_text[0].upper() + help_text[1:] + ".\n\n" + more
+    parser: argparse.ArgumentParser = commands.add_parser(name, help=help_text, description=text, formatter_class=raw)
+    parser.set_defaults(run=run)
+    return parser
+
+
+def _add_output(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--overwrite", action="store_true", help="discard a run that the folder already holds")
+    parser.add_argument("--no-picture", action="store_true", help="do not draw picture.png and the ParaView files")
+    parser.add_argument("--quiet", action="store_true", help="say only the result")
+
+
+def _add_demo(commands: Any) -> None:
+    parser = _add(
+        commands,
+        "demo",
+        demo,
+        "identify the anchored patches from a shipped measurement",
+        "The measurement was made by an independent finite element code, with noise of 0.3 mm. See examples/measurements.",
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("bcid-demo"), metavar="RUN", help="run folder (bcid-demo)"
+    )
+    _add_output(parser)
+
+
+def _add_identify(commands: Any) -> None:
+    parser = _add(
+        commands,
+        "identify",
+        identify,
+        "find the anchored patches from a measurement",
+        "Writes a run folder: identification.json, summary.txt, picture.png, arrays (NetCDF) and ParaView files.\n"
+        "A run that was killed goes on where it was when the same command is given again.",
+    )
+    parser.add_argument(
+        "scene", type=Path, help="scene file (TOML): body, mesh ladder, candidate patches, grasps, fiducials"
+    )
+    parser.add_argument(
+        "measurement", type=Path, help="measurement folder, NetCDF file, or mapping file of a table or C3D"
+    )
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="run folder to write")
+    _add_output(parser)
+    search = parser.add_argument_group("search")
+    search.add_argument(
+        "--method", default="climb", help="climb (default), or enumerate: every set of patches, certified"
+    )
+    search.add_argument("--seeds", type=int, default=24, metavar="N", help="random seeds of the first stage (24)")
+    search.add_argument("--random-state", type=int, default=0, metavar="N", help="of the seeds (0)")
+    search.add_argument("--coarsest", type=int, default=0, metavar="LEVEL", help="first mesh level (0)")
+    search.add_argument(
+        "--finest", type=int, metavar="LEVEL", help="last mesh level (default: when the residual has settled)"
+    )
+    search.add_argument("--climbed", type=int, default=2, metavar="N", help="levels that are climbed on (2)")
+    search.add_argument("--start", default="maxima", help="seeds of later stages: maxima (default), or threshold")
+    search.add_argument(
+        "--threshold", type=float, default=0.95, metavar="X", help="similarity for threshold, part of the best's"
+    )
+    search.add_argument(
+        "--toggles", type=int, default=0, metavar="N", help="random toggles of the seeds of later stages (0)"
+    )
+    search.add_argument(
+        "--fit", type=float, default=1.05, help="end a stage when the residual is this many times the noise"
+    )
+    search.add_argument("--patience", type=int, default=12, help="... or when so many seeds led to nothing better (12)")
+    search.add_argument(
+        "--budget", type=float, default=10_000, help="... or when so many trajectories were computed on a level"
+    )
+
+
+def _add_simulate(commands: Any) -> None:
+    from bcid.motions import MOTIONS
+
+    parser = _add(
+        commands,
+        "simulate",
+        simulate,
+        "make a measurement with the forward model",
+        "The motions are those of the benchmark slab; --like takes those of a measurement.",
+    )
+    parser.add_argument("scene", type=Path, help="scene file (TOML)")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="MEASUREMENT", help="folder to write")
+    parser.add_argument("--anchors", default="", metavar="1,2", help="anchored patches, separated by commas (none)")
+    motion = parser.add_mutually_exclusive_group(required=True)
+    motion.add_argument("--motion", metavar="NAME", help=", ".join(MOTIONS))
+    motion.add_argument("--like", type=Path, metavar="MEASUREMENT", help="repeat the motions of this measurement")
+    parser.add_argument("--grasp", metavar="NAME", help="grasp that moves (the scene's first, or its second of three)")
+    parser.add_argument("--level", type=int, metavar="LEVEL", help="mesh level (the finest)")
+    parser.add_argument(
+        "--noise", metavar='"0.3 mm"', help='standard deviation of every coordinate (the scene\'s); "0 mm" for none'
+    )
+    parser.add_argument("--random-state", type=int, default=0, metavar="N", help="of the noise (0)")
+    parser.add_argument("--wrench", action="store_true", help="also record force and torque of the gripper")
+    parser.add_argument("--quiet", action="store_true", help="say only the result")
+
+
+# -- commands ------------------------------------------------------------------------------------------------------------------
+
+
+def demo(arguments: argparse.Namespace, comm: Any) -> None:
+    """`bcid demo`."""
+    from bcid.search.identify import Options
+
+    root = Path(__file__).resolve().parents[1]
+    scene, measurement = root / DEMO_SCENE, root / DEMO_MEASUREMENT
+    if not scene.exists():
+        raise InputError(f"{scene}: is missing; `bcid demo` needs the project's folder with its examples")
+    _identify(scene, measurement, arguments, Options(), comm)
+
+
+def identify(arguments: argparse.Namespace, comm: Any) -> None:
+    """`bcid identify`."""
+    from bcid.search.identify import Options
+    from bcid.search.termination import Termination
+
+    options = Options(
+        method=arguments.method,
+        seeds=arguments.seeds,
+        random_state=arguments.random_state,
+        coarsest=arguments.coarsest,
+        finest=arguments.finest,
+        climbed=arguments.climbed,
+        start=arguments.start,
+        threshold=arguments.threshold,
+        toggles=arguments.toggles,
+        termination=Termination(arguments.fit, arguments.patience, arguments.budget),
+    )
+    _identify(arguments.scene, arguments.measurement, arguments, options, comm)
+
+
+def _identify(scene: Path, measurement: Path, arguments: argparse.Namespace, options: Options, comm: Any) -> None:
+    from bcid.search.job import run_identification
+
+    quiet = arguments.quiet or comm.rank > 0
+    progress: Progress = Silent() if quiet else Lines()
+    folder = run_identification(scene, measurement, arguments.output, options, comm, progress, arguments.overwrite)
+    if comm.rank > 0:
+        return
+    text = (folder / "summary.txt").read_text(encoding="utf-8")
+    if not arguments.no_picture:
+        _draw(folder, progress)
+    print(text.rstrip())
+    print(f"\nrun folder: {folder}")
+
+
+def _draw(folder: Path, progress: Progress) -> None:
+    """Pictures are a view of the run: what stops them must not take the result along."""
+    try:
+        from bcid.report.identification import draw
+    except ImportError as error:
+        progress.say(f"no picture: {error.name} is not installed (the extra 'report')")
+        return
+    for file in draw(folder):
+        progress.say(f"wrote {file}")
+
+
+def simulate(arguments: argparse.Namespace, comm: Any) -> None:
+    """`bcid simulate`."""
+    from bcid.collective import on_root
+    from bcid.forms.model import check_physics
+    from bcid.forms.simulate import simulate as make
+    from bcid.measurement import Measurement
+    from bcid.motions import motion
+    from bcid.scene import Scene
+    from bcid.units import quantity
+
+    if arguments.output.exists():
+        raise InputError(f"{arguments.output}: exists already; choose another folder or remove it")
+    scene = on_root(comm, lambda: Scene.read(arguments.scene, physics=check_physics))
+    anchors = [name.strip() for name in arguments.anchors.split(",") if name.strip()]
+    noise = None if arguments.noise is None else quantity(arguments.noise, "m")
+    if arguments.level is not None and not 0 <= arguments.level < len(scene.levels):
+        raise InputError(f"--level {arguments.level}: the scene has levels 0 to {len(scene.levels) - 1}")
+    if noise is not None and noise < 0:
+        raise InputError(f"--noise '{arguments.noise}': must not be negative")
+    if arguments.like:
+        like = on_root(comm, lambda: Measurement.read(arguments.like))
+        like.check(scene)
+        actions = like.actions
+    else:
+        grasps = list(scene.grasps)
+        if not grasps:
+            raise InputError(f"scene {scene.source} has no grasp: use --like with a measurement without one")
+        actions = motion(arguments.motion, arguments.grasp or grasps[len(grasps) // 2])
+    progress: Progress = Silent() if arguments.quiet or comm.rank > 0 else Lines()
+    progress.say(f"simulating {len(actions)} action(s), {sum(len(a) for a in actions)} steps")
+    made = make(scene, anchors, actions, arguments.level, noise, arguments.random_state, comm, wrench=arguments.wrench)
+    on_root(comm, lambda: made.write(arguments.output))
+    if comm.rank == 0:
+        print(f"{arguments.output}: {len(made.positions)} frames of {len(made.fiducial_names)} fiducials")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,67 @@
+"""Making a measurement from a scene: what the fiducials would show, with noise added."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from bcid.errors import SolveError
+from bcid.forms.forward import Forward
+from bcid.forms.model import Model
+from bcid.forms.solve import Settings
+from bcid.measurement import WRENCH, Action, Measurement
+from bcid.measurement_folder import frames_dataset
+from bcid.scene import Scene
+
+
+def simulate(
+    scene: Scene,
+    anchors: Iterable[str],
+    actions: Sequence[Action],
+    level: int | None = None,
+    noise: float | None = None,
+    random_state: int = 0,
+    comm: Any = None,
+    model: Model | None = None,
+    wrench: bool = False,
+) -> Measurement:
+    """What the fiducials of a scene would show; the mesh is shared by the ranks of `comm`, and the result is the same on all.
+
+    Args:
+        scene: the scene.
+        anchors: names of the anchored patches.
+        actions: the motions, numbered along one frame axis (see `bcid.motions.actions`).
+        level: mesh level; the finest by default.
+        noise: standard deviation of the white noise added to every coordinate, m; by default the scene's, 0 for none.
+        random_state: of the noise; the same number gives the same noise for any number of ranks.
+        comm: MPI communicator; COMM_SELF by default.
+        model: the model; by default the scene's.
+        wrench: also record force and torque of the gripper (without noise).
+
+    Raises:
+        SolveError: the forward model found no acceptable equilibrium; nothing is made up for the rest.
+    """
+    level = len(scene.levels) - 1 if level is None else level
+    forward = Forward(scene, level, comm, model, Settings(rtol=1e-8))
+    try:
+        prediction = forward.predict(anchors, actions)
+    finally:
+        forward.destroy()
+    if prediction.failure:
+        raise SolveError(f"{prediction.failure.reason}; try smaller steps, or another level")
+    sigma = (scene.noise_sigma or 0.0) if noise is None else noise
+    positions = prediction.positions
+    if sigma:
+        positions = positions + np.random.default_rng(random_state).normal(0.0, sigma, positions.shape)
+    frames = [(action.name, int(step)) for action in actions for step in action.steps]
+    data = frames_dataset(frames, [float(step) for _, step in frames], scene.fiducial_names, positions)
+    data["grasp"] = ("frame", [action.grasp for action in actions for _ in action.steps])
+    data["translation"] = (("frame", "axis"), np.vstack([action.translation for action in actions]))
+    data["rotation"] = (("frame", "quaternion"), np.vstack([action.rotation for action in actions]))
+    if wrench:
+        data = data.assign_coords(component=WRENCH)
+        data["wrench"] = (("frame", "component"), prediction.wrench)
+    text = f"simulated: scene {scene.name}, level {level}, anchors {' '.join(sorted(anchors)) or 'none'}"
+    return Measurement(data, sigma or None, description=text, source="simulation")

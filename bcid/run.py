@@ -1,0 +1,281 @@
+"""A run folder: everything a command computed, readable by machines, resumable after a kill, never silently overwritten.
+
+    run.json              command, versions, fingerprints, timings, state ("running", "finished", "failed")
+    outcomes/             what was computed so far, one small file per batch: a killed run goes on from here
+    identification.json   the result of `bcid identify`
+    prediction.nc         measured and predicted positions, gripper wrench (SI)
+    body.nc               mesh, named places, displacement of every frame (SI)
+    paraview/             the same for ParaView
+    summary.txt           the result in plain sentences
+    picture.png           the body, its anchors, measured and predicted trajectories
+
+Every file is written whole under another name and then renamed: a reader never sees half of one.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import platform
+import shutil
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import metadata
+from pathlib import Path
+from typing import Any, TextIO
+
+import xarray as xr
+
+from bcid.errors import InputError, MachineError
+
+FORMAT = "bcid-run/1"
+_PACKAGES = ("fenics-dolfinx", "fenics-ufl", "petsc4py", "mpi4py", "numpy", "scipy", "xarray")
+
+
+class Run:
+    """A run folder that this process may write; make one with `Run.start`, look at one with `Run.open`.
+
+    Attributes:
+        path: the folder.
+        record: the content of `run.json`.
+    """
+
+    def __init__(self, path: Path, record: dict[str, Any], lock: TextIO | None = None) -> None:
+        self.path = path
+        self.record = record
+        self._lock = lock
+        self._began = time.time()
+
+    @classmethod
+    def start(cls, path: str | Path, command: str, inputs: dict[str, Any], overwrite: bool = False) -> Run:
+        """Begin a run in a folder, or go on with one that was interrupted. Call it on one rank only.
+
+        Args:
+            path: the folder; made when it is not there.
+            command: what is run, as "identify".
+            inputs: what the result depends on (fingerprints, options); a run is only continued when they are equal.
+            overwrite: discard what the folder holds, if it is a run.
+
+        Raises:
+            InputError: the folder holds a finished run, a run with other inputs, or something else, or another process writes it.
+            MachineError: it cannot be written.
+        """
+        path = Path(path)
+        with writing(path):
+            if path.exists() and not path.is_dir():
+                raise InputError(f"{path}: is a file; give the name of a folder for the run")
+            foreign = (
+                path.is_dir() and any(path.iterdir()) and not (path / "run.json").exists() and not _only_lock(path)
+            )
+            if foreign:
+                raise InputError(f"{path}: holds files that are not a run; choose a new folder")
+            path.mkdir(parents=True, exist_ok=True)
+            lock = _locked(path)
+            if overwrite:
+                _empty(path)
+            elif (path / "run.json").exists():
+                return cls._continued(path, command, inputs, lock)
+            record = {
+                "format": FORMAT,
+                "command": command,
+                "state": "running",
+                "inputs": inputs,
+                "versions": versions(),
+            }
+            run = cls(path, record | {"started": _now(), "seconds": 0.0, "attempts": 1}, lock)
+            run._save()
+        return run
+
+    @classmethod
+    def _continued(cls, path: Path, command: str, inputs: dict[str, Any], lock: TextIO) -> Run:
+        record = _read_record(path)
+        if record["state"] == "finished":
+            raise InputError(
+                f"{path}: holds a finished run ({record['command']}); choose another folder, or add --overwrite"
+            )
+        if record["command"] != command or json.loads(json.dumps(inputs)) != record["inputs"]:
+            raise InputError(
+                f"{path}: holds an unfinished run of '{record['command']}' with other inputs or options; "
+                "choose another folder, or add --overwrite"
+            )
+        if record["versions"] != versions():
+            raise InputError(
+                f"{path}: was begun with other versions of bcid or DOLFINx; choose another folder, or add --overwrite"
+            )
+        record |= {"state": "running", "attempts": record["attempts"] + 1}
+        run = cls(path, record, lock)
+        run._save()
+        return run
+
+    @classmethod
+    def open(cls, path: str | Path) -> Run:
+        """Look at a run; `InputError` when the folder is not one."""
+        path = Path(path)
+        if not (path / "run.json").is_file():
+            raise InputError(f"{path}: is not a run folder (it has no run.json)")
+        return cls(path, _read_record(path))
+
+    @property
+    def resumed(self) -> bool:
+        """Whether an interrupted run is being continued."""
+        return int(self.record["attempts"]) > 1
+
+    def finish(self, result: dict[str, Any]) -> None:
+        """Note the result in `run.json` and close the run."""
+        self._close("finished", result=result)
+
+    def fail(self, reason: str) -> None:
+        """Note why the run ended early; it can be continued."""
+        self._close("failed", reason=reason)
+
+    def _close(self, state: str, **more: Any) -> None:
+        self.record |= {"state": state, "ended": _now(), **more}
+        self.record["seconds"] = round(self.record["seconds"] + time.time() - self._began, 3)
+        self._save()
+        self.release()
+
+    def release(self) -> None:
+        """Let others write the folder."""
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
+
+    def _save(self) -> None:
+        self.write_json("run.json", self.record)
+
+    def write_text(self, name: str, text: str) -> Path:
+        """Write a file whole; returns its path."""
+        target = self.path / name
+        with writing(self.path):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            partial = target.with_name(f".{target.name}.partial")
+            with partial.open("w", encoding="utf-8") as stream:
+                stream.write(text)
+                stream.flush()
+                os.fsync(stream.fileno())
+            partial.replace(target)
+        return target
+
+    def write_json(self, name: str, content: Any) -> Path:
+        """Write a JSON file; numbers that are not finite are refused, for they are not JSON."""
+        return self.write_text(name, json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + "\n")
+
+    def read_json(self, name: str) -> Any:
+        """Content of a JSON file; `InputError` when it is missing or damaged."""
+        return _read_json(self.path / name)
+
+    def write_dataset(self, name: str, data: xr.Dataset) -> Path:
+        """Write arrays as NetCDF."""
+        target = self.path / name
+        with writing(self.path):
+            partial = target.with_name(f".{target.name}.partial")
+            data.to_netcdf(partial, engine="scipy")
+            partial.replace(target)
+        return target
+
+    def read_dataset(self, name: str) -> xr.Dataset:
+        """Arrays of a NetCDF file, loaded; `InputError` when it is missing or damaged."""
+        target = self.path / name
+        if not target.is_file():
+            raise InputError(f"{target}: is missing from the run")
+        try:
+            with xr.open_dataset(target, engine="scipy") as opened:
+                data = opened.load()
+        except Exception as error:
+            raise InputError(f"{target}: is damaged and cannot be read: {error}") from None
+        texts = [str(variable) for variable in data.variables if data[variable].dtype.kind in "OS"]
+        return data.assign_coords({v: data[v].astype(str) for v in texts if v in data.coords}).assign(
+            {v: data[v].astype(str) for v in texts if v not in data.coords}
+        )
+
+    def add_batch(self, batch: list[dict[str, Any]]) -> None:
+        """Keep a batch of results, so that a killed run need not compute them again."""
+        count = len(list((self.path / "outcomes").glob("*.json"))) if (self.path / "outcomes").is_dir() else 0
+        self.write_json(f"outcomes/{count:06d}.json", batch)
+
+    def batches(self) -> Iterator[list[dict[str, Any]]]:
+        """What `add_batch` kept, in order."""
+        for file in sorted((self.path / "outcomes").glob("*.json")):
+            yield _read_json(file)
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turns a failure to write into a `MachineError` that names the folder and the reason."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise MachineError(f"{path}: cannot be written: {reason}; free some space or choose another folder") from None
+
+
+def versions() -> dict[str, str]:
+    """Versions of what a result depends on."""
+    from bcid import __version__
+
+    found = {"bcid": __version__, "python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def _locked(path: Path) -> TextIO:
+    """An exclusive lock, which the kernel drops when this process dies."""
+    lock = (path / ".lock").open("a+", encoding="utf-8")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        lock.seek(0)
+        holder = lock.read().strip() or "another process"
+        lock.close()
+        raise InputError(f"{path}: is being written by {holder}; wait for it, or choose another folder") from None
+    lock.truncate(0)
+    lock.write(f"process {os.getpid()} on {socket.gethostname()} since {_now()}\n")
+    lock.flush()
+    return lock
+
+
+def _only_lock(path: Path) -> bool:
+    return all(entry.name.startswith(".") for entry in path.iterdir())
+
+
+def _empty(path: Path) -> None:
+    """Remove what a run left in its folder."""
+    if (path / "run.json").exists():
+        _read_record(path)
+    for entry in path.iterdir():
+        if entry.name == ".lock":
+            continue
+        if entry.is_dir() and not entry.is_symlink():
+            shutil.rmtree(entry)
+        else:
+            entry.unlink()
+
+
+def _read_record(path: Path) -> dict[str, Any]:
+    record = _read_json(path / "run.json")
+    if not isinstance(record, dict) or record.get("format") != FORMAT:
+        raise InputError(f"{path / 'run.json'}: is not a run of this version (expected format '{FORMAT}')")
+    missing = [key for key in ("command", "state", "inputs", "versions", "attempts", "seconds") if key not in record]
+    if missing:
+        raise InputError(f"{path / 'run.json'}: is damaged: {', '.join(missing)} missing")
+    return record
+
+
+def _read_json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: is missing from the run") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: is damaged and cannot be read: {error}") from None
+
+
+def _now() -> str:
+    return time.strftime("%Y-%m-%dT%H:%M:%S%z")

@@ -1,0 +1,202 @@
+"""`bcid identify` as a job: read, check, search, and write everything into a run folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from bcid.collective import on_root
+from bcid.errors import BcidError
+from bcid.fingerprint import file_fingerprint, fingerprint
+from bcid.forms.mesh import BodyMesh, level_mesh
+from bcid.forms.model import check_physics
+from bcid.measurement import AXES, WRENCH, Measurement
+from bcid.progress import Progress, Silent
+from bcid.run import Run
+from bcid.scene import Scene
+from bcid.search.farm import Outcome, label
+from bcid.search.identify import Identification, Options, identify
+from bcid.units import unit_factor
+
+
+def run_identification(
+    scene_file: Path,
+    measurement_file: Path,
+    folder: Path,
+    options: Options,
+    comm: Any,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+) -> Path:
+    """Identify the anchored patches and write the run folder; collective on `comm`. Returns the folder.
+
+    Everything is validated before the folder is touched. A run that was interrupted goes on where it was.
+
+    Raises:
+        BcidError: see `bcid.search.identify.identify`, `Scene.read`, `Measurement.read` and `Run.start`.
+    """
+    progress = progress or Silent()
+    scene = on_root(comm, lambda: Scene.read(scene_file, physics=check_physics))
+    measurement = on_root(comm, lambda: Measurement.read(measurement_file))
+    measurement.check(scene)
+    options.check(scene)
+    inputs = {
+        "scene": fingerprint({"scene": _content(scene), "geometry": file_fingerprint(scene.geometry)}),
+        "measurement": measurement.fingerprint(),
+        "options": asdict(options),
+    }
+    names = {"scene": str(scene_file), "measurement": str(measurement_file)}
+    run: Run | None = None
+
+    def begin() -> list[Outcome]:
+        nonlocal run
+        run = Run.start(folder, "identify", inputs, overwrite)
+        return [Outcome.from_json(entry) for batch in run.batches() for entry in batch]
+
+    known = on_root(comm, begin)
+    if known:
+        progress.say(f"going on with an interrupted run: {len(known)} evaluations are there already")
+    try:
+        keep = _keeper(run, comm)
+        found = identify(scene, measurement, comm, options, progress=progress, known=known, keep=keep)
+        mesh = level_mesh(scene, scene.levels[found.levels[-1]], comm)
+        on_root(comm, lambda: _write(run, scene, measurement, found, mesh, names, comm.size))
+    except BaseException as error:
+        if comm.rank == 0 and run is not None:
+            run.fail(str(error) if isinstance(error, BcidError) else type(error).__name__)
+        raise
+    return folder
+
+
+def _content(scene: Scene) -> dict[str, Any]:
+    """What of a scene a result depends on: not where its files lie."""
+    return {key: value for key, value in asdict(scene).items() if key not in ("geometry", "source", "description")}
+
+
+def _keeper(run: Run | None, comm: Any) -> Callable[[list[Outcome]], None]:
+    """Stores what was computed in the run, which only rank 0 has."""
+
+    def keep(outcomes: list[Outcome]) -> None:
+        on_root(comm, lambda: run and run.add_batch([outcome.to_json() for outcome in outcomes]))
+
+    return keep
+
+
+def _write(
+    run: Run | None,
+    scene: Scene,
+    measurement: Measurement,
+    found: Identification,
+    mesh: BodyMesh,
+    names: dict[str, str],
+    ranks: int,
+) -> None:
+    assert run is not None
+    length = unit_factor(measurement.units.length, "m")
+    result = found.to_json(length) | {"length_unit": measurement.units.length}
+    run.write_json("identification.json", result)
+    run.write_dataset("prediction.nc", prediction_dataset(scene, measurement, found))
+    run.write_dataset("body.nc", body_dataset(scene, mesh, found))
+    run.write_text("summary.txt", summary(scene, measurement, found))
+    run.record |= {"names": names, "ranks": ranks, "random_state": run.record["inputs"]["options"]["random_state"]}
+    run.record |= {
+        "evaluations": result["evaluations"],
+        "search_seconds": round(found.seconds, 3),
+        "mesh": mesh.fingerprint(),
+    }
+    run.finish({key: result[key] for key in ("anchored", "probability", "rms", "noise_rms", "certified")})
+
+
+def prediction_dataset(scene: Scene, measurement: Measurement, found: Identification) -> xr.Dataset:
+    """Measured and predicted fiducial positions (m) and the gripper's wrench (N, N m), by frame."""
+    data = measurement.data[["position", "grasp"]].rename(position="measured")
+    columns = [scene.fiducial_names.index(name) for name in measurement.fiducial_names]
+    data["predicted"] = (("frame", "fiducial", "axis"), found.prediction.positions[:, columns])
+    data["rest"] = (("fiducial", "axis"), scene.rest[columns])
+    data = data.assign_coords(component=WRENCH)
+    data["wrench"] = (("frame", "component"), found.prediction.wrench)
+    return data
+
+
+def body_dataset(scene: Scene, mesh: BodyMesh, found: Identification) -> xr.Dataset:
+    """Mesh, boundary triangles with the places they belong to, and the displacement of every frame (m)."""
+    boundary = mesh.boundary
+    places = {f"patch {name}": region for name, region in scene.patches.items()}
+    places |= {f"grasp {name}": grasp.region for name, grasp in scene.grasps.items()}
+    number = np.zeros(len(boundary), dtype=np.int32)
+    for i, (name, region) in enumerate(places.items(), start=1):
+        number[_rows_in(boundary, mesh.select(region, name))] = i
+    return xr.Dataset(
+        {
+            "points": (("node", "axis"), mesh.points),
+            "cells": (("cell", "corner"), mesh.cells.astype(np.int32)),
+            "triangles": (("triangle", "vertex"), boundary.astype(np.int32)),
+            "place": ("triangle", number),
+            "place_name": ("place_number", ["", *places]),
+            "displacement": (("frame", "node", "axis"), found.prediction.displacement),
+        },
+        coords={"axis": AXES},
+        attrs={"scene": scene.name, "anchored": " ".join(found.anchored)},
+    )
+
+
+def _rows_in(rows: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Which of `rows` have the same nodes as one of `wanted`."""
+    keys = {tuple(row) for row in np.sort(wanted, axis=1)}
+    return np.array([tuple(row) in keys for row in np.sort(rows, axis=1)], dtype=bool)
+
+
+def summary(scene: Scene, measurement: Measurement, found: Identification) -> str:
+    """The result in plain sentences."""
+    length = measurement.units.length
+    unit = unit_factor(length, "m")
+    names = label(found.anchored, scene.patches)
+    frames, fiducials = measurement.positions.shape[:2]
+    noise = f"the stated noise is {found.noise / unit:.3g} {length}" if found.noise else "no noise is stated"
+    lines = [
+        f"Anchored patches of {scene.name}: {names}  (probability {percent(found.probability)})",
+        "",
+        f"The model misses the measurement by {found.rms / unit:.3g} {length} per coordinate (RMS); {noise}.",
+        f"Compared: {len(measurement.action_names)} action(s), {frames} frames, {fiducials} fiducials.",
+        "",
+        "Probability that a patch is anchored:",
+        *(
+            f"  {name:>6}  {percent(p):>9}  {'anchored' if name in found.anchored else 'free'}"
+            for name, p in found.patches.items()
+        ),
+        "",
+        "Next best sets:",
+    ]
+    for other in found.alternatives[:3]:
+        bound = "at least " if other.stopped else ""
+        text = f"{label(other.anchored, scene.patches)}: misses by {bound}{other.rms / unit:.3g} {length} on level {other.level}"
+        lines.append(f"  {text}, probability {percent(other.probability)}")
+    if not found.alternatives:
+        lines.append("  none was evaluated")
+    lines += ["", "How it was found:", *(f"  {stage}" for stage in found.stages)]
+    count = 2 ** len(scene.patches)
+    proof = (
+        f"all {count} sets were looked at on the finest level used"
+        if found.certified
+        else f"not all {count} sets were looked at"
+    )
+    lines.append(f"  {'Certified' if found.certified else 'Not certified'}: {proof} (level {found.levels[-1]}).")
+    if found.failures:
+        lines.append(
+            f"  For {len(found.failures)} set(s) the model found no acceptable equilibrium: {'; '.join(list(found.failures)[:6])}."
+        )
+    return "\n".join(lines) + "\n"
+
+
+def percent(probability: float) -> str:
+    """A probability for people: never 100 % or 0 % when it is not."""
+    if probability >= 0.9999:
+        return "> 99.99 %"
+    if probability <= 0.0001:
+        return "< 0.01 %"
+    return f"{100 * probability:.2f} %"
