@@ -7,6 +7,7 @@ process down with it (a renderer, a compiler, MPI ranks) is tried in a child pro
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import importlib.util
 import os
@@ -197,7 +198,9 @@ def check_blas() -> Check:
         found = blas_in(Path("/proc/self/maps").read_text(errors="replace"))
     except OSError:
         return Check("BLAS", True, "cannot be told on this system", essential=False)
-    advice = "solves take about three times as long; install OpenBLAS (Debian: libopenblas0-serial; conda: libblas=*=*openblas)"
+    advice = (
+        "solves take three times as long; install OpenBLAS (Debian: libopenblas0-serial; conda: libblas=*=*openblas)"
+    )
     if not found:
         return Check("BLAS", True, "none loaded as a library of its own", essential=False)
     # The slow one is what has to be said; otherwise the library that does the work, not the one that passes calls on.
@@ -354,10 +357,8 @@ def main() -> int:
     """Prints all findings; the exit code is 1 if something essential is missing."""
     shown = True
     if importlib.util.find_spec("mpi4py"):
-        try:
+        with contextlib.suppress(ImportError):
             shown = importlib.import_module("mpi4py.MPI").COMM_WORLD.rank == 0
-        except ImportError:
-            pass
     found = []
     for check in findings():
         found.append(check)

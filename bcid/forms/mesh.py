@@ -27,7 +27,8 @@ Cells = NDArray[np.int64]
 
 TIME_LIMIT = 600.0
 _EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
-_FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+# Seen from outside, each face runs against the clock.
+_FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class BodyMesh:
 
     @cached_property
     def boundary(self) -> Cells:
-        """Triangles that belong to one tetrahedron only, shape (k, 3)."""
+        """Triangles that belong to one tetrahedron only, with outward normals, shape (k, 3)."""
         faces = self.cells[:, _FACES].reshape(-1, 3)
         _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
         return faces[first[count == 1]]

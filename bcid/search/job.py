@@ -141,7 +141,7 @@ def body_dataset(scene: Scene, mesh: BodyMesh, found: Identification) -> xr.Data
             "displacement": (("frame", "node", "axis"), found.prediction.displacement),
         },
         coords={"axis": AXES},
-        attrs={"scene": scene.name, "anchored": " ".join(found.anchored)},
+        attrs={"scene": scene.name, "up": " ".join(str(-v) for v in scene.down)},
     )
 
 

@@ -1,0 +1,139 @@
+"""What `bcid identify` shows: one picture of the result, and the same fields for ParaView."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from bcid.report.paraview import write_paraview
+from bcid.report.scene3d import COLOURS, picture
+from bcid.run import Run, writing
+
+Array = NDArray[np.float64]
+
+
+def draw(folder: str | Path) -> list[Path]:
+    """Draw `picture.png` and write `paraview/` into the folder of a finished identification; returns what was written."""
+    run = Run.open(folder)
+    found = run.read_json("identification.json")
+    body, prediction = run.read_dataset("body.nc"), run.read_dataset("prediction.nc")
+    target = run.path / "picture.png"
+    figure = summary_figure(found, body, prediction)
+    with writing(run.path):
+        partial = target.with_name(".picture.partial.png")
+        figure.savefig(partial, dpi=150)
+        partial.replace(target)
+        series = write_paraview(run.path / "paraview", body, prediction)
+    return [target, series]
+
+
+def summary_figure(found: dict[str, Any], body: xr.Dataset, prediction: xr.Dataset) -> Any:
+    """A matplotlib figure: the body with its anchors and trajectories; probabilities; the residual against the noise."""
+    from matplotlib.figure import Figure
+
+    frame = telling_frame(prediction)
+    up = np.array([float(v) for v in str(body.attrs.get("up", "0 1 0")).split()])
+    image = picture(body, prediction, found["anchored"], frame, up, (1800, 1500))
+    figure = Figure(figsize=(14, 7.6), facecolor="white")
+    grid = figure.add_gridspec(2, 2, width_ratios=[2.15, 1], height_ratios=[1, 1], hspace=0.42, wspace=0.12)
+    grid.update(left=0.015, right=0.975, top=0.875, bottom=0.1)
+    left = figure.add_subplot(grid[:, 0])
+    left.imshow(cropped(image))
+    left.set_axis_off()
+    _title(figure, found, body)
+    _legend(left, prediction, frame)
+    _probabilities(figure.add_subplot(grid[0, 1]), found)
+    _residuals(figure.add_subplot(grid[1, 1]), found, prediction)
+    return figure
+
+
+def telling_frame(prediction: xr.Dataset) -> int:
+    """The frame in which the fiducials have moved furthest from rest."""
+    away = np.linalg.norm(prediction["predicted"].values - prediction["rest"].values, axis=-1)
+    return int(np.nanargmax(np.nanmean(away, axis=1)))
+
+
+def cropped(image: Array, margin: int = 12) -> Array:
+    """The image without its white border."""
+    ink = (image < 250).any(axis=2)
+    rows, columns = np.flatnonzero(ink.any(axis=1)), np.flatnonzero(ink.any(axis=0))
+    if len(rows) == 0:
+        return image
+    top, left = max(rows[0] - margin, 0), max(columns[0] - margin, 0)
+    return image[top : rows[-1] + margin, left : columns[-1] + margin]
+
+
+def _title(figure: Any, found: dict[str, Any], body: xr.Dataset) -> None:
+    unit = found["length_unit"]
+    names = " ".join(found["anchored"]) or "none"
+    noise = "" if found["noise_rms"] is None else f", noise {found['noise_rms']:.2g} {unit}"
+    figure.text(0.02, 0.945, f"{body.attrs.get('scene', 'body')}: anchored patches {{{names}}}", fontsize=19, weight="bold")
+    text = f"probability {percent(found['probability'])}   ·   residual {found['rms']:.3g} {unit} per coordinate{noise}"
+    figure.text(0.02, 0.905, text, fontsize=12.5, color="#444444")
+
+
+def percent(probability: float) -> str:
+    """A probability for people: never 100 % when it is not."""
+    return "> 99.99 %" if probability >= 0.9999 else "< 0.01 %" if probability <= 0.0001 else f"{100 * probability:.2f} %"
+
+
+def _legend(axes: Any, prediction: xr.Dataset, frame: int) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    grasp = str(prediction["grasp"].values[frame])
+    entries = [
+        Patch(color=COLOURS.anchored, label="anchored patch"),
+        Patch(color=COLOURS.free, label="free candidate patch"),
+        *([Patch(color=COLOURS.grasp, label=f"grasp {grasp}")] if grasp else []),
+        Line2D([], [], color=COLOURS.measured, marker="o", linestyle="", markersize=5, label="measured positions"),
+        Line2D([], [], color=COLOURS.predicted, linewidth=3, label="predicted paths"),
+        Line2D([], [], color=COLOURS.outline, linewidth=1.5, label="rest shape"),
+    ]
+    shown = f"shown: action {prediction['action'].values[frame]}, step {int(prediction['step'].values[frame])}"
+    axes.text(0.01, 1.0, shown, transform=axes.transAxes, fontsize=10.5, color="#666666")
+    axes.legend(handles=entries, loc="upper center", bbox_to_anchor=(0.5, 0.02), frameon=False, fontsize=11, ncols=3)
+
+
+def _plain(axes: Any) -> None:
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    axes.tick_params(labelsize=10)
+
+
+def _probabilities(axes: Any, found: dict[str, Any]) -> None:
+    names = list(found["patches"])
+    values = [found["patches"][name] for name in names]
+    colours = [COLOURS.anchored if name in found["anchored"] else COLOURS.free for name in names]
+    axes.bar(range(len(names)), np.maximum(values, 0.004), color=colours, width=0.72)
+    axes.set_xticks(range(len(names)), names)
+    axes.set_ylim(0, 1.03)
+    axes.set_yticks([0, 0.5, 1])
+    axes.set_title("Probability that a patch is anchored", fontsize=12, loc="left")
+    axes.set_xlabel("patch", fontsize=10.5)
+    _plain(axes)
+
+
+def _residuals(axes: Any, found: dict[str, Any], prediction: xr.Dataset) -> None:
+    length = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}.get(found["length_unit"], 1e-3)
+    squares = ((prediction["predicted"] - prediction["measured"]) / length).values ** 2
+    seen = np.isfinite(squares).any(axis=(1, 2))
+    rms = np.full(len(squares), np.nan)
+    rms[seen] = np.sqrt(np.nanmean(squares[seen], axis=(1, 2)))
+    actions = prediction["action"].values
+    steps = np.arange(len(rms))
+    for name in dict.fromkeys(actions):
+        chosen = actions == name
+        axes.plot(steps[chosen], rms[chosen], color=COLOURS.predicted, linewidth=2)
+    if found["noise_rms"] is not None:
+        axes.axhline(found["noise_rms"], color="#555555", linewidth=1.2, linestyle="--")
+        axes.annotate("noise", (1.0, found["noise_rms"]), xycoords=("axes fraction", "data"), xytext=(-2, 3),
+                      textcoords="offset points", ha="right", fontsize=10, color="#555555")
+    axes.set_ylim(0, 1.25 * max(np.nanmax(rms), found["noise_rms"] or 0.0))
+    axes.set_title(f"Residual per coordinate (RMS, {found['length_unit']})", fontsize=12, loc="left")
+    axes.set_xlabel("frame" if len(dict.fromkeys(actions)) > 1 else "step", fontsize=10.5)
+    _plain(axes)

@@ -1,0 +1,43 @@
+"""Fields for ParaView: one .vtu per frame and a .pvd that strings them together."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+
+def write_paraview(folder: Path, body: xr.Dataset, prediction: xr.Dataset) -> Path:
+    """Write `body.pvd` (solid, displacement in mm), and `fiducials.pvd` (measured and predicted points); returns the first."""
+    import pyvista as pv
+
+    folder.mkdir(parents=True, exist_ok=True)
+    points, cells = body["points"].values * 1e3, body["cells"].values
+    grid = pv.UnstructuredGrid({pv.CellType.TETRA: cells}, points)
+    bodies, fiducials = [], []
+    for frame in range(body.sizes["frame"]):
+        grid.point_data["displacement"] = body["displacement"].values[frame] * 1e3
+        bodies.append(_save(grid, folder / f"body_{frame:04d}.vtu"))
+        predicted, measured = (prediction[name].values[frame] * 1e3 for name in ("predicted", "measured"))
+        seen = np.isfinite(predicted).all(axis=1) & np.isfinite(measured).all(axis=1)
+        cloud = pv.PolyData(predicted[seen]).cast_to_unstructured_grid() if seen.any() else pv.UnstructuredGrid()
+        if seen.any():
+            cloud.point_data["residual"] = (measured - predicted)[seen]
+        fiducials.append(_save(cloud, folder / f"fiducials_{frame:04d}.vtu"))
+    _collection(folder / "fiducials.pvd", fiducials)
+    return _collection(folder / "body.pvd", bodies)
+
+
+def _save(grid, target: Path) -> str:  # type: ignore[no-untyped-def]
+    grid.save(target, binary=True)
+    return target.name
+
+
+def _collection(target: Path, names: list[str]) -> Path:
+    entries = "\n".join(f'    <DataSet timestep="{i}" file="{name}"/>' for i, name in enumerate(names))
+    text = f'<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n{entries}\n  </Collection>\n</VTKFile>\n'
+    partial = target.with_name(f".{target.name}.partial")
+    partial.write_text(text, encoding="utf-8")
+    partial.replace(target)
+    return target
