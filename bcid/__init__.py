@@ -14,7 +14,7 @@ _PUBLIC = {
     "Scene": "bcid.scene",
     "Measurement": "bcid.measurement",
     "Run": "bcid.run",
-    "Ladder": "bcid.forms.ladder",
+    "Forward": "bcid.forms.forward",
     "Model": "bcid.forms.model",
     "identify": "bcid.search.identify",
     "Identification": "bcid.search.identify",

@@ -282,7 +282,9 @@ class _FolderReader:
             if abs(norm - 1) > 1e-3:
                 self.bad(line, f"qw,qx,qy,qz: expected a unit quaternion, found one of length {norm:.4g}")
                 norm = norm or 1.0
-            result[frame] = line, row["grasp"], translation, list(rotation / norm)
+            # What is of unit length already stays as it is, so that writing and reading again changes no bit.
+            unit = rotation if abs(norm - 1) < 1e-14 else rotation / norm
+            result[frame] = line, row["grasp"], translation, list(unit)
         return result
 
     def vectors(self, name: str, columns: list[str], keys: list[str]) -> dict[tuple[Frame, str], list[float]]:
@@ -421,7 +423,8 @@ def _texts(measurement: Measurement) -> dict[str, list[str]]:
     lines = ["action,step,time,grasp,x,y,z,qw,qx,qy,qz"]
     for i, start in enumerate(head):
         if data["grasp"].values[i]:
-            cells = [_text(v) for v in [*data["translation"].values[i] / length, *data["rotation"].values[i]]]
+            cells = [_text(v) for v in data["translation"].values[i] / length]
+            cells += [f"{v:.17g}" for v in data["rotation"].values[i]]
             lines.append(f"{start},{data['grasp'].values[i]},{','.join(cells)}")
     texts["grasps.csv"] = lines
     if "wrench" in data:

@@ -11,6 +11,7 @@ _prefixes = count()
 # the signs are counted right.
 _OPTIONS = {
     "cholmod": {"mat_cholmod_print": 0},
+    "gamg": {"pc_gamg_threshold": 0.01, "mg_levels_ksp_type": "chebyshev", "mg_levels_pc_type": "jacobi"},
     "mumps": {"mat_mumps_icntl_7": 4, "mat_mumps_icntl_13": 1, "mat_mumps_icntl_24": 1},
 }
 
@@ -20,12 +21,14 @@ class Factor:
 
     CHOLMOD, the fastest here on one rank, stops at a pivot that is not positive; then, on shared meshes, and for the saddle points of
     the mixed formulation, MUMPS takes over (LDL^T), which counts the negative pivots. A tangent that is not symmetric gets MUMPS' LU,
-    which knows no signs.
+    which knows no signs. With rigid-body modes (`modes`) it is not factorised at all: conjugate gradients with algebraic multigrid
+    (GAMG) solve with it, and negative curvature is only seen where they pass.
 
     Args:
         matrix: the assembled tangent.
         symmetric: whether it is symmetric.
         saddle: number of pressures: this many negative pivots are right.
+        modes: near-null space of a large mesh that is to be solved iteratively.
 
     Attributes:
         count: factorisations so far.
@@ -33,7 +36,9 @@ class Factor:
         negative: how many pivots are negative beyond `saddle`; None when it is not known.
     """
 
-    def __init__(self, matrix: PETSc.Mat, symmetric: bool = True, saddle: int = 0) -> None:
+    def __init__(
+        self, matrix: PETSc.Mat, symmetric: bool = True, saddle: int = 0, modes: PETSc.NullSpace | None = None
+    ) -> None:
         self.matrix = matrix
         self.symmetric = symmetric
         self.saddle = saddle
@@ -43,11 +48,20 @@ class Factor:
         self._definite = symmetric and not saddle and matrix.comm.size == 1
         self._made: dict[str, PETSc.PC] = {}
         self._current: PETSc.PC | None = None
+        self._krylov: PETSc.KSP | None = None
+        if modes is not None:
+            matrix.setNearNullSpace(modes)
+            self._krylov = self._multigrid()
 
     def refresh(self) -> bool:
         """Factorise the matrix as it now is; False when that fails. Collective."""
         self.count += 1
         self.negative = None
+        if self._krylov is not None:
+            self._krylov.setOperators(self.matrix)
+            self._krylov.setUp()
+            self.negative, self.usable = 0, True
+            return True
         self.usable = (self._definite and self._factorise("cholmod")) or self._factorise("mumps")
         return self.usable
 
@@ -84,15 +98,42 @@ class Factor:
         return inner
 
     def solve(self, right: PETSc.Vec, solution: PETSc.Vec) -> None:
-        """Solve with the last factor. Collective."""
+        """Solve with the last factor. Collective.
+
+        Conjugate gradients that meet negative curvature, or do not converge, leave their last iterate and `negative` above zero, or
+        `usable` false: both are seen before the state is accepted.
+        """
+        if self._krylov is not None:
+            self._krylov.solve(right, solution)
+            reason = self._krylov.getConvergedReason()
+            if reason in (PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT, PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_PC):
+                self.negative = 1
+            elif reason < 0:
+                self.usable = False
+            return
         assert self._current is not None
         self._current.apply(right, solution)
+
+    def _multigrid(self) -> PETSc.KSP:
+        krylov = PETSc.KSP().create(self.matrix.comm)
+        krylov.setOptionsPrefix(prefix := f"bcid_multigrid_{next(_prefixes)}_")
+        krylov.setType("cg")
+        krylov.setOperators(self.matrix)
+        krylov.setTolerances(rtol=1e-6, max_it=500)
+        krylov.getPC().setType("gamg")
+        options = PETSc.Options()
+        for name, value in _OPTIONS["gamg"].items():
+            options[prefix + name] = value
+        krylov.setFromOptions()
+        return krylov
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
         for inner in self._made.values():
             inner.destroy()
         self._made.clear()
+        if self._krylov is not None:
+            self._krylov.destroy()
 
 
 class FactorShell:

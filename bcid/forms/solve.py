@@ -71,11 +71,15 @@ class Settings:
         rtol: norm of the out-of-balance force against that of the reactions and loads.
         max_iterations: Newton iterations per step.
         halvings: how often a step may be halved before it counts as failed.
+        linear: "direct", "gamg" (conjugate gradients with algebraic multigrid), or "auto": direct up to `direct_up_to` unknowns.
+        direct_up_to: see `linear`.
     """
 
     rtol: float = 1e-8
     max_iterations: int = 20
     halvings: int = 5
+    linear: str = "auto"
+    direct_up_to: int = 200_000
 
 
 @dataclass(frozen=True)
@@ -269,7 +273,7 @@ class Equilibrium:
         self._owned = self.vector.getLocalSize()
         self.external = np.zeros(3 * len(self.body.nodes))
         self.internal = np.zeros(self._owned)
-        self.factor = Factor(self.matrix, self.model.symmetric, self.body.pressures)
+        self.factor = Factor(self.matrix, self.model.symmetric, self.body.pressures, self._rigid_modes())
         snes = PETSc.SNES().create(comm)
         snes.setOptionsPrefix(prefix := f"bcid_snes_{next(_prefixes)}_")
         snes.setType("newtonls")
@@ -287,6 +291,22 @@ class Equilibrium:
         shear = float(self.model.law.shear(self.model.law.complete(self.model.values)))
         # Below this force nothing can be told from round-off: a body that only moves rigidly has no reactions to compare with.
         self._floor = 1e-13 * shear * self.body.mesh.size**2
+
+    def _rigid_modes(self) -> PETSc.NullSpace | None:
+        """Rigid-body modes for multigrid, when the mesh is to be solved iteratively."""
+        settings = self.settings
+        if settings.linear not in ("auto", "direct", "gamg"):
+            raise InputError(f"linear solver '{settings.linear}': allowed are auto, direct, gamg")
+        possible = self.model.symmetric and not self.body.mixed
+        if settings.linear == "gamg" and not possible:
+            raise InputError("linear solver 'gamg' needs the displacement formulation and loads with a potential: use 'direct'")
+        wanted = settings.linear == "gamg" or (settings.linear == "auto" and self.body.unknowns > settings.direct_up_to)
+        if not (wanted and possible):
+            return None
+        coordinates = self.vector.duplicate()
+        coordinates.setBlockSize(3)
+        coordinates.array[:] = self.body.nodes.ravel()[: self._owned]
+        return PETSc.NullSpace().createRigidBody(coordinates)
 
     def _residual(self, _snes: PETSc.SNES, x: PETSc.Vec, F: PETSc.Vec) -> None:
         self._copy_in(x)
@@ -383,6 +403,8 @@ class Equilibrium:
         if reason <= 0:
             return _REASONS.get(reason, Status.DIVERGED)
         self._copy_in(self.iterate)
+        if self.factor.count > factored and not self.factor.usable:
+            return Status.LINEAR_SOLVER
         if self.factor.count > factored and self.factor.negative:
             return Status.UNSTABLE
         return Status.CONVERGED if self.smallest_jacobian() > 0 else Status.INVERTED

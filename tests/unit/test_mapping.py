@@ -1,0 +1,138 @@
+"""Foreign recordings: wide and long tables, C3D files, alignment, and what is said when the mapping is wrong."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bcid import Measurement
+from bcid.errors import InputError
+
+HEAD = 'format = "bcid-mapping/1"\nlength_unit = "mm"\ntime_unit = "ms"\nforce_unit = "N"\n'
+WIDE = (
+    HEAD
+    + """file = "wide.csv"
+delimiter = ";"
+grasp = "II"
+noise_sigma = 0.1
+[columns]
+time = "t"
+action = "trial"
+translation = ["gx", "gy", "gz"]
+[fiducials]
+a = ["ax", "ay", "az"]
+b = ["bx", "by", "bz"]
+"""
+)
+ROWS = "trial;t;ax;ay;az;bx;by;bz;gx;gy;gz\n" + "".join(
+    f"{trial};{10 * i};{i};0;0;;;;{i};0;0\n" for trial in (1, 2) for i in range(5)
+)
+
+
+def write(tmp_path: Path, mapping: str, table: str = ROWS, name: str = "wide.csv") -> Path:
+    (tmp_path / name).write_text(table, encoding="utf-8")
+    path = tmp_path / "mapping.toml"
+    path.write_text(mapping, encoding="utf-8")
+    return path
+
+
+def test_wide_tables(tmp_path: Path) -> None:
+    seen = Measurement.read(write(tmp_path, WIDE))
+    assert seen.fiducial_names == ["a", "b"]
+    assert seen.action_names == ["1", "2"]
+    np.testing.assert_allclose(seen.positions[:5, 0, 0], np.arange(5) * 1e-3)
+    assert np.isnan(seen.positions[:, 1]).all()
+    np.testing.assert_allclose(seen.data["time"].values[:5], np.arange(5) * 0.01)
+    np.testing.assert_allclose(seen.actions[1].translation[:, 0], np.arange(5) * 1e-3)
+    assert seen.actions[0].grasp == "II"
+    assert seen.noise_sigma == pytest.approx(1e-4)
+
+
+def test_frames_are_chosen_per_action(tmp_path: Path) -> None:
+    seen = Measurement.read(write(tmp_path, WIDE + "[frames]\nfirst = 1\nlast = 3\nevery = 2\n"))
+    assert list(seen.data["step"].values) == [0, 1, 0, 1]
+    np.testing.assert_allclose(seen.data["time"].values, [0, 0.02, 0, 0.02])
+
+
+def test_long_tables(tmp_path: Path) -> None:
+    mapping = HEAD + 'file = "long.csv"\n[columns]\nfiducial = "m"\nstep = "k"\nposition = ["X", "Y", "Z"]\n'
+    table = "k,m,X,Y,Z\n0,p,1,2,3\n0,q,4,5,6\n1,q,7,8,9\n"
+    seen = Measurement.read(write(tmp_path, mapping, table, "long.csv"))
+    assert seen.fiducial_names == ["p", "q"]
+    np.testing.assert_allclose(seen.positions[1, 1], [7e-3, 8e-3, 9e-3])
+    assert np.isnan(seen.positions[1, 0]).all()
+
+
+def test_alignment_undoes_a_rigid_motion(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    body = rng.random((4, 3)) * 100
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    turn *= np.sign(np.linalg.det(turn))
+    camera = body @ turn.T + [5, 6, 7]
+    names = "abcd"
+    header = ",".join(f"{n}{x}" for n in names for x in "xyz")
+    row = ",".join(f"{v:.12f}" for v in camera.ravel())
+    mapping = HEAD + 'file = "cam.csv"\n[fiducials]\n' + 'a = ["ax", "ay", "az"]\n[reference]\n'
+    mapping += "".join(f'{n} = ["{n}x", "{n}y", "{n}z"]\n' for n in "bcd") + "[align]\n"
+    mapping += "".join(f"{n} = {[float(v) for v in p]}\n" for n, p in zip(names, body, strict=True))
+    seen = Measurement.read(write(tmp_path, mapping, f"{header}\n{row}\n", "cam.csv"))
+    assert seen.fiducial_names == ["a"]
+    np.testing.assert_allclose(seen.positions[0, 0], body[0] * 1e-3, atol=1e-12)
+
+
+def test_c3d_files(tmp_path: Path) -> None:
+    """Written by the reference library, read back; a point that was not seen is a gap, not a zero."""
+    ezc3d = pytest.importorskip("ezc3d")
+    file = ezc3d.c3d()
+    file["parameters"]["POINT"]["RATE"]["value"] = [100]
+    file["parameters"]["POINT"]["LABELS"]["value"] = ["Tip - 1", "Tip - 2"]
+    file["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
+    points = np.ones((4, 2, 6))
+    points[:3] = np.arange(36).reshape(3, 2, 6)
+    points[:3, 1, 2] = np.nan
+    file["data"]["points"] = points
+    file.write(str(tmp_path / "moved.c3d"))
+    mapping = HEAD + 'file = "moved.c3d"\n[fiducials]\ntip1 = "Tip - 1"\ntip2 = "Tip - 2"\n'
+    path = tmp_path / "mapping.toml"
+    path.write_text(mapping, encoding="utf-8")
+    seen = Measurement.read(path)
+    np.testing.assert_allclose(seen.positions[:, 0], points[:3, 0].T * 1e-3, rtol=1e-6)
+    assert np.isnan(seen.positions[2, 1]).all()
+    np.testing.assert_allclose(seen.data["time"].values, np.arange(6) * 0.01)
+    path.write_text(mapping.replace("Tip - 2", "Tipp - 2").replace('"mm"', '"m"'), encoding="utf-8")
+    with pytest.raises(InputError) as error:
+        Measurement.read(path)
+    assert "did you mean 'Tip - 2'" in str(error.value)
+    assert "states 'mm'" in str(error.value)
+    (tmp_path / "moved.c3d").write_bytes(b"\x02P" + b"\x00" * 100)
+    with pytest.raises(InputError, match="not a readable C3D file"):
+        Measurement.read(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("bcid-mapping/1", "x", "format: expected"),
+        ("wide.csv", "none.csv", "file: expected the name"),
+        ('"mm"', '"N"', "length_unit"),
+        ('grasp = "II"', "grsp = 1", "did you mean 'grasp'"),
+        ("noise_sigma = 0.1", "noise_sigma = 0", "noise_sigma: expected a positive"),
+        ('";"', '";;"', "delimiter: expected one character"),
+        ('";"', '","', "has no column|holds no rows|values"),
+        ('["ax", "ay", "az"]', '["ax", "ay"]', "fiducials.a: expected three columns"),
+        ('["ax", "ay", "az"]', '["ax", "ay", "aq"]', "has no column 'aq'"),
+        ('time = "t"', 'tim = "t"', "columns.tim: unknown key"),
+        ("[fiducials]", "[frames]\nevery = 0\n[fiducials]", "frames.every"),
+        ("[fiducials]", "[frames]\nfirst = 99\n[fiducials]", "no frame"),
+        ("[fiducials]", "[align]\na = [0, 0, 0]\n[fiducials]", "at least three markers"),
+    ],
+)
+def test_mistakes_are_named(tmp_path: Path, old: str, new: str, said: str) -> None:
+    assert old in WIDE
+    with pytest.raises(InputError, match=said):
+        Measurement.read(write(tmp_path, WIDE.replace(old, new)))
+
+
+def test_text_in_a_number(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="wide.csv:3: ax: expected a finite number, found 'far'"):
+        Measurement.read(write(tmp_path, WIDE, ROWS.replace("1;10;1;", "1;10;far;")))

@@ -1,0 +1,179 @@
+"""The measurement folder: round trips, and one readable message for whatever is wrong."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bcid import Measurement, Scene
+from bcid.errors import InputError
+
+ROOT = Path(__file__).resolve().parents[2]
+SHIPPED = sorted((ROOT / "examples/measurements").glob("slab-*"))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    target = tmp_path / "seen"
+    shutil.copytree(ROOT / "examples/measurements/slab-12-semicircle", target)
+    return target
+
+
+def edit(path: Path, line: int, change: str) -> None:
+    """Replace a line (counted from 1) of a file."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    lines[line - 1] = change
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda p: p.name)
+def test_round_trips(path: Path, tmp_path: Path) -> None:
+    measurement = Measurement.read(path)
+    measurement.write(tmp_path / "again")
+    measurement.to_netcdf(tmp_path / "again.nc")
+    for copy in (Measurement.read(tmp_path / "again"), Measurement.read(tmp_path / "again.nc")):
+        assert copy.fingerprint() == measurement.fingerprint()
+        assert copy.units == measurement.units
+        assert copy.noise_sigma == measurement.noise_sigma
+
+
+def test_optional_files_round_trip(folder: Path, tmp_path: Path) -> None:
+    head = "action,step,time"
+    (folder / "wrench.csv").write_text(f"{head},fx,fy,fz,tx,ty,tz\n1,0,0,0,0,0,0,0,0\n1,1,1,1,2,3,4,5,6\n", encoding="utf-8")
+    (folder / "loads.csv").write_text(f"{head},place,fx,fy,fz\n1,1,1,tip,0,-0.5,0\n", encoding="utf-8")
+    edit(folder / "fiducials.csv", 4, "1,0,0,3,,,")
+    measurement = Measurement.read(folder)
+    assert measurement.data["wrench"].values[1] == pytest.approx([1, 2, 3, 4e-3, 5e-3, 6e-3])
+    np.testing.assert_allclose(measurement.actions[0].loads["tip"][1], [0, -0.5, 0])
+    assert np.isnan(measurement.positions[0, 2]).all()
+    measurement.write(tmp_path / "again")
+    assert Measurement.read(tmp_path / "again").fingerprint() == measurement.fingerprint()
+
+
+def test_own_sigma_and_spreadsheet_habits(folder: Path) -> None:
+    """Columns in another order, a byte order mark, blank lines and Windows line ends are no mistakes."""
+    text = "\ufefffiducial,sigma_x,sigma_y,sigma_z,action,step,time,x,y,z\r\n1,0.1,0.2,0.4,1,0,0,15,10,12\r\n\r\n1,,,,1,1,1,15,10,12\r\n"
+    (folder / "fiducials.csv").write_text(text, encoding="utf-8")
+    lines = (folder / "grasps.csv").read_text(encoding="utf-8").splitlines()[:3]
+    (folder / "grasps.csv").write_text("\n".join(lines), encoding="utf-8")
+    sigma = Measurement.read(folder).sigma()
+    np.testing.assert_allclose(sigma[0, 0], [1e-4, 2e-4, 4e-4])
+    np.testing.assert_allclose(sigma[1, 0], 3e-4)
+
+
+def test_an_action_without_grasp(folder: Path) -> None:
+    (folder / "grasps.csv").write_text("action,step,time,grasp,x,y,z,qw,qx,qy,qz\n", encoding="utf-8")
+    action = Measurement.read(folder).actions[0]
+    assert action.grasp == ""
+    assert not action.translation.any()
+
+
+HEAD = "action,step,time,fiducial,x,y,z"
+
+
+@pytest.mark.parametrize(
+    ("file", "line", "change", "said"),
+    [
+        ("fiducials.csv", 1, "action,step,time,fiducial,x,y", "fiducials.csv:1: column z is missing"),
+        ("fiducials.csv", 1, HEAD + ",w", "fiducials.csv:1: unknown column 'w'"),
+        ("fiducials.csv", 1, "action,step,time,fiducial,x,y,y", "column y stands twice"),
+        ("fiducials.csv", 3, "1,0,0,2,abc,10,12", "fiducials.csv:3: x: expected a finite number, found 'abc'"),
+        ("fiducials.csv", 3, "1,0,0,2,nan,10,12", "fiducials.csv:3: x: expected a finite number, found 'nan'; leave"),
+        ("fiducials.csv", 3, "1,0,0,2,1_5,10,12", "found '1_5'"),
+        ("fiducials.csv", 3, "1,0,0,2,inf,10,12", "found 'inf'"),
+        ("fiducials.csv", 3, "1,0,0,2,,10,12", "give x, y and z, or leave all three empty"),
+        ("fiducials.csv", 3, "1,0,0,1,15,10,12", "fiducials.csv:3: a second row for action 1, step 0, fiducial 1; .* line 2"),
+        ("fiducials.csv", 3, "1,0,0,2,15,10", "fiducials.csv:3: has 6 values, the header names 7"),
+        ("fiducials.csv", 3, "1,x,0,2,15,10,12", "step: expected a whole number from 0, found 'x'"),
+        ("fiducials.csv", 3, "1,-1,0,2,15,10,12", "step: expected a whole number"),
+        ("fiducials.csv", 3, "1,0,5,2,15,10,12", "time: step 0 of action 1 is at 0 s elsewhere, here at 5 s"),
+        ("fiducials.csv", 3, ",0,0,2,15,10,12", "action: expected a short name"),
+        ("fiducials.csv", 3, "1,0,0,,15,10,12", "fiducial: its name is empty"),
+        ("fiducials.csv", 30, "1,0,0,99,15,10,12", "step 0 of action 1 stands after step 1: sort"),
+        ("grasps.csv", 2, "1,0,0,II,1,0,0,1,0,0,0", "step 0 of action 1 must be the rest pose"),
+        ("grasps.csv", 3, "1,1,1,II,1,0,0,2,0,0,0", "grasps.csv:3: .* unit quaternion, found one of length 2"),
+        ("grasps.csv", 3, "1,1,1,II,1,0,0,0,0,0,0", "unit quaternion, found one of length 0"),
+        ("grasps.csv", 3, "1,1,1,,1,0,0,1,0,0,0", "grasp: its name is empty"),
+        ("grasps.csv", 3, "1,1,1,III,1,0,0,1,0,0,0", "uses grasps II, III"),
+        ("grasps.csv", 3, "", "no pose of the gripper for step 1"),
+        ("grasps.csv", 3, "2,1,1,II,1,0,0,1,0,0,0", "action 2 starts at step 1"),
+        ("measurement.toml", 1, 'format = "x"', "format: expected"),
+        ("measurement.toml", 2, 'length_unit = "kg"', "length_unit: unit 'kg' cannot be used"),
+        ("measurement.toml", 2, "", 'length_unit: is missing; write length_unit = "mm"'),
+        ("measurement.toml", 5, "noise_sigma = -1", "noise_sigma: expected a positive number"),
+        ("measurement.toml", 5, "noise_sigma = nan", "noise_sigma: expected a positive number"),
+        ("measurement.toml", 5, "noise_sigma = true", "noise_sigma: expected a positive number"),
+        ("measurement.toml", 5, "noise_sgma = 0.3", "did you mean 'noise_sigma'"),
+        ("measurement.toml", 5, "[", "not a TOML file"),
+    ],
+)
+def test_every_mistake_is_named(folder: Path, file: str, line: int, change: str, said: str) -> None:
+    edit(folder / file, line, change)
+    with pytest.raises(InputError, match=said):
+        Measurement.read(folder)
+
+
+@pytest.mark.parametrize("name", ["measurement.toml", "fiducials.csv", "grasps.csv"])
+def test_missing_files(folder: Path, name: str) -> None:
+    (folder / name).unlink()
+    with pytest.raises(InputError, match=f"{name}: is missing"):
+        Measurement.read(folder)
+
+
+def test_empty_measurements(folder: Path) -> None:
+    (folder / "fiducials.csv").write_text(HEAD + "\n", encoding="utf-8")
+    with pytest.raises(InputError, match="is empty"):
+        Measurement.read(folder)
+    (folder / "fiducials.csv").write_text(HEAD + "\n1,0,0,1,,,\n", encoding="utf-8")
+    with pytest.raises(InputError, match="no fiducial was ever seen"):
+        Measurement.read(folder)
+    (folder / "fiducials.csv").write_bytes(b"\xff\xfe\x00garbage")
+    with pytest.raises(InputError, match="cannot be read as text"):
+        Measurement.read(folder)
+
+
+def test_all_mistakes_at_once(folder: Path) -> None:
+    edit(folder / "fiducials.csv", 3, "1,0,0,2,abc,10,12")
+    edit(folder / "fiducials.csv", 9, "1,0,0,8,15,10,")
+    edit(folder / "grasps.csv", 4, "1,2,2,II,one,0,0,1,0,0,0")
+    edit(folder / "measurement.toml", 3, 'time_unit = "mm"')
+    with pytest.raises(InputError) as error:
+        Measurement.read(folder)
+    assert all(place in str(error.value) for place in ("fiducials.csv:3", "fiducials.csv:9", "grasps.csv:4", "time_unit"))
+
+
+@pytest.fixture(scope="module")
+def slab() -> Scene:
+    return Scene.read(ROOT / "examples/scenes/slab.toml")
+
+
+def test_names_must_be_the_scenes(folder: Path, slab: Scene) -> None:
+    edit(folder / "fiducials.csv", 3, "1,0,0,two,35,10,12")
+    text = (folder / "grasps.csv").read_text(encoding="utf-8").replace(",II,", ",IV,")
+    (folder / "grasps.csv").write_text(text, encoding="utf-8")
+    (folder / "loads.csv").write_text("action,step,time,place,fx,fy,fz\n1,1,1,moon,0,1,0\n", encoding="utf-8")
+    with pytest.raises(InputError) as error:
+        Measurement.read(folder).check(slab)
+    said = str(error.value)
+    assert "fiducial 'two' is not in the scene" in said
+    assert "grasp 'IV' is not in the scene" in said
+    assert "place 'moon' is not in the scene" in said
+
+
+def test_the_wrong_length_unit_is_noticed(folder: Path, slab: Scene) -> None:
+    edit(folder / "measurement.toml", 2, 'length_unit = "m"')
+    with pytest.raises(InputError, match="check length_unit"):
+        Measurement.read(folder).check(slab)
+
+
+def test_nothing_is_overwritten(folder: Path) -> None:
+    with pytest.raises(InputError, match="exists already"):
+        Measurement.read(folder).write(folder)
+
+
+@pytest.mark.parametrize("content", [b"", b"CDF\x01", b"CDF\x01\x00\x00\x00\x00" + b"\xff" * 60, b"no netcdf"])
+def test_damaged_netcdf(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "bad.nc").write_bytes(content)
+    with pytest.raises(InputError, match="not a NetCDF measurement"):
+        Measurement.read(tmp_path / "bad.nc")

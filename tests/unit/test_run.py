@@ -1,0 +1,127 @@
+"""Run folders: whole files, no silent overwriting, one writer, resuming."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from bcid.errors import InputError, MachineError
+from bcid.run import Run
+
+INPUTS = {"scene": "abc", "options": {"seeds": 3}}
+
+
+def test_a_finished_run_is_kept(tmp_path: Path) -> None:
+    run = Run.start(tmp_path / "run", "identify", INPUTS)
+    run.write_json("identification.json", {"anchored": ["1"]})
+    run.finish({"anchored": ["1"]})
+    assert Run.open(tmp_path / "run").record["state"] == "finished"
+    with pytest.raises(InputError, match=r"finished run .*--overwrite"):
+        Run.start(tmp_path / "run", "identify", INPUTS)
+    assert Run.open(tmp_path / "run").read_json("identification.json") == {"anchored": ["1"]}
+    again = Run.start(tmp_path / "run", "identify", INPUTS, overwrite=True)
+    assert not (tmp_path / "run/identification.json").exists()
+    again.release()
+
+
+def test_an_interrupted_run_goes_on(tmp_path: Path) -> None:
+    run = Run.start(tmp_path / "run", "identify", INPUTS)
+    run.add_batch([{"a": 1}])
+    run.add_batch([{"a": 2}])
+    run.fail("killed")
+    again = Run.start(tmp_path / "run", "identify", INPUTS)
+    assert again.resumed
+    assert list(again.batches()) == [[{"a": 1}], [{"a": 2}]]
+    again.fail("killed again")
+    with pytest.raises(InputError, match="other inputs or options"):
+        Run.start(tmp_path / "run", "identify", INPUTS | {"scene": "other"})
+    with pytest.raises(InputError, match="other inputs or options"):
+        Run.start(tmp_path / "run", "explain", INPUTS)
+
+
+def test_other_folders_are_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("precious", encoding="utf-8")
+    for overwrite in (False, True):
+        with pytest.raises(InputError, match="not a run"):
+            Run.start(tmp_path, "identify", INPUTS, overwrite)
+    with pytest.raises(InputError, match="is a file"):
+        Run.start(tmp_path / "thesis.tex", "identify", INPUTS)
+    assert (tmp_path / "thesis.tex").read_text(encoding="utf-8") == "precious"
+    with pytest.raises(InputError, match="not a run folder"):
+        Run.open(tmp_path)
+
+
+def test_one_writer(tmp_path: Path) -> None:
+    run = Run.start(tmp_path / "run", "identify", INPUTS)
+    with pytest.raises(InputError, match=f"being written by process {os.getpid()} on"):
+        Run.start(tmp_path / "run", "identify", INPUTS)
+    run.release()
+    Run.start(tmp_path / "run", "identify", INPUTS).release()
+
+
+def test_the_lock_of_a_dead_process_is_taken_over(tmp_path: Path) -> None:
+    code = (
+        "import os, sys; from bcid.run import Run; "
+        f"Run.start({str(tmp_path / 'run')!r}, 'identify', {INPUTS!r}); os.kill(os.getpid(), 9)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=False)
+    run = Run.start(tmp_path / "run", "identify", INPUTS)
+    assert run.resumed
+    run.release()
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"format": "x"}', '{"format": "bcid-run/1"}', "\xff"])
+def test_damaged_records(tmp_path: Path, text: str) -> None:
+    run = Run.start(tmp_path / "run", "identify", INPUTS)
+    run.finish({})
+    (tmp_path / "run/run.json").write_text(text, encoding="latin-1")
+    with pytest.raises(InputError, match=r"run\.json"):
+        Run.open(tmp_path / "run")
+
+
+def test_numbers_that_are_no_json_are_refused(tmp_path: Path) -> None:
+    run = Run.start(tmp_path / "run", "identify", INPUTS)
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        run.write_json("x.json", {"rms": float("nan")})
+    assert not list((tmp_path / "run").glob("*x.json*"))
+    run.release()
+
+
+def test_arrays_round_trip(tmp_path: Path) -> None:
+    run = Run.start(tmp_path / "run", "identify", INPUTS)
+    data = xr.Dataset({"x": ("frame", np.arange(3.0))}, coords={"action": ("frame", ["a", "b", "c"])})
+    run.write_dataset("x.nc", data)
+    back = run.read_dataset("x.nc")
+    assert list(back["action"].values) == ["a", "b", "c"]
+    np.testing.assert_array_equal(back["x"].values, data["x"].values)
+    (tmp_path / "run/x.nc").write_bytes(b"CDF")
+    with pytest.raises(InputError, match="damaged"):
+        run.read_dataset("x.nc")
+    with pytest.raises(InputError, match="missing"):
+        run.read_dataset("y.nc")
+    run.release()
+
+
+@pytest.mark.skipif(not os.access("/proc/sys", os.R_OK), reason="needs Linux")
+def test_a_place_that_cannot_be_written(tmp_path: Path) -> None:
+    with pytest.raises(MachineError, match="cannot be written"):
+        Run.start("/proc/bcid-run", "identify", INPUTS)
+
+
+def test_a_full_disk_leaves_no_half_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = Run.start(tmp_path / "run", "identify", INPUTS)
+    run.write_json("result.json", {"good": 1})
+
+    def full(_fd: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(MachineError, match="No space left on device"):
+        run.write_json("result.json", {"good": 2})
+    assert json.loads((tmp_path / "run/result.json").read_text(encoding="utf-8")) == {"good": 1}
+    run.release()

@@ -1,0 +1,129 @@
+"""The scene file: what it holds, and what is said when it is wrong."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bcid.errors import InputError
+from bcid.forms.model import Model, check_physics
+from bcid.scene import Box, Scene
+
+ROOT = Path(__file__).resolve().parents[2]
+GOOD = f"""
+format = "bcid-scene/1"
+name = "bar"
+down = [0, 0, -2]
+noise_sigma = "0.3 mm"
+[geometry]
+file = "{ROOT / 'meshes/geo/slab.geo'}"
+length_unit = "mm"
+[[levels]]
+element_size = "50 mm"
+degree = 2
+[material]
+law = "neo_hooke"
+young = "15 kPa"
+poisson = 0.35
+[patches]
+"1" = "patch_1"
+"2" = {{ box = ["0 0 99.9 mm", "50 10 100.1 mm"] }}
+[grasps]
+II = {{ on = "grasp_II", centre = "90 5 50 mm" }}
+[fiducials]
+"1" = "15 10 12.5 mm"
+"""
+
+
+def write(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "scene.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_everything_is_si(tmp_path: Path) -> None:
+    scene = Scene.read(write(tmp_path, GOOD), physics=check_physics)
+    assert scene.levels[0].element_size == pytest.approx(0.05)
+    assert scene.grasps["II"].centre == pytest.approx((0.09, 0.005, 0.05))
+    assert scene.down == (0.0, 0.0, -1.0)
+    assert scene.noise_sigma == pytest.approx(0.3e-3)
+    assert isinstance(scene.patches["2"].box, Box)
+    np.testing.assert_allclose(scene.rest, [[0.015, 0.010, 0.0125]])
+    assert Model.of(scene).values == {"young": 15e3, "poisson": 0.35}
+
+
+def test_shipped_scenes_are_valid() -> None:
+    for path in sorted((ROOT / "examples/scenes").glob("*.toml")):
+        scene = Scene.read(path, physics=check_physics)
+        assert scene.patches
+        assert scene.fiducials
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("bcid-scene/1", "bcid-scene/9", "format: expected"),
+        ('name = "bar"', "nam = 3", "nam: unknown key; did you mean 'name'"),
+        ("[0, 0, -2]", "[0, 0, 0]", "down: expected three numbers"),
+        ("[0, 0, -2]", "[0, 0, nan]", "down: expected three numbers"),
+        ('"0.3 mm"', '"-0.3 mm"', "noise_sigma: '-0.3 mm' must be positive"),
+        ('"0.3 mm"', "0.3", "noise_sigma: 0.3 has no unit"),
+        ("slab.geo", "slob.geo", "geometry.file:.*no such file"),
+        ('length_unit = "mm"', 'length_unit = "kg"', "geometry.length_unit"),
+        ('length_unit = "mm"', "", "geometry.length_unit: is missing"),
+        ('element_size = "50 mm"', 'element_size = "0 mm"', "element_size: '0 mm' must be positive"),
+        ('element_size = "50 mm"', 'element_size = "-5 mm"', "must be positive"),
+        ('element_size = "50 mm"', "", "element_size: is missing"),
+        ("degree = 2", "degree = 3", "degree: expected 1 or 2"),
+        ("degree = 2", "degree = true", "degree: expected 1 or 2"),
+        ("[[levels]]", "[levels]", "levels: expected at least one"),
+        ('law = "neo_hooke"', 'law = "neohook"', "did you mean 'neo_hooke'"),
+        ('young = "15 kPa"', 'young = "15 mm"', "material.young: unit 'mm' cannot be used"),
+        ('young = "15 kPa"', "young = 15", "material.young: 15 has no unit"),
+        ('young = "15 kPa"', "", "parameter 'young' is missing"),
+        ('young = "15 kPa"', 'young = "-1 kPa"', "young = -1000 Pa is outside"),
+        ("poisson = 0.35", "poisson = 0.5", "needs the mixed formulation"),
+        ("poisson = 0.35", "poisson = 0.7", "outside the allowed range"),
+        ("poisson = 0.35", "poisson = nan", "not a finite number"),
+        ("poisson = 0.35", "poisson = true", "expected a number"),
+        ("poisson = 0.35", 'poisson = 0.35\nformulation = "mixd"', "did you mean 'mixed'"),
+        ("poisson = 0.35", "poisson = 0.35\nviscous = 3.0", "unknown parameter 'viscous'"),
+        ('"1" = "patch_1"', '"1" = 7', "patches.1: expected a physical group"),
+        ('"1" = "patch_1"', '"a b" = "patch_1"', "must have 1 to 64 characters"),
+        ('"50 10 100.1 mm"', '"50 10 mm"', "has 2 number"),
+        ('"50 10 100.1 mm"', '"-50 10 100.1 mm"', "first corner must not exceed"),
+        ('centre = "90 5 50 mm"', 'center = "90 5 50 mm"', "grasps.II: expected on"),
+        ('"1" = "15 10 12.5 mm"', '"1" = [15, 10, 12.5]', "fiducials.1: .* has no unit"),
+        ('[fiducials]\n"1" = "15 10 12.5 mm"', "", "fiducials: none is defined"),
+        ("[patches]", "[patch]", "patches: none is defined"),
+        ("[fiducials]", '[effects.gravty]\nweight = "1 N/m^3"\n[fiducials]', "did you mean 'gravity'"),
+        ("[fiducials]", "[effects.gravity]\nweight = 1.0\n[fiducials]", "has no unit"),
+    ],
+)
+def test_every_mistake_is_named(tmp_path: Path, old: str, new: str, said: str) -> None:
+    assert old in GOOD
+    with pytest.raises(InputError, match=said) as error:
+        Scene.read(write(tmp_path, GOOD.replace(old, new)), physics=check_physics)
+    assert "scene.toml" in str(error.value)
+
+
+def test_all_mistakes_at_once_with_their_lines(tmp_path: Path) -> None:
+    text = GOOD.replace('"15 kPa"', "15").replace("degree = 2", "degree = 4").replace("length_unit", "lenght_unit")
+    with pytest.raises(InputError) as error:
+        Scene.read(write(tmp_path, text.replace('"0.3 mm"', '"3 kg"')))
+    said = str(error.value)
+    assert all(word in said for word in ("degree", "lenght_unit", "noise_sigma"))
+    assert "scene.toml:5: noise_sigma" in said
+
+
+@pytest.mark.parametrize("text", ["[geometry\n", "a = 1\na = 2\n", "\0", "format = 'x\n"])
+def test_broken_toml(tmp_path: Path, text: str) -> None:
+    with pytest.raises(InputError, match="not a TOML file"):
+        Scene.read(write(tmp_path, text))
+
+
+def test_missing_file_and_folder(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such scene file"):
+        Scene.read(tmp_path / "none.toml")
+    with pytest.raises(InputError, match="is a folder"):
+        Scene.read(tmp_path)

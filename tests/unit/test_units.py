@@ -1,0 +1,64 @@
+"""Units at the border."""
+
+import math
+
+import pytest
+
+from bcid.errors import InputError
+from bcid.units import parse_unit, quantities, quantity, show, unit_factor
+
+
+@pytest.mark.parametrize(
+    ("text", "like", "value"),
+    [
+        ("15 kPa", "Pa", 15e3),
+        ("15kPa", "Pa", 15e3),
+        ("-3.5e-1 mm", "m", -0.35e-3),
+        ("1 N/mm^2", "Pa", 1e6),
+        ("9.81 kN/m^3", "N/m^3", 9810.0),
+        ("1 g", "kg", 1e-3),
+        ("2 N*mm", "N*m", 2e-3),
+        (".5 rad", "deg", 0.5 * 180 / math.pi),
+        ("30 %", "1", 0.3),
+        ("3 kPa/mm", "Pa/m", 3e6),
+        ("1 m²", "m^2", 1.0),
+    ],
+)
+def test_quantities_become_si(text: str, like: str, value: float) -> None:
+    assert quantity(text, like) == pytest.approx(value, rel=1e-14)
+
+
+def test_vectors_share_one_unit() -> None:
+    assert quantities("15 10 12.5 mm", "m", 3) == pytest.approx([0.015, 0.010, 0.0125])
+    assert quantities("15, 10, 12.5 mm", "m", 3) == pytest.approx([0.015, 0.010, 0.0125])
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (15, "has no unit"),
+        (True, "has no unit"),
+        ("15", "has no unit"),
+        ("kPa", "is not a quantity"),
+        ("", "is not a quantity"),
+        ("15 furlong", "is not known"),
+        ("15 N", "expected a unit like 'Pa'"),
+        ("15 kPa 3", "is not known"),
+        ("1 2 kPa", "has 2 number"),
+        ("nan kPa", "is not a quantity"),
+        ("1e999 kPa", "is not finite"),
+        ("1 kPa^x", "is not known"),
+        (None, "has no unit"),
+    ],
+)
+def test_nonsense_is_refused_in_words(value: object, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        quantity(value, "Pa")
+
+
+def test_factor_needs_the_right_dimension() -> None:
+    assert unit_factor("mm", "m") == 1e-3
+    with pytest.raises(InputError, match="cannot be used here"):
+        unit_factor("s", "m")
+    assert parse_unit("N") == (1.0, (1, 1, -2, 0))
+    assert show(15e3, "kPa") == "15 kPa"
