@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bcid.forms.body import Body
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
-from bcid.forms.observe import Observer
+from bcid.forms.observe import Observer, attach
 from bcid.forms.solve import Equilibrium, Pose, Settings, Status
 from bcid.forms.trajectory import Trajectory, follow
 from bcid.measurement import Action
@@ -50,6 +50,21 @@ class Prediction:
         return next((t for t in self.trajectories if t.status is not Status.CONVERGED), None)
 
 
+def fiducial_limit(scene: Scene, mesh: BodyMesh) -> float:
+    """How far from the mesh a fiducial may be, m: the scene's `attach_within`, or 5 % of the body's size."""
+    return 0.05 * mesh.size if scene.attach_within is None else scene.attach_within
+
+
+def check_geometry(scene: Scene, level: int = 0, comm: Any = None) -> None:
+    """Mesh a level and refuse places that are not on it and fiducials that are off the body; collective on `comm`.
+
+    Raises:
+        InputError: with every problem.
+    """
+    mesh = level_mesh(scene, scene.levels[level], comm)
+    attach(mesh, scene.fiducials, fiducial_limit(scene, mesh), scene.source)
+
+
 class Forward:
     """Body, equilibrium and observer of one mesh level, built once per process. Collective on `comm`.
 
@@ -79,8 +94,7 @@ class Forward:
         self.mesh = mesh or level_mesh(scene, scene.levels[level], comm)
         self.body = Body(comm, self.mesh, scene.levels[level].degree, self.model.mixed)
         self.equilibrium = Equilibrium(self.body, self.model, scene, settings)
-        limit = 0.05 * self.mesh.size if scene.attach_within is None else scene.attach_within
-        self.observer = Observer(self.body, scene.fiducials, limit, scene.source)
+        self.observer = Observer(self.body, scene.fiducials, fiducial_limit(scene, self.mesh), scene.source)
 
     @property
     def describe(self) -> str:

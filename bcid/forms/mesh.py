@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.collective import on_root
-from bcid.errors import InputError, nearest
+from bcid.errors import InputError, Problems, nearest
 from bcid.fingerprint import fingerprint
 from bcid.scene import Level, Region, Scene
 
@@ -170,9 +170,30 @@ def level_mesh(scene: Scene, level: Level, comm: Any = None) -> BodyMesh:
 def _level_mesh(scene: Scene, level: Level) -> BodyMesh:
     points, cells, groups = _load(scene.geometry, level.element_size and level.element_size / scene.length_unit)
     mesh = checked(BodyMesh(points * scene.length_unit, cells, groups), scene.geometry)
+    _check_places(scene, mesh)
     for _ in range(level.refinements):
         mesh = mesh.refined()
     return mesh
+
+
+def _check_places(scene: Scene, mesh: BodyMesh) -> None:
+    """Every place of the scene must be on the mesh, and no facet may belong both to a patch and to a grasp."""
+    problems = Problems(f"scene {scene.source} and geometry {scene.geometry.name}")
+    facets: dict[tuple[str, str], Cells] = {}
+    grasps = {name: grasp.region for name, grasp in scene.grasps.items()}
+    for kind, regions in (("patch", scene.patches), ("grasp", grasps), ("place", scene.places)):
+        for name, region in regions.items():
+            try:
+                facets[kind, name] = mesh.select(region, f"{kind} {name}")
+            except InputError as error:
+                problems.add(scene.source, str(error))
+    for (kind, name), mine in facets.items():
+        for (other, held), theirs in facets.items():
+            if kind == "patch" and other == "grasp" and mine.shape[1] == theirs.shape[1]:
+                shared = {tuple(row) for row in np.sort(mine, axis=1)} & {tuple(row) for row in np.sort(theirs, axis=1)}
+                if shared:
+                    problems.add(scene.source, f"patch {name} and grasp {held} share {len(shared)} facets: keep them apart")
+    problems.raise_if_any()
 
 
 def _load(path: Path, element_size: float | None) -> tuple[Points, Cells, dict[str, Cells]]:

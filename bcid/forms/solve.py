@@ -280,7 +280,7 @@ class Equilibrium:
         snes.setFunction(self._residual, self.vector)
         snes.setJacobian(self._tangent, self.matrix)
         snes.setTolerances(max_it=self.settings.max_iterations)
-        PETSc.Options()[f"{prefix}snes_linesearch_type"] = "bt"
+        PETSc.Options()[f"{prefix}snes_linesearch_type"] = self._line_search = "bt"
         snes.setConvergenceTest(self._converged)
         ksp = snes.getKSP()
         ksp.setType("preonly")
@@ -307,6 +307,13 @@ class Equilibrium:
         coordinates.setBlockSize(3)
         coordinates.array[:] = self.body.nodes.ravel()[: self._owned]
         return PETSc.NullSpace().createRigidBody(coordinates)
+
+    def _choose_line_search(self, loaded: bool) -> None:
+        """Full steps under loads: in bending they raise the residual on their way, and backtracking would hold them up for good."""
+        kind = "basic" if loaded else "bt"
+        if kind != self._line_search:
+            PETSc.Options()[f"{self.snes.getOptionsPrefix()}snes_linesearch_type"] = self._line_search = kind
+            self.snes.setFromOptions()
 
     def _residual(self, _snes: PETSc.SNES, x: PETSc.Vec, F: PETSc.Vec) -> None:
         self._copy_in(x)
@@ -356,6 +363,7 @@ class Equilibrium:
         The state is changed only when the result is `Status.CONVERGED`.
         """
         before = self.u.x.array.copy()
+        self._choose_line_search(bool(self.model.doses or pose.loads))
         self._prescribe(pose)
         if start is not None:
             self.u.x.array[:] = start

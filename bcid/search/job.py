@@ -13,6 +13,7 @@ import xarray as xr
 from bcid.collective import on_root
 from bcid.errors import BcidError
 from bcid.fingerprint import file_fingerprint, fingerprint
+from bcid.forms.forward import check_geometry
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import check_physics
 from bcid.measurement import AXES, WRENCH, Measurement
@@ -45,6 +46,7 @@ def run_identification(
     measurement = on_root(comm, lambda: Measurement.read(measurement_file))
     measurement.check(scene)
     options.check(scene)
+    check_geometry(scene, options.coarsest, comm)
     inputs = {
         "scene": fingerprint({"scene": _content(scene), "geometry": file_fingerprint(scene.geometry)}),
         "measurement": measurement.fingerprint(),

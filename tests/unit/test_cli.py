@@ -1,0 +1,162 @@
+"""The command line as a stranger uses it: one readable message for a mistake, its exit code, and nothing half-written."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SLAB = ROOT / "examples/scenes/slab.toml"
+SEEN = ROOT / "examples/measurements/slab-12-semicircle"
+
+
+def bcid(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "bcid", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=280, check=False)
+
+
+def refused(result: subprocess.CompletedProcess[str], *words: str) -> None:
+    assert result.returncode == 2, result.stderr
+    assert "Traceback" not in result.stderr
+    assert all(word in result.stderr for word in words), result.stderr
+
+
+def test_help_names_every_command(tmp_path: Path) -> None:
+    result = bcid("--help", cwd=tmp_path)
+    assert result.returncode == 0
+    assert all(word in result.stdout for word in ("demo", "identify", "simulate", "doctor", "exit codes"))
+    for command in ("demo", "identify", "simulate"):
+        assert bcid(command, "--help", cwd=tmp_path).returncode == 0
+    assert bcid(cwd=tmp_path).returncode == 2
+    assert "invalid choice" in bcid("identfy", cwd=tmp_path).stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["identify", "none.toml", SEEN, "-o", "run"], ["none.toml", "no such scene file"]),
+        (["identify", SLAB, "none", "-o", "run"], ["none", "no such measurement folder"]),
+        (["identify", SLAB, SEEN, "-o", "run", "--method", "guess"], ["guess", "climb, enumerate"]),
+        (["identify", SLAB, SEEN, "-o", "run", "--finest", "9"], ["finest level 9", "levels 0 to 3"]),
+        (["identify", SLAB, SEEN, "-o", "run", "--seeds", "0"], ["seeds = 0"]),
+        (["identify", SLAB, SEEN, "-o", "run", "--start", "x"], ["maxima, threshold"]),
+        (["simulate", SLAB, "--motion", "dance", "-o", "made"], ["dance", "semicircle"]),
+        (["simulate", SLAB, "--motion", "pull", "--anchors", "1,9", "--level", "0", "-o", "made"], ["patch '9'", "known: 1, 2"]),
+        (["simulate", SLAB, "--motion", "pull", "--grasp", "IV", "--level", "0", "-o", "made"], ["grasp 'IV'", "I, II, III"]),
+        (["simulate", SLAB, "--motion", "pull", "--level", "7", "-o", "made"], ["--level 7"]),
+        (["simulate", SLAB, "--motion", "pull", "--noise", "3", "-o", "made"], ["has no unit"]),
+        (["simulate", SLAB, "--motion", "pull", "--noise", "-3 mm", "-o", "made"], ["negative"]),
+    ],
+)
+def test_mistakes(arguments: list[object], words: list[str], tmp_path: Path) -> None:
+    refused(bcid(*arguments, cwd=tmp_path), *words)
+    assert not list(tmp_path.iterdir())
+
+
+def edited(tmp_path: Path, *changes: tuple[str, str]) -> Path:
+    """A copy of the slab's scene with some text replaced."""
+    text = SLAB.read_text(encoding="utf-8").replace("../../", f"{ROOT}/")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path = tmp_path / "scene.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_geometry_that_does_not_fit(tmp_path: Path) -> None:
+    """Groups the mesh does not have, an empty box and a fiducial off the body are told together or one kind after the other."""
+    scene = edited(tmp_path, ('"1" = "patch_1"', '"1" = "ptch_1"'), ('"2" = "patch_2"', '"2" = { box = ["1 1 1 mm", "2 2 2 mm"] }'))
+    refused(bcid("identify", scene, SEEN, "-o", "run", cwd=tmp_path), "did you mean 'patch_1'", "no facet of the boundary")
+    scene = edited(tmp_path, ('"15 10 12.5 mm"', '"15 90 12.5 mm"'))
+    refused(bcid("identify", scene, SEEN, "-o", "run", cwd=tmp_path), "fiducial 1", "80 mm outside the body")
+    scene = edited(tmp_path, ('"1" = "patch_1"', '"1" = "grasp_II"'))
+    refused(bcid("identify", scene, SEEN, "-o", "run", cwd=tmp_path), "patch 1 and grasp II share")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_mesh_file_is_never_run_as_a_script(tmp_path: Path) -> None:
+    """gmsh executes a .msh that does not begin with $MeshFormat; such a file is refused unread."""
+    bad = tmp_path / "bad.msh"
+    bad.write_text(f'SystemCall "touch {tmp_path}/owned";\n', encoding="utf-8")
+    scene = edited(tmp_path, (f"{ROOT}/meshes/geo/slab.geo", str(bad)))
+    text = scene.read_text(encoding="utf-8")
+    for size in ("50", "20", "7.2", "3.6"):
+        text = text.replace(f'element_size = "{size} mm"', "refinements = 0")
+    scene.write_text(text, encoding="utf-8")
+    refused(bcid("identify", scene, SEEN, "-o", "run", cwd=tmp_path), "does not start with $MeshFormat")
+    assert not (tmp_path / "owned").exists()
+
+
+def test_a_broken_geometry(tmp_path: Path) -> None:
+    (tmp_path / "bad.geo").write_text("Box(1) = {0, 0, 0, 1};\n", encoding="utf-8")
+    scene = edited(tmp_path, (f"{ROOT}/meshes/geo/slab.geo", "bad.geo"))
+    refused(bcid("identify", scene, SEEN, "-o", "run", cwd=tmp_path), "bad.geo", "cannot be meshed")
+
+
+def test_simulate_then_identify_then_again(tmp_path: Path) -> None:
+    """The whole chain on the coarsest level, an interrupted run that goes on, and a finished one that is kept."""
+    made = bcid("simulate", SLAB, "--anchors", "3,4", "--motion", "pull", "--level", "0", "--wrench", "-o", "made", cwd=tmp_path)
+    assert made.returncode == 0, made.stderr
+    assert (tmp_path / "made/wrench.csv").exists()
+    refused(bcid("simulate", SLAB, "--motion", "pull", "--level", "0", "-o", "made", cwd=tmp_path), "exists already")
+    call = ["identify", SLAB, "made", "-o", "run", "--finest", "0", "--method", "enumerate", "--quiet"]
+    done = bcid(*call, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "Anchored patches of slab: {3 4}" in done.stdout
+    result = json.loads((tmp_path / "run/identification.json").read_text(encoding="utf-8"))
+    assert result["anchored"] == ["3", "4"]
+    assert result["certified"] is True
+    assert result["evaluations"]["0"] < 256
+    assert (tmp_path / "run/picture.png").stat().st_size > 20_000
+    assert (tmp_path / "run/paraview/body.pvd").exists()
+    refused(bcid(*call, cwd=tmp_path), "finished run", "--overwrite")
+
+    record = json.loads((tmp_path / "run/run.json").read_text(encoding="utf-8"))
+    (tmp_path / "run/run.json").write_text(json.dumps(record | {"state": "running"}), encoding="utf-8")
+    for batch in sorted((tmp_path / "run/outcomes").glob("*.json"))[5:]:
+        batch.unlink()
+    again = bcid(*call, "--no-picture", cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    assert json.loads((tmp_path / "run/identification.json").read_text(encoding="utf-8")) == result
+
+
+def test_foreign_mesh(tmp_path: Path) -> None:
+    """A mesh that meshio reads, patches as boxes and planes, and the ladder by uniform refinement."""
+    meshio = pytest.importorskip("meshio")
+    import numpy as np
+    from scipy.spatial import Delaunay
+
+    grid = np.array(np.meshgrid([0, 20, 40], [0, 10], [0, 20], indexing="ij")).reshape(3, -1).T.astype(float)
+    cells = Delaunay(grid + 1e-3 * np.random.default_rng(0).random(grid.shape)).simplices
+    volumes = np.abs(np.einsum("ij,ij->i", np.cross(*(np.swapaxes(grid[cells[:, 1:3]] - grid[cells[:, :1]], 0, 1))), grid[cells[:, 3]] - grid[cells[:, 0]]))
+    meshio.write(tmp_path / "bar.vtu", meshio.Mesh(grid, [("tetra", cells[volumes > 1])]))
+    (tmp_path / "bar.toml").write_text(
+        """format = "bcid-scene/1"
+geometry = { file = "bar.vtu", length_unit = "mm" }
+levels = [{ degree = 1 }, { degree = 1, refinements = 1 }]
+material = { law = "neo_hooke", young = "15 kPa", poisson = 0.35 }
+patches = { left = { plane = { point = "0 0 0 mm", normal = [1, 0, 0] } }, below = { box = ["0 0 0 mm", "20 0 20 mm"] } }
+grasps = { end = { on = { plane = { point = "40 0 0 mm", normal = [1, 0, 0] } }, centre = "40 5 10 mm" } }
+fiducials = { m = "20 10 10 mm" }
+noise_sigma = "0.1 mm"
+""",
+        encoding="utf-8",
+    )
+    made = bcid("simulate", "bar.toml", "--anchors", "left", "--motion", "pull", "-o", "made", cwd=tmp_path)
+    assert made.returncode == 0, made.stderr
+    found = bcid("identify", "bar.toml", "made", "-o", "run", "--method", "enumerate", "--no-picture", cwd=tmp_path)
+    assert found.returncode == 0, found.stderr
+    assert "{left}" in found.stdout
+
+
+def test_two_ranks_say_a_mistake_once(tmp_path: Path) -> None:
+    if shutil.which("mpirun") is None:
+        pytest.skip("mpirun is not installed")
+    command = ["mpirun", "-n", "2", sys.executable, "-m", "bcid", "identify", str(SLAB), "none", "-o", "run"]
+    result = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=60, check=False)
+    assert result.returncode == 2
+    assert result.stderr.count("no such measurement folder") == 1
