@@ -1,0 +1,245 @@
+"""The search on a made-up landscape, without any mesh: climbing, seeds, termination, belief, and the way up the ladder."""
+
+import math
+from collections.abc import Callable, Mapping
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bcid.errors import InputError, SolveError
+from bcid.forms.solve import Status
+from bcid.progress import Silent
+from bcid.search.belief import Belief, finest, log_likelihood
+from bcid.search.climb import climb, interest, neighbours
+from bcid.search.farm import Candidate, Farm, Outcome, label
+from bcid.search.identify import Options, _Search
+from bcid.search.seeds import above, all_candidates, maxima, perturbed, random_seeds
+from bcid.search.termination import Termination
+
+PATCHES = ["1", "2", "3", "4", "5", "6"]
+TRUE = frozenset("25")
+VALUES = 1000
+
+
+class Landscape:
+    """Stands in for a `Farm`: chi-square from a formula, evaluated frame by frame so that it stops at a bound as the real one does."""
+
+    def __init__(self, *levels: Callable[[Candidate], float], noise: float | None = 1.0) -> None:
+        self.levels = levels
+        self.patches = PATCHES
+        self.misfit = SimpleNamespace(values=VALUES, curves=60, noise=noise, motion_rms=100.0, similarity=lambda rms: 1 - rms / 100)
+        self.scene = SimpleNamespace(levels=levels)
+        self.outcomes: dict[tuple[int, Candidate], Outcome] = {}
+        self.asked = 0
+
+    def evaluate(self, level: int, bounds: Mapping[Candidate, float]) -> dict[Candidate, Outcome]:
+        for candidate, bound in bounds.items():
+            if Farm._enough(self.outcomes.get((level, candidate)), bound):
+                continue
+            self.asked += 1
+            chi2 = self.levels[level](candidate)
+            failed = math.isinf(chi2)
+            complete = not failed and chi2 <= bound
+            share = 1.0 if complete else 0.5
+            got = chi2 if complete or failed else bound * 1.001
+            status = Status.UNSTABLE if failed else Status.CONVERGED
+            self.outcomes[level, candidate] = Outcome(candidate, level, got, math.sqrt(got / VALUES), complete, share, status, "buckles" if failed else "")
+        return {c: self.outcomes[level, c] for c in bounds}
+
+    def evaluations(self) -> dict[int, float]:
+        counts: dict[int, float] = {}
+        for (level, _), outcome in self.outcomes.items():
+            counts[level] = counts.get(level, 0.0) + outcome.share
+        return counts
+
+    def predict(self, level: int, candidate: Candidate) -> None:
+        return None
+
+
+def distance(candidate: Candidate, truth: Candidate = TRUE) -> float:
+    """A smooth hill: chi-square grows with the number of wrong patches."""
+    return VALUES * (1.0 + 3.0 * len(candidate ^ truth))
+
+
+def search(farm: Landscape, options: Options | None = None):  # type: ignore[no-untyped-def]
+    return _Search(farm, options or Options(), Silent()).run()  # type: ignore[arg-type]
+
+
+def test_climbs_end_on_the_hill_by_single_toggles() -> None:
+    farm = Landscape(distance)
+    climbs = climb(farm, 0, [frozenset(), frozenset(PATCHES), TRUE])  # type: ignore[arg-type]
+    assert [c.top for c in climbs] == [TRUE] * 3
+    assert [len(c.path) for c in climbs] == [3, 5, 1]
+    for c in climbs:
+        assert all(len(a ^ b) == 1 for a, b in zip(c.path, c.path[1:], strict=False))
+
+
+def test_equal_climbers_share_their_work() -> None:
+    farm = Landscape(distance)
+    climb(farm, 0, [frozenset("1"), frozenset("1"), frozenset("1")])  # type: ignore[arg-type]
+    alone = farm.asked
+    farm = Landscape(distance)
+    climb(farm, 0, [frozenset("1")])  # type: ignore[arg-type]
+    assert farm.asked == alone
+
+
+def test_a_local_maximum_holds_a_climber() -> None:
+    trap = frozenset("1346")
+    farm = Landscape(lambda c: 1.5 * VALUES if c == trap else distance(c))
+    tops = {c.top for c in climb(farm, 0, [trap, TRUE])}  # type: ignore[arg-type]
+    assert tops == {trap, TRUE}
+    climbs = climb(farm, 0, [trap, TRUE])  # type: ignore[arg-type]
+    assert maxima(climbs, farm, 0) == [TRUE, trap]  # type: ignore[arg-type]
+
+
+def test_failed_neighbours_are_passed_by() -> None:
+    farm = Landscape(lambda c: math.inf if c == frozenset("2") else distance(c))
+    assert climb(farm, 0, [frozenset()])[0].top == TRUE  # type: ignore[arg-type]
+
+
+def test_neighbours_and_labels() -> None:
+    assert neighbours(frozenset("1"), ["1", "2"]) == [frozenset(), frozenset("12")]
+    assert label(frozenset("21"), ["1", "2", "3"]) == "{1 2}"
+    assert label(frozenset(), ["1"]) == "{}"
+    assert interest(1000.0) == 1330.0
+
+
+def test_seeds() -> None:
+    rng = np.random.default_rng(0)
+    seeds = random_seeds(PATCHES, 24, rng)
+    assert len(set(seeds)) == 24
+    assert seeds == random_seeds(PATCHES, 24, np.random.default_rng(0))
+    assert sorted(map(sorted, random_seeds(["a", "b"], 24, rng))) == [[], ["a"], ["a", "b"], ["b"]]
+    assert len(set(all_candidates(PATCHES))) == 64
+    moved = perturbed([TRUE], PATCHES, 2, rng)
+    assert moved[0] == TRUE
+    assert len(moved[1] ^ TRUE) == 2
+    assert perturbed([TRUE, TRUE], PATCHES, 0, rng) == [TRUE]
+
+
+def test_good_states_above_a_threshold() -> None:
+    farm = Landscape(distance)
+    farm.evaluate(0, {TRUE: math.inf, frozenset("2"): math.inf, frozenset(): 2.0})
+    everything = above(farm, 0, 0.0)  # type: ignore[arg-type]
+    assert everything == [TRUE, frozenset("2")], "a stopped evaluation has no similarity"
+    assert above(farm, 0, farm.misfit.similarity(1.5)) == [TRUE]  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("rules", "since", "said"),
+    [
+        (Termination(fit=1.05), 0, "residual is the noise"),
+        (Termination(fit=0.5, patience=4), 4, "4 seeds in a row"),
+        (Termination(fit=0.5, patience=5, budget=1), 4, "budget of 1"),
+        (Termination(fit=0.5, patience=5, budget=2), 4, None),
+    ],
+)
+def test_termination(rules: Termination, since: int, said: str | None) -> None:
+    farm = Landscape(distance)
+    best = farm.evaluate(0, {TRUE: math.inf})[TRUE]
+    reached = rules.reached(farm, 0, best, since)  # type: ignore[arg-type]
+    assert (said in reached) if said and reached else reached is said
+
+
+def test_belief_is_a_distribution() -> None:
+    farm = Landscape(lambda c: VALUES + 4.0 * len(c ^ TRUE) if len(c) < 5 else math.inf)
+    farm.evaluate(0, dict.fromkeys(all_candidates(PATCHES), math.inf))
+    belief = Belief.of(farm, TRUE)  # type: ignore[arg-type]
+    assert math.fsum(belief.probability.values()) == pytest.approx(1.0)
+    assert belief.probability[frozenset(PATCHES)] == 0.0
+    one = belief.probability[frozenset("2")] / belief.probability[TRUE]
+    assert one == pytest.approx(math.exp(-2.0)), "chi-square 4 above is a likelihood ratio of exp(-2)"
+    assert belief.patches["2"] == pytest.approx(sum(p for c, p in belief.probability.items() if "2" in c))
+
+
+def test_a_coarse_level_is_not_believed_beyond_its_error() -> None:
+    """Where the best set misses by ten times the noise, the same ratio of misfits says far less."""
+    fine, coarse = (Landscape(lambda c, s=s: s * (VALUES + 100.0 * len(c ^ TRUE))) for s in (1.0, 100.0))
+    ratios = []
+    for farm in (fine, coarse):
+        farm.evaluate(0, {TRUE: math.inf, frozenset("2"): math.inf})
+        ratios.append(log_likelihood(farm.outcomes[0, frozenset("2")], farm.outcomes[0, TRUE], farm.misfit))  # type: ignore[arg-type]
+    assert ratios[0] == pytest.approx(-50.0)
+    assert ratios[1] == pytest.approx(-50.0 * (0.01 * VALUES + 0.99 * 60) / VALUES)
+
+
+def test_the_search_finds_and_counts() -> None:
+    farm = Landscape(distance)
+    found = search(farm)
+    assert found.anchored == ("2", "5")
+    assert found.probability > 0.999
+    assert not found.certified
+    assert found.evaluations == farm.evaluations()
+
+
+def test_a_misleading_coarse_level_is_corrected() -> None:
+    """The coarse level prefers a neighbour by a little; the fine one decides, and the belief follows it."""
+    wrong = frozenset("2")
+
+    def coarse(c: Candidate) -> float:
+        return 20 * VALUES * (1 + 0.3 * len(c ^ TRUE)) if c != wrong else 19.5 * VALUES
+
+    found = search(Landscape(coarse, distance))
+    assert found.anchored == ("2", "5")
+    assert found.probability > 0.999
+    assert found.levels == (0, 1)
+
+
+def test_rivals_that_cannot_be_told_apart_share_the_belief() -> None:
+    rival = frozenset("256")
+    found = search(Landscape(lambda c: distance(c) if c != rival else VALUES))
+    assert found.probability == pytest.approx(0.5, abs=1e-3)
+    assert found.alternatives[0].anchored == ("2", "5", "6")
+    assert found.patches["6"] == pytest.approx(0.5, abs=1e-3)
+
+
+def test_enumeration_certifies() -> None:
+    farm = Landscape(distance)
+    found = search(farm, Options(method="enumerate"))
+    assert found.certified
+    assert found.anchored == ("2", "5")
+    assert len(farm.outcomes) == 64
+    assert found.evaluations[0] < 64
+
+
+def test_a_resumed_search_takes_what_is_stored() -> None:
+    """An outcome answers a question exactly when its evaluation did not stop below the bound."""
+    stopped = Outcome(TRUE, 0, 500.0, 0.7, False, 0.4)
+    assert Farm._enough(stopped, 499.0)
+    assert not Farm._enough(stopped, 501.0)
+    whole = Outcome(TRUE, 0, 500.0, 0.7, True, 1.0)
+    assert Farm._enough(whole, math.inf)
+    assert Outcome.from_json(whole.to_json()) == whole
+    failed = Outcome(TRUE, 0, math.inf, math.inf, False, 0.1, Status.UNSTABLE, "buckles", 0.1)
+    assert Outcome.from_json(failed.to_json()) == failed
+
+
+def test_when_nothing_can_be_solved() -> None:
+    with pytest.raises(SolveError, match="failed for every anchor set tried; the first: buckles"):
+        search(Landscape(lambda c: math.inf))
+
+
+def test_no_noise_is_needed() -> None:
+    found = search(Landscape(distance, noise=None))
+    assert found.anchored == ("2", "5")
+    assert found.noise is None
+    assert found.probability > 0.99
+
+
+@pytest.mark.parametrize("wrong", [{"method": "x"}, {"start": "x"}, {"seeds": 0}, {"finest": 3}, {"coarsest": -1}, {"coarsest": 1, "finest": 0}])
+def test_options_are_checked(wrong: dict[str, object]) -> None:
+    scene = SimpleNamespace(levels=(1, 2), patches=PATCHES)
+    Options().check(scene)  # type: ignore[arg-type]
+    with pytest.raises(InputError):
+        Options(**wrong).check(scene)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="use climb"):
+        Options(method="enumerate").check(SimpleNamespace(levels=(1,), patches=range(13)))  # type: ignore[arg-type]
+
+
+def test_finest_outcomes() -> None:
+    farm = Landscape(distance, distance)
+    farm.evaluate(0, {TRUE: math.inf, frozenset(): math.inf})
+    farm.evaluate(1, {TRUE: math.inf})
+    assert {c: o.level for c, o in finest(farm).items()} == {TRUE: 1, frozenset(): 0}  # type: ignore[arg-type]
+    assert finest(farm, below=0)[TRUE].level == 0  # type: ignore[arg-type]
