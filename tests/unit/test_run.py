@@ -21,6 +21,7 @@ def test_a_finished_run_is_kept(tmp_path: Path) -> None:
     run.write_json("identification.json", {"anchored": ["1"]})
     run.finish({"anchored": ["1"]})
     assert Run.open(tmp_path / "run").record["state"] == "finished"
+    assert sorted(p.name for p in (tmp_path / "run").iterdir()) == [".lock", "identification.json", "run.json"]
     with pytest.raises(InputError, match=r"finished run .*--overwrite"):
         Run.start(tmp_path / "run", "identify", INPUTS)
     assert Run.open(tmp_path / "run").read_json("identification.json") == {"anchored": ["1"]}

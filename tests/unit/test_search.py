@@ -173,14 +173,27 @@ def test_the_search_finds_and_counts() -> None:
     assert found.evaluations == farm.evaluations()
 
 
-def test_a_misleading_coarse_level_is_corrected() -> None:
-    """The coarse level prefers a neighbour by a little; the fine one decides, and the belief follows it."""
+def test_patience_ends_a_stage() -> None:
+    """The hill has one top: every group of four seeds after the first finds nothing better."""
+    rules = Termination(fit=0.0, patience=8)
+    found = search(Landscape(distance), Options(termination=rules))
+    assert found.stages[0] == "level 0: 12 climbs ended on 1 maxima; 8 seeds in a row led to nothing better"
+    everything = search(Landscape(distance), Options(termination=Termination(fit=0.0, patience=99)))
+    assert everything.stages[0] == "level 0: 24 climbs ended on 1 maxima; all seeds are used"
+
+
+@pytest.mark.parametrize("climbed", [1, 2])
+def test_a_misleading_coarse_level_is_corrected(climbed: int) -> None:
+    """The coarse level prefers a neighbour by a little; the fine one decides, and the belief follows it.
+
+    With one climbed level the right set gets there only because the coarse level could not rule it out.
+    """
     wrong = frozenset("2")
 
     def coarse(c: Candidate) -> float:
         return 20 * VALUES * (1 + 0.3 * len(c ^ TRUE)) if c != wrong else 19.5 * VALUES
 
-    found = search(Landscape(coarse, distance))
+    found = search(Landscape(coarse, distance), Options(climbed=climbed))
     assert found.anchored == ("2", "5")
     assert found.probability > 0.999
     assert found.levels == (0, 1)
