@@ -48,3 +48,12 @@ def cell_name(mesh: Any) -> str:
     """Name of the cell type, as ``"tetrahedron"``."""
     name = mesh.ufl_cell().cellname
     return name() if callable(name) else name
+
+
+def snes_not_finite() -> int:
+    """PETSc's reason for a residual that is not a number; its name changed in PETSc 3.25."""
+    from petsc4py import PETSc
+
+    reasons = PETSc.SNES.ConvergedReason
+    names = ("DIVERGED_FNORM_NAN", "DIVERGED_FUNCTION_NANORINF")
+    return int(next(getattr(reasons, name) for name in names if hasattr(reasons, name)))

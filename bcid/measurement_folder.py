@@ -276,7 +276,7 @@ class _FolderReader:
         for line, row, frame in self.frames(table, []):
             translation = [self.number(line, row, axis) * self.header.length for axis in AXES]
             rotation = np.array([self.number(line, row, q) for q in QUATERNION])
-            norm = float(np.linalg.norm(rotation))
+            norm = math.hypot(*rotation)
             if not row["grasp"]:
                 self.bad(line, "grasp: its name is empty; leave out the rows of an action without a grasp")
             if abs(norm - 1) > 1e-3:

@@ -7,10 +7,11 @@ from itertools import count
 from petsc4py import PETSc
 
 _prefixes = count()
-# CHOLMOD must not print; MUMPS: PORD ordering suits these meshes, the root stays sequential and null pivots are looked for, so that
+# CHOLMOD must not print, and must factorise by supernodes: its simplicial LDL^T, which it prefers for small matrices, does not stop at
+# a negative pivot. MUMPS: PORD ordering suits these meshes, the root stays sequential and null pivots are looked for, so that
 # the signs are counted right.
 _OPTIONS = {
-    "cholmod": {"mat_cholmod_print": 0},
+    "cholmod": {"mat_cholmod_print": 0, "mat_cholmod_factor": "SUPERNODAL"},
     "gamg": {"pc_gamg_threshold": 0.01, "mg_levels_ksp_type": "chebyshev", "mg_levels_pc_type": "jacobi"},
     "mumps": {"mat_mumps_icntl_7": 4, "mat_mumps_icntl_13": 1, "mat_mumps_icntl_24": 1},
 }

@@ -58,7 +58,7 @@ _REASONS = {
     PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH: Status.LINE_SEARCH,
     PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT: Status.MAX_ITERATIONS,
     PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE: Status.LINEAR_SOLVER,
-    PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN: Status.NOT_FINITE,
+    compat.snes_not_finite(): Status.NOT_FINITE,
     PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN: Status.NOT_FINITE,
 }
 
@@ -352,7 +352,7 @@ class Equilibrium:
     def _converged(self, _snes: PETSc.SNES, _iteration: int, norms: tuple[float, float, float]) -> Any:
         residual = norms[2]
         if not np.isfinite(residual):
-            return PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN
+            return compat.snes_not_finite()
         if residual <= max(self.settings.rtol * self._scale(), self._floor):
             return PETSc.SNES.ConvergedReason.CONVERGED_FNORM_RELATIVE
         return PETSc.SNES.ConvergedReason.CONVERGED_ITERATING
