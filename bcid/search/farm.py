@@ -122,6 +122,7 @@ class Farm:
         self.actions = measurement.actions
         self.outcomes: dict[tuple[int, Candidate], Outcome] = {}
         self._forwards: dict[int, Forward] = {}
+        self._kept: dict[int, tuple[float, Candidate, Prediction]] = {}
 
     @property
     def patches(self) -> list[str]:
@@ -159,13 +160,13 @@ class Farm:
         todo = [c for c in wanted if not self._enough(self.outcomes.get((level, c)), bounds[c])]
         mine = []
         error = None
-        for i, candidate in enumerate(todo[self.comm.rank :: self.comm.size]):
+        for candidate in todo[self.comm.rank :: self.comm.size]:
             try:
                 mine.append(self._evaluate(forward, candidate, bounds[candidate]))
             except BcidError as caught:
                 error = caught
                 break
-            self.progress.step(f"level {level}: candidate {i * self.comm.size + 1} of {len(todo)} in this batch")
+            self._report(level, mine)
         agree(self.comm, error)
         found = [outcome for outcomes in self.comm.allgather(mine) for outcome in outcomes]
         for outcome in found:
@@ -173,6 +174,16 @@ class Farm:
         if self.keep is not None and found:
             self.keep(found)
         return {c: self.outcomes[level, c] for c in wanted}
+
+    def _report(self, level: int, mine: list[Outcome]) -> None:
+        """How far this level is, as far as this rank can tell before the batch is shared."""
+        here = [o for (at, _), o in self.outcomes.items() if at == level] + mine
+        good = [o for o in here if o.complete]
+        text = f"level {level}: {len(here)} of {2 ** len(self.patches)} anchor sets looked at"
+        if good:
+            best = min(good, key=lambda o: o.chi2)
+            text += f", best so far {label(best.candidate, self.patches)} with {best.rms * 1e3:.3g} mm"
+        self.progress.step(text)
 
     @staticmethod
     def _enough(outcome: Outcome | None, bound: float) -> bool:
@@ -201,8 +212,10 @@ class Farm:
             chi2, squares, computed = chi2 + more, squares + square, computed + 1
             return chi2 <= bound
 
-        prediction = forward.predict(candidate, self.actions, watch)
+        prediction = forward.predict(candidate, self.actions, watch, fields=True)
         failure = prediction.failure
+        if prediction.complete and not failure and chi2 < self._kept.get(forward.level, (math.inf,))[0]:
+            self._kept[forward.level] = chi2, candidate, prediction
         return Outcome(
             candidate,
             forward.level,
@@ -216,10 +229,14 @@ class Farm:
         )
 
     def predict(self, level: int, candidate: Candidate) -> Prediction:
-        """Full prediction of one candidate, computed by rank 0 and given to all; collective."""
+        """Full prediction of one candidate, with fields; collective. The best of each level is kept, others are computed again."""
         forward = self.forward(level)
-        prediction = forward.predict(candidate, self.actions, fields=True) if self.comm.rank == 0 else None
-        result: Prediction = self.comm.bcast(prediction, root=0)
+        kept = self._kept.get(level)
+        mine = kept[2] if kept is not None and kept[1] == candidate else None
+        holders = [rank for rank, has in enumerate(self.comm.allgather(mine is not None)) if has]
+        if not holders and self.comm.rank == 0:
+            mine = forward.predict(candidate, self.actions, fields=True)
+        result: Prediction = self.comm.bcast(mine, root=holders[0] if holders else 0)
         return result
 
     def evaluations(self) -> dict[int, float]:

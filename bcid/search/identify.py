@@ -113,7 +113,10 @@ class Identification:
 
     def to_json(self, length: float = 1e-3) -> dict[str, Any]:
         """The content of `identification.json`; lengths are given in units of `length` (m)."""
-        others = [asdict(a) | {"anchored": list(a.anchored), "rms": a.rms / length} for a in self.alternatives]
+        others = [
+            asdict(a) | {"anchored": list(a.anchored), "rms": a.rms / length, "best_rms": a.best_rms / length}
+            for a in self.alternatives
+        ]
         return {
             "anchored": list(self.anchored),
             "probability": self.probability,
@@ -133,7 +136,8 @@ class Identification:
 class Alternative:
     """A set that was considered: its probability and RMS residual (m) on the finest level it was evaluated on.
 
-    `stopped` says that its evaluation ended as soon as it had lost: probability is then an upper, rms a lower bound.
+    `stopped` says that its evaluation ended as soon as it had lost: probability is then an upper, rms a lower bound. `best_rms` is the
+    reported set's RMS residual (m) on the same level: what `rms` is to be compared with.
     """
 
     anchored: tuple[str, ...]
@@ -141,6 +145,7 @@ class Alternative:
     rms: float
     level: int
     stopped: bool
+    best_rms: float
 
 
 def identify(
@@ -340,9 +345,8 @@ class _Search:
     def alternatives(self, belief: Belief, winner: Outcome, count: int = 8) -> tuple[Alternative, ...]:
         farm = self.farm
         others = [o for c, o in finest(farm).items() if c != winner.candidate and not o.failed]
-        likely = sorted(
-            others, key=lambda o: (-log_likelihood(o, farm.outcomes[o.level, winner.candidate], farm.misfit), rank(o))
-        )
+        best = {o.candidate: farm.outcomes[o.level, winner.candidate] for o in others}
+        likely = sorted(others, key=lambda o: (-log_likelihood(o, best[o.candidate], farm.misfit), rank(o)))
         return tuple(
             Alternative(
                 tuple(p for p in farm.patches if p in o.candidate),
@@ -350,6 +354,7 @@ class _Search:
                 o.rms,
                 o.level,
                 not o.complete,
+                best[o.candidate].rms,
             )
             for o in likely[:count]
         )

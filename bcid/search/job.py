@@ -175,9 +175,10 @@ def summary(scene: Scene, measurement: Measurement, found: Identification) -> st
         "Next best sets:",
     ]
     for other in found.alternatives[:3]:
-        bound = "at least " if other.stopped else ""
-        text = f"{label(other.anchored, scene.patches)}: misses by {bound}{other.rms / unit:.3g} {length} on level {other.level}"
-        lines.append(f"  {text}, probability {percent(other.probability)}")
+        least = "at least " if other.stopped else ""
+        misses = f"misses by {least}{other.rms / unit:.3g} {length} where {names} misses by {other.best_rms / unit:.3g}"
+        text = f"{label(other.anchored, scene.patches)} {misses} (level {other.level}), probability {percent(other.probability)}"
+        lines.append(f"  {text}")
     if not found.alternatives:
         lines.append("  none was evaluated")
     lines += ["", "How it was found:", *(f"  {stage}" for stage in found.stages)]
