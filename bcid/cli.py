@@ -10,10 +10,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-# Set before numpy is loaded: ranks must not fight for cores.
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
-
 from bcid import __version__
 from bcid.errors import BcidError, InputError
 from bcid.progress import Lines, Progress, Silent
@@ -26,7 +22,8 @@ DEMO_MEASUREMENT = "examples/measurements/slab-12-semicircle"
 
 _DESCRIPTION = """bcid finds out how a soft body is held by watching it being pulled.
 
-From the trajectories of a few markers on the body and the motion of the gripper it computes which patches of the boundary are
+From the trajectories of a few markers on the body and the motion of the gripper it computes which patches of the
+boundary are
 anchored, and how sure that is."""
 
 _EXAMPLES = """examples:
@@ -41,6 +38,9 @@ exit codes: 0 done, 1 a fault of bcid, 2 bad input, 3 the machine (disk, memory,
 
 def main(argv: list[str] | None = None) -> int:
     """Run a command; returns its exit code."""
+    # Nothing above has loaded numpy yet: ranks must not fight for cores.
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
     parser = build_parser()
     arguments = parser.parse_args(argv)
     if arguments.command == "doctor":
@@ -192,7 +192,8 @@ def _add_simulate(commands: Any) -> None:
     parser.add_argument("--quiet", action="store_true", help="say only the result")
 
 
-# -- commands ------------------------------------------------------------------------------------------------------------------
+# -- commands
+# ------------------------------------------------------------------------------------------------------------------
 
 
 def demo(arguments: argparse.Namespace, comm: Any) -> None:

@@ -26,7 +26,7 @@ def on_root(comm: Any, work: Callable[[], T]) -> T:
     result, error = comm.bcast((result, error), root=0)
     if error is not None:
         raise error
-    return result  # type: ignore[return-value]
+    return result
 
 
 def agree(comm: Any, error: BcidError | None) -> None:

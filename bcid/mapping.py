@@ -75,7 +75,8 @@ def read_mapped(path: Path) -> Measurement:
     return _measurement(recording, mapping)
 
 
-# -- the mapping file ----------------------------------------------------------------------------------------------------------
+# -- the mapping file
+# ----------------------------------------------------------------------------------------------------------
 
 
 def _read_mapping(path: Path) -> _Mapping:
@@ -89,7 +90,9 @@ def _read_mapping(path: Path) -> _Mapping:
     for key in table:
         if key not in _KEYS:
             problems.add(path, f"{key}: unknown key; {nearest(key, _KEYS)}")
-    tables = {key: _table(path, table, key, problems) for key in ("columns", "fiducials", "reference", "align", "frames")}
+    tables = {
+        key: _table(path, table, key, problems) for key in ("columns", "fiducials", "reference", "align", "frames")
+    }
     for key, allowed in (("columns", _COLUMNS), ("frames", _FRAMES)):
         for name in tables[key]:
             if name not in allowed:
@@ -104,7 +107,9 @@ def _read_mapping(path: Path) -> _Mapping:
     if len(str(table.get("delimiter", ","))) != 1:
         problems.add(path, f"delimiter: expected one character, found {table.get('delimiter')!r}")
     sigma = table.get("noise_sigma")
-    if sigma is not None and (isinstance(sigma, bool) or not isinstance(sigma, int | float) or not 0 < sigma < math.inf):
+    if sigma is not None and (
+        isinstance(sigma, bool) or not isinstance(sigma, int | float) or not 0 < sigma < math.inf
+    ):
         problems.add(path, f"noise_sigma: expected a positive number, found {sigma!r}")
     _check_markers(path, tables, str(file).lower().endswith(".c3d"), problems)
     frames = _frames(path, tables["frames"], problems)
@@ -114,7 +119,9 @@ def _read_mapping(path: Path) -> _Mapping:
     markers = tables["fiducials"] | tables["reference"]
     names = list(tables["fiducials"])
     factor = factors["length_unit"], factors["time_unit"]
-    return _Mapping(path, path.parent / str(file), units, *factor, table, tables["columns"], markers, names, frames, align)
+    return _Mapping(
+        path, path.parent / str(file), units, *factor, table, tables["columns"], markers, names, frames, align
+    )
 
 
 def _table(path: Path, table: dict[str, Any], key: str, problems: Problems) -> dict[str, Any]:
@@ -147,7 +154,9 @@ def _check_markers(path: Path, tables: dict[str, dict[str, Any]], c3d: bool, pro
             problems.add(path, f'fiducials.{name}: expected three columns, as ["x", "y", "z"], found {columns!r}')
     for key, count in (("position", 3), ("translation", 3), ("rotation", 4)):
         if key in tables["columns"] and not _texts(tables["columns"][key], count):
-            problems.add(path, f"columns.{key}: expected the names of {count} columns, found {tables['columns'][key]!r}")
+            problems.add(
+                path, f"columns.{key}: expected the names of {count} columns, found {tables['columns'][key]!r}"
+            )
     for name, place in tables["align"].items():
         numbers = isinstance(place, list) and len(place) == 3 and all(type(v) in (int, float) for v in place)
         if not numbers:
@@ -170,7 +179,8 @@ def _frames(path: Path, table: dict[str, Any], problems: Problems) -> tuple[int,
     return first, last, every
 
 
-# -- recordings ----------------------------------------------------------------------------------------------------------------
+# -- recordings
+# ----------------------------------------------------------------------------------------------------------------
 
 
 def _read_c3d(mapping: _Mapping) -> _Recording:
@@ -188,7 +198,9 @@ def _read_c3d(mapping: _Mapping) -> _Recording:
     problems = Problems(f"recording {mapping.file}")
     stated = content["parameters"]["POINT"].get("UNITS", {}).get("value", [])
     if stated and str(stated[0]) != mapping.units.length:
-        problems.add(mapping.path, f"length_unit is '{mapping.units.length}', but {mapping.file.name} states '{stated[0]}'")
+        problems.add(
+            mapping.path, f"length_unit is '{mapping.units.length}', but {mapping.file.name} states '{stated[0]}'"
+        )
     positions = {}
     for name, label in mapping.markers.items():
         if label not in labels:
@@ -212,11 +224,21 @@ def _read_table(mapping: _Mapping) -> _Recording:
     wanted = [c for marker in mapping.markers.values() for c in marker]
     wanted += [c for key in _COLUMNS if key in columns for c in _listed(columns[key])]
     _require(mapping, rows, wanted, problems)
-    actions = [row[columns["action"]] for _, row in rows] if "action" in columns else [str(mapping.table.get("action", "1"))] * len(rows)
+    actions = (
+        [row[columns["action"]] for _, row in rows]
+        if "action" in columns
+        else [str(mapping.table.get("action", "1"))] * len(rows)
+    )
     steps = _steps(mapping, rows, actions, problems)
-    times = _numbers(mapping, rows, [columns["time"]], problems)[:, 0] if "time" in columns else np.array(steps, dtype=float)
+    times = (
+        _numbers(mapping, rows, [columns["time"]], problems)[:, 0]
+        if "time" in columns
+        else np.array(steps, dtype=float)
+    )
     positions = {name: _numbers(mapping, rows, marker, problems, gaps=True) for name, marker in mapping.markers.items()}
-    moved = [_numbers(mapping, rows, columns[k], problems) if k in columns else None for k in ("translation", "rotation")]
+    moved = [
+        _numbers(mapping, rows, columns[k], problems) if k in columns else None for k in ("translation", "rotation")
+    ]
     problems.raise_if_any()
     grasps = [row[columns["grasp"]] for _, row in rows] if "grasp" in columns else []
     return _Recording(actions, steps, list(times), positions, moved[0], moved[1], grasps)
@@ -235,8 +257,14 @@ def _long(mapping: _Mapping, rows: list[tuple[int, dict[str, str]]]) -> _Recordi
     actions = [row[columns["action"]] if "action" in columns else action for _, row in rows]
     steps = _steps(mapping, rows, actions, problems)
     values = _numbers(mapping, rows, columns["position"], problems, gaps=True)
-    times = _numbers(mapping, rows, [columns["time"]], problems)[:, 0] if "time" in columns else np.array(steps, dtype=float)
-    moved = [_numbers(mapping, rows, columns[k], problems) if k in columns else None for k in ("translation", "rotation")]
+    times = (
+        _numbers(mapping, rows, [columns["time"]], problems)[:, 0]
+        if "time" in columns
+        else np.array(steps, dtype=float)
+    )
+    moved = [
+        _numbers(mapping, rows, columns[k], problems) if k in columns else None for k in ("translation", "rotation")
+    ]
     problems.raise_if_any()
     frames = list(dict.fromkeys(zip(actions, steps, strict=True)))
     first = {frame: i for i, frame in reversed(list(enumerate(zip(actions, steps, strict=True))))}
@@ -244,7 +272,7 @@ def _long(mapping: _Mapping, rows: list[tuple[int, dict[str, str]]]) -> _Recordi
     given = mapping.markers or {row[columns["fiducial"]]: row[columns["fiducial"]] for _, row in rows}
     if not mapping.fiducials:
         mapping.fiducials = [name for name in given if name]
-    positions = {name: np.full((len(frames), 3), np.nan) for name in given}
+    positions: dict[str, Array] = {name: np.full((len(frames), 3), np.nan) for name in given}
     names = {label: name for name, label in given.items()}
     for i, (_, row) in enumerate(rows):
         name = names.get(row[columns["fiducial"]])
@@ -252,7 +280,9 @@ def _long(mapping: _Mapping, rows: list[tuple[int, dict[str, str]]]) -> _Recordi
             positions[name][frames.index((actions[i], steps[i]))] = values[i]
     grasps = [rows[i][1][columns["grasp"]] for i in chosen] if "grasp" in columns else []
     parts = [None if m is None else m[chosen] for m in moved]
-    return _Recording([f[0] for f in frames], [f[1] for f in frames], list(times[chosen]), positions, parts[0], parts[1], grasps)
+    return _Recording(
+        [f[0] for f in frames], [f[1] for f in frames], list(times[chosen]), positions, parts[0], parts[1], grasps
+    )
 
 
 def _rows(mapping: _Mapping) -> list[tuple[int, dict[str, str]]]:
@@ -269,7 +299,9 @@ def _rows(mapping: _Mapping) -> list[tuple[int, dict[str, str]]]:
             if not any(cell.strip() for cell in row):
                 continue
             if len(row) != len(header):
-                problems.add(mapping.file, f"has {len(row)} values, the header names {len(header)} columns", reader.line_num)
+                problems.add(
+                    mapping.file, f"has {len(row)} values, the header names {len(header)} columns", reader.line_num
+                )
                 continue
             rows.append((reader.line_num, {name: cell.strip() for name, cell in zip(header, row, strict=True)}))
     except csv.Error as error:
@@ -293,7 +325,13 @@ def _require(mapping: _Mapping, rows: list[tuple[int, dict[str, str]]], columns:
     problems.raise_if_any()
 
 
-def _numbers(mapping: _Mapping, rows: list[tuple[int, dict[str, str]]], columns: list[str], problems: Problems, gaps: bool = False) -> Array:
+def _numbers(
+    mapping: _Mapping,
+    rows: list[tuple[int, dict[str, str]]],
+    columns: list[str],
+    problems: Problems,
+    gaps: bool = False,
+) -> Array:
     """Numbers of some columns, shape (rows, columns); empty cells are NaN where gaps are allowed."""
     values = np.full((len(rows), len(columns)), np.nan)
     for i, (line, row) in enumerate(rows):
@@ -312,7 +350,9 @@ def _numbers(mapping: _Mapping, rows: list[tuple[int, dict[str, str]]], columns:
     return values
 
 
-def _steps(mapping: _Mapping, rows: list[tuple[int, dict[str, str]]], actions: list[str], problems: Problems) -> list[int]:
+def _steps(
+    mapping: _Mapping, rows: list[tuple[int, dict[str, str]]], actions: list[str], problems: Problems
+) -> list[int]:
     if "step" not in mapping.columns:
         count: dict[str, int] = {}
         return [count.setdefault(a, 0) + (count.update({a: count[a] + 1}) or 0) for a in actions]

@@ -1,7 +1,8 @@
 """The measurement: where the fiducials were while a gripper moved the body.
 
-One `Measurement` holds any number of actions. A frame is one step of one action. Everything inside is SI; the units of the
-files it came from are kept, so that it is written back in them. The folder format is described in docs/measurement.md.
+One `Measurement` holds any number of actions. A frame is one step of one action. Everything inside is SI; the units of
+the files it came from are kept, so that it is written back in them. The folder format is described in
+docs/measurement.md.
 """
 
 from __future__ import annotations
@@ -67,9 +68,9 @@ class Action:
 class Measurement:
     """Trajectories of fiducials, motions of the gripper, and what else was recorded.
 
-    `data` is an xarray Dataset with dimensions frame, fiducial, axis (and component, place): coordinates action, step, time (s);
-    variables position (m, NaN where a fiducial was not seen), grasp, translation (m), rotation (unit quaternion), and
-    optionally sigma (m), wrench (N, N m), load (N).
+    `data` is an xarray Dataset with dimensions frame, fiducial, axis (and component, place): coordinates action, step,
+    time (s); variables position (m, NaN where a fiducial was not seen), grasp, translation (m), rotation (unit
+    quaternion), and optionally sigma (m), wrench (N, N m), load (N).
 
     Attributes:
         noise_sigma: per-axis standard deviation of a fiducial, m; None when not stated.
@@ -180,7 +181,8 @@ class Measurement:
     def sigma(self, default: float | None = None) -> Array | None:
         """Standard deviation of every coordinate, shape (frames, fiducials, 3), m.
 
-        Rows with their own sigma keep it; the others have `noise_sigma`, else `default`; None when none of them is known.
+        Rows with their own sigma keep it; the others have `noise_sigma`, else `default`; None when none of them is
+        known.
         """
         common = self.noise_sigma if self.noise_sigma is not None else default
         if "sigma" in self.data:
@@ -192,7 +194,7 @@ class Measurement:
 
     def fingerprint(self) -> str:
         """Short hash of the content; equal measurements have equal fingerprints whatever file they came from."""
-        arrays = {name: self.data[name].values for name in sorted(self.data.variables)}
+        arrays = {name: self.data[name].values for name in sorted(map(str, self.data.variables))}
         return fingerprint({"noise": self.noise_sigma, "wrench": self.wrench_sigma, **arrays})
 
     def check(self, scene: Scene) -> None:
@@ -202,7 +204,7 @@ class Measurement:
             InputError: with every problem.
         """
         problems = Problems(f"measurement {self.source} does not fit scene {scene.source}")
-        known = {"fiducial": scene.fiducials, "grasp": scene.grasps, "place": scene.places}
+        known = {"fiducial": list(scene.fiducials), "grasp": list(scene.grasps), "place": list(scene.places)}
         for what, names in known.items():
             used = [str(n) for n in np.unique(self.data[what].values.astype(str))] if what in self.data else []
             for name in used:

@@ -83,7 +83,9 @@ def _read_header(path: Path, problems: Problems) -> _Header:
         problems.add(path, f"description: expected text, found {description!r}")
     return _Header(
         Units(*(str(table.get(key, like)) for key, like in _UNIT_KEYS.items())),
-        *factors,
+        factors[0],
+        factors[1],
+        factors[2],
         None if noise is None else noise * factors[0],
         None if wrench is None else wrench * factors[2],
         str(description),

@@ -30,7 +30,7 @@ def complex_motion() -> list[Path]:
     first = along * 0.028 * np.ones(3) / np.sqrt(3)
     second = first[-1] + along * np.array([0.0, 0.0, -0.029])
     points = np.vstack([np.zeros(3), first, second, np.tile(second[-1], (10, 1))])
-    turns = np.concatenate([np.zeros(21), np.arange(1, 11) * 3.0])
+    turns = np.maximum(np.arange(-20.0, 11.0), 0.0) * 3.0
     return [(points, about_x(turns))]
 
 
@@ -48,7 +48,7 @@ def arc() -> list[Path]:
 
 def twist() -> list[Path]:
     """Twist and pull: 10 steps of 2 mm along x, each with 3 degrees about x."""
-    return [(np.arange(11)[:, None] * np.array([0.002, 0.0, 0.0]), about_x(np.arange(11) * 3.0))]
+    return [(np.arange(11)[:, None] * np.array([0.002, 0.0, 0.0]), about_x(np.arange(11.0) * 3.0))]
 
 
 def directions() -> list[Path]:

@@ -60,7 +60,8 @@ class Run:
             overwrite: discard what the folder holds, if it is a run.
 
         Raises:
-            InputError: the folder holds a finished run, a run with other inputs, or something else, or another process writes it.
+            InputError: the folder holds a finished run, a run with other inputs, or something else, or another process
+                writes it.
             MachineError: it cannot be written.
         """
         path = Path(path)

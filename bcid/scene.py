@@ -22,6 +22,8 @@ from bcid.units import quantities, quantity, unit_factor
 FORMAT = "bcid-scene/1"
 DEGREES = (1, 2)
 FORMULATIONS = ("displacement", "mixed")
+_VALUES = ("format", "name", "description", "down", "noise_sigma", "attach_within")
+_TABLES = ("geometry", "levels", "material", "patches", "grasps", "fiducials", "places", "effects")
 _NAME = re.compile(r"^[^\s,;\"'\\/\x00-\x1f\x7f]{1,64}$")
 
 Values = dict[str, Any]
@@ -145,11 +147,10 @@ class Scene:
             raise InputError(f"{path}: not a TOML file: {error}") from None
         reader = _Reader(path, text)
         scene = reader.scene(table)
-        if scene is not None and physics is not None and not reader.problems.found:
+        if physics is not None and not reader.problems.found:
             for problem in physics(scene):
                 reader.problems.add(path, problem)
         reader.problems.raise_if_any()
-        assert scene is not None
         return scene
 
 
@@ -246,10 +247,8 @@ class _Reader:
                 self.bad(what, f"name {name!r} must have 1 to 64 characters without spaces, commas, slashes or quotes")
         return list(table)
 
-    def scene(self, table: Mapping[str, Any]) -> Scene | None:
-        allowed = ("format", "name", "description", "down", "noise_sigma", "attach_within", "geometry", "levels")
-        allowed += ("material", "patches", "grasps", "fiducials", "places", "effects")
-        self.unknown(table, allowed)
+    def scene(self, table: Mapping[str, Any]) -> Scene:
+        self.unknown(table, (*_VALUES, *_TABLES))
         if table.get("format") != FORMAT:
             self.bad("format", f'expected "{FORMAT}", found {table.get("format")!r}')
         optional = {key: self.length(table[key], key) for key in ("noise_sigma", "attach_within") if key in table}
@@ -264,7 +263,7 @@ class _Reader:
             self.bad("patches", "none is defined: name at least one candidate patch")
         if not fiducials:
             self.bad("fiducials", 'none is defined: write name = "x y z mm" for each marker')
-        scene = Scene(
+        return Scene(
             name=self.text(table, "name", self.path.stem),
             geometry=geometry,
             length_unit=unit,
@@ -281,7 +280,6 @@ class _Reader:
             description=self.text(table, "description", ""),
             source=str(self.path),
         )
-        return scene
 
     def geometry(self, table: Mapping[str, Any]) -> tuple[Path, float]:
         self.unknown(table, ("file", "length_unit"), "geometry.")

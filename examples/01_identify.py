@@ -1,6 +1,6 @@
 """Find the anchored patches of a slab from a shipped measurement, with the Python API.
 
-    ./dev python examples/01_identify.py
+./dev python examples/01_identify.py
 """
 
 from pathlib import Path

@@ -23,7 +23,8 @@ Dofs = NDArray[np.int32]
 class Body:
     """A meshed body with a displacement space (and a pressure space in the mixed formulation).
 
-    Building one is collective on `comm`. With `comm` of one rank it is private to the process; otherwise the mesh is shared out.
+    Building one is collective on `comm`. With `comm` of one rank it is private to the process; otherwise the mesh is
+    shared out.
 
     Args:
         comm: the communicator.

@@ -7,10 +7,10 @@ from itertools import count
 from petsc4py import PETSc
 
 _prefixes = count()
-# CHOLMOD must not print, and must factorise by supernodes: its simplicial LDL^T, which it prefers for small matrices, does not stop at
-# a negative pivot. MUMPS: PORD ordering suits these meshes, the root stays sequential and null pivots are looked for, so that
-# the signs are counted right.
-_OPTIONS = {
+# CHOLMOD must not print, and must factorise by supernodes: its simplicial LDL^T, which it prefers for small matrices,
+# does not stop at a negative pivot. MUMPS: PORD ordering suits these meshes, the root stays sequential and null pivots
+# are looked for, so that the signs are counted right.
+_OPTIONS: dict[str, dict[str, int | float | str]] = {
     "cholmod": {"mat_cholmod_print": 0, "mat_cholmod_factor": "SUPERNODAL"},
     "gamg": {"pc_gamg_threshold": 0.01, "mg_levels_ksp_type": "chebyshev", "mg_levels_pc_type": "jacobi"},
     "mumps": {"mat_mumps_icntl_7": 4, "mat_mumps_icntl_13": 1, "mat_mumps_icntl_24": 1},
@@ -20,10 +20,11 @@ _OPTIONS = {
 class Factor:
     """Direct factorisation of the tangent, with the sign of its pivots; SNES uses it through a `FactorShell`.
 
-    CHOLMOD, the fastest here on one rank, stops at a pivot that is not positive; then, on shared meshes, and for the saddle points of
-    the mixed formulation, MUMPS takes over (LDL^T), which counts the negative pivots. A tangent that is not symmetric gets MUMPS' LU,
-    which knows no signs. With rigid-body modes (`modes`) it is not factorised at all: conjugate gradients with algebraic multigrid
-    (GAMG) solve with it, and negative curvature is only seen where they pass.
+    CHOLMOD, the fastest here on one rank, stops at a pivot that is not positive; then, on shared meshes, and for the
+    saddle points of the mixed formulation, MUMPS takes over (LDL^T), which counts the negative pivots. A tangent that
+    is not symmetric gets MUMPS' LU, which knows no signs. With rigid-body modes (`modes`) it is not factorised at all:
+    conjugate gradients with algebraic multigrid (GAMG) solve with it, and negative curvature is only seen where they
+    pass.
 
     Args:
         matrix: the assembled tangent.
@@ -101,13 +102,16 @@ class Factor:
     def solve(self, right: PETSc.Vec, solution: PETSc.Vec) -> None:
         """Solve with the last factor. Collective.
 
-        Conjugate gradients that meet negative curvature, or do not converge, leave their last iterate and `negative` above zero, or
-        `usable` false: both are seen before the state is accepted.
+        Conjugate gradients that meet negative curvature, or do not converge, leave their last iterate and `negative`
+        above zero, or `usable` false: both are seen before the state is accepted.
         """
         if self._krylov is not None:
             self._krylov.solve(right, solution)
             reason = self._krylov.getConvergedReason()
-            if reason in (PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT, PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_PC):
+            if reason in (
+                PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT,
+                PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_PC,
+            ):
                 self.negative = 1
             elif reason < 0:
                 self.usable = False

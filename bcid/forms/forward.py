@@ -110,8 +110,8 @@ class Forward:
         Args:
             anchors: names of the anchored patches.
             actions: the motions; each starts from the undeformed state.
-            watch: called after each frame with its index and the predicted positions (fiducials, 3); when it returns False the rest
-                is not computed.
+            watch: called after each frame with its index and the predicted positions (fiducials, 3); when it returns
+                False the rest is not computed.
             fields: also keep the displacement of every mesh node.
         """
         frames = 1 + max(int(action.frames.max()) for action in actions)

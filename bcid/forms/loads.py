@@ -14,8 +14,9 @@ Array = NDArray[np.float64]
 def nodal_weights(body: Body, region: Region, what: str) -> Array:
     """Share of a uniformly spread force that each displacement node carries; collective.
 
-    The integral of the shape functions over the place (surface, line or point) divided by its measure: the shares of all ranks add
-    up to one. At degree 2 a flat triangle puts everything on its edge middles, a line 1/6, 4/6, 1/6 on its three nodes.
+    The integral of the shape functions over the place (surface, line or point) divided by its measure: the shares of
+    all ranks add up to one. At degree 2 a flat triangle puts everything on its edge middles, a line 1/6, 4/6, 1/6 on
+    its three nodes.
 
     Returns:
         shape (nodes,), zero on ghosts.

@@ -192,7 +192,9 @@ def _check_places(scene: Scene, mesh: BodyMesh) -> None:
             if kind == "patch" and other == "grasp" and mine.shape[1] == theirs.shape[1]:
                 shared = {tuple(row) for row in np.sort(mine, axis=1)} & {tuple(row) for row in np.sort(theirs, axis=1)}
                 if shared:
-                    problems.add(scene.source, f"patch {name} and grasp {held} share {len(shared)} facets: keep them apart")
+                    problems.add(
+                        scene.source, f"patch {name} and grasp {held} share {len(shared)} facets: keep them apart"
+                    )
     problems.raise_if_any()
 
 

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Arrays = dict[str, NDArray]
+Arrays = dict[str, Any]
 _GMSH_TYPES = {4: 4, 2: 3, 1: 2, 15: 1}
 _MESHIO_TYPES = {3: "triangle", 2: "line", 1: "vertex"}
 

@@ -14,7 +14,7 @@ import ufl
 from bcid.errors import InputError
 from bcid.forms import effects, materials
 from bcid.forms.effects.effect import Effect, Point
-from bcid.forms.materials.law import Law
+from bcid.forms.materials.law import Law, Volumetric
 from bcid.forms.parameter import Parameter
 from bcid.scene import Scene, Values
 from bcid.units import quantity
@@ -115,7 +115,7 @@ class Model:
     law: Law
     values: Mapping[str, float]
     formulation: str = "displacement"
-    volumetric: str | None = None
+    volumetric: Volumetric | None = None
     doses: tuple[Dose, ...] = ()
     anchors: frozenset[str] = frozenset()
     grasp: str = ""

@@ -45,7 +45,7 @@ class Status(StrEnum):
 
 WORDS = {
     Status.CONVERGED: "the equilibrium was found",
-    Status.UNSTABLE: "the only equilibrium found is unstable (the tangent has a negative pivot): the body buckles",
+    Status.UNSTABLE: "no stable equilibrium was found (a pivot of the tangent is not positive): it buckles, or nothing holds it",
     Status.INVERTED: "an element is turned inside out (det F <= 0)",
     Status.LINE_SEARCH: "PETSc's line search found no smaller residual",
     Status.MAX_ITERATIONS: "Newton's method needed too many iterations",
@@ -71,7 +71,8 @@ class Settings:
         rtol: norm of the out-of-balance force against that of the reactions and loads.
         max_iterations: Newton iterations per step.
         halvings: how often a step may be halved before it counts as failed.
-        linear: "direct", "gamg" (conjugate gradients with algebraic multigrid), or "auto": direct up to `direct_up_to` unknowns.
+        linear: "direct", "gamg" (conjugate gradients with algebraic multigrid), or "auto": direct up to `direct_up_to`
+            unknowns.
         direct_up_to: see `linear`.
     """
 
@@ -106,8 +107,8 @@ class Pose:
 class Equilibrium:
     """Finds where the body rests, given what is held and how it is loaded.
 
-    Built once per process and level: forms, sparsity, solver and boundary conditions are shared by all candidates; `hold` toggles
-    patches without recompiling anything. All methods are collective on the body's communicator.
+    Built once per process and level: forms, sparsity, solver and boundary conditions are shared by all candidates;
+    `hold` toggles patches without recompiling anything. All methods are collective on the body's communicator.
 
     Args:
         body: the meshed body.
@@ -132,7 +133,8 @@ class Equilibrium:
         self._weights: dict[str, Array] = {}
         self.hold(model.anchors, model.grasp)
 
-    # -- forms ---------------------------------------------------------------------------------------------------------------
+    # -- forms
+    # ---------------------------------------------------------------------------------------------------------------
 
     def _compile(self) -> None:
         body, model = self.body, self.model
@@ -200,12 +202,15 @@ class Equilibrium:
         for name, value in values.items():
             self._constants[name].value = value
 
-    # -- what is held --------------------------------------------------------------------------------------------------------
+    # -- what is held
+    # --------------------------------------------------------------------------------------------------------
 
     def hold(self, anchors: Iterable[str], grasp: str = "") -> None:
         """Fix these patches, let the gripper hold `grasp`, and go back to the undeformed state."""
         scene, anchors = self.scene, sorted(set(anchors))
-        regions = [(f"patch {name}", scene.patches.get(name), None) for name in anchors]
+        regions: list[tuple[str, Region | None, int | None]] = [
+            (f"patch {name}", scene.patches.get(name), None) for name in anchors
+        ]
         regions += (
             [(f"grasp {grasp}", scene.grasps[grasp].region if grasp in scene.grasps else None, None)] if grasp else []
         )
@@ -223,7 +228,9 @@ class Equilibrium:
         if key not in self._conditions:
             if region is None:
                 kind, name = what.split(" ", 1)
-                known = {"patch": self.scene.patches, "grasp": self.scene.grasps}.get(kind, self.places)
+                known = {"patch": list(self.scene.patches), "grasp": list(self.scene.grasps)}.get(
+                    kind, list(self.places)
+                )
                 raise InputError(f"{kind} '{name}' is not in scene {self.scene.source}; {nearest(name, known)}")
             value = self._gripper if what.startswith("grasp ") else None
             self._conditions[key] = self.body.dirichlet(region, what, value, axis)
@@ -252,7 +259,7 @@ class Equilibrium:
         self.set_constants({name: n + pose.dose * (full[name] - n) for name, n in neutral.items()})
 
     def _weight(self, place: str) -> Array:
-        """Share of a dead force on `place` that each displacement component carries (consistent nodal forces), shape (3 * nodes,)."""
+        """Share of a dead force on `place` that each displacement component carries, shape (3 * nodes,)."""
         if place not in self._weights:
             from bcid.forms.loads import nodal_weights
 
@@ -261,7 +268,8 @@ class Equilibrium:
             self._weights[place] = np.repeat(nodal_weights(self.body, self.places[place], f"place {place}"), 3)
         return self._weights[place]
 
-    # -- solver --------------------------------------------------------------------------------------------------------------
+    # -- solver
+    # --------------------------------------------------------------------------------------------------------------
 
     def _prepare_solver(self) -> None:
         comm = self.body.comm
@@ -289,7 +297,8 @@ class Equilibrium:
         snes.setFromOptions()
         self.snes = snes
         shear = float(self.model.law.shear(self.model.law.complete(self.model.values)))
-        # Below this force nothing can be told from round-off: a body that only moves rigidly has no reactions to compare with.
+        # Below this force nothing can be told from round-off: a body that only moves rigidly has no reactions to
+        # compare with.
         self._floor = 1e-13 * shear * self.body.mesh.size**2
 
     def _rigid_modes(self) -> PETSc.NullSpace | None:
@@ -299,7 +308,9 @@ class Equilibrium:
             raise InputError(f"linear solver '{settings.linear}': allowed are auto, direct, gamg")
         possible = self.model.symmetric and not self.body.mixed
         if settings.linear == "gamg" and not possible:
-            raise InputError("linear solver 'gamg' needs the displacement formulation and loads with a potential: use 'direct'")
+            raise InputError(
+                "linear solver 'gamg' needs the displacement formulation and loads with a potential: use 'direct'"
+            )
         wanted = settings.linear == "gamg" or (settings.linear == "auto" and self.body.unknowns > settings.direct_up_to)
         if not (wanted and possible):
             return None
@@ -452,9 +463,9 @@ class Equilibrium:
             self._assemble_forces(self.vector)
             dofs = self.body.displacement_dofs
             mine = np.isin(dofs, self._gripped) & (dofs < self._owned)
-            forces = np.zeros(len(dofs))
-            forces[mine] = self.internal[dofs[mine]]
-            forces = forces.reshape(-1, 3)
+            components = np.zeros(len(dofs))
+            components[mine] = self.internal[dofs[mine]]
+            forces = components.reshape(-1, 3)
             centre = np.array(self.scene.grasps[self._grasp].centre) + pose.translation
             arms = self.body.nodes + self.displacement() - centre
             result = np.concatenate([forces.sum(axis=0), np.cross(arms, forces).sum(axis=0)])

@@ -72,11 +72,12 @@ def follow(equilibrium: Equilibrium, action: Action, seen: Callable[[int, Pose],
     Args:
         equilibrium: holds the anchors already; its grasp must be the action's.
         action: the motion.
-        seen: called after each step with its number and pose, to read the state; the motion ends early when it returns False.
+        seen: called after each step with its number and pose, to read the state; the motion ends early when it returns
+            False.
 
     Returns:
-        How far it came. A step that fails is halved, up to `settings.halvings` times; what cannot be mended ends the trajectory
-        with a named status, and the last good state is kept.
+        How far it came. A step that fails is halved, up to `settings.halvings` times; what cannot be mended ends the
+        trajectory with a named status, and the last good state is kept.
     """
     equilibrium.reset()
     result = Trajectory()

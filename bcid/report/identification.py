@@ -59,7 +59,7 @@ def telling_frame(prediction: xr.Dataset) -> int:
 
 def cropped(image: Array, margin: int = 12) -> Array:
     """The image without its white border."""
-    ink = (image < 250).any(axis=2)
+    ink = np.any(image < 250, axis=2)
     rows, columns = np.flatnonzero(ink.any(axis=1)), np.flatnonzero(ink.any(axis=0))
     if len(rows) == 0:
         return image
@@ -71,14 +71,18 @@ def _title(figure: Any, found: dict[str, Any], body: xr.Dataset) -> None:
     unit = found["length_unit"]
     names = " ".join(found["anchored"]) or "none"
     noise = "" if found["noise_rms"] is None else f", noise {found['noise_rms']:.2g} {unit}"
-    figure.text(0.02, 0.945, f"{body.attrs.get('scene', 'body')}: anchored patches {{{names}}}", fontsize=19, weight="bold")
+    figure.text(
+        0.02, 0.945, f"{body.attrs.get('scene', 'body')}: anchored patches {{{names}}}", fontsize=19, weight="bold"
+    )
     text = f"probability {percent(found['probability'])}   ·   residual {found['rms']:.3g} {unit} per coordinate{noise}"
     figure.text(0.02, 0.905, text, fontsize=12.5, color="#444444")
 
 
 def percent(probability: float) -> str:
     """A probability for people: never 100 % when it is not."""
-    return "> 99.99 %" if probability >= 0.9999 else "< 0.01 %" if probability <= 0.0001 else f"{100 * probability:.2f} %"
+    return (
+        "> 99.99 %" if probability >= 0.9999 else "< 0.01 %" if probability <= 0.0001 else f"{100 * probability:.2f} %"
+    )
 
 
 def _legend(axes: Any, prediction: xr.Dataset, frame: int) -> None:
@@ -131,8 +135,16 @@ def _residuals(axes: Any, found: dict[str, Any], prediction: xr.Dataset) -> None
         axes.plot(steps[chosen], rms[chosen], color=COLOURS.predicted, linewidth=2)
     if found["noise_rms"] is not None:
         axes.axhline(found["noise_rms"], color="#555555", linewidth=1.2, linestyle="--")
-        axes.annotate("noise", (1.0, found["noise_rms"]), xycoords=("axes fraction", "data"), xytext=(-2, 3),
-                      textcoords="offset points", ha="right", fontsize=10, color="#555555")
+        axes.annotate(
+            "noise",
+            (1.0, found["noise_rms"]),
+            xycoords=("axes fraction", "data"),
+            xytext=(-2, 3),
+            textcoords="offset points",
+            ha="right",
+            fontsize=10,
+            color="#555555",
+        )
     axes.set_ylim(0, 1.25 * max(np.nanmax(rms), found["noise_rms"] or 0.0))
     axes.set_title(f"Residual per coordinate (RMS, {found['length_unit']})", fontsize=12, loc="left")
     axes.set_xlabel("frame" if len(dict.fromkeys(actions)) > 1 else "step", fontsize=10.5)

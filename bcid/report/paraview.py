@@ -36,7 +36,11 @@ def _save(grid, target: Path) -> str:  # type: ignore[no-untyped-def]
 
 def _collection(target: Path, names: list[str]) -> Path:
     entries = "\n".join(f'    <DataSet timestep="{i}" file="{name}"/>' for i, name in enumerate(names))
-    text = f'<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n{entries}\n  </Collection>\n</VTKFile>\n'
+    head, tail = (
+        '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>',
+        "  </Collection>\n</VTKFile>\n",
+    )
+    text = f"{head}\n{entries}\n{tail}"
     partial = target.with_name(f".{target.name}.partial")
     partial.write_text(text, encoding="utf-8")
     partial.replace(target)

@@ -46,7 +46,9 @@ def surface(body: xr.Dataset, frame: int | None = None):  # type: ignore[no-unty
     return mesh
 
 
-def picture(body: xr.Dataset, prediction: xr.Dataset, anchored: list[str], frame: int, up: Array, size: tuple[int, int]) -> Array:
+def picture(
+    body: xr.Dataset, prediction: xr.Dataset, anchored: list[str], frame: int, up: Array, size: tuple[int, int]
+) -> Array:
     """Image (height, width, 3) of the body in a frame with its anchors and the trajectories of that frame's action.
 
     Args:
@@ -91,7 +93,9 @@ def _add_body(plotter, body: xr.Dataset, prediction: xr.Dataset, anchored: list[
 
 def _label(plotter, part, whole, text: str, strong: bool) -> None:  # type: ignore[no-untyped-def]
     """The name of a patch, beside its middle."""
-    normals = part.compute_normals(point_normals=False, auto_orient_normals=False, consistent_normals=False).cell_data["Normals"]
+    normals = part.compute_normals(point_normals=False, auto_orient_normals=False, consistent_normals=False).cell_data[
+        "Normals"
+    ]
     outward = normals.mean(axis=0) / (np.linalg.norm(normals.mean(axis=0)) or 1.0)
     place = np.asarray(part.center) + 0.06 * whole.length * outward
     options = {"font_size": 40, "bold": strong, "shape": None, "always_visible": True, "show_points": False}

@@ -14,8 +14,8 @@ from bcid.search.misfit import Misfit
 class Belief:
     """Probabilities over the visited anchor sets.
 
-    Each set has the likelihood of its residuals on the finest level on which it was evaluated, relative to the best set on that level
-    (see `log_likelihood`), with equal prior probabilities. Failed sets have probability zero.
+    Each set has the likelihood of its residuals on the finest level on which it was evaluated, relative to the best set
+    on that level (see `log_likelihood`), with equal prior probabilities. Failed sets have probability zero.
 
     Attributes:
         probability: by set; sums to one. A set whose evaluation stopped early has an upper bound here.
@@ -52,10 +52,10 @@ def finest(farm: Farm, below: int | None = None) -> dict[Candidate, Outcome]:
 def log_likelihood(outcome: Outcome, best: Outcome, misfit: Misfit) -> float:
     """Logarithm of the likelihood of a set against that of the `best` one, both on the same level.
 
-    Where even the best set misses the data by more than the noise, the level's model is in error by the rest. The variance is then
-    that of the best set's residuals instead of the noise's; and because an error of the model persists along a trajectory, where noise
-    does not, only so many values count as independent: all of them for the part of the variance that is noise, one per trajectory
-    for the part that is error.
+    Where even the best set misses the data by more than the noise, the level's model is in error by the rest. The
+    variance is then that of the best set's residuals instead of the noise's; and because an error of the model persists
+    along a trajectory, where noise does not, only so many values count as independent: all of them for the part of the
+    variance that is noise, one per trajectory for the part that is error.
     """
     if outcome.failed:
         return -math.inf

@@ -51,8 +51,8 @@ def interest(chi2: float) -> float:
 def climb(farm: Farm, level: int, seeds: Iterable[Candidate]) -> list[Climb]:
     """Climb from every seed at once, each to its best neighbour until none is better; collective.
 
-    The neighbours of all climbers are one batch for the farm. A neighbour whose misfit passes its parent's stops early: it cannot
-    be where the climber goes.
+    The neighbours of all climbers are one batch for the farm. A neighbour whose misfit passes its parent's stops early:
+    it cannot be where the climber goes.
     """
     paths = [[seed] for seed in dict.fromkeys(seeds)]
     farm.evaluate(level, {path[0]: float("inf") for path in paths})

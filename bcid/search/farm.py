@@ -1,7 +1,7 @@
 """Evaluating candidates on all ranks: every rank takes a share, none idles as a manager, and all know every result.
 
-The searches run in lock-step on every rank and see the same results in the same order, so that the answer never depends on how many
-ranks there are: a candidate's outcome depends on nothing but the candidate, its level and its bound.
+The searches run in lock-step on every rank and see the same results in the same order, so that the answer never depends
+on how many ranks there are: a candidate's outcome depends on nothing but the candidate, its level and its bound.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ class Outcome:
     """What is known of one candidate on one level.
 
     Attributes:
-        chi2: sum of squared residuals in units of noise; a lower bound when `complete` is False; infinite when the model failed.
+        chi2: sum of squared residuals in units of noise; a lower bound when `complete` is False; infinite when the
+            model failed.
         rms: RMS residual per coordinate, m; a lower bound when `complete` is False.
         complete: whether all frames were compared.
         share: fraction of the trajectory that was computed, 0 to 1.
@@ -150,7 +151,8 @@ class Farm:
 
         Args:
             level: the mesh level.
-            bounds: each candidate with the chi-square above which its exact value is of no interest: its evaluation stops there.
+            bounds: each candidate with the chi-square above which its exact value is of no interest: its evaluation
+                stops there.
         """
         wanted = sorted(bounds, key=lambda c: (len(c), sorted(c)))
         forward = self.forward(level)
@@ -197,8 +199,8 @@ class Farm:
         key = outcome.level, outcome.candidate
         earlier = self.outcomes.get(key)
         if earlier is not None:
-            more = {"share": outcome.share + earlier.share, "seconds": outcome.seconds + earlier.seconds}
-            outcome = replace(outcome, **more)
+            share, seconds = outcome.share + earlier.share, outcome.seconds + earlier.seconds
+            outcome = replace(outcome, share=share, seconds=seconds)
         self.outcomes[key] = outcome
 
     def _evaluate(self, forward: Forward, candidate: Candidate, bound: float) -> Outcome:

@@ -35,10 +35,12 @@ class Options:
     """How the search is done.
 
     Attributes:
-        method: "climb" (Algorithm 1 from many seeds, then over the ladder), or "enumerate" (every set of patches, certified).
+        method: "climb" (Algorithm 1 from many seeds, then over the ladder), or "enumerate" (every set of patches,
+            certified).
         seeds: random seeds of the first stage.
         random_state: of the seeds; the same number gives the same search.
-        coarsest, climbed: first level, and how many levels are climbed on; on finer ones only the likely sets are looked at.
+        coarsest, climbed: first level, and how many levels are climbed on; on finer ones only the likely sets are
+            looked at.
         finest: last level that may be used; None leaves it to `settled`.
         start: what seeds the second and later stages: "maxima", or "threshold" for every state above `threshold`.
         threshold: similarity, a fraction of the best on the level.
@@ -136,8 +138,8 @@ class Identification:
 class Alternative:
     """A set that was considered: its probability and RMS residual (m) on the finest level it was evaluated on.
 
-    `stopped` says that its evaluation ended as soon as it had lost: probability is then an upper, rms a lower bound. `best_rms` is the
-    reported set's RMS residual (m) on the same level: what `rms` is to be compared with.
+    `stopped` says that its evaluation ended as soon as it had lost: probability is then an upper, rms a lower bound.
+    `best_rms` is the reported set's RMS residual (m) on the same level: what `rms` is to be compared with.
     """
 
     anchored: tuple[str, ...]

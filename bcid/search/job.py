@@ -84,7 +84,7 @@ def _keeper(run: Run | None, comm: Any) -> Callable[[list[Outcome]], None]:
     """Stores what was computed in the run, which only rank 0 has."""
 
     def keep(outcomes: list[Outcome]) -> None:
-        on_root(comm, lambda: run and run.add_batch([outcome.to_json() for outcome in outcomes]))
+        on_root(comm, lambda: run.add_batch([outcome.to_json() for outcome in outcomes]) if run else None)
 
     return keep
 

@@ -14,8 +14,8 @@ Array = NDArray[np.float64]
 class Misfit:
     """Compares predicted fiducial positions with a measurement, frame by frame.
 
-    Every visible coordinate counts once, weighted by its standard deviation; a fiducial that was not seen is left out. When neither
-    the measurement nor the scene states the noise, all coordinates weigh the same and `noise` is None.
+    Every visible coordinate counts once, weighted by its standard deviation; a fiducial that was not seen is left out.
+    When neither the measurement nor the scene states the noise, all coordinates weigh the same and `noise` is None.
 
     Attributes:
         noise: root mean square standard deviation of the visible coordinates, m, or None.

@@ -44,8 +44,14 @@ def test_help_names_every_command(tmp_path: Path) -> None:
         (["identify", SLAB, SEEN, "-o", "run", "--seeds", "0"], ["seeds = 0"]),
         (["identify", SLAB, SEEN, "-o", "run", "--start", "x"], ["maxima, threshold"]),
         (["simulate", SLAB, "--motion", "dance", "-o", "made"], ["dance", "semicircle"]),
-        (["simulate", SLAB, "--motion", "pull", "--anchors", "1,9", "--level", "0", "-o", "made"], ["patch '9'", "known: 1, 2"]),
-        (["simulate", SLAB, "--motion", "pull", "--grasp", "IV", "--level", "0", "-o", "made"], ["grasp 'IV'", "I, II, III"]),
+        (
+            ["simulate", SLAB, "--motion", "pull", "--anchors", "1,9", "--level", "0", "-o", "made"],
+            ["patch '9'", "known: 1, 2"],
+        ),
+        (
+            ["simulate", SLAB, "--motion", "pull", "--grasp", "IV", "--level", "0", "-o", "made"],
+            ["grasp 'IV'", "I, II, III"],
+        ),
         (["simulate", SLAB, "--motion", "pull", "--level", "7", "-o", "made"], ["--level 7"]),
         (["simulate", SLAB, "--motion", "pull", "--noise", "3", "-o", "made"], ["has no unit"]),
         (["simulate", SLAB, "--motion", "pull", "--noise", "-3 mm", "-o", "made"], ["negative"]),
@@ -69,8 +75,12 @@ def edited(tmp_path: Path, *changes: tuple[str, str]) -> Path:
 
 def test_geometry_that_does_not_fit(tmp_path: Path) -> None:
     """Groups the mesh does not have, an empty box and a fiducial off the body are told together or one kind after the other."""
-    scene = edited(tmp_path, ('"1" = "patch_1"', '"1" = "ptch_1"'), ('"2" = "patch_2"', '"2" = { box = ["1 1 1 mm", "2 2 2 mm"] }'))
-    refused(bcid("identify", scene, SEEN, "-o", "run", cwd=tmp_path), "did you mean 'patch_1'", "no facet of the boundary")
+    scene = edited(
+        tmp_path, ('"1" = "patch_1"', '"1" = "ptch_1"'), ('"2" = "patch_2"', '"2" = { box = ["1 1 1 mm", "2 2 2 mm"] }')
+    )
+    refused(
+        bcid("identify", scene, SEEN, "-o", "run", cwd=tmp_path), "did you mean 'patch_1'", "no facet of the boundary"
+    )
     scene = edited(tmp_path, ('"15 10 12.5 mm"', '"15 90 12.5 mm"'))
     refused(bcid("identify", scene, SEEN, "-o", "run", cwd=tmp_path), "fiducial 1", "80 mm outside the body")
     scene = edited(tmp_path, ('"1" = "patch_1"', '"1" = "grasp_II"'))
@@ -99,7 +109,9 @@ def test_a_broken_geometry(tmp_path: Path) -> None:
 
 def test_simulate_then_identify_then_again(tmp_path: Path) -> None:
     """The whole chain on the coarsest level, an interrupted run that goes on, and a finished one that is kept."""
-    made = bcid("simulate", SLAB, "--anchors", "3,4", "--motion", "pull", "--level", "0", "--wrench", "-o", "made", cwd=tmp_path)
+    made = bcid(
+        "simulate", SLAB, "--anchors", "3,4", "--motion", "pull", "--level", "0", "--wrench", "-o", "made", cwd=tmp_path
+    )
     assert made.returncode == 0, made.stderr
     assert (tmp_path / "made/wrench.csv").exists()
     refused(bcid("simulate", SLAB, "--motion", "pull", "--level", "0", "-o", "made", cwd=tmp_path), "exists already")
@@ -132,15 +144,22 @@ def test_foreign_mesh(tmp_path: Path) -> None:
 
     grid = np.array(np.meshgrid([0, 20, 40], [0, 10], [0, 20], indexing="ij")).reshape(3, -1).T.astype(float)
     cells = Delaunay(grid + 1e-3 * np.random.default_rng(0).random(grid.shape)).simplices
-    volumes = np.abs(np.einsum("ij,ij->i", np.cross(*(np.swapaxes(grid[cells[:, 1:3]] - grid[cells[:, :1]], 0, 1))), grid[cells[:, 3]] - grid[cells[:, 0]]))
+    volumes = np.abs(
+        np.einsum(
+            "ij,ij->i",
+            np.cross(*(np.swapaxes(grid[cells[:, 1:3]] - grid[cells[:, :1]], 0, 1))),
+            grid[cells[:, 3]] - grid[cells[:, 0]],
+        )
+    )
     meshio.write(tmp_path / "bar.vtu", meshio.Mesh(grid, [("tetra", cells[volumes > 1])]))
     (tmp_path / "bar.toml").write_text(
         """format = "bcid-scene/1"
 geometry = { file = "bar.vtu", length_unit = "mm" }
 levels = [{ degree = 1 }, { degree = 1, refinements = 1 }]
 material = { law = "neo_hooke", young = "15 kPa", poisson = 0.35 }
-patches = { left = { plane = { point = "0 0 0 mm", normal = [1, 0, 0] } }, below = { box = ["0 0 0 mm", "20 0 20 mm"] } }
-grasps = { end = { on = { plane = { point = "40 0 0 mm", normal = [1, 0, 0] } }, centre = "40 5 10 mm" } }
+patches.left = { plane = { point = "0 0 0 mm", normal = [1, 0, 0] } }
+patches.below = { box = ["0 0 0 mm", "20 0 20 mm"] }
+grasps.end = { on = { plane = { point = "40 0 0 mm", normal = [1, 0, 0] } }, centre = "40 5 10 mm" }
 fiducials = { m = "20 10 10 mm" }
 noise_sigma = "0.1 mm"
 """,

@@ -134,5 +134,5 @@ def test_mistakes_are_named(tmp_path: Path, old: str, new: str, said: str) -> No
 
 
 def test_text_in_a_number(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="wide.csv:3: ax: expected a finite number, found 'far'"):
+    with pytest.raises(InputError, match=r"wide\.csv:3: ax: expected a finite number, found 'far'"):
         Measurement.read(write(tmp_path, WIDE, ROWS.replace("1;10;1;", "1;10;far;")))

@@ -40,7 +40,9 @@ def test_round_trips(path: Path, tmp_path: Path) -> None:
 
 def test_optional_files_round_trip(folder: Path, tmp_path: Path) -> None:
     head = "action,step,time"
-    (folder / "wrench.csv").write_text(f"{head},fx,fy,fz,tx,ty,tz\n1,0,0,0,0,0,0,0,0\n1,1,1,1,2,3,4,5,6\n", encoding="utf-8")
+    (folder / "wrench.csv").write_text(
+        f"{head},fx,fy,fz,tx,ty,tz\n1,0,0,0,0,0,0,0,0\n1,1,1,1,2,3,4,5,6\n", encoding="utf-8"
+    )
     (folder / "loads.csv").write_text(f"{head},place,fx,fy,fz\n1,1,1,tip,0,-0.5,0\n", encoding="utf-8")
     edit(folder / "fiducials.csv", 4, "1,0,0,3,,,")
     measurement = Measurement.read(folder)
@@ -53,7 +55,8 @@ def test_optional_files_round_trip(folder: Path, tmp_path: Path) -> None:
 
 def test_own_sigma_and_spreadsheet_habits(folder: Path) -> None:
     """Columns in another order, a byte order mark, blank lines and Windows line ends are no mistakes."""
-    text = "\ufefffiducial,sigma_x,sigma_y,sigma_z,action,step,time,x,y,z\r\n1,0.1,0.2,0.4,1,0,0,15,10,12\r\n\r\n1,,,,1,1,1,15,10,12\r\n"
+    text = "\ufefffiducial,sigma_x,sigma_y,sigma_z,action,step,time,x,y,z\r\n1,0.1,0.2,0.4,1,0,0,15,10,12\r\n"
+    text += "\r\n1,,,,1,1,1,15,10,12\r\n"
     (folder / "fiducials.csv").write_text(text, encoding="utf-8")
     lines = (folder / "grasps.csv").read_text(encoding="utf-8").splitlines()[:3]
     (folder / "grasps.csv").write_text("\n".join(lines), encoding="utf-8")
@@ -83,7 +86,12 @@ HEAD = "action,step,time,fiducial,x,y,z"
         ("fiducials.csv", 3, "1,0,0,2,1_5,10,12", "found '1_5'"),
         ("fiducials.csv", 3, "1,0,0,2,inf,10,12", "found 'inf'"),
         ("fiducials.csv", 3, "1,0,0,2,,10,12", "give x, y and z, or leave all three empty"),
-        ("fiducials.csv", 3, "1,0,0,1,15,10,12", "fiducials.csv:3: a second row for action 1, step 0, fiducial 1; .* line 2"),
+        (
+            "fiducials.csv",
+            3,
+            "1,0,0,1,15,10,12",
+            "fiducials.csv:3: a second row for action 1, step 0, fiducial 1; .* line 2",
+        ),
         ("fiducials.csv", 3, "1,0,0,2,15,10", "fiducials.csv:3: has 6 values, the header names 7"),
         ("fiducials.csv", 3, "1,x,0,2,15,10,12", "step: expected a whole number from 0, found 'x'"),
         ("fiducials.csv", 3, "1,-1,0,2,15,10,12", "step: expected a whole number"),
@@ -140,7 +148,9 @@ def test_all_mistakes_at_once(folder: Path) -> None:
     edit(folder / "measurement.toml", 3, 'time_unit = "mm"')
     with pytest.raises(InputError) as error:
         Measurement.read(folder)
-    assert all(place in str(error.value) for place in ("fiducials.csv:3", "fiducials.csv:9", "grasps.csv:4", "time_unit"))
+    assert all(
+        place in str(error.value) for place in ("fiducials.csv:3", "fiducials.csv:9", "grasps.csv:4", "time_unit")
+    )
 
 
 @pytest.fixture(scope="module")

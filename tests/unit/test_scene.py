@@ -16,7 +16,7 @@ name = "bar"
 down = [0, 0, -2]
 noise_sigma = "0.3 mm"
 [geometry]
-file = "{ROOT / 'meshes/geo/slab.geo'}"
+file = "{ROOT / "meshes/geo/slab.geo"}"
 length_unit = "mm"
 [[levels]]
 element_size = "50 mm"

@@ -23,12 +23,14 @@ VALUES = 1000
 
 
 class Landscape:
-    """Stands in for a `Farm`: chi-square from a formula, evaluated frame by frame so that it stops at a bound as the real one does."""
+    """Stands in for a `Farm`: chi-square from a formula, with evaluations that stop at a bound as the real ones do."""
 
     def __init__(self, *levels: Callable[[Candidate], float], noise: float | None = 1.0) -> None:
         self.levels = levels
         self.patches = PATCHES
-        self.misfit = SimpleNamespace(values=VALUES, curves=60, noise=noise, motion_rms=100.0, similarity=lambda rms: 1 - rms / 100)
+        self.misfit = SimpleNamespace(
+            values=VALUES, curves=60, noise=noise, motion_rms=100.0, similarity=lambda rms: 1 - rms / 100
+        )
         self.scene = SimpleNamespace(levels=levels)
         self.outcomes: dict[tuple[int, Candidate], Outcome] = {}
         self.asked = 0
@@ -44,7 +46,9 @@ class Landscape:
             share = 1.0 if complete else 0.5
             got = chi2 if complete or failed else bound * 1.001
             status = Status.UNSTABLE if failed else Status.CONVERGED
-            self.outcomes[level, candidate] = Outcome(candidate, level, got, math.sqrt(got / VALUES), complete, share, status, "buckles" if failed else "")
+            self.outcomes[level, candidate] = Outcome(
+                candidate, level, got, math.sqrt(got / VALUES), complete, share, status, "buckles" if failed else ""
+            )
         return {c: self.outcomes[level, c] for c in bounds}
 
     def evaluations(self) -> dict[int, float]:
@@ -240,7 +244,10 @@ def test_no_noise_is_needed() -> None:
     assert found.probability > 0.99
 
 
-@pytest.mark.parametrize("wrong", [{"method": "x"}, {"start": "x"}, {"seeds": 0}, {"finest": 3}, {"coarsest": -1}, {"coarsest": 1, "finest": 0}])
+@pytest.mark.parametrize(
+    "wrong",
+    [{"method": "x"}, {"start": "x"}, {"seeds": 0}, {"finest": 3}, {"coarsest": -1}, {"coarsest": 1, "finest": 0}],
+)
 def test_options_are_checked(wrong: dict[str, object]) -> None:
     scene = SimpleNamespace(levels=(1, 2), patches=PATCHES)
     Options().check(scene)  # type: ignore[arg-type]

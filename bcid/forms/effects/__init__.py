@@ -1,7 +1,7 @@
 """The catalogue of physical effects: one file each, found by the name of its file.
 
-An effect is a `bcid.forms.effects.effect.Effect`; a file that defines ``effect = Effect(...)`` in this folder is part of the
-catalogue, and nothing else names it.
+An effect is a `bcid.forms.effects.effect.Effect`; a file that defines ``effect = Effect(...)`` in this folder is part
+of the catalogue, and nothing else names it.
 """
 
 from __future__ import annotations

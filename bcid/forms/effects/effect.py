@@ -44,8 +44,9 @@ class Point:
 class Effect:
     """One effect of the catalogue.
 
-    At the neutral value of every parameter it must vanish. `energy` is per rest volume (J/m^3) and joins the strain energy; `work`
-    is a form, the virtual work that the effect adds to the residual, for what has no energy or acts on the boundary.
+    At the neutral value of every parameter it must vanish. `energy` is per rest volume (J/m^3) and joins the strain
+    energy; `work` is a form, the virtual work that the effect adds to the residual, for what has no energy or acts on
+    the boundary.
 
     Attributes:
         name: name of its file, used in scenes, tables and JSON.
