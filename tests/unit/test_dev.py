@@ -1,0 +1,374 @@
+"""./dev with fakes instead of mmdebstrap and bubblewrap, so that what can go wrong can be made to; and the doctor."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bcid import doctor
+
+ROOT = Path(__file__).resolve().parents[2]
+
+# What ./dev may use of the machine. Everything else is not found, above all apt-get.
+TOOLS = [
+    *("awk", "bash", "basename", "cat", "chmod", "cut", "date", "df", "dirname", "du", "env", "flock", "grep", "head"),
+    *("id", "ls", "mkdir", "mktemp", "mv", "paste", "readlink", "rm", "sed", "sha256sum", "sleep", "sort", "tail"),
+    *("tar", "touch", "true", "uname", "xargs"),
+]
+
+MMDEBSTRAP = r"""
+[ "$1" != --unshare-helper ] || exec "${@:2}"
+echo "$BASHPID" >>"$FAKES/mmdebstrap.pids"
+case ${FAKE:-} in
+network) echo "E: Could not resolve 'deb.debian.org'" >&2; exit 1 ;;
+full) echo "tar: usr/lib/x.so: Cannot write: No space left on device" >&2; exit 1 ;;
+broken) echo "E: something else" >&2; exit 25 ;;
+hang) sleep 60 ;;
+slow) sleep 1 ;;
+esac
+root=${*: -2:1}
+[ "$root" != - ] || root=$(mktemp -d)
+mkdir -p "$root"/etc/ssl/certs "$root"/usr/bin "$root"/var/lib/dpkg
+case $* in *--mode=unshare*) tar -C "$root" -c . && rm -r "$root" ;; esac
+"""
+
+BWRAP = r"""
+case $* in
+*wheels_venv*)
+    [ "${FAKE:-}" = pip ] || exit 0
+    echo "OSError: [Errno 28] No space left on device"
+    exit 1 ;;
+esac
+for a in "$@"; do case $a in --) break ;; esac; shift; done
+[ $# -gt 0 ] || exit 0  # the trial whether namespaces can be made
+shift
+exec env --default-signal=INT,TERM,HUP "$@"
+"""
+
+FAKES = {
+    "mmdebstrap": MMDEBSTRAP,
+    "bwrap": BWRAP,
+    "unshare": 'while [ "${1#--}" != "$1" ]; do shift; done; exec "$@"',
+    "newuidmap": "",
+    "getsubids": "",
+    "python3": "exit 1",
+}
+
+pytestmark = pytest.mark.skipif(
+    not Path("/usr/share/keyrings/debian-archive-keyring.gpg").exists(), reason="needs Debian's keys, as ./dev does"
+)
+
+
+class Dev:
+    """A clone with its own cache, on a machine that has only TOOLS and the fakes."""
+
+    def __init__(self, folder: Path, clone: str = "clone") -> None:
+        self.folder = folder
+        self.clone = folder / clone
+        self.cache = folder / "cache"
+        self.fakes = folder / "bin"
+        (self.clone / "environment").mkdir(parents=True)
+        shutil.copy(ROOT / "dev", self.clone)
+        (self.clone / "environment/debian.txt").write_text("# comment\npython3-dolfinx\n")
+        (self.clone / "environment/wheels.txt").write_text("pytest==1\n")
+        if not self.fakes.exists():
+            self.fakes.mkdir()
+            for tool in TOOLS:
+                found = shutil.which(tool)
+                assert found, f"{tool} is needed by ./dev"
+                (self.fakes / tool).symlink_to(found)
+            for name, text in FAKES.items():
+                self.fake(name, text)
+        home = folder / "home"
+        home.mkdir(exist_ok=True)
+        self.env = {
+            "PATH": str(self.fakes),
+            "HOME": str(home),
+            "BCID_CACHE": str(self.cache),
+            "BCID_ENV": "tree",
+            "TMPDIR": str(folder),
+            "FAKES": str(self.folder),
+        }
+
+    def fake(self, name: str, text: str) -> None:
+        path = self.fakes / name
+        path.unlink(missing_ok=True)
+        path.write_text(f"#!/usr/bin/env bash\n{text}\n")
+        path.chmod(0o755)
+
+    def start(self, *args: str, **env: str) -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            [str(self.clone / "dev"), *args],
+            env=self.env | env,
+            cwd=self.clone,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+
+    def __call__(self, *args: str, **env: str) -> tuple[int, str, str]:
+        process = self.start(*args, **env)
+        out, err = process.communicate(timeout=30)
+        return process.returncode, out, err
+
+    @property
+    def builds(self) -> list[int]:
+        """The process ids of all that mmdebstrap was started with."""
+        pids = self.folder / "mmdebstrap.pids"
+        return [int(pid) for pid in pids.read_text().split()] if pids.exists() else []
+
+    def made(self, what: str) -> list[str]:
+        return sorted(path.name for path in self.cache.glob(f"{what}-*"))
+
+    def wait_for_build(self, number: int = 1) -> None:
+        wait_until(lambda: len(self.builds) >= number)
+
+
+def wait_until(condition, seconds: float = 10) -> None:  # type: ignore[no-untyped-def]
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited too long"
+        time.sleep(0.02)
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.fixture
+def dev(tmp_path: Path) -> Iterator[Dev]:
+    dev = Dev(tmp_path)
+    yield dev
+    for pid in dev.builds:
+        if alive(pid):
+            os.kill(pid, signal.SIGKILL)
+
+
+def test_builds_once_and_is_then_quiet(dev: Dev) -> None:
+    code, out, err = dev("bash", "-c", "echo hello; exit 7")
+    assert (code, out) == (7, "hello\n"), err
+    assert "private Debian trixie tree" in err
+    code, out, err = dev("bash", "-c", "echo hello; exit 7")
+    assert (code, out, err) == (7, "hello\n", "")
+    assert len(dev.builds) == 1
+    assert not list(dev.cache.glob("*.partial"))
+
+
+def test_environment_of_the_command(dev: Dev) -> None:
+    show = "echo ${PYTHONPATH-unset} ${LD_PRELOAD-unset} $BCID_PROJECT $OMP_NUM_THREADS $MKL_NUM_THREADS $http_proxy"
+    given = {"PYTHONPATH": "/x", "LD_PRELOAD": "", "OMP_NUM_THREADS": "2", "http_proxy": "http://p"}
+    code, out, err = dev("bash", "-c", show, **given)
+    assert (code, out.split()) == (0, ["unset", "unset", str(dev.clone), "2", "1", "http://p"]), err
+
+
+def test_clones_share_and_lists_decide(dev: Dev, tmp_path: Path) -> None:
+    assert dev("true")[0] == 0
+    other = Dev(tmp_path, "other")
+    code, out, _ = other("bash", "-c", "echo $BCID_PROJECT")
+    assert (code, out.strip()) == (0, str(other.clone))
+    (dev.clone / "environment/debian.txt").write_text("python3-dolfinx # another comment\n")
+    assert dev("true")[0] == 0
+    assert (len(dev.made("tree")), len(dev.made("venv"))) == (1, 1)
+    (dev.clone / "environment/wheels.txt").write_text("pytest==2\n")
+    assert dev("true")[0] == 0
+    assert (len(dev.made("tree")), len(dev.made("venv"))) == (1, 2)
+    (dev.clone / "environment/debian.txt").write_text("python3-dolfinx\ngcc\n")
+    assert dev("true")[0] == 0
+    assert dev("--suite", "sid", "true")[0] == 0
+    assert (len(dev.made("tree")), len(dev.made("venv"))) == (3, 4)
+
+
+@pytest.mark.parametrize(
+    ("fault", "expected"),
+    [
+        ("network", "deb.debian.org could not be reached"),
+        ("full", "the disk filled up while making the Debian tree"),
+        ("broken", "E: something else"),
+        ("pip", "the disk filled up while making the venv"),
+    ],
+)
+def test_failed_build_says_why_and_leaves_nothing(dev: Dev, fault: str, expected: str) -> None:
+    code, out, err = dev("echo", "hello", FAKE=fault)
+    assert (code, out) == (3, "")
+    assert expected in err
+    log = Path(err.split("Log: ")[1].strip())
+    assert log.is_file()
+    assert not list(dev.cache.glob("*.partial"))
+    assert not dev.made("venv")
+    assert dev("echo", "hello")[:2] == (0, "hello\n")
+
+
+def test_too_little_space_is_said_before_anything_is_done(dev: Dev) -> None:
+    dev.fake("df", "echo head; echo disk 1000 900 100 90% /")
+    code, _, err = dev("true")
+    assert code == 3
+    assert "3600 MB are needed" in err
+    assert "100 MB are free" in err
+    assert not dev.builds
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_interrupted_build(dev: Dev, number: signal.Signals) -> None:
+    process = dev.start("true", FAKE="hang")
+    dev.wait_for_build()
+    process.send_signal(number)
+    _, err = process.communicate(timeout=10)
+    assert process.returncode == 128 + number
+    assert "nothing half-built was kept" in err
+    assert not list(dev.cache.glob("*.partial"))
+    assert not any(map(alive, dev.builds))
+    assert dev("true")[0] == 0
+
+
+def test_killed_build_leaves_no_process_and_the_next_one_succeeds(dev: Dev) -> None:
+    process = dev.start("true", FAKE="hang")
+    dev.wait_for_build()
+    process.kill()
+    process.wait()
+    wait_until(lambda: not any(map(alive, dev.builds)), 5)
+    assert list(dev.cache.glob("*.partial"))
+    code, out, err = dev("echo", "hello")
+    assert (code, out) == (0, "hello\n"), err
+    assert not list(dev.cache.glob("*.partial"))
+
+
+def test_two_at_once(dev: Dev) -> None:
+    first = dev.start("echo", "one", FAKE="slow")
+    dev.wait_for_build()
+    code, out, err = dev("echo", "two")
+    assert (code, out) == (0, "two\n")
+    assert "waiting for it" in err
+    assert first.communicate(timeout=10)[0] == "one\n"
+    assert len(dev.builds) == 1
+
+
+def test_the_second_goes_on_when_the_first_is_killed(dev: Dev) -> None:
+    first = dev.start("true", FAKE="hang")
+    dev.wait_for_build()
+    second = dev.start("echo", "two")
+    time.sleep(0.3)
+    first.kill()
+    first.wait()
+    out, err = second.communicate(timeout=10)
+    assert (second.returncode, out) == (0, "two\n"), err
+    assert len(dev.builds) == 2
+
+
+def test_missing_tools(dev: Dev) -> None:
+    (dev.fakes / "mmdebstrap").unlink()
+    (dev.fakes / "bwrap").unlink()
+    code, _, err = dev("true")
+    assert code == 3
+    assert "sudo apt-get install mmdebstrap bubblewrap" in err
+    assert "environment.yml" in err
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root installs what is missing")
+def test_root_installs_missing_tools(dev: Dev) -> None:
+    (dev.fakes / "bwrap").rename(dev.fakes / "not-yet")
+    dev.fake("apt-get", '[ "$1" = update ] || { echo "$@" >>"$FAKES/apt"; mv "${0%/*}/not-yet" "${0%/*}/bwrap"; }')
+    code, _, err = dev("true")
+    assert code == 0, err
+    assert "installing bubblewrap" in err
+    assert "bubblewrap" in (dev.folder / "apt").read_text()
+
+
+def test_no_namespaces(dev: Dev) -> None:
+    dev.fake("bwrap", "echo 'bwrap: No permissions to create new namespace' >&2; exit 1")
+    code, _, err = dev("true")
+    assert code == 3
+    assert "No permissions to create new namespace" in err
+    assert "--privileged" in err
+
+
+def test_unusable_python(dev: Dev) -> None:
+    code, _, err = dev("true", BCID_ENV="auto", BCID_PYTHON="python3")
+    assert code == 3
+    assert "python3 does not have dolfinx" in err
+
+
+def test_clean_keeps_what_is_used(dev: Dev) -> None:
+    assert dev("true")[0] == 0
+    (dev.clone / "environment/debian.txt").write_text("gcc\n")
+    # A command in the first environment; then the clone moves on to the second.
+    busy = dev.start("--suite", "sid", "bash", "-c", "echo ready; exec sleep 60")
+    assert busy.stdout
+    assert busy.stdout.readline() == "ready\n"
+    assert dev("true")[0] == 0
+    assert len(dev.made("tree")) == 3
+    code, _, err = dev("clean")
+    assert code == 0, err
+    assert "in use, kept" in err
+    for what in ("tree", "venv", "home"):
+        assert [name.split("-")[1] for name in dev.made(what)] == ["sid", "trixie"]
+    busy.terminate()
+    assert busy.communicate(timeout=10)
+    assert dev("true") == (0, "", "")
+    assert dev("clean", "--all")[0] == 0
+    assert not dev.made("tree")
+    assert not dev.made("venv")
+
+
+def test_usage(dev: Dev) -> None:
+    assert dev("--help")[0] == 0
+    assert dev()[0] == 2
+    code, _, err = dev("--nonsense", "true")
+    assert code == 2
+    assert "unknown option --nonsense" in err
+    assert not dev.builds
+
+
+def test_slow_blas_is_told_from_a_fast_one() -> None:
+    debian = "7f00-7f01 r-xp 00000000 08:01 42                         /usr/lib/x86_64-linux-gnu/{}\n"
+    assert doctor.blas_in(debian.format("blas/libblas.so.3.12.1")) == {
+        "reference BLAS (/usr/lib/x86_64-linux-gnu/blas/libblas.so.3.12.1)": False
+    }
+    fast = doctor.blas_in(
+        debian.format("openblas-serial/libblas.so.3") + debian.format("openblas-serial/libopenblas-r0.3.29.so")
+    )
+    assert set(fast.values()) == {True}
+    assert doctor.blas_in(debian.format("libc.so.6") + "7f00-7f01 rw-p 00000000 00:00 0 \n") == {}
+
+
+def test_doctor_survives_a_broken_part(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def check_something() -> doctor.Check:
+        raise SystemError("cannot load\nmore")
+
+    good = doctor.Check("good", True, "there")
+    minor = doctor.Check("minor", False, "not there", "get it", essential=False)
+    monkeypatch.setattr(doctor, "CHECKS", [lambda: good, lambda: minor])
+    assert doctor.main() == 0
+    assert "get it" in capsys.readouterr().out
+    monkeypatch.setattr(doctor, "CHECKS", [check_something, lambda: good])
+    assert doctor.main() == 1
+    out = capsys.readouterr().out
+    assert "SystemError: cannot load" in out
+    assert "bcid cannot work here: something" in out
+
+
+def test_doctor_without_dolfinx() -> None:
+    """In a Python without site packages: advice instead of a traceback."""
+    python = shutil.which("python3") or "python3"
+    run = subprocess.run(
+        [python, "-S", "-E", "-c", "from bcid.doctor import main; raise SystemExit(main())"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert run.returncode == 1, run.stderr
+    assert "WRONG  DOLFINx" in run.stdout
+    assert "use ./dev" in run.stdout
+    assert "Traceback" not in run.stderr
