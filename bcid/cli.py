@@ -22,9 +22,8 @@ DEMO_MEASUREMENT = "examples/measurements/slab-12-semicircle"
 
 _DESCRIPTION = """bcid finds out how a soft body is held by watching it being pulled.
 
-From the trajectories of a few markers on the body and the motion of the gripper it computes which patches of the
-boundary are
-anchored, and how sure that is."""
+From the trajectories of a few markers on the body and the motion of the gripper it computes
+which patches of the boundary are anchored, and how sure that is."""
 
 _EXAMPLES = """examples:
   bcid demo                                                     the main job on a shipped measurement, in under a minute
