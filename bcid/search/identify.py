@@ -26,6 +26,7 @@ from bcid.search.termination import Termination
 METHODS = ("climb", "enumerate")
 _MOST_PATCHES = 12
 _GROUP = 4
+_ENUMERATED = 16
 # A set this much less likely than the best on a coarser level is not carried to the next.
 _LEAST = math.log(1e-4)
 
@@ -89,7 +90,7 @@ class Identification:
         probability: of this set among all visited ones.
         patches: probability that each patch is anchored.
         rms, noise: RMS residual of the set on the finest level used, and the stated noise (None if unknown).
-        certified: whether every set of patches was looked at on the finest level used.
+        certified: whether every set of patches was looked at on the finest level used, and the model could be solved for each.
         evaluations: forward trajectories per level, in whole-trajectory equivalents.
         alternatives: the next best sets, best first.
         levels: the levels used.
@@ -268,19 +269,18 @@ class _Search:
         return perturbed(following, farm.patches, options.toggles, self.rng)
 
     def enumerate(self, level: int) -> None:
-        """Every set of patches: those that cannot win stop early, against the best of a first look at the likely ones."""
+        """Every set of patches; those that cannot win stop early, against the best of those that were looked at before."""
         farm = self.farm
         everything = all_candidates(farm.patches)
+        first = _ENUMERATED
         if len(self.levels) > 1:
-            order = sorted((farm.outcomes[level - 1, c] for c in everything), key=rank)
-            everything = [outcome.candidate for outcome in order]
-        bound = float("inf")
-        for i in range(0, len(everything), 16):
-            group = everything[i : i + 16] if i or len(self.levels) == 1 else everything[:16]
+            everything = [o.candidate for o in sorted((farm.outcomes[level - 1, c] for c in everything), key=rank)]
+            first = 1
+        bound = math.inf
+        for group in (everything[:first], *batches(everything[first:], _ENUMERATED)):
             farm.evaluate(level, dict.fromkeys(group, bound))
             complete = [o.chi2 for (at, _), o in farm.outcomes.items() if at == level and o.complete]
-            bound = min(bound, interest(min(complete))) if complete else bound
-            self.progress.step(f"level {level}: {i + len(group)} of {len(everything)} sets")
+            bound = interest(min(complete)) if complete else math.inf
         self.say(f"level {level}: all {len(everything)} sets looked at")
 
     def promote(self, level: int) -> None:
@@ -332,9 +332,7 @@ class _Search:
             patches=belief.patches,
             rms=winner.rms,
             noise=farm.misfit.noise,
-            certified=all((winner.level, c) in farm.outcomes for c in all_candidates(patches))
-            if len(patches) <= _MOST_PATCHES
-            else False,
+            certified=self.certified(winner.level),
             evaluations=farm.evaluations(),
             alternatives=self.alternatives(belief, winner),
             levels=tuple(self.levels),
@@ -343,6 +341,14 @@ class _Search:
             failures={self.name(c): o.reason for (_, c), o in sorted(farm.outcomes.items(), key=_order) if o.failed},
             seconds=seconds,
         )
+
+    def certified(self, level: int) -> bool:
+        """Whether every set was looked at on a level, and the model could be solved for each."""
+        patches = self.farm.patches
+        if len(patches) > _MOST_PATCHES:
+            return False
+        outcomes = [self.farm.outcomes.get((level, candidate)) for candidate in all_candidates(patches)]
+        return all(outcome is not None and not outcome.failed for outcome in outcomes)
 
     def alternatives(self, belief: Belief, winner: Outcome, count: int = 8) -> tuple[Alternative, ...]:
         farm = self.farm
@@ -360,6 +366,11 @@ class _Search:
             )
             for o in likely[:count]
         )
+
+
+def batches(items: list[Candidate], size: int) -> list[list[Candidate]]:
+    """The items in lists of at most `size`."""
+    return [items[i : i + size] for i in range(0, len(items), size)]
 
 
 def _order(item: tuple[tuple[int, Candidate], Outcome]) -> tuple[int, int, list[str]]:

@@ -123,7 +123,7 @@ def test_fiducials_attach_or_are_refused(slab: BodyMesh) -> None:
         'SystemCall "touch owned";\n',
         "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n",
         "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 -5 1 9999999999\n",
-        "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n2\n1 0 0 0\n2 1 0 0\n$EndNodes\n$Elements\n1\n1 4 2 1 1 1 2 3 9\n$EndElements\n",
+        "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n1\n1 0 0 0\n$EndNodes\n$Elements\n1\n1 4 2 1 1 1 2 3 9\n$EndElements\n",
         "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n1\n1 0 0\n",
     ],
 )

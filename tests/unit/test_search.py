@@ -218,6 +218,10 @@ def test_enumeration_certifies() -> None:
     assert found.anchored == ("2", "5")
     assert len(farm.outcomes) == 64
     assert found.evaluations[0] < 64
+    fine = Landscape(distance, lambda c: distance(c) / 2)
+    assert search(fine, Options(method="enumerate", finest=1)).evaluations[1] == 32.5, "one in full, the others stop"
+    broken = Landscape(lambda c: math.inf if c == frozenset("1") else distance(c))
+    assert not search(broken, Options(method="enumerate")).certified, "nothing is known of a set that cannot be solved"
 
 
 def test_a_resumed_search_takes_what_is_stored() -> None:
