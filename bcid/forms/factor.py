@@ -9,11 +9,11 @@ from petsc4py import PETSc
 _prefixes = count()
 # CHOLMOD must not print, and must factorise by supernodes: its simplicial LDL^T, which it prefers for small matrices,
 # does not stop at a negative pivot. MUMPS: PORD ordering suits these meshes, the root stays sequential and null pivots
-# are looked for, so that the signs are counted right.
+# are looked for, so that the signs are counted right; on several ranks the work space that it estimates may not do.
 _OPTIONS: dict[str, dict[str, int | float | str]] = {
     "cholmod": {"mat_cholmod_print": 0, "mat_cholmod_factor": "SUPERNODAL"},
     "gamg": {"pc_gamg_threshold": 0.01, "mg_levels_ksp_type": "chebyshev", "mg_levels_pc_type": "jacobi"},
-    "mumps": {"mat_mumps_icntl_7": 4, "mat_mumps_icntl_13": 1, "mat_mumps_icntl_24": 1},
+    "mumps": {"mat_mumps_icntl_7": 4, "mat_mumps_icntl_13": 1, "mat_mumps_icntl_14": 200, "mat_mumps_icntl_24": 1},
 }
 
 
@@ -74,11 +74,12 @@ class Factor:
         try:
             inner.setOperators(self.matrix)
             inner.setUp()
+            failed = inner.getFailedReason() != PETSc.PC.FailedReason.NOERROR
         except PETSc.Error:
+            failed = True
+        if failed:
             # PETSc takes a factorisation that has failed for a finished one: it must not be asked again.
             self._made.pop(package).destroy()
-            return False
-        if inner.getFailedReason() != PETSc.PC.FailedReason.NOERROR:
             return False
         if package == "cholmod":
             self.negative = 0
@@ -146,12 +147,17 @@ class FactorShell:
 
     def __init__(self, factor: Factor) -> None:
         self.factor = factor
+        self._ready = False
 
     def setUp(self, pc: PETSc.PC) -> None:
-        """Factorise; a failure is told to SNES as a failed linear solve."""
-        if not self.factor.refresh():
-            pc.setFailedReason(PETSc.PC.FailedReason.FACTOR_NUMERIC_ZEROPIVOT)
+        """Factorise; a failure is told to SNES as a failed linear solve, until the next factorisation."""
+        self._ready = self.factor.refresh()
+        failed = PETSc.PC.FailedReason.FACTOR_NUMERIC_ZEROPIVOT
+        pc.setFailedReason(PETSc.PC.FailedReason.NOERROR if self._ready else failed)
 
     def apply(self, _pc: PETSc.PC, right: PETSc.Vec, solution: PETSc.Vec) -> None:
-        """Solve with the factor."""
-        self.factor.solve(right, solution)
+        """Solve with the factor; PETSc asks although `setUp` failed, and NaN then ends its iteration without an exception."""
+        if self._ready:
+            self.factor.solve(right, solution)
+        else:
+            solution.set(float("nan"))

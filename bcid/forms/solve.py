@@ -416,14 +416,17 @@ class Equilibrium:
         try:
             self.snes.solve(None, self.iterate)
         except PETSc.Error as error:
+            # The error has left the vector locked.
+            self.iterate.destroy()
+            self.iterate = self.vector.duplicate()
             return Status.OUT_OF_MEMORY if error.ierr == 55 else Status.LINEAR_SOLVER
         self.iterations += self.snes.getIterationNumber()
         reason = self.snes.getConvergedReason()
+        if self.factor.count > factored and not self.factor.usable:
+            return Status.LINEAR_SOLVER
         if reason <= 0:
             return _REASONS.get(reason, Status.DIVERGED)
         self._copy_in(self.iterate)
-        if self.factor.count > factored and not self.factor.usable:
-            return Status.LINEAR_SOLVER
         if self.factor.count > factored and self.factor.negative:
             return Status.UNSTABLE
         return Status.CONVERGED if self.smallest_jacobian() > 0 else Status.INVERTED

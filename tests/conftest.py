@@ -1,0 +1,120 @@
+"""What tests of every kind share: where data are, and the slab that seven other codes computed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from bcid.forms.solve import Equilibrium
+
+PROJECT = Path(__file__).resolve().parents[1]
+Array = NDArray[np.float64]
+
+
+@pytest.fixture(scope="session")
+def project() -> Path:
+    """Root folder of the project."""
+    return PROJECT
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """A folder of larger data beside the project; tests that need it are skipped where it is absent."""
+    folder = PROJECT.parent / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip(f"the optional data folder {folder} is not there")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def measurement_folder() -> Callable[[str], Path]:
+    """Finds a measurement by name: among the examples, else in the optional data folder, else the test is skipped."""
+
+    def find(name: str) -> Path:
+        for folder in (PROJECT / "examples" / "measurements", PROJECT.parent / "shared" / "data" / "lab"):
+            if (folder / name).is_dir():
+                return folder / name
+        pytest.skip(f"measurement {name} is neither among the examples nor in the optional data folder")
+
+    return find
+
+
+@dataclass(frozen=True)
+class Slab40:
+    """The benchmark of tests/data/README.md on one mesh, with the field the other codes agree on.
+
+    Attributes:
+        points: nodes of the reference, m.
+        field: their final displacement, m.
+        probe: the node whose deflection is quoted for the compression.
+    """
+
+    equilibrium: Equilibrium
+    points: Array
+    field: Array
+    probe: int
+
+    def displacement(self) -> Array:
+        """Displacement of the present state in the order of the reference's nodes, m; collective."""
+        from scipy.spatial import cKDTree
+
+        body = self.equilibrium.body
+        owned = body.displacement_space.dofmap.index_map.size_local
+        nodes, values = body.nodes[:owned], self.equilibrium.displacement()[:owned]
+        where = np.vstack(body.comm.allgather(nodes))
+        distance, order = cKDTree(where).query(self.points)
+        assert distance.max() < 1e-12
+        return np.asarray(np.vstack(body.comm.allgather(values))[order])
+
+
+@pytest.fixture(scope="session")
+def slab40() -> Callable[..., Slab40]:
+    """Builds the benchmark: `slab40("small")`, `slab40("medium", rtol=1e-10)`; "large" is in the data folder."""
+
+    def build(name: str, comm: Any = None, rtol: float = 1e-8) -> Slab40:
+        from mpi4py import MPI
+
+        from bcid.forms.body import Body
+        from bcid.forms.mesh import BodyMesh
+        from bcid.forms.model import Anchors, Held, Model
+        from bcid.forms.solve import Equilibrium, Settings
+        from bcid.scene import Grasp, Level, Material, Region, Scene
+
+        data = _slab40_arrays(name)
+        points = data["points"] * 1e-3
+        groups = {part: data[part].astype(np.int64)[:, None] for part in ("fixed", "patch")}
+        scene = Scene(
+            name=f"slab40-{name}",
+            geometry=Path(f"{name}.npz"),
+            length_unit=1e-3,
+            levels=(Level(1),),
+            material=Material("neo_hooke", {"young": "15 kPa", "poisson": 0.35}),
+            patches={"fixed": Region(("fixed",))},
+            grasps={"patch": Grasp(Region(("patch",)), (0.09, 0.05, 0.005))},
+            fiducials={},
+        )
+        body = Body(comm or MPI.COMM_SELF, BodyMesh(points, data["cells"].astype(np.int64), groups))
+        model = Model.of(scene) + Anchors({"fixed"}) + Held("patch")
+        equilibrium = Equilibrium(body, model, scene, Settings(rtol=rtol))
+        return Slab40(equilibrium, points, data["field"] * 1e-3, int(data["probe"]))
+
+    return build
+
+
+def _slab40_arrays(name: str) -> dict[str, NDArray[Any]]:
+    shipped = PROJECT / "tests" / "data" / f"slab40-{name}.npz"
+    if shipped.is_file():
+        with np.load(shipped, allow_pickle=False) as data:
+            return dict(data)
+    folder = PROJECT.parent / "shared" / "data" / "reference" / "slab40"
+    if not folder.is_dir():
+        pytest.skip(f"mesh {name} is in the optional data folder, which is not there")
+    with np.load(folder / f"{name}.npz", allow_pickle=False) as data:
+        return dict(data) | {"field": np.load(folder / f"{name}-field.npy", allow_pickle=False)}

@@ -1,0 +1,210 @@
+"""C6 on any number of ranks: the numbers of one rank, and failures on all ranks or none.
+
+Run as ``mpirun -n N python -m pytest tests/parallel`` with N = 1, 2, 3.
+Every rank computes the answer for itself on COMM_SELF, and then with the others on a mesh that is shared out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from numpy.typing import NDArray
+from verify.problems import move, pull_and_lift
+
+from bcid.collective import on_root
+from bcid.errors import BcidError, InputError
+from bcid.forms.factor import Factor
+from bcid.forms.forward import Forward, Prediction
+from bcid.forms.model import Dose, Held, Model, check_physics
+from bcid.forms.simulate import simulate
+from bcid.forms.solve import Settings, Status
+from bcid.forms.trajectory import follow
+from bcid.motions import about_x, motion
+from bcid.scene import Level, Region, Scene
+from bcid.search.identify import Options, identify
+
+pytestmark = pytest.mark.parallel
+
+Array = NDArray[np.float64]
+WORLD = MPI.COMM_WORLD
+SAME = 1e-10
+EXACT = Settings(rtol=1e-12)
+
+
+def same_everywhere(value: Any) -> bool:
+    """Whether every rank has the same value, to the last bit."""
+    values = WORLD.allgather(value)
+    return all(np.array_equal(v, values[0]) if isinstance(v, np.ndarray) else v == values[0] for v in values)
+
+
+def close(a: Array, b: Array) -> None:
+    assert np.abs(a - b).max() <= SAME * np.abs(b).max()
+
+
+@pytest.fixture(scope="module")
+def slab(project: Path) -> Scene:
+    return Scene.read(project / "examples" / "scenes" / "slab.toml", physics=check_physics)
+
+
+def test_a_shared_mesh_gives_the_same_field(slab40: Callable[..., Any]) -> None:
+    fields = []
+    for comm in (MPI.COMM_SELF, WORLD):
+        benchmark = slab40("small", comm, rtol=1e-12)
+        result = follow(benchmark.equilibrium, pull_and_lift(10), lambda _k, _pose: None)
+        assert (result.status, result.steps) == (Status.CONVERGED, 21)
+        fields.append(benchmark.displacement())
+        benchmark.equilibrium.destroy()
+    close(fields[1], fields[0])
+    assert np.abs(fields[1] - benchmark.field).max() <= 1e-9 * np.abs(benchmark.field).max()
+
+
+def twisted() -> list[Any]:
+    """Two actions: a pull with a twist, and one with another grasp."""
+    part = np.arange(5) / 4
+    first = move(part[:, None] * [0.006, 0.004, 0.0], "II", rotations=about_x(15.0 * part))
+    second = move(part[:, None] * [0.0, 0.003, 0.006], "I")
+    return [first, replace(second, name="2", frames=second.frames + len(first))]
+
+
+def predictions(scene: Scene, model: Model, level: int) -> list[Prediction]:
+    """On one rank and on all."""
+    result = []
+    for comm in (MPI.COMM_SELF, WORLD):
+        forward = Forward(scene, level, comm, model, EXACT)
+        result.append(forward.predict({"1", "4"}, twisted()))
+        forward.destroy()
+    return result
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("weight", [0.0, 2000.0])
+def test_fiducials_and_wrench_do_not_depend_on_the_ranks(slab: Scene, degree: int, weight: float) -> None:
+    scene = replace(slab, levels=(Level(degree, 0.020),))
+    model = Model.of(scene)
+    if weight:
+        model = model + Dose("gravity", {"weight": weight})
+    alone, together = predictions(scene, model, 0)
+    assert alone.failure is None
+    assert together.failure is None
+    close(together.positions, alone.positions)
+    close(together.wrench, alone.wrench)
+    assert same_everywhere(together.positions)
+    assert same_everywhere(together.wrench)
+
+
+def test_the_mixed_formulation_does_not_depend_on_the_ranks(project: Path) -> None:
+    scene = Scene.read(project / "examples" / "scenes" / "beam.toml", physics=check_physics)
+    fields = []
+    for comm in (MPI.COMM_SELF, WORLD):
+        forward = Forward(scene, 0, comm, settings=EXACT)
+        load = {"tip_edge": np.array([[0.0, 0.0, -0.5]])}
+        prediction = forward.predict({"clamp"}, [move(np.zeros((1, 3)), grasp="", loads=load)])
+        assert prediction.failure is None
+        fields.append(prediction.positions)
+        forward.destroy()
+    close(fields[1] - scene.rest, fields[0] - scene.rest)
+
+
+def test_an_unstable_state_is_seen_on_every_number_of_ranks(slab40: Callable[..., Any]) -> None:
+    benchmark = slab40("medium", WORLD)
+    path = np.linspace(0, 1, 11)[:, None] * [-0.020, 0.0, 0.0]
+    result = follow(benchmark.equilibrium, move(path), lambda _k, _pose: None)
+    assert same_everywhere(str(result.status))
+    if result.status is not Status.UNSTABLE:
+        assert result.status is Status.CONVERGED
+        assert benchmark.displacement()[benchmark.probe, 2] * 1e3 == pytest.approx(-15.959, abs=5e-4)
+    benchmark.equilibrium.destroy()
+
+
+@pytest.fixture(scope="module")
+def measured(slab: Scene) -> Any:
+    """A short simulated measurement on the coarsest level, patches 3 and 4 anchored."""
+    actions = motion("pull", "II")
+    return simulate(slab, {"3", "4"}, actions, level=0, noise=0.0003, random_state=1, comm=WORLD)
+
+
+def test_a_simulated_measurement_is_the_same_everywhere(slab: Scene, measured: Any) -> None:
+    alone = simulate(slab, {"3", "4"}, motion("pull", "II"), level=0, noise=0.0003, random_state=1)
+    close(measured.positions, alone.positions)
+    assert same_everywhere(measured.positions)
+
+
+@pytest.mark.parametrize("method", ["climb", "enumerate"])
+def test_candidates_spread_over_ranks_give_the_same_ranking(slab: Scene, measured: Any, method: str) -> None:
+    options = Options(method=method, seeds=4, climbed=1, finest=0)
+    # Each rank reads the measurement as rank 0 has it: the input of one search is the same on all ranks.
+    measurement = WORLD.bcast(measured, root=0)
+    alone = identify(slab, measurement, MPI.COMM_SELF, options)
+    together = identify(slab, measurement, WORLD, options)
+    assert together.anchored == alone.anchored == ("3", "4")
+    assert [a.anchored for a in together.alternatives] == [a.anchored for a in alone.alternatives]
+    assert together.probability == pytest.approx(alone.probability, rel=1e-6)
+    assert together.rms == pytest.approx(alone.rms, rel=1e-9)
+    assert same_everywhere(together.anchored)
+    assert same_everywhere(together.rms)
+    assert together.evaluations == pytest.approx(alone.evaluations)
+
+
+def test_errors_are_raised_on_every_rank(slab: Scene, tmp_path_factory: pytest.TempPathFactory) -> None:
+    def fail() -> None:
+        raise InputError("only rank 0 looked")
+
+    with pytest.raises(InputError, match="only rank 0 looked"):
+        on_root(WORLD, fail)
+    broken = tmp_path_factory.mktemp(f"rank{WORLD.rank}") / "broken.geo"
+    broken.write_text('Box(1) = {0, 0};\nPhysical Volume("body") = {1};\n')
+    with pytest.raises(BcidError):
+        Forward(replace(slab, geometry=broken), 0, WORLD)
+    forward = Forward(slab, 0, WORLD)
+    with pytest.raises(InputError, match="patch '9'"):
+        forward.predict({"9"}, twisted())
+    with pytest.raises(InputError, match="place 'nowhere'"):
+        forward.predict({"3"}, [move(np.zeros((2, 3)), "II", loads={"nowhere": np.ones((2, 3))})])
+    forward.destroy()
+    with pytest.raises(InputError, match="patch far"):
+        Forward(replace(slab, patches={"far": Region(("nothing",))}), 0, WORLD).predict({"far"}, twisted())
+    WORLD.barrier()
+
+
+def test_a_failed_solve_is_told_on_every_rank(slab: Scene) -> None:
+    forward = Forward(slab, 0, WORLD, settings=Settings(halvings=0, max_iterations=3))
+    prediction = forward.predict({"3", "4"}, [move([[0, 0, 0], [0.0, 0.3, 0.0]], "II")])
+    assert prediction.failure is not None
+    assert same_everywhere(str(prediction.failure.status))
+    assert same_everywhere(prediction.failure.steps)
+    assert not prediction.complete
+    forward.destroy()
+
+
+def test_a_failed_factorisation_has_a_name_and_leaves_no_trace(slab: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    forward = Forward(slab, 0, WORLD, settings=EXACT)
+    before = forward.predict({"1", "4"}, twisted())
+    working, calls = Factor._factorise, []
+
+    def failing(factor: Factor, package: str) -> bool:
+        calls.append(package)
+        return len(calls) < 4 and working(factor, package)
+
+    monkeypatch.setattr(Factor, "_factorise", failing)
+    failure = forward.predict({"1", "4"}, twisted()).failure
+    monkeypatch.undo()
+    assert failure is not None
+    assert failure.status is Status.LINEAR_SOLVER
+    close(forward.predict({"1", "4"}, twisted()).positions, before.positions)
+    forward.destroy()
+
+
+def test_the_grasp_may_be_held_without_anchors(slab: Scene) -> None:
+    forward = Forward(slab, 0, WORLD, Model.of(slab) + Held("II"), EXACT)
+    prediction = forward.predict((), [move([[0, 0, 0], [0.01, 0.02, 0.03]], "II")])
+    assert prediction.failure is None
+    assert prediction.positions[-1] - forward.observer.rest == pytest.approx(
+        np.tile([0.01, 0.02, 0.03], (len(slab.fiducials), 1)), abs=1e-12
+    )
+    forward.destroy()

@@ -1,0 +1,109 @@
+"""C5: a converged state that would not stay is never passed off as the answer.
+
+Newton's method finds unstable equilibria too, and the residual cannot tell: only the signs of the tangent's eigenvalues
+can. They are computed here by LAPACK, independently of the factorisation that the solver looks at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from verify.problems import box, lowest_eigenvalue, move, scene_of, straight
+
+from bcid.forms.body import Body
+from bcid.forms.forward import Forward
+from bcid.forms.model import Anchors, Held, Model
+from bcid.forms.solve import Equilibrium, Pose, Status
+from bcid.forms.trajectory import follow
+from bcid.motions import about_x
+from bcid.scene import Scene
+
+
+@pytest.fixture(scope="module")
+def medium(slab40: Callable[..., Any]) -> Iterator[Any]:
+    slab = slab40("medium")
+    yield slab
+    slab.equilibrium.destroy()
+
+
+@pytest.mark.parametrize("steps", [1, 2, 10, 20])
+def test_a_compressed_slab_buckles_or_says_so(medium: Any, steps: int) -> None:
+    # The other codes: one or two large steps of plain Newton end in uz = +0.510 mm, lowest eigenvalue -0.16 N/m, energy
+    # 25443 uJ; the stable state has uz = -15.959 mm, +0.12 N/m and 22924 uJ.
+    result = follow(medium.equilibrium, straight((-0.020, 0, 0), steps), lambda _k, _pose: None)
+    if result.status is Status.UNSTABLE:
+        return
+    assert result.status is Status.CONVERGED
+    assert medium.displacement()[medium.probe, 2] * 1e3 == pytest.approx(-15.959, abs=5e-4)
+    assert medium.equilibrium.energy() * 1e6 == pytest.approx(22924, abs=1)
+    assert lowest_eigenvalue(medium.equilibrium) == pytest.approx(0.12, abs=5e-3)
+
+
+@pytest.fixture(scope="module", params=[1, 2], ids=["P1", "P2"])
+def column(request: pytest.FixtureRequest) -> Iterator[Equilibrium]:
+    """A slender block that is its own mirror image, so that its straight state is an exact equilibrium at any load."""
+    mesh = box((0.1, 0.01, 0.01), (12, 2, 2), mirrored=True)
+    scene = scene_of(grasp="x1", centre=(0.1, 0.005, 0.005))
+    model = Model.of(scene) + Anchors({"x0"}) + Held("x1")
+    equilibrium = Equilibrium(Body(MPI.COMM_SELF, mesh, request.param), model, scene)
+    yield equilibrium
+    equilibrium.destroy()
+
+
+@pytest.mark.parametrize("steps", [1, 3, 10])
+def test_an_exactly_straight_column_is_not_left_standing(column: Equilibrium, steps: int) -> None:
+    # Euler: clamped at both ends it buckles at the strain 4 pi^2 I/(A L^2) = 3.3 % (later on this coarse mesh); it is
+    # shortened by 8 %.
+    lowest = []
+    result = follow(
+        column, straight((-0.008, 0, 0), steps, "x1"), lambda _k, _pose: lowest.append(lowest_eigenvalue(column))
+    )
+    assert min(lowest) > 0
+    if result.status is Status.CONVERGED:
+        assert np.abs(column.displacement()[:, 1:]).max() > 0.005
+    else:
+        assert result.status is Status.UNSTABLE
+        assert "buckles" in result.reason
+
+
+def test_an_unstable_equilibrium_is_told_from_a_stable_one(column: Equilibrium) -> None:
+    # The straight state at 8 % is found by Newton's method and shown to the check, on a matrix small enough for any
+    # factorisation.
+    column.reset()
+    column._prescribe(Pose(translation=np.array([-0.008, 0, 0])))
+    column._lift()
+    assert column._newton() is Status.UNSTABLE
+    assert np.abs(column.displacement()[:, 1:]).max() < 5e-4
+    assert lowest_eigenvalue(column) < 0
+    assert column.verify() is Status.UNSTABLE
+    column.reset()
+    assert lowest_eigenvalue(column) > 0
+    assert column.verify() is Status.CONVERGED
+
+
+def test_random_pulls_end_in_stable_states(project: Path) -> None:
+    scene = Scene.read(project / "examples" / "scenes" / "slab.toml")
+    forward = Forward(scene, 0)
+    rng = np.random.default_rng(20)
+    accepted = 0
+    for _ in range(20):
+        anchors = [name for name in scene.patches if rng.random() < 0.35] or ["3"]
+        target = rng.normal(size=3)
+        target *= rng.uniform(0.005, 0.03) / np.linalg.norm(target)
+        part = np.linspace(0, 1, 7)[:, None]
+        turns = about_x(part[:, 0] * rng.uniform(-30, 30))
+        prediction = forward.predict(
+            anchors, [move(part * target, str(rng.choice(list(scene.grasps))), rotations=turns)]
+        )
+        if prediction.complete and prediction.failure is None:
+            accepted += 1
+            assert lowest_eigenvalue(forward.equilibrium) > 0, (anchors, target)
+        else:
+            assert prediction.failure is not None
+    assert accepted >= 15
+    forward.destroy()
