@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from bcid.search.farm import Candidate, Farm, Outcome
@@ -26,9 +26,15 @@ class Belief:
     patches: dict[str, float]
 
     @classmethod
-    def of(cls, farm: Farm, best: Candidate) -> Belief:
-        """Belief over everything the farm has evaluated, around the `best` set, which must be known on every level used."""
-        logs = {c: log_likelihood(o, farm.outcomes[o.level, best], farm.misfit) for c, o in finest(farm).items()}
+    def of(cls, farm: Farm, best: Candidate, errors: Mapping[int, float]) -> Belief:
+        """Belief over everything the farm has evaluated, around the `best` set, which must be known on every level used.
+
+        `errors` gives the error of each level's model, m (see `model_errors`).
+        """
+        logs = {
+            c: log_likelihood(o, farm.outcomes[o.level, best], farm.misfit, errors[o.level])
+            for c, o in finest(farm).items()
+        }
         highest = max(logs.values())
         weights = {c: math.exp(value - highest) for c, value in logs.items()}
         total = sum(weights.values())
@@ -49,22 +55,40 @@ def finest(farm: Farm, below: int | None = None) -> dict[Candidate, Outcome]:
     return found
 
 
-def log_likelihood(outcome: Outcome, best: Outcome, misfit: Misfit) -> float:
+def log_likelihood(outcome: Outcome, best: Outcome, misfit: Misfit, error: float) -> float:
     """Logarithm of the likelihood of a set against that of the `best` one, both on the same level.
 
-    Where even the best set misses the data by more than the noise, the level's model is in error by the rest. The
-    variance is then that of the best set's residuals instead of the noise's; and because an error of the model persists
-    along a trajectory, where noise does not, only so many values count as independent: all of them for the part of the
-    variance that is noise, one per trajectory for the part that is error.
+    The residuals hold white noise and the error of the level's model (RMS `error`, m), which persists along a trajectory where noise
+    does not. A difference between two sets persists too, so in its direction the error weighs as often as a trajectory has frames:
+    the variance is noise^2 + error^2 * frames per trajectory. When the noise is not stated, the best set's residuals stand for it.
     """
     if outcome.failed:
         return -math.inf
     if best.failed:
         return 0.0
-    variance = best.chi2 / misfit.values
-    if variance <= 0.0:
-        return 0.0 if outcome.chi2 <= 0.0 else -math.inf
-    noise_part = min(1.0, 1.0 / variance) if misfit.noise is not None else 1.0
-    independent = misfit.values * noise_part + misfit.curves * (1.0 - noise_part)
-    inflated = max(1.0, variance) if misfit.noise is not None else variance
-    return -(outcome.chi2 - best.chi2) / (2 * inflated) * independent / misfit.values
+    difference, variance = outcome.chi2 - best.chi2, 1.0
+    if misfit.noise is None:
+        variance = best.rms**2
+    else:
+        error /= misfit.noise
+    total = variance + error**2 * misfit.values / misfit.curves
+    if total <= 0.0:
+        return 0.0 if difference <= 0.0 else -math.inf
+    return -difference / (2 * total)
+
+
+def model_errors(farm: Farm, best: Candidate, levels: Sequence[int]) -> dict[int, float]:
+    """RMS error of the model on each of the levels, m; collective.
+
+    On a coarser level it is how far its prediction of the best set is from the finest level's; on the finest, a third of the last such
+    difference, as second-order convergence leaves when elements are halved; nowhere less than what the best set's residual has beyond
+    the noise.
+    """
+    predicted = {level: farm.positions(level, best) for level in levels}
+    last = levels[-1]
+    errors = {level: farm.misfit.distance(predicted[level], predicted[last]) for level in levels[:-1]}
+    errors[last] = errors[levels[-2]] / 3 if len(levels) > 1 else 0.0
+    for level in levels:
+        beyond = farm.outcomes[level, best].rms ** 2 - (farm.misfit.noise or math.inf) ** 2
+        errors[level] = max(errors[level], math.sqrt(max(beyond, 0.0)))
+    return errors

@@ -45,7 +45,7 @@ def interest(chi2: float) -> float:
 
     Beyond it its probability is below 1e-4, also on a coarse level (see `bcid.search.belief.log_likelihood`).
     """
-    return 1.3 * chi2 + 30.0
+    return 2.0 * chi2 + 30.0
 
 
 def climb(farm: Farm, level: int, seeds: Iterable[Candidate]) -> list[Climb]:

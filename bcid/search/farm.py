@@ -123,6 +123,7 @@ class Farm:
         self.actions = measurement.actions
         self.outcomes: dict[tuple[int, Candidate], Outcome] = {}
         self._forwards: dict[int, Forward] = {}
+        self._positions: dict[tuple[int, Candidate], Array] = {}
         self._kept: dict[int, tuple[float, Candidate, Prediction]] = {}
 
     @property
@@ -240,6 +241,13 @@ class Farm:
             mine = forward.predict(candidate, self.actions, fields=True)
         result: Prediction = self.comm.bcast(mine, root=holders[0] if holders else 0)
         return result
+
+    def positions(self, level: int, candidate: Candidate) -> Array:
+        """Predicted fiducial positions of one candidate, shape (frames, fiducials, 3), m; collective."""
+        key = level, candidate
+        if key not in self._positions:
+            self._positions[key] = self.predict(level, candidate).positions
+        return self._positions[key]
 
     def evaluations(self) -> dict[int, float]:
         """Forward trajectories computed per level, in whole-trajectory equivalents."""

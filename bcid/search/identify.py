@@ -17,7 +17,7 @@ from bcid.forms.solve import Settings
 from bcid.measurement import Measurement
 from bcid.progress import Progress, Silent
 from bcid.scene import Scene
-from bcid.search.belief import Belief, finest, log_likelihood
+from bcid.search.belief import Belief, finest, log_likelihood, model_errors
 from bcid.search.climb import climb, interest, neighbours, rank
 from bcid.search.farm import Candidate, Farm, Outcome, label
 from bcid.search.seeds import above, all_candidates, maxima, perturbed, random_seeds
@@ -29,6 +29,8 @@ _GROUP = 4
 _ENUMERATED = 16
 # A set this much less likely than the best on a coarser level is not carried to the next.
 _LEAST = math.log(1e-4)
+# The ladder goes on while the best set is less probable than this.
+_DECIDED = 0.99
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,7 @@ class Identification:
         probability: of this set among all visited ones.
         patches: probability that each patch is anchored.
         rms, noise: RMS residual of the set on the finest level used, and the stated noise (None if unknown).
+        discretisation: RMS error of the model on that level, as far as the ladder and the residual tell; None with one level.
         certified: whether every set of patches was looked at on the finest level used, and the model could be solved for each.
         evaluations: forward trajectories per level, in whole-trajectory equivalents.
         alternatives: the next best sets, best first.
@@ -105,6 +108,7 @@ class Identification:
     patches: dict[str, float]
     rms: float
     noise: float | None
+    discretisation: float | None
     certified: bool
     evaluations: dict[int, float]
     alternatives: tuple[Alternative, ...]
@@ -126,6 +130,7 @@ class Identification:
             "patches": self.patches,
             "rms": self.rms / length,
             "noise_rms": None if self.noise is None else self.noise / length,
+            "discretisation_rms": None if self.discretisation is None else self.discretisation / length,
             "certified": self.certified,
             "evaluations": {str(level): round(count, 3) for level, count in self.evaluations.items()},
             "alternatives": others,
@@ -215,7 +220,7 @@ class _Search:
                 self.promote(level)
             best.append(self.best(level))
             self.note(level, best[-1])
-            if options.finest is None and self.settled(best):
+            if options.finest is None and len(best) > 1 and self.settled(best):
                 break
         return self.result(best, time.perf_counter() - start)
 
@@ -298,11 +303,14 @@ class _Search:
             climbed = min(level, options.coarsest + options.climbed - 1)
             around = interest(farm.outcomes[climbed, best.candidate].chi2)
             farm.evaluate(climbed, dict.fromkeys(neighbours(best.candidate, farm.patches), around))
+            errors = model_errors(farm, best.candidate, self.levels)
             waiting: dict[int, list[Candidate]] = {}
             for candidate, outcome in finest(farm).items():
                 reference = farm.outcomes.get((outcome.level, best.candidate))
-                if outcome.level < level and reference and log_likelihood(outcome, reference, farm.misfit) > _LEAST:
-                    waiting.setdefault(outcome.level + 1, []).append(candidate)
+                if outcome.level < level and reference:
+                    likely = log_likelihood(outcome, reference, farm.misfit, errors[outcome.level]) > _LEAST
+                    if likely:
+                        waiting.setdefault(outcome.level + 1, []).append(candidate)
             if not waiting and self.best(level).candidate == best.candidate:
                 return
             for target, candidates in sorted(waiting.items()):
@@ -312,19 +320,25 @@ class _Search:
                 )
 
     def settled(self, best: Sequence[Outcome]) -> bool:
-        """The residual is the noise; or two levels agree on the set, and the residual has stopped changing with the mesh."""
+        """The set is decided with the error of this level counted, and the residual is the noise or no longer changes."""
         noise = self.farm.misfit.noise
-        if noise is not None and best[-1].rms <= 1.1 * noise:
-            return True
-        same = len(best) > 1 and best[-1].candidate == best[-2].candidate
-        return same and abs(best[-1].rms - best[-2].rms) < 0.05 * best[-1].rms
+        near = noise is not None and best[-1].rms <= 1.1 * noise
+        if not near and abs(best[-1].rms - best[-2].rms) >= 0.05 * best[-1].rms:
+            return False
+        self.complete(best[-1])
+        belief = Belief.of(self.farm, best[-1].candidate, model_errors(self.farm, best[-1].candidate, self.levels))
+        return belief.probability[best[-1].candidate] >= _DECIDED
+
+    def complete(self, winner: Outcome) -> None:
+        """Evaluate the winner on every level used: the belief compares the others with it."""
+        for level in self.levels:
+            self.farm.evaluate(level, {winner.candidate: math.inf})
 
     def result(self, best: Sequence[Outcome], seconds: float) -> Identification:
         farm, winner = self.farm, best[-1]
-        # The belief compares sets level by level with the winner, which may not have been visited on a coarse one.
-        for level in self.levels:
-            farm.evaluate(level, {winner.candidate: float("inf")})
-        belief = Belief.of(farm, winner.candidate)
+        self.complete(winner)
+        errors = model_errors(farm, winner.candidate, self.levels)
+        belief = Belief.of(farm, winner.candidate, errors)
         patches = farm.patches
         return Identification(
             anchored=tuple(p for p in patches if p in winner.candidate),
@@ -332,9 +346,10 @@ class _Search:
             patches=belief.patches,
             rms=winner.rms,
             noise=farm.misfit.noise,
+            discretisation=errors[winner.level] if len(self.levels) > 1 else None,
             certified=self.certified(winner.level),
             evaluations=farm.evaluations(),
-            alternatives=self.alternatives(belief, winner),
+            alternatives=self.alternatives(belief, winner, errors),
             levels=tuple(self.levels),
             stages=tuple(self.stages),
             prediction=farm.predict(winner.level, winner.candidate),
@@ -350,11 +365,15 @@ class _Search:
         outcomes = [self.farm.outcomes.get((level, candidate)) for candidate in all_candidates(patches)]
         return all(outcome is not None and not outcome.failed for outcome in outcomes)
 
-    def alternatives(self, belief: Belief, winner: Outcome, count: int = 8) -> tuple[Alternative, ...]:
+    def alternatives(
+        self, belief: Belief, winner: Outcome, errors: dict[int, float], count: int = 8
+    ) -> tuple[Alternative, ...]:
         farm = self.farm
         others = [o for c, o in finest(farm).items() if c != winner.candidate and not o.failed]
         best = {o.candidate: farm.outcomes[o.level, winner.candidate] for o in others}
-        likely = sorted(others, key=lambda o: (-log_likelihood(o, best[o.candidate], farm.misfit), rank(o)))
+        likely = sorted(
+            others, key=lambda o: (-log_likelihood(o, best[o.candidate], farm.misfit, errors[o.level]), rank(o))
+        )
         return tuple(
             Alternative(
                 tuple(p for p in farm.patches if p in o.candidate),

@@ -160,10 +160,14 @@ def summary(scene: Scene, measurement: Measurement, found: Identification) -> st
     names = label(found.anchored, scene.patches)
     frames, fiducials = measurement.positions.shape[:2]
     noise = f"the stated noise is {found.noise / unit:.3g} {length}" if found.noise else "no noise is stated"
+    mesh = "Only one mesh level was used: nothing is known of the error of the mesh."
+    if found.discretisation is not None:
+        mesh = f"The error of the model on the last mesh level is taken as {found.discretisation / unit:.2g} {length}."
     lines = [
         f"Anchored patches of {scene.name}: {names}  (probability {percent(found.probability)})",
         "",
         f"The model misses the measurement by {found.rms / unit:.3g} {length} per coordinate (RMS); {noise}.",
+        mesh,
         f"Compared: {len(measurement.action_names)} action(s), {frames} frames, {fiducials} fiducials.",
         "",
         "Probability that a patch is anchored:",

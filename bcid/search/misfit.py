@@ -53,6 +53,10 @@ class Misfit:
         """RMS residual per coordinate, m, from the sum of squares over all frames."""
         return float(np.sqrt(squares / self.values))
 
+    def distance(self, a: Array, b: Array) -> float:
+        """RMS difference of two predictions (frames, fiducials, 3) over the visible coordinates, m."""
+        return float(np.sqrt(np.mean((a - b)[self.visible] ** 2)))
+
     def similarity(self, rms: float) -> float:
         """1 for a perfect prediction, 0 for one as bad as predicting no motion at all, negative beyond."""
         return 1.0 - rms / self.motion_rms

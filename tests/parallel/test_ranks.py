@@ -19,8 +19,11 @@ from verify.problems import move, pull_and_lift
 
 from bcid.collective import on_root
 from bcid.errors import BcidError, InputError
+from bcid.forms.body import Body
 from bcid.forms.factor import Factor
 from bcid.forms.forward import Forward, Prediction
+from bcid.forms.loads import nodal_weights
+from bcid.forms.mesh import level_mesh
 from bcid.forms.model import Dose, Held, Model, check_physics
 from bcid.forms.simulate import simulate
 from bcid.forms.solve import Settings, Status
@@ -44,7 +47,9 @@ def same_everywhere(value: Any) -> bool:
 
 
 def close(a: Array, b: Array) -> None:
-    assert np.abs(a - b).max() <= SAME * np.abs(b).max()
+    """Fail on all ranks when two arrays differ on any: one that failed alone would leave the others waiting."""
+    ok = bool(np.abs(a - b).max() <= SAME * np.abs(b).max())
+    assert all(WORLD.allgather(ok))
 
 
 @pytest.fixture(scope="module")
@@ -53,14 +58,18 @@ def slab(project: Path) -> Scene:
 
 
 def test_a_shared_mesh_gives_the_same_field(slab40: Callable[..., Any]) -> None:
-    fields = []
+    fields, scales = [], []
     for comm in (MPI.COMM_SELF, WORLD):
         benchmark = slab40("small", comm, rtol=1e-12)
         result = follow(benchmark.equilibrium, pull_and_lift(10), lambda _k, _pose: None)
         assert (result.status, result.steps) == (Status.CONVERGED, 21)
         fields.append(benchmark.displacement())
+        scales.append(benchmark.equilibrium._scale())
         benchmark.equilibrium.destroy()
     close(fields[1], fields[0])
+    # All ranks must judge convergence by the same forces, or some go on while others have stopped.
+    assert scales[1] == pytest.approx(scales[0], rel=1e-9)
+    assert same_everywhere(scales[1])
     assert np.abs(fields[1] - benchmark.field).max() <= 1e-9 * np.abs(benchmark.field).max()
 
 
@@ -96,6 +105,14 @@ def test_fiducials_and_wrench_do_not_depend_on_the_ranks(slab: Scene, degree: in
     close(together.wrench, alone.wrench)
     assert same_everywhere(together.positions)
     assert same_everywhere(together.wrench)
+
+
+def test_a_dead_load_is_shared_out_once(project: Path) -> None:
+    scene = Scene.read(project / "examples" / "scenes" / "beam.toml", physics=check_physics)
+    mesh = level_mesh(scene, scene.levels[1], WORLD)
+    for region in (Region(("top",)), Region(("tip_edge",))):
+        shares = nodal_weights(Body(WORLD, mesh, 2), region, "place")
+        assert WORLD.allreduce(shares.sum()) == pytest.approx(1.0, abs=1e-12)
 
 
 def test_the_mixed_formulation_does_not_depend_on_the_ranks(project: Path) -> None:

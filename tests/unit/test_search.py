@@ -10,7 +10,7 @@ import pytest
 from bcid.errors import InputError, SolveError
 from bcid.forms.solve import Status
 from bcid.progress import Silent
-from bcid.search.belief import Belief, finest, log_likelihood
+from bcid.search.belief import Belief, finest, log_likelihood, model_errors
 from bcid.search.climb import climb, interest, neighbours
 from bcid.search.farm import Candidate, Farm, Outcome, label
 from bcid.search.identify import Options, _Search
@@ -25,11 +25,17 @@ VALUES = 1000
 class Landscape:
     """Stands in for a `Farm`: chi-square from a formula, with evaluations that stop at a bound as the real ones do."""
 
-    def __init__(self, *levels: Callable[[Candidate], float], noise: float | None = 1.0) -> None:
+    def __init__(self, *levels: Callable[[Candidate], float], noise: float | None = 1.0, apart: float = 0.0) -> None:
         self.levels = levels
+        self.apart = apart
         self.patches = PATCHES
         self.misfit = SimpleNamespace(
-            values=VALUES, curves=60, noise=noise, motion_rms=100.0, similarity=lambda rms: 1 - rms / 100
+            values=VALUES,
+            curves=60,
+            noise=noise,
+            motion_rms=100.0,
+            distance=lambda a, b: abs(a - b),
+            similarity=lambda rms: 1 - rms / 100,
         )
         self.scene = SimpleNamespace(levels=levels)
         self.outcomes: dict[tuple[int, Candidate], Outcome] = {}
@@ -59,6 +65,10 @@ class Landscape:
 
     def predict(self, level: int, candidate: Candidate) -> None:
         return None
+
+    def positions(self, level: int, candidate: Candidate) -> float:
+        """One number stands for the prediction: levels are `apart` from the finest by this."""
+        return self.apart * (len(self.levels) - 1 - level)
 
 
 def distance(candidate: Candidate, truth: Candidate = TRUE) -> float:
@@ -106,7 +116,7 @@ def test_neighbours_and_labels() -> None:
     assert neighbours(frozenset("1"), ["1", "2"]) == [frozenset(), frozenset("12")]
     assert label(frozenset("21"), ["1", "2", "3"]) == "{1 2}"
     assert label(frozenset(), ["1"]) == "{}"
-    assert interest(1000.0) == 1330.0
+    assert interest(1000.0) == 2030.0
 
 
 def test_seeds() -> None:
@@ -149,7 +159,7 @@ def test_termination(rules: Termination, since: int, said: str | None) -> None:
 def test_belief_is_a_distribution() -> None:
     farm = Landscape(lambda c: VALUES + 4.0 * len(c ^ TRUE) if len(c) < 5 else math.inf)
     farm.evaluate(0, dict.fromkeys(all_candidates(PATCHES), math.inf))
-    belief = Belief.of(farm, TRUE)  # type: ignore[arg-type]
+    belief = Belief.of(farm, TRUE, {0: 0.0})  # type: ignore[arg-type]
     assert math.fsum(belief.probability.values()) == pytest.approx(1.0)
     assert belief.probability[frozenset(PATCHES)] == 0.0
     one = belief.probability[frozenset("2")] / belief.probability[TRUE]
@@ -161,11 +171,32 @@ def test_a_coarse_level_is_not_believed_beyond_its_error() -> None:
     """Where the best set misses by ten times the noise, the same ratio of misfits says far less."""
     fine, coarse = (Landscape(lambda c, s=s: s * (VALUES + 100.0 * len(c ^ TRUE))) for s in (1.0, 100.0))
     ratios = []
-    for farm in (fine, coarse):
+    for farm, error in ((fine, 0.0), (coarse, math.sqrt(99.0))):
         farm.evaluate(0, {TRUE: math.inf, frozenset("2"): math.inf})
-        ratios.append(log_likelihood(farm.outcomes[0, frozenset("2")], farm.outcomes[0, TRUE], farm.misfit))  # type: ignore[arg-type]
+        assert model_errors(farm, TRUE, [0]) == {0: pytest.approx(error)}  # type: ignore[arg-type]
+        pair = farm.outcomes[0, frozenset("2")], farm.outcomes[0, TRUE]
+        ratios.append(log_likelihood(*pair, farm.misfit, error))  # type: ignore[arg-type]
     assert ratios[0] == pytest.approx(-50.0)
-    assert ratios[1] == pytest.approx(-50.0 * (0.01 * VALUES + 0.99 * 60) / VALUES)
+    assert ratios[1] == pytest.approx(-10_000 / 2 / (1 + 99 * VALUES / 60))
+
+
+def test_the_error_of_a_level_comes_from_the_next_and_from_the_residual() -> None:
+    farm = Landscape(distance, distance, apart=3.0)
+    for level in (0, 1):
+        farm.evaluate(level, {TRUE: math.inf})
+    assert model_errors(farm, TRUE, [0, 1]) == {0: 3.0, 1: 1.0}  # type: ignore[arg-type]
+    farm = Landscape(lambda c: 5 * VALUES, lambda c: 2 * VALUES)
+    for level in (0, 1):
+        farm.evaluate(level, {TRUE: math.inf})
+    assert model_errors(farm, TRUE, [0, 1]) == pytest.approx({0: 2.0, 1: 1.0})  # type: ignore[arg-type]
+
+
+def test_a_fit_on_one_level_is_not_enough() -> None:
+    """The coarsest level fits a wrong set to within the noise; the next one is asked all the same, and says so."""
+    wrong = frozenset("25") ^ {"1"}
+    found = search(Landscape(lambda c: distance(c, wrong), distance, distance, apart=2.0))
+    assert found.levels[:2] == (0, 1)
+    assert found.anchored == ("2", "5")
 
 
 def test_the_search_finds_and_counts() -> None:
