@@ -47,7 +47,7 @@ def _marginal(items: Iterable[tuple[Candidate, float]], patch: str) -> float:
 
 
 def finest(farm: Farm, below: int | None = None) -> dict[Candidate, Outcome]:
-    """Each visited set with its outcome on the finest level it was evaluated on (of the levels up to `below`, if given)."""
+    """Each visited set with its outcome on the finest level it was seen on (of the levels up to `below`, if given)."""
     found: dict[Candidate, Outcome] = {}
     for (level, candidate), outcome in sorted(farm.outcomes.items(), key=lambda item: (item[0][0], sorted(item[0][1]))):
         if below is None or level <= below:
@@ -59,8 +59,9 @@ def log_likelihood(outcome: Outcome, best: Outcome, misfit: Misfit, error: float
     """Logarithm of the likelihood of a set against that of the `best` one, both on the same level.
 
     The residuals hold white noise and the error of the level's model (RMS `error`, m), which persists along a trajectory where noise
-    does not. A difference between two sets persists too, so in its direction the error weighs as often as a trajectory has frames:
-    the variance is noise^2 + error^2 * frames per trajectory. When the noise is not stated, the best set's residuals stand for it.
+    does not. A difference between two sets persists too, so in its direction the error weighs as often as a trajectory
+    has frames: the variance is noise^2 + error^2 * frames per trajectory. When the noise is not stated, the best set's
+    residuals stand for it.
     """
     if outcome.failed:
         return -math.inf
@@ -80,9 +81,9 @@ def log_likelihood(outcome: Outcome, best: Outcome, misfit: Misfit, error: float
 def model_errors(farm: Farm, best: Candidate, levels: Sequence[int]) -> dict[int, float]:
     """RMS error of the model on each of the levels, m; collective.
 
-    On a coarser level it is how far its prediction of the best set is from the finest level's; on the finest, a third of the last such
-    difference, as second-order convergence leaves when elements are halved; nowhere less than what the best set's residual has beyond
-    the noise.
+    On a coarser level it is how far its prediction of the best set is from the finest level's; on the finest, a third of
+    the last such difference, as second-order convergence leaves when elements are halved; nowhere less than what the
+    best set's residual has beyond the noise.
     """
     predicted = {level: farm.positions(level, best) for level in levels}
     last = levels[-1]
