@@ -25,19 +25,28 @@ def main() -> None:
     """Print the table on rank 0."""
     comm = MPI.COMM_WORLD
     scene = Scene.read(EXAMPLES / "scenes/slab.toml")
-    head = f"{'measurement':<22} {'anchored':<9} {'right':<6} {'certified':<10} {'residual':>9} {'trajectories per level':>24}"
+    columns = (
+        "measurement",
+        "anchored",
+        "right",
+        "probability",
+        "certified",
+        "residual",
+        "trajectories per level",
+        "time",
+    )
+    form = "{:<22} {:<9} {:<6} {:>12} {:<10} {:>9} {:>26} {:>8}"
     if comm.rank == 0:
-        print(f"{comm.size} rank(s)\n{head} {'time':>8}", flush=True)
+        print(f"{comm.size} rank(s)\n{form.format(*columns)}", flush=True)
     for folder in sorted((EXAMPLES / "measurements").glob("slab-*")):
         found = identify(scene, Measurement.read(folder), comm, OPTIONS)
         if comm.rank > 0:
             continue
-        right = list(found.anchored) == list(folder.name.split("-")[1])
+        right = "yes" if list(found.anchored) == list(folder.name.split("-")[1]) else "NO"
         counts = " ".join(f"{level}: {count:.1f}" for level, count in found.evaluations.items())
-        row = f"{folder.name:<22} {' '.join(found.anchored):<9} {'yes' if right else 'NO':<6}"
-        row += (
-            f" {'yes' if found.certified else 'no':<10} {found.rms * 1e3:>6.3f} mm {counts:>24} {found.seconds:>6.1f} s"
-        )
+        certified = "yes" if found.certified else "no"
+        numbers = (f"{found.probability:.6f}", certified, f"{found.rms * 1e3:.3f} mm", counts, f"{found.seconds:.1f} s")
+        row = form.format(folder.name, " ".join(found.anchored), right, *numbers)
         print(row, flush=True)
 
 

@@ -59,8 +59,8 @@ def log_likelihood(outcome: Outcome, best: Outcome, misfit: Misfit, error: float
     """Logarithm of the likelihood of a set against that of the `best` one, both on the same level.
 
     The residuals hold white noise and the error of the level's model (RMS `error`, m), which persists along a
-    trajectory where noise does not. A difference between two sets persists too, so in its direction the error weighs as often as a trajectory
-    has frames: the variance is noise^2 + error^2 * frames per trajectory. When the noise is not stated, the best set's
+    trajectory where noise does not. A difference between two sets persists too, so in its direction the error weighs as
+    often as a trajectory has frames: the variance is noise^2 + error^2 * frames per trajectory. When the noise is not stated, the best set's
     residuals stand for it.
     """
     if outcome.failed:
