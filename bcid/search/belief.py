@@ -60,8 +60,8 @@ def log_likelihood(outcome: Outcome, best: Outcome, misfit: Misfit, error: float
 
     The residuals hold white noise and the error of the level's model (RMS `error`, m), which persists along a
     trajectory where noise does not. A difference between two sets persists too, so in its direction the error weighs as
-    often as a trajectory has frames: the variance is noise^2 + error^2 * frames per trajectory. When the noise is not stated, the best set's
-    residuals stand for it.
+    often as a trajectory has frames: the variance is noise^2 + error^2 * frames per trajectory. When the noise is not
+    stated, the best set's residuals stand for it.
     """
     if outcome.failed:
         return -math.inf
