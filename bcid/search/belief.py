@@ -29,11 +29,11 @@ class Belief:
     def of(cls, farm: Farm, best: Candidate, errors: Mapping[int, float]) -> Belief:
         """Belief over everything the farm has evaluated, around the `best` set, which must be known on every level used.
 
-        `errors` gives the error of each level's model, m (see `model_errors`).
+        `errors` gives the error of the model, m, on each of the levels used (see `model_errors`).
         """
         logs = {
             c: log_likelihood(o, farm.outcomes[o.level, best], farm.misfit, errors[o.level])
-            for c, o in finest(farm).items()
+            for c, o in finest(farm, max(errors)).items()
         }
         highest = max(logs.values())
         weights = {c: math.exp(value - highest) for c, value in logs.items()}
@@ -46,11 +46,11 @@ def _marginal(items: Iterable[tuple[Candidate, float]], patch: str) -> float:
     return min(1.0, math.fsum(p for candidate, p in items if patch in candidate))
 
 
-def finest(farm: Farm, below: int | None = None) -> dict[Candidate, Outcome]:
-    """Each visited set with its outcome on the finest level it was seen on (of the levels up to `below`, if given)."""
+def finest(farm: Farm, last: int) -> dict[Candidate, Outcome]:
+    """Each visited set with its outcome on the finest level, up to the `last`, that it was evaluated on."""
     found: dict[Candidate, Outcome] = {}
     for (level, candidate), outcome in sorted(farm.outcomes.items(), key=lambda item: (item[0][0], sorted(item[0][1]))):
-        if below is None or level <= below:
+        if level <= last:
             found[candidate] = outcome
     return found
 
@@ -85,11 +85,15 @@ def model_errors(farm: Farm, best: Candidate, levels: Sequence[int]) -> dict[int
     the last such difference, as second-order convergence leaves when elements are halved; nowhere less than what the
     best set's residual has beyond the noise.
     """
-    predicted = {level: farm.positions(level, best) for level in levels}
     last = levels[-1]
-    errors = {level: farm.misfit.distance(predicted[level], predicted[last]) for level in levels[:-1]}
-    errors[last] = errors[levels[-2]] / 3 if len(levels) > 1 else 0.0
-    for level in levels:
+    # Where the model fails for the best set it tells nothing, and `log_likelihood` does not ask.
+    solved = [level for level in levels if not farm.outcomes[level, best].failed]
+    predicted = {level: farm.positions(level, best) for level in solved}
+    errors = dict.fromkeys(levels, 0.0)
+    errors |= {level: farm.misfit.distance(predicted[level], predicted[last]) for level in solved[:-1]}
+    if len(solved) > 1:
+        errors[last] = errors[solved[-2]] / 3
+    for level in solved:
         beyond = farm.outcomes[level, best].rms ** 2 - (farm.misfit.noise or math.inf) ** 2
         errors[level] = max(errors[level], math.sqrt(max(beyond, 0.0)))
     return errors

@@ -212,17 +212,32 @@ class _Search:
         best: list[Outcome] = []
         for level in range(options.coarsest, last + 1):
             self.levels.append(level)
-            if options.method == "enumerate":
-                self.enumerate(level)
-            else:
-                if level < options.coarsest + options.climbed:
-                    seeds = self.climb(level, seeds)
-                self.promote(level)
-            best.append(self.best(level))
+            try:
+                seeds = self.search(level, seeds)
+                best.append(self.best(level))
+            except SolveError as error:
+                # What a coarser level found stands; on this one the model has nothing to say.
+                if not best:
+                    raise
+                self.levels.pop()
+                self.say(f"not used: {error}")
+                break
             self.note(level, best[-1])
             if options.finest is None and len(best) > 1 and self.settled(best):
                 break
         return self.result(best, time.perf_counter() - start)
+
+    def search(self, level: int, seeds: Sequence[Candidate]) -> list[Candidate]:
+        """Search on one level, as the options say; returns the seeds of the next."""
+        options = self.options
+        following: list[Candidate] = []
+        if options.method == "enumerate":
+            self.enumerate(level)
+        else:
+            if level < options.coarsest + options.climbed:
+                following = self.climb(level, seeds)
+            self.promote(level)
+        return following
 
     def say(self, text: str) -> None:
         self.stages.append(text)
@@ -305,7 +320,7 @@ class _Search:
             farm.evaluate(climbed, dict.fromkeys(neighbours(best.candidate, farm.patches), around))
             errors = model_errors(farm, best.candidate, self.levels)
             waiting: dict[int, list[Candidate]] = {}
-            for candidate, outcome in finest(farm).items():
+            for candidate, outcome in finest(farm, level).items():
                 reference = farm.outcomes.get((outcome.level, best.candidate))
                 if outcome.level < level and reference:
                     likely = log_likelihood(outcome, reference, farm.misfit, errors[outcome.level]) > _LEAST
@@ -369,7 +384,7 @@ class _Search:
         self, belief: Belief, winner: Outcome, errors: dict[int, float], count: int = 8
     ) -> tuple[Alternative, ...]:
         farm = self.farm
-        others = [o for c, o in finest(farm).items() if c != winner.candidate and not o.failed]
+        others = [o for c, o in finest(farm, self.levels[-1]).items() if c != winner.candidate and not o.failed]
         best = {o.candidate: farm.outcomes[o.level, winner.candidate] for o in others}
         likely = sorted(
             others, key=lambda o: (-log_likelihood(o, best[o.candidate], farm.misfit, errors[o.level]), rank(o))

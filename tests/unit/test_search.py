@@ -191,6 +191,14 @@ def test_the_error_of_a_level_comes_from_the_next_and_from_the_residual() -> Non
     assert model_errors(farm, TRUE, [0, 1]) == pytest.approx({0: 2.0, 1: 1.0})  # type: ignore[arg-type]
 
 
+def test_a_best_set_that_failed_on_a_coarse_level() -> None:
+    farm = Landscape(lambda c: math.inf if c == TRUE else distance(c), distance, distance, apart=3.0)
+    found = search(farm)
+    assert found.anchored == ("2", "5")
+    assert found.probability > 0.9
+    assert model_errors(farm, TRUE, [0, 1, 2]) == {0: 0.0, 1: 3.0, 2: 1.0}  # type: ignore[arg-type]
+
+
 def test_a_fit_on_one_level_is_not_enough() -> None:
     """The coarsest level fits a wrong set to within the noise; the next one is asked all the same, and says so."""
     wrong = frozenset("25") ^ {"1"}
@@ -272,6 +280,15 @@ def test_when_nothing_can_be_solved() -> None:
         search(Landscape(lambda c: math.inf))
 
 
+def test_a_level_that_cannot_be_solved_leaves_the_answer_of_the_one_before() -> None:
+    found = search(Landscape(lambda c: 2 * distance(c), lambda c: math.inf))
+    assert found.anchored == ("2", "5")
+    assert found.levels == (0,)
+    assert found.discretisation is None
+    assert found.probability > 0.99
+    assert found.stages[-1].startswith("not used: level 1: the forward model failed")
+
+
 def test_no_noise_is_needed() -> None:
     found = search(Landscape(distance, noise=None))
     assert found.anchored == ("2", "5")
@@ -296,5 +313,5 @@ def test_finest_outcomes() -> None:
     farm = Landscape(distance, distance)
     farm.evaluate(0, {TRUE: math.inf, frozenset(): math.inf})
     farm.evaluate(1, {TRUE: math.inf})
-    assert {c: o.level for c, o in finest(farm).items()} == {TRUE: 1, frozenset(): 0}  # type: ignore[arg-type]
-    assert finest(farm, below=0)[TRUE].level == 0  # type: ignore[arg-type]
+    assert {c: o.level for c, o in finest(farm, 1).items()} == {TRUE: 1, frozenset(): 0}  # type: ignore[arg-type]
+    assert finest(farm, 0)[TRUE].level == 0  # type: ignore[arg-type]
