@@ -196,6 +196,7 @@ def test_a_best_set_that_failed_on_a_coarse_level() -> None:
     found = search(farm)
     assert found.anchored == ("2", "5")
     assert found.probability > 0.9
+    farm.evaluate(2, {TRUE: math.inf})
     assert model_errors(farm, TRUE, [0, 1, 2]) == {0: 0.0, 1: 3.0, 2: 1.0}  # type: ignore[arg-type]
 
 
