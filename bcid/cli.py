@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
 import traceback
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -47,6 +49,8 @@ def main(argv: list[str] | None = None) -> int:
 
         return doctor.main()
     comm = _communicator()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, partial(_interrupted, comm))
     try:
         arguments.run(arguments, comm)
         return 0
@@ -54,10 +58,6 @@ def main(argv: list[str] | None = None) -> int:
         if comm.rank == 0:
             print(f"bcid: {error}", file=sys.stderr)
         return error.exit_code
-    except KeyboardInterrupt:
-        if comm.rank == 0:
-            print("bcid: interrupted; the same command goes on where it was", file=sys.stderr)
-        return _end_all(comm, 130)
     except BaseException:
         traceback.print_exc()
         return _end_all(comm, 1)
@@ -70,6 +70,15 @@ def _communicator() -> Any:
         print("bcid: mpi4py and DOLFINx are not installed here; `bcid doctor` tells what is missing", file=sys.stderr)
         raise SystemExit(3) from None
     return MPI.COMM_WORLD
+
+
+def _interrupted(comm: Any, number: int, _frame: object) -> None:
+    """End at once: an exception inside a PETSc callback would be taken for a failed solve. Runs resume from what they kept."""
+    if comm.rank == 0:
+        print("bcid: interrupted; the same command goes on where it was", file=sys.stderr, flush=True)
+    if comm.size > 1:
+        comm.Abort(128 + number)
+    os._exit(128 + number)
 
 
 def _end_all(comm: Any, code: int) -> int:
@@ -235,21 +244,23 @@ def _identify(scene: Path, measurement: Path, arguments: argparse.Namespace, opt
     if comm.rank > 0:
         return
     text = (folder / "summary.txt").read_text(encoding="utf-8")
+    print(text.rstrip())
+    print(f"\nrun folder: {folder}", flush=True)
     if not arguments.no_picture:
         _draw(folder, progress)
-    print(text.rstrip())
-    print(f"\nrun folder: {folder}")
 
 
 def _draw(folder: Path, progress: Progress) -> None:
     """Pictures are a view of the run: what stops them must not take the result along."""
     try:
         from bcid.report.identification import draw
+
+        for file in draw(folder):
+            progress.say(f"wrote {file}")
     except ImportError as error:
-        progress.say(f"no picture: {error.name} is not installed (the extra 'report')")
-        return
-    for file in draw(folder):
-        progress.say(f"wrote {file}")
+        print(f"bcid: no picture: {error.name} is not installed (the extra 'report')", file=sys.stderr)
+    except Exception as error:
+        print(f"bcid: no picture: {error}", file=sys.stderr)
 
 
 def simulate(arguments: argparse.Namespace, comm: Any) -> None:
@@ -271,10 +282,15 @@ def simulate(arguments: argparse.Namespace, comm: Any) -> None:
         raise InputError(f"--level {arguments.level}: the scene has levels 0 to {len(scene.levels) - 1}")
     if noise is not None and noise < 0:
         raise InputError(f"--noise '{arguments.noise}': must not be negative")
+    if arguments.like and arguments.grasp:
+        raise InputError("--grasp: a measurement given with --like names its grasps itself; leave one of the two out")
+    if arguments.random_state < 0:
+        raise InputError(f"--random-state {arguments.random_state}: must be at least 0")
+    times = None
     if arguments.like:
         like = on_root(comm, lambda: Measurement.read(arguments.like))
         like.check(scene)
-        actions = like.actions
+        actions, times = like.actions, like.data["time"].values
     else:
         grasps = list(scene.grasps)
         if not grasps:
@@ -282,7 +298,9 @@ def simulate(arguments: argparse.Namespace, comm: Any) -> None:
         actions = motion(arguments.motion, arguments.grasp or grasps[len(grasps) // 2])
     progress: Progress = Silent() if arguments.quiet or comm.rank > 0 else Lines()
     progress.say(f"simulating {len(actions)} action(s), {sum(len(a) for a in actions)} steps")
-    made = make(scene, anchors, actions, arguments.level, noise, arguments.random_state, comm, wrench=arguments.wrench)
+    made = make(
+        scene, anchors, actions, arguments.level, noise, arguments.random_state, comm, None, arguments.wrench, times
+    )
     on_root(comm, lambda: made.write(arguments.output))
     if comm.rank == 0:
         print(f"{arguments.output}: {len(made.positions)} frames of {len(made.fiducial_names)} fiducials")

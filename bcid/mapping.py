@@ -9,6 +9,7 @@ import csv
 import math
 import tomllib
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -68,11 +69,11 @@ def read_mapped(path: Path) -> Measurement:
     """
     mapping = _read_mapping(path)
     recording = _read_c3d(mapping) if mapping.file.suffix.lower() == ".c3d" else _read_table(mapping)
-    _select(recording, mapping.frames)
+    _select(recording, mapping.frames, mapping.file)
     if not recording.actions:
         raise InputError(f"{path}: frames: no frame of {mapping.file.name} is left; check first, last and every")
     _to_body_frame(recording, mapping)
-    return _measurement(recording, mapping)
+    return _measurement(recording, mapping).validated()
 
 
 # -- the mapping file
@@ -274,6 +275,11 @@ def _long(mapping: _Mapping, rows: list[tuple[int, dict[str, str]]]) -> _Recordi
         mapping.fiducials = [name for name in given if name]
     positions: dict[str, Array] = {name: np.full((len(frames), 3), np.nan) for name in given}
     names = {label: name for name, label in given.items()}
+    labels = list(dict.fromkeys(row[columns["fiducial"]] for _, row in rows))
+    for label, fiducial in names.items():
+        if label not in labels:
+            problems.add(mapping.file, f"has no marker '{label}' (fiducial {fiducial}); {nearest(label, labels)}")
+    problems.raise_if_any()
     for i, (_, row) in enumerate(rows):
         name = names.get(row[columns["fiducial"]])
         if name:
@@ -364,13 +370,15 @@ def _steps(
     return [int(value) for value in values]
 
 
-def _select(recording: _Recording, frames: tuple[int, int | None, int]) -> None:
+def _select(recording: _Recording, frames: tuple[int, int | None, int], source: Path) -> None:
     """Keep every so many frames of each action, and number them from 0."""
     first, last, every = frames
     chosen: list[int] = []
     steps: list[int] = []
     for action in dict.fromkeys(recording.actions):
         mine = [i for i, a in enumerate(recording.actions) if a == action]
+        if any(recording.steps[b] <= recording.steps[a] for a, b in pairwise(mine)):
+            raise InputError(f"{source}: the steps of action {action} do not rise: sort the rows, one for each step")
         kept = mine[first : None if last is None else last + 1 : every]
         chosen += kept
         steps += range(len(kept))

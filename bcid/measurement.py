@@ -7,7 +7,7 @@ docs/measurement.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from bcid.errors import InputError, Problems, nearest
 from bcid.fingerprint import fingerprint
+from bcid.units import unit_factor
 
 if TYPE_CHECKING:
     from bcid.scene import Scene
@@ -132,12 +133,56 @@ class Measurement:
         attrs, data.attrs = dict(data.attrs), {}
         if attrs.get("format") != FORMAT:
             raise InputError(f"{path}: expected format '{FORMAT}', found {attrs.get('format')!r}")
+        missing = [f"{name}_unit" for name in ("length", "time", "force") if f"{name}_unit" not in attrs]
+        if missing:
+            raise InputError(f"{path}: its attributes lack {', '.join(missing)}")
         for name in ("action", "grasp", "fiducial", "axis", "component", "place", "quaternion"):
             if name in data:
                 data[name] = data[name].astype(str)
         units = Units(*(str(attrs[f"{name}_unit"]) for name in ("length", "time", "force")))
+        for name, like in (("length", "m"), ("time", "s"), ("force", "N")):
+            unit_factor(getattr(units, name), like)
         sigma, wrench = (float(attrs[k]) if k in attrs else None for k in ("noise_sigma", "wrench_sigma"))
-        return cls(data, sigma, wrench, units, str(attrs.get("description", "")), str(path))
+        return cls(data, sigma, wrench, units, str(attrs.get("description", "")), str(path)).validated()
+
+    def validated(self) -> Measurement:
+        """This measurement with its dimensions in order, or an `InputError` with everything that is wrong with it.
+
+        What the folder's reader checks line by line is checked here for every other way in.
+        """
+        problems = Problems(f"measurement {self.source}")
+        data = _in_order(self.data, problems, self.source)
+        problems.raise_if_any()
+        checked = replace(self, data=data)
+        for name in ("noise_sigma", "wrench_sigma"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0):
+                problems.add(self.source, f"{name}: expected a positive number, found {value!r}")
+        if not np.isfinite(checked.positions).any():
+            problems.add(self.source, "holds no position: no fiducial was ever seen")
+        for action in checked.action_names:
+            checked._check_action(action, problems)
+        problems.raise_if_any()
+        return checked
+
+    def _check_action(self, name: str, problems: Problems) -> None:
+        """Rising steps from 0, times that do not fall, one grasp, finite poses, the rest pose at step 0."""
+        rows = self.data.isel(frame=np.flatnonzero(self.data["action"].values.astype(str) == name))
+        translation, rotation = (np.asarray(rows[key].values, dtype=float) for key in ("translation", "rotation"))
+        steps, times = rows["step"].values, rows["time"].values
+        wrong = {
+            "its steps must rise from 0": steps[0] != 0 or (np.diff(steps) <= 0).any(),
+            "its times must be finite and not go back": not np.isfinite(times).all() or (np.diff(times) < 0).any(),
+            "it uses more than one grasp": len(set(rows["grasp"].values.astype(str))) > 1,
+            "a pose of the gripper is not finite": not (np.isfinite(translation).all() and np.isfinite(rotation).all()),
+            "a rotation is not a unit quaternion": (np.abs(np.linalg.norm(rotation, axis=1) - 1) > 1e-3).any(),
+            "at step 0 the gripper must be at rest: translation 0 0 0, rotation 1 0 0 0": np.abs(translation[0]).max()
+            > 1e-6
+            or abs(rotation[0, 0]) < 1 - 1e-6,
+        }
+        for text, found in wrong.items():
+            if found:
+                problems.add(self.source, f"action {name}: {text}")
 
     @property
     def fiducial_names(self) -> list[str]:
@@ -225,6 +270,33 @@ class Measurement:
                 f"at step 0 the fiducials are {np.nanmedian(away) * 1e3:.4g} mm (median) from their rest positions in the scene, "
                 f"which span {size * 1e3:.4g} mm: check length_unit ('{self.units.length}') and the frame of the positions",
             )
+
+
+_DIMENSIONS = {
+    "action": ("frame",),
+    "step": ("frame",),
+    "time": ("frame",),
+    "grasp": ("frame",),
+    "position": ("frame", "fiducial", "axis"),
+    "translation": ("frame", "axis"),
+    "rotation": ("frame", "quaternion"),
+}
+
+
+def _in_order(data: xr.Dataset, problems: Problems, source: str) -> xr.Dataset:
+    """The dataset with every variable's dimensions in the usual order; what is missing is noted."""
+    for name in ("fiducial", "axis"):
+        if name not in data.coords:
+            problems.add(source, f"coordinate '{name}' is missing")
+    for name, dimensions in _DIMENSIONS.items():
+        if name not in data:
+            problems.add(source, f"variable '{name}' is missing")
+        elif set(data[name].dims) != set(dimensions):
+            problems.add(source, f"variable '{name}' has dimensions {data[name].dims}, expected {dimensions}")
+    if problems.found or data.sizes["frame"] == 0 or data.sizes["axis"] != 3 or data.sizes["quaternion"] != 4:
+        problems.add(source, "expected at least one frame, three axes and four components of a quaternion")
+        problems.raise_if_any()
+    return data.transpose("frame", "fiducial", "axis", "quaternion", ...)
 
 
 def quaternion_rotate(rotation: Array, points: Array) -> Array:

@@ -32,6 +32,8 @@ import xarray as xr
 from bcid.errors import InputError, MachineError
 
 FORMAT = "bcid-run/1"
+_FILES = ("identification.json", "prediction.nc", "body.nc", "summary.txt", "picture.png")
+_FOLDERS = ("outcomes", "paraview")
 _PACKAGES = ("fenics-dolfinx", "fenics-ufl", "petsc4py", "mpi4py", "numpy", "scipy", "xarray")
 
 
@@ -243,20 +245,19 @@ def _locked(path: Path) -> TextIO:
 
 
 def _only_lock(path: Path) -> bool:
-    return all(entry.name.startswith(".") for entry in path.iterdir())
+    return all(entry.name == ".lock" for entry in path.iterdir())
 
 
 def _empty(path: Path) -> None:
-    """Remove what a run left in its folder."""
-    if (path / "run.json").exists():
-        _read_record(path)
-    for entry in path.iterdir():
-        if entry.name == ".lock":
-            continue
-        if entry.is_dir() and not entry.is_symlink():
-            shutil.rmtree(entry)
-        else:
-            entry.unlink()
+    """Remove what a run left in its folder, and nothing else; `run.json` last, so that it stays a run until the end."""
+    if not (path / "run.json").exists():
+        return
+    _read_record(path)
+    for name in (*_FILES, *(entry.name for entry in path.glob(".*.partial*"))):
+        (path / name).unlink(missing_ok=True)
+    for name in _FOLDERS:
+        shutil.rmtree(path / name, ignore_errors=True)
+    (path / "run.json").unlink()
 
 
 def _read_record(path: Path) -> dict[str, Any]:

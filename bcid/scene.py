@@ -306,7 +306,7 @@ class _Reader:
         size = "element_size" if geo else "refinements"
         self.unknown(table, ("degree", size), where)
         degree = table.get("degree", 1)
-        if degree not in DEGREES or isinstance(degree, bool):
+        if type(degree) is not int or degree not in DEGREES:
             self.bad(where + "degree", f"expected 1 or 2, found {degree!r}")
             degree = 1
         if geo:

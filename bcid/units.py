@@ -113,3 +113,12 @@ def quantity(text: object, like: str) -> float:
 def show(value: float, unit: str, digits: int = 3) -> str:
     """An SI value in `unit`, for a message: ``show(15e3, "kPa") == "15 kPa"``."""
     return f"{value / parse_unit(unit)[0]:.{digits}g} {unit}"
+
+
+def percent(probability: float) -> str:
+    """A probability for people: never 100 % or 0 % when it is not."""
+    if probability >= 0.9999:
+        return "> 99.99 %"
+    if probability <= 0.0001:
+        return "< 0.01 %"
+    return f"{100 * probability:.2f} %"

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from itertools import count
-
 from petsc4py import PETSc
 
-_prefixes = count()
 # CHOLMOD must not print, and must factorise by supernodes: its simplicial LDL^T, which it prefers for small matrices,
 # does not stop at a negative pivot. MUMPS: PORD ordering suits these meshes, the root stays sequential and null pivots
 # are looked for, so that the signs are counted right; on several ranks the work space that it estimates may not do.
@@ -48,12 +45,18 @@ class Factor:
         self.usable = False
         self.negative: int | None = None
         self._definite = symmetric and not saddle and matrix.comm.size == 1
+        self._indefinite = False
         self._made: dict[str, PETSc.PC] = {}
         self._current: PETSc.PC | None = None
         self._krylov: PETSc.KSP | None = None
         if modes is not None:
             matrix.setNearNullSpace(modes)
             self._krylov = self._multigrid()
+
+    def reset(self) -> None:
+        """Another state: the last factor is stale, and CHOLMOD is tried again if it has failed (each failure costs memory)."""
+        self.usable = False
+        self._indefinite = False
 
     def refresh(self) -> bool:
         """Factorise the matrix as it now is; False when that fails. Collective."""
@@ -64,7 +67,8 @@ class Factor:
             self._krylov.setUp()
             self.negative, self.usable = 0, True
             return True
-        self.usable = (self._definite and self._factorise("cholmod")) or self._factorise("mumps")
+        definite = self._definite and not self._indefinite
+        self.usable = (definite and self._factorise("cholmod")) or self._factorise("mumps")
         return self.usable
 
     def _factorise(self, package: str) -> bool:
@@ -80,6 +84,7 @@ class Factor:
         if failed:
             # PETSc takes a factorisation that has failed for a finished one: it must not be asked again.
             self._made.pop(package).destroy()
+            self._indefinite = package == "cholmod"
             return False
         if package == "cholmod":
             self.negative = 0
@@ -91,7 +96,7 @@ class Factor:
 
     def _create(self, package: str) -> PETSc.PC:
         inner = PETSc.PC().create(self.matrix.comm)
-        inner.setOptionsPrefix(prefix := f"bcid_factor_{next(_prefixes)}_")
+        inner.setOptionsPrefix(prefix := f"bcid_{package}_")
         inner.setType("cholesky" if self.symmetric else "lu")
         inner.setFactorSolverType(package)
         options = PETSc.Options()
@@ -122,7 +127,7 @@ class Factor:
 
     def _multigrid(self) -> PETSc.KSP:
         krylov = PETSc.KSP().create(self.matrix.comm)
-        krylov.setOptionsPrefix(prefix := f"bcid_multigrid_{next(_prefixes)}_")
+        krylov.setOptionsPrefix(prefix := "bcid_multigrid_")
         krylov.setType("cg")
         krylov.setOperators(self.matrix)
         krylov.setTolerances(rtol=1e-6, max_it=500)

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bcid.errors import SolveError
 from bcid.forms.forward import Forward
@@ -14,6 +15,8 @@ from bcid.forms.solve import Settings
 from bcid.measurement import WRENCH, Action, Measurement
 from bcid.measurement_folder import frames_dataset
 from bcid.scene import Scene
+
+Array = NDArray[np.float64]
 
 
 def simulate(
@@ -26,6 +29,7 @@ def simulate(
     comm: Any = None,
     model: Model | None = None,
     wrench: bool = False,
+    times: Array | None = None,
 ) -> Measurement:
     """What the fiducials of a scene would show; the mesh is shared by the ranks of `comm`, and the result is the same on all.
 
@@ -38,6 +42,7 @@ def simulate(
         random_state: of the noise; the same number gives the same noise for any number of ranks.
         comm: MPI communicator; COMM_SELF by default.
         model: the model; by default the scene's.
+        times: of the frames, s; by default one second per step.
         wrench: also record force and torque of the gripper (without noise).
 
     Raises:
@@ -56,12 +61,20 @@ def simulate(
     if sigma:
         positions = positions + np.random.default_rng(random_state).normal(0.0, sigma, positions.shape)
     frames = [(action.name, int(step)) for action in actions for step in action.steps]
-    data = frames_dataset(frames, [float(step) for _, step in frames], scene.fiducial_names, positions)
+    data = frames_dataset(
+        frames, [float(step) for _, step in frames] if times is None else list(times), scene.fiducial_names, positions
+    )
     data["grasp"] = ("frame", [action.grasp for action in actions for _ in action.steps])
     data["translation"] = (("frame", "axis"), np.vstack([action.translation for action in actions]))
     data["rotation"] = (("frame", "quaternion"), np.vstack([action.rotation for action in actions]))
     if wrench:
         data = data.assign_coords(component=WRENCH)
         data["wrench"] = (("frame", "component"), prediction.wrench)
+    places = sorted({place for action in actions for place in action.loads})
+    if places:
+        none = {action.name: np.zeros((len(action), 3)) for action in actions}
+        loads = [np.vstack([a.loads.get(place, none[a.name]) for a in actions]) for place in places]
+        data = data.assign_coords(place=places)
+        data["load"] = (("frame", "place", "axis"), np.stack(loads, axis=1))
     text = f"simulated: scene {scene.name}, level {level}, anchors {' '.join(sorted(anchors)) or 'none'}"
     return Measurement(data, sigma or None, description=text, source="simulation")

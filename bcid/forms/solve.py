@@ -239,7 +239,7 @@ class Equilibrium:
     def reset(self) -> None:
         """Back to the undeformed state; the factor is no longer trusted."""
         self.u.x.array[:] = 0.0
-        self.factor.usable = False
+        self.factor.reset()
         self.external[:] = 0.0
 
     def _move_gripper(self, pose: Pose) -> None:
@@ -416,6 +416,9 @@ class Equilibrium:
         try:
             self.snes.solve(None, self.iterate)
         except PETSc.Error as error:
+            # An exception of a callback is not PETSc's: it must not pass for a failed solve.
+            if error.__cause__ is not None:
+                raise error.__cause__ from None
             # The error has left the vector locked.
             self.iterate.destroy()
             self.iterate = self.vector.duplicate()

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from bcid.report.paraview import write_paraview
 from bcid.report.scene3d import COLOURS, picture
 from bcid.run import Run, writing
+from bcid.units import percent, unit_factor
 
 Array = NDArray[np.float64]
 
@@ -78,13 +79,6 @@ def _title(figure: Any, found: dict[str, Any], body: xr.Dataset) -> None:
     figure.text(0.02, 0.905, text, fontsize=12.5, color="#444444")
 
 
-def percent(probability: float) -> str:
-    """A probability for people: never 100 % when it is not."""
-    return (
-        "> 99.99 %" if probability >= 0.9999 else "< 0.01 %" if probability <= 0.0001 else f"{100 * probability:.2f} %"
-    )
-
-
 def _legend(axes: Any, prediction: xr.Dataset, frame: int) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -123,7 +117,7 @@ def _probabilities(axes: Any, found: dict[str, Any]) -> None:
 
 
 def _residuals(axes: Any, found: dict[str, Any], prediction: xr.Dataset) -> None:
-    length = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}.get(found["length_unit"], 1e-3)
+    length = unit_factor(found["length_unit"], "m")
     squares = ((prediction["predicted"] - prediction["measured"]) / length).values ** 2
     seen = np.isfinite(squares).any(axis=(1, 2))
     rms = np.full(len(squares), np.nan)

@@ -47,10 +47,13 @@ def _marginal(items: Iterable[tuple[Candidate, float]], patch: str) -> float:
 
 
 def finest(farm: Farm, last: int) -> dict[Candidate, Outcome]:
-    """Each visited set with its outcome on the finest level, up to the `last`, that it was evaluated on."""
+    """Each visited set with its outcome on the finest level, up to the `last`, on which it could be solved.
+
+    A set that failed there keeps what a coarser level says of it; one that failed everywhere is failed.
+    """
     found: dict[Candidate, Outcome] = {}
     for (level, candidate), outcome in sorted(farm.outcomes.items(), key=lambda item: (item[0][0], sorted(item[0][1]))):
-        if level <= last:
+        if level <= last and not (candidate in found and outcome.failed):
             found[candidate] = outcome
     return found
 

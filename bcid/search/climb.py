@@ -43,7 +43,8 @@ def rank(outcome: Outcome) -> tuple[float, int, list[str]]:
 def interest(chi2: float) -> float:
     """Chi-square up to which a rival of a candidate with `chi2` is evaluated in full.
 
-    Beyond it its probability is below 1e-4, also on a coarse level (see `bcid.search.belief.log_likelihood`).
+    Beyond it its probability is below 1e-4 with 20 trajectories (fiducial axes) or more, also on a coarse level; with fewer the
+    bound is looser, and what stopped keeps a larger upper bound (see `bcid.search.belief.log_likelihood`).
     """
     return 2.0 * chi2 + 30.0
 

@@ -69,8 +69,21 @@ class Options:
             raise InputError(f"method '{self.method}': allowed are {', '.join(METHODS)}")
         if self.start not in ("maxima", "threshold"):
             raise InputError(f"start '{self.start}': allowed are maxima, threshold")
-        if self.seeds < 1:
-            raise InputError(f"seeds = {self.seeds}: at least 1 is needed")
+        rules = self.termination
+        for name, number, least in (
+            ("seeds", self.seeds, 1),
+            ("random_state", self.random_state, 0),
+            ("climbed", self.climbed, 1),
+            ("toggles", self.toggles, 0),
+            ("patience", rules.patience, 1),
+            ("budget", rules.budget, 1),
+            ("fit", rules.fit, 0),
+            ("threshold", self.threshold, 0),
+        ):
+            if not (number >= least and math.isfinite(number)):
+                raise InputError(f"{name} = {number}: must be at least {least}")
+        if self.threshold >= 1:
+            raise InputError(f"threshold = {self.threshold}: a part of the best similarity, so it must be below 1")
         for name, level in (("coarsest", self.coarsest), ("finest", self.finest)):
             if level is not None and not 0 <= level < levels:
                 raise InputError(f"{name} level {level}: the scene has levels 0 to {levels - 1}")
@@ -322,7 +335,7 @@ class _Search:
             waiting: dict[int, list[Candidate]] = {}
             for candidate, outcome in finest(farm, level).items():
                 reference = farm.outcomes.get((outcome.level, best.candidate))
-                if outcome.level < level and reference:
+                if outcome.level < level and reference and (outcome.level + 1, candidate) not in farm.outcomes:
                     likely = log_likelihood(outcome, reference, farm.misfit, errors[outcome.level]) > _LEAST
                     if likely:
                         waiting.setdefault(outcome.level + 1, []).append(candidate)
@@ -354,6 +367,7 @@ class _Search:
         self.complete(winner)
         errors = model_errors(farm, winner.candidate, self.levels)
         belief = Belief.of(farm, winner.candidate, errors)
+        solved = sum(not farm.outcomes[level, winner.candidate].failed for level in self.levels)
         patches = farm.patches
         return Identification(
             anchored=tuple(p for p in patches if p in winner.candidate),
@@ -361,7 +375,7 @@ class _Search:
             patches=belief.patches,
             rms=winner.rms,
             noise=farm.misfit.noise,
-            discretisation=errors[winner.level] if len(self.levels) > 1 else None,
+            discretisation=errors[winner.level] if solved > 1 else None,
             certified=self.certified(winner.level),
             evaluations=farm.evaluations(),
             alternatives=self.alternatives(belief, winner, errors),

@@ -22,7 +22,7 @@ from bcid.run import Run
 from bcid.scene import Scene
 from bcid.search.farm import Outcome, label
 from bcid.search.identify import Identification, Options, identify
-from bcid.units import unit_factor
+from bcid.units import percent, unit_factor
 
 
 def run_identification(
@@ -165,6 +165,7 @@ def summary(scene: Scene, measurement: Measurement, found: Identification) -> st
         mesh = f"The error of the model on the last mesh level is taken as {found.discretisation / unit:.2g} {length}."
     lines = [
         f"Anchored patches of {scene.name}: {names}  (probability {percent(found.probability)})",
+        *_warning(found),
         "",
         f"The model misses the measurement by {found.rms / unit:.3g} {length} per coordinate (RMS); {noise}.",
         mesh,
@@ -187,11 +188,9 @@ def summary(scene: Scene, measurement: Measurement, found: Identification) -> st
         lines.append("  none was evaluated")
     lines += ["", "How it was found:", *(f"  {stage}" for stage in found.stages)]
     count = 2 ** len(scene.patches)
-    proof = (
-        f"all {count} sets were looked at on the finest level used"
-        if found.certified
-        else f"not all {count} sets were looked at"
-    )
+    proof = f"not every one of the {count} sets was looked at and solved on the finest level used"
+    if found.certified:
+        proof = f"all {count} sets were looked at on the finest level used"
     lines.append(f"  {'Certified' if found.certified else 'Not certified'}: {proof} (level {found.levels[-1]}).")
     if found.failures:
         lines.append(
@@ -200,10 +199,13 @@ def summary(scene: Scene, measurement: Measurement, found: Identification) -> st
     return "\n".join(lines) + "\n"
 
 
-def percent(probability: float) -> str:
-    """A probability for people: never 100 % or 0 % when it is not."""
-    if probability >= 0.9999:
-        return "> 99.99 %"
-    if probability <= 0.0001:
-        return "< 0.01 %"
-    return f"{100 * probability:.2f} %"
+def _warning(found: Identification) -> list[str]:
+    """What must stand above everything else: that the model does not explain the data."""
+    if found.noise is None or found.rms <= 2 * found.noise:
+        return []
+    return [
+        "",
+        f"WARNING: no set explains this measurement: the best misses it by {found.rms / found.noise:.1f} times the noise.",
+        "Probabilities compare the sets with each other only. The mesh is too coarse, a physical effect is missing, or units,",
+        "frames, grasp or material are not what the scene says.",
+    ]

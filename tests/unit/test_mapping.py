@@ -49,7 +49,10 @@ def test_wide_tables(tmp_path: Path) -> None:
 
 
 def test_frames_are_chosen_per_action(tmp_path: Path) -> None:
-    seen = Measurement.read(write(tmp_path, WIDE + "[frames]\nfirst = 1\nlast = 3\nevery = 2\n"))
+    frames = "[frames]\nfirst = 1\nlast = 3\nevery = 2\n"
+    with pytest.raises(InputError, match="at step 0 the gripper must be at rest"):
+        Measurement.read(write(tmp_path, WIDE + frames))
+    seen = Measurement.read(write(tmp_path, WIDE.replace('translation = ["gx", "gy", "gz"]\n', "") + frames))
     assert list(seen.data["step"].values) == [0, 1, 0, 1]
     np.testing.assert_allclose(seen.data["time"].values, [0, 0.02, 0, 0.02])
 
@@ -61,6 +64,11 @@ def test_long_tables(tmp_path: Path) -> None:
     assert seen.fiducial_names == ["p", "q"]
     np.testing.assert_allclose(seen.positions[1, 1], [7e-3, 8e-3, 9e-3])
     assert np.isnan(seen.positions[1, 0]).all()
+    with pytest.raises(InputError, match=r"no marker 'r' .*known: p, q"):
+        Measurement.read(write(tmp_path, mapping + '[fiducials]\nm1 = "r"\n', table, "long.csv"))
+    wide = HEAD + 'file = "w.csv"\n[columns]\nstep = "k"\n[fiducials]\na = ["x", "y", "z"]\n'
+    with pytest.raises(InputError, match="steps of action 1 do not rise"):
+        Measurement.read(write(tmp_path, wide, "k,x,y,z\n0,1,2,3\n2,1,2,3\n1,1,2,3\n", "w.csv"))
 
 
 def test_alignment_undoes_a_rigid_motion(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from bcid import Measurement, Scene
 from bcid.errors import InputError
@@ -175,6 +176,34 @@ def test_the_wrong_length_unit_is_noticed(folder: Path, slab: Scene) -> None:
     edit(folder / "measurement.toml", 2, 'length_unit = "m"')
     with pytest.raises(InputError, match="check length_unit"):
         Measurement.read(folder).check(slab)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda d: d.drop_vars("grasp"), "variable 'grasp' is missing"),
+        (lambda d: d.assign(translation=d["translation"] * np.nan), "not finite"),
+        (lambda d: d.assign(rotation=d["rotation"] * 0), "unit quaternion"),
+        (lambda d: d.isel(frame=slice(None, None, -1)), "steps must rise from 0"),
+        (lambda d: d.isel(frame=slice(1, None)), "steps must rise from 0"),
+        (lambda d: d.assign(position=d["position"].mean("axis")), "has dimensions"),
+        (lambda d: d.assign(position=d["position"] * np.nan), "no fiducial was ever seen"),
+        (lambda d: d.assign_coords(time=-d["time"]), "times must be finite"),
+        (lambda d: d.assign_attrs(noise_sigma=-1.0), "noise_sigma: expected a positive"),
+        (lambda d: d.assign_attrs(length_unit="furlong"), "not known"),
+        (lambda d: d.assign_attrs(format="x"), "expected format"),
+    ],
+)
+def test_netcdf_is_checked_like_a_folder(folder: Path, tmp_path: Path, change: object, said: str) -> None:
+    Measurement.read(folder).to_netcdf(tmp_path / "good.nc")
+    with xr.open_dataset(tmp_path / "good.nc", engine="scipy") as data:
+        turned = data.transpose("axis", ...).load()
+        broken = change(data.load())  # type: ignore[operator]
+    turned.to_netcdf(tmp_path / "turned.nc", engine="scipy")
+    assert Measurement.read(tmp_path / "turned.nc").fingerprint() == Measurement.read(folder).fingerprint()
+    broken.to_netcdf(tmp_path / "broken.nc", engine="scipy")
+    with pytest.raises(InputError, match=said):
+        Measurement.read(tmp_path / "broken.nc")
 
 
 def test_nothing_is_overwritten(folder: Path) -> None:

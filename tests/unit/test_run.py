@@ -57,6 +57,22 @@ def test_other_folders_are_left_alone(tmp_path: Path) -> None:
         Run.open(tmp_path)
 
 
+def test_overwriting_spares_what_is_not_the_runs(tmp_path: Path) -> None:
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home/.precious").write_text("mine", encoding="utf-8")
+    for overwrite in (False, True):
+        with pytest.raises(InputError, match="not a run"):
+            Run.start(tmp_path / "home", "identify", INPUTS, overwrite)
+    run = Run.start(tmp_path / "run", "identify", INPUTS)
+    run.add_batch([])
+    run.finish({})
+    (tmp_path / "run/notes.txt").write_text("mine", encoding="utf-8")
+    Run.start(tmp_path / "run", "identify", INPUTS, overwrite=True).release()
+    assert (tmp_path / "home/.precious").exists()
+    assert (tmp_path / "run/notes.txt").exists()
+    assert not (tmp_path / "run/outcomes").exists()
+
+
 def test_one_writer(tmp_path: Path) -> None:
     run = Run.start(tmp_path / "run", "identify", INPUTS)
     with pytest.raises(InputError, match=f"being written by process {os.getpid()} on"):

@@ -276,6 +276,17 @@ def test_a_resumed_search_takes_what_is_stored() -> None:
     assert Outcome.from_json(failed.to_json()) == failed
 
 
+def test_a_set_that_fails_on_the_finer_level_is_not_ruled_out_by_that() -> None:
+    """It keeps what the coarser level says of it; nobody becomes certain because a rival could not be computed."""
+    rival = frozenset("256")
+    coarse = lambda c: VALUES if c in (TRUE, rival) else distance(c)  # noqa: E731
+    fine = lambda c: math.inf if c == rival else distance(c)  # noqa: E731
+    found = search(Landscape(coarse, fine), Options(finest=1))
+    assert found.anchored == ("2", "5")
+    assert found.probability == pytest.approx(0.5, abs=0.01)
+    assert "{2 5 6}" in found.failures
+
+
 def test_when_nothing_can_be_solved() -> None:
     with pytest.raises(SolveError, match="failed for every anchor set tried; the first: buckles"):
         search(Landscape(lambda c: math.inf))
@@ -299,7 +310,18 @@ def test_no_noise_is_needed() -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"method": "x"}, {"start": "x"}, {"seeds": 0}, {"finest": 3}, {"coarsest": -1}, {"coarsest": 1, "finest": 0}],
+    [
+        {"method": "x"},
+        {"random_state": -1},
+        {"climbed": 0},
+        {"toggles": -1},
+        {"threshold": math.nan},
+        {"start": "x"},
+        {"seeds": 0},
+        {"finest": 3},
+        {"coarsest": -1},
+        {"coarsest": 1, "finest": 0},
+    ],
 )
 def test_options_are_checked(wrong: dict[str, object]) -> None:
     scene = SimpleNamespace(levels=(1, 2), patches=PATCHES)
