@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.collective import agree
-from bcid.errors import BcidError
+from bcid.errors import BcidError, InputError
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.mesh import level_mesh
 from bcid.forms.model import Model
@@ -67,14 +67,22 @@ class Outcome:
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Outcome:
-        """What `to_json` gave; numbers survive exactly."""
-        numbers = {
-            k: math.inf if content[k] is None else float(content[k]) for k in ("chi2", "rms", "share", "seconds")
-        }
-        status = Status(content["status"])
-        complete, reason = bool(content["complete"]), str(content["reason"])
-        candidate = frozenset(str(name) for name in content["candidate"])
-        return cls(candidate, int(content["level"]), complete=complete, status=status, reason=reason, **numbers)
+        """What `to_json` gave; numbers survive exactly. `InputError` when it is damaged."""
+        try:
+            numbers = {
+                k: math.inf if content[k] is None else float(content[k]) for k in ("chi2", "rms", "share", "seconds")
+            }
+            status = Status(content["status"])
+            complete, reason = bool(content["complete"]), str(content["reason"])
+            candidate = frozenset(str(name) for name in content["candidate"])
+            outcome = cls(candidate, int(content["level"]), complete=complete, status=status, reason=reason, **numbers)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(
+                f"a stored outcome of the run is damaged ({error!r}); start it anew with --overwrite"
+            ) from None
+        if any(not value >= 0 for value in numbers.values()):
+            raise InputError(f"a stored outcome of the run is damaged ({numbers}); start it anew with --overwrite")
+        return outcome
 
     @property
     def failed(self) -> bool:

@@ -287,6 +287,17 @@ def test_a_set_that_fails_on_the_finer_level_is_not_ruled_out_by_that() -> None:
     assert "{2 5 6}" in found.failures
 
 
+@pytest.mark.parametrize(
+    "change", [{"chi2": -5}, {"chi2": "x"}, {"status": "fine"}, {"rms": math.nan}, {"candidate": 3}]
+)
+def test_damaged_outcomes_are_refused(change: dict[str, object]) -> None:
+    whole = Outcome(TRUE, 0, 500.0, 0.7, True, 1.0).to_json()
+    with pytest.raises(InputError, match="stored outcome of the run is damaged"):
+        Outcome.from_json(whole | change)
+    with pytest.raises(InputError, match="damaged"):
+        Outcome.from_json({k: v for k, v in whole.items() if k != "level"})
+
+
 def test_when_nothing_can_be_solved() -> None:
     with pytest.raises(SolveError, match="failed for every anchor set tried; the first: buckles"):
         search(Landscape(lambda c: math.inf))
