@@ -38,18 +38,6 @@ def create_vector(form: Any) -> Any:
     return petsc.create_vector(extract(form))
 
 
-def interpolation_points(space: Any) -> NDArray[np.float64]:
-    """Reference points at which `fem.Expression` must be evaluated to interpolate into `space`."""
-    points = space.element.interpolation_points
-    return points() if callable(points) else points
-
-
-def cell_name(mesh: Any) -> str:
-    """Name of the cell type, as ``"tetrahedron"``."""
-    name = mesh.ufl_cell().cellname
-    return name() if callable(name) else name
-
-
 def snes_not_finite() -> int:
     """PETSc's reason for a residual that is not a number; its name changed in PETSc 3.25."""
     from petsc4py import PETSc

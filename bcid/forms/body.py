@@ -17,8 +17,6 @@ from bcid.errors import InputError
 from bcid.forms.mesh import BodyMesh
 from bcid.scene import Region
 
-Dofs = NDArray[np.int32]
-
 
 class Body:
     """A meshed body with a displacement space (and a pressure space in the mixed formulation).
@@ -117,13 +115,6 @@ class Body:
         _, inverse = np.unique(np.vstack([here, wanted]), axis=0, return_inverse=True)
         inverse = inverse.ravel()
         return np.flatnonzero(np.isin(inverse[: len(here)], inverse[len(here) :])).astype(np.int32)
-
-    def dofs_on(self, region: Region, what: str) -> Dofs:
-        """Displacement nodes (blocks) of this rank that lie on a region, ghosts included; collective."""
-        entities = self.mesh.select(region, what)
-        local = self.local_entities(entities)
-        space = self.displacement_space
-        return fem.locate_dofs_topological(space, entities.shape[1] - 1, local)
 
     def dirichlet(self, region: Region, what: str, value: Any = None, axis: int | None = None) -> Any:
         """A DOLFINx Dirichlet condition that holds a region, or one axis (0, 1, 2) of it; collective.
