@@ -149,9 +149,9 @@ def _add_identify(commands: Any) -> None:
     _add_output(parser)
     search = parser.add_argument_group("search")
     search.add_argument(
-        "--method", default="climb", help="climb (default), or enumerate: every set of patches, certified"
+        "--certify", default="auto", help="look at every set of patches in the end: yes, no, or auto (up to 10 patches)"
     )
-    search.add_argument("--seeds", type=int, default=24, metavar="N", help="random seeds of the first stage (24)")
+    search.add_argument("--seeds", type=int, metavar="N", help="random seeds of the first stage (24; 4 if certified)")
     search.add_argument("--random-state", type=int, default=0, metavar="N", help="of the seeds (0)")
     search.add_argument("--coarsest", type=int, default=0, metavar="LEVEL", help="first mesh level (0)")
     search.add_argument(
@@ -221,7 +221,7 @@ def identify(arguments: argparse.Namespace, comm: Any) -> None:
     from bcid.search.termination import Termination
 
     options = Options(
-        method=arguments.method,
+        certify=arguments.certify,
         seeds=arguments.seeds,
         random_state=arguments.random_state,
         coarsest=arguments.coarsest,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from petsc4py import PETSc
 
 # CHOLMOD must not print, and must factorise by supernodes: its simplicial LDL^T, which it prefers for small matrices,
@@ -148,21 +150,25 @@ class Factor:
 
 
 class FactorShell:
-    """What PETSc calls when a `Factor` serves as preconditioner of a Python type."""
+    """What PETSc calls when a `Factor` serves as preconditioner of a Python type.
 
-    def __init__(self, factor: Factor) -> None:
-        self.factor = factor
-        self._ready = False
+    Args:
+        factor: factorised whenever PETSc says that the matrix has changed.
+        correct: solves with it: right-hand side, solution.
+    """
+
+    def __init__(self, factor: Factor, correct: Callable[[PETSc.Vec, PETSc.Vec], None]) -> None:
+        self.factor, self.correct = factor, correct
 
     def setUp(self, pc: PETSc.PC) -> None:
         """Factorise; a failure is told to SNES as a failed linear solve, until the next factorisation."""
-        self._ready = self.factor.refresh()
+        ready = self.factor.usable or self.factor.refresh()
         failed = PETSc.PC.FailedReason.FACTOR_NUMERIC_ZEROPIVOT
-        pc.setFailedReason(PETSc.PC.FailedReason.NOERROR if self._ready else failed)
+        pc.setFailedReason(PETSc.PC.FailedReason.NOERROR if ready else failed)
 
     def apply(self, _pc: PETSc.PC, right: PETSc.Vec, solution: PETSc.Vec) -> None:
-        """Solve with the factor; PETSc asks although `setUp` failed, and NaN then ends its iteration without an exception."""
-        if self._ready:
-            self.factor.solve(right, solution)
+        """Solve; PETSc asks although `setUp` failed, and NaN then ends its iteration without an exception."""
+        if self.factor.usable:
+            self.correct(right, solution)
         else:
             solution.set(float("nan"))

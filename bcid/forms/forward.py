@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
 from bcid.forms.observe import Observer, attach
 from bcid.forms.solve import Equilibrium, Pose, Settings, Status
-from bcid.forms.trajectory import Trajectory, follow
+from bcid.forms.trajectory import Trajectory, follow, poses
 from bcid.measurement import Action
 from bcid.scene import Scene
 
@@ -28,21 +28,28 @@ class Prediction:
 
     Attributes:
         positions: shape (frames, fiducials, 3), m; NaN in frames that were not reached.
-        wrench: force (N) and torque (N m) of the gripper, shape (frames, 6); NaN likewise, zero without a grasp.
         trajectories: how each action went.
-        displacement: at the nodes of the mesh, shape (frames, nodes, 3), m, when it was asked for.
-        complete: whether every frame was reached.
+        states: this rank's unknowns in each frame that was reached, when they were asked for.
+        wrench: force (N) and torque (N m) of the gripper, shape (frames, 6); NaN in frames that were not reached, zero
+            without a grasp; None unless `Forward.detail` has added it.
+        displacement: at the nodes of the mesh, shape (frames, nodes, 3), m; likewise.
     """
 
     positions: Array
-    wrench: Array
     trajectories: tuple[Trajectory, ...]
+    states: dict[int, Array] | None = None
+    wrench: Array | None = None
     displacement: Array | None = None
 
     @property
     def complete(self) -> bool:
         """Whether every frame was reached."""
         return bool(np.isfinite(self.positions).all())
+
+    @property
+    def stopped(self) -> bool:
+        """Whether it ended early because that was wanted."""
+        return not self.complete and self.failure is None
 
     @property
     def failure(self) -> Trajectory | None:
@@ -103,7 +110,12 @@ class Forward:
         return f"{nodes} nodes, {cells} tetrahedra, degree {self.body.degree}, {self.body.unknowns} unknowns"
 
     def predict(
-        self, anchors: Iterable[str], actions: Sequence[Action], watch: Watch | None = None, fields: bool = False
+        self,
+        anchors: Iterable[str],
+        actions: Sequence[Action],
+        watch: Watch | None = None,
+        keep: bool = False,
+        rtol: float | None = None,
     ) -> Prediction:
         """Fiducial positions while the actions are made with these patches anchored.
 
@@ -111,30 +123,50 @@ class Forward:
             anchors: names of the anchored patches.
             actions: the motions; each starts from the undeformed state.
             watch: called after each frame with its index and the predicted positions (fiducials, 3); when it returns
-                False the rest is not computed.
-            fields: also keep the displacement of every mesh node.
+                False the rest is not computed. See `bcid.forms.trajectory.follow` for frames that come twice.
+            keep: also keep the state of every frame, for `detail`.
+            rtol: accuracy, by default that of the settings.
         """
         frames = 1 + max(int(action.frames.max()) for action in actions)
         positions = np.full((frames, len(self.observer.rest), 3), np.nan)
-        wrench = np.full((frames, 6), np.nan)
-        displacement = np.full((frames, len(self.mesh.points), 3), np.nan) if fields else None
+        states: dict[int, Array] = {}
         equilibrium = self.equilibrium
-        trajectories = []
+        equilibrium.rtol = equilibrium.settings.rtol if rtol is None else rtol
+        trajectories: list[Trajectory] = []
         for action in actions:
             equilibrium.hold(anchors, action.grasp)
 
-            def seen(step: int, pose: Pose, action: Action = action) -> bool | None:
+            def seen(step: int, _pose: Pose, action: Action = action) -> bool | None:
                 frame = int(action.frames[step])
                 positions[frame] = self.observer.positions(equilibrium.displacement())
-                wrench[frame] = equilibrium.wrench(pose)
-                if displacement is not None:
-                    displacement[frame] = self.body.at_mesh_nodes(equilibrium.displacement())
+                if keep:
+                    states[frame] = equilibrium.u.x.array.copy()
                 return None if watch is None else watch(frame, positions[frame])
 
             trajectories.append(follow(equilibrium, action, seen))
-            if trajectories[-1].steps < len(action):
+            missed = action.frames[trajectories[-1].steps :]
+            positions[missed] = np.nan
+            for frame in missed:
+                states.pop(int(frame), None)
+            if len(missed):
                 break
-        return Prediction(positions, wrench, tuple(trajectories), displacement)
+        return Prediction(positions, tuple(trajectories), states if keep else None)
+
+    def detail(self, anchors: Iterable[str], actions: Sequence[Action], prediction: Prediction) -> Prediction:
+        """The prediction with `wrench` and `displacement`, from the states that it kept."""
+        states = prediction.states
+        if states is None:
+            raise ValueError("detail: the states are needed; predict with keep=True")
+        wrench = np.full((len(prediction.positions), 6), np.nan)
+        displacement = np.full((len(prediction.positions), len(self.mesh.points), 3), np.nan)
+        for action in actions:
+            self.equilibrium.hold(anchors, action.grasp)
+            for pose, frame in zip(poses(action), action.frames, strict=True):
+                if int(frame) in states:
+                    self.equilibrium.set_state(pose, states[int(frame)])
+                    wrench[frame] = self.equilibrium.wrench(pose)
+                    displacement[frame] = self.body.at_mesh_nodes(self.equilibrium.displacement())
+        return replace(prediction, wrench=wrench, displacement=displacement)
 
     def destroy(self) -> None:
         """Free the PETSc objects; collective."""

@@ -62,6 +62,12 @@ class BodyMesh:
         """Volume, m^3."""
         return float(_volumes(self.points, self.cells).sum())
 
+    def unknowns(self, degree: int, mixed: bool = False) -> int:
+        """Number of unknowns that a displacement of this degree has on the mesh (with pressures one degree lower if mixed)."""
+        nodes = len(self.points)
+        edges = len(np.unique(np.sort(self.cells[:, _EDGES].reshape(-1, 2), axis=1), axis=0)) if degree == 2 else 0
+        return 3 * (nodes + edges) + (nodes if mixed else 0)
+
     def fingerprint(self) -> str:
         """Short hash of nodes, cells and groups."""
         return fingerprint({"points": self.points, "cells": self.cells, "groups": self.groups})

@@ -51,7 +51,9 @@ def simulate(
     level = len(scene.levels) - 1 if level is None else level
     forward = Forward(scene, level, comm, model, Settings(rtol=1e-8))
     try:
-        prediction = forward.predict(anchors, actions)
+        prediction = forward.predict(anchors, actions, keep=wrench)
+        if wrench and not prediction.failure:
+            prediction = forward.detail(anchors, actions, prediction)
     finally:
         forward.destroy()
     if prediction.failure:

@@ -22,11 +22,19 @@ from bcid.forms.effects.effect import Point
 from bcid.forms.factor import Factor, FactorShell
 from bcid.forms.kinematics import Kinematics
 from bcid.forms.model import Model
+from bcid.forms.secant import Secant
+from bcid.forms.tangent import Tangent
 from bcid.measurement import quaternion_rotate
 from bcid.scene import Region, Scene
 
 Array = NDArray[np.float64]
 _prefixes = count()
+# An old tangent serves until an iteration leaves more than this part of the residual, or for so many iterations.
+_SLOW = 0.8
+_PATIENCE = 20
+_HOPELESS = 1e3
+# Prescribed changes smaller than this part of the body's size need not be spread by a solve of their own.
+_FAR = 1e-4
 
 
 class Status(StrEnum):
@@ -119,16 +127,22 @@ class Equilibrium:
     Attributes:
         u: the unknown, a DOLFINx Function (displacement, or displacement and pressure).
         iterations, factor.count: work done since it was built.
+        age: steps taken since the tangent was last factorised.
+        rtol: accuracy asked for, at first that of the settings.
+        careful: whether every iteration gets a tangent of its own.
     """
 
     def __init__(self, body: Body, model: Model, scene: Scene, settings: Settings | None = None) -> None:
         self.body, self.model, self.scene = body, model, scene
         self.settings = settings or Settings()
+        self.rtol = self.settings.rtol
         self.iterations = 0
         self.u = fem.Function(body.space)
         self._gripper = fem.Function(body.displacement_space)
         self._compile()
         self._prepare_solver()
+        self._lagging = self._stale = False
+        self._iteration = 0
         self._conditions: dict[str, Any] = {}
         self._weights: dict[str, Array] = {}
         self.hold(model.anchors, model.grasp)
@@ -220,6 +234,7 @@ class Equilibrium:
         owned = self._owned
         self._held = np.unique(np.concatenate([bc.dof_indices()[0] for bc in self._bcs] or [np.zeros(0, np.int32)]))
         self._held_owned = self._held[self._held < owned]
+        self.tangent.hold(self._held, self._bcs)
         self._gripped = self._bcs[len(anchors)].dof_indices()[0] if grasp else np.zeros(0, np.int32)
         self.reset()
 
@@ -238,9 +253,22 @@ class Equilibrium:
 
     def reset(self) -> None:
         """Back to the undeformed state; the factor is no longer trusted."""
-        self.u.x.array[:] = 0.0
+        self.start_over(None)
+        self.careful = not self._keeps
+
+    def start_over(self, state: Array | None) -> None:
+        """Back to `state` (this rank's unknowns; None: undeformed), and from there with a tangent for every iteration."""
+        self.u.x.array[:] = 0.0 if state is None else state
         self.factor.reset()
+        self.secant.clear()
         self.external[:] = 0.0
+        self.age = 0
+        self.careful = True
+
+    def set_state(self, pose: Pose, state: Array) -> None:
+        """Take `state` (this rank's unknowns) for the equilibrium at `pose`, without solving."""
+        self.start_over(state)
+        self._prescribe(pose)
 
     def _move_gripper(self, pose: Pose) -> None:
         if not self._grasp:
@@ -273,27 +301,30 @@ class Equilibrium:
 
     def _prepare_solver(self) -> None:
         comm = self.body.comm
-        self.matrix = fp.create_matrix(self.tangent_form)
-        self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, self.model.symmetric)
+        self.tangent = Tangent(self.tangent_form, self.model.symmetric, comm.size > 1)
         self.vector = compat.create_vector(self.residual_form)
         self.iterate = self.vector.duplicate()
         self.correction = self.vector.duplicate()
         self._owned = self.vector.getLocalSize()
         self.external = np.zeros(3 * len(self.body.nodes))
         self.internal = np.zeros(self._owned)
-        self.factor = Factor(self.matrix, self.model.symmetric, self.body.pressures, self._rigid_modes())
+        modes = self._rigid_modes()
+        self.factor = Factor(self.tangent.matrix, self.model.symmetric, self.body.pressures, modes)
+        # What is kept must be positive definite, and solved with directly.
+        self._keeps = self.model.symmetric and not self.body.mixed and modes is None
+        self.secant = Secant(self.factor, comm, self._keeps)
         snes = PETSc.SNES().create(comm)
         snes.setOptionsPrefix(prefix := f"bcid_snes_{next(_prefixes)}_")
         snes.setType("newtonls")
         snes.setFunction(self._residual, self.vector)
-        snes.setJacobian(self._tangent, self.matrix)
+        snes.setJacobian(self._renew, self.tangent.matrix)
         snes.setTolerances(max_it=self.settings.max_iterations)
         PETSc.Options()[f"{prefix}snes_linesearch_type"] = self._line_search = "bt"
         snes.setConvergenceTest(self._converged)
         ksp = snes.getKSP()
         ksp.setType("preonly")
         ksp.getPC().setType("python")
-        ksp.getPC().setPythonContext(FactorShell(self.factor))
+        ksp.getPC().setPythonContext(FactorShell(self.factor, self.secant.correct))
         snes.setFromOptions()
         self.snes = snes
         shear = float(self.model.law.shear(self.model.law.complete(self.model.values)))
@@ -319,9 +350,8 @@ class Equilibrium:
         coordinates.array[:] = self.body.nodes.ravel()[: self._owned]
         return PETSc.NullSpace().createRigidBody(coordinates)
 
-    def _choose_line_search(self, loaded: bool) -> None:
-        """Full steps under loads: in bending they raise the residual on their way, and backtracking would hold them up for good."""
-        kind = "basic" if loaded else "bt"
+    def _choose_line_search(self, full_steps: bool) -> None:
+        kind = "basic" if full_steps else "bt"
         if kind != self._line_search:
             PETSc.Options()[f"{self.snes.getOptionsPrefix()}snes_linesearch_type"] = self._line_search = kind
             self.snes.setFromOptions()
@@ -355,56 +385,81 @@ class Equilibrium:
             squares = self.body.comm.allreduce(squares)
         return float(np.sqrt(squares))
 
-    def _tangent(self, _snes: PETSc.SNES, _x: PETSc.Vec, J: PETSc.Mat, _P: PETSc.Mat) -> None:
-        J.zeroEntries()
-        fp.assemble_matrix(J, self.tangent_form, self._bcs)
-        J.assemble()
+    def _renew(self, _snes: PETSc.SNES, _x: PETSc.Vec, _J: PETSc.Mat, _P: PETSc.Mat) -> None:
+        """What SNES calls for a Jacobian: the old one stays while the iteration converges well with it."""
+        if not self._lagging or self._stale or not self.factor.usable:
+            self._assemble_tangent()
+            self._renewed, self._stale = self._iteration, False
 
-    def _converged(self, _snes: PETSc.SNES, _iteration: int, norms: tuple[float, float, float]) -> Any:
+    def _assemble_tangent(self) -> None:
+        """The tangent at the present state; what was known of earlier ones is dropped."""
+        rest = not self.u.x.array.any() if self.body.comm.size == 1 else False
+        self.tangent.assemble(tuple(float(c.value) for c in self._constants.values()) if rest else None)
+        self.age = 0
+        self.factor.usable = False
+        self.secant.clear()
+
+    def _converged(self, _snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> Any:
         residual = norms[2]
         if not np.isfinite(residual):
             return compat.snes_not_finite()
-        if residual <= max(self.settings.rtol * self._scale(), self._floor):
+        if residual <= max(self.rtol * self._scale(), self._floor):
             return PETSc.SNES.ConvergedReason.CONVERGED_FNORM_RELATIVE
+        return self._judge(iteration, residual) if self._lagging else PETSc.SNES.ConvergedReason.CONVERGED_ITERATING
+
+    def _judge(self, iteration: int, residual: float) -> Any:
+        """Whether an iteration with an old tangent goes on with it, asks for a fresh one, or is given up."""
+        if iteration == 0:
+            self._first, self._previous, self._renewed = residual, np.inf, 0
+        # Where the energy has no minimum ahead, an old tangent leads to whichever state it happens to meet.
+        lost = self.secant.negative or (self.factor.usable and self.factor.negative)
+        if lost or residual > _HOPELESS * self._first:
+            return PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH
+        self._stale = residual > _SLOW * self._previous or iteration - self._renewed >= _PATIENCE
+        self._iteration, self._previous = iteration, residual
         return PETSc.SNES.ConvergedReason.CONVERGED_ITERATING
 
     def solve(self, pose: Pose, start: Array | None = None) -> Status:
         """Equilibrium for one pose, starting from the present state or from `start` (this rank's unknowns).
 
-        The state is changed only when the result is `Status.CONVERGED`.
+        First with the tangent that is at hand, renewed when that converges slowly; if it fails, once more by Newton's
+        method with a tangent of its own for every iteration. The state is changed only when the result is
+        `Status.CONVERGED`.
         """
         before = self.u.x.array.copy()
-        self._choose_line_search(bool(self.model.doses or pose.loads))
         self._prescribe(pose)
-        if start is not None:
-            self.u.x.array[:] = start
-        status = self._lift()
-        if status is Status.CONVERGED:
-            status = self._newton()
-        if status is not Status.CONVERGED:
-            self.u.x.array[:] = before
+        status = Status.DIVERGED
+        for lagging in (False,) if self.careful else (True, False):
+            self.u.x.array[:] = before if start is None else start
+            self._lagging = lagging
+            # Full steps under loads: in bending they raise the residual on their way, and backtracking would hold them up for good.
+            self._choose_line_search(lagging or bool(self.model.doses or pose.loads))
+            status = self._lift()
+            if status is Status.CONVERGED:
+                status = self._newton()
+            if status is Status.CONVERGED:
+                self.age += 1
+                return status
             self.factor.usable = False
+        self.u.x.array[:] = before
         return status
 
     def _lift(self) -> Status:
-        """Bring the held nodes to their prescribed places, the others following by the tangent."""
+        """Bring the held nodes to their prescribed places, the others following by the tangent where it is far."""
         state = self.u.x.array
         wanted = state.copy()
         for bc in self._bcs:
             bc.set(wanted)
-        gap = self._largest(np.abs(wanted[self._held] - state[self._held]).max(initial=0.0))
-        if gap > 1e-9 * self.body.mesh.size:
+        gap = np.zeros_like(state)
+        gap[self._held] = wanted[self._held] - state[self._held]
+        if self._largest(np.abs(gap).max(initial=0.0)) > _FAR * self.body.mesh.size:
             if not self.factor.usable:
-                self._tangent(self.snes, self.iterate, self.matrix, self.matrix)
+                self._assemble_tangent()
                 if not self.factor.refresh():
                     return Status.LINEAR_SOLVER
-            b = self.vector
-            with b.localForm() as local:
-                local.set(0.0)
-            fp.apply_lifting(b, [self.tangent_form], [self._bcs], [self.u.x.petsc_vec], 1.0)
-            b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-            fp.set_bc(b, self._bcs, self.u.x.petsc_vec, 1.0)
-            self.factor.solve(b, self.correction)
+            self.tangent.lift(gap, self.vector, self.u.x.petsc_vec)
+            self.vector.array[self._held_owned] = gap[self._held_owned]
+            self.factor.solve(self.vector, self.correction)
             state[: self._owned] += self.correction.array_r
             self.u.x.scatter_forward()
         state[self._held] = wanted[self._held]
@@ -413,6 +468,7 @@ class Equilibrium:
     def _newton(self) -> Status:
         self.iterate.array[:] = self.u.x.array[: self._owned]
         factored = self.factor.count
+        self.secant.pause()
         try:
             self.snes.solve(None, self.iterate)
         except PETSc.Error as error:
@@ -430,13 +486,15 @@ class Equilibrium:
         if reason <= 0:
             return _REASONS.get(reason, Status.DIVERGED)
         self._copy_in(self.iterate)
+        if self._lagging:
+            self.secant.observe(self.vector.array_r)
         if self.factor.count > factored and self.factor.negative:
             return Status.UNSTABLE
         return Status.CONVERGED if self.smallest_jacobian() > 0 else Status.INVERTED
 
     def verify(self) -> Status:
         """Factorise the tangent of the present state and look at its pivots: `CONVERGED` or `UNSTABLE`."""
-        self._tangent(self.snes, self.iterate, self.matrix, self.matrix)
+        self._assemble_tangent()
         if not self.factor.refresh():
             return Status.LINEAR_SOLVER
         return Status.UNSTABLE if self.factor.negative else Status.CONVERGED
@@ -480,7 +538,9 @@ class Equilibrium:
     def destroy(self) -> None:
         """Free the PETSc objects; collective."""
         self.factor.destroy()
-        for item in (self.snes, self.matrix, self.vector, self.iterate, self.correction):
+        self.secant.destroy()
+        self.tangent.destroy()
+        for item in (self.snes, self.vector, self.iterate, self.correction):
             item.destroy()
 
 

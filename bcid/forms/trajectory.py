@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,10 @@ from bcid.forms.solve import WORDS, Equilibrium, Pose, Status
 from bcid.measurement import Action
 
 Array = NDArray[np.float64]
-_EXTRAPOLATIONS = ((3.0, -3.0, 1.0), (2.0, -1.0), (1.0,))
+# A guess may use this many states.
+_MOST = 6
+# A tangent is factorised, and its pivots looked at, at the latest after so many steps.
+_TRUSTED = 8
 
 
 @dataclass
@@ -37,25 +41,50 @@ class Trajectory:
 
 @dataclass
 class _History:
-    """The last accepted states, newest first: what the next one is extrapolated from."""
+    """Accepted states by time (steps of the action): what the next one is interpolated or extrapolated from."""
 
+    comm: Any
+    times: list[float] = field(default_factory=list)
     poses: list[Array] = field(default_factory=list)
     states: list[Array] = field(default_factory=list)
 
-    def add(self, pose: Pose, state: Array) -> None:
-        self.poses = [pose.vector(), *self.poses][:3]
-        self.states = [state.copy(), *self.states][:3]
+    def add(self, time: float, pose: Pose, state: Array) -> None:
+        """Take a state as the newest."""
+        self.times = [*self.times, time][-_MOST:]
+        self.poses = [*self.poses, pose.vector()][-_MOST:]
+        self.states = [*self.states, state.copy()][-_MOST:]
 
-    def guess(self, pose: Pose) -> Array | None:
-        """State at `pose` by the extrapolation that meets the pose best; the higher order when several do."""
-        wanted = pose.vector()
-        usable = [c for c in _EXTRAPOLATIONS if len(c) <= len(self.poses)]
-        if not usable:
+    def guess(self, time: float, pose: Pose) -> Array | None:
+        """State at `time` by a polynomial through the nearest states; collective.
+
+        Of the orders that meet the pose (a motion that turns a corner is met badly through states from before it), the one
+        from which the next lower differs least.
+        """
+        if not self.times:
             return None
-        misses = [np.linalg.norm(sum(c * p for c, p in zip(cs, self.poses, strict=False)) - wanted) for cs in usable]
-        tolerance = min(misses) + 0.05 * float(np.linalg.norm(wanted - self.poses[0]))
-        best = next(cs for cs, miss in zip(usable, misses, strict=True) if miss <= tolerance)
-        return np.asarray(sum(c * s for c, s in zip(best, self.states, strict=False)))
+        wanted = pose.vector()
+        nearest = sorted(range(len(self.times)), key=lambda i: (abs(self.times[i] - time), -i))
+        guesses, misses = [], []
+        for count in range(1, len(nearest) + 1):
+            weights = _lagrange(np.array([self.times[i] for i in nearest[:count]]), time)
+            guesses.append(sum(w * self.states[i] for w, i in zip(weights, nearest, strict=False)))
+            miss = wanted - sum(w * self.poses[i] for w, i in zip(weights, nearest, strict=False))
+            misses.append(float(np.linalg.norm(miss)))
+        tolerance = min(misses) + 0.05 * misses[0]
+        changes = self._norms(np.diff(guesses, axis=0, prepend=guesses[:1]))
+        changes[0] = np.inf
+        meeting = [m for m in range(len(guesses)) if misses[m] <= tolerance]
+        return np.asarray(guesses[min(meeting, key=lambda m: (changes[m], m))])
+
+    def _norms(self, states: Array) -> Array:
+        squares = np.einsum("ij,ij->i", states, states)
+        return np.sqrt(self.comm.allreduce(squares) if self.comm.size > 1 else squares)
+
+
+def _lagrange(times: Array, at: float) -> Array:
+    """Weights of the polynomial through values at `times`, evaluated `at`."""
+    others = [np.delete(times, i) for i in range(len(times))]
+    return np.array([np.prod((at - o) / (t - o)) for t, o in zip(times, others, strict=True)])
 
 
 def poses(action: Action) -> list[Pose]:
@@ -69,11 +98,14 @@ def poses(action: Action) -> list[Pose]:
 def follow(equilibrium: Equilibrium, action: Action, seen: Callable[[int, Pose], bool | None]) -> Trajectory:
     """Move the gripper along an action from the undeformed state; collective on the body's communicator.
 
+    The tangent is factorised every few steps and at the end. When it turns out not to be positive definite, the motion
+    goes back to the last state that was seen to be stable and is repeated with a tangent of its own for every iteration.
+
     Args:
         equilibrium: holds the anchors already; its grasp must be the action's.
         action: the motion.
         seen: called after each step with its number and pose, to read the state; the motion ends early when it returns
-            False.
+            False. Where the motion went back it is called again for the same steps: the later call holds.
 
     Returns:
         How far it came. A step that fails is halved, up to `settings.halvings` times; what cannot be mended ends the
@@ -82,50 +114,57 @@ def follow(equilibrium: Equilibrium, action: Action, seen: Callable[[int, Pose],
     equilibrium.reset()
     result = Trajectory()
     start = equilibrium.iterations, equilibrium.factor.count
-    history = _History()
-    last = Pose(loads={place: np.zeros(3) for place in action.loads}, dose=0.0)
-    stopped = False
-    for k, pose in enumerate(poses(action)):
-        status = _advance(equilibrium, last, pose, history, result)
+    path = [Pose(loads={place: np.zeros(3) for place in action.loads}, dose=0.0), *poses(action)]
+    history = _History(equilibrium.body.comm)
+    safe = 0, replace(history)
+    done, stopped = 0, False
+    while done < len(action) and not stopped:
+        status = _advance(equilibrium, path[done], path[done + 1], done, history, result)
+        if status is Status.CONVERGED:
+            stopped = seen(done, path[done + 1]) is False
+            done += 1
+            if not stopped and (equilibrium.age >= _TRUSTED or done == len(action)):
+                status = equilibrium.verify()
+                safe = (done, replace(history)) if status is Status.CONVERGED else safe
         if status is not Status.CONVERGED:
-            result.status = status
-            result.reason = (
-                f"{WORDS[status]}; action {action.name} ended at step {action.steps[k]} of {action.steps[-1]}"
-            )
-            break
-        last = pose
-        result.steps = k + 1
-        if seen(k, pose) is False:
-            stopped = True
-            break
-    if result.status is Status.CONVERGED and not stopped:
-        result.status = equilibrium.verify()
-        if result.status is not Status.CONVERGED:
-            result.reason = f"{WORDS[result.status]} at the end of action {action.name}"
+            if equilibrium.careful:
+                result.status, result.reason = (
+                    status,
+                    f"{WORDS[status]}; action {action.name} ended {_where(action, done)}",
+                )
+                break
+            done, history = safe[0], replace(safe[1])
+            equilibrium.start_over(history.states[-1] if history.states else None)
+    result.steps = done
     result.iterations, result.factorisations = equilibrium.iterations - start[0], equilibrium.factor.count - start[1]
     return result
 
 
-def _advance(eq: Equilibrium, last: Pose, pose: Pose, history: _History, result: Trajectory) -> Status:
+def _where(action: Action, done: int) -> str:
+    return "after its last step" if done == len(action) else f"at step {action.steps[done]} of {action.steps[-1]}"
+
+
+def _advance(eq: Equilibrium, last: Pose, pose: Pose, step: int, history: _History, result: Trajectory) -> Status:
     """One step of the motion, cut into sub-steps where it fails."""
     if (
         not eq.model.doses
         and not pose.loads
         and np.allclose(pose.vector(), last.vector(), atol=1e-15)
-        and not history.poses
+        and not history.times
     ):
-        history.add(pose, eq.u.x.array)
+        history.add(step, pose, eq.u.x.array)
         return Status.CONVERGED
     done, size, halved = 0.0, 1.0, 0
     while done < 1.0:
-        target = between(last, pose, min(done + size, 1.0))
-        status = eq.solve(target, history.guess(target))
-        if status is not Status.CONVERGED and len(history.poses) > 1:
+        part = min(done + size, 1.0)
+        target, time = between(last, pose, part), step - 1 + part
+        status = eq.solve(target, history.guess(time, target))
+        if status is not Status.CONVERGED and len(history.times) > 1:
             # The extrapolation may be what failed: start once more from the last state itself.
             status = eq.solve(target)
         if status is Status.CONVERGED:
-            done += size
-            history.add(target, eq.u.x.array)
+            done = part
+            history.add(time, target, eq.u.x.array)
         elif halved == eq.settings.halvings:
             return status
         else:

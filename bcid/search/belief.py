@@ -9,6 +9,11 @@ from dataclasses import dataclass
 from bcid.search.farm import Candidate, Farm, Outcome
 from bcid.search.misfit import Misfit
 
+# Odds from which on two sets count as told apart.
+_TELLING = 20.0
+# Between levels that hardly differ nothing can be extrapolated.
+_LEAST_GAIN = 0.2
+
 
 @dataclass(frozen=True)
 class Belief:
@@ -58,35 +63,77 @@ def finest(farm: Farm, last: int) -> dict[Candidate, Outcome]:
     return found
 
 
-def log_likelihood(outcome: Outcome, best: Outcome, misfit: Misfit, error: float) -> float:
-    """Logarithm of the likelihood of a set against that of the `best` one, both on the same level.
+def spread(best: Outcome, misfit: Misfit, error: float) -> float:
+    """Variance by which differences of chi-square from the `best` set on its level are judged.
 
     The residuals hold white noise and the error of the level's model (RMS `error`, m), which persists along a
     trajectory where noise does not. A difference between two sets persists too, so in its direction the error weighs as
-    often as a trajectory has frames: the variance is noise^2 + error^2 * frames per trajectory. When the noise is not
-    stated, the best set's residuals stand for it.
+    often as a trajectory has frames: the variance is noise^2 + error^2 * frames per trajectory, in units of the noise.
+    When the noise is not stated, the best set's residuals stand for it.
     """
+    if misfit.noise is None:
+        return best.rms**2 + error**2 * misfit.values / misfit.curves
+    return 1.0 + (error / misfit.noise) ** 2 * misfit.values / misfit.curves
+
+
+def log_likelihood(outcome: Outcome, best: Outcome, misfit: Misfit, error: float) -> float:
+    """Logarithm of the likelihood of a set against that of the `best` one, both on the same level (see `spread`)."""
     if outcome.failed:
         return -math.inf
     if best.failed:
         return 0.0
-    difference, variance = outcome.chi2 - best.chi2, 1.0
-    if misfit.noise is None:
-        variance = best.rms**2
-    else:
-        error /= misfit.noise
-    total = variance + error**2 * misfit.values / misfit.curves
-    if total <= 0.0:
+    difference, variance = outcome.chi2 - best.chi2, spread(best, misfit, error)
+    if variance <= 0.0:
         return 0.0 if difference <= 0.0 else -math.inf
-    return -difference / (2 * total)
+    return -difference / (2 * variance)
+
+
+def classes(farm: Farm, level: int, error: float, least: float) -> list[list[Candidate]]:
+    """Sets that the measured motions cannot tell apart, on a level; collective.
+
+    Looked at are the sets that were evaluated in full there and are at most `least` times less likely than the best. Two
+    belong together when, if one of them were the true set, the data would be expected to favour it by less than
+    `_TELLING` to one: half the squared distance of their predictions, in units of the `spread`, is the expected
+    logarithm of that ratio. Each class is built around its likeliest set, which comes first; so do the likelier classes.
+    """
+    known = sorted((o for (at, _), o in farm.outcomes.items() if at == level and o.complete), key=lambda o: o.chi2)
+    found: list[list[Candidate]] = []
+    for outcome in known:
+        if log_likelihood(outcome, known[0], farm.misfit, error) < -math.log(least):
+            continue
+        variance = spread(known[0], farm.misfit, error) * (farm.misfit.noise or 1.0) ** 2
+        here = farm.positions(level, outcome.candidate)
+        for others in found:
+            apart = farm.misfit.distance(here, farm.positions(level, others[0])) ** 2 * farm.misfit.values
+            if apart <= 2 * variance * math.log(_TELLING):
+                others.append(outcome.candidate)
+                break
+        else:
+            found.append([outcome.candidate])
+    return found
+
+
+def beyond_noise(outcome: Outcome, misfit: Misfit) -> float:
+    """What a set's RMS residual has beyond the noise, m: the least that the error of its level's model is taken for."""
+    return math.sqrt(max(outcome.rms**2 - (misfit.noise or math.inf) ** 2, 0.0))
+
+
+def interest(best: Outcome, misfit: Misfit, odds: float, error: float = 0.0) -> float:
+    """Chi-square beyond which a rival is `odds` times less likely than the `best` set on its level: there it may stop.
+
+    `error` (m) is the error of the level's model; at least what the best set's residual has beyond the noise is taken.
+    """
+    if best.failed:
+        return math.inf
+    return best.chi2 + 2 * spread(best, misfit, max(error, beyond_noise(best, misfit))) * math.log(odds)
 
 
 def model_errors(farm: Farm, best: Candidate, levels: Sequence[int]) -> dict[int, float]:
     """RMS error of the model on each of the levels, m; collective.
 
-    On a coarser level it is how far its prediction of the best set is from the finest level's; on the finest, a third of
-    the last such difference, as second-order convergence leaves when elements are halved; nowhere less than what the
-    best set's residual has beyond the noise.
+    On a coarser level it is how far its prediction of the best set is from the finest level's; on the finest, what
+    second-order convergence leaves of the last such difference (Richardson): a third when elements are halved. Nowhere is
+    it less than what the best set's residual has beyond the noise.
     """
     last = levels[-1]
     # Where the model fails for the best set it tells nothing, and `log_likelihood` does not ask.
@@ -95,8 +142,7 @@ def model_errors(farm: Farm, best: Candidate, levels: Sequence[int]) -> dict[int
     errors = dict.fromkeys(levels, 0.0)
     errors |= {level: farm.misfit.distance(predicted[level], predicted[last]) for level in solved[:-1]}
     if len(solved) > 1:
-        errors[last] = errors[solved[-2]] / 3
+        errors[last] = errors[solved[-2]] / max(farm.refinement(solved[-2], last) ** 2 - 1, _LEAST_GAIN)
     for level in solved:
-        beyond = farm.outcomes[level, best].rms ** 2 - (farm.misfit.noise or math.inf) ** 2
-        errors[level] = max(errors[level], math.sqrt(max(beyond, 0.0)))
+        errors[level] = max(errors[level], beyond_noise(farm.outcomes[level, best], farm.misfit))
     return errors

@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from bcid.search.belief import interest
 from bcid.search.farm import Candidate, Farm, Outcome
+
+# A set this many times less likely than one that is known is of no interest.
+ODDS = 1e6
 
 
 @dataclass(frozen=True)
@@ -40,20 +44,11 @@ def rank(outcome: Outcome) -> tuple[float, int, list[str]]:
     return outcome.chi2, len(outcome.candidate), sorted(outcome.candidate)
 
 
-def interest(chi2: float) -> float:
-    """Chi-square up to which a rival of a candidate with `chi2` is evaluated in full.
-
-    Beyond it its probability is below 1e-4 with 20 trajectories (fiducial axes) or more, also on a coarse level; with fewer the
-    bound is looser, and what stopped keeps a larger upper bound (see `bcid.search.belief.log_likelihood`).
-    """
-    return 2.0 * chi2 + 30.0
-
-
 def climb(farm: Farm, level: int, seeds: Iterable[Candidate]) -> list[Climb]:
     """Climb from every seed at once, each to its best neighbour until none is better; collective.
 
-    The neighbours of all climbers are one batch for the farm. A neighbour whose misfit passes its parent's stops early:
-    it cannot be where the climber goes.
+    The neighbours of all climbers are one batch for the farm. A neighbour that is `ODDS` times less likely than its
+    parent stops early: it cannot be where the climber goes.
     """
     paths = [[seed] for seed in dict.fromkeys(seeds)]
     farm.evaluate(level, {path[0]: float("inf") for path in paths})
@@ -63,7 +58,7 @@ def climb(farm: Farm, level: int, seeds: Iterable[Candidate]) -> list[Climb]:
         for i in active:
             here = farm.outcomes[level, paths[i][-1]]
             for candidate in neighbours(here.candidate, farm.patches):
-                bounds[candidate] = max(bounds.get(candidate, 0.0), interest(here.chi2))
+                bounds[candidate] = max(bounds.get(candidate, 0.0), interest(here, farm.misfit, ODDS))
         found = farm.evaluate(level, bounds)
         moved = []
         for i in active:

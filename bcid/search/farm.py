@@ -1,7 +1,8 @@
-"""Evaluating candidates on all ranks: every rank takes a share, none idles as a manager, and all know every result.
+"""Evaluating candidates on all ranks: whoever is free takes the next, none idles as a manager, and all know every result.
 
 The searches run in lock-step on every rank and see the same results in the same order, so that the answer never depends
-on how many ranks there are: a candidate's outcome depends on nothing but the candidate, its level and its bound.
+on how many ranks there are: a candidate's outcome depends on nothing but the candidate, its level and its bound. A large
+mesh is shared by a team of ranks, and the teams share the candidates.
 """
 
 from __future__ import annotations
@@ -18,16 +19,22 @@ from numpy.typing import NDArray
 from bcid.collective import agree
 from bcid.errors import BcidError, InputError
 from bcid.forms.forward import Forward, Prediction
-from bcid.forms.mesh import level_mesh
+from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
 from bcid.forms.solve import Settings, Status
 from bcid.measurement import Measurement
 from bcid.progress import Progress, Silent
 from bcid.scene import Scene
 from bcid.search.misfit import Misfit
+from bcid.search.schedule import counter, share
 
 Array = NDArray[np.float64]
 Candidate = frozenset[str]
+# What was computed is shared, and can be stored, at the latest after so many candidates per team.
+_BATCH = 64
+# Relative accuracy of a rough solution, and by how much more a set must lose for it to be told from that.
+_ROUGH = 1e-3
+_RESERVE = 1.05
 
 
 def label(candidate: Iterable[str], order: Iterable[str]) -> str:
@@ -41,11 +48,11 @@ class Outcome:
     """What is known of one candidate on one level.
 
     Attributes:
-        chi2: sum of squared residuals in units of noise; a lower bound when `complete` is False; infinite when the
-            model failed.
+        chi2: sum of squared residuals in units of noise; a lower bound when `complete` is False (see `Farm.evaluate`);
+            infinite when the model failed.
         rms: RMS residual per coordinate, m; a lower bound when `complete` is False.
         complete: whether all frames were compared.
-        share: fraction of the trajectory that was computed, 0 to 1.
+        share: fraction of the steps of the trajectory that was computed; steps that were computed twice count twice.
         status, reason: how the forward model ended, and why in words.
         seconds: time spent.
     """
@@ -96,12 +103,13 @@ class Farm:
     Args:
         scene: the scene.
         measurement: what to compare with; must fit the scene.
-        comm: an MPI communicator; each rank holds the meshes and solvers it needs privately.
+        comm: an MPI communicator.
         model: the model, by default the scene's.
         settings: accuracy and patience of the solver.
         progress: told how far a batch is (rank 0).
         keep: called with what was computed in each batch, on every rank, so that it can be stored.
         known: what `keep` was given by an interrupted search: it is taken when it is asked for, and not computed again.
+        per_rank: a mesh with more unknowns than this is shared by a team of ranks, as far as there are any.
 
     Attributes:
         outcomes: everything evaluated so far, by level and candidate; equal on all ranks.
@@ -117,6 +125,7 @@ class Farm:
         progress: Progress | None = None,
         keep: Callable[[list[Outcome]], None] | None = None,
         known: Iterable[Outcome] = (),
+        per_rank: int = 150_000,
     ) -> None:
         measurement.check(scene)
         self.scene, self.measurement, self.comm = scene, measurement, comm
@@ -130,7 +139,14 @@ class Farm:
         self.misfit = Misfit(scene, measurement)
         self.actions = measurement.actions
         self.outcomes: dict[tuple[int, Candidate], Outcome] = {}
+        self.per_rank = per_rank
+        # The undeformed state costs nothing to compute.
+        loaded = bool(self.model.doses)
+        free = [a.frames[:1] for a in self.actions if not (loaded or a.loads or a.translation[0].any())]
+        self._costly = np.ones(self.misfit.frames, dtype=bool)
+        self._costly[np.concatenate([np.zeros(0, dtype=int), *free])] = False
         self._forwards: dict[int, Forward] = {}
+        self._leaders: dict[int, Any] = {}
         self._positions: dict[tuple[int, Candidate], Array] = {}
         self._kept: dict[int, tuple[float, Candidate, Prediction]] = {}
 
@@ -140,51 +156,98 @@ class Farm:
         return list(self.scene.patches)
 
     def forward(self, level: int) -> Forward:
-        """This process's forward model of a level, built on first use; collective."""
+        """The forward model of a level on this rank's team, built on first use; collective."""
         if level not in self._forwards:
             mesh = level_mesh(self.scene, self.scene.levels[level], self.comm)
-            # One rank compiles the forms, the others find them in the cache: compiling at once would race for it.
+            team = self._team(level, mesh)
+            # One team compiles the forms, the others find them in the cache: compiling at once would race for it.
             for turn in (0, 1):
                 error = None
-                if (self.comm.rank > 0) == turn:
+                if (self.comm.rank >= team.size) == turn:
                     try:
-                        self._forwards[level] = Forward(self.scene, level, None, self.model, self.settings, mesh)
+                        self._forwards[level] = Forward(self.scene, level, team, self.model, self.settings, mesh)
                     except BcidError as caught:
                         error = caught
                 agree(self.comm, error)
-            self.progress.say(f"level {level}: {self._forwards[level].describe}")
+            together = f", shared by {team.size} ranks" if team.size > 1 else ""
+            self.progress.say(f"level {level}: {self._forwards[level].describe}{together}")
         return self._forwards[level]
 
-    def evaluate(self, level: int, bounds: Mapping[Candidate, float]) -> dict[Candidate, Outcome]:
+    def _team(self, level: int, mesh: BodyMesh) -> Any:
+        """The ranks that share a level's mesh with this one; the first of each team takes tasks for it. Collective."""
+        comm, mixed = self.comm, self.model.mixed
+        wanted = math.ceil(mesh.unknowns(self.scene.levels[level].degree, mixed) / self.per_rank)
+        size = max(d for d in range(1, comm.size + 1) if comm.size % d == 0 and (d <= wanted or d == 1))
+        team = comm.Split(comm.rank // size, comm.rank)
+        first = comm.Split(0 if team.rank == 0 else 1, comm.rank)
+        self._leaders[level] = first if team.rank == 0 else None
+        if team.rank > 0:
+            first.Free()
+        return team
+
+    def evaluate(
+        self, level: int, bounds: Mapping[Candidate, float], rival: Candidate | None = None
+    ) -> dict[Candidate, Outcome]:
         """Outcomes of candidates on a level; collective, the same on every rank.
 
         Args:
             level: the mesh level.
             bounds: each candidate with the chi-square above which its exact value is of no interest: its evaluation
-                stops there.
+                stops there. Those that are likely to take long should come first.
+            rival: a set that is known in full on this level: of the frames that a candidate has not come to, it is taken
+                to do as well there as the rival. Without one, it is taken to miss nothing there: the bound is then
+                exact. With one it is a sequential likelihood ratio test (Wald 1945): if the candidate were the true
+                set, the probability that it is stopped at odds of 1 to R is at most 1/R (Ville's inequality).
         """
-        wanted = sorted(bounds, key=lambda c: (len(c), sorted(c)))
         forward = self.forward(level)
-        for c in wanted:
-            if not self._enough(self.outcomes.get((level, c)), bounds[c]):
-                self._add(next((o for o in self._stored.get((level, c), []) if self._enough(o, bounds[c])), None))
-        todo = [c for c in wanted if not self._enough(self.outcomes.get((level, c)), bounds[c])]
-        mine = []
+        rest = self._rest(level, rival)
+        for c, bound in bounds.items():
+            if not self._enough(self.outcomes.get((level, c)), bound):
+                self._add(next((o for o in self._stored.get((level, c), []) if self._enough(o, bound)), None))
+        todo = [c for c, bound in bounds.items() if not self._enough(self.outcomes.get((level, c)), bound)]
+        size = _BATCH * (self.comm.size // forward.comm.size)
+        for i in range(0, len(todo), size):
+            self._work(level, {c: bounds[c] for c in todo[i : i + size]}, rest)
+        return {c: self.outcomes[level, c] for c in bounds}
+
+    def _rest(self, level: int, rival: Candidate | None) -> Array:
+        """Chi-square and squared residuals (m^2) that a set is taken to add in each frame at least, shape (2, frames); collective."""
+        if rival is None:
+            return np.zeros((2, self.misfit.frames))
+        predicted = self.positions(level, rival)
+        return np.array([self.misfit.frame(i, p) for i, p in enumerate(predicted)]).T
+
+    def _work(self, level: int, bounds: Mapping[Candidate, float], rest: Array) -> None:
+        """Evaluate a batch: every team takes the next candidate when it is free. Collective."""
+        forward, leaders = self.forward(level), self._leaders[level]
+        team = forward.comm
+        mine: list[Outcome] = []
+        positions: dict[Candidate, Array] = {}
         error = None
-        for candidate in todo[self.comm.rank :: self.comm.size]:
+        tickets = counter(leaders) if leaders is not None else None
+        turns = share(list(bounds), tickets) if tickets is not None else iter(())
+        while (candidate := team.bcast(next(turns, None)) if team.size > 1 else next(turns, None)) is not None:
             try:
-                mine.append(self._evaluate(forward, candidate, bounds[candidate]))
+                outcome, predicted = self._evaluate(forward, candidate, bounds[candidate], rest)
             except BcidError as caught:
                 error = caught
                 break
+            mine.append(outcome)
+            if outcome.complete:
+                positions[candidate] = predicted
             self._report(level, mine)
+        if tickets is not None:
+            tickets.close()
         agree(self.comm, error)
-        found = [outcome for outcomes in self.comm.allgather(mine) for outcome in outcomes]
+        gathered = self.comm.allgather((mine, positions) if team.rank == 0 else ([], {}))
+        order = {candidate: i for i, candidate in enumerate(bounds)}
+        found = sorted((o for outcomes, _ in gathered for o in outcomes), key=lambda o: order[o.candidate])
+        for _, predictions in gathered:
+            self._positions |= {(level, candidate): predicted for candidate, predicted in predictions.items()}
         for outcome in found:
             self._add(outcome)
         if self.keep is not None and found:
             self.keep(found)
-        return {c: self.outcomes[level, c] for c in wanted}
 
     def _report(self, level: int, mine: list[Outcome]) -> None:
         """How far this level is, as far as this rank can tell before the batch is shared."""
@@ -212,32 +275,42 @@ class Farm:
             outcome = replace(outcome, share=share, seconds=seconds)
         self.outcomes[key] = outcome
 
-    def _evaluate(self, forward: Forward, candidate: Candidate, bound: float) -> Outcome:
+    def _evaluate(self, forward: Forward, candidate: Candidate, bound: float, rest: Array) -> tuple[Outcome, Array]:
+        """Outcome and predicted positions of one candidate; collective on the team."""
         start = time.perf_counter()
-        chi2 = squares = 0.0
-        computed = 0
+        # Chi-square and squares by frame: one that comes again replaces what was seen before.
+        sums = rest.copy()
 
         def watch(frame: int, predicted: Array) -> bool:
-            nonlocal chi2, squares, computed
-            more, square = self.misfit.frame(frame, predicted)
-            chi2, squares, computed = chi2 + more, squares + square, computed + 1
-            return chi2 <= bound
+            sums[:, frame] = self.misfit.frame(frame, predicted)
+            return bool(sums[0].sum() <= reserve * bound)
 
-        prediction = forward.predict(candidate, self.actions, watch, fields=True)
+        # Most rivals lose by far: they are told from a rough solution, and what is left is solved accurately.
+        share = 0.0
+        for rough in (True, False) if rest.any() else (False,):
+            reserve = _RESERVE if rough else 1.0
+            prediction = forward.predict(candidate, self.actions, watch, keep=True, rtol=_ROUGH if rough else None)
+            reached = np.asarray(np.isfinite(prediction.positions).all(axis=(1, 2)))
+            share += float(reached[self._costly].mean())
+            if prediction.stopped:
+                break
         failure = prediction.failure
-        if prediction.complete and not failure and chi2 < self._kept.get(forward.level, (math.inf,))[0]:
+        complete = bool(reached.all()) and not failure
+        chi2, squares = (float(value) for value in np.where(reached, sums, rest).sum(axis=1))
+        if complete and chi2 < self._kept.get(forward.level, (math.inf,))[0]:
             self._kept[forward.level] = chi2, candidate, prediction
-        return Outcome(
+        outcome = Outcome(
             candidate,
             forward.level,
             math.inf if failure else chi2,
             math.inf if failure else self.misfit.rms(squares),
-            prediction.complete and not failure,
-            computed / self.misfit.frames,
+            complete,
+            share,
             failure.status if failure else Status.CONVERGED,
             failure.reason if failure else "",
             time.perf_counter() - start,
         )
+        return outcome, prediction.positions
 
     def predict(self, level: int, candidate: Candidate) -> Prediction:
         """Full prediction of one candidate, with fields; collective. The best of each level is kept, others are computed again."""
@@ -245,9 +318,11 @@ class Farm:
         kept = self._kept.get(level)
         mine = kept[2] if kept is not None and kept[1] == candidate else None
         holders = [rank for rank, has in enumerate(self.comm.allgather(mine is not None)) if has]
-        if not holders and self.comm.rank == 0:
-            mine = forward.predict(candidate, self.actions, fields=True)
-        result: Prediction = self.comm.bcast(mine, root=holders[0] if holders else 0)
+        root = holders[0] if holders else 0
+        if self.comm.rank // forward.comm.size == root // forward.comm.size:
+            mine = mine or forward.predict(candidate, self.actions, keep=True)
+            mine = replace(forward.detail(candidate, self.actions, mine), states=None)
+        result: Prediction = self.comm.bcast(mine, root=root)
         return result
 
     def positions(self, level: int, candidate: Candidate) -> Array:
@@ -256,6 +331,11 @@ class Farm:
         if key not in self._positions:
             self._positions[key] = self.predict(level, candidate).positions
         return self._positions[key]
+
+    def refinement(self, coarse: int, fine: int) -> float:
+        """How much smaller the elements of one level are than those of another, as far as their numbers of unknowns tell; collective."""
+        unknowns = [self.forward(level).body.unknowns for level in (coarse, fine)]
+        return float((unknowns[1] / unknowns[0]) ** (1 / 3))
 
     def evaluations(self) -> dict[int, float]:
         """Forward trajectories computed per level, in whole-trajectory equivalents."""
@@ -268,4 +348,9 @@ class Farm:
         """Free meshes and solvers of this process."""
         for forward in self._forwards.values():
             forward.destroy()
+            forward.comm.Free()
+        for leaders in self._leaders.values():
+            if leaders is not None:
+                leaders.Free()
         self._forwards.clear()
+        self._leaders.clear()

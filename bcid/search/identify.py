@@ -17,16 +17,17 @@ from bcid.forms.solve import Settings
 from bcid.measurement import Measurement
 from bcid.progress import Progress, Silent
 from bcid.scene import Scene
-from bcid.search.belief import Belief, finest, log_likelihood, model_errors
-from bcid.search.climb import climb, interest, neighbours, rank
+from bcid.search.belief import Belief, classes, finest, interest, log_likelihood, model_errors
+from bcid.search.climb import ODDS, climb, neighbours, rank
 from bcid.search.farm import Candidate, Farm, Outcome, label
 from bcid.search.seeds import above, all_candidates, maxima, perturbed, random_seeds
 from bcid.search.termination import Termination
 
-METHODS = ("climb", "enumerate")
-_MOST_PATCHES = 12
+CERTIFY = ("auto", "yes", "no")
+# With more patches every set is looked at only when that is asked for, and with many more not at all.
+_AUTO_PATCHES = 10
+_MOST_PATCHES = 16
 _GROUP = 4
-_ENUMERATED = 16
 # A set this much less likely than the best on a coarser level is not carried to the next.
 _LEAST = math.log(1e-4)
 # The ladder goes on while the best set is less probable than this.
@@ -38,9 +39,9 @@ class Options:
     """How the search is done.
 
     Attributes:
-        method: "climb" (Algorithm 1 from many seeds, then over the ladder), or "enumerate" (every set of patches,
-            certified).
-        seeds: random seeds of the first stage.
+        certify: whether, in the end, every set of patches is looked at on the finest level used: "yes", "no", or "auto":
+            with up to 10 patches.
+        seeds: random seeds of the first stage; None for 24, or for 4 when every set is looked at in the end anyway.
         random_state: of the seeds; the same number gives the same search.
         coarsest, climbed: first level, and how many levels are climbed on; on finer ones only the likely sets are
             looked at.
@@ -51,8 +52,8 @@ class Options:
         termination: when enough seeds have been climbed from.
     """
 
-    method: str = "climb"
-    seeds: int = 24
+    certify: str = "auto"
+    seeds: int | None = None
     random_state: int = 0
     coarsest: int = 0
     climbed: int = 2
@@ -65,13 +66,13 @@ class Options:
     def check(self, scene: Scene) -> None:
         """Raise `InputError` for options that the scene cannot serve."""
         levels = len(scene.levels)
-        if self.method not in METHODS:
-            raise InputError(f"method '{self.method}': allowed are {', '.join(METHODS)}")
+        if self.certify not in CERTIFY:
+            raise InputError(f"certify '{self.certify}': allowed are {', '.join(CERTIFY)}")
         if self.start not in ("maxima", "threshold"):
             raise InputError(f"start '{self.start}': allowed are maxima, threshold")
         rules = self.termination
         for name, number, least in (
-            ("seeds", self.seeds, 1),
+            ("seeds", self.count(scene), 1),
             ("random_state", self.random_state, 0),
             ("climbed", self.climbed, 1),
             ("toggles", self.toggles, 0),
@@ -89,11 +90,19 @@ class Options:
                 raise InputError(f"{name} level {level}: the scene has levels 0 to {levels - 1}")
         if self.finest is not None and self.finest < self.coarsest:
             raise InputError(f"finest level {self.finest} is coarser than the coarsest level {self.coarsest}")
-        if self.method == "enumerate" and len(scene.patches) > _MOST_PATCHES:
+        if self.certify == "yes" and len(scene.patches) > _MOST_PATCHES:
             count = len(scene.patches)
             raise InputError(
-                f"enumerating {count} patches means {2**count} sets; up to {_MOST_PATCHES} patches are enumerated: use climb"
+                f"certify: {count} patches have {2**count} sets; up to {_MOST_PATCHES} patches can be certified: use certify no"
             )
+
+    def count(self, scene: Scene) -> int:
+        """How many random seeds there are."""
+        return self.seeds if self.seeds is not None else (_GROUP if self.certifies(scene) else 24)
+
+    def certifies(self, scene: Scene) -> bool:
+        """Whether every set is looked at."""
+        return self.certify == "yes" or (self.certify == "auto" and len(scene.patches) <= _AUTO_PATCHES)
 
 
 @dataclass(frozen=True)
@@ -108,7 +117,11 @@ class Identification:
         discretisation: RMS error of the model on that level, as far as the ladder and the residual tell; None with one level.
         certified: whether every set of patches was looked at on the finest level used, and the model could be solved for each.
         evaluations: forward trajectories per level, in whole-trajectory equivalents.
+        looked_at: on the finest level used, how many sets were evaluated in full, stopped when they had lost, failed, or
+            were not looked at.
         alternatives: the next best sets, best first.
+        classes: the likely sets on the finest level used, in classes that these data cannot tell apart (see
+            `bcid.search.belief.classes`); the first holds the reported set.
         levels: the levels used.
         stages: what happened on each level, in words.
         prediction: of the reported set on the finest level used.
@@ -124,7 +137,9 @@ class Identification:
     discretisation: float | None
     certified: bool
     evaluations: dict[int, float]
+    looked_at: dict[str, int]
     alternatives: tuple[Alternative, ...]
+    classes: tuple[tuple[tuple[str, ...], ...], ...]
     levels: tuple[int, ...]
     stages: tuple[str, ...]
     prediction: Prediction
@@ -146,7 +161,9 @@ class Identification:
             "discretisation_rms": None if self.discretisation is None else self.discretisation / length,
             "certified": self.certified,
             "evaluations": {str(level): round(count, 3) for level, count in self.evaluations.items()},
+            "looked_at": self.looked_at,
             "alternatives": others,
+            "classes": [[list(names) for names in members] for members in self.classes],
             "levels": list(self.levels),
             "stages": list(self.stages),
             "failures": self.failures,
@@ -238,18 +255,15 @@ class _Search:
             self.note(level, best[-1])
             if options.finest is None and len(best) > 1 and self.settled(best):
                 break
+        if options.certifies(self.farm.scene):
+            best[-1] = self.certify(best[-1])
         return self.result(best, time.perf_counter() - start)
 
     def search(self, level: int, seeds: Sequence[Candidate]) -> list[Candidate]:
         """Search on one level, as the options say; returns the seeds of the next."""
         options = self.options
-        following: list[Candidate] = []
-        if options.method == "enumerate":
-            self.enumerate(level)
-        else:
-            if level < options.coarsest + options.climbed:
-                following = self.climb(level, seeds)
-            self.promote(level)
+        following = self.climb(level, seeds) if level < options.coarsest + options.climbed else []
+        self.promote(level)
         return following
 
     def say(self, text: str) -> None:
@@ -258,6 +272,10 @@ class _Search:
 
     def name(self, candidate: Candidate) -> str:
         return label(candidate, self.farm.patches)
+
+    def names(self, candidate: Candidate) -> tuple[str, ...]:
+        """The patches of a set in the scene's order."""
+        return tuple(patch for patch in self.farm.patches if patch in candidate)
 
     def best(self, level: int) -> Outcome:
         found = [o for (at, _), o in self.farm.outcomes.items() if at == level and o.complete]
@@ -278,7 +296,7 @@ class _Search:
         """Climb on a level, in groups of seeds; returns the seeds of the next level."""
         options, farm = self.options, self.farm
         if not seeds:
-            seeds = random_seeds(farm.patches, options.seeds, self.rng)
+            seeds = random_seeds(farm.patches, options.count(farm.scene), self.rng)
         climbs = []
         unchanged = 0
         top: Outcome | None = None
@@ -301,20 +319,24 @@ class _Search:
             following = above(farm, level, options.threshold * farm.misfit.similarity(self.best(level).rms))
         return perturbed(following, farm.patches, options.toggles, self.rng)
 
-    def enumerate(self, level: int) -> None:
-        """Every set of patches; those that cannot win stop early, against the best of those that were looked at before."""
-        farm = self.farm
+    def certify(self, winner: Outcome) -> Outcome:
+        """Look at every set of patches on the winner's level, those first that differ least from it; returns the best.
+
+        A set stops as soon as all such sets together are `ODDS` times less likely than the winner.
+        """
+        farm, level = self.farm, winner.level
         everything = all_candidates(farm.patches)
-        first = _ENUMERATED
-        if len(self.levels) > 1:
-            everything = [o.candidate for o in sorted((farm.outcomes[level - 1, c] for c in everything), key=rank)]
-            first = 1
-        bound = math.inf
-        for group in (everything[:first], *batches(everything[first:], _ENUMERATED)):
-            farm.evaluate(level, dict.fromkeys(group, bound))
-            complete = [o.chi2 for (at, _), o in farm.outcomes.items() if at == level and o.complete]
-            bound = interest(min(complete)) if complete else math.inf
-        self.say(f"level {level}: all {len(everything)} sets looked at")
+        best: Outcome | None = None
+        while best is None or best.candidate != winner.candidate:
+            winner = best or winner
+            self.complete(winner)
+            error = model_errors(farm, winner.candidate, self.levels)[level]
+            bound = interest(winner, farm.misfit, ODDS * len(everything), error)
+            rivals = sorted(everything, key=lambda c: (len(c ^ winner.candidate), sorted(c)))
+            farm.evaluate(level, dict.fromkeys(rivals, bound), rival=winner.candidate)
+            best = self.best(level)
+        self.say(f"level {level}: all {len(everything)} sets looked at; {farm.evaluations()[level]:.1f} trajectories")
+        return winner
 
     def promote(self, level: int) -> None:
         """Carry every set that is not unlikely on a coarser level up to this one, one level at a time, until none is left behind.
@@ -329,7 +351,7 @@ class _Search:
             for below in range(options.coarsest, level):
                 farm.evaluate(below, {best.candidate: math.inf})
             climbed = min(level, options.coarsest + options.climbed - 1)
-            around = interest(farm.outcomes[climbed, best.candidate].chi2)
+            around = interest(farm.outcomes[climbed, best.candidate], farm.misfit, ODDS)
             farm.evaluate(climbed, dict.fromkeys(neighbours(best.candidate, farm.patches), around))
             errors = model_errors(farm, best.candidate, self.levels)
             waiting: dict[int, list[Candidate]] = {}
@@ -342,10 +364,8 @@ class _Search:
             if not waiting and self.best(level).candidate == best.candidate:
                 return
             for target, candidates in sorted(waiting.items()):
-                reference = farm.outcomes[target, best.candidate]
-                farm.evaluate(
-                    target, dict.fromkeys(candidates, math.inf if reference.failed else interest(reference.chi2))
-                )
+                around = interest(farm.outcomes[target, best.candidate], farm.misfit, ODDS, errors.get(target, 0.0))
+                farm.evaluate(target, dict.fromkeys(candidates, around))
 
     def settled(self, best: Sequence[Outcome]) -> bool:
         """The set is decided with the error of this level counted, and the residual is the noise or no longer changes."""
@@ -368,9 +388,8 @@ class _Search:
         errors = model_errors(farm, winner.candidate, self.levels)
         belief = Belief.of(farm, winner.candidate, errors)
         solved = sum(not farm.outcomes[level, winner.candidate].failed for level in self.levels)
-        patches = farm.patches
         return Identification(
-            anchored=tuple(p for p in patches if p in winner.candidate),
+            anchored=self.names(winner.candidate),
             probability=belief.probability[winner.candidate],
             patches=belief.patches,
             rms=winner.rms,
@@ -378,7 +397,12 @@ class _Search:
             discretisation=errors[winner.level] if solved > 1 else None,
             certified=self.certified(winner.level),
             evaluations=farm.evaluations(),
+            looked_at=self.looked_at(winner.level),
             alternatives=self.alternatives(belief, winner, errors),
+            classes=tuple(
+                tuple(self.names(c) for c in members)
+                for members in classes(farm, winner.level, errors[winner.level], ODDS)
+            ),
             levels=tuple(self.levels),
             stages=tuple(self.stages),
             prediction=farm.predict(winner.level, winner.candidate),
@@ -386,13 +410,22 @@ class _Search:
             seconds=seconds,
         )
 
+    def looked_at(self, level: int) -> dict[str, int]:
+        """What became of all sets of patches on a level."""
+        here = [o for (at, _), o in self.farm.outcomes.items() if at == level]
+        complete, failed = sum(o.complete for o in here), sum(o.failed for o in here)
+        every = 2 ** len(self.farm.patches)
+        return {
+            "in full": complete,
+            "stopped": len(here) - complete - failed,
+            "failed": failed,
+            "not": every - len(here),
+        }
+
     def certified(self, level: int) -> bool:
         """Whether every set was looked at on a level, and the model could be solved for each."""
-        patches = self.farm.patches
-        if len(patches) > _MOST_PATCHES:
-            return False
-        outcomes = [self.farm.outcomes.get((level, candidate)) for candidate in all_candidates(patches)]
-        return all(outcome is not None and not outcome.failed for outcome in outcomes)
+        counts = self.looked_at(level)
+        return not counts["failed"] and not counts["not"]
 
     def alternatives(
         self, belief: Belief, winner: Outcome, errors: dict[int, float], count: int = 8
@@ -405,7 +438,7 @@ class _Search:
         )
         return tuple(
             Alternative(
-                tuple(p for p in farm.patches if p in o.candidate),
+                self.names(o.candidate),
                 belief.probability[o.candidate],
                 o.rms,
                 o.level,
@@ -414,11 +447,6 @@ class _Search:
             )
             for o in likely[:count]
         )
-
-
-def batches(items: list[Candidate], size: int) -> list[list[Candidate]]:
-    """The items in lists of at most `size`."""
-    return [items[i : i + size] for i in range(0, len(items), size)]
 
 
 def _order(item: tuple[tuple[int, Candidate], Outcome]) -> tuple[int, int, list[str]]:

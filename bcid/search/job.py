@@ -187,16 +187,26 @@ def summary(scene: Scene, measurement: Measurement, found: Identification) -> st
     if not found.alternatives:
         lines.append("  none was evaluated")
     lines += ["", "How it was found:", *(f"  {stage}" for stage in found.stages)]
-    count = 2 ** len(scene.patches)
-    proof = f"not every one of the {count} sets was looked at and solved on the finest level used"
-    if found.certified:
-        proof = f"all {count} sets were looked at on the finest level used"
-    lines.append(f"  {'Certified' if found.certified else 'Not certified'}: {proof} (level {found.levels[-1]}).")
+    counts = found.looked_at
+    proof = (
+        f"of all {2 ** len(scene.patches)} sets, on level {found.levels[-1]}, {counts['in full']} were evaluated in full, "
+        f"{counts['stopped']} until they had lost, {counts['failed']} failed, {counts['not']} were not looked at"
+    )
+    lines.append(f"  {'Certified' if found.certified else 'Not certified'}: {proof}.")
+    lines += _confused(scene, found)
     if found.failures:
         lines.append(
             f"  For {len(found.failures)} set(s) the model found no acceptable equilibrium: {'; '.join(list(found.failures)[:6])}."
         )
     return "\n".join(lines) + "\n"
+
+
+def _confused(scene: Scene, found: Identification) -> list[str]:
+    """Other sets that these data cannot tell from the reported one."""
+    others = next((members[1:] for members in found.classes if found.anchored in members), ())
+    if not others:
+        return []
+    return [f"  These data cannot tell it from: {', '.join(label(names, scene.patches) for names in others)}."]
 
 
 def _warning(found: Identification) -> list[str]:

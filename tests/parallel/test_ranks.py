@@ -86,7 +86,8 @@ def predictions(scene: Scene, model: Model, level: int) -> list[Prediction]:
     result = []
     for comm in (MPI.COMM_SELF, WORLD):
         forward = Forward(scene, level, comm, model, EXACT)
-        result.append(forward.predict({"1", "4"}, twisted()))
+        made = forward.predict({"1", "4"}, twisted(), keep=True)
+        result.append(forward.detail({"1", "4"}, twisted(), made))
         forward.destroy()
     return result
 
@@ -152,9 +153,9 @@ def test_a_simulated_measurement_is_the_same_everywhere(slab: Scene, measured: A
     assert same_everywhere(measured.positions)
 
 
-@pytest.mark.parametrize("method", ["climb", "enumerate"])
-def test_candidates_spread_over_ranks_give_the_same_ranking(slab: Scene, measured: Any, method: str) -> None:
-    options = Options(method=method, seeds=4, climbed=1, finest=0)
+@pytest.mark.parametrize("certify", ["no", "yes"])
+def test_candidates_spread_over_ranks_give_the_same_ranking(slab: Scene, measured: Any, certify: str) -> None:
+    options = Options(certify=certify, seeds=4, climbed=1, finest=0)
     # Each rank reads the measurement as rank 0 has it: the input of one search is the same on all ranks.
     measurement = WORLD.bcast(measured, root=0)
     alone = identify(slab, measurement, MPI.COMM_SELF, options)

@@ -39,7 +39,7 @@ def test_help_names_every_command(tmp_path: Path) -> None:
     [
         (["identify", "none.toml", SEEN, "-o", "run"], ["none.toml", "no such scene file"]),
         (["identify", SLAB, "none", "-o", "run"], ["none", "no such measurement folder"]),
-        (["identify", SLAB, SEEN, "-o", "run", "--method", "guess"], ["guess", "climb, enumerate"]),
+        (["identify", SLAB, SEEN, "-o", "run", "--certify", "guess"], ["guess", "auto, yes, no"]),
         (["identify", SLAB, SEEN, "-o", "run", "--finest", "9"], ["finest level 9", "levels 0 to 3"]),
         (["identify", SLAB, SEEN, "-o", "run", "--seeds", "0"], ["seeds = 0"]),
         (["identify", SLAB, SEEN, "-o", "run", "--start", "x"], ["maxima, threshold"]),
@@ -115,7 +115,7 @@ def test_simulate_then_identify_then_again(tmp_path: Path) -> None:
     assert made.returncode == 0, made.stderr
     assert (tmp_path / "made/wrench.csv").exists()
     refused(bcid("simulate", SLAB, "--motion", "pull", "--level", "0", "-o", "made", cwd=tmp_path), "exists already")
-    call = ["identify", SLAB, "made", "-o", "run", "--finest", "0", "--method", "enumerate", "--quiet"]
+    call = ["identify", SLAB, "made", "-o", "run", "--finest", "0", "--certify", "yes", "--quiet"]
     done = bcid(*call, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Anchored patches of slab: {3 4}" in done.stdout
@@ -167,7 +167,7 @@ noise_sigma = "0.1 mm"
     )
     made = bcid("simulate", "bar.toml", "--anchors", "left", "--motion", "pull", "-o", "made", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
-    found = bcid("identify", "bar.toml", "made", "-o", "run", "--method", "enumerate", "--no-picture", cwd=tmp_path)
+    found = bcid("identify", "bar.toml", "made", "-o", "run", "--certify", "yes", "--no-picture", cwd=tmp_path)
     assert found.returncode == 0, found.stderr
     assert "{left}" in found.stdout
 

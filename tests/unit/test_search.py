@@ -10,8 +10,8 @@ import pytest
 from bcid.errors import InputError, SolveError
 from bcid.forms.solve import Status
 from bcid.progress import Silent
-from bcid.search.belief import Belief, finest, log_likelihood, model_errors
-from bcid.search.climb import climb, interest, neighbours
+from bcid.search.belief import Belief, classes, finest, interest, log_likelihood, model_errors
+from bcid.search.climb import ODDS, climb, neighbours
 from bcid.search.farm import Candidate, Farm, Outcome, label
 from bcid.search.identify import Options, _Search
 from bcid.search.seeds import above, all_candidates, maxima, perturbed, random_seeds
@@ -37,11 +37,13 @@ class Landscape:
             distance=lambda a, b: abs(a - b),
             similarity=lambda rms: 1 - rms / 100,
         )
-        self.scene = SimpleNamespace(levels=levels)
+        self.scene = SimpleNamespace(levels=levels, patches=PATCHES)
         self.outcomes: dict[tuple[int, Candidate], Outcome] = {}
         self.asked = 0
 
-    def evaluate(self, level: int, bounds: Mapping[Candidate, float]) -> dict[Candidate, Outcome]:
+    def evaluate(
+        self, level: int, bounds: Mapping[Candidate, float], rival: Candidate | None = None
+    ) -> dict[Candidate, Outcome]:
         for candidate, bound in bounds.items():
             if Farm._enough(self.outcomes.get((level, candidate)), bound):
                 continue
@@ -56,6 +58,10 @@ class Landscape:
                 candidate, level, got, math.sqrt(got / VALUES), complete, share, status, "buckles" if failed else ""
             )
         return {c: self.outcomes[level, c] for c in bounds}
+
+    def refinement(self, _coarse: int, _fine: int) -> float:
+        """Elements are halved from level to level."""
+        return 2.0
 
     def evaluations(self) -> dict[int, float]:
         counts: dict[int, float] = {}
@@ -77,7 +83,7 @@ def distance(candidate: Candidate, truth: Candidate = TRUE) -> float:
 
 
 def search(farm: Landscape, options: Options | None = None):  # type: ignore[no-untyped-def]
-    return _Search(farm, options or Options(), Silent()).run()  # type: ignore[arg-type]
+    return _Search(farm, options or Options(certify="no"), Silent()).run()  # type: ignore[arg-type]
 
 
 def test_climbs_end_on_the_hill_by_single_toggles() -> None:
@@ -116,7 +122,6 @@ def test_neighbours_and_labels() -> None:
     assert neighbours(frozenset("1"), ["1", "2"]) == [frozenset(), frozenset("12")]
     assert label(frozenset("21"), ["1", "2", "3"]) == "{1 2}"
     assert label(frozenset(), ["1"]) == "{}"
-    assert interest(1000.0) == 2030.0
 
 
 def test_seeds() -> None:
@@ -220,9 +225,9 @@ def test_the_search_finds_and_counts() -> None:
 def test_patience_ends_a_stage() -> None:
     """The hill has one top: every group of four seeds after the first finds nothing better."""
     rules = Termination(fit=0.0, patience=8)
-    found = search(Landscape(distance), Options(termination=rules))
+    found = search(Landscape(distance), Options(certify="no", termination=rules))
     assert found.stages[0] == "level 0: 12 climbs ended on 1 maxima; 8 seeds in a row led to nothing better"
-    everything = search(Landscape(distance), Options(termination=Termination(fit=0.0, patience=99)))
+    everything = search(Landscape(distance), Options(certify="no", termination=Termination(fit=0.0, patience=99)))
     assert everything.stages[0] == "level 0: 24 climbs ended on 1 maxima; all seeds are used"
 
 
@@ -237,7 +242,7 @@ def test_a_misleading_coarse_level_is_corrected(climbed: int) -> None:
     def coarse(c: Candidate) -> float:
         return 20 * VALUES * (1 + 0.3 * len(c ^ TRUE)) if c != wrong else 19.5 * VALUES
 
-    found = search(Landscape(coarse, distance), Options(climbed=climbed))
+    found = search(Landscape(coarse, distance), Options(certify="no", climbed=climbed))
     assert found.anchored == ("2", "5")
     assert found.probability > 0.999
     assert found.levels == (0, 1)
@@ -251,17 +256,51 @@ def test_rivals_that_cannot_be_told_apart_share_the_belief() -> None:
     assert found.patches["6"] == pytest.approx(0.5, abs=1e-3)
 
 
-def test_enumeration_certifies() -> None:
+def test_certifying_looks_at_every_set() -> None:
     farm = Landscape(distance)
-    found = search(farm, Options(method="enumerate"))
+    found = search(farm, Options())
     assert found.certified
     assert found.anchored == ("2", "5")
     assert len(farm.outcomes) == 64
     assert found.evaluations[0] < 64
-    fine = Landscape(distance, lambda c: distance(c) / 2)
-    assert search(fine, Options(method="enumerate", finest=1)).evaluations[1] == 32.5, "one in full, the others stop"
+    assert found.looked_at["not"] == 0
+    assert found.looked_at["stopped"] > 30
+    assert sum(found.looked_at.values()) == 64
     broken = Landscape(lambda c: math.inf if c == frozenset("1") else distance(c))
-    assert not search(broken, Options(method="enumerate")).certified, "nothing is known of a set that cannot be solved"
+    found = search(broken, Options())
+    assert not found.certified, "nothing is known of a set that cannot be solved"
+    assert found.looked_at["failed"] == 1
+
+
+def test_certifying_finds_what_no_climb_came_near() -> None:
+    """A hole far from the hill: every climb ends on the hill, and the last stage moves the answer into the hole."""
+    hole = frozenset("1346")
+    found = search(Landscape(lambda c: 0.9 * VALUES if c == hole else distance(c)), Options(random_state=3))
+    assert found.anchored == ("1", "3", "4", "6")
+    assert found.certified
+    assert found.probability > 0.999
+
+
+def test_sets_that_predict_the_same_are_one_class() -> None:
+    twin, near = frozenset("256"), frozenset("2")
+    farm = Landscape(lambda c: VALUES + 1.0 if c in (twin, near) else distance(c))
+    where = {TRUE: 0.0, twin: 0.01, near: 2.0}
+    farm.positions = lambda _level, c: where.get(c, 9.0)  # type: ignore[method-assign]
+    farm.evaluate(0, dict.fromkeys(all_candidates(PATCHES), math.inf))
+    assert classes(farm, 0, 0.0, ODDS) == [[TRUE, twin], [near]]  # type: ignore[arg-type]
+    # Half of VALUES * d^2 against the logarithm of 20.
+    where[near] = math.sqrt(2 * math.log(20.0) / VALUES) * 1.001
+    assert len(classes(farm, 0, 0.0, ODDS)) == 2  # type: ignore[arg-type]
+    where[near] *= 0.998
+    assert len(classes(farm, 0, 0.0, ODDS)) == 1  # type: ignore[arg-type]
+
+
+def test_where_a_rival_may_stop() -> None:
+    farm = Landscape(distance)
+    best = farm.evaluate(0, {TRUE: math.inf})[TRUE]
+    assert interest(best, farm.misfit, ODDS) == pytest.approx(VALUES + 2 * math.log(1e6))  # type: ignore[arg-type]
+    coarse = interest(best, farm.misfit, ODDS, error=3.0)  # type: ignore[arg-type]
+    assert coarse == pytest.approx(VALUES + 2 * math.log(1e6) * (1 + 9 * VALUES / 60))
 
 
 def test_a_resumed_search_takes_what_is_stored() -> None:
@@ -281,7 +320,7 @@ def test_a_set_that_fails_on_the_finer_level_is_not_ruled_out_by_that() -> None:
     rival = frozenset("256")
     coarse = lambda c: VALUES if c in (TRUE, rival) else distance(c)  # noqa: E731
     fine = lambda c: math.inf if c == rival else distance(c)  # noqa: E731
-    found = search(Landscape(coarse, fine), Options(finest=1))
+    found = search(Landscape(coarse, fine), Options(certify="no", finest=1))
     assert found.anchored == ("2", "5")
     assert found.probability == pytest.approx(0.5, abs=0.01)
     assert "{2 5 6}" in found.failures
@@ -322,7 +361,7 @@ def test_no_noise_is_needed() -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"method": "x"},
+        {"certify": "x"},
         {"random_state": -1},
         {"climbed": 0},
         {"toggles": -1},
@@ -339,8 +378,8 @@ def test_options_are_checked(wrong: dict[str, object]) -> None:
     Options().check(scene)  # type: ignore[arg-type]
     with pytest.raises(InputError):
         Options(**wrong).check(scene)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="use climb"):
-        Options(method="enumerate").check(SimpleNamespace(levels=(1,), patches=range(13)))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="use certify no"):
+        Options(certify="yes").check(SimpleNamespace(levels=(1,), patches=range(17)))  # type: ignore[arg-type]
 
 
 def test_finest_outcomes() -> None:
