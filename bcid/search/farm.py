@@ -130,7 +130,7 @@ class Farm:
         measurement.check(scene)
         self.scene, self.measurement, self.comm = scene, measurement, comm
         self.model = model or Model.of(scene)
-        self.settings = settings or Settings(rtol=1e-6)
+        self.settings = settings or Settings()
         self.progress = progress or Silent()
         self.keep = keep
         self._stored: dict[tuple[int, Candidate], list[Outcome]] = {}
@@ -211,7 +211,7 @@ class Farm:
         return {c: self.outcomes[level, c] for c in bounds}
 
     def _rest(self, level: int, rival: Candidate | None) -> Array:
-        """Chi-square and squared residuals (m^2) that a set is taken to add in each frame at least, shape (2, frames); collective."""
+        """Chi-square and squares (m^2) that a set is taken to add in each frame at least, shape (2, frames); collective."""
         if rival is None:
             return np.zeros((2, self.misfit.frames))
         predicted = self.positions(level, rival)
@@ -333,7 +333,7 @@ class Farm:
         return self._positions[key]
 
     def refinement(self, coarse: int, fine: int) -> float:
-        """How much smaller the elements of one level are than those of another, as far as their numbers of unknowns tell; collective."""
+        """How many times smaller the elements of a level are than a coarser one's, going by the unknowns; collective."""
         unknowns = [self.forward(level).body.unknowns for level in (coarse, fine)]
         return float((unknowns[1] / unknowns[0]) ** (1 / 3))
 

@@ -1,0 +1,163 @@
+"""Every shortcut of the search leaves the answer as it is: against every set in full, by Newton's method, to 1e-10."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from bcid.forms.factor import Factor
+from bcid.forms.forward import Forward
+from bcid.forms.model import Dose, Model, check_physics
+from bcid.forms.simulate import simulate
+from bcid.forms.solve import Equilibrium, Settings, Status
+from bcid.motions import motion
+from bcid.progress import Silent
+from bcid.scene import Scene
+from bcid.search.belief import Belief, model_errors
+from bcid.search.farm import Candidate, Farm
+from bcid.search.identify import Identification, Options, _Search
+from bcid.search.seeds import all_candidates
+
+PATCHES = ("1", "3", "4", "7")
+EXACT = Settings(rtol=1e-10)
+Fault = Callable[[pytest.MonkeyPatch], None]
+
+
+@pytest.fixture(scope="module")
+def slab(project: Path) -> Scene:
+    """The benchmark slab with four of its patches, on its second level."""
+    scene = Scene.read(project / "examples" / "scenes" / "slab.toml", physics=check_physics)
+    return replace(scene, patches={name: scene.patches[name] for name in PATCHES}, levels=scene.levels[1:2])
+
+
+@pytest.fixture(scope="module", params=[0.0003, 0.006], ids=["clear", "doubtful"])
+def measurement(slab: Scene, request: pytest.FixtureRequest) -> Any:
+    """With little noise one set is certain; with much, several keep a share of the belief."""
+    return simulate(slab, {"3", "4"}, motion("complex", "II"), noise=request.param, random_state=2)
+
+
+def plain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tangent of its own for every iteration."""
+    reset = Equilibrium.reset
+
+    def careful(self: Equilibrium) -> None:
+        reset(self)
+        self.careful = True
+
+    monkeypatch.setattr(Equilibrium, "reset", careful)
+
+
+@pytest.fixture(scope="module")
+def everything(slab: Scene, measurement: Any) -> Iterator[tuple[dict[Candidate, float], dict[Candidate, float]]]:
+    """Chi-square and probability of every set, the long way."""
+    with pytest.MonkeyPatch.context() as patch:
+        plain(patch)
+        farm = Farm(slab, measurement, MPI.COMM_SELF, settings=EXACT)
+        outcomes = farm.evaluate(0, dict.fromkeys(all_candidates(farm.patches), math.inf))
+        best = min(outcomes, key=lambda c: outcomes[c].chi2)
+        belief = Belief.of(farm, best, model_errors(farm, best, [0]))
+    yield {c: o.chi2 for c, o in outcomes.items()}, belief.probability
+    farm.destroy()
+
+
+def searched(slab: Scene, measurement: Any) -> tuple[Identification, Farm]:
+    farm = Farm(slab, measurement, MPI.COMM_SELF)
+    return _Search(farm, Options(seeds=2), Silent()).run(), farm
+
+
+def same(found: Identification, farm: Farm, everything: Any) -> None:
+    """Same winner, same belief to 1e-6, same misfits where they are whole, and what was stopped is really worse."""
+    chi2, probability = everything
+    best = min(chi2, key=lambda c: chi2[c])
+    assert frozenset(found.anchored) == best == {"3", "4"}
+    assert found.certified
+    assert len(farm.outcomes) == 2 ** len(PATCHES)
+    assert found.probability == pytest.approx(probability[best], abs=1e-6)
+    for patch in PATCHES:
+        assert found.patches[patch] == pytest.approx(sum(p for c, p in probability.items() if patch in c), abs=1e-6)
+    for (_, candidate), outcome in farm.outcomes.items():
+        if outcome.complete:
+            assert outcome.chi2 == pytest.approx(chi2[candidate], rel=1e-6)
+        else:
+            assert chi2[candidate] > chi2[best]
+            assert probability[candidate] < 1e-6
+    assert found.looked_at["stopped"] >= 3
+
+
+def test_the_search_answers_as_if_everything_had_been_computed(slab: Scene, measurement: Any, everything: Any) -> None:
+    found, farm = searched(slab, measurement)
+    same(found, farm, everything)
+    if found.probability < 1 - 1e-6:
+        assert sorted(everything[1].values())[-2] > 1e-3, "the belief is shared, or the comparison says little"
+    farm.destroy()
+
+
+def every_seventh_solve_fails(patch: pytest.MonkeyPatch) -> None:
+    newton, calls = Equilibrium._newton, iter(range(1, 10**9))
+    patch.setattr(Equilibrium, "_newton", lambda self: newton(self) if next(calls) % 7 else Status.LINE_SEARCH)
+
+
+def every_fifth_check_finds_an_unstable_state(patch: pytest.MonkeyPatch) -> None:
+    verify, calls = Equilibrium.verify, iter(range(1, 10**9))
+
+    def checked(self: Equilibrium) -> Status:
+        return verify(self) if self.careful or next(calls) % 5 else Status.UNSTABLE
+
+    patch.setattr(Equilibrium, "verify", checked)
+
+
+def every_ninth_factorisation_fails(patch: pytest.MonkeyPatch) -> None:
+    factorise, calls = Factor._factorise, iter(range(1, 10**9))
+    patch.setattr(Factor, "_factorise", lambda self, package: bool(next(calls) % 9) and factorise(self, package))
+
+
+@pytest.mark.parametrize(
+    "fault", [every_seventh_solve_fails, every_fifth_check_finds_an_unstable_state, every_ninth_factorisation_fails]
+)
+def test_failures_of_single_solves_change_nothing(
+    fault: Fault, slab: Scene, measurement: Any, everything: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fault(monkeypatch)
+    found, farm = searched(slab, measurement)
+    same(found, farm, everything)
+    farm.destroy()
+
+
+@pytest.mark.parametrize("weight", [0.0, 3000.0])
+@pytest.mark.parametrize("level", [0, 1])
+def test_an_old_tangent_leads_to_the_same_states(project: Path, level: int, weight: float) -> None:
+    """Quadratic and linear elements, with and without a load: positions to 1e-8 of the motion, with far fewer factorisations."""
+    scene = Scene.read(project / "examples" / "scenes" / "slab.toml", physics=check_physics)
+    model = Model.of(scene) + Dose("gravity", {"weight": weight}) if weight else None
+    forward = Forward(scene, level, model=model, settings=Settings(rtol=1e-10))
+    kept = forward.predict({"1", "4"}, motion("semicircle", "II"))
+    with pytest.MonkeyPatch.context() as patch:
+        plain(patch)
+        fresh = forward.predict({"1", "4"}, motion("semicircle", "II"))
+    assert not kept.failure
+    assert not fresh.failure
+    assert np.abs(kept.positions - fresh.positions).max() < 1e-8 * 0.02
+    assert kept.trajectories[0].factorisations < fresh.trajectories[0].factorisations / 3
+    forward.destroy()
+
+
+def test_negative_curvature_ends_an_iteration_with_an_old_tangent(slab: Scene) -> None:
+    """The pairs of the secant update show it: then Newton's method takes over."""
+    forward = Forward(slab, 0)
+    equilibrium = forward.equilibrium
+    equilibrium.hold({"3"}, "II")
+    secant = equilibrium.secant
+    secant._last = np.ones(equilibrium._owned), np.zeros(equilibrium._owned)
+    secant.observe(-np.ones(equilibrium._owned))
+    assert secant.negative
+    assert not secant._steps
+    equilibrium._first = equilibrium._previous = 1.0
+    assert equilibrium._judge(1, 0.5) < 0
+    forward.destroy()
