@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from petsc4py import PETSc
-from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dtrtrs
 
 from bcid.forms.factor import Factor
 
 Array = NDArray[np.float64]
-_MOST = 12
+_MOST = 24
 
 
 class Secant:
@@ -35,15 +35,18 @@ class Secant:
     def __init__(self, factor: Factor, comm: Any, curved: bool) -> None:
         self.factor, self.comm, self.curved = factor, comm, curved
         self.negative = False
-        self._steps: list[Array] = []
-        self._changes: list[Array] = []
         self._last: tuple[Array, Array] | None = None
-        self._tables: tuple[Array, Array, Array] | None = None
+        # The pairs are rows first .. last of two arrays, oldest first, with the table of their products s_i . y_j.
+        self._rows: Array | None = None
+        self._from = self._to = 0
+        self._products = np.zeros((0, 0))
         self._work: PETSc.Vec | None = None
 
     def clear(self) -> None:
         """Another factor, or another body: all pairs are stale."""
-        self._steps, self._changes, self._last, self._tables = [], [], None, None
+        self._last = None
+        self._from = self._to = 0
+        self._products = np.zeros((0, 0))
         self.negative = False
 
     def pause(self) -> None:
@@ -60,33 +63,46 @@ class Secant:
         along, squares, changed = self._sum(np.array([step @ change, step @ step, change @ change]))
         self.negative |= bool(along <= 0.0)
         if along > 1e-8 * np.sqrt(squares * changed):
-            self._steps = [*self._steps, step][-_MOST:]
-            self._changes = [*self._changes, change][-_MOST:]
-            self._tables = None
+            self._add(step, change, along)
+
+    def _add(self, step: Array, change: Array, along: float) -> None:
+        """A pair more; the oldest goes when there are too many."""
+        if self._rows is None:
+            self._rows = np.empty((2, 2 * _MOST, len(step)))
+        if self._to - self._from == _MOST:
+            self._from += 1
+            self._products = self._products[1:, 1:]
+        if self._to == 2 * _MOST:
+            kept = self._to - self._from
+            self._rows[:, :kept] = self._rows[:, self._from : self._to]
+            self._from, self._to = 0, kept
+        steps, changes = self._rows[:, self._from : self._to]
+        count = len(steps)
+        products = np.empty((count + 1, count + 1))
+        products[:count, :count] = self._products
+        # Only the upper triangle is ever used: older steps, newer changes.
+        products[:count, count] = self._sum(steps @ change)
+        products[count, count] = along
+        self._rows[0, self._to], self._rows[1, self._to] = step, change
+        self._to += 1
+        self._products = products
 
     def correct(self, right: PETSc.Vec, solution: PETSc.Vec) -> None:
         """Solution = H right, where x - solution is the next iterate; collective."""
         residual = right.array_r.copy()
         self.observe(residual)
-        if not self._steps:
+        if self._rows is None or self._from == self._to:
             self.factor.solve(right, solution)
         else:
-            steps, changes, upper = self._table()
-            weights = solve_triangular(upper, self._sum(steps @ residual))
+            steps, changes = self._rows[:, self._from : self._to]
+            weights, _ = dtrtrs(self._products, self._sum(steps @ residual))
             if self._work is None:
                 self._work = right.duplicate()
             self._work.array[:] = residual - weights @ changes
             self.factor.solve(self._work, solution)
-            back = np.diag(upper) * weights - self._sum(changes @ solution.array_r)
-            solution.array[:] += solve_triangular(upper, back, trans="T") @ steps
+            back = np.diag(self._products) * weights - self._sum(changes @ solution.array_r)
+            solution.array[:] += dtrtrs(self._products, back, trans=1)[0] @ steps
         self._last = -solution.array_r, residual
-
-    def _table(self) -> tuple[Array, Array, Array]:
-        """Steps and changes as rows, and the upper triangle of their products s_i . y_j."""
-        if self._tables is None:
-            steps, changes = np.array(self._steps), np.array(self._changes)
-            self._tables = steps, changes, np.triu(self._sum(steps @ changes.T))
-        return self._tables
 
     def _sum(self, values: Array) -> Array:
         return np.asarray(self.comm.allreduce(values)) if self.comm.size > 1 else values

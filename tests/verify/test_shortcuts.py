@@ -157,7 +157,7 @@ def test_negative_curvature_ends_an_iteration_with_an_old_tangent(slab: Scene) -
     secant._last = np.ones(equilibrium._owned), np.zeros(equilibrium._owned)
     secant.observe(-np.ones(equilibrium._owned))
     assert secant.negative
-    assert not secant._steps
+    assert secant._from == secant._to
     equilibrium._first = equilibrium._previous = 1.0
     assert equilibrium._judge(1, 0.5) < 0
     forward.destroy()
