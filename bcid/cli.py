@@ -34,6 +34,7 @@ _EXAMPLES = """examples:
   mpirun -n 2 bcid identify scene.toml measurement -o run       the same on two ranks, with the same answer
   bcid simulate scene.toml --anchors 1,2 --motion pull -o made  a measurement made by the model
   bcid doctor                                                   is everything installed that is needed?
+  bcid bench                                                    how fast is it, against other codes? (half an hour)
 
 exit codes: 0 done, 1 a fault of bcid, 2 bad input, 3 the machine (disk, memory, programs), 4 the model could not be solved"""
 

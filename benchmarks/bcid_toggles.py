@@ -11,6 +11,7 @@ from benchmarks.peers.common import Clock, memory
 import json
 import math
 import sys
+import time
 
 from mpi4py import MPI
 
@@ -29,11 +30,14 @@ def main() -> None:
     clock.start()
     bound = math.inf
     outcomes = []
+    before = time.process_time()
     for candidate in neighbours(decoded(centre), farm.patches):
         outcome = farm.evaluate(0, {candidate: bound})[candidate]
         if outcome.complete:
             bound = min(bound, outcome.chi2)
-        outcomes.append(outcome)
+        now = time.process_time()
+        outcomes.append((outcome, now - before))
+        before = now
     clock.stop()
     plain = [
         {
@@ -42,9 +46,10 @@ def main() -> None:
             "complete": o.complete,
             "share": o.share,
             "wall_s": o.seconds,
+            "cpu_s": spent,
             "why": o.reason,
         }
-        for o in outcomes
+        for o, spent in outcomes
     ]
     record = clock.record | {"outcomes": plain, "unknowns": forward.body.unknowns, "rss_mb": memory()}
     record |= {"iterations": forward.equilibrium.iterations, "factorisations": forward.equilibrium.factor.count}

@@ -18,7 +18,7 @@ from bcid.progress import Lines, Progress
 from benchmarks.measure import Session
 from benchmarks.table import Part, goals_table
 
-PARTS = ("trajectory", "toggles", "identification")
+PARTS = ("trajectory", "toggles", "identification", "growth")
 FORMAT = "bcid-bench/1"
 
 

@@ -154,13 +154,13 @@ def alternate(
 ) -> tuple[dict[str, Record], dict[str, str]]:
     """Run jobs in turn, several times, so that all see the same machine; medians of each, and the errors of those that failed.
 
-    What takes more than `slow` seconds is run once.
+    What takes more than `slow` CPU seconds is run once.
     """
     found: dict[str, list[Record]] = {name: [] for name in jobs}
     errors: dict[str, str] = {}
     for turn in range(repeats):
         for name, job in jobs.items():
-            if name in errors or any(record["wall_s"] > slow for record in found[name]):
+            if name in errors or any(record["cpu_s"] > slow for record in found[name]):
                 continue
             say(f"{name} ({turn + 1} of {repeats})")
             try:

@@ -64,3 +64,64 @@ def slope(x: Sequence[float], y: Sequence[float]) -> tuple[float, float]:
     """Exponent and factor of y = factor * x ** exponent, by least squares of the logarithms."""
     exponent, offset = np.polyfit(np.log(np.asarray(x, dtype=float)), np.log(np.asarray(y, dtype=float)), 1)
     return float(exponent), float(np.exp(offset))
+
+
+@drawing
+def mesh_growth(figure: Any, found: Sequence[Mapping[str, Any]], fitted: Mapping[str, str]) -> None:
+    """Seconds and memory over the unknowns, logarithmic, with fitted exponents; the multigrid point stands apart."""
+    left, right = figure.subplots(1, 2, width_ratios=(1.6, 1))
+    colours = dict(zip(fitted, (BLUE, GREEN, RED, GREY, ORANGE), strict=True))
+    direct = [r for r in found if r["direct"]]
+    other = [r for r in found if not r["direct"]]
+    for key, words in fitted.items():
+        x, y = [r["unknowns"] for r in direct], [r[key] for r in direct]
+        exponent, factor = slope(x, y)
+        limit = key.endswith("limit_s")
+        left.plot(x, y, ls="none", marker=None if limit else "o", color=colours[key], ms=4)
+        line = np.array([min(x), max(x)], dtype=float)
+        style = "--" if limit else "-"
+        left.plot(
+            line, factor * line**exponent, style, color=colours[key], lw=1, label=f"{words}, n$^{{{exponent:.2f}}}$"
+        )
+        apart = [(r["unknowns"], r[key]) for r in other if key in r]
+        if apart:
+            left.plot(*zip(*apart, strict=True), "o", color=colours[key], ms=5, mfc="none")
+    left.set_ylabel("CPU seconds")
+    x, y = [r["unknowns"] for r in direct], [r["rss_mb"] for r in direct]
+    right.plot([r["unknowns"] for r in found], [r["rss_mb"] for r in found], "-", color=GREY, lw=1)
+    right.plot(x, y, "o", color=BLUE, ms=4, label="direct")
+    if other:
+        right.plot(
+            [r["unknowns"] for r in other], [r["rss_mb"] for r in other], "o", color=BLUE, mfc="none", label="gamg"
+        )
+    right.set_ylabel("memory of the process, MB")
+    handles, labels = left.get_legend_handles_labels()
+    figure.legend(handles, labels, frameon=False, fontsize=8, ncols=3, loc="outside lower center")
+    right.legend(frameon=False, fontsize=8)
+    for ax in (left, right):
+        ax.set_xscale("log")
+        ax.set_yscale("log")
+        ax.set_xlabel("unknowns n")
+        ax.grid(alpha=0.25, lw=0.5)
+    right.yaxis.set_major_formatter("{x:.0f}")
+    right.yaxis.set_minor_formatter("{x:.0f}" if max(y) < 1000 else "")
+
+
+@drawing
+def rank_growth(figure: Any, seconds: Mapping[int, float]) -> None:
+    """CPU seconds of a rank over the number of ranks, with perfect scaling."""
+    ax = figure.subplots()
+    ranks = sorted(seconds)
+    times = [seconds[n] for n in ranks]
+    ax.plot(ranks, [times[0] * ranks[0] / n for n in ranks], "--", color=ORANGE, lw=1, label="perfect")
+    ax.plot(ranks, times, "o-", color=BLUE, ms=5, label="measured")
+    for n, value in zip(ranks, times, strict=True):
+        ax.annotate(
+            f"{100 * times[0] * ranks[0] / n / value:.0f} %", (n, value), (6, 6), textcoords="offset points", fontsize=8
+        )
+    ax.set_xticks(ranks, [str(n) for n in ranks])
+    ax.set_ylim(0.0, 1.15 * max(times))
+    ax.margins(x=0.2)
+    ax.set_xlabel("ranks")
+    ax.set_ylabel("CPU seconds of each rank")
+    ax.legend(frameon=False, fontsize=8)

@@ -44,6 +44,9 @@ def run(session: Session) -> Part:
     theirs, ours = (_by_candidate(found[name]) for name in (TUTORIAL, OURS))
     part.tables = [_candidates(theirs, ours), _processes(found, size)]
     part.goals = _goals(found, theirs, ours)
+    failed = [c for c, outcome in theirs.items() if outcome["chi2"] is None]
+    if failed:
+        part.notes.append(f"Newton's method of the tutorial fails for {', '.join(failed)}: it counts as infinitely bad")
     part.notes.append("a candidate that has lost is stopped by bcid: its chi-square is then a lower bound (>)")
     return part
 
@@ -57,15 +60,19 @@ def chi2(outcome: dict[str, Any]) -> float:
     return math.inf if outcome["chi2"] is None else float(outcome["chi2"])
 
 
+def _plain(outcome: dict[str, Any]) -> str:
+    return "failed" if outcome["chi2"] is None else f"{outcome['chi2']:.8g}"
+
+
 def _candidates(theirs: dict[str, Any], ours: dict[str, Any]) -> Table:
     rows = []
     for candidate, other in theirs.items():
         mine = ours[candidate]
         sign = "" if mine["complete"] else "> "
         apart = f"{abs(chi2(mine) / chi2(other) - 1):.0e}" if mine["complete"] else "-"
-        words = [f"{chi2(other):.8g}", f"{sign}{chi2(mine):.8g}", apart, f"{100 * mine['share']:.0f} %"]
-        rows.append([f"{{{candidate.replace(',', ' ')}}}", *words, number(other["wall_s"]), number(mine["wall_s"])])
-    columns = ("set", "chi2, tutorial", "chi2, bcid", "apart", "computed", "tutorial s", "bcid s")
+        words = [_plain(other), f"{sign}{_plain(mine)}", apart, f"{100 * mine['share']:.0f} %"]
+        rows.append([f"{{{candidate.replace(',', ' ')}}}", *words, number(other["cpu_s"]), number(mine["cpu_s"])])
+    columns = ("set", "chi2, tutorial", "chi2, bcid", "apart", "computed", "tutorial CPU s", "bcid CPU s")
     return Table("the eight neighbours", columns, rows)
 
 
