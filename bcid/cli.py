@@ -334,6 +334,9 @@ def _bench(arguments: argparse.Namespace) -> int:
             sys.path.insert(0, str(root))
         import_module("benchmarks.bench").run(arguments.parts, arguments.output, arguments.quick)
         return 0
+    except KeyboardInterrupt:
+        print("bcid: interrupted; what was measured before is in bench.json", file=sys.stderr)
+        return 130
     except BcidError as error:
         print(f"bcid: {error}", file=sys.stderr)
         return error.exit_code

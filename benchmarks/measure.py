@@ -19,6 +19,7 @@ from bcid.progress import Progress
 
 ROOT = Path(__file__).resolve().parents[1]
 PINS = ROOT / "environment" / "bench.txt"
+UNREACHABLE = ("NewConnectionError", "NameResolutionError", "ConnectTimeout", "Network is unreachable", "ProxyError")
 THREADS = ("OMP", "OPENBLAS", "MKL", "BLIS", "NUMEXPR")
 Record = dict[str, Any]
 
@@ -134,12 +135,11 @@ def _must(command: Sequence[str]) -> str:
     except subprocess.TimeoutExpired:
         raise MachineError(f"{' '.join(command[1:4])} took more than 900 s") from None
     if done.returncode != 0:
-        said = [line for line in (done.stdout + done.stderr).splitlines() if line.strip()]
-        # pip's first complaint names the cause, its last one only the package.
-        cause = next(
-            (line for line in said if "ERROR" in line or "WARNING" in line or "rror:" in line), said[-1:] or [""]
-        )
-        raise MachineError(str(cause if isinstance(cause, str) else cause[0])[:200])
+        text = done.stdout + done.stderr
+        if any(words in text for words in UNREACHABLE):
+            raise MachineError("the package index could not be reached")
+        errors = [line.strip() for line in text.splitlines() if "rror" in line or "ERROR" in line]
+        raise MachineError((errors or [text.strip()])[0][:200])
     return done.stdout
 
 

@@ -103,8 +103,11 @@ def mesh_growth(figure: Any, found: Sequence[Mapping[str, Any]], fitted: Mapping
         ax.set_yscale("log")
         ax.set_xlabel("unknowns n")
         ax.grid(alpha=0.25, lw=0.5)
+    low, high = right.get_ylim()
+    ticks = [value * decade for decade in (10, 100, 1000, 10_000) for value in (1, 2, 5)]
+    right.set_yticks([tick for tick in ticks if low <= tick <= high], minor=False)
     right.yaxis.set_major_formatter("{x:.0f}")
-    right.yaxis.set_minor_formatter("{x:.0f}" if max(y) < 1000 else "")
+    right.yaxis.set_minor_formatter("")
 
 
 @drawing
