@@ -2,8 +2,9 @@
 
 The plain algorithm: from every seed to the best single toggle until none is better, each distinct set evaluated once, in full.
 Where it goes depends only on which sets are better than the one it is at, so that here a neighbour's evaluation may end as soon as
-it is worse; the path is the same. Two readings: all on the finest level, whose misfits are here those of the level COUNTED; and in
-stages, from the seeds on level 0, from the maxima found there on level 1, and the best of those once on the finest.
+it is worse; the path is the same. Two readings. One stage: all on the finest level, where the sets are counted with the misfits of
+the level COUNTED, and the answer is what climbs on the finest level from the maxima so found end on. In stages: from the seeds on
+level 0, from the maxima found there on level 1, and the best of those once on the finest.
 """
 
 from __future__ import annotations
@@ -63,6 +64,8 @@ def main() -> None:
     farm = Farm(scene(), measurement(name), MPI.COMM_WORLD)
     seeds = random_seeds(farm.patches, count, np.random.default_rng(0))
     whole, ends = climb(farm, counted, seeds)
+    if finest > counted:
+        _, ends = climb(farm, finest, [outcome.candidate for outcome in ends])
     readings = {"one stage": {"stages": [stage(finest, whole)], "answer": encoded(ends[0].candidate)}}
     following: list[Candidate] = seeds
     stages = []

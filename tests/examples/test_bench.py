@@ -66,6 +66,7 @@ def test_quick_identification(tmp_path: Path) -> None:
     found = result["parts"]["identification"]["data"]["slab-12-semicircle"]
     assert found["bcid"]["answer"] == "1,2"
     assert met(result, "identification", "the same answer")
+    assert met(result, "identification", "were made")
     stages = found["readings"]["in stages"]["stages"]
     assert [stage["level"] for stage in stages] == [0, 1]
     assert all(len(stage["visited"]) >= 9 for stage in stages)
