@@ -1,4 +1,4 @@
-"""The command line: ``bcid demo``, ``identify``, ``simulate``, ``doctor``. Any of them runs under ``mpirun -n N`` too."""
+"""The command line: ``bcid demo``, ``identify``, ``simulate`` (also under ``mpirun -n N``), ``doctor``, ``bench``."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import sys
 import traceback
 from collections.abc import Callable
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +34,7 @@ _EXAMPLES = """examples:
   mpirun -n 2 bcid identify scene.toml measurement -o run       the same on two ranks, with the same answer
   bcid simulate scene.toml --anchors 1,2 --motion pull -o made  a measurement made by the model
   bcid doctor                                                   is everything installed that is needed?
+  bcid bench                                                    how fast is it, against other codes? (half an hour)
 
 exit codes: 0 done, 1 a fault of bcid, 2 bad input, 3 the machine (disk, memory, programs), 4 the model could not be solved"""
 
@@ -48,6 +50,9 @@ def main(argv: list[str] | None = None) -> int:
         from bcid import doctor
 
         return doctor.main()
+    if arguments.command == "bench":
+        # Without MPI in this process: it starts others that are jobs of their own.
+        return _bench(arguments)
     comm = _communicator()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, partial(_interrupted, comm))
@@ -99,10 +104,11 @@ def build_parser() -> argparse.ArgumentParser:
     _add_identify(commands)
     _add_simulate(commands)
     commands.add_parser("doctor", help="tell what is installed and whether it works")
+    _add_bench(commands)
     return parser
 
 
-def _add(commands: Any, name: str, run: Callable[..., None], help_text: str, more: str = "") -> argparse.ArgumentParser:
+def _add(commands: Any, name: str, run: Callable[..., Any], help_text: str, more: str = "") -> argparse.ArgumentParser:
     raw = argparse.RawDescriptionHelpFormatter
     text = help_text[0].upper() + help_text[1:] + ".\n\n" + more
     parser: argparse.ArgumentParser = commands.add_parser(name, help=help_text, description=text, formatter_class=raw)
@@ -198,6 +204,18 @@ def _add_simulate(commands: Any) -> None:
     parser.add_argument("--random-state", type=int, default=0, metavar="N", help="of the noise (0)")
     parser.add_argument("--wrench", action="store_true", help="also record force and torque of the gripper")
     parser.add_argument("--quiet", action="store_true", help="say only the result")
+
+
+def _add_bench(commands: Any) -> None:
+    help_text = "measure speed against other codes, goals and limits"
+    parser = _add(
+        commands, "bench", _bench, help_text, "Prints a table per part; writes bench.json and plots. See docs/bench.md."
+    )
+    parser.add_argument("parts", nargs="*", metavar="PART", help="trajectory, toggles, identification, growth (all)")
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("bcid-bench"), metavar="FOLDER", help="folder to write (bcid-bench)"
+    )
+    parser.add_argument("--quick", action="store_true", help="a reduced form of each part, without a network")
 
 
 # -- commands
@@ -304,6 +322,24 @@ def simulate(arguments: argparse.Namespace, comm: Any) -> None:
     on_root(comm, lambda: made.write(arguments.output))
     if comm.rank == 0:
         print(f"{arguments.output}: {len(made.positions)} frames of {len(made.fiducial_names)} fiducials")
+
+
+def _bench(arguments: argparse.Namespace) -> int:
+    """`bcid bench`."""
+    root = Path(__file__).resolve().parents[1]
+    try:
+        if not (root / "benchmarks" / "bench.py").exists():
+            raise InputError(f"{root / 'benchmarks'}: is missing; `bcid bench` needs the project's folder (a checkout)")
+        if str(root) not in sys.path:
+            sys.path.insert(0, str(root))
+        import_module("benchmarks.bench").run(arguments.parts, arguments.output, arguments.quick)
+        return 0
+    except KeyboardInterrupt:
+        print("bcid: interrupted; what was measured before is in bench.json", file=sys.stderr)
+        return 130
+    except BcidError as error:
+        print(f"bcid: {error}", file=sys.stderr)
+        return error.exit_code
 
 
 if __name__ == "__main__":

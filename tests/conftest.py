@@ -25,15 +25,6 @@ def project() -> Path:
 
 
 @pytest.fixture(scope="session")
-def shared_data() -> Path:
-    """A folder of larger data beside the project; tests that need it are skipped where it is absent."""
-    folder = PROJECT.parent / "shared" / "data"
-    if not folder.is_dir():
-        pytest.skip(f"the optional data folder {folder} is not there")
-    return folder
-
-
-@pytest.fixture(scope="session")
 def measurement_folder() -> Callable[[str], Path]:
     """Finds a measurement by name: among the examples, else in the optional data folder, else the test is skipped."""
 
@@ -76,7 +67,7 @@ class Slab40:
 
 @pytest.fixture(scope="session")
 def slab40() -> Callable[..., Slab40]:
-    """Builds the benchmark: `slab40("small")`, `slab40("medium", rtol=1e-10)`; "large" is in the data folder."""
+    """Builds the benchmark: `slab40("small")`, `slab40("medium", rtol=1e-10)`, `slab40("large")`."""
 
     def build(name: str, comm: Any = None, rtol: float = 1e-8) -> Slab40:
         from mpi4py import MPI
@@ -109,12 +100,5 @@ def slab40() -> Callable[..., Slab40]:
 
 
 def _slab40_arrays(name: str) -> dict[str, NDArray[Any]]:
-    shipped = PROJECT / "tests" / "data" / f"slab40-{name}.npz"
-    if shipped.is_file():
-        with np.load(shipped, allow_pickle=False) as data:
-            return dict(data)
-    folder = PROJECT.parent / "shared" / "data" / "reference" / "slab40"
-    if not folder.is_dir():
-        pytest.skip(f"mesh {name} is in the optional data folder, which is not there")
-    with np.load(folder / f"{name}.npz", allow_pickle=False) as data:
-        return dict(data) | {"field": np.load(folder / f"{name}-field.npy", allow_pickle=False)}
+    with np.load(PROJECT / "tests" / "data" / f"slab40-{name}.npz", allow_pickle=False) as data:
+        return dict(data)

@@ -1,0 +1,1 @@
+"""What bcid is measured against, and how: `bcid bench` (see docs/bench.md)."""

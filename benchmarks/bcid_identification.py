@@ -1,0 +1,45 @@
+"""bcid identifies a measurement with its default options: ``mpirun -n 2 python -m benchmarks.bcid_identification MEASUREMENT``.
+
+``SEEDS FINEST`` behind it make it smaller.
+"""
+
+from __future__ import annotations
+
+from benchmarks.peers.common import Clock, memory
+
+# isort: split
+import json
+import sys
+
+from mpi4py import MPI
+
+import bcid
+from bcid import identify
+from bcid.search.identify import Options
+from benchmarks.slab import encoded, measurement, scene
+
+
+def main() -> None:
+    """One identification."""
+    name, *smaller = sys.argv[1:]
+    comm = MPI.COMM_WORLD
+    clock = Clock("bcid", f"bcid {bcid.__version__}")
+    options = Options(seeds=int(smaller[0]), finest=int(smaller[1])) if smaller else Options()
+    slab, seen = scene(), measurement(name)
+    comm.barrier()
+    clock.start()
+    found = identify(slab, seen, comm, options)
+    comm.barrier()
+    clock.stop()
+    processor = comm.allgather(clock.record["cpu_s"])
+    resident = comm.allgather(memory())
+    if comm.rank > 0:
+        return
+    record = clock.record | {"cpu_s": sum(processor), "rss_mb": max(resident), "ranks": comm.size}
+    record |= {"answer": encoded(found.anchored), "certified": found.certified, "probability": found.probability}
+    record |= {"evaluations": {str(k): v for k, v in found.evaluations.items()}, "finest": found.levels[-1]}
+    print(json.dumps(record), flush=True)
+
+
+if __name__ == "__main__":
+    main()

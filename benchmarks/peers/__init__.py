@@ -1,0 +1,1 @@
+"""Other programs on the same problems, each written as its own documentation writes it."""

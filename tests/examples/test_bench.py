@@ -1,0 +1,168 @@
+"""The benchmark's reduced form: its table, that all codes agree, and that both searches find the same. No times are asserted."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from bcid.search.climb import climb as climb_of_bcid
+from bcid.search.farm import Candidate, Farm, Outcome
+from bcid.search.seeds import all_candidates
+from benchmarks.plots import slope
+from benchmarks.table import Goal, Part, Table, goals_table
+
+ROOT = Path(__file__).resolve().parents[2]
+PATCHES = ["1", "2", "3", "4", "5"]
+
+
+def bench(*arguments: object, cwd: Path, root: Path = ROOT, **variables: str) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"PYTHONPATH": str(root), "BCID_PROJECT": str(root)} | variables
+    command = [sys.executable, "-m", "bcid", "bench", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=environment, timeout=290, check=False)
+
+
+@pytest.mark.slow
+def test_quick_trajectory_and_toggles(tmp_path: Path) -> None:
+    done = bench("trajectory", "toggles", "--quick", "-o", "out", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    result = json.loads((tmp_path / "out/bench.json").read_text(encoding="utf-8"))
+    assert result["format"] == "bcid-bench/1"
+    assert result["quick"] is True
+    assert list(result["parts"]) == ["trajectory", "toggles"]
+    for part in result["parts"].values():
+        for table in part["tables"]:
+            assert table["rows"]
+            assert all(len(row) == len(table["columns"]) for row in table["rows"])
+        assert all(goal["met"] in (True, False) for goal in part["goals"])
+    assert "=== trajectory" in done.stdout
+    assert "goals met" in done.stdout
+
+    small = result["parts"]["trajectory"]["data"]["small"]
+    assert set(small) == {"DOLFINx, tutorial", "DOLFINx, fast", "bcid"}
+    for record in small.values():
+        assert record["error"] <= 1e-9
+        assert record["steps"] == 40
+        assert min(record[key] for key in ("setup_s", "wall_s", "cpu_s", "rss_mb")) > 0
+    assert met(result, "trajectory", "agree")
+    for words in ("same best neighbour", "misfits agree", "stopped was worse"):
+        assert met(result, "toggles", words)
+    assert (tmp_path / "out/trajectory.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_quick_identification(tmp_path: Path) -> None:
+    done = bench("identification", "--quick", "-o", "out", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    result = json.loads((tmp_path / "out/bench.json").read_text(encoding="utf-8"))
+    found = result["parts"]["identification"]["data"]["slab-12-semicircle"]
+    assert found["bcid"]["answer"] == "1,2"
+    assert met(result, "identification", "the same answer")
+    assert met(result, "identification", "were made")
+    stages = found["readings"]["in stages"]["stages"]
+    assert [stage["level"] for stage in stages] == [0, 1]
+    assert all(len(stage["visited"]) >= 9 for stage in stages)
+
+
+@pytest.mark.slow
+def test_quick_growth(tmp_path: Path) -> None:
+    done = bench("growth", "--quick", "-o", "out", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    result = json.loads((tmp_path / "out/bench.json").read_text(encoding="utf-8"))
+    found = result["parts"]["growth"]["data"]["mesh"]["found"]
+    assert [record["unknowns"] for record in found] == [1014, 3969, 13068]
+    assert all(record["factor_nonzeros"] > record["unknowns"] for record in found)
+    assert met(result, "growth", "same answer")
+    assert (tmp_path / "out/growth-mesh.png").stat().st_size > 10_000
+
+
+def met(result: dict, part: str, words: str) -> bool:
+    """Whether the one goal of a part that has these words is met."""
+    (goal,) = (goal for goal in result["parts"][part]["goals"] if words in goal["what"])
+    return bool(goal["met"])
+
+
+def test_mistakes(tmp_path: Path) -> None:
+    for arguments, variables, words in (
+        (["trajctory"], {}, "did you mean 'trajectory'"),
+        (["toggles"], {"OMPI_COMM_WORLD_SIZE": "2"}, "without mpirun"),
+    ):
+        done = bench(*arguments, cwd=tmp_path, **variables)
+        assert done.returncode == 2, done.stderr
+        assert words in done.stderr
+        assert "Traceback" not in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_a_checkout(tmp_path: Path) -> None:
+    shutil.copytree(ROOT / "bcid", tmp_path / "bcid", ignore=shutil.ignore_patterns("__pycache__"))
+    done = bench(cwd=tmp_path, root=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert "needs the project's folder" in done.stderr
+
+
+def test_goals() -> None:
+    least, most = Goal("a", 6.0, 5.9), Goal("b", 20.0, 20.0, at_most=True)
+    assert (least.met, most.met, Goal("c", 1.0, None).met) == (False, True, None)
+    lines = goals_table([least, most, Goal("c", 1.0, None)]).text().splitlines()
+    assert len({len(line) for line in lines[1:2] + lines[-1:]}) == 1
+    assert [line.split()[-1] for line in lines[4:-1]] == ["NO", "yes", "-"]
+    part = Part("name", "title", [Table("t", ("x", "y"), [["1", "2"]])], [least])
+    assert part.to_json()["goals"][0]["met"] is False
+
+
+def test_slope() -> None:
+    assert slope([1, 10, 100], [3, 3e2, 3e4]) == pytest.approx((2.0, 3.0))
+
+
+class Landscape:
+    """Stands in for a `Farm`: chi-square is a number per set, and evaluations stop at a bound as the real ones do."""
+
+    def __init__(self, seed: int) -> None:
+        import numpy as np
+
+        rng = np.random.default_rng(seed)
+        self.patches = PATCHES
+        self.truth = {candidate: float(rng.uniform(1, 1000)) for candidate in all_candidates(PATCHES)}
+        self.outcomes: dict[tuple[int, Candidate], Outcome] = {}
+        self.misfit = SimpleNamespace()
+
+    def evaluate(self, level: int, bounds: Mapping[Candidate, float]) -> dict[Candidate, Outcome]:
+        for candidate, bound in bounds.items():
+            if not Farm._enough(self.outcomes.get((level, candidate)), bound):
+                value = self.truth[candidate]
+                complete = value <= bound
+                seen = value if complete else math.nextafter(bound, math.inf)
+                self.outcomes[level, candidate] = Outcome(candidate, level, seen, 0.0, complete, 1.0)
+        return {candidate: self.outcomes[level, candidate] for candidate in bounds}
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_algorithm_1_goes_where_full_evaluations_go(seed: int) -> None:
+    from benchmarks.algorithm1 import climb
+
+    seeds = all_candidates(PATCHES)[::5]
+    land = Landscape(seed)
+    visited, ends = climb(land, 0, seeds)  # type: ignore[arg-type]
+    expected = set(seeds)
+    tops = set()
+    for here in seeds:
+        while True:
+            around = [here ^ {patch} for patch in PATCHES]
+            expected |= set(around)
+            best = min(around, key=land.truth.__getitem__)
+            if land.truth[best] >= land.truth[here]:
+                break
+            here = best
+        tops.add(here)
+    assert visited == expected
+    assert {outcome.candidate for outcome in ends} == tops
+    assert {c.top for c in climb_of_bcid(Landscape(seed), 0, seeds)} == tops  # type: ignore[arg-type]
