@@ -58,7 +58,7 @@ def factor_seconds(eq: Equilibrium, most: float = 30.0) -> float:
     times: list[float] = []
     while len(times) < 3 and sum(times) < most:
         # PETSc does not factorise a matrix again that has not changed.
-        eq.matrix.stateIncrease()
+        eq.tangent.matrix.stateIncrease()
         start = time.process_time()
         eq.factor.refresh()
         times.append(time.process_time() - start)
@@ -67,13 +67,13 @@ def factor_seconds(eq: Equilibrium, most: float = 30.0) -> float:
 
 def factor_nonzeros(eq: Equilibrium) -> float:
     """Non-zeros of the Cholesky factor of the present tangent, as CHOLMOD counts them."""
-    pc = PETSc.PC().create(eq.matrix.comm)
+    pc = PETSc.PC().create(eq.tangent.matrix.comm)
     pc.setOptionsPrefix("bench_")
     pc.setType("cholesky")
     pc.setFactorSolverType("cholmod")
     PETSc.Options()["bench_mat_cholmod_factor"] = "SUPERNODAL"
     pc.setFromOptions()
-    pc.setOperators(eq.matrix)
+    pc.setOperators(eq.tangent.matrix)
     pc.setUp()
     count = float(pc.getFactorMatrix().getInfo()["nz_used"])
     pc.destroy()

@@ -69,7 +69,7 @@ class Slab40:
 def slab40() -> Callable[..., Slab40]:
     """Builds the benchmark: `slab40("small")`, `slab40("medium", rtol=1e-10)`, `slab40("large")`."""
 
-    def build(name: str, comm: Any = None, rtol: float = 1e-8) -> Slab40:
+    def build(name: str, comm: Any = None, rtol: float = 1e-9) -> Slab40:
         from mpi4py import MPI
 
         from bcid.forms.body import Body

@@ -39,7 +39,7 @@ class Secant:
         # The pairs are rows first .. last of two arrays, oldest first, with the table of their products s_i . y_j.
         self._rows: Array | None = None
         self._from = self._to = 0
-        self._products = np.zeros((0, 0))
+        self._products: Array = np.zeros((0, 0))
         self._work: PETSc.Vec | None = None
 
     def clear(self) -> None:
@@ -76,7 +76,7 @@ class Secant:
             kept = self._to - self._from
             self._rows[:, :kept] = self._rows[:, self._from : self._to]
             self._from, self._to = 0, kept
-        steps, changes = self._rows[:, self._from : self._to]
+        steps = self._rows[0, self._from : self._to]
         count = len(steps)
         products = np.empty((count + 1, count + 1))
         products[:count, :count] = self._products
