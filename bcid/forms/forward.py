@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -116,6 +116,7 @@ class Forward:
         watch: Watch | None = None,
         keep: bool = False,
         rtol: float | None = None,
+        known: Mapping[int, Array] | None = None,
     ) -> Prediction:
         """Fiducial positions while the actions are made with these patches anchored.
 
@@ -126,6 +127,7 @@ class Forward:
                 False the rest is not computed. See `bcid.forms.trajectory.follow` for frames that come twice.
             keep: also keep the state of every frame, for `detail`.
             rtol: accuracy, by default that of the settings.
+            known: states that are nearly right by frame, as a rougher prediction has kept them: where to start from.
         """
         frames = 1 + max(int(action.frames.max()) for action in actions)
         positions = np.full((frames, len(self.observer.rest), 3), np.nan)
@@ -143,7 +145,8 @@ class Forward:
                     states[frame] = equilibrium.u.x.array.copy()
                 return None if watch is None else watch(frame, positions[frame])
 
-            trajectories.append(follow(equilibrium, action, seen))
+            steps = {k: known[f] for k, f in enumerate(action.frames.tolist()) if f in known} if known else None
+            trajectories.append(follow(equilibrium, action, seen, steps))
             missed = action.frames[trajectories[-1].steps :]
             positions[missed] = np.nan
             for frame in missed:

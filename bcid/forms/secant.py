@@ -12,7 +12,7 @@ from scipy.linalg.lapack import dtrtrs
 from bcid.forms.factor import Factor
 
 Array = NDArray[np.float64]
-_MOST = 24
+_MOST = 12
 
 
 class Secant:

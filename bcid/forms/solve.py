@@ -141,8 +141,8 @@ class Equilibrium:
         self._gripper = fem.Function(body.displacement_space)
         self._compile()
         self._prepare_solver()
-        self._lagging = self._stale = False
-        self._iteration = 0
+        self._lagging = self._stale = self._loaded = False
+        self._iteration = self._slow = 0
         self._conditions: dict[str, Any] = {}
         self._weights: dict[str, Array] = {}
         self.hold(model.anchors, model.grasp)
@@ -281,6 +281,7 @@ class Equilibrium:
         """Gripper, dead loads and the fraction of the effects of a pose."""
         self._move_gripper(pose)
         self.external[:] = 0.0
+        self._loaded = bool(pose.loads)
         for place, force in pose.loads.items():
             self.external += self._weight(place) * np.tile(force, len(self.external) // 3)
         full, neutral = self.model.constants(), self.model.neutral()
@@ -372,9 +373,10 @@ class Equilibrium:
         fp.assemble_vector(F, self.residual_form)
         F.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         forces = F.array
-        dofs = self.body.displacement_dofs
-        own = dofs < self._owned
-        forces[dofs[own]] -= self.external[own]
+        if self._loaded:
+            dofs = self.body.displacement_dofs
+            own = dofs < self._owned
+            forces[dofs[own]] -= self.external[own]
         self.internal[:] = forces
 
     def _scale(self) -> float:
@@ -410,12 +412,14 @@ class Equilibrium:
     def _judge(self, iteration: int, residual: float) -> Any:
         """Whether an iteration with an old tangent goes on with it, asks for a fresh one, or is given up."""
         if iteration == 0:
-            self._first, self._previous, self._renewed = residual, np.inf, 0
+            self._first, self._previous, self._renewed, self._slow = residual, np.inf, 0, 0
         # Where the energy has no minimum ahead, an old tangent leads to whichever state it happens to meet.
         lost = self.secant.negative or (self.factor.usable and self.factor.negative)
         if lost or residual > _HOPELESS * self._first:
             return PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH
-        self._stale = residual > _SLOW * self._previous or iteration - self._renewed >= _PATIENCE
+        # One bad iteration is forgiven: it shows the secant update where the tangent has changed.
+        self._slow = self._slow + 1 if residual > _SLOW * self._previous else 0
+        self._stale = self._slow > 1 or iteration - self._renewed >= _PATIENCE
         self._iteration, self._previous = iteration, residual
         return PETSc.SNES.ConvergedReason.CONVERGED_ITERATING
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -95,7 +95,12 @@ def poses(action: Action) -> list[Pose]:
     ]
 
 
-def follow(equilibrium: Equilibrium, action: Action, seen: Callable[[int, Pose], bool | None]) -> Trajectory:
+def follow(
+    equilibrium: Equilibrium,
+    action: Action,
+    seen: Callable[[int, Pose], bool | None],
+    known: Mapping[int, Array] | None = None,
+) -> Trajectory:
     """Move the gripper along an action from the undeformed state; collective on the body's communicator.
 
     The tangent is factorised every few steps and at the end. When it turns out not to be positive definite, the motion
@@ -106,6 +111,7 @@ def follow(equilibrium: Equilibrium, action: Action, seen: Callable[[int, Pose],
         action: the motion.
         seen: called after each step with its number and pose, to read the state; the motion ends early when it returns
             False. Where the motion went back it is called again for the same steps: the later call holds.
+        known: states (this rank's unknowns) that are nearly right, by step: where to start from.
 
     Returns:
         How far it came. A step that fails is halved, up to `settings.halvings` times; what cannot be mended ends the
@@ -119,7 +125,13 @@ def follow(equilibrium: Equilibrium, action: Action, seen: Callable[[int, Pose],
     safe = 0, replace(history)
     done, stopped = 0, False
     while done < len(action) and not stopped:
-        status = _advance(equilibrium, path[done], path[done + 1], done, history, result)
+        status = Status.DIVERGED
+        if known and done in known:
+            status = equilibrium.solve(path[done + 1], known[done])
+            if status is Status.CONVERGED:
+                history.add(done, path[done + 1], equilibrium.u.x.array)
+        if status is not Status.CONVERGED:
+            status = _advance(equilibrium, path[done], path[done + 1], done, history, result)
         if status is Status.CONVERGED:
             stopped = seen(done, path[done + 1]) is False
             done += 1

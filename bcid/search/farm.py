@@ -52,7 +52,7 @@ class Outcome:
             infinite when the model failed.
         rms: RMS residual per coordinate, m; a lower bound when `complete` is False.
         complete: whether all frames were compared.
-        share: fraction of the steps of the trajectory that was computed; steps that were computed twice count twice.
+        share: fraction of the steps of the trajectory that was computed, 0 to 1.
         status, reason: how the forward model ended, and why in words.
         seconds: time spent.
     """
@@ -285,13 +285,14 @@ class Farm:
             sums[:, frame] = self.misfit.frame(frame, predicted)
             return bool(sums[0].sum() <= reserve * bound)
 
-        # Most rivals lose by far: they are told from a rough solution, and what is left is solved accurately.
-        share = 0.0
-        for rough in (True, False) if rest.any() else (False,):
-            reserve = _RESERVE if rough else 1.0
-            prediction = forward.predict(candidate, self.actions, watch, keep=True, rtol=_ROUGH if rough else None)
+        # Most rivals lose by far, which a rough solution tells; for what is left it is where the accurate one starts from.
+        known, share = None, 0.0
+        for rough in (True, False) if bound < math.inf else (False,):
+            reserve, rtol = (_RESERVE, _ROUGH) if rough else (1.0, None)
+            prediction = forward.predict(candidate, self.actions, watch, keep=True, rtol=rtol, known=known)
+            known = prediction.states
             reached = np.asarray(np.isfinite(prediction.positions).all(axis=(1, 2)))
-            share += float(reached[self._costly].mean())
+            share = max(share, float(reached[self._costly].mean()))
             if prediction.stopped:
                 break
         failure = prediction.failure
