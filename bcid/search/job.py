@@ -16,6 +16,7 @@ from bcid.fingerprint import file_fingerprint, fingerprint
 from bcid.forms.forward import check_geometry
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import check_physics
+from bcid.forms.patches import divided, first_level
 from bcid.measurement import AXES, WRENCH, Measurement
 from bcid.progress import Progress, Silent
 from bcid.run import Run
@@ -45,8 +46,9 @@ def run_identification(
     scene = on_root(comm, lambda: Scene.read(scene_file, physics=check_physics))
     measurement = on_root(comm, lambda: Measurement.read(measurement_file))
     measurement.check(scene)
+    scene = divided(scene, comm)
     options.check(scene)
-    check_geometry(scene, options.coarsest, comm)
+    check_geometry(scene, first_level(scene, options.coarsest, options.last(scene), comm)[0], comm)
     inputs = {
         "scene": fingerprint({"scene": _content(scene), "geometry": file_fingerprint(scene.geometry)}),
         "measurement": measurement.fingerprint(),
