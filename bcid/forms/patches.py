@@ -40,15 +40,15 @@ def divided(scene: Scene, comm: Any = None) -> Scene:
     return on_root(comm, lambda: _divided(scene)) if scene.divide else scene
 
 
-def halves(scene: Scene, name: str, comm: Any = None) -> Scene:
-    """The scene with a patch replaced by its halves, "3.1" and "3.2" for "3"; collective on `comm`.
+def halves(scene: Scene, names: str | Sequence[str], comm: Any = None) -> Scene:
+    """The scene with a patch (or several) replaced by its halves, "3.1" and "3.2" for "3"; collective on `comm`.
 
     The cut is at the middle of the patch's longest extent; the lower half comes first.
 
     Raises:
         InputError: there is no such patch, it is no surface, or a half's name is taken.
     """
-    return on_root(comm, lambda: _halves(scene, name))
+    return on_root(comm, lambda: _halves(scene, [names] if isinstance(names, str) else names))
 
 
 def extents(scene: Scene, comm: Any = None) -> dict[str, float]:
@@ -217,7 +217,15 @@ def _pieces(triangles: Array, box: Box, size: float) -> list[Box]:
     return done
 
 
-def _halves(scene: Scene, name: str) -> Scene:
+def _halves(scene: Scene, wanted: Sequence[str]) -> Scene:
+    surface = _Surface(scene)
+    patches = scene.patches
+    for name in wanted:
+        patches = replaced(patches, name, _half_regions(scene, name, surface))
+    return replace(scene, patches=patches)
+
+
+def _half_regions(scene: Scene, name: str, surface: _Surface) -> dict[str, Region]:
     if name not in scene.patches:
         raise InputError(f"patch '{name}' is not in scene {scene.source}; {nearest(name, scene.patches)}")
     names = half_names(name)
@@ -226,9 +234,8 @@ def _halves(scene: Scene, name: str) -> Scene:
             f"patch '{name}' cannot be halved: scene {scene.source} has a patch '{taken}' already; rename it"
         )
     region = scene.patches[name]
-    parts = _halved(_Surface(scene)(region, name), _box(region))
-    pieces = {half: replace(region, within=box) for half, (_, box) in zip(names, parts, strict=True)}
-    return replace(scene, patches=_replaced(scene.patches, name, pieces))
+    parts = _halved(surface(region, name), _box(region))
+    return {half: replace(region, within=box) for half, (_, box) in zip(names, parts, strict=True)}
 
 
 def half_names(name: str) -> tuple[str, str]:
@@ -236,7 +243,7 @@ def half_names(name: str) -> tuple[str, str]:
     return f"{name}.1", f"{name}.2"
 
 
-def _replaced(patches: dict[str, Region], name: str, pieces: dict[str, Region]) -> dict[str, Region]:
+def replaced(patches: dict[str, Region], name: str, pieces: dict[str, Region]) -> dict[str, Region]:
     """Patches with one replaced, at its place in the order."""
     result: dict[str, Region] = {}
     for other, region in patches.items():

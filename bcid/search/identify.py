@@ -184,6 +184,7 @@ def identify(
     progress: Progress | None = None,
     known: Iterable[Outcome] = (),
     keep: Callable[[list[Outcome]], None] | None = None,
+    start: Sequence[Candidate] = (),
 ) -> Identification:
     """Find the anchored patches; collective on `comm`, with the same result for any number of ranks.
 
@@ -197,6 +198,7 @@ def identify(
         progress: told what is going on (give it on rank 0 only).
         known: outcomes of an interrupted search with the same input: they are not computed again.
         keep: called with the outcomes of each batch as they come, on every rank.
+        start: sets to climb from on the first level, instead of random ones.
 
     Raises:
         InputError: scene, measurement or options do not fit each other.
@@ -210,7 +212,7 @@ def identify(
     level, passed = first_level(scene, options.coarsest, options.last(scene), comm)
     farm = Farm(scene, measurement, comm, model, settings, progress, keep, known)
     try:
-        search = _Search(farm, replace(options, coarsest=level), progress or Silent())
+        search = _Search(farm, replace(options, coarsest=level), progress or Silent(), start)
         for reason in passed:
             search.say(f"not used: {reason}")
         return search.run()
@@ -221,8 +223,8 @@ def identify(
 class _Search:
     """The stages of one identification."""
 
-    def __init__(self, farm: Farm, options: Options, progress: Progress) -> None:
-        self.farm, self.options, self.progress = farm, options, progress
+    def __init__(self, farm: Farm, options: Options, progress: Progress, start: Sequence[Candidate] = ()) -> None:
+        self.farm, self.options, self.progress, self.start = farm, options, progress, start
         self.rng = np.random.default_rng(options.random_state)
         self.stages: list[str] = []
         self.levels: list[int] = []
@@ -231,7 +233,7 @@ class _Search:
         start = time.perf_counter()
         options = self.options
         last = options.last(self.farm.scene)
-        seeds: list[Candidate] = []
+        seeds: list[Candidate] = list(self.start)
         best: list[Outcome] = []
         for level in range(options.coarsest, last + 1):
             self.levels.append(level)
