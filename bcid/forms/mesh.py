@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from bcid.collective import on_root
 from bcid.errors import InputError, Problems, nearest
-from bcid.fingerprint import fingerprint
+from bcid.fingerprint import file_fingerprint, fingerprint
 from bcid.scene import Level, Region, Scene
 
 Points = NDArray[np.float64]
@@ -179,7 +179,8 @@ def level_mesh(scene: Scene, level: Level, comm: Any = None) -> BodyMesh:
 
 
 def _level_mesh(scene: Scene, level: Level) -> BodyMesh:
-    points, cells, groups = _load(scene.geometry, level.element_size and level.element_size / scene.length_unit)
+    size = level.element_size and level.element_size / scene.length_unit
+    points, cells, groups = _load(scene.geometry, size, file_fingerprint(scene.geometry))
     mesh = checked(BodyMesh(points * scene.length_unit, cells, groups), scene.geometry)
     for _ in range(level.refinements):
         mesh = mesh.refined()
@@ -220,8 +221,13 @@ def _check_places(scene: Scene, level: Level, mesh: BodyMesh) -> None:
     problems.raise_if_any()
 
 
-def _load(path: Path, element_size: float | None) -> tuple[Points, Cells, dict[str, Cells]]:
-    """Run the loader in a child process: a damaged file may make gmsh abort, and must not take this process along."""
+@lru_cache(maxsize=8)
+def _load(path: Path, element_size: float | None, _content: str) -> tuple[Points, Cells, dict[str, Cells]]:
+    """Run the loader in a child process: a damaged file may make gmsh abort, and must not take this process along.
+
+    The last results are kept for as long as the content of the file is the same: patches are made and looked for on the
+    meshes of several levels before any is solved on.
+    """
     if path.suffix == ".msh" and not path.read_bytes().startswith(b"$MeshFormat"):
         raise InputError(
             f"{path}: does not start with $MeshFormat; gmsh would run it as a script, so it is refused; "

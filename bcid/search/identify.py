@@ -212,7 +212,9 @@ def identify(
     level, passed = first_level(scene, options.coarsest, options.last(scene), comm)
     farm = Farm(scene, measurement, comm, model, settings, progress, keep, known)
     try:
-        search = _Search(farm, replace(options, coarsest=level), progress or Silent(), start)
+        # A level that is passed over counts as climbed on: climbing on a finer one instead would cost many times as much.
+        climbed = max(1, options.coarsest + options.climbed - level)
+        search = _Search(farm, replace(options, coarsest=level, climbed=climbed), progress or Silent(), start)
         for reason in passed:
             search.say(f"not used: {reason}")
         return search.run()

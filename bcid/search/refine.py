@@ -11,7 +11,7 @@ from typing import Any
 
 from bcid.errors import InputError
 from bcid.forms.model import Model
-from bcid.forms.patches import divided, element_size, extents, half_names, halves, replaced, touching
+from bcid.forms.patches import divided, element_size, extents, first_level, half_names, halves, replaced, touching
 from bcid.forms.solve import Settings
 from bcid.measurement import Measurement
 from bcid.progress import Progress, Silent
@@ -273,7 +273,7 @@ class _Rounds:
         self.say(f"round {number}: {why}; split {' '.join(split)}")
         finer = self.tree.scene(cuts)
         toggled = [frozenset(self.found.anchored) ^ {name} for name in split if name in self.scene.patches]
-        fresh = self.search(finer, self.climbing, self.starts(finer, toggled))
+        fresh = self.search(finer, self.trial(finer), self.starts(finer, toggled))
         self.merge(cuts, fresh)
         merged = [name for name in split if name not in self.refined]
         self.vain |= {name: depths[name] for name in merged}
@@ -286,25 +286,32 @@ class _Rounds:
         self.say(f"round {number}: {text}, merged those of {' '.join(merged) or 'none'}; {best}")
         return True
 
+    def trial(self, scene: Scene) -> Options:
+        """Options for finding out which halves differ: on the levels that are climbed on only.
+
+        The finer ones are for the patches that remain; with all the halves many sets would be too close to be left behind.
+        """
+        last = self.options.last(self.tree.base)
+        first = first_level(scene, self.options.coarsest, last, self.tree.comm)[0]
+        return replace(self.climbing, finest=max(first, min(last, self.options.coarsest + self.options.climbed - 1)))
+
     def say(self, text: str) -> None:
         self.log.append(text)
         self.progress.say(text)
 
     def doubtful(self) -> tuple[str, dict[str, int]]:
-        """What is in doubt, in words, and the patches to split with how many times."""
+        """How the present result stands, in words, and the patches to split with how many times."""
         patches, anchored = list(self.scene.patches), self.found.anchored
+        near = touching(self.scene, self.found.levels[-1], self.tree.comm)
+        border = [p for p in patches if p in anchored or any(p in near[a] for a in anchored)] or patches
         undecided = [p for p in patches if _UNDECIDED < self.found.patches[p] < 1 - _UNDECIDED]
-        depths = dict.fromkeys((p for p in undecided if p not in self.vain), 1)
         why = f"undecided: {' '.join(undecided)}" if undecided else "every patch is decided"
         if self.explained():
-            return why, depths
-        near = touching(self.scene, self.found.levels[-1], self.tree.comm)
-        first = [p for p in patches if p in anchored or any(p in near[a] for a in anchored)]
-        others = [p for p in patches if p not in first]
-        if not first or any(p in self.vain for p in first):
-            first, others = first + others, []
-        depths |= {p: self.vain.get(p, 0) + 1 for p in first}
-        return f"no set explains the measurement (residual {self.found.rms * 1e3:.3g} mm)", depths
+            return why, {p: 1 for p in patches if p in {*border, *undecided} and p not in self.vain}
+        if any(p in self.vain for p in border):
+            border = patches
+        depths = {p: self.vain.get(p, 0) + 1 for p in patches if p in {*border, *undecided}}
+        return f"no set explains the measurement (residual {self.found.rms * 1e3:.3g} mm); {why}", depths
 
     def explained(self) -> bool:
         """Whether noise and mesh account for the residual; when no noise is stated nothing is known against it."""
@@ -341,7 +348,7 @@ class _Rounds:
         kept = kept_cuts(cuts, fresh.patches)
         scene = self.tree.scene(kept)
         starts = resolved(fresh.anchored, scene.patches)
-        if kept == cuts:
+        if kept == cuts and fresh.levels[-1] == self.options.last(scene):
             self.found = fresh
         elif kept != self.refined or frozenset(self.found.anchored) not in starts:
             self.found = self.search(scene, self.climbing, list(dict.fromkeys([*starts, *self.starts(scene)])))

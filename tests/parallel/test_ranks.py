@@ -25,12 +25,14 @@ from bcid.forms.forward import Forward, Prediction
 from bcid.forms.loads import nodal_weights
 from bcid.forms.mesh import level_mesh
 from bcid.forms.model import Dose, Held, Model, check_physics
+from bcid.forms.patches import halves
 from bcid.forms.simulate import simulate
 from bcid.forms.solve import Settings, Status
 from bcid.forms.trajectory import follow
 from bcid.motions import about_x, motion
 from bcid.scene import Level, Region, Scene
 from bcid.search.identify import Options, identify
+from bcid.search.refine import identify_refined
 
 pytestmark = pytest.mark.parallel
 
@@ -166,6 +168,34 @@ def test_candidates_spread_over_ranks_give_the_same_ranking(slab: Scene, measure
     assert same_everywhere(together.anchored)
     assert same_everywhere(together.rms)
     assert together.evaluations == pytest.approx(alone.evaluations)
+
+
+def test_refined_patches_are_the_same_on_every_number_of_ranks(slab: Scene) -> None:
+    """Patch 7 is anchored where x < 25 mm; two patches and a short pull keep it quick."""
+    scene = replace(slab, patches={name: slab.patches[name] for name in "37"})
+    path = motion("pull", "II")[0]
+    pull = [
+        replace(
+            path,
+            frames=path.frames[:4],
+            steps=path.steps[:4],
+            translation=2 * path.translation[:4],
+            rotation=path.rotation[:4],
+        )
+    ]
+    truth = halves(scene, "7", WORLD)
+    made = simulate(truth, {"7.1"}, pull, level=1, noise=0.0003, random_state=1, comm=WORLD)
+    measurement = WORLD.bcast(made, root=0)
+    options = Options(seeds=4, coarsest=1, finest=1)
+    alone, together = (identify_refined(scene, measurement, comm, options, 1) for comm in (MPI.COMM_SELF, WORLD))
+    assert together.found.anchored == alone.found.anchored == ("7.1",)
+    assert together.refined == alone.refined == {"7": ("7.1", "7.2")}
+    assert together.log == alone.log
+    assert together.scene.patches == alone.scene.patches
+    assert together.found.probability == pytest.approx(alone.found.probability, rel=1e-6)
+    assert together.evaluations == pytest.approx(alone.evaluations)
+    assert same_everywhere(together.found.rms)
+    assert same_everywhere(together.log)
 
 
 def test_errors_are_raised_on_every_rank(slab: Scene, tmp_path_factory: pytest.TempPathFactory) -> None:
