@@ -24,6 +24,10 @@ from bcid.search.misfit import Misfit
 _UNDECIDED = 0.02
 # Halves stay apart when it is less likely than this that they are alike: what is less likely is not carried up the ladder either.
 _ALIKE = 1e-4
+# Halves that seem alike with more than this on the levels that are climbed on are not looked at on finer ones.
+_SEEM_ALIKE = 0.5
+# A result with a residual larger than the present one's by more than this factor is not taken.
+_NO_WORSE = 1.001
 # Chi-square this many of its standard deviations above what noise and mesh account for is not explained.
 _ABOVE = 3.0
 # How many of the next best sets are climbed from beside the best.
@@ -177,8 +181,8 @@ def resolved(candidate: Iterable[str], patches: Iterable[str]) -> list[Candidate
     return list(dict.fromkeys([sure | partly, sure]))
 
 
-def kept_cuts(refined: Mapping[str, tuple[str, str]], probability: Mapping[str, float]) -> Cuts:
-    """The cuts whose two sides are unlikely to be alike.
+def kept_cuts(refined: Mapping[str, tuple[str, str]], probability: Mapping[str, float], alike: float = _ALIKE) -> Cuts:
+    """The cuts whose two sides are alike with a probability of at most `alike`.
 
     Args:
         refined: all cuts.
@@ -196,7 +200,7 @@ def kept_cuts(refined: Mapping[str, tuple[str, str]], probability: Mapping[str, 
     for name in sorted(refined, key=len, reverse=True):
         lower, upper = refined[name]
         spread = max(abs(probability[a] - probability[b]) for a in leaves(lower) for b in leaves(upper))
-        if spread >= 1 - _ALIKE or lower in kept or upper in kept:
+        if spread >= 1 - alike or lower in kept or upper in kept:
             kept[name] = lower, upper
     return {name: refined[name] for name in refined if name in kept}
 
@@ -344,14 +348,34 @@ class _Rounds:
         return list(dict.fromkeys(c for s in sets for c in resolved(s, scene.patches)))
 
     def merge(self, cuts: Cuts, fresh: Identification) -> None:
-        """Take the result of a round, with the halves that did not prove different merged."""
+        """Take the result of a round, with the halves that did not prove different merged; nothing when it explains less.
+
+        What only the climbed levels were asked about is judged by all levels, once the halves that seem alike are merged.
+        """
+        if fresh.levels[-1] < self.options.last(self.tree.base):
+            cuts = kept_cuts(cuts, fresh.patches, _SEEM_ALIKE)
+            if self.nothing_found(cuts, fresh):
+                return
+            fresh = self.again(cuts, fresh)
         kept = kept_cuts(cuts, fresh.patches)
-        scene = self.tree.scene(kept)
-        starts = resolved(fresh.anchored, scene.patches)
-        if kept == cuts and fresh.levels[-1] == self.options.last(scene):
-            self.found = fresh
-        elif kept != self.refined or frozenset(self.found.anchored) not in starts:
-            self.found = self.search(scene, self.climbing, list(dict.fromkeys([*starts, *self.starts(scene)])))
+        if self.nothing_found(kept, fresh):
+            return
+        if kept != cuts:
+            fresh = self.again(kept, fresh)
+        if fresh.levels[-1] == self.found.levels[-1] and fresh.rms > self.found.rms * _NO_WORSE:
+            return
         if kept != self.refined:
             self.vain = {}
-        self.refined, self.scene = kept, scene
+            self.refined, self.scene, self.found = kept, self.tree.scene(kept), fresh
+        elif fresh.anchored != self.found.anchored:
+            self.found = fresh
+
+    def nothing_found(self, cuts: Cuts, fresh: Identification) -> bool:
+        """Whether a search with more cuts leaves those that are there, and the best set."""
+        return cuts == self.refined and expanded(fresh.anchored, self.scene.patches) == frozenset(self.found.anchored)
+
+    def again(self, cuts: Cuts, fresh: Identification) -> Identification:
+        """Search on all levels with fewer cuts, from the best set of a search with more."""
+        scene = self.tree.scene(cuts)
+        starts = dict.fromkeys([*resolved(fresh.anchored, scene.patches), *self.starts(scene)])
+        return self.search(scene, self.climbing, list(starts))

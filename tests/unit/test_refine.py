@@ -194,12 +194,36 @@ def test_the_error_of_the_mesh_explains_a_residual() -> None:
 def test_halves_are_not_smaller_than_the_elements() -> None:
     """Patches of 50 mm on elements of 20 mm are cut once, on elements of 7.2 mm as often as asked."""
     second = Searches("1", 2.0).run(2, finest=1)[2]
-    assert second == [half for p in SLAB.patches for half in (f"{p}.1", f"{p}.2")] + []
+    assert second == [half for p in SLAB.patches for half in (f"{p}.1", f"{p}.2")]
     searches = Searches("1", 2.0)
     coarse = replace(SLAB, levels=(Level(1, 0.060),))
     searches.rounds = _Rounds(Tree(coarse, None), Options(), Silent(), searches, lambda _s, _f: 0.0, 1000)
     searches.rounds.found = searches(SLAB, Options(), ())
     assert searches.rounds.split(dict.fromkeys(SLAB.patches, 1)) == {}
+
+
+@pytest.mark.parametrize(("better", "sure", "kept"), [(True, 1.0, ["7"]), (True, 0.9, []), (False, 1.0, [])])
+def test_what_the_climbed_levels_suggest_is_judged_on_all(better: bool, sure: float, kept: list[str]) -> None:
+    """Halves that seem different on levels 0 and 1 stay when the finer levels are sure of them, and explain more by them."""
+    asked: list[tuple[int | None, list[str]]] = []
+
+    def search(scene: Scene, options: Options, _start: Sequence[Candidate]) -> Any:
+        asked.append((options.finest, [p for p in scene.patches if is_part(p, "7")]))
+        on = "7.1" if "7.1" in scene.patches else "7"
+        trial = options.finest == 1
+        chance = {p: {on: 0.8 if trial else sure, "7.2": 0.0}.get(p, 0.0) for p in scene.patches}
+        rms = (1.0 if better else 2.5) if on == "7.1" else 2.0
+        levels = (0, 1) if trial else (0, 1, 2, 3)
+        return SimpleNamespace(
+            anchored=(on,), patches=chance, rms=rms * NOISE, noise=NOISE, levels=levels, alternatives=()
+        )
+
+    rounds = _Rounds(Tree(SLAB, None), Options(), Silent(), search, lambda _scene, _found: 0.0, 1000)
+    rounds.run(1)
+    again = [(None, [])] if sure < 1.0 else []
+    assert asked == [(None, []), (1, ["7.1", "7.2"]), (None, ["7.1", "7.2"]), *again]
+    assert list(rounds.refined) == kept
+    assert rounds.found.anchored == (("7.1",) if kept else ("7",))
 
 
 def test_too_many_patches_are_not_made() -> None:
@@ -253,6 +277,19 @@ def test_halves_that_cannot_be_told_apart_are_merged() -> None:
     assert fine.refined == {}
     assert fine.found.anchored == ("3", "8")
     assert fine.found.rms < 1.05 * NOISE
+
+
+def test_a_search_with_pieces_starts_where_all_of_them_are_seen() -> None:
+    """Sixteen pieces of 12.5 mm on two triangles, then on twenty-six; `identify` divides by itself."""
+    scene = replace(FEW, patches={"e": FEW.patches["7"]}, divide={"e": 0.0125})
+    measurement = simulate(scene, {"e.4"}, MOTION, level=1, noise=NOISE, random_state=1)
+    options = Options(climbed=1, finest=1)
+    found = identify(scene, measurement, None, options, start=[frozenset(), frozenset({"e.3", "e.4"})])
+    assert found.stages[0].startswith("not used: level 0 (elements of 50 mm) shows no facet of 14 piece(s): e.1, e.2")
+    assert found.stages[1].startswith("level 1: 2 climbs ended")
+    assert found.levels == (1,)
+    assert "e.4" in found.anchored
+    assert list(found.patches) == [f"e.{i}" for i in range(1, 17)]
 
 
 def test_a_run_folder_holds_the_refined_patches(tmp_path: Path) -> None:
