@@ -163,6 +163,9 @@ def _add_identify(commands: Any) -> None:
     search.add_argument(
         "--finest", type=int, metavar="LEVEL", help="last mesh level (default: when the residual has settled)"
     )
+    search.add_argument(
+        "--refine", type=int, default=0, metavar="ROUNDS", help="halve patches that leave a doubt, so many times (0)"
+    )
     search.add_argument("--climbed", type=int, default=2, metavar="N", help="levels that are climbed on (2)")
     search.add_argument("--start", default="maxima", help="seeds of later stages: maxima (default), or threshold")
     search.add_argument(
@@ -250,15 +253,18 @@ def identify(arguments: argparse.Namespace, comm: Any) -> None:
         toggles=arguments.toggles,
         termination=Termination(arguments.fit, arguments.patience, arguments.budget),
     )
-    _identify(arguments.scene, arguments.measurement, arguments, options, comm)
+    _identify(arguments.scene, arguments.measurement, arguments, options, comm, arguments.refine)
 
 
-def _identify(scene: Path, measurement: Path, arguments: argparse.Namespace, options: Options, comm: Any) -> None:
+def _identify(
+    scene: Path, measurement: Path, arguments: argparse.Namespace, options: Options, comm: Any, refine: int = 0
+) -> None:
     from bcid.search.job import run_identification
 
     quiet = arguments.quiet or comm.rank > 0
     progress: Progress = Silent() if quiet else Lines()
-    folder = run_identification(scene, measurement, arguments.output, options, comm, progress, arguments.overwrite)
+    overwrite = arguments.overwrite
+    folder = run_identification(scene, measurement, arguments.output, options, comm, progress, overwrite, refine)
     if comm.rank > 0:
         return
     text = (folder / "summary.txt").read_text(encoding="utf-8")

@@ -61,11 +61,16 @@ class Plane:
 
 @dataclass(frozen=True)
 class Region:
-    """Part of the boundary: physical groups of the mesh, or the facets inside a box and/or on a plane."""
+    """Part of the boundary: physical groups of the mesh, or the facets inside a box and/or on a plane.
+
+    Of these, `within` takes the facets whose middle m has lower <= m < upper on every axis (m; infinite where nothing is
+    cut off). Boxes that tile the space so take every facet of every mesh exactly once.
+    """
 
     groups: tuple[str, ...] = ()
     box: Box | None = None
     plane: Plane | None = None
+    within: Box | None = None
 
 
 @dataclass(frozen=True)
@@ -93,6 +98,7 @@ class Scene:
         geometry: the `.geo` or mesh file; `length_unit` is the unit (m) of its coordinates.
         levels: the mesh ladder, coarsest first.
         patches: candidate anchors by name.
+        divide: patches that stand for pieces of about this size (m); `bcid.forms.patches.divided` makes them.
         grasps: grasp areas by name.
         fiducials: stress-free positions by name.
         places: other named parts of the boundary, for known loads and supports.
@@ -111,6 +117,7 @@ class Scene:
     grasps: dict[str, Grasp]
     fiducials: dict[str, tuple[float, float, float]]
     places: dict[str, Region] = field(default_factory=dict)
+    divide: dict[str, float] = field(default_factory=dict)
     down: tuple[float, float, float] = (0.0, -1.0, 0.0)
     noise_sigma: float | None = None
     attach_within: float | None = None
@@ -184,7 +191,8 @@ class _Reader:
         for i in range(start, len(self.lines)):
             if name.match(self.lines[i]):
                 return i + 1
-        return start + 1 if start else None
+        # What stands in an inline table is found by the line of the table.
+        return start + 1 if start else self.line_of(section) if section else None
 
     def bad(self, key: str, text: str) -> None:
         self.problems.add(self.path, f"{key}: {text}", self.line_of(key))
@@ -269,10 +277,11 @@ class _Reader:
             length_unit=unit,
             levels=self.levels(table.get("levels"), geometry),
             material=self.material(self.table(table, "material")),
-            patches={name: self.region(value, f"patches.{name}") for name, value in patches.items()},
+            patches={name: self.region(value, f"patches.{name}", ("divide",)) for name, value in patches.items()},
             grasps={name: self.grasp(value, f"grasps.{name}") for name, value in grasps.items()},
             fiducials={name: self.vector(value, f"fiducials.{name}") for name, value in fiducials.items()},
             places={name: self.region(value, f"places.{name}") for name, value in places.items()},
+            divide=self.divide(patches),
             down=self.direction(table.get("down", [0, -1, 0]), "down"),
             noise_sigma=optional.get("noise_sigma"),
             attach_within=optional.get("attach_within"),
@@ -343,20 +352,36 @@ class _Reader:
         self.values(value, f"effects.{name}.")
         return value
 
-    def region(self, value: object, key: str) -> Region:
-        if isinstance(value, str):
-            value = [value]
-        if isinstance(value, list):
-            if value and all(isinstance(group, str) and group for group in value):
-                return Region(groups=tuple(value))
-            self.bad(key, f"expected names of physical groups, found {value!r}")
+    def divide(self, patches: Mapping[str, Any]) -> dict[str, float]:
+        """Size (m) of the pieces of every patch that is divided."""
+        found = {}
+        for name, value in patches.items():
+            if not isinstance(value, dict) or "divide" not in value:
+                continue
+            found[name] = self.length(value["divide"], f"patches.{name}.divide")
+            for other in patches:
+                if re.fullmatch(rf"{re.escape(name)}\.[0-9]+", other):
+                    self.bad(f"patches.{name}", f"patch '{other}' has the name of a piece of it; rename one of them")
+        return found
+
+    def region(self, value: object, key: str, more: tuple[str, ...] = ()) -> Region:
+        """A region; `more` are keys that its table may have for somebody else."""
+        if isinstance(value, str | list):
+            return Region(self.groups(value, key))
+        if not isinstance(value, dict) or not ({"on", "box", "plane"} & set(value)):
+            self.bad(key, 'expected a physical group ("name"), a list of them, or a table with on, box and/or plane')
             return Region()
-        if not isinstance(value, dict) or not ({"box", "plane", "groups"} & set(value)):
-            self.bad(key, 'expected a physical group ("name"), a list of them, or a table with box and/or plane')
-            return Region()
-        self.unknown(value, ("groups", "box", "plane"), key + ".")
-        groups = self.region(value["groups"], key).groups if "groups" in value else ()
+        self.unknown(value, ("on", "box", "plane", *more), key + ".")
+        groups = self.groups(value["on"], f"{key}.on") if "on" in value else ()
         return Region(groups, self.box(value.get("box"), key), self.plane(value.get("plane"), key))
+
+    def groups(self, value: object, key: str) -> tuple[str, ...]:
+        """Names of physical groups: one, or a list."""
+        names = [value] if isinstance(value, str) else value
+        if isinstance(names, list) and names and all(isinstance(name, str) and name for name in names):
+            return tuple(names)
+        self.bad(key, f"expected names of physical groups, found {value!r}")
+        return ()
 
     def box(self, value: object, key: str) -> Box | None:
         if value is None:

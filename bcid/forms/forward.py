@@ -145,7 +145,7 @@ class Forward:
                     states[frame] = equilibrium.u.x.array.copy()
                 return None if watch is None else watch(frame, positions[frame])
 
-            steps = {k: known[f] for k, f in enumerate(action.frames.tolist()) if f in known} if known else None
+            steps = {k: known[int(f)] for k, f in enumerate(action.frames) if int(f) in known} if known else None
             trajectories.append(follow(equilibrium, action, seen, steps))
             missed = action.frames[trajectories[-1].steps :]
             positions[missed] = np.nan

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from bcid.collective import on_root
 from bcid.errors import InputError, Problems, nearest
-from bcid.fingerprint import fingerprint
+from bcid.fingerprint import file_fingerprint, fingerprint
 from bcid.scene import Level, Region, Scene
 
 Points = NDArray[np.float64]
@@ -76,7 +76,7 @@ class BodyMesh:
         """Entities of a region: triangles (k, 3), or lines or points when its groups are such.
 
         Raises:
-            InputError: a group the mesh does not have, or a box or plane without any facet.
+            InputError: a group the mesh does not have, or a box, plane or piece without any facet.
         """
         if region.groups:
             parts = [self._group(name, what) for name in region.groups]
@@ -94,6 +94,17 @@ class BodyMesh:
         if region.plane:
             distance = (corners - np.array(region.plane.point)) @ np.array(region.plane.normal)
             inside &= (np.abs(distance) <= tolerance).all(axis=1)
+        if region.within and inside.any():
+            # Both bounds are moved alike, so that neighbours still meet: a middle on the cut belongs to the upper one
+            # whatever its round-off.
+            low, high = np.array(region.within.lower) - tolerance, np.array(region.within.upper) - tolerance
+            middle = corners.mean(axis=1)
+            inside &= ((middle >= low) & (middle < high)).all(axis=1)
+            if not inside.any():
+                raise InputError(
+                    f"{what}: no facet has its middle in this piece of the surface; "
+                    "make larger pieces, or start at a finer level (--coarsest)"
+                )
         if not inside.any():
             low, high = self.points.min(axis=0) * 1e3, self.points.max(axis=0) * 1e3
             raise InputError(
@@ -174,17 +185,29 @@ def level_mesh(scene: Scene, level: Level, comm: Any = None) -> BodyMesh:
 
 
 def _level_mesh(scene: Scene, level: Level) -> BodyMesh:
-    points, cells, groups = _load(scene.geometry, level.element_size and level.element_size / scene.length_unit)
+    size = level.element_size and level.element_size / scene.length_unit
+    points, cells, groups = _load(scene.geometry, size, file_fingerprint(scene.geometry))
     mesh = checked(BodyMesh(points * scene.length_unit, cells, groups), scene.geometry)
-    _check_places(scene, mesh)
     for _ in range(level.refinements):
         mesh = mesh.refined()
+    _check_places(scene, level, mesh)
     return mesh
 
 
-def _check_places(scene: Scene, mesh: BodyMesh) -> None:
+def level_name(scene: Scene, level: Level) -> str:
+    """A level in words: "level 0 (elements of 50 mm)"."""
+    number = f"level {scene.levels.index(level)}" if level in scene.levels else "a level"
+    size = (
+        f"{level.refinements} refinements"
+        if level.element_size is None
+        else f"elements of {level.element_size * 1e3:.4g} mm"
+    )
+    return f"{number} ({size})"
+
+
+def _check_places(scene: Scene, level: Level, mesh: BodyMesh) -> None:
     """Every place of the scene must be on the mesh, and no facet may belong both to a patch and to a grasp."""
-    problems = Problems(f"scene {scene.source} and geometry {scene.geometry.name}")
+    problems = Problems(f"scene {scene.source} and geometry {scene.geometry.name}, {level_name(scene, level)}")
     facets: dict[tuple[str, str], Cells] = {}
     grasps = {name: grasp.region for name, grasp in scene.grasps.items()}
     for kind, regions in (("patch", scene.patches), ("grasp", grasps), ("place", scene.places)):
@@ -204,8 +227,13 @@ def _check_places(scene: Scene, mesh: BodyMesh) -> None:
     problems.raise_if_any()
 
 
-def _load(path: Path, element_size: float | None) -> tuple[Points, Cells, dict[str, Cells]]:
-    """Run the loader in a child process: a damaged file may make gmsh abort, and must not take this process along."""
+@lru_cache(maxsize=8)
+def _load(path: Path, element_size: float | None, _content: str) -> tuple[Points, Cells, dict[str, Cells]]:
+    """Run the loader in a child process: a damaged file may make gmsh abort, and must not take this process along.
+
+    The last results are kept for as long as the content of the file is the same: patches are made and looked for on the
+    meshes of several levels before any is solved on.
+    """
     if path.suffix == ".msh" and not path.read_bytes().startswith(b"$MeshFormat"):
         raise InputError(
             f"{path}: does not start with $MeshFormat; gmsh would run it as a script, so it is refused; "

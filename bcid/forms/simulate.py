@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from bcid.errors import SolveError
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model
+from bcid.forms.patches import divided
 from bcid.forms.solve import Settings
 from bcid.measurement import WRENCH, Action, Measurement
 from bcid.measurement_folder import frames_dataset
@@ -34,7 +35,7 @@ def simulate(
     """What the fiducials of a scene would show; the mesh is shared by the ranks of `comm`, and the result is the same on all.
 
     Args:
-        scene: the scene.
+        scene: the scene; divided patches are replaced by their pieces.
         anchors: names of the anchored patches.
         actions: the motions, numbered along one frame axis (see `bcid.motions.actions`).
         level: mesh level; the finest by default.
@@ -48,6 +49,7 @@ def simulate(
     Raises:
         SolveError: the forward model found no acceptable equilibrium; nothing is made up for the rest.
     """
+    scene = divided(scene, comm)
     level = len(scene.levels) - 1 if level is None else level
     forward = Forward(scene, level, comm, model, Settings(rtol=1e-8))
     try:

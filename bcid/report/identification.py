@@ -108,12 +108,15 @@ def _probabilities(axes: Any, found: dict[str, Any]) -> None:
     values = [found["patches"][name] for name in names]
     colours = [COLOURS.anchored if name in found["anchored"] else COLOURS.free for name in names]
     axes.bar(range(len(names)), np.maximum(values, 0.004), color=colours, width=0.72)
-    axes.set_xticks(range(len(names)), names)
+    crowded = sum(len(name) + 1 for name in names) > 45
+    axes.set_xticks(range(len(names)), names, rotation=90 if crowded else 0)
     axes.set_ylim(0, 1.03)
     axes.set_yticks([0, 0.5, 1])
     axes.set_title("Probability that a patch is anchored", fontsize=12, loc="left")
     axes.set_xlabel("patch", fontsize=10.5)
     _plain(axes)
+    if crowded:
+        axes.tick_params(axis="x", labelsize=min(10, 260 // len(names)))
 
 
 def _residuals(axes: Any, found: dict[str, Any], prediction: xr.Dataset) -> None:

@@ -142,7 +142,12 @@ def model_errors(farm: Farm, best: Candidate, levels: Sequence[int]) -> dict[int
     errors = dict.fromkeys(levels, 0.0)
     errors |= {level: farm.misfit.distance(predicted[level], predicted[last]) for level in solved[:-1]}
     if len(solved) > 1:
-        errors[last] = errors[solved[-2]] / max(farm.refinement(solved[-2], last) ** 2 - 1, _LEAST_GAIN)
+        errors[last] = errors[solved[-2]] / gain(farm, solved[-2], last)
     for level in solved:
         errors[level] = max(errors[level], beyond_noise(farm.outcomes[level, best], farm.misfit))
     return errors
+
+
+def gain(farm: Farm, coarse: int, fine: int) -> float:
+    """By how much to divide the distance of two levels for the error of the finer one, at second order; collective."""
+    return max(farm.refinement(coarse, fine) ** 2 - 1, _LEAST_GAIN)

@@ -283,12 +283,12 @@ class Farm:
 
         def watch(frame: int, predicted: Array) -> bool:
             sums[:, frame] = self.misfit.frame(frame, predicted)
-            return bool(sums[0].sum() <= reserve * bound)
+            return bool(sums[0].sum() <= limit)
 
         # Most rivals lose by far, which a rough solution tells; for what is left it is where the accurate one starts from.
         known, share = None, 0.0
-        for rough in (True, False) if bound < math.inf else (False,):
-            reserve, rtol = (_RESERVE, _ROUGH) if rough else (1.0, None)
+        for reserve, rtol in ((_RESERVE, _ROUGH), (1.0, None)):
+            sums[:], limit = rest, reserve * bound
             prediction = forward.predict(candidate, self.actions, watch, keep=True, rtol=rtol, known=known)
             known = prediction.states
             reached = np.asarray(np.isfinite(prediction.positions).all(axis=(1, 2)))
@@ -321,10 +321,15 @@ class Farm:
         holders = [rank for rank, has in enumerate(self.comm.allgather(mine is not None)) if has]
         root = holders[0] if holders else 0
         if self.comm.rank // forward.comm.size == root // forward.comm.size:
-            mine = mine or forward.predict(candidate, self.actions, keep=True)
+            mine = mine or self._predict(forward, candidate)
             mine = replace(forward.detail(candidate, self.actions, mine), states=None)
         result: Prediction = self.comm.bcast(mine, root=root)
         return result
+
+    def _predict(self, forward: Forward, candidate: Candidate) -> Prediction:
+        """As `_evaluate` predicts it, to the last bit: what was evaluated once may have to be predicted again."""
+        rough = forward.predict(candidate, self.actions, keep=True, rtol=_ROUGH)
+        return forward.predict(candidate, self.actions, keep=True, known=rough.states)
 
     def positions(self, level: int, candidate: Candidate) -> Array:
         """Predicted fiducial positions of one candidate, shape (frames, fiducials, 3), m; collective."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 from bcid.errors import InputError, SolveError
 from bcid.forms.forward import Prediction
 from bcid.forms.model import Model
+from bcid.forms.patches import divided, first_level
 from bcid.forms.solve import Settings
 from bcid.measurement import Measurement
 from bcid.progress import Progress, Silent
@@ -62,6 +63,10 @@ class Options:
     threshold: float = 0.95
     toggles: int = 0
     termination: Termination = field(default_factory=Termination)
+
+    def last(self, scene: Scene) -> int:
+        """The last level that may be used."""
+        return len(scene.levels) - 1 if self.finest is None else self.finest
 
     def check(self, scene: Scene) -> None:
         """Raise `InputError` for options that the scene cannot serve."""
@@ -196,11 +201,12 @@ def identify(
     progress: Progress | None = None,
     known: Iterable[Outcome] = (),
     keep: Callable[[list[Outcome]], None] | None = None,
+    start: Sequence[Candidate] = (),
 ) -> Identification:
     """Find the anchored patches; collective on `comm`, with the same result for any number of ranks.
 
     Args:
-        scene: body, candidate patches, mesh ladder.
+        scene: body, candidate patches (divided ones are replaced by their pieces), mesh ladder.
         measurement: fiducial trajectories and gripper motion; must fit the scene.
         comm: MPI communicator over which candidates are spread; COMM_SELF by default.
         options: how to search.
@@ -209,6 +215,7 @@ def identify(
         progress: told what is going on (give it on rank 0 only).
         known: outcomes of an interrupted search with the same input: they are not computed again.
         keep: called with the outcomes of each batch as they come, on every rank.
+        start: sets to climb from on the first level, instead of random ones.
 
     Raises:
         InputError: scene, measurement or options do not fit each other.
@@ -216,11 +223,18 @@ def identify(
     """
     from mpi4py import MPI
 
-    options = options or Options()
+    options, comm = options or Options(), comm or MPI.COMM_SELF
+    scene = divided(scene, comm)
     options.check(scene)
-    farm = Farm(scene, measurement, comm or MPI.COMM_SELF, model, settings, progress, keep, known)
+    level, passed = first_level(scene, options.coarsest, options.last(scene), comm)
+    farm = Farm(scene, measurement, comm, model, settings, progress, keep, known)
     try:
-        return _Search(farm, options, progress or Silent()).run()
+        # A level that is passed over counts as climbed on: climbing on a finer one instead would cost many times as much.
+        climbed = max(1, options.coarsest + options.climbed - level)
+        search = _Search(farm, replace(options, coarsest=level, climbed=climbed), progress or Silent(), start)
+        for reason in passed:
+            search.say(f"not used: {reason}")
+        return search.run()
     finally:
         farm.destroy()
 
@@ -228,8 +242,8 @@ def identify(
 class _Search:
     """The stages of one identification."""
 
-    def __init__(self, farm: Farm, options: Options, progress: Progress) -> None:
-        self.farm, self.options, self.progress = farm, options, progress
+    def __init__(self, farm: Farm, options: Options, progress: Progress, start: Sequence[Candidate] = ()) -> None:
+        self.farm, self.options, self.progress, self.start = farm, options, progress, start
         self.rng = np.random.default_rng(options.random_state)
         self.stages: list[str] = []
         self.levels: list[int] = []
@@ -237,8 +251,8 @@ class _Search:
     def run(self) -> Identification:
         start = time.perf_counter()
         options = self.options
-        last = len(self.farm.scene.levels) - 1 if options.finest is None else options.finest
-        seeds: list[Candidate] = []
+        last = options.last(self.farm.scene)
+        seeds: list[Candidate] = list(self.start)
         best: list[Outcome] = []
         for level in range(options.coarsest, last + 1):
             self.levels.append(level)

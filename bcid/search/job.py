@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -16,12 +16,14 @@ from bcid.fingerprint import file_fingerprint, fingerprint
 from bcid.forms.forward import check_geometry
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import check_physics
+from bcid.forms.patches import divided, first_level
 from bcid.measurement import AXES, WRENCH, Measurement
 from bcid.progress import Progress, Silent
 from bcid.run import Run
 from bcid.scene import Scene
 from bcid.search.farm import Outcome, label
-from bcid.search.identify import Identification, Options, identify
+from bcid.search.identify import Identification, Options
+from bcid.search.refine import Refinement, check_rounds, identify_refined
 from bcid.units import percent, unit_factor
 
 
@@ -33,10 +35,12 @@ def run_identification(
     comm: Any,
     progress: Progress | None = None,
     overwrite: bool = False,
+    refine: int = 0,
 ) -> Path:
     """Identify the anchored patches and write the run folder; collective on `comm`. Returns the folder.
 
-    Everything is validated before the folder is touched. A run that was interrupted goes on where it was.
+    Everything is validated before the folder is touched. A run that was interrupted goes on where it was. `refine` is how
+    many times patches that leave a doubt are halved (see `bcid.search.refine`).
 
     Raises:
         BcidError: see `bcid.search.identify.identify`, `Scene.read`, `Measurement.read` and `Run.start`.
@@ -45,12 +49,15 @@ def run_identification(
     scene = on_root(comm, lambda: Scene.read(scene_file, physics=check_physics))
     measurement = on_root(comm, lambda: Measurement.read(measurement_file))
     measurement.check(scene)
+    scene = divided(scene, comm)
     options.check(scene)
-    check_geometry(scene, options.coarsest, comm)
+    check_rounds(scene, refine)
+    check_geometry(scene, first_level(scene, options.coarsest, options.last(scene), comm)[0], comm)
     inputs = {
         "scene": fingerprint({"scene": _content(scene), "geometry": file_fingerprint(scene.geometry)}),
         "measurement": measurement.fingerprint(),
         "options": asdict(options),
+        "refine": refine,
     }
     names = {"scene": str(scene_file), "measurement": str(measurement_file)}
     run: Run | None = None
@@ -65,9 +72,9 @@ def run_identification(
         progress.say(f"going on with an interrupted run: {len(known)} evaluations are there already")
     try:
         keep = _keeper(run, comm)
-        found = identify(scene, measurement, comm, options, progress=progress, known=known, keep=keep)
-        mesh = level_mesh(scene, scene.levels[found.levels[-1]], comm)
-        on_root(comm, lambda: _write(run, scene, measurement, found, mesh, names, comm.size))
+        done = identify_refined(scene, measurement, comm, options, refine, progress=progress, known=known, keep=keep)
+        mesh = level_mesh(done.scene, scene.levels[done.found.levels[-1]], comm)
+        on_root(comm, lambda: _write(run, measurement, done, mesh, names, comm.size))
     except BaseException as error:
         if comm.rank == 0 and run is not None:
             run.fail(str(error) if isinstance(error, BcidError) else type(error).__name__)
@@ -91,24 +98,24 @@ def _keeper(run: Run | None, comm: Any) -> Callable[[list[Outcome]], None]:
 
 def _write(
     run: Run | None,
-    scene: Scene,
     measurement: Measurement,
-    found: Identification,
+    done: Refinement,
     mesh: BodyMesh,
     names: dict[str, str],
     ranks: int,
 ) -> None:
     assert run is not None
     length = unit_factor(measurement.units.length, "m")
-    result = found.to_json(length) | {"length_unit": measurement.units.length}
+    scene, found = done.scene, done.found
+    result = done.to_json(length) | {"length_unit": measurement.units.length}
     run.write_json("identification.json", result)
     run.write_dataset("prediction.nc", prediction_dataset(scene, measurement, found))
     run.write_dataset("body.nc", body_dataset(scene, mesh, found))
-    run.write_text("summary.txt", summary(scene, measurement, found))
+    run.write_text("summary.txt", summary(scene, measurement, found, done.log))
     run.record |= {"names": names, "ranks": ranks, "random_state": run.record["inputs"]["options"]["random_state"]}
     run.record |= {
         "evaluations": result["evaluations"],
-        "search_seconds": round(found.seconds, 3),
+        "search_seconds": round(done.seconds, 3),
         "mesh": mesh.fingerprint(),
     }
     run.finish({key: result[key] for key in ("anchored", "probability", "rms", "noise_rms", "certified")})
@@ -153,8 +160,8 @@ def _rows_in(rows: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     return np.array([tuple(row) in keys for row in np.sort(rows, axis=1)], dtype=bool)
 
 
-def summary(scene: Scene, measurement: Measurement, found: Identification) -> str:
-    """The result in plain sentences."""
+def summary(scene: Scene, measurement: Measurement, found: Identification, rounds: Sequence[str] = ()) -> str:
+    """The result in plain sentences; `rounds` says how the patches were refined."""
     length = measurement.units.length
     unit = unit_factor(length, "m")
     names = label(found.anchored, scene.patches)
@@ -198,6 +205,8 @@ def summary(scene: Scene, measurement: Measurement, found: Identification) -> st
         lines.append(
             f"  For {len(found.failures)} set(s) the model found no acceptable equilibrium: {'; '.join(list(found.failures)[:6])}."
         )
+    if rounds:
+        lines += ["", "How the patches were refined, before the search above:", *(f"  {text}" for text in rounds)]
     return "\n".join(lines) + "\n"
 
 

@@ -6,6 +6,7 @@ Every rank computes the answer for itself on COMM_SELF, and then with the others
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -25,12 +26,16 @@ from bcid.forms.forward import Forward, Prediction
 from bcid.forms.loads import nodal_weights
 from bcid.forms.mesh import level_mesh
 from bcid.forms.model import Dose, Held, Model, check_physics
+from bcid.forms.patches import halves
 from bcid.forms.simulate import simulate
 from bcid.forms.solve import Settings, Status
 from bcid.forms.trajectory import follow
 from bcid.motions import about_x, motion
 from bcid.scene import Level, Region, Scene
+from bcid.search.farm import Farm
 from bcid.search.identify import Options, identify
+from bcid.search.refine import identify_refined
+from bcid.search.schedule import counter, share
 
 pytestmark = pytest.mark.parallel
 
@@ -167,6 +172,60 @@ def test_candidates_spread_over_ranks_give_the_same_ranking(slab: Scene, measure
     assert same_everywhere(together.anchored)
     assert same_everywhere(together.rms)
     assert together.evaluations == pytest.approx(alone.evaluations)
+
+
+def test_refined_patches_are_the_same_on_every_number_of_ranks(slab: Scene) -> None:
+    """Patch 7 is anchored where x < 25 mm; two patches and a short pull keep it quick."""
+    scene = replace(slab, patches={name: slab.patches[name] for name in "37"})
+    path = motion("pull", "II")[0]
+    pull = [
+        replace(
+            path,
+            frames=path.frames[:4],
+            steps=path.steps[:4],
+            translation=2 * path.translation[:4],
+            rotation=path.rotation[:4],
+        )
+    ]
+    truth = halves(scene, "7", WORLD)
+    made = simulate(truth, {"7.1"}, pull, level=1, noise=0.0003, random_state=1, comm=WORLD)
+    measurement = WORLD.bcast(made, root=0)
+    options = Options(seeds=4, coarsest=1, finest=1)
+    alone, together = (identify_refined(scene, measurement, comm, options, 1) for comm in (MPI.COMM_SELF, WORLD))
+    assert together.found.anchored == alone.found.anchored == ("7.1",)
+    assert together.refined == alone.refined == {"7": ("7.1", "7.2")}
+    assert together.log == alone.log
+    assert together.scene.patches == alone.scene.patches
+    assert together.found.probability == pytest.approx(alone.found.probability, rel=1e-6)
+    assert together.evaluations == pytest.approx(alone.evaluations)
+    assert same_everywhere(together.found.rms)
+    assert same_everywhere(together.log)
+
+
+def test_teams_share_a_mesh_and_the_candidates(slab: Scene, measured: Any) -> None:
+    """A mesh above the limit goes to teams: all ranks together here, so that each sees every candidate."""
+    measurement = WORLD.bcast(measured, root=0)
+    found = []
+    for comm, per_rank in ((MPI.COMM_SELF, 10**9), (WORLD, 1)):
+        farm = Farm(slab, measurement, comm, settings=EXACT, per_rank=per_rank)
+        assert farm.forward(0).comm.size == (1 if comm is MPI.COMM_SELF else WORLD.size)
+        outcomes = farm.evaluate(0, dict.fromkeys([frozenset("34"), frozenset("1"), frozenset()], math.inf))
+        found.append([(o.status, o.chi2, o.share) for o in outcomes.values()])
+        farm.predict(0, frozenset("34"))
+        farm.destroy()
+    alone, together = found
+    assert [o[0] for o in together] == [o[0] for o in alone]
+    assert [o[1] for o in together] == pytest.approx([o[1] for o in alone], rel=1e-6)
+    assert same_everywhere(together)
+
+
+def test_every_task_is_taken_once() -> None:
+    for _ in range(3):
+        tickets = counter(WORLD)
+        mine = list(share(range(200), tickets))
+        tickets.close()
+        taken = [task for tasks in WORLD.allgather(mine) for task in tasks]
+        assert sorted(taken) == list(range(200))
 
 
 def test_errors_are_raised_on_every_rank(slab: Scene, tmp_path_factory: pytest.TempPathFactory) -> None:

@@ -43,6 +43,7 @@ def test_help_names_every_command(tmp_path: Path) -> None:
         (["identify", SLAB, SEEN, "-o", "run", "--finest", "9"], ["finest level 9", "levels 0 to 3"]),
         (["identify", SLAB, SEEN, "-o", "run", "--seeds", "0"], ["seeds = 0"]),
         (["identify", SLAB, SEEN, "-o", "run", "--start", "x"], ["maxima, threshold"]),
+        (["identify", SLAB, SEEN, "-o", "run", "--refine", "-1"], ["refine = -1", "at least 0"]),
         (["simulate", SLAB, "--motion", "dance", "-o", "made"], ["dance", "semicircle"]),
         (
             ["simulate", SLAB, "--motion", "pull", "--anchors", "1,9", "--level", "0", "-o", "made"],

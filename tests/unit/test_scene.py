@@ -52,6 +52,14 @@ def test_everything_is_si(tmp_path: Path) -> None:
     assert Model.of(scene).values == {"young": 15e3, "poisson": 0.35}
 
 
+def test_divided_patches_wait_for_a_mesh(tmp_path: Path) -> None:
+    table = '{ on = ["patch_1", "patch_2"], box = ["0 0 0 mm", "9 9 9 mm"], divide = "2 cm" }'
+    scene = Scene.read(write(tmp_path, GOOD.replace('"1" = "patch_1"', f'"1" = {table}\n"1a" = "patch_3"')))
+    assert scene.divide == {"1": pytest.approx(0.02)}
+    assert scene.patches["1"].groups == ("patch_1", "patch_2")
+    assert scene.patches["1"].box == Box((0.0, 0.0, 0.0), pytest.approx((0.009, 0.009, 0.009)))  # type: ignore[arg-type]
+
+
 def test_shipped_scenes_are_valid() -> None:
     for path in sorted((ROOT / "examples/scenes").glob("*.toml")):
         scene = Scene.read(path, physics=check_physics)
@@ -92,6 +100,28 @@ def test_shipped_scenes_are_valid() -> None:
         ('"1" = "patch_1"', '"a b" = "patch_1"', "must have 1 to 64 characters"),
         ('"50 10 100.1 mm"', '"50 10 mm"', "has 2 number"),
         ('"50 10 100.1 mm"', '"-50 10 100.1 mm"', "first corner must not exceed"),
+        (
+            '"1" = "patch_1"',
+            '"1" = { devide = "5 mm", on = "patch_1" }',
+            "patches.1.devide: unknown key; did you mean 'divide'",
+        ),
+        ('"1" = "patch_1"', '"1" = { divide = "5 mm" }', "scene.toml:17: patches.1: expected a physical group"),
+        ('"1" = "patch_1"', '"1" = { on = 5, divide = "5 mm" }', "patches.1.on: expected names of physical groups"),
+        ('"1" = "patch_1"', '"1" = { on = "patch_1", divide = 5 }', "scene.toml:17: patches.1.divide: 5 has no unit"),
+        ('"1" = "patch_1"', '"1" = { on = "patch_1", divide = "0 mm" }', "patches.1.divide: '0 mm' must be positive"),
+        ('"1" = "patch_1"', '"1" = { on = "patch_1", divide = "-5 mm" }', "divide: '-5 mm' must be positive"),
+        ('"1" = "patch_1"', '"1" = { on = "patch_1", divide = "5 kg" }', "divide: unit 'kg' cannot be used"),
+        (
+            '"1" = "patch_1"',
+            '"1" = { on = "patch_1", divide = "5 mm" }\n"1.3" = "patch_3"',
+            "scene.toml:17: patches.1: patch '1.3' has the name of a piece of it",
+        ),
+        (
+            '"1" = "patch_1"',
+            '"1" = { on = { box = 3 }, divide = "5 mm" }',
+            "patches.1.on: expected names of physical groups",
+        ),
+        ('centre = "90 5 50 mm"', 'centre = "90 5 50 mm", divide = "5 mm"', "grasps.II.divide: unknown key"),
         ('centre = "90 5 50 mm"', 'center = "90 5 50 mm"', "grasps.II: expected on"),
         ('"1" = "15 10 12.5 mm"', '"1" = [15, 10, 12.5]', "fiducials.1: .* has no unit"),
         ('[fiducials]\n"1" = "15 10 12.5 mm"', "", "fiducials: none is defined"),

@@ -222,6 +222,14 @@ def test_the_search_finds_and_counts() -> None:
     assert found.evaluations == farm.evaluations()
 
 
+def test_given_sets_are_climbed_from_instead_of_random_ones() -> None:
+    farm = Landscape(distance)
+    found = _Search(farm, Options(certify="no"), Silent(), [TRUE, frozenset("2")]).run()  # type: ignore[arg-type]
+    assert found.anchored == ("2", "5")
+    assert found.stages[0].startswith("level 0: 2 climbs ended on 1 maxima")
+    assert len(farm.outcomes) == 12, "the two sets, the neighbours of each, one of them shared"
+
+
 def test_patience_ends_a_stage() -> None:
     """The hill has one top: every group of four seeds after the first finds nothing better."""
     rules = Termination(fit=0.0, patience=8)

@@ -87,6 +87,7 @@ def same(found: Identification, farm: Farm, everything: Any) -> None:
             assert outcome.chi2 == pytest.approx(chi2[candidate], rel=1e-6)
         else:
             assert chi2[candidate] > chi2[best]
+            assert outcome.chi2 > chi2[best], "what it is said to miss by at least is more than the winner misses by"
             assert probability[candidate] < 1e-6
     assert found.looked_at["stopped"] >= 3
 
