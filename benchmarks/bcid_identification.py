@@ -15,6 +15,7 @@ from mpi4py import MPI
 
 import bcid
 from bcid import identify
+from bcid.search import farm
 from bcid.search.identify import Options
 from benchmarks.slab import encoded, measurement, scene
 
@@ -28,7 +29,10 @@ def main() -> None:
     slab, seen = scene(), measurement(name)
     comm.barrier()
     clock.start()
-    found = identify(slab, seen, comm, options)
+    # Every batch whole, for the replay: of what is kept in between nothing is needed.
+    farm._BATCH = 10**6
+    batches: list[list[float]] = []
+    found = identify(slab, seen, comm, options, keep=lambda outcomes: batches.append([o.seconds for o in outcomes]))
     comm.barrier()
     clock.stop()
     processor = comm.allgather(clock.record["cpu_s"])
@@ -38,6 +42,7 @@ def main() -> None:
     record = clock.record | {"cpu_s": sum(processor), "rss_mb": max(resident), "ranks": comm.size}
     record |= {"answer": encoded(found.anchored), "certified": found.certified, "probability": found.probability}
     record |= {"evaluations": {str(k): v for k, v in found.evaluations.items()}, "finest": found.levels[-1]}
+    record["batches"] = batches
     print(json.dumps(record), flush=True)
 
 

@@ -5,8 +5,11 @@ from __future__ import annotations
 import os
 from typing import Any
 
+import numpy as np
+
+from bcid.search.schedule import replay
 from benchmarks.measure import Record, Session, alternate
-from benchmarks.plots import mesh_growth, rank_growth, slope
+from benchmarks.plots import mesh_growth, patch_growth, rank_growth, replay_growth, slope
 from benchmarks.slab import MEASUREMENTS
 from benchmarks.table import Goal, Part, Table, number
 
@@ -15,7 +18,15 @@ SIZES = ((12, 1, 4), (20, 2, 4), (32, 3, 4), (50, 5, 4), (80, 8, 3), (148, 14, 2
 QUICK_SIZES = SIZES[:3]
 RANKS = (1, 2)
 REPEATS = 2
+EFFICIENT = 0.85
+REPLAYED = (1, 2, 16, 64, 256, 1024)
+# Sets of 12 patches, and what taking one from the counter is charged with, s.
+MANY, LATENCY = 4096, 20e-6
+# Halvings of the slab's eight patches, and elements (mm) with which every piece has facets.
+HALVINGS, PIECES = (0, 1, 2, 3), 7.2
+QUICK_HALVINGS, QUICK_PIECES = (0, 1), 20.0
 MIB = 2.0**20
+REPLAY_COLUMNS = ("work", "ranks", "s", "speed-up", "efficiency")
 FITTED = {
     "cpu_step_s": "step",
     "factor_s": "factorisation",
@@ -29,9 +40,8 @@ def run(session: Session) -> Part:
     """Measure every kind of growth there is."""
     part = Part("growth", "how the cost grows, and how far the limit is")
     by_mesh(session, part)
+    by_patches(session, part)
     by_ranks(session, part)
-    # Growth with the number of patches, and the replay of an identification to 1024 ranks, have their place here: each a
-    # function like the two above that adds its table, goals, data and plot to the part.
     return part
 
 
@@ -137,6 +147,42 @@ def _exponents(found: list[Record]) -> Table:
     return Table("exponents of the unknowns, direct solver, all sizes", ("what", "exponent"), rows)
 
 
+# -- patches
+# ---------------------------------------------------------------------------------------------------------------
+
+
+def by_patches(session: Session, part: Part) -> None:
+    """A climb with more and more patches on one mesh, on two ranks."""
+    size = QUICK_PIECES if session.quick else PIECES
+    found = []
+    for halvings in QUICK_HALVINGS if session.quick else HALVINGS:
+        session.progress.say(f"growth, patches: {8 * 2**halvings}")
+        found.append(session.run("bcid_patches", halvings, size, ranks=2))
+    rows = []
+    for r in found:
+        values = [r["sets"], r["trajectories"], r["wall_s"], r["cpu_s"] / r["trajectories"], r["rms_mm"]]
+        rows.append([str(r["patches"]), *map(number, values), str(r["wrong"])])
+    columns = (
+        "patches",
+        "sets looked at",
+        "trajectories",
+        "wall s",
+        "CPU s per trajectory",
+        "residual mm",
+        "wrong pieces",
+    )
+    part.tables.append(Table(f"patches: a climb from one seed, linear elements of {size:g} mm, 2 ranks", columns, rows))
+    patches = [r["patches"] for r in found]
+    exponents = {
+        words: slope(patches, [r[key] for r in found])[0]
+        for words, key in (("sets looked at", "sets"), ("trajectories", "trajectories"), ("CPU seconds", "cpu_s"))
+    }
+    rows = [[words, number(value)] for words, value in exponents.items()]
+    part.tables.append(Table("exponents of the number of patches", ("what", "exponent"), rows))
+    part.data["patches"] = {"found": found, "exponents": exponents}
+    patch_growth(session.folder / "growth-patches.png", found, part, size=(4.6, 3.6))
+
+
 # -- ranks
 # -----------------------------------------------------------------------------------------------------------------
 
@@ -168,9 +214,36 @@ def by_ranks(session: Session, part: Part) -> None:
     same = len({(r["answer"], r["probability"]) for r in found.values()}) == 1
     part.goals.append(Goal("the same answer and probability on every number of ranks (1 = yes)", 1, float(same)))
     part.notes.append(f"this process may use {len(os.sched_getaffinity(0))} core(s)")
+    efficiency = found[str(RANKS[-1])]["efficiency_wall"]
+    part.goals.append(Goal("efficiency of two ranks (wall)", EFFICIENT, efficiency))
+    _replay(session, part, one["batches"])
     rank_growth(
         session.folder / "growth-ranks.png",
         {int(n): r["cpu_s"] / int(n) for n, r in found.items()},
         part,
         size=(4.2, 3.4),
     )
+
+
+def _replay(session: Session, part: Part, batches: list[list[float]]) -> None:
+    """The measured durations dealt out to more ranks by the code that deals them out; each batch ends with a barrier."""
+    longest = max(batches, key=len)
+    drawn = np.random.default_rng(0).choice(longest, size=MANY).tolist()
+    jobs = {"identification, 8 patches": batches, "all sets of 12 patches": [drawn]}
+    curves: dict[str, dict[int, float]] = {}
+    rows = []
+    for name, work in jobs.items():
+        curves[name] = {}
+        for ranks in REPLAYED:
+            runs = [replay(batch, ranks, LATENCY) for batch in work]
+            took, busy = (sum(values) for values in zip(*runs, strict=True))
+            curves[name][ranks] = busy / (ranks * took)
+            rows.append([name, str(ranks), number(took), number(busy / took), number(curves[name][ranks])])
+    tasks = [len(batch) for batch in batches]
+    part.data["replay"] = {"efficiency": curves, "batches": tasks, "latency_s": LATENCY}
+    part.tables.append(Table("replay: measured durations, dealt out to more ranks", REPLAY_COLUMNS, rows))
+    part.notes.append(
+        f"replay: the identification has {len(tasks)} batches of {min(tasks)} to {max(tasks)} sets, and each waits for its "
+        f"longest; the {MANY} durations of 12 patches are drawn from those of its largest batch"
+    )
+    replay_growth(session.folder / "growth-replay.png", curves, EFFICIENT, part, size=(4.6, 3.6))

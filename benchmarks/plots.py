@@ -128,3 +128,45 @@ def rank_growth(figure: Any, seconds: Mapping[int, float]) -> None:
     ax.set_xlabel("ranks")
     ax.set_ylabel("CPU seconds of each rank")
     ax.legend(frameon=False, fontsize=8)
+
+
+@drawing
+def patch_growth(figure: Any, found: Sequence[Mapping[str, Any]]) -> None:
+    """Sets looked at, trajectories and CPU seconds over the number of patches, with fitted exponents."""
+    ax = figure.subplots()
+    patches = [r["patches"] for r in found]
+    for key, words, colour in (("sets", "sets", GREY), ("trajectories", "trajectories", BLUE), ("cpu_s", "CPU s", RED)):
+        values = [r[key] for r in found]
+        exponent, factor = slope(patches, values)
+        ax.plot(patches, values, "o", color=colour, ms=5)
+        ax.plot(
+            patches,
+            [factor * n**exponent for n in patches],
+            color=colour,
+            lw=1,
+            label=f"{words}, n$^{{{exponent:.2f}}}$",
+        )
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    ax.set_xticks(patches, [str(n) for n in patches])
+    ax.minorticks_off()
+    ax.set_xlabel("patches n")
+    ax.grid(alpha=0.25, lw=0.5)
+    ax.legend(frameon=False, fontsize=8)
+
+
+@drawing
+def replay_growth(figure: Any, curves: Mapping[str, Mapping[int, float]], wanted: float) -> None:
+    """Efficiency over the number of ranks."""
+    ax = figure.subplots()
+    for (name, curve), colour in zip(curves.items(), (BLUE, GREEN), strict=False):
+        ax.plot(list(curve), list(curve.values()), "o-", color=colour, ms=4, lw=1, label=name)
+        ranks = list(curve)
+    ax.axhline(wanted, color=ORANGE, ls="--", lw=1, label=f"{wanted:g}")
+    ax.set_xscale("log", base=2)
+    ax.set_xticks(ranks, [str(n) for n in ranks])
+    ax.set_ylim(0.0, 1.05)
+    ax.set_xlabel("ranks")
+    ax.set_ylabel("efficiency")
+    ax.grid(alpha=0.25, lw=0.5)
+    ax.legend(frameon=False, fontsize=8, loc="lower left")

@@ -133,7 +133,7 @@ class Landscape:
         self.patches = PATCHES
         self.truth = {candidate: float(rng.uniform(1, 1000)) for candidate in all_candidates(PATCHES)}
         self.outcomes: dict[tuple[int, Candidate], Outcome] = {}
-        self.misfit = SimpleNamespace()
+        self.misfit = SimpleNamespace(noise=1.0, values=100, curves=10)
 
     def evaluate(self, level: int, bounds: Mapping[Candidate, float]) -> dict[Candidate, Outcome]:
         for candidate, bound in bounds.items():

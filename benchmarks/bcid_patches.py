@@ -1,0 +1,51 @@
+"""bcid with the slab's eight patches halved HALVINGS times: ``mpirun -n 2 python -m benchmarks.bcid_patches HALVINGS SIZE_MM``.
+
+Climbs on one level of linear elements, from one random seed; the true set is all pieces of patches 1 and 2.
+"""
+
+from __future__ import annotations
+
+from benchmarks.peers.common import Clock, memory
+
+# isort: split
+import json
+import sys
+
+from mpi4py import MPI
+
+import bcid
+from bcid import identify
+from bcid.forms.patches import halves
+from bcid.search.identify import Options
+from benchmarks.slab import encoded, measurement, with_level
+
+SEEDS = 1
+
+
+def main() -> None:
+    """One identification."""
+    halvings, size = int(sys.argv[1]), float(sys.argv[2])
+    comm = MPI.COMM_WORLD
+    clock = Clock("bcid", f"bcid {bcid.__version__}")
+    scene = with_level(size, 1)
+    for _ in range(halvings):
+        scene = halves(scene, list(scene.patches), comm)
+    seen = measurement("slab-12-semicircle")
+    comm.barrier()
+    clock.start()
+    found = identify(scene, seen, comm, Options(seeds=SEEDS, certify="no"))
+    comm.barrier()
+    clock.stop()
+    processor = comm.allgather(clock.record["cpu_s"])
+    if comm.rank > 0:
+        return
+    record = clock.record | {"cpu_s": sum(processor), "rss_mb": memory(), "ranks": comm.size}
+    truth = {name for name in scene.patches if name.split(".")[0] in ("1", "2")}
+    record |= {"patches": len(scene.patches), "answer": encoded(found.anchored), "rms_mm": found.rms * 1e3}
+    record |= {"wrong": len(truth ^ set(found.anchored)), "trajectories": sum(found.evaluations.values())}
+    record |= {"sets": sum(found.looked_at[what] for what in ("in full", "stopped", "failed"))}
+    print(json.dumps(record), flush=True)
+
+
+if __name__ == "__main__":
+    main()
