@@ -171,7 +171,13 @@ def by_patches(session: Session, part: Part) -> None:
         "residual mm",
         "wrong pieces",
     )
-    part.tables.append(Table(f"patches: a climb from one seed, linear elements of {size:g} mm, 2 ranks", columns, rows))
+    part.tables.append(
+        Table(
+            f"patches: one climb, from the answer for half as many; linear elements of {size:g} mm, 2 ranks",
+            columns,
+            rows,
+        )
+    )
     patches = [r["patches"] for r in found]
     exponents = {
         words: slope(patches, [r[key] for r in found])[0]
