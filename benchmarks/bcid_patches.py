@@ -1,7 +1,7 @@
 """bcid with the slab's eight patches halved HALVINGS times: ``mpirun -n 2 python -m benchmarks.bcid_patches HALVINGS SIZE_MM``.
 
-Climbs on one level of linear elements: with the eight patches from one random seed, with halves from the answer for the wholes. The last
-climb is timed; the true set is all pieces of patches 1 and 2.
+Climbs on one level of linear elements: with the eight patches from one random seed, with halves from the answer for the
+wholes. The last climb is timed; the true set is all pieces of patches 1 and 2.
 """
 
 from __future__ import annotations
