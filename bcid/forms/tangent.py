@@ -30,12 +30,10 @@ class Tangent:
 
     Attributes:
         matrix: the constrained matrix.
-        count: assemblies so far.
     """
 
     def __init__(self, form: Any, symmetric: bool, shared: bool) -> None:
         self.form = form
-        self.count = 0
         self._full: Any = None
         self._remembered: dict[Hashable, Array] = {}
         if shared:
@@ -78,7 +76,6 @@ class Tangent:
     def assemble(self, key: Hashable = None) -> None:
         """The matrix at the present state; collective. With a `key`, a matrix remembered under it is taken instead."""
         if self._full is None:
-            self.count += 1
             self.matrix.zeroEntries()
             fp.assemble_matrix(self.matrix, self.form, self._conditions)
             self.matrix.assemble()
@@ -87,7 +84,6 @@ class Tangent:
         if remembered is not None:
             self._full.data[:] = remembered
         else:
-            self.count += 1
             self._full.data[:] = 0.0
             fem.assemble_matrix(self._full, self.form)
             if key is not None:

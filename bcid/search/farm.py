@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from bcid.collective import agree
 from bcid.errors import BcidError, InputError
-from bcid.forms.forward import Forward, Prediction
+from bcid.forms.forward import Forward, Prediction, Watch
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
 from bcid.forms.solve import Settings, Status
@@ -285,19 +285,16 @@ class Farm:
             sums[:, frame] = self.misfit.frame(frame, predicted)
             return bool(sums[0].sum() <= limit)
 
-        # Most rivals lose by far, which a rough solution tells; for what is left it is where the accurate one starts from.
-        known, share = None, 0.0
-        for reserve, rtol in ((_RESERVE, _ROUGH), (1.0, None)):
-            sums[:], limit = rest, reserve * bound
-            prediction = forward.predict(candidate, self.actions, watch, keep=True, rtol=rtol, known=known)
-            known = prediction.states
+        limit, share = _RESERVE * bound, 0.0
+        for prediction in self._passes(forward, candidate, watch):
             reached = np.asarray(np.isfinite(prediction.positions).all(axis=(1, 2)))
             share = max(share, float(reached[self._costly].mean()))
+            chi2, squares = (float(value) for value in np.where(reached, sums, rest).sum(axis=1))
             if prediction.stopped:
                 break
+            sums[:], limit = rest, bound
         failure = prediction.failure
         complete = bool(reached.all()) and not failure
-        chi2, squares = (float(value) for value in np.where(reached, sums, rest).sum(axis=1))
         if complete and chi2 < self._kept.get(forward.level, (math.inf,))[0]:
             self._kept[forward.level] = chi2, candidate, prediction
         outcome = Outcome(
@@ -321,15 +318,23 @@ class Farm:
         holders = [rank for rank, has in enumerate(self.comm.allgather(mine is not None)) if has]
         root = holders[0] if holders else 0
         if self.comm.rank // forward.comm.size == root // forward.comm.size:
-            mine = mine or self._predict(forward, candidate)
+            if mine is None:
+                *_, mine = self._passes(forward, candidate)
             mine = replace(forward.detail(candidate, self.actions, mine), states=None)
         result: Prediction = self.comm.bcast(mine, root=root)
         return result
 
-    def _predict(self, forward: Forward, candidate: Candidate) -> Prediction:
-        """As `_evaluate` predicts it, to the last bit: what was evaluated once may have to be predicted again."""
-        rough = forward.predict(candidate, self.actions, keep=True, rtol=_ROUGH)
-        return forward.predict(candidate, self.actions, keep=True, known=rough.states)
+    def _passes(self, forward: Forward, candidate: Candidate, watch: Watch | None = None) -> Iterator[Prediction]:
+        """The prediction of a candidate, first rough, then accurate from there; collective on the team.
+
+        Most rivals lose by far, which the rough one tells. Whatever is predicted goes this way, so that what has to be
+        predicted again is the same to the last bit.
+        """
+        known = None
+        for rtol in (_ROUGH, None):
+            prediction = forward.predict(candidate, self.actions, watch, keep=True, rtol=rtol, known=known)
+            known = prediction.states
+            yield prediction
 
     def positions(self, level: int, candidate: Candidate) -> Array:
         """Predicted fiducial positions of one candidate, shape (frames, fiducials, 3), m; collective."""

@@ -37,7 +37,7 @@ def slab(project: Path) -> Scene:
     return replace(scene, patches={name: scene.patches[name] for name in PATCHES}, levels=scene.levels[1:2])
 
 
-@pytest.fixture(scope="module", params=[0.0003, 0.006], ids=["clear", "doubtful"])
+@pytest.fixture(scope="module", params=[0.0003, 0.020], ids=["clear", "doubtful"])
 def measurement(slab: Scene, request: pytest.FixtureRequest) -> Any:
     """With little noise one set is certain; with much, several keep a share of the belief."""
     return simulate(slab, {"3", "4"}, motion("complex", "II"), noise=request.param, random_state=2)
@@ -89,14 +89,15 @@ def same(found: Identification, farm: Farm, everything: Any) -> None:
             assert chi2[candidate] > chi2[best]
             assert outcome.chi2 > chi2[best], "what it is said to miss by at least is more than the winner misses by"
             assert probability[candidate] < 1e-6
-    assert found.looked_at["stopped"] >= 3
+    # Where the belief is shared no set loses before its end.
+    assert found.looked_at["stopped"] >= 3 or found.probability < 0.99
 
 
 def test_the_search_answers_as_if_everything_had_been_computed(slab: Scene, measurement: Any, everything: Any) -> None:
     found, farm = searched(slab, measurement)
     same(found, farm, everything)
-    if found.probability < 1 - 1e-6:
-        assert sorted(everything[1].values())[-2] > 1e-3, "the belief is shared, or the comparison says little"
+    doubtful = measurement.noise_sigma > 0.001
+    assert (sorted(everything[1].values())[-2] > 1e-3) == doubtful, "a belief that is not shared compares little"
     farm.destroy()
 
 
