@@ -38,6 +38,12 @@ def create_vector(form: Any) -> Any:
     return petsc.create_vector(extract(form))
 
 
+def interpolation_points(space: Any) -> NDArray[np.float64]:
+    """Reference points at which a function is evaluated to interpolate it into `space`."""
+    points = space.element.interpolation_points
+    return np.asarray(points() if callable(points) else points)
+
+
 def snes_not_finite() -> int:
     """PETSc's reason for a residual that is not a number; its name changed in PETSc 3.25."""
     from petsc4py import PETSc

@@ -51,6 +51,7 @@ class Action:
         translation: of the gripper from its rest pose, shape (steps, 3), m.
         rotation: unit quaternions (w, x, y, z) about the rest centre of the grasp, shape (steps, 4).
         loads: known dead loads by place, each of shape (steps, 3), N.
+        times: of the steps, shape (steps,), s; None for one second per step.
     """
 
     name: str
@@ -60,9 +61,15 @@ class Action:
     translation: Array
     rotation: Array
     loads: dict[str, Array] = field(default_factory=dict)
+    times: Array | None = None
 
     def __len__(self) -> int:
         return len(self.frames)
+
+    @property
+    def clock(self) -> Array:
+        """Times of the steps, s."""
+        return self.steps.astype(float) if self.times is None else self.times
 
 
 @dataclass(frozen=True)
@@ -221,6 +228,7 @@ class Measurement:
             np.asarray(rows["translation"].values, dtype=float),
             np.asarray(rows["rotation"].values, dtype=float),
             loads,
+            np.asarray(rows["time"].values, dtype=float),
         )
 
     def sigma(self, default: float | None = None) -> Array | None:

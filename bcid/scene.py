@@ -22,7 +22,7 @@ from bcid.units import quantities, quantity, unit_factor
 FORMAT = "bcid-scene/1"
 DEGREES = (1, 2)
 FORMULATIONS = ("displacement", "mixed")
-_VALUES = ("format", "name", "description", "down", "noise_sigma", "attach_within")
+_VALUES = ("format", "name", "description", "down", "support", "noise_sigma", "attach_within")
 _TABLES = ("geometry", "levels", "material", "patches", "grasps", "fiducials", "places", "effects")
 _NAME = re.compile(r"^[^\s,;\"'\\/\x00-\x1f\x7f]{1,64}$")
 
@@ -103,6 +103,7 @@ class Scene:
         fiducials: stress-free positions by name.
         places: other named parts of the boundary, for known loads and supports.
         down: unit vector of gravity.
+        support: name of the place on which the body lies, "" if it lies on none.
         noise_sigma: per-axis standard deviation of a fiducial when the measurement does not state one.
         attach_within: a fiducial further from the body than this is refused; None means 5 % of the body's size.
         effects: effects that are already part of the model, with their parameters as written.
@@ -119,6 +120,7 @@ class Scene:
     places: dict[str, Region] = field(default_factory=dict)
     divide: dict[str, float] = field(default_factory=dict)
     down: tuple[float, float, float] = (0.0, -1.0, 0.0)
+    support: str = ""
     noise_sigma: float | None = None
     attach_within: float | None = None
     effects: dict[str, Values] = field(default_factory=dict)
@@ -271,6 +273,9 @@ class _Reader:
             self.bad("patches", "none is defined: name at least one candidate patch")
         if not fiducials:
             self.bad("fiducials", 'none is defined: write name = "x y z mm" for each marker')
+        support = self.text(table, "support", "")
+        if support and support not in places:
+            self.bad("support", f"place '{support}' is not defined; {nearest(support, places)}")
         return Scene(
             name=self.text(table, "name", self.path.stem),
             geometry=geometry,
@@ -283,6 +288,7 @@ class _Reader:
             places={name: self.region(value, f"places.{name}") for name, value in places.items()},
             divide=self.divide(patches),
             down=self.direction(table.get("down", [0, -1, 0]), "down"),
+            support=support,
             noise_sigma=optional.get("noise_sigma"),
             attach_within=optional.get("attach_within"),
             effects={name: self.effect(value, name) for name, value in self.table(table, "effects").items()},

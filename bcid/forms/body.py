@@ -136,17 +136,25 @@ class Body:
         return fem.dirichletbc(held, pairs, part)
 
     def facet_measure(self, regions: Sequence[Region], names: Sequence[str]) -> Any:
-        """A surface measure in which ``measure(i + 1)`` is region i; facets inside the body are left out."""
+        """A surface measure in which ``measure(i + 1)`` is region i; regions may overlap, facets inside are left out."""
         import ufl
 
         found = [self.local_entities(self.mesh.select(r, n)) for r, n in zip(regions, names, strict=True)]
         outer = dmesh.exterior_facet_indices(self.domain.topology)
-        found = [np.intersect1d(facets, outer) for facets in found]
-        values = np.concatenate(
-            [np.full(len(f), i + 1, dtype=np.int32) for i, f in enumerate(found)] or [np.zeros(0, np.int32)]
-        )
-        facets = np.concatenate(found or [np.zeros(0, np.int32)]).astype(np.int32)
-        facets, first = np.unique(facets, return_index=True)
-        tags = dmesh.meshtags(self.domain, 2, facets, values[first])
+        sides = [(i + 1, self._sides(np.intersect1d(facets, outer))) for i, facets in enumerate(found)]
         metadata = {"quadrature_degree": 2 * self.degree}
-        return ufl.Measure("ds", domain=self.domain, subdomain_data=tags, metadata=metadata)
+        return ufl.Measure("ds", domain=self.domain, subdomain_data=sides, metadata=metadata)
+
+    def _sides(self, facets: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Outer facets as DOLFINx integrates over them: cell and number of the facet in it, one pair after the other."""
+        topology = self.domain.topology
+        topology.create_connectivity(2, 3)
+        topology.create_connectivity(3, 2)
+        to_cell, to_facet = topology.connectivity(2, 3), topology.connectivity(3, 2)
+        owned = topology.index_map(3).size_local
+        pairs = []
+        for facet in facets:
+            cell = int(to_cell.links(facet)[0])
+            if cell < owned:
+                pairs.append((cell, int(np.flatnonzero(to_facet.links(cell) == facet)[0])))
+        return np.array(pairs, dtype=np.int32).ravel()

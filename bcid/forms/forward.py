@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.forms.body import Body
+from bcid.forms.effects.effect import Frame
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
 from bcid.forms.observe import Observer, attach
@@ -135,12 +136,14 @@ class Forward:
         equilibrium = self.equilibrium
         equilibrium.rtol = equilibrium.settings.rtol if rtol is None else rtol
         trajectories: list[Trajectory] = []
-        for action in actions:
+        for commanded in actions:
+            action = self.model.driven(commanded)
             equilibrium.hold(anchors, action.grasp)
 
             def seen(step: int, _pose: Pose, action: Action = action) -> bool | None:
                 frame = int(action.frames[step])
-                positions[frame] = self.observer.positions(equilibrium.displacement())
+                places = self.observer.positions(equilibrium.displacement())
+                positions[frame] = self.model.observed(places, self.frame(action, step))
                 if keep:
                     states[frame] = equilibrium.u.x.array.copy()
                 return None if watch is None else watch(frame, positions[frame])
@@ -162,7 +165,7 @@ class Forward:
             raise ValueError("detail: the states are needed; predict with keep=True")
         wrench = np.full((len(prediction.positions), 6), np.nan)
         displacement = np.full((len(prediction.positions), len(self.mesh.points), 3), np.nan)
-        for action in actions:
+        for action in map(self.model.driven, actions):
             self.equilibrium.hold(anchors, action.grasp)
             for pose, frame in zip(poses(action), action.frames, strict=True):
                 if int(frame) in states:
@@ -170,6 +173,18 @@ class Forward:
                     wrench[frame] = self.equilibrium.wrench(pose)
                     displacement[frame] = self.body.at_mesh_nodes(self.equilibrium.displacement())
         return replace(prediction, wrench=wrench, displacement=displacement)
+
+    def frame(self, action: Action, step: int) -> Frame:
+        """What an observation effect may know of a step of an action."""
+        names, time = tuple(self.scene.fiducial_names), float(action.clock[step])
+        return Frame(int(action.frames[step]), action.name, int(action.steps[step]), time, names, self.observer.rest)
+
+    def set_model(self, model: Model) -> None:
+        """Another model of the same parts, with other values; nothing is compiled."""
+        if model.name != self.model.name:
+            raise ValueError(f"set_model: {model.name} has other parts than {self.model.name}")
+        self.model = self.equilibrium.model = model
+        self.equilibrium.set_constants(model.constants())
 
     def destroy(self) -> None:
         """Free the PETSc objects; collective."""

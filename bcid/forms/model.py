@@ -11,11 +11,12 @@ from typing import Any
 
 import ufl
 
-from bcid.errors import InputError
+from bcid.errors import InputError, nearest
 from bcid.forms import effects, materials
-from bcid.forms.effects.effect import Effect, Point
+from bcid.forms.effects.effect import Array, Effect, Frame, Point
 from bcid.forms.materials.law import Law, Volumetric
 from bcid.forms.parameter import Parameter
+from bcid.measurement import Action
 from bcid.scene import Scene, Values
 from bcid.units import quantity
 
@@ -41,7 +42,7 @@ class Held:
 class Dose:
     """An effect with its parameter values (SI), as a part of a model.
 
-    `effect` is an `Effect` or the name of one of the catalogue.
+    `effect` is an `Effect` or the name of one of the catalogue; `place` is where it acts, for effects that have places.
 
     Raises:
         InputError: a value is missing, unknown or out of bounds.
@@ -50,8 +51,9 @@ class Dose:
     effect: Effect
     values: Mapping[str, float]
     label: str = ""
+    place: str = ""
 
-    def __init__(self, effect: Effect | str, values: Mapping[str, float], label: str = "") -> None:
+    def __init__(self, effect: Effect | str, values: Mapping[str, float], label: str = "", place: str = "") -> None:
         known = effects.effect(effect) if isinstance(effect, str) else effect
         problems = known.check(values)
         if problems:
@@ -59,7 +61,16 @@ class Dose:
         defaults = {p.name: p.default for p in known.parameters if p.default is not None}
         object.__setattr__(self, "effect", known)
         object.__setattr__(self, "values", defaults | dict(values))
-        object.__setattr__(self, "label", label or known.name)
+        object.__setattr__(self, "place", place)
+        object.__setattr__(self, "label", label or (f"{known.name}({place})" if place else known.name))
+
+    def with_values(self, values: Mapping[str, float]) -> Dose:
+        """The same effect at the same place with other values."""
+        return Dose(self.effect, {**self.values, **values}, self.label, self.place)
+
+    def full(self, name: str) -> str:
+        """Full name of one of its parameters, as in `Model.constants`."""
+        return f"{self.label}.{name}"
 
 
 def pressure(place: str, value: float) -> Dose:
@@ -156,17 +167,74 @@ class Model:
         """Every number of the model by its full name, as "young" or "gravity.weight"."""
         numbers = dict(self.law.complete(self.values))
         for dose in self.doses:
-            numbers |= {f"{dose.label}.{name}": value for name, value in dose.values.items()}
+            numbers |= {dose.full(name): value for name, value in dose.values.items()}
         return numbers
 
-    def neutral(self) -> dict[str, float]:
-        """The numbers of the effects at their neutral values (their own values where they have none)."""
+    def neutral(self, parameter: Parameter) -> float | None:
+        """Value at which a parameter of an effect has no influence in this model."""
+        return float(self.law.complete(self.values)[parameter.law]) if parameter.law else parameter.neutral
+
+    def acting(self, part: float, time: float) -> dict[str, float]:
+        """The numbers of the effects at a time (s), when only a part (0 to 1) of each acts.
+
+        A spring that replaces a rigid hold acts in full from the start: at rest it does nothing.
+        """
         result = {}
         for dose in self.doses:
+            envelope = dose.effect.envelope
+            share = part * (envelope(time, dose.values) if envelope else 1.0)
             for parameter in dose.effect.parameters:
-                own = dose.values[parameter.name]
-                result[f"{dose.label}.{parameter.name}"] = own if parameter.neutral is None else parameter.neutral
+                own, neutral = dose.values[parameter.name], self.neutral(parameter)
+                if neutral is not None and not parameter.reciprocal:
+                    own = neutral + share * (own - neutral)
+                result[dose.full(parameter.name)] = own
         return result
+
+    def with_values(self, numbers: Mapping[str, float]) -> Model:
+        """The model with other numbers by full name, as in `constants`.
+
+        Raises:
+            InputError: a value is out of bounds, or a name unknown.
+        """
+        known = self.constants()
+        for name in numbers:
+            if name not in known:
+                raise InputError(f"the model has no number '{name}'; {nearest(name, known)}")
+        law = {name: float(numbers.get(name, value)) for name, value in self.law.complete(self.values).items()}
+        doses = tuple(
+            dose.with_values({n: float(numbers[dose.full(n)]) for n in dose.values if dose.full(n) in numbers})
+            for dose in self.doses
+        )
+        return replace(self, values=law, doses=doses)
+
+    def without(self, label: str) -> Model:
+        """The model without one of its effects."""
+        return replace(self, doses=tuple(dose for dose in self.doses if dose.label != label))
+
+    def freed(self, anchors: Iterable[str]) -> frozenset[str]:
+        """The anchored patches that an effect holds instead of a rigid anchor."""
+        anchors = frozenset(anchors)
+        freeing = [dose.place for dose in self.doses if dose.effect.frees]
+        return frozenset(p for p in anchors if any(place in ("", p) for place in freeing))
+
+    def driven(self, action: Action) -> Action:
+        """What the gripper really did when an action was commanded."""
+        for dose in self.doses:
+            if dose.effect.drive:
+                action = dose.effect.drive(action, dose.values)
+        return action
+
+    def observed(self, positions: Array, frame: Frame) -> Array:
+        """Where the fiducials (fiducials, 3) appear in a frame when they are at given positions, m."""
+        for dose in self.doses:
+            if dose.effect.observe:
+                positions = dose.effect.observe(positions, dose.values, frame, dose.place)
+        return positions
+
+    @property
+    def remembers(self) -> bool:
+        """Whether an equilibrium depends on the ones before it."""
+        return any(dose.effect.memory or dose.effect.uses_past for dose in self.doses)
 
     @classmethod
     def of(cls, scene: Scene) -> Model:
@@ -214,10 +282,14 @@ def _dose(name: str, written: Values, problems: list[str]) -> Dose | None:
     except InputError as error:
         problems.append(f"effects.{name}: {error}")
         return None
-    values = _numbers(written, effect.parameters, f"effects.{name}", problems)
+    place = written.get("place", "") if effect.places else ""
+    numbers = {key: value for key, value in written.items() if not (effect.places and key == "place")}
+    values = _numbers(numbers, effect.parameters, f"effects.{name}", problems)
     found = effect.check(values)
+    if not isinstance(place, str):
+        found.append(f"{name}: place = {place!r}: expected the name of a place")
     problems += [f"effects.{problem}" for problem in found]
-    return None if found else Dose(effect, values)
+    return None if found else Dose(effect, values, place=place)
 
 
 def _numbers(written: Values, parameters: tuple[Parameter, ...], where: str, problems: list[str]) -> dict[str, Any]:

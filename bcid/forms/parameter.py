@@ -18,8 +18,15 @@ class Parameter:
         default: value used when none is given; None if the user must give one.
         lower, upper: bounds of the allowed range.
         open_lower, open_upper: whether the bound itself is excluded.
-        neutral: value at which the parameter has no influence, None if there is none.
+        neutral: value at which the parameter has no influence, None if there is none; infinite where only the reciprocal
+            can be without influence (the stiffness of a spring that replaces a rigid hold).
+        law: the neutral value is that of this constant of the material law (`neutral` then only stands for it).
+        typical: size of a notable change, in the unit: step of differences and scale of fits; for an infinite `neutral`
+            a value that is notable.
         prior: mean and standard deviation believed before any measurement, None if nothing is.
+        scan: values at which a place or direction is tried before a fit.
+        period: the parameter repeats itself with this period (an angle).
+        harmonics: highest harmonic in that period of what the effect does, if it is a trigonometric polynomial.
 
     Raises:
         ValueError: the bounds are reversed, or the default or neutral value lies outside them.
@@ -34,15 +41,25 @@ class Parameter:
     open_lower: bool = False
     open_upper: bool = False
     neutral: float | None = None
+    law: str = ""
+    typical: float = 1.0
     prior: tuple[float, float] | None = None
+    scan: tuple[float, ...] = ()
+    period: float | None = None
+    harmonics: int | None = None
 
     def __post_init__(self) -> None:
         if not self.lower < self.upper:
             raise ValueError(f"parameter {self.name}: lower bound {self.lower} is not below upper bound {self.upper}")
-        for value in (self.default, self.neutral):
+        for value in (self.default, None if self.reciprocal else self.neutral, *self.scan):
             problem = None if value is None else self.check(value)
             if problem is not None:
                 raise ValueError(f"default or neutral value: {problem}")
+
+    @property
+    def reciprocal(self) -> bool:
+        """Whether 1/value is what the effect is proportional to."""
+        return self.neutral is not None and math.isinf(self.neutral)
 
     @property
     def allowed(self) -> str:

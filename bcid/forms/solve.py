@@ -18,12 +18,11 @@ from petsc4py import PETSc
 from bcid import compat
 from bcid.errors import InputError, nearest
 from bcid.forms.body import Body
-from bcid.forms.effects.effect import Point
 from bcid.forms.factor import Factor, FactorShell
-from bcid.forms.kinematics import Kinematics
 from bcid.forms.model import Model
 from bcid.forms.secant import Secant
 from bcid.forms.tangent import Tangent
+from bcid.forms.terms import LONG, Terms
 from bcid.measurement import quaternion_rotate
 from bcid.scene import Region, Scene
 
@@ -100,12 +99,14 @@ class Pose:
         rotation: unit quaternion (w, x, y, z) about the rest centre of the grasp.
         loads: force on each loaded place, N.
         dose: fraction of the effects that acts, 0 to 1 (below 1 only while they are being applied).
+        time: s.
     """
 
     translation: Array = field(default_factory=lambda: np.zeros(3))
     rotation: Array = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
     loads: Mapping[str, Array] = field(default_factory=dict)
     dose: float = 1.0
+    time: float = 0.0
 
     def vector(self) -> Array:
         """All numbers in one row, the rotation scaled to about the size of a grasp (0.02 m)."""
@@ -151,65 +152,18 @@ class Equilibrium:
     # ---------------------------------------------------------------------------------------------------------------
 
     def _compile(self) -> None:
-        body, model = self.body, self.model
-        self._constants = {name: fem.Constant(body.domain, float(value)) for name, value in model.constants().items()}
-        # Body forces need more than the one point that is exact for the energy of linear elements.
-        dx = ufl.Measure("dx", domain=body.domain, metadata={"quadrature_degree": body.quadrature_degree})
-        dx_force = ufl.Measure("dx", domain=body.domain, metadata={"quadrature_degree": 2 * body.degree})
-        test = ufl.TestFunction(body.space)
-        if body.mixed:
-            u, p = ufl.split(self.u)
-            v = ufl.split(test)[0]
-        else:
-            u, v, p = self.u, test, None
-        kin = Kinematics.of(u)
-        constants = {name: self._constants[name] for name in model.law.complete(model.values)}
-        if p is None:
-            energy = model.law.psi(kin, constants, model.volumetric) * dx
-        else:
-            energy = model.law.psi_mixed(kin, p, constants, model.volumetric) * dx
-        down = ufl.as_vector(model.down)
-        point = Point(
-            u, v, kin, ufl.SpatialCoordinate(body.domain), ufl.FacetNormal(body.domain), down, self._surfaces()
-        )
-        works = []
-        for dose in model.doses:
-            c = {name: self._constants[f"{dose.label}.{name}"] for name in dose.values}
-            if dose.effect.energy:
-                energy += dose.effect.energy(point, c) * dx_force
-            if dose.effect.work:
-                works.append(dose.effect.work(point, c))
-        residual = (
-            ufl.derivative(energy, self.u, test) + sum(works[1:], works[0])
-            if works
-            else ufl.derivative(energy, self.u, test)
-        )
-        self.energy_form = fem.form(energy)
-        self.residual_form = fem.form(residual)
-        self.tangent_form = fem.form(ufl.derivative(residual, self.u))
-        self._jacobian = fem.Expression(kin.J, _sample_points(body.degree))
-
-    def _surfaces(self) -> Any:
-        """`surface(name)`: the measure of a place; a place is any patch, grasp or place of the scene."""
-        places = self.places
-        names = list(places)
-        measures: list[Any] = []
-
-        def surface(name: str) -> Any:
-            if name not in places:
-                raise InputError(f"place '{name}' is not in the scene; {nearest(name, names)}")
-            if not measures:
-                usable = [n for n in names if self.body.mesh.select(places[n], n).shape[1] == 3]
-                measures.extend([self.body.facet_measure([places[n] for n in usable], usable), usable])
-            return measures[0](measures[1].index(name) + 1)
-
-        return surface
+        body = self.body
+        self.terms = Terms(body, self.model, self.scene, self.u)
+        self._constants = self.terms.constants
+        self.energy_form = fem.form(self.terms.energy)
+        self.residual_form = fem.form(self.terms.residual)
+        self.tangent_form = fem.form(ufl.derivative(self.terms.residual, self.u))
+        self._jacobian = fem.Expression(self.terms.kin.J, _sample_points(body.degree))
 
     @property
     def places(self) -> dict[str, Region]:
         """Every named region of the scene."""
-        scene = self.scene
-        return {**{n: g.region for n, g in scene.grasps.items()}, **scene.patches, **scene.places}
+        return self.terms.places
 
     def set_constants(self, values: Mapping[str, float]) -> None:
         """Change numbers of the model by full name ("young", "gravity.weight"); nothing is recompiled."""
@@ -220,8 +174,14 @@ class Equilibrium:
     # --------------------------------------------------------------------------------------------------------
 
     def hold(self, anchors: Iterable[str], grasp: str = "") -> None:
-        """Fix these patches, let the gripper hold `grasp`, and go back to the undeformed state."""
-        scene, anchors = self.scene, sorted(set(anchors))
+        """Fix these patches, let the gripper hold `grasp`, and go back to the undeformed state.
+
+        Patches that an effect holds instead of a rigid anchor stay free.
+        """
+        freed = self.model.freed(anchors)
+        for name, constant in self.terms.anchored.items():
+            constant.value = float(name in freed)
+        scene, anchors = self.scene, sorted(set(anchors) - freed)
         regions: list[tuple[str, Region | None, int | None]] = [
             (f"patch {name}", scene.patches.get(name), None) for name in anchors
         ]
@@ -236,6 +196,7 @@ class Equilibrium:
         self._held_owned = self._held[self._held < owned]
         self.tangent.hold(self._held, self._bcs)
         self._gripped = self._bcs[len(anchors)].dof_indices()[0] if grasp else np.zeros(0, np.int32)
+        self.held = frozenset(anchors)
         self.reset()
 
     def _condition(self, what: str, region: Region | None, axis: int | None) -> Any:
@@ -255,6 +216,15 @@ class Equilibrium:
         """Back to the undeformed state; the factor is no longer trusted."""
         self.start_over(None)
         self.careful = not self._keeps
+        self._time = 0.0
+        for memory in self.terms.memories.values():
+            memory.reset()
+
+    def accept(self, pose: Pose) -> None:
+        """The present state is the equilibrium at `pose`: effects with memory take it for their last one."""
+        self._time = pose.time
+        for memory in self.terms.memories.values():
+            memory.advance()
 
     def start_over(self, state: Array | None) -> None:
         """Back to `state` (this rank's unknowns; None: undeformed), and from there with a tangent for every iteration."""
@@ -284,8 +254,9 @@ class Equilibrium:
         self._loaded = bool(pose.loads)
         for place, force in pose.loads.items():
             self.external += self._weight(place) * np.tile(force, len(self.external) // 3)
-        full, neutral = self.model.constants(), self.model.neutral()
-        self.set_constants({name: n + pose.dose * (full[name] - n) for name, n in neutral.items()})
+        self.set_constants(self.model.acting(pose.dose, pose.time))
+        for memory in self.terms.memories.values():
+            memory.dt.value = max(pose.time - self._time, 1e-9) if memory.moving.value else LONG
 
     def _weight(self, place: str) -> Array:
         """Share of a dead force on `place` that each displacement component carries, shape (3 * nodes,)."""
@@ -312,7 +283,7 @@ class Equilibrium:
         modes = self._rigid_modes()
         self.factor = Factor(self.tangent.matrix, self.model.symmetric, self.body.pressures, modes)
         # What is kept must be positive definite, and solved with directly.
-        self._keeps = self.model.symmetric and not self.body.mixed and modes is None
+        self._keeps = self.model.symmetric and not self.body.mixed and modes is None and not self.model.remembers
         self.secant = Secant(self.factor, comm, self._keeps)
         snes = PETSc.SNES().create(comm)
         snes.setOptionsPrefix(prefix := f"bcid_snes_{next(_prefixes)}_")
@@ -396,10 +367,15 @@ class Equilibrium:
     def _assemble_tangent(self) -> None:
         """The tangent at the present state; what was known of earlier ones is dropped."""
         rest = not self.u.x.array.any() if self.body.comm.size == 1 else False
-        self.tangent.assemble(tuple(float(c.value) for c in self._constants.values()) if rest else None)
+        self.tangent.assemble(self._numbers() if rest else None)
         self.age = 0
         self.factor.usable = False
         self.secant.clear()
+
+    def _numbers(self) -> tuple[float, ...]:
+        """Every number that the tangent depends on."""
+        constants = (*self._constants.values(), *self.terms.anchored.values())
+        return tuple(float(constant.value) for constant in constants)
 
     def _converged(self, _snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> Any:
         residual = norms[2]

@@ -89,8 +89,14 @@ def _lagrange(times: Array, at: float) -> Array:
 
 def poses(action: Action) -> list[Pose]:
     """The poses of an action, one per step."""
+    times = action.clock
     return [
-        Pose(action.translation[k], action.rotation[k], {place: load[k] for place, load in action.loads.items()})
+        Pose(
+            action.translation[k],
+            action.rotation[k],
+            {place: load[k] for place, load in action.loads.items()},
+            time=float(times[k]),
+        )
         for k in range(len(action))
     ]
 
@@ -120,7 +126,10 @@ def follow(
     equilibrium.reset()
     result = Trajectory()
     start = equilibrium.iterations, equilibrium.factor.count
-    path = [Pose(loads={place: np.zeros(3) for place in action.loads}, dose=0.0), *poses(action)]
+    path = [
+        Pose(loads={place: np.zeros(3) for place in action.loads}, dose=0.0, time=float(action.clock[0])),
+        *poses(action),
+    ]
     history = _History(equilibrium.body.comm)
     safe = 0, replace(history)
     done, stopped = 0, False
@@ -134,6 +143,7 @@ def follow(
             status = _advance(equilibrium, path[done], path[done + 1], done, history, result)
         if status is Status.CONVERGED:
             stopped = seen(done, path[done + 1]) is False
+            equilibrium.accept(path[done + 1])
             done += 1
             if not stopped and (equilibrium.age >= _TRUSTED or done == len(action)):
                 status = equilibrium.verify()
@@ -177,6 +187,8 @@ def _advance(eq: Equilibrium, last: Pose, pose: Pose, step: int, history: _Histo
         if status is Status.CONVERGED:
             done = part
             history.add(time, target, eq.u.x.array)
+            if 0 < part < 1 and step > 0:
+                eq.accept(target)
         elif halved == eq.settings.halvings:
             return status
         else:
@@ -191,9 +203,8 @@ def between(a: Pose, b: Pose, fraction: float) -> Pose:
         return b
     loads = {place: (1 - fraction) * a.loads[place] + fraction * b.loads[place] for place in b.loads}
     translation = (1 - fraction) * a.translation + fraction * b.translation
-    return Pose(
-        translation, _slerp(a.rotation, b.rotation, fraction), loads, (1 - fraction) * a.dose + fraction * b.dose
-    )
+    dose, time = (1 - fraction) * a.dose + fraction * b.dose, (1 - fraction) * a.time + fraction * b.time
+    return Pose(translation, _slerp(a.rotation, b.rotation, fraction), loads, dose, time)
 
 
 def _slerp(a: Array, b: Array, fraction: float) -> Array:

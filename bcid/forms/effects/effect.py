@@ -1,20 +1,47 @@
-"""An effect: something physical that a plain hyperelastic body lacks."""
+"""An effect: something physical that a plain hyperelastic body, a sure grip or an ideal camera lacks."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from bcid.errors import nearest
 from bcid.forms.parameter import Parameter
+from bcid.measurement import Action, Measurement
+from bcid.scene import Scene
 
 if TYPE_CHECKING:
     from ufl.core.expr import Expr
 
     from bcid.forms.kinematics import Kinematics
 
+Array = NDArray[np.float64]
 Constants = Mapping[str, Any]
+
+ACTS_ON = ("body force", "material", "boundary", "grasp", "observation")
+
+
+@dataclass(frozen=True)
+class Past:
+    """What an effect with memory knows of the last step; everything is UFL.
+
+    Attributes:
+        u: displacement at the last step, m.
+        kin: deformation measures of it.
+        dt: time since then, s; at step 0, before which the body has long been at rest, 1e9.
+        moving: 0 at step 0, 1 after.
+        memory: the effect's own variables by name.
+    """
+
+    u: Expr
+    kin: Kinematics
+    dt: Expr
+    moving: Expr
+    memory: Mapping[str, Expr]
 
 
 @dataclass(frozen=True)
@@ -28,7 +55,15 @@ class Point:
         X: rest position, m.
         N: outward normal in the rest state (on the boundary).
         down: unit vector of gravity.
+        centre: middle of the body's bounding box in the rest state, m.
+        size: its diagonal, m.
+        shear: initial shear modulus of the law, Pa.
+        place: where the effect acts, one of its `places`.
         surface: measure of a named place, ``surface(name)``, m^2 in the rest state.
+        support: name of the scene's support surface, "" if it has none.
+        patches: names of all patches.
+        anchored: 1 where a patch is anchored, else 0: ``anchored(patch)``.
+        past: the last step, for effects with memory.
     """
 
     u: Expr
@@ -37,29 +72,108 @@ class Point:
     X: Expr
     N: Expr
     down: Expr
+    centre: Expr
+    size: float
+    shear: Any
+    place: str
     surface: Callable[[str], Any]
+    support: str
+    patches: tuple[str, ...]
+    anchored: Callable[[str], Any]
+    past: Past
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One step of one action, as an observation effect sees it.
+
+    Attributes:
+        index: number of the frame in the measurement.
+        action: name of the action.
+        step: step of the action.
+        time: s.
+        names: of the fiducials.
+        rest: their stress-free positions, shape (fiducials, 3), m.
+    """
+
+    index: int
+    action: str
+    step: int
+    time: float
+    names: tuple[str, ...]
+    rest: Array
 
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect of the catalogue.
+    """One effect of the catalogue. Of what it does, at least one of the functions below must be given.
 
-    At the neutral value of every parameter it must vanish. `energy` is per rest volume (J/m^3) and joins the strain
-    energy; `work` is a form, the virtual work that the effect adds to the residual, for what has no energy or acts on
-    the boundary.
+    At the neutral value of every parameter that has one the effect must vanish, whatever the others are: those with a
+    neutral value say how much there is of it, the others where, in which direction or how fast it acts.
 
     Attributes:
         name: name of its file, used in scenes, tables and JSON.
-        parameters: each with unit, neutral value and bounds.
+        parameters: each with unit, neutral value, bounds and typical size.
+        about: one phrase.
+        acts_on: one of `ACTS_ON`.
+        energy: energy per rest volume (J/m^3), which joins the strain energy.
+        potential: a form whose value is an energy (J), such as one on the boundary.
+        work: a form, the virtual work that the effect adds to the residual, for what has no energy.
+        stiffness: factor of the law's strain energy.
+        natural: 3 x 3 tensor by which the rest state is already stretched: the law sees F . natural.
+        constants: constants of the law that it replaces, by name.
+        memory: shapes of variables kept from step to step, by name, such as {"Q": (3, 3)}.
+        advance: their values after a step.
+        drive: what the gripper really did, when an action was commanded.
+        observe: where the fiducials (fiducials, 3) appear in a frame, when they are at given positions.
+        envelope: factor of all parameters that have a neutral value, as a function of time (s) and values.
+        frees: whether the anchored patches at its place are no longer fixed, because the effect holds them.
+        uses_past: whether `energy`, `potential` or `work` use `Point.past`.
+        places: the places it can act at, given scene and anchors; by default it has none.
+        needs: why it cannot act in a scene and measurement, in words; "" if it can.
         symmetric: False when the tangent of `work` is not symmetric (a follower load).
     """
 
     name: str
     parameters: tuple[Parameter, ...]
     about: str
+    acts_on: str = "body force"
     energy: Callable[[Point, Constants], Expr] | None = None
+    potential: Callable[[Point, Constants], Any] | None = None
     work: Callable[[Point, Constants], Any] | None = None
+    stiffness: Callable[[Point, Constants], Expr] | None = None
+    natural: Callable[[Point, Constants], Expr] | None = None
+    constants: Callable[[Constants], Mapping[str, Any]] | None = None
+    memory: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    advance: Callable[[Point, Constants], Mapping[str, Expr]] | None = None
+    drive: Callable[[Action, Mapping[str, float]], Action] | None = None
+    observe: Callable[[Array, Mapping[str, float], Frame, str], Array] | None = None
+    envelope: Callable[[float, Mapping[str, float]], float] | None = None
+    frees: bool = False
+    uses_past: bool = False
+    places: Callable[[Scene, frozenset[str]], list[str]] | None = None
+    needs: Callable[[Scene, Measurement], str] | None = None
     symmetric: bool = True
+
+    @property
+    def mechanical(self) -> bool:
+        """Whether it adds to the equilibrium itself (not only to the motion or the picture of it)."""
+        return any((self.energy, self.potential, self.work, self.changes_law))
+
+    @property
+    def changes_law(self) -> bool:
+        """Whether it changes the strain energy itself."""
+        return any((self.stiffness, self.natural, self.constants))
+
+    @property
+    def amounts(self) -> tuple[Parameter, ...]:
+        """The parameters that say how much there is of it."""
+        return tuple(p for p in self.parameters if p.neutral is not None)
+
+    @property
+    def shapes(self) -> tuple[Parameter, ...]:
+        """The parameters that say where, in which direction or how fast it acts."""
+        return tuple(p for p in self.parameters if p.neutral is None)
 
     def check(self, values: Mapping[str, object]) -> list[str]:
         """Problems of parameter values, one readable line each."""
