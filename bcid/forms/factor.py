@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+from numpy.typing import NDArray
 from petsc4py import PETSc
 
+Array = NDArray[np.float64]
 # CHOLMOD must not print, and must factorise by supernodes: its simplicial LDL^T, which it prefers for small matrices,
 # does not stop at a negative pivot. MUMPS: PORD ordering suits these meshes, the root stays sequential and null pivots
 # are looked for, so that the signs are counted right; on several ranks the work space that it estimates may not do.
@@ -126,6 +129,31 @@ class Factor:
             return
         assert self._current is not None
         self._current.apply(right, solution)
+
+    def solve_block(self, right: Array, transpose: bool = False) -> Array:
+        """Solve for many right-hand sides at once, shape (unknowns, n), with the last direct factor; one rank only.
+
+        `transpose` solves with the transposed matrix.
+        """
+        assert self._current is not None
+        if transpose:
+            solution = np.empty_like(right)
+            x, b = self.matrix.createVecs()
+            for j in range(right.shape[1]):
+                b.array[:] = right[:, j]
+                self._current.applyTranspose(b, x)
+                solution[:, j] = x.array_r
+            x.destroy()
+            b.destroy()
+            return solution
+        stored = np.asfortranarray(right)
+        given = PETSc.Mat().createDense(right.shape, array=stored, comm=PETSc.COMM_SELF)
+        found = given.duplicate()
+        self._current.getFactorMatrix().matSolve(given, found)
+        solution = found.getDenseArray().copy()
+        given.destroy()
+        found.destroy()
+        return solution
 
     def _multigrid(self) -> PETSc.KSP:
         krylov = PETSc.KSP().create(self.matrix.comm)

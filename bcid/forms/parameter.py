@@ -76,6 +76,8 @@ class Parameter:
         if isinstance(value, bool) or not isinstance(value, Real):
             return f"{self.name} = {value!r} is not a number; allowed: {self.allowed}"
         number = float(value)
+        if self.reciprocal and number == math.inf:
+            return None
         if not math.isfinite(number):
             return f"{self.name} = {number} is not a finite number; allowed: {self.allowed}"
         if self._is_below(number) or self._is_above(number):

@@ -93,6 +93,10 @@ class Tangent:
         self._values[self._unit] = 1.0
         self.matrix.stateIncrease()
 
+    def times(self, change: Array) -> Array:
+        """Product of the full matrix, as it was last assembled, with a change of all unknowns; one rank only."""
+        return np.asarray(self._blocked @ change)
+
     def lift(self, gap: Array, right: PETSc.Vec, state: PETSc.Vec) -> None:
         """Right-hand side for prescribed changes `gap` of the held unknowns (zero elsewhere, ghosts included); collective.
 

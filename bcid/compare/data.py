@@ -1,0 +1,179 @@
+"""The measured coordinates as one vector, and what is known of their error: noise, and the error of the mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.measurement import Measurement
+from bcid.scene import Scene
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+# How far the error of the mesh may be from what the ladder says: of each action as a whole, and of a single trajectory.
+_OF_ACTION = 0.5
+_OF_TRAJECTORY = 0.35
+# Without a stated noise and with too few steps to see it, m.
+_LEAST_NOISE = 1e-6
+
+
+class Data:
+    """Every visible coordinate of a measurement, in one vector, with the labels needed to group them.
+
+    Args:
+        scene: the scene.
+        measurement: must fit the scene.
+
+    Attributes:
+        mask: which of (frames, fiducials, 3) were seen.
+        values: measured positions, shape (n,), m.
+        sigma: standard deviation of each, m; NaN when none is stated.
+        action, frame, step, fiducial, axis: labels, shape (n,); actions and fiducials as numbers.
+        trajectory: number of the (action, fiducial, axis) it belongs to, shape (n,).
+    """
+
+    def __init__(self, scene: Scene, measurement: Measurement) -> None:
+        columns = [scene.fiducial_names.index(name) for name in measurement.fiducial_names]
+        shape = (len(measurement.positions), len(scene.fiducials), 3)
+        measured, sigma = np.full(shape, np.nan), np.full(shape, np.nan)
+        measured[:, columns] = measurement.positions
+        stated = measurement.sigma(scene.noise_sigma)
+        if stated is not None:
+            sigma[:, columns] = stated
+        self.scene, self.measurement = scene, measurement
+        self.measured = measured
+        self.mask = np.isfinite(measured)
+        self.values, self.sigma = measured[self.mask], sigma[self.mask]
+        self.stated = stated is not None
+        frames, fiducials, axes = np.nonzero(self.mask)
+        names = measurement.action_names
+        actions = np.array([names.index(str(name)) for name in measurement.data["action"].values])
+        self.frame, self.fiducial, self.axis = frames, fiducials, axes
+        self.action, self.step = actions[frames], measurement.data["step"].values[frames]
+        key = (self.action * len(scene.fiducials) + fiducials) * 3 + axes
+        _, self.trajectory = np.unique(key, return_inverse=True)
+        self.actions = names
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def vector(self, positions: Array) -> Array:
+        """The visible coordinates of positions (frames, fiducials, 3), shape (n,)."""
+        return np.asarray(positions[self.mask])
+
+    def spread(self, vector: Array) -> Array:
+        """A vector of values back in shape (frames, fiducials, 3), NaN where nothing was seen."""
+        result = np.full(self.mask.shape, np.nan)
+        result[self.mask] = vector
+        return result
+
+    def noise(self, residual: Array) -> Array:
+        """Standard deviation of every value, m; estimated from the residual (m) when none is stated."""
+        if self.stated:
+            return self.sigma
+        return np.full(len(self), max(estimate_noise(self, residual), _LEAST_NOISE))
+
+
+def estimate_noise(data: Data, residual: Array) -> float:
+    """White noise in a residual, m, from its second differences along each trajectory: what is smooth drops out.
+
+    Without three steps in a row the RMS of the residual stands for it.
+    """
+    found = []
+    for number in range(int(data.trajectory.max()) + 1):
+        values = residual[data.trajectory == number]
+        if len(values) > 2:
+            found.append(np.diff(values, 2) / np.sqrt(6))
+    if not found:
+        return float(np.sqrt(np.mean(residual**2)))
+    return float(np.sqrt(np.mean(np.concatenate(found) ** 2)))
+
+
+@dataclass(frozen=True)
+class MeshError:
+    """What the mesh ladder says of the error of the working level.
+
+    Attributes:
+        correction: what to add to a prediction of the working level, shape (frames, fiducials, 3), m.
+        left: what may be left after it, of the same shape, m; zero when nothing is known.
+        known: whether there was a second level to compare with.
+    """
+
+    correction: Array
+    left: Array
+    known: bool
+
+    @property
+    def rms(self) -> float:
+        """RMS of what may be left, m."""
+        return float(np.sqrt(np.nanmean(self.left**2)))
+
+    @classmethod
+    def unknown(cls, shape: tuple[int, ...]) -> MeshError:
+        """Nothing to compare with."""
+        return cls(np.zeros(shape), np.zeros(shape), False)
+
+    @classmethod
+    def between(cls, coarse: Array, fine: Array, gain: float) -> MeshError:
+        """From predictions on the working level and a finer one: Richardson's extrapolation.
+
+        `gain` is how many times the difference exceeds the error of the finer one (3 for halved elements of second order).
+        """
+        difference = fine - coarse
+        return cls(difference * (1 + 1 / gain), difference / gain, True)
+
+
+class Errors:
+    """Covariance of the residual: white noise, and the error of the mesh as far as the ladder tells.
+
+    The error that is left after extrapolation has the shape of the extrapolation with an uncertain factor per action, and
+    beside it a part that persists along every trajectory (a constant and a slope along the steps).
+
+    Args:
+        data: the measured values.
+        sigma: standard deviation of the noise, shape (n,), m.
+        mesh: what the ladder says.
+    """
+
+    def __init__(self, data: Data, sigma: Array, mesh: MeshError) -> None:
+        self.data, self.sigma, self.mesh = data, sigma, mesh
+        columns = self._columns(data.vector(mesh.left))
+        if columns.shape[1] == 0:
+            self._basis = np.zeros((len(data), 0))
+            self._shrink = np.zeros(0)
+            return
+        basis, sizes, _ = np.linalg.svd(columns / sigma[:, None], full_matrices=False)
+        keep = sizes > 1e-6
+        self._basis, sizes = basis[:, keep], sizes[keep]
+        self._shrink = 1 - 1 / np.sqrt(1 + sizes**2)
+
+    def _columns(self, left: Array) -> Array:
+        data, columns = self.data, []
+        for action in range(len(data.actions)):
+            here = data.action == action
+            if np.any(left[here]):
+                columns.append(np.where(here, _OF_ACTION * left, 0.0))
+        if columns:
+            size = {a: np.sqrt(np.mean(left[data.action == a] ** 2)) for a in np.unique(data.action)}
+            for number in range(int(data.trajectory.max()) + 1):
+                members = np.flatnonzero(data.trajectory == number)
+                own = np.sqrt(np.mean(left[members] ** 2))
+                amount = _OF_TRAJECTORY * max(own, 0.5 * size[data.action[members[0]]])
+                shape = np.zeros((len(data), 2))
+                # At rest there is no error; it grows with the motion.
+                along = np.linspace(0.0, 1.0, len(members)) if len(members) > 1 else np.ones(1)
+                shape[members, 0] = amount * np.minimum(1.0, 4 * along)
+                shape[members, 1] = amount * (2 * along - 1) * np.minimum(1.0, 4 * along)
+                columns += [shape[:, 0], shape[:, 1]]
+        return np.array(columns).T if columns else np.zeros((len(data), 0))
+
+    def whiten(self, values: Array) -> Array:
+        """Values (n,) or columns (n, m), m, in units in which their errors are independent and of size one."""
+        scaled = values / (self.sigma if values.ndim == 1 else self.sigma[:, None])
+        if not len(self._shrink):
+            return np.asarray(scaled)
+        shrink = self._shrink if values.ndim == 1 else self._shrink[:, None]
+        return np.asarray(scaled - self._basis @ (shrink * (self._basis.T @ scaled)))

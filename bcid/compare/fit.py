@@ -1,0 +1,312 @@
+"""Fitting numbers of a model: nonlinear least squares with the tangent as Jacobian."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from bcid.compare.data import MeshError
+from bcid.compare.state import State
+from bcid.compare.twin import Reply, Twin
+from bcid.errors import InputError, SolveError, nearest
+from bcid.forms.model import Model
+from bcid.forms.parameter import Parameter
+from bcid.forms.sensitivity import Probe, Wanted
+
+Array = NDArray[np.float64]
+# A step that moves no number by more than this part of its scale ends the fit.
+_XTOL = 1e-3
+_FTOL = 1e-4
+# Relative step of a difference of whole trajectories.
+_STEP = 1e-2
+# A number is not identified when its standard error exceeds this many of its scales.
+_LOOSE = 3.0
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """One fitted number, as the optimiser sees it.
+
+    Attributes:
+        name: full name in the model.
+        parameter: what it is.
+        scale: size of a notable change of the coordinate.
+    """
+
+    name: str
+    parameter: Parameter
+    scale: float
+
+    def of(self, value: float) -> float:
+        """Coordinate of a value: the reciprocal for springs that replace a rigid hold."""
+        return 1 / value if self.parameter.reciprocal else value
+
+    value = of
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Bounds of the coordinate."""
+        lower, upper = self.parameter.lower, self.parameter.upper
+        if self.parameter.reciprocal:
+            return 1 / upper if math.isfinite(upper) else 1e-9 * self.scale, 1 / lower if lower > 0 else math.inf
+        return lower, upper
+
+
+def coordinates(model: Model, names: Sequence[str]) -> list[Coordinate]:
+    """The named numbers of a model, as `Model.constants` has them.
+
+    Raises:
+        InputError: the model has no such number.
+    """
+    known = {p.name: p for p in model.law.parameters}
+    for dose in model.doses:
+        known |= {dose.full(p.name): p for p in dose.effect.parameters}
+    found = []
+    for name in names:
+        if name not in known:
+            raise InputError(f"the model {model.name} has no number '{name}'; {nearest(name, known)}")
+        parameter = known[name]
+        typical = parameter.typical
+        if name in model.law.complete(model.values):
+            typical = max(abs(float(model.constants()[name])), 1e-3) / 3
+        found.append(Coordinate(name, parameter, 1 / typical if parameter.reciprocal else typical))
+    return found
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted model.
+
+    Attributes:
+        state: the model at its optimum, compared with the data.
+        coordinates: what was fitted.
+        covariance: of the coordinates, shape (p, p).
+        jacobian: of the scaled residual by the coordinates, shape (n, p).
+        warnings: what is doubtful, in words.
+        evaluations: predictions that were needed.
+    """
+
+    state: State
+    coordinates: tuple[Coordinate, ...]
+    covariance: Array
+    jacobian: Array
+    warnings: tuple[str, ...]
+    evaluations: int
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Fitted values by full name."""
+        numbers = self.state.model.constants()
+        return {c.name: numbers[c.name] for c in self.coordinates}
+
+    @property
+    def stderr(self) -> dict[str, float]:
+        """Standard errors of the values; infinite where the data do not tell."""
+        errors = np.sqrt(np.diag(self.covariance)) if len(self.coordinates) else []
+        numbers = self.state.model.constants()
+        # The error of a reciprocal is that of its coordinate times the square of the value.
+        return {
+            c.name: float(e) * (numbers[c.name] ** 2 if c.parameter.reciprocal else 1.0)
+            for c, e in zip(self.coordinates, errors, strict=True)
+        }
+
+
+class _Problem:
+    """What the optimiser calls: scaled residual and Jacobian at given coordinates."""
+
+    def __init__(self, start: State, coordinates: Sequence[Coordinate]) -> None:
+        self.start, self.coordinates = start, list(coordinates)
+        self.twin, self.anchors, self.errors = start.twin, start.anchors, start.errors
+        self._known: dict[bytes, tuple[Model, Reply]] = {}
+        self._last = start.scaled
+        self.evaluations = 0
+
+    def model(self, x: Array) -> Model:
+        """The model at these coordinates."""
+        # A value at a bound may miss it by rounding.
+        values = {}
+        for c, at in zip(self.coordinates, x, strict=True):
+            p = c.parameter
+            values[c.name] = float(np.clip(c.value(float(at)), p.lower, p.upper))
+        return self.start.model.with_values(values)
+
+    def reply(self, x: Array) -> tuple[Model, Reply]:
+        """The prediction there; the last few are kept."""
+        key = np.asarray(x, dtype=float).tobytes()
+        if key not in self._known:
+            model = self.model(x)
+            self._known = dict(list(self._known.items())[-1:])
+            self._known[key] = model, self.twin.predict(model, self.anchors, keep=True)
+            self.evaluations += 1
+        return self._known[key]
+
+    def residual(self, x: Array) -> Array:
+        """Scaled residual; where the model fails, a worse one than before, so that the step is refused."""
+        _, reply = self.reply(x)
+        if reply.failure:
+            return 3.0 * self._last
+        found = self.scaled(reply)
+        self._last = found
+        return found
+
+    def scaled(self, reply: Reply) -> Array:
+        """Scaled residual of a prediction."""
+        data = self.twin.data
+        return self.errors.whiten(data.values - data.vector(reply.positions + self.errors.mesh.correction))
+
+    def jacobian(self, x: Array) -> Array:
+        """Its derivative by the coordinates."""
+        model, reply = self.reply(x)
+        if reply.failure:
+            return np.zeros((len(self.twin.data), len(self.coordinates)))
+        return -self.errors.whiten(columns(self.twin, model, self.anchors, reply, self.coordinates))
+
+
+def columns(
+    twin: Twin, model: Model, anchors: frozenset[str], reply: Reply, coordinates: Sequence[Coordinate]
+) -> Array:
+    """Change of every measured coordinate per unit of each fitted one, shape (n, p), m; collective.
+
+    By the tangent; where effects remember earlier steps, by differences of whole trajectories.
+    """
+    if not coordinates:
+        return np.zeros((len(twin.data), 0))
+    if model.remembers:
+        return _differences(twin, model, anchors, reply, coordinates)
+    names = [c.name for c in coordinates]
+    probes = []
+    for dose in model.doses:
+        wanted = tuple(p.name for p in dose.effect.parameters if dose.full(p.name) in names)
+        if wanted:
+            probes.append(Probe(dose, wanted))
+    law = {n: 1e-4 * max(abs(model.values.get(n, 1.0)), 1e-3) for n in names if n in model.law.complete(model.values)}
+    found = twin.signatures(model, anchors, reply, Wanted(tuple(probes), law))
+    table = {name: array for name, array in found.law.items()}
+    for probe, arrays in zip(probes, found.probes, strict=True):
+        table |= {probe.dose.full(name): array for name, array in arrays.items()}
+    return np.column_stack([twin.data.vector(table[name]) for name in names])
+
+
+def _differences(
+    twin: Twin, model: Model, anchors: frozenset[str], reply: Reply, coordinates: Sequence[Coordinate]
+) -> Array:
+    found, numbers = [], model.constants()
+    for c in coordinates:
+        at = c.of(numbers[c.name])
+        lower, upper = c.bounds
+        step = _STEP * c.scale if at + _STEP * c.scale <= upper else -_STEP * c.scale
+        moved = twin.predict(model.with_values({c.name: c.value(max(at + step, lower))}), anchors)
+        change = (moved.positions - reply.positions) / step
+        found.append(twin.data.vector(np.nan_to_num(change)))
+    return np.column_stack(found)
+
+
+def fit(start: State, names: Sequence[str], most: int = 12) -> Fit:
+    """Fit numbers of a model to the data; collective.
+
+    Args:
+        start: where to begin; its covariance of errors is kept.
+        names: full names of the numbers.
+        most: predictions at most.
+
+    Raises:
+        InputError: the model has no such number.
+        SolveError: the model cannot be followed at its start.
+    """
+    chosen = coordinates(start.model, names)
+    problem = _Problem(start, chosen)
+    if not chosen:
+        return Fit(replace(start, free=()), (), np.zeros((0, 0)), np.zeros((len(start.twin.data), 0)), (), 0)
+    numbers = start.model.constants()
+    lower, upper = (np.array(b) for b in zip(*(c.bounds for c in chosen), strict=True))
+    scale = np.array([c.scale for c in chosen])
+    x = np.clip([c.of(numbers[c.name]) for c in chosen], lower, upper)
+    inside = np.clip(x, lower + 1e-6 * scale, upper - 1e-6 * scale)
+    if problem.reply(inside)[1].failure:
+        raise SolveError(f"{start.model.name}: {problem.reply(inside)[1].failure}")
+    result = least_squares(
+        problem.residual,
+        inside,
+        jac=problem.jacobian,
+        bounds=(lower, upper),
+        x_scale=scale,
+        xtol=_XTOL,
+        ftol=_FTOL,
+        gtol=1e-10,
+        max_nfev=most,
+    )
+    model, reply = problem.reply(result.x)
+    state = State(start.twin, model, start.anchors, reply, start.errors, tuple(names))
+    jacobian = np.asarray(result.jac)
+    covariance, loose = _covariance(jacobian, scale)
+    warnings = _warnings(chosen, result.x, lower, upper, scale, loose)
+    if result.status == 0:
+        warnings.append(f"the fit did not settle within {most} predictions")
+    return Fit(state, tuple(chosen), covariance, jacobian, tuple(warnings), problem.evaluations)
+
+
+def _covariance(jacobian: Array, scale: Array) -> tuple[Array, list[bool]]:
+    """Inverse of J^T J, and which coordinates the data do not tell."""
+    scaled = jacobian * scale
+    _, sizes, rows = np.linalg.svd(scaled, full_matrices=False)
+    variances = np.where(sizes > 1e-8 * max(sizes.max(initial=0.0), 1e-300), 1 / np.maximum(sizes, 1e-150) ** 2, 1e300)
+    with np.errstate(over="ignore"):
+        covariance = (rows.T * np.minimum(variances, 1e200)) @ rows
+    loose = [bool(v > _LOOSE**2) for v in np.diag(covariance)]
+    return np.asarray(covariance * np.outer(scale, scale)), loose
+
+
+def _warnings(
+    chosen: Sequence[Coordinate], x: Array, lower: Array, upper: Array, scale: Array, loose: Sequence[bool]
+) -> list[str]:
+    found = []
+    for c, at, low, high, size, free in zip(chosen, x, lower, upper, scale, loose, strict=True):
+        if min(at - low, high - at) < 1e-3 * size:
+            found.append(f"{c.name} is at a bound ({c.value(float(at)):.4g} {c.parameter.unit}; allowed: {c.parameter.allowed})")
+        if free:
+            found.append(f"{c.name} is not identifiable from these data")
+    return found
+
+
+def held_out(fitted: Fit) -> float | None:
+    """RMS residual, m, when each action is predicted from a fit to the others; collective.
+
+    The fit without an action is one Gauss-Newton step from the fit to all, with its Jacobian. None with one action only.
+    """
+    state = fitted.state
+    data, twin = state.twin.data, state.twin
+    if len(data.actions) < 2:
+        return None
+    if not fitted.coordinates:
+        return state.rms
+    squares = 0.0
+    scaled, numbers = state.scaled, state.model.constants()
+    x = np.array([c.of(numbers[c.name]) for c in fitted.coordinates])
+    scale = np.array([c.scale for c in fitted.coordinates])
+    bounds = np.array([c.bounds for c in fitted.coordinates])
+    for number, action in enumerate(twin.actions):
+        others = data.action != number
+        rows = fitted.jacobian[others] * scale
+        ridge = 1e-6 * max(float(np.abs(rows.T @ rows).max(initial=0.0)), 1e-12) * np.eye(len(x))
+        step = -np.linalg.solve(rows.T @ rows + ridge, rows.T @ scaled[others]) * scale
+        moved = np.clip(x + step, bounds[:, 0], bounds[:, 1])
+        values = {
+            c.name: float(np.clip(c.value(float(at)), c.parameter.lower, c.parameter.upper))
+            for c, at in zip(fitted.coordinates, moved, strict=True)
+        }
+        reply = twin.predict(state.model.with_values(values), state.anchors, actions=[action])
+        positions = reply.positions if not reply.failure else state.reply.positions
+        residual = data.values - data.vector(positions + state.errors.mesh.correction)
+        squares += float(np.sum(residual[data.action == number] ** 2))
+    return float(np.sqrt(squares / len(data)))
+
+
+def refitted(fitted: Fit, mesh: MeshError) -> Fit:
+    """The fit again with another error of the mesh; collective."""
+    state = State.of(fitted.state.twin, fitted.state.model, fitted.state.anchors, mesh, fitted.state.free, fitted.state.reply)
+    return fit(state, fitted.state.free)

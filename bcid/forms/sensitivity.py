@@ -1,0 +1,429 @@
+"""What small changes of the model do to every fiducial, from one converged run: K du = -dR/dtheta along the trajectory.
+
+With K the tangent at a converged step, C the matrix that observes the fiducials and a change dR of the residual, the
+fiducials move by -C K^-1 dR; a change du_a of prescribed displacements moves them by C_a du_a - C K^-1 K_fa du_a. The
+products C K^-1 cost one factorisation and one block of triangular solves per step and serve every effect, place and
+direction: a further one costs an assembly of dR.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+import ufl
+from dolfinx import fem
+from dolfinx.fem import petsc as fp
+from numpy.typing import NDArray
+
+from bcid.errors import SolveError
+from bcid.forms.effects.effect import Effect
+from bcid.forms.forward import Forward, Prediction
+from bcid.forms.model import Dose
+from bcid.forms.parameter import Parameter
+from bcid.forms.solve import Pose
+from bcid.forms.terms import Terms
+from bcid.forms.trajectory import poses
+from bcid.measurement import Action
+
+Array = NDArray[np.float64]
+# Step of a difference, in units of a parameter's typical size, for amounts and for shapes.
+_STEP = 1e-3
+
+
+@dataclass(frozen=True)
+class Probe:
+    """An effect at a place with its numbers, and those of them whose influence is asked for.
+
+    Attributes:
+        dose: the effect; amounts at which it is to be differentiated (neutral, for one that is not in the model).
+        wanted: names of its parameters.
+    """
+
+    dose: Dose
+    wanted: tuple[str, ...]
+
+    @property
+    def effect(self) -> Effect:
+        """The effect."""
+        return self.dose.effect
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a `Sensitivity` is asked for.
+
+    Attributes:
+        probes: effects and their parameters.
+        law: constants of the law by name, with the step of a difference.
+        stiffness: whether the influence of every cell's stiffness is wanted.
+        forces: nodal weights of body forces, shape (nodes, forces), m^3; none by default.
+    """
+
+    probes: tuple[Probe, ...] = ()
+    law: Mapping[str, float] = field(default_factory=dict)
+    stiffness: bool = False
+    forces: Array | None = None
+
+
+@dataclass(frozen=True)
+class Signatures:
+    """Change of every fiducial's position per unit of a parameter, m; NaN in frames that were not asked for.
+
+    Attributes:
+        probes: by probe and parameter, shape (frames, fiducials, 3). For a parameter whose neutral value is infinite it is
+            per unit of its reciprocal.
+        law: by constant of the law.
+        stiffness: per relative change of each cell's stiffness, shape (frames, fiducials, 3, cells), or None.
+        forces: per N/m^3 of each force along each axis, shape (frames, fiducials, 3, forces, 3), or None.
+    """
+
+    probes: list[dict[str, Array]]
+    law: dict[str, Array]
+    stiffness: NDArray[np.float32] | None = None
+    forces: NDArray[np.float32] | None = None
+
+
+def coordinate(parameter: Parameter, value: float) -> float:
+    """The number that an effect is proportional to, near its neutral value: the value, or its reciprocal."""
+    return 1.0 / value if parameter.reciprocal else value
+
+
+class Sensitivity:
+    """Differentiates the prediction of one `Forward`, which must not share its mesh. Local to the process.
+
+    Args:
+        forward: the level and model; its model may have effects already.
+    """
+
+    def __init__(self, forward: Forward) -> None:
+        if forward.comm.size > 1:
+            raise ValueError("Sensitivity: the mesh must not be shared over ranks")
+        self.forward = forward
+        self.equilibrium = forward.equilibrium
+        body = forward.body
+        columns = forward.observer.matrix.tocoo()
+        dofs = body.displacement_dofs.reshape(-1, 3)
+        rows = (3 * columns.row[:, None] + np.arange(3)).ravel()
+        where = dofs[columns.col].ravel()
+        count = len(self.equilibrium.u.x.array)
+        shape = (3 * len(forward.observer.rest), count)
+        self.observe = sp.csr_matrix((np.repeat(columns.data, 3), (rows, where)), shape=shape)
+        self.terms = Terms(body, forward.model, forward.scene, self.equilibrium.u)
+        self._parts: dict[tuple[str, str], Any] = {}
+        self._cells: Any = None
+        self._matrix: Any = None
+        self._mass: dict[str, Any] = {}
+
+    # -- one step
+    # ------------------------------------------------------------------------------------------------------------
+
+    def _responses(self) -> Array:
+        """G = K^-1 C^T at the present state, zero where something is held, shape (unknowns, 3 * fiducials)."""
+        equilibrium = self.equilibrium
+        equilibrium._assemble_tangent()
+        if not equilibrium.factor.refresh():
+            raise SolveError("the tangent of a converged step could not be factorised")
+        right = self.observe.T.toarray()
+        right[equilibrium._held] = 0.0
+        return equilibrium.factor.solve_block(right, transpose=not equilibrium.model.symmetric)
+
+    def _assemble(self, form: Any) -> Array:
+        vector = fem.assemble_vector(form)
+        return np.asarray(vector.array)
+
+    def _part(self, dose: Dose) -> Any:
+        key = (dose.label, dose.place)
+        if key not in self._parts:
+            self._parts[key] = self.terms.part(dose)
+        return self._parts[key]
+
+    def _change(self, probe: Probe, name: str, time: float) -> Array:
+        """dR/dtheta at the present state."""
+        dose, terms = probe.dose, self.terms
+        form = self._part(dose)
+        parameter = next(p for p in dose.effect.parameters if p.name == name)
+        value = dose.values[name]
+        step = _STEP * parameter.typical
+        result = np.zeros(len(self.equilibrium.u.x.array))
+        for sign in (1.0, -1.0):
+            # Beyond a bound there is nothing physical, but the forms are smooth there.
+            changed = {**dose.values, name: value + sign * step}
+            self._set(terms, dose, changed, time)
+            result += sign * self._assemble(form) / (2 * step)
+        self._set(terms, dose, dose.values, time)
+        return result
+
+    def _set(self, terms: Terms, dose: Dose, values: Mapping[str, float], time: float) -> None:
+        envelope = dose.effect.envelope
+        share = envelope(time, values) if envelope else 1.0
+        for parameter in dose.effect.parameters:
+            value, neutral = values[parameter.name], self.forward.model.neutral(parameter)
+            if envelope and neutral is not None and math.isfinite(neutral):
+                value = neutral + share * (value - neutral)
+            if math.isfinite(value):
+                terms.dose_constants(dose)[parameter.name].value = value
+
+    def _change_of_law(self, name: str, step: float) -> Array:
+        constant = self.equilibrium._constants[name]
+        value, result = float(constant.value), np.zeros(len(self.equilibrium.u.x.array))
+        for sign in (1.0, -1.0):
+            constant.value = value + sign * step
+            result += sign * self._assemble(self.equilibrium.residual_form) / (2 * step)
+        constant.value = value
+        return result
+
+    def _yielding(self, place: str, anchors: frozenset[str], loads: Array) -> Array:
+        """Displacement of the anchored patches per unit of compliance (m/Pa): -M^-1 times the reactions.
+
+        A spring bed of stiffness k holds with -k M u what a rigid hold would: u = -1/k M^-1 F, with M the patch's mass.
+        """
+        moved = np.zeros_like(loads)
+        for patch in sorted(anchors) if place == "" else [place] if place in anchors else []:
+            held, solve = self._patch(patch)
+            moved[held] = -solve(loads[held])
+        return moved
+
+    def _patch(self, patch: str) -> tuple[NDArray[np.int64], Any]:
+        """Unknowns of a patch, and what solves with its mass matrix."""
+        if patch not in self._mass:
+            from scipy.sparse.linalg import splu
+
+            body = self.forward.body
+            u, v = ufl.TrialFunction(body.displacement_space), ufl.TestFunction(body.displacement_space)
+            mass = fem.assemble_matrix(fem.form(ufl.inner(u, v) * self.terms.surface(patch))).to_scipy().tocsc()
+            inside = np.flatnonzero(np.asarray(np.abs(mass).sum(axis=1)).ravel() > 0)
+            solver = splu(mass[inside][:, inside])
+            self._mass[patch] = body.displacement_dofs[inside], solver.solve
+        return self._mass[patch]
+
+    def _stiffness_matrix(self) -> Any:
+        """dR/dm for the relative stiffness m of every cell: a matrix of shape (unknowns, cells)."""
+        if self._cells is None:
+            body, terms = self.forward.body, self.terms
+            space = fem.functionspace(body.domain, ("DG", 0))
+            weight = fem.Function(space)
+            stored = terms.stored([dose for dose in self.forward.model.doses if dose.effect.changes_law])
+            scaled = ufl.Form([i.reconstruct(integrand=weight * i.integrand()) for i in stored.integrals()])
+            residual = ufl.derivative(scaled, terms.u, terms.test)
+            self._cells = fem.form(ufl.derivative(residual, weight, ufl.TrialFunction(space)))
+            self._matrix = fp.create_matrix(self._cells)
+        # PETSc takes the blocks of displacement and cell, which differ in size; DOLFINx's own matrix does not.
+        self._matrix.zeroEntries()
+        fp.assemble_matrix(self._matrix, self._cells)
+        self._matrix.assemble()
+        rows, columns, values = self._matrix.getValuesCSR()
+        return sp.csr_matrix((values, columns, rows), shape=self._matrix.getSize())
+
+    # -- along the motion
+    # -----------------------------------------------------------------------------------------------------
+
+    def of(
+        self,
+        anchors: Iterable[str],
+        actions: Sequence[Action],
+        prediction: Prediction,
+        wanted: Wanted,
+        frames: Iterable[int] | None = None,
+    ) -> Signatures:
+        """Signatures along the actions, from the states that the prediction kept.
+
+        Args:
+            anchors: the anchored patches of the prediction.
+            actions: as commanded.
+            prediction: with its states.
+            wanted: what is asked for.
+            frames: only these; all by default.
+        """
+        states = prediction.states
+        if states is None:
+            raise ValueError("Sensitivity: the states are needed; predict with keep=True")
+        count, fiducials = prediction.positions.shape[:2]
+        empty = np.full((count, fiducials, 3), np.nan)
+        result = Signatures(
+            [{name: empty.copy() for name in probe.wanted} for probe in wanted.probes],
+            {name: empty.copy() for name in wanted.law},
+            np.full((*empty.shape, len(self.forward.mesh.cells)), np.nan, np.float32) if wanted.stiffness else None,
+            None if wanted.forces is None else np.full((*empty.shape, wanted.forces.shape[1], 3), np.nan, np.float32),
+        )
+        asked = None if frames is None else set(frames)
+        for commanded in actions:
+            self._follow(frozenset(anchors), commanded, states, wanted, result, asked)
+        return result
+
+    def _follow(
+        self,
+        anchors: frozenset[str],
+        commanded: Action,
+        states: Mapping[int, Array],
+        wanted: Wanted,
+        result: Signatures,
+        asked: set[int] | None,
+    ) -> None:
+        forward, equilibrium, terms = self.forward, self.equilibrium, self.terms
+        action = forward.model.driven(commanded)
+        equilibrium.hold(anchors, action.grasp)
+        for name, constant in terms.anchored.items():
+            constant.value = equilibrium.terms.anchored[name].value
+        for probe in wanted.probes:
+            if probe.effect.mechanical and not probe.effect.frees:
+                self._part(probe.dose)
+        for memory in terms.memories.values():
+            memory.reset()
+        moves = [self._moves(probe, name, commanded) for probe in wanted.probes for name in probe.wanted]
+        for step, (pose, frame) in enumerate(zip(poses(action), action.frames, strict=True)):
+            equilibrium.set_state(pose, states[int(frame)])
+            self._remember(pose)
+            if asked is None or int(frame) in asked:
+                self._step(anchors, action, step, pose, int(frame), moves, wanted, result)
+            equilibrium.accept(pose)
+            for memory in terms.memories.values():
+                memory.advance()
+
+    def _remember(self, pose: Pose) -> None:
+        """The numbers of the model and the time since the last step, as the equilibrium has them."""
+        for name, constant in self.terms.constants.items():
+            if name in self.equilibrium._constants:
+                constant.value = self.equilibrium._constants[name].value
+        for memory in self.terms.memories.values():
+            from bcid.forms.terms import LONG
+
+            memory.dt.value = max(pose.time - self.equilibrium._time, 1e-9) if memory.moving.value else LONG
+
+    def _moves(self, probe: Probe, name: str, commanded: Action) -> list[tuple[Pose, Pose]] | None:
+        """For an effect on the gripper: its poses for a slightly greater and smaller value, a unit step apart."""
+        if not probe.effect.drive:
+            return None
+        parameter = next(p for p in probe.effect.parameters if p.name == name)
+        step = _STEP * parameter.typical
+        model = self.forward.model
+        pairs = []
+        for sign in (1.0, -1.0):
+            dose = Dose.__new__(Dose)
+            for key, value in (("effect", probe.effect), ("label", probe.dose.label), ("place", probe.dose.place)):
+                object.__setattr__(dose, key, value)
+            object.__setattr__(dose, "values", {**probe.dose.values, name: probe.dose.values[name] + sign * step})
+            doses = [dose if d.label == dose.label else d for d in model.doses]
+            doses += [] if any(d.label == dose.label for d in model.doses) else [dose]
+            pairs.append(poses(replace(model, doses=tuple(doses)).driven(commanded)))
+        return list(zip(*pairs, strict=True))
+
+    def _step(
+        self,
+        anchors: frozenset[str],
+        action: Action,
+        step: int,
+        pose: Pose,
+        frame: int,
+        moves: list[list[tuple[Pose, Pose]] | None],
+        wanted: Wanted,
+        result: Signatures,
+    ) -> None:
+        equilibrium, forward = self.equilibrium, self.forward
+        responses = self._responses()
+        fiducials = len(forward.observer.rest)
+        places = forward.observer.positions(equilibrium.displacement())
+        seen = self._seen(places, action, step)
+
+        def moved(change: Array) -> Array:
+            """By a change of the residual."""
+            change = change.copy()
+            change[equilibrium._held] = 0.0
+            return seen(-(responses.T @ change).reshape(fiducials, 3))
+
+        def led(gap: Array) -> Array:
+            """By a change of what is prescribed."""
+            along = equilibrium.tangent.times(gap)
+            along[equilibrium._held] = 0.0
+            return seen((self.observe @ gap - responses.T @ along).reshape(fiducials, 3))
+
+        number = 0
+        for probe, out in zip(wanted.probes, result.probes, strict=True):
+            for name in probe.wanted:
+                pairs, number = moves[number], number + 1
+                parameter = next(p for p in probe.effect.parameters if p.name == name)
+                out[name][frame] = 0.0
+                if parameter.reciprocal and not math.isfinite(probe.dose.values[name]):
+                    forces = self._assemble(equilibrium.residual_form)
+                    out[name][frame] += led(self._yielding(probe.dose.place, anchors, forces))
+                elif probe.effect.mechanical:
+                    change = self._change(probe, name, pose.time)
+                    scale = -(probe.dose.values[name] ** 2) if parameter.reciprocal else 1.0
+                    out[name][frame] += moved(scale * change)
+                if pairs is not None:
+                    width = 2 * _STEP * parameter.typical
+                    out[name][frame] += led(self._gripped(*pairs[step]) / width)
+                if probe.effect.observe:
+                    out[name][frame] += self._pictured(probe, parameter, places, action, step)
+        for name, size in wanted.law.items():
+            result.law[name][frame] = moved(self._change_of_law(name, size))
+        free = np.ones(len(responses), dtype=bool)
+        free[equilibrium._held] = False
+        if result.stiffness is not None:
+            columns = -(responses.T @ (self._stiffness_matrix().multiply(free[:, None]).tocsc()))
+            result.stiffness[frame] = self._all_seen(seen, np.asarray(columns))
+        if result.forces is not None and wanted.forces is not None:
+            dofs = forward.body.displacement_dofs.reshape(-1, 3)
+            columns = np.stack([responses[dofs[:, axis]].T @ wanted.forces for axis in range(3)], axis=-1)
+            shaped = columns.reshape(3 * fiducials, -1)
+            result.forces[frame] = self._all_seen(seen, shaped).reshape(fiducials, 3, -1, 3)
+
+    @staticmethod
+    def _all_seen(seen: Any, columns: Array) -> Array:
+        shaped = columns.reshape(-1, 3, columns.shape[1])
+        return np.asarray(seen(shaped))
+
+    def _seen(self, places: Array, action: Action, step: int) -> Any:
+        """How a change of the fiducials' positions appears in the picture: through the model's observation effects."""
+        model = self.forward.model
+        if not any(dose.effect.observe for dose in model.doses):
+            return lambda change: change
+        frame = self.forward.frame(action, step)
+        jacobian = np.zeros((len(places), 3, 3))
+        for axis in range(3):
+            shift = np.zeros(3)
+            shift[axis] = 1e-6
+            jacobian[:, :, axis] = (model.observed(places + shift, frame) - model.observed(places - shift, frame)) / 2e-6
+        return lambda change: np.einsum("iab,ib...->ia...", jacobian, change)
+
+    def _pictured(self, probe: Probe, parameter: Parameter, places: Array, action: Action, step: int) -> Array:
+        """Change of the picture by an observation effect."""
+        frame, dose = self.forward.frame(action, step), probe.dose
+        size = _STEP * parameter.typical
+        observe = probe.effect.observe
+        assert observe is not None
+        before = places
+        after = self.forward.model.doses
+        labels = [d.label for d in after]
+        position = labels.index(dose.label) if dose.label in labels else len(labels)
+        for other in after[:position]:
+            before = other.effect.observe(before, other.values, frame, other.place) if other.effect.observe else before
+
+        def value(number: float) -> Array:
+            picture = observe(before, {**dose.values, parameter.name: number}, frame, dose.place)
+            for other in after[position + 1 :]:
+                picture = (
+                    other.effect.observe(picture, other.values, frame, other.place) if other.effect.observe else picture
+                )
+            return picture
+
+        at = dose.values[parameter.name]
+        return (value(at + size) - value(at - size)) / (2 * size)
+
+    def _gripped(self, more: Pose, less: Pose) -> Array:
+        """Difference of the prescribed displacements of two poses, zero elsewhere."""
+        equilibrium = self.equilibrium
+        gap = np.zeros(len(equilibrium.u.x.array))
+        places = []
+        for pose in (more, less):
+            equilibrium._move_gripper(pose)
+            values = np.zeros_like(gap)
+            values[equilibrium.body.displacement_dofs] = equilibrium._gripper.x.array
+            places.append(values)
+        gripped = equilibrium._gripped
+        gap[gripped] = (places[0] - places[1])[gripped]
+        return gap
