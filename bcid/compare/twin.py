@@ -19,12 +19,15 @@ from bcid.forms.sensitivity import Sensitivity, Signatures, Wanted
 from bcid.forms.solve import Settings
 from bcid.measurement import Action, Measurement
 from bcid.progress import Progress, Silent
-from bcid.scene import Scene
+from bcid.scene import Level, Scene
 
 Array = NDArray[np.float64]
 # Elements twice as small leave a quarter of the error.
 _ORDER = 2
 _LEAST_GAIN = 0.5
+_AFFORDABLE = 20_000
+# So many of the last predictions are kept: what only changes the picture needs no other.
+_REPLIES = 5
 
 
 @dataclass(frozen=True)
@@ -45,46 +48,55 @@ class Reply:
 class Twin:
     """Predicts what a measurement should have shown. All methods are collective on `comm`; actions are spread over ranks.
 
+    It works on a mesh with elements twice as large as those of a level of the scene's ladder, and of the same degree; that
+    level says how large the error of the working one is.
+
     Args:
         scene: the scene.
         measurement: its motions are repeated.
         comm: an MPI communicator.
-        level: the working level.
+        level: the fine level; by default the last with at most 20,000 unknowns.
         settings: accuracy and patience of the solver.
         progress: told what goes on (rank 0).
 
     Attributes:
+        scene: the scene with the working level and, if there is one, the fine level, for a ladder.
+        whole: the scene as it was given.
+        fine_level: number of the fine level in its ladder.
         data: the measured values.
-        trajectories: forward trajectories by level, in whole-trajectory equivalents.
+        trajectories: forward trajectories by level ("working", "fine"), in whole-trajectory equivalents.
     """
+
+    level = 0
 
     def __init__(
         self,
         scene: Scene,
         measurement: Measurement,
         comm: Any,
-        level: int,
+        level: int | None = None,
         settings: Settings | None = None,
         progress: Progress | None = None,
     ) -> None:
-        if not 0 <= level < len(scene.levels):
+        if level is not None and not 0 <= level < len(scene.levels):
             raise InputError(f"level {level}: the scene has levels 0 to {len(scene.levels) - 1}")
-        self.scene, self.measurement, self.comm, self.level = scene, measurement, comm, level
+        self.fine_level = _affordable(scene, comm) if level is None else level
+        self.whole, self.measurement, self.comm = scene, measurement, comm
+        self.scene = replace(scene, levels=_pair(scene, self.fine_level))
         self.settings = settings or Settings(rtol=1e-7)
         self.progress = progress or Silent()
         self.data = Data(scene, measurement)
         self.actions = measurement.actions
-        self.trajectories: dict[int, float] = {}
+        self.trajectories: dict[str, float] = {}
+        self._replies: list[tuple[Any, bool, Reply]] = []
         self._forwards: dict[tuple[int, str], Forward] = {}
         self._sensitivities: dict[tuple[int, str], Sensitivity] = {}
         self._meshes: dict[int, BodyMesh] = {}
 
     @property
     def finer(self) -> int | None:
-        """The level that the working level is compared with, if there is one; the coarser one below the finest."""
-        if self.level + 1 < len(self.scene.levels):
-            return self.level + 1
-        return self.level - 1 if self.level > 0 else None
+        """The level that the working level is compared with, if there is one."""
+        return 1 if len(self.scene.levels) > 1 else None
 
     def forward(self, model: Model, level: int | None = None) -> Forward:
         """The forward model of these parts, with its values, private to the process."""
@@ -108,7 +120,7 @@ class Twin:
 
     def drop(self, keep: Iterable[Model] = ()) -> None:
         """Free what was built for models other than these."""
-        names = {model.name for model in keep}
+        names = {mechanical(model).name for model in keep}
         for key in [key for key in self._forwards if key[1] not in names]:
             self._forwards.pop(key).destroy()
             self._sensitivities.pop(key, None)
@@ -143,6 +155,17 @@ class Twin:
         """
         actions = self.actions if actions is None else list(actions)
         level = self.level if level is None else level
+        key = level, mechanical(model), frozenset(anchors), tuple(action.name for action in actions)
+        known = next((reply for k, kept, reply in self._replies if k == key and kept >= keep), None)
+        if known is None:
+            known = self._followed(*key[:3], actions, keep)
+            self._replies = [*self._replies[-_REPLIES:], (key, keep, known)]
+        return replace(known, positions=self._pictured(model, known.positions, level))
+
+    def _followed(
+        self, level: int, model: Model, anchors: frozenset[str], actions: list[Action], keep: bool
+    ) -> Reply:
+        """Prediction before effects on the picture."""
         forward = self.forward(model, level)
         positions = np.full(self.data.mask.shape, np.nan)
         parts, failure, error = {}, "", None
@@ -161,20 +184,31 @@ class Twin:
         for found, _ in gathered:
             total = np.where(np.isnan(total), found, total)
         share = sum(len(a) for a in actions) / sum(len(a) for a in self.actions)
-        self.trajectories[level] = self.trajectories.get(level, 0.0) + share
+        self.count("fine" if level else "working", share)
         return Reply(total, parts, next((why for _, why in gathered if why), ""))
+
+    def _pictured(self, model: Model, positions: Array, level: int) -> Array:
+        """Positions as the camera shows them."""
+        if not any(dose.effect.observe for dose in model.doses):
+            return positions
+        forward = self.forward(mechanical(model), level)
+        seen = positions.copy()
+        for action in self.actions:
+            for step, frame in enumerate(action.frames):
+                seen[frame] = model.observed(positions[frame], forward.frame(action, step))
+        return seen
 
     def signatures(self, model: Model, anchors: Iterable[str], reply: Reply, wanted: Wanted) -> Signatures:
         """Signatures along all actions of a reply that kept its states, the same on every rank."""
-        forward = self.forward(model)
-        key = self.level, model.name
+        forward = self.forward(mechanical(model))
+        key = self.level, forward.model.name
         if key not in self._sensitivities:
             self._sensitivities[key] = Sensitivity(forward)
         sensitivity = self._sensitivities[key]
         error, parts = None, []
         for action in self.mine(a for a in self.actions):
             try:
-                parts.append(sensitivity.of(anchors, [action], self._whole(reply.parts[action.name]), wanted))
+                parts.append(sensitivity.of(anchors, [action], self._whole(reply.parts[action.name]), wanted, model))
             except BcidError as caught:
                 error = caught
                 break
@@ -196,12 +230,12 @@ class Twin:
         second = self.predict(model, anchors, other)
         if second.failure or reply.failure:
             return MeshError.unknown(self.data.mask.shape)
-        own, its = (self._unknowns(level) for level in (self.level, other))
-        gain = max(abs((max(own, its) / min(own, its)) ** (_ORDER / 3) - 1), _LEAST_GAIN)
-        if other > self.level:
-            return MeshError.between(reply.positions, second.positions, gain)
-        difference = (reply.positions - second.positions) / gain
-        return MeshError(difference, difference, True)
+        gain = max((self._unknowns(other) / self._unknowns(self.level)) ** (_ORDER / 3) - 1, _LEAST_GAIN)
+        return MeshError.between(reply.positions, second.positions, gain)
+
+    def count(self, what: str, trajectories: float) -> None:
+        """Note forward trajectories."""
+        self.trajectories[what] = self.trajectories.get(what, 0.0) + trajectories
 
     def _unknowns(self, level: int) -> int:
         return self._meshes[level].unknowns(self.scene.levels[level].degree, False)
@@ -209,6 +243,34 @@ class Twin:
     def destroy(self) -> None:
         """Free the PETSc objects."""
         self.drop()
+
+
+def mechanical(model: Model) -> Model:
+    """The model without effects that only change the picture."""
+    return replace(model, doses=tuple(d for d in model.doses if d.effect.mechanical or d.effect.drive))
+
+
+def _affordable(scene: Scene, comm: Any) -> int:
+    """The last level of a ladder with at most `_AFFORDABLE` unknowns; collective."""
+    mixed = scene.material.formulation == "mixed"
+    for number in reversed(range(1, len(scene.levels))):
+        level = scene.levels[number]
+        if level_mesh(scene, level, comm).unknowns(level.degree, mixed) <= _AFFORDABLE:
+            return number
+    return 0
+
+
+def _pair(scene: Scene, fine: int) -> tuple[Level, ...]:
+    """Working level and fine level: elements of the same degree, twice as large and as they are.
+
+    A mesh file cannot be made coarser than it is: there the level below serves, if it has the same degree.
+    """
+    level = scene.levels[fine]
+    if level.element_size is not None:
+        return replace(level, element_size=2 * level.element_size), level
+    if level.refinements > 0:
+        return replace(level, refinements=level.refinements - 1), level
+    return (level,)
 
 
 def _merged(parts: list[Signatures]) -> Signatures:

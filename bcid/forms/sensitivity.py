@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from bcid.errors import SolveError
 from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import Forward, Prediction
-from bcid.forms.model import Dose
+from bcid.forms.model import Dose, Model
 from bcid.forms.parameter import Parameter
 from bcid.forms.solve import Pose
 from bcid.forms.terms import Terms
@@ -105,6 +105,7 @@ class Sensitivity:
             raise ValueError("Sensitivity: the mesh must not be shared over ranks")
         self.forward = forward
         self.equilibrium = forward.equilibrium
+        self.model = forward.model
         body = forward.body
         columns = forward.observer.matrix.tocoo()
         dofs = body.displacement_dofs.reshape(-1, 3)
@@ -122,12 +123,15 @@ class Sensitivity:
     # -- one step
     # ------------------------------------------------------------------------------------------------------------
 
+    def _factorise(self) -> None:
+        """The tangent at the present state."""
+        self.equilibrium._assemble_tangent()
+        if not self.equilibrium.factor.refresh():
+            raise SolveError("the tangent of a converged step could not be factorised")
+
     def _responses(self) -> Array:
         """G = K^-1 C^T at the present state, zero where something is held, shape (unknowns, 3 * fiducials)."""
         equilibrium = self.equilibrium
-        equilibrium._assemble_tangent()
-        if not equilibrium.factor.refresh():
-            raise SolveError("the tangent of a converged step could not be factorised")
         right = self.observe.T.toarray()
         right[equilibrium._held] = 0.0
         return equilibrium.factor.solve_block(right, transpose=not equilibrium.model.symmetric)
@@ -228,7 +232,7 @@ class Sensitivity:
         actions: Sequence[Action],
         prediction: Prediction,
         wanted: Wanted,
-        frames: Iterable[int] | None = None,
+        model: Model | None = None,
     ) -> Signatures:
         """Signatures along the actions, from the states that the prediction kept.
 
@@ -237,7 +241,7 @@ class Sensitivity:
             actions: as commanded.
             prediction: with its states.
             wanted: what is asked for.
-            frames: only these; all by default.
+            model: the forward's model, with effects on gripper and picture besides; by default the forward's own.
         """
         states = prediction.states
         if states is None:
@@ -250,9 +254,9 @@ class Sensitivity:
             np.full((*empty.shape, len(self.forward.mesh.cells)), np.nan, np.float32) if wanted.stiffness else None,
             None if wanted.forces is None else np.full((*empty.shape, wanted.forces.shape[1], 3), np.nan, np.float32),
         )
-        asked = None if frames is None else set(frames)
+        self.model = model or self.forward.model
         for commanded in actions:
-            self._follow(frozenset(anchors), commanded, states, wanted, result, asked)
+            self._follow(frozenset(anchors), commanded, states, wanted, result)
         return result
 
     def _follow(
@@ -262,10 +266,9 @@ class Sensitivity:
         states: Mapping[int, Array],
         wanted: Wanted,
         result: Signatures,
-        asked: set[int] | None,
     ) -> None:
         forward, equilibrium, terms = self.forward, self.equilibrium, self.terms
-        action = forward.model.driven(commanded)
+        action = self.model.driven(commanded)
         equilibrium.hold(anchors, action.grasp)
         for name, constant in terms.anchored.items():
             constant.value = equilibrium.terms.anchored[name].value
@@ -278,8 +281,7 @@ class Sensitivity:
         for step, (pose, frame) in enumerate(zip(poses(action), action.frames, strict=True)):
             equilibrium.set_state(pose, states[int(frame)])
             self._remember(pose)
-            if asked is None or int(frame) in asked:
-                self._step(anchors, action, step, pose, int(frame), moves, wanted, result)
+            self._step(anchors, action, step, pose, int(frame), moves, wanted, result)
             equilibrium.accept(pose)
             for memory in terms.memories.values():
                 memory.advance()
@@ -300,7 +302,7 @@ class Sensitivity:
             return None
         parameter = next(p for p in probe.effect.parameters if p.name == name)
         step = _STEP * parameter.typical
-        model = self.forward.model
+        model = self.model
         pairs = []
         for sign in (1.0, -1.0):
             dose = Dose.__new__(Dose)
@@ -324,52 +326,69 @@ class Sensitivity:
         result: Signatures,
     ) -> None:
         equilibrium, forward = self.equilibrium, self.forward
-        responses = self._responses()
         fiducials = len(forward.observer.rest)
         places = forward.observer.positions(equilibrium.displacement())
         seen = self._seen(places, action, step)
-
-        def moved(change: Array) -> Array:
-            """By a change of the residual."""
-            change = change.copy()
-            change[equilibrium._held] = 0.0
-            return seen(-(responses.T @ change).reshape(fiducials, 3))
-
-        def led(gap: Array) -> Array:
-            """By a change of what is prescribed."""
-            along = equilibrium.tangent.times(gap)
-            along[equilibrium._held] = 0.0
-            return seen((self.observe @ gap - responses.T @ along).reshape(fiducials, 3))
-
+        targets: list[Array] = []
+        changes: list[Array] = []
+        gaps: list[Array | None] = []
         number = 0
         for probe, out in zip(wanted.probes, result.probes, strict=True):
             for name in probe.wanted:
                 pairs, number = moves[number], number + 1
                 parameter = next(p for p in probe.effect.parameters if p.name == name)
-                out[name][frame] = 0.0
+                target = out[name][frame]
+                target[:] = 0.0
                 if parameter.reciprocal and not math.isfinite(probe.dose.values[name]):
                     forces = self._assemble(equilibrium.residual_form)
-                    out[name][frame] += led(self._yielding(probe.dose.place, anchors, forces))
+                    targets.append(target)
+                    gaps.append(self._yielding(probe.dose.place, anchors, forces))
+                    changes.append(np.zeros(0))
                 elif probe.effect.mechanical:
-                    change = self._change(probe, name, pose.time)
                     scale = -(probe.dose.values[name] ** 2) if parameter.reciprocal else 1.0
-                    out[name][frame] += moved(scale * change)
+                    targets.append(target)
+                    gaps.append(None)
+                    changes.append(scale * self._change(probe, name, pose.time))
                 if pairs is not None:
-                    width = 2 * _STEP * parameter.typical
-                    out[name][frame] += led(self._gripped(*pairs[step]) / width)
+                    targets.append(target)
+                    gaps.append(self._gripped(*pairs[step]) / (2 * _STEP * parameter.typical))
+                    changes.append(np.zeros(0))
                 if probe.effect.observe:
-                    out[name][frame] += self._pictured(probe, parameter, places, action, step)
+                    target += self._pictured(probe, parameter, places, action, step)
         for name, size in wanted.law.items():
-            result.law[name][frame] = moved(self._change_of_law(name, size))
-        free = np.ones(len(responses), dtype=bool)
-        free[equilibrium._held] = False
+            result.law[name][frame] = 0.0
+            targets.append(result.law[name][frame])
+            gaps.append(None)
+            changes.append(self._change_of_law(name, size))
+        fields = result.stiffness is not None or result.forces is not None
+        if not targets and not fields:
+            return
+        self._factorise()
+        columns = np.zeros((len(equilibrium.u.x.array), len(targets)))
+        direct = np.zeros((3 * fiducials, len(targets)))
+        for j, (gap, change) in enumerate(zip(gaps, changes, strict=True)):
+            columns[:, j] = change if gap is None else equilibrium.tangent.times(gap)
+            if gap is not None:
+                direct[:, j] = self.observe @ gap
+        columns[equilibrium._held] = 0.0
+        responses = self._responses() if fields or len(targets) > 3 * fiducials else None
+        if responses is None:
+            moved = direct - self.observe @ equilibrium.factor.solve_block(columns)
+        else:
+            moved = direct - responses.T @ columns
+        for target, change in zip(targets, moved.T, strict=True):
+            target += seen(change.reshape(fiducials, 3))
+        if responses is None:
+            return
         if result.stiffness is not None:
-            columns = -(responses.T @ (self._stiffness_matrix().multiply(free[:, None]).tocsc()))
-            result.stiffness[frame] = self._all_seen(seen, np.asarray(columns))
+            free = np.ones(len(responses), dtype=bool)
+            free[equilibrium._held] = False
+            softened = -(responses.T @ (self._stiffness_matrix().multiply(free[:, None]).tocsc()))
+            result.stiffness[frame] = self._all_seen(seen, np.asarray(softened))
         if result.forces is not None and wanted.forces is not None:
             dofs = forward.body.displacement_dofs.reshape(-1, 3)
-            columns = np.stack([responses[dofs[:, axis]].T @ wanted.forces for axis in range(3)], axis=-1)
-            shaped = columns.reshape(3 * fiducials, -1)
+            pushed = np.stack([responses[dofs[:, axis]].T @ wanted.forces for axis in range(3)], axis=-1)
+            shaped = pushed.reshape(3 * fiducials, -1)
             result.forces[frame] = self._all_seen(seen, shaped).reshape(fiducials, 3, -1, 3)
 
     @staticmethod
@@ -379,7 +398,7 @@ class Sensitivity:
 
     def _seen(self, places: Array, action: Action, step: int) -> Any:
         """How a change of the fiducials' positions appears in the picture: through the model's observation effects."""
-        model = self.forward.model
+        model = self.model
         if not any(dose.effect.observe for dose in model.doses):
             return lambda change: change
         frame = self.forward.frame(action, step)
@@ -397,7 +416,7 @@ class Sensitivity:
         observe = probe.effect.observe
         assert observe is not None
         before = places
-        after = self.forward.model.doses
+        after = self.model.doses
         labels = [d.label for d in after]
         position = labels.index(dose.label) if dose.label in labels else len(labels)
         for other in after[:position]:

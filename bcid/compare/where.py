@@ -1,0 +1,122 @@
+"""Where? The smooth force that would have to act on the body, and where, to explain what a model leaves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from numpy.typing import NDArray
+
+from bcid.compare.missing import _spread
+from bcid.compare.state import State
+from bcid.forms.forward import Forward
+from bcid.forms.sensitivity import Wanted
+
+Array = NDArray[np.float64]
+# So many bumps carry the force, each as wide as they are apart.
+_BUMPS = 48
+# Sizes of the force that are tried, relative to the one that would explain everything.
+_SIZES = np.logspace(-4, 4, 33)
+
+
+@dataclass(frozen=True)
+class Place:
+    """A part of the missing force.
+
+    Attributes:
+        position: middle of its bump, rest state, shape (3,), m.
+        force: N, shape (3,).
+        stderr: of the length of it, N.
+    """
+
+    position: Array
+    force: Array
+    stderr: float
+
+
+@dataclass(frozen=True)
+class MissingForce:
+    """A force field that would explain the residual. Its size is right if the stiffness is.
+
+    Attributes:
+        steady: the part that acts in all frames, by bump.
+        growing: by action, the part that grows from nothing to its value at the last step.
+        explained: share of the residual's excess over the noise that it explains, 0 to 1.
+        rms: RMS residual that it leaves, m.
+    """
+
+    steady: tuple[Place, ...]
+    growing: dict[str, tuple[Place, ...]]
+    explained: float
+    rms: float
+
+
+def missing_force(state: State) -> MissingForce:
+    """The force field of least size that explains the residual as far as noise asks for it; collective.
+
+    Gaussian bumps spread over the body; their sizes have a common prior whose width is chosen by the evidence of the data
+    (MacKay, Neural Computation 4, 1992).
+    """
+    twin, data = state.twin, state.twin.data
+    forward = twin.forward(state.model)
+    centres, weights = _bumps(forward)
+    found = twin.signatures(state.model, state.anchors, state.reply, Wanted(forces=weights))
+    assert found.forces is not None
+    raw = found.forces[data.mask].astype(float).reshape(len(data), -1)
+    last = np.array([data.step[data.action == a].max(initial=1) for a in range(len(data.actions))])
+    growth = data.step / np.maximum(last[data.action], 1)
+    blocks = [raw] + [
+        raw * np.where(data.action == a, growth, 0.0)[:, None] for a in range(len(data.actions)) if last[a] > 0
+    ]
+    names = [name for a, name in enumerate(data.actions) if last[a] > 0]
+    amounts, deviation, explained = _evidence(np.hstack([state.errors.whiten(b) for b in blocks]), state.scaled)
+    volumes = weights.sum(axis=0)
+    parts = amounts.reshape(len(blocks), len(centres), 3) * volumes[None, :, None]
+    spread = deviation.reshape(len(blocks), len(centres), 3) * volumes[None, :, None]
+
+    def places(number: int) -> tuple[Place, ...]:
+        return tuple(
+            Place(c, f, float(np.linalg.norm(s) / np.sqrt(3)))
+            for c, f, s in zip(centres, parts[number], spread[number], strict=True)
+        )
+
+    left = state.residual - np.hstack(blocks) @ amounts
+    growing = {name: places(i + 1) for i, name in enumerate(names)}
+    return MissingForce(places(0), growing, explained, float(np.sqrt(np.mean(left**2))))
+
+
+def _bumps(forward: Forward) -> tuple[Array, Array]:
+    """Middles of the bumps, and the weight (m^3) of each at every node, shape (nodes, bumps)."""
+    body = forward.body
+    volume = fem.assemble_vector(
+        fem.form(ufl.TestFunction(fem.functionspace(body.domain, ("Lagrange", body.degree))) * ufl.dx)
+    ).array
+    nodes = body.nodes
+    centres = _spread(nodes, _BUMPS)
+    apart = np.linalg.norm(centres[:, None] - centres[None], axis=2) + np.diag(np.full(len(centres), np.inf))
+    width = float(np.median(apart.min(axis=1)))
+    shapes = np.exp(-0.5 * (np.linalg.norm(nodes[:, None] - centres[None], axis=2) / width) ** 2)
+    return centres, shapes * volume[:, None]
+
+
+def _evidence(columns: Array, residual: Array) -> tuple[Array, Array, float]:
+    """Ridge regression with the width of the prior that makes the data most likely: amounts, their errors, share explained."""
+    basis, sizes, rows = np.linalg.svd(columns, full_matrices=False)
+    along = basis.T @ residual
+    scale = np.sqrt(np.mean(sizes**2)) or 1.0
+    best, chosen = -np.inf, 0.0
+    for size in _SIZES:
+        variance = 1 + (size * sizes / scale) ** 2
+        evidence = -0.5 * float(np.sum(along**2 / variance) + np.sum(np.log(variance)))
+        if evidence > best:
+            best, chosen = evidence, size
+    prior = (chosen / scale) ** 2
+    gain = sizes * prior / (1 + prior * sizes**2)
+    amounts = rows.T @ (gain * along)
+    deviation = np.sqrt(np.maximum(prior - (rows.T**2) @ (prior * gain * sizes), 0.0))
+    before = max(float(residual @ residual) - len(residual), 1e-12)
+    after = residual - columns @ amounts
+    explained = float(np.clip((residual @ residual - after @ after) / max(before, residual @ residual * 1e-6), 0.0, 1.0))
+    return amounts, deviation, explained
