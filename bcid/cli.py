@@ -1,4 +1,6 @@
-"""The command line: ``bcid demo``, ``identify``, ``simulate``, ``check-effect`` (also under ``mpirun -n N``), ``doctor``, ``bench``."""
+"""The command line: ``bcid demo``, ``identify``, ``simulate``, ``check-effect`` (also under ``mpirun -n N``), ``doctor``,
+``bench``.
+"""
 
 from __future__ import annotations
 
