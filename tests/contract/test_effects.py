@@ -433,6 +433,25 @@ def test_a_viscous_body_relaxes_after_a_step_of_strain() -> None:
     assert float(forces(equilibrium).reshape(-1, 3)[end, 0].sum()) == pytest.approx(long_time, rel=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("name", "value"), [("viscosity", {"fraction": 0.5}), ("support_friction", {"shear_stress": 4.0})]
+)
+def test_the_wrench_is_found_again_from_the_states(name: str, value: dict[str, float]) -> None:
+    """What an effect remembers is part of the force, also when states are looked at afterwards."""
+    parts = model() + Dose(name, value)
+    scene = replace(scene_of(("x0",), "x1", (0.1, 0.01, 0.01), fiducials={"a": (0.05, 0.01, 0.02)}), support="z0")
+    forward = Forward(scene, model=parts, settings=EXACT, mesh=box(BAR, (5, 1, 1)))
+    there_and_back = [move(np.array([0, 2, 4, 2, 0])[:, None] * np.array([1e-3, 0.0, 5e-4]), "x1")]
+    states = forward.predict(["x0"], there_and_back, keep=True)
+    wrench = forward.detail(["x0"], there_and_back, states).wrench
+    assert wrench is not None
+    assert abs(wrench[4, 0]) > 1e-3, "on the way back it pushes"
+    seen: list[Array] = []
+    forward.equilibrium.hold(["x0"], "x1")
+    follow(forward.equilibrium, there_and_back[0], lambda _k, pose: seen.append(forward.equilibrium.wrench(pose)))
+    np.testing.assert_allclose(wrench, seen, atol=1e-9)
+
+
 # ---------------------------------------------------------------- formulas: grip and camera
 
 
