@@ -33,6 +33,13 @@ Anchored = frozenset[str]
 _TELLING = 2 * math.log(20.0)
 # Random seeds of the first search: what it misses is found when the working level is searched.
 _SEEDS = 8
+# A candidate is not refitted when another leaves less than so many times the noise (chi-square per value) and it is
+# expected to leave more than so many times.
+_NEARLY, _FAR = 1.3, 4.0
+# Sets whose RMS residual exceeds the best one's by more than this do not compete.
+_NEAR = 1.6
+# Candidates are refitted to this relative change of chi-square.
+_ROUGH = 3e-3
 # A reciprocal or a direction may need a start away from the neutral value: part of the way to the expected value.
 _CAUTION = (1.0, 0.5, 0.2)
 
@@ -52,7 +59,7 @@ class Plan:
     level: int | None = None
     effects: int = 3
     fitted: int = 4
-    sets: int = 3
+    sets: int = 2
     only: tuple[str, ...] | None = None
 
 
@@ -284,7 +291,7 @@ class _Loop:
             if len(rivals) >= self.plan.fitted:
                 break
             # An effect may compete with two anchor sets, but must not crowd out the others.
-            if tried.get(row.effect, 0) >= 2:
+            if tried.get(row.effect, 0) >= 2 or self.hopeless(row, base, rivals):
                 continue
             tried[row.effect] = tried.get(row.effect, 0) + 1
             rival = self.refit(row, base)
@@ -298,30 +305,27 @@ class _Loop:
         self.twin.drop([fitted.state.model, *(r.fitted.state.model for r in rivals[:1])])
         return ranking, rivals
 
+    def hopeless(self, row: Row, base: State, rivals: Sequence[Rival]) -> bool:
+        """Whether a rival explains nearly all already, and this effect is not expected to come near that."""
+        best = min((rival.fitted.state.chi2 for rival in rivals), default=math.inf)
+        return best < _NEARLY * len(self.twin.data) and base.chi2 - row.score > _FAR * len(self.twin.data)
+
     def next_sets(self, fitted: Fit, identification: Identification) -> list[State]:
         """The sets that come next to the best one, with the present model."""
         state = fitted.state
-        patches = list(self.scene.patches)
-        near = [state.anchors ^ {patch} for patch in patches]
-        sets = dict.fromkeys([*(frozenset(a.anchored) for a in identification.alternatives), *near])
-        found = []
-        for anchors in sets:
-            if anchors == state.anchors or not anchors:
+        found: list[State] = []
+        for other in identification.alternatives:
+            anchors = frozenset(other.anchored)
+            if len(found) == self.plan.sets or other.rms > _NEAR * other.best_rms:
+                break
+            if not anchors or anchors == state.anchors:
                 continue
             try:
-                found.append(State.of(self.twin, state.model, anchors, state.errors.mesh, state.free))
+                rival = State.of(self.twin, state.model, anchors, state.errors.mesh, state.free)
+                found.append(fit(rival, state.free, most=4).state if state.free else rival)
             except SolveError:
                 continue
-        found.sort(key=lambda other: other.chi2)
-        result = []
-        for other in found[: self.plan.sets]:
-            if other.free:
-                try:
-                    other = fit(other, other.free, most=4).state
-                except SolveError:
-                    continue
-            result.append(other)
-        return result
+        return found
 
     def refit(self, row: Row, base: State) -> Rival | None:
         """Add an effect, begin at what is expected of it, and fit everything together."""
@@ -329,7 +333,7 @@ class _Loop:
             try:
                 model = base.model + _careful(row, base.model, part)
                 state = State.of(self.twin, model, base.anchors, base.errors.mesh)
-                fitted = fit(state, self.free(model))
+                fitted = fit(state, self.free(model), most=8, ftol=_ROUGH)
             except (SolveError, InputError):
                 continue
             dose = fitted.state.model.doses[-1]

@@ -206,13 +206,14 @@ def _differences(
     return np.column_stack(found)
 
 
-def fit(start: State, names: Sequence[str], most: int = 12) -> Fit:
+def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL) -> Fit:
     """Fit numbers of a model to the data; collective.
 
     Args:
         start: where to begin; its covariance of errors is kept.
         names: full names of the numbers.
         most: predictions at most.
+        ftol: relative change of chi-square that ends the fit.
 
     Raises:
         InputError: the model has no such number.
@@ -236,7 +237,7 @@ def fit(start: State, names: Sequence[str], most: int = 12) -> Fit:
         bounds=(lower, upper),
         x_scale=scale,
         xtol=_XTOL,
-        ftol=_FTOL,
+        ftol=ftol,
         gtol=1e-10,
         max_nfev=most,
     )

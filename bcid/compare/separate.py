@@ -1,0 +1,79 @@
+"""Which pull would tell two explanations apart: all grasps of the scene in six directions, predicted by both."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.compare.state import State
+from bcid.forms.forward import Forward
+from bcid.measurement import Action
+
+Array = NDArray[np.float64]
+_DIRECTIONS = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
+_STEPS = 4
+
+
+@dataclass(frozen=True)
+class Pull:
+    """A pull that separates two explanations.
+
+    Attributes:
+        grasp, direction: of the pull.
+        distance: of the gripper, m.
+        sigmas: distance of the two predictions in units of noise, over all fiducials and steps.
+        text: in words.
+    """
+
+    grasp: str
+    direction: str
+    distance: float
+    sigmas: float
+    text: str
+
+
+def separating_pulls(one: State, other: State, distance: float | None = None) -> list[Pull]:
+    """Pulls of all grasps along the axes, the most telling first; collective.
+
+    Args:
+        one, other: the explanations, on the same twin.
+        distance: of the gripper, m; by default the longest of the measured actions, at most 12 mm.
+    """
+    twin = one.twin
+    longest = max((float(np.linalg.norm(a.translation, axis=1).max()) for a in twin.actions), default=0.0)
+    distance = distance or min(longest or 0.01, 0.012)
+    tasks = [(grasp, name) for grasp in twin.scene.grasps for name in _DIRECTIONS]
+    found = []
+    first, second = (_predictions(state, tasks, distance) for state in (one, other))
+    for (grasp, name), a, b in zip(tasks, first, second, strict=True):
+        if a is None or b is None:
+            continue
+        # Twice the variance of one measurement would be too much: the predictions have no noise.
+        sigmas = float(np.sqrt(np.sum((a - b) ** 2)) / one.noise)
+        text = f"grasp {grasp} along {name} by {distance * 1e3:.3g} mm ({sigmas:.0f} sigma apart)"
+        found.append(Pull(grasp, name, distance, sigmas, text))
+    return sorted(found, key=lambda pull: -pull.sigmas)
+
+
+def _predictions(state: State, tasks: Sequence[tuple[str, str]], distance: float) -> list[Array | None]:
+    twin = state.twin
+    forward = twin.forward(state.model)
+    mine: dict[int, Array | None] = {}
+    for i, (grasp, name) in enumerate(tasks):
+        if i % twin.comm.size == twin.comm.rank:
+            mine[i] = _one(forward, state, grasp, np.array(_DIRECTIONS[name], float) * distance)
+    together: dict[int, Array | None] = {}
+    for part in twin.comm.allgather(mine):
+        together |= part
+    return [together[i] for i in range(len(tasks))]
+
+
+def _one(forward: Forward, state: State, grasp: str, way: Array) -> Array | None:
+    steps = np.arange(_STEPS + 1)
+    unturned = np.tile([1.0, 0.0, 0.0, 0.0], (len(steps), 1))
+    action = Action("1", steps, steps, grasp, steps[:, None] / _STEPS * way, unturned)
+    prediction = forward.predict(state.anchors, [action])
+    return None if prediction.failure else prediction.positions
