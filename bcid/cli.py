@@ -1,4 +1,6 @@
-"""The command line: ``bcid demo``, ``identify``, ``simulate`` (also under ``mpirun -n N``), ``doctor``, ``bench``."""
+"""The command line: ``bcid demo``, ``identify``, ``simulate``, ``check-effect`` (also under ``mpirun -n N``), ``doctor``,
+``bench``.
+"""
 
 from __future__ import annotations
 
@@ -33,6 +35,7 @@ _EXAMPLES = """examples:
   bcid identify scene.toml measurement -o run                   which patches are anchored?
   mpirun -n 2 bcid identify scene.toml measurement -o run       the same on two ranks, with the same answer
   bcid simulate scene.toml --anchors 1,2 --motion pull -o made  a measurement made by the model
+  bcid check-effect my_effect.py                                does an effect of one's own keep the contract?
   bcid doctor                                                   is everything installed that is needed?
   bcid bench                                                    how fast is it, against other codes? (half an hour)
 
@@ -103,6 +106,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_demo(commands)
     _add_identify(commands)
     _add_simulate(commands)
+    _add_check_effect(commands)
     commands.add_parser("doctor", help="tell what is installed and whether it works")
     _add_bench(commands)
     return parser
@@ -207,6 +211,20 @@ def _add_simulate(commands: Any) -> None:
     parser.add_argument("--random-state", type=int, default=0, metavar="N", help="of the noise (0)")
     parser.add_argument("--wrench", action="store_true", help="also record force and torque of the gripper")
     parser.add_argument("--quiet", action="store_true", help="say only the result")
+
+
+def _add_check_effect(commands: Any) -> None:
+    parser = _add(
+        commands,
+        "check-effect",
+        check_effect,
+        "tell whether an effect keeps its contract",
+        "It is tried on a small box: does it vanish at its neutral value, is it seen by the tangent, do differences agree,\n"
+        "are its units consistent, is it the same on one and two ranks? Exit code 2 if something is wrong. See docs/effects.md.",
+    )
+    parser.add_argument(
+        "effect", metavar="FILE", help="Python file that defines effect = Effect(...), or a name of the catalogue"
+    )
 
 
 def _add_bench(commands: Any) -> None:
@@ -328,6 +346,13 @@ def simulate(arguments: argparse.Namespace, comm: Any) -> None:
     on_root(comm, lambda: made.write(arguments.output))
     if comm.rank == 0:
         print(f"{arguments.output}: {len(made.positions)} frames of {len(made.fiducial_names)} fiducials")
+
+
+def check_effect(arguments: argparse.Namespace, comm: Any) -> None:
+    """`bcid check-effect`."""
+    from bcid.forms.check_effect import check_effect as check
+
+    check(arguments.effect, comm, lambda text: print(text, flush=True) if comm.rank == 0 else None)
 
 
 def _bench(arguments: argparse.Namespace) -> int:

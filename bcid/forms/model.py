@@ -270,13 +270,13 @@ def _model(scene: Scene, problems: list[str]) -> Model | None:
         problems += [f"material.{problem}" for problem in law.check(values, mixed)]
     if mixed and any(level.degree < 2 for level in scene.levels):
         problems.append("material.formulation: the mixed formulation needs degree = 2 on every level")
-    doses = [_dose(name, written, problems) for name, written in scene.effects.items()]
+    doses = [_dose(name, written, scene, problems) for name, written in scene.effects.items()]
     if problems:
         return None
     return Model(law, values, material.formulation, doses=tuple(d for d in doses if d), down=scene.down)
 
 
-def _dose(name: str, written: Values, problems: list[str]) -> Dose | None:
+def _dose(name: str, written: Values, scene: Scene, problems: list[str]) -> Dose | None:
     try:
         effect = effects.effect(name)
     except InputError as error:
@@ -286,8 +286,12 @@ def _dose(name: str, written: Values, problems: list[str]) -> Dose | None:
     numbers = {key: value for key, value in written.items() if not (effect.places and key == "place")}
     values = _numbers(numbers, effect.parameters, f"effects.{name}", problems)
     found = effect.check(values)
-    if not isinstance(place, str):
-        found.append(f"{name}: place = {place!r}: expected the name of a place")
+    if effect.places:
+        # Which patches are anchored is not known yet: any may be.
+        allowed = effect.places(scene, frozenset(scene.patches))
+        if place not in allowed:
+            named = "is missing" if place == "" else f"= {place!r}"
+            found.append(f"{name}: place {named}; {nearest(str(place), [p for p in allowed if p])}")
     problems += [f"effects.{problem}" for problem in found]
     return None if found else Dose(effect, values, place=place)
 

@@ -366,7 +366,9 @@ class Equilibrium:
 
     def _assemble_tangent(self) -> None:
         """The tangent at the present state; what was known of earlier ones is dropped."""
-        rest = not self.u.x.array.any() if self.body.comm.size == 1 else False
+        # Alike at rest only without memory: what is kept of the last step is not among the numbers.
+        alike = self.body.comm.size == 1 and not self.model.remembers
+        rest = alike and not self.u.x.array.any()
         self.tangent.assemble(self._numbers() if rest else None)
         self.age = 0
         self.factor.usable = False

@@ -229,6 +229,8 @@ class Terms:
 
     def surface(self, name: str) -> Any:
         """Measure of a place, which is any patch, grasp or place of the scene."""
+        if not name:
+            raise InputError('the scene names no support surface: add support = "NAME" with a place of that name')
         if name not in self.places:
             raise InputError(f"place '{name}' is not in the scene; {nearest(name, self.places)}")
         measures, usable = self._surfaces

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.forms.rotation import slerp
 from bcid.forms.solve import WORDS, Equilibrium, Pose, Status
 from bcid.measurement import Action
 
@@ -204,16 +205,4 @@ def between(a: Pose, b: Pose, fraction: float) -> Pose:
     loads = {place: (1 - fraction) * a.loads[place] + fraction * b.loads[place] for place in b.loads}
     translation = (1 - fraction) * a.translation + fraction * b.translation
     dose, time = (1 - fraction) * a.dose + fraction * b.dose, (1 - fraction) * a.time + fraction * b.time
-    return Pose(translation, _slerp(a.rotation, b.rotation, fraction), loads, dose, time)
-
-
-def _slerp(a: Array, b: Array, fraction: float) -> Array:
-    cosine = float(a @ b)
-    if cosine < 0:
-        b, cosine = -b, -cosine
-    angle = np.arccos(min(cosine, 1.0))
-    if angle < 1e-9:
-        mixed = (1 - fraction) * a + fraction * b
-    else:
-        mixed = (np.sin((1 - fraction) * angle) * a + np.sin(fraction * angle) * b) / np.sin(angle)
-    return np.asarray(mixed / np.linalg.norm(mixed))
+    return Pose(translation, slerp(a.rotation, b.rotation, fraction), loads, dose, time)

@@ -1,0 +1,55 @@
+"""Active stress: the body contracts by itself along one direction of the x-z plane.
+
+Energy per rest volume: amplitude/2 (I4 - 1), that is a second Piola-Kirchhoff stress amplitude a x a along the fibres
+a = (cos angle, 0, sin angle) (Nash & Panfilov, Prog. Biophys. Mol. Biol. 85, 2004). With a period (s) other than 0 the
+amplitude is multiplied by sin^2(pi t/period): at rest at t = 0, in full half a period later.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from bcid.forms.effects.effect import Effect
+from bcid.forms.kinematics import direction
+from bcid.forms.parameter import Parameter
+
+
+def envelope(time: float, values: Mapping[str, float]) -> float:
+    """Part of the amplitude that acts at a time (s)."""
+    period = values["period"]
+    return 1.0 if period == 0 else math.sin(math.pi * time / period) ** 2
+
+
+effect = Effect(
+    name="active_stress",
+    parameters=(
+        Parameter(
+            "amplitude",
+            "Pa",
+            "fibre stress; positive contracts",
+            lower=-1e7,
+            upper=1e7,
+            neutral=0.0,
+            typical=500.0,
+        ),
+        # The stress is a polynomial in cos 2a: three values determine it.
+        Parameter(
+            "angle",
+            "deg",
+            "direction in the x-z plane, from x towards z",
+            default=0.0,
+            lower=-180.0,
+            upper=360.0,
+            typical=20.0,
+            scan=(0.0, 60.0, 120.0),
+            period=180.0,
+            harmonics=1,
+        ),
+        Parameter("period", "s", "of the contraction; 0 is steady", default=0.0, lower=0.0, typical=2.0, scan=(0.0,)),
+    ),
+    about="the body contracts by itself along one direction",
+    acts_on="material",
+    energy=lambda point, c: c["amplitude"] / 2 * point.kin.invariant4_minus_1(direction(c["angle"])),
+    envelope=envelope,
+)

@@ -1,0 +1,38 @@
+"""Compressibility: another Poisson's ratio than the law was given.
+
+It replaces the law's constant poisson; the other constants keep their values, so that with a law given by young the
+shear modulus young / (2 (1 + poisson)) changes a little too. Without influence at the law's own value.
+"""
+
+from __future__ import annotations
+
+from bcid.errors import InputError
+from bcid.forms import materials
+from bcid.forms.effects.effect import Effect
+from bcid.forms.parameter import Parameter
+from bcid.measurement import Measurement
+from bcid.scene import Scene
+
+
+def needs(scene: Scene, _measurement: Measurement) -> str:
+    """A law with a Poisson's ratio."""
+    try:
+        law = materials.law(scene.material.law)
+    except InputError as error:
+        return str(error)
+    if any(parameter.name == "poisson" for parameter in law.parameters):
+        return ""
+    return f"the law {law.name} has no constant poisson"
+
+
+effect = Effect(
+    name="compressibility",
+    parameters=(
+        # The neutral value is the law's; 0.35 stands for it.
+        Parameter("poisson", "1", "Poisson's ratio", lower=0.0, upper=0.495, neutral=0.35, law="poisson", typical=0.05),
+    ),
+    about="another Poisson's ratio than the law was given",
+    acts_on="material",
+    constants=lambda c: {"poisson": c["poisson"]},
+    needs=needs,
+)

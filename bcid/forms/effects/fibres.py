@@ -1,0 +1,34 @@
+"""Fibres: the body is stiffer along one direction of the x-z plane.
+
+Energy per rest volume: k1/2 (I4 - 1)^2 with I4 = a . C a the squared stretch along a = (cos angle, 0, sin angle), the
+standard reinforcing model (Qiu & Pence, J. Elasticity 49, 1997). The fibres resist compression as well as tension.
+"""
+
+from __future__ import annotations
+
+from bcid.forms.effects.effect import Effect
+from bcid.forms.kinematics import direction
+from bcid.forms.parameter import Parameter
+
+effect = Effect(
+    name="fibres",
+    parameters=(
+        Parameter("k1", "Pa", "stiffness of the fibres", lower=0.0, upper=1e8, neutral=0.0, typical=2000.0),
+        # (a . E a)^2 is a polynomial in cos 2a and cos 4a: five values determine it.
+        Parameter(
+            "angle",
+            "deg",
+            "direction in the x-z plane, from x towards z",
+            default=0.0,
+            lower=-180.0,
+            upper=360.0,
+            typical=20.0,
+            scan=(0.0, 36.0, 72.0, 108.0, 144.0),
+            period=180.0,
+            harmonics=2,
+        ),
+    ),
+    about="fibres make the body stiffer along one direction",
+    acts_on="material",
+    energy=lambda point, c: c["k1"] / 2 * point.kin.invariant4_minus_1(direction(c["angle"])) ** 2,
+)

@@ -1,0 +1,44 @@
+"""Soft anchor: an anchored patch is held by springs instead of rigidly.
+
+Potential: k/2 |u|^2 per rest area of the patch, with the stiffness k (Pa/m); a layer of Young's modulus E and
+thickness h has about E/h. It acts on every anchored patch, or on the one that is its place; those patches are no longer
+fixed. An infinite stiffness is the rigid anchor.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import ufl
+
+from bcid.forms.effects.effect import Constants, Effect, Point
+from bcid.forms.parameter import Parameter
+
+
+def potential(point: Point, c: Constants) -> Any:
+    """Energy of the springs."""
+    stored = c["stiffness"] / 2 * ufl.inner(point.u, point.u)
+    patches = [point.place] if point.place else point.patches
+    return sum(point.anchored(patch) * stored * point.surface(patch) for patch in patches)
+
+
+effect = Effect(
+    name="soft_anchor",
+    parameters=(
+        Parameter(
+            "stiffness",
+            "Pa/m",
+            "force per area and displacement",
+            lower=0.0,
+            open_lower=True,
+            neutral=math.inf,
+            typical=1e6,
+        ),
+    ),
+    about="anchored patches are held by springs instead of rigidly",
+    acts_on="boundary",
+    potential=potential,
+    frees=True,
+    places=lambda _scene, anchors: ["", *sorted(anchors)],
+)
