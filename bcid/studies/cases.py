@@ -42,7 +42,8 @@ PAUSE = 5.0
 
 PATCHES = tuple("12345678")
 FIDUCIALS = tuple(str(i) for i in range(1, 17))
-GRASPS = ("I", "II", "III")
+# Grasps and the z of their middles, m.
+GRASPS = {"I": 0.020, "II": 0.050, "III": 0.080}
 # The edge patch 10 mm beside a grasp: where it is anchored, the grasp is not used.
 _BESIDE = {"I": "6", "III": "1"}
 DIRECTIONS = {
@@ -279,8 +280,10 @@ def _inclusion(rng: Rng, case: Case) -> Recipe:
 
 
 def _active_stress(rng: Rng, case: Case) -> Recipe:
+    """Steady, or beating."""
     duration = case.actions[-1].clock[-1]
-    return {}, {"angle": float(rng.uniform(0, 180)), "period": float(duration * rng.uniform(0.15, 0.5))}, ""
+    period = float(rng.choice([0.0, duration * rng.uniform(0.15, 0.5)]))
+    return {}, {"angle": float(rng.uniform(0, 180)), "period": period}, ""
 
 
 def _viscosity(rng: Rng, case: Case) -> Recipe:
@@ -295,7 +298,8 @@ def _soft_anchor(rng: Rng, case: Case) -> Recipe:
 
 def _marker_fault(rng: Rng, case: Case) -> Recipe:
     weights, _, _ = _spatial("x", "y", "z")(rng, case)
-    onset = float(case.actions[-1].clock[-1] * rng.uniform(0.0, 0.7))
+    frames = sum(len(action) for action in case.actions)
+    onset = float(rng.choice([0, rng.integers(1, int(0.7 * frames))]))
     return weights, {"onset": onset}, str(rng.choice(FIDUCIALS))
 
 
@@ -305,8 +309,9 @@ def _permanent_set(rng: Rng, case: Case) -> Recipe:
 
 def _obstacle(rng: Rng, case: Case) -> Recipe:
     """A ball above the part that rises in a lift; a large one is nearly a plane."""
-    x, z = float(rng.uniform(0.03, 0.075)), float(rng.uniform(0.02, 0.08))
-    return {}, {"cx": x, "cz": z, "radius": _log_uniform(rng, 0.010, 0.100)}, ""
+    lift = next(motion for motion in case.motions if motion.direction == "up")
+    x, z = float(rng.uniform(0.055, 0.075)), float(GRASPS[lift.grasp] + rng.uniform(-0.015, 0.015))
+    return {}, {"cx": x, "cz": z, "radius": _log_uniform(rng, 0.015, 0.100)}, ""
 
 
 def _peeling(rng: Rng, case: Case) -> Recipe:
@@ -327,7 +332,7 @@ _RECIPES: dict[str, Callable[[Rng, Case], Recipe]] = {
     "viscosity": _viscosity,
     "soft_anchor": _soft_anchor,
     "grasp_offset": _spatial("x", "y", "z", "rx", "ry", "rz"),
-    "camera_offset": _spatial("rx", "ry", "rz", "x", "y", "z", "scale"),
+    "camera_offset": _spatial("rx", "ry", "rz", "tx", "ty", "tz", "scale"),
     "time_lag": _either_sign("seconds"),
     "marker_fault": _marker_fault,
     "permanent_set": _permanent_set,

@@ -22,14 +22,16 @@ _LEFT = 1e-5
 
 
 def _excess(point: Point, c: Constants) -> Any:
-    """What the deviatoric strain exceeds the set by, beyond the yield strain."""
-    strain = ufl.dev(point.kin.E) - point.past.memory["set"]
+    """By what the strain exceeds the set, beyond the yield strain; a bounded measure, for corners strain without limit."""
+    deviator = ufl.dev(point.kin.E)
+    strain = deviator / ufl.sqrt(1 + ufl.inner(deviator, deviator)) - point.past.memory["set"]
     size = ufl.sqrt(ufl.inner(strain, strain) + 1e-20)
     return ufl.max_value(1 - c["yield_strain"] / size, 0.0) * strain
 
 
 def _natural(point: Point, c: Constants) -> Any:
-    return ufl.Identity(3) - c["kept"] * point.past.memory["set"]
+    shortened = ufl.Identity(3) - c["kept"] * point.past.memory["set"]
+    return ufl.det(shortened) ** (-1 / 3) * shortened
 
 
 permanent_set = Effect(

@@ -10,6 +10,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,9 @@ ACCURACY = Settings(rtol=1e-6)
 NEAR, MOST = 0.06, 9
 # Bounds are kept clear of: doses end at this part of the way to one.
 CLEAR = 0.95
-# A case that cannot be solved is drawn anew so often.
+# A smaller effect is none, in units of noise: an obstacle that is not met.
+INVISIBLE = 0.05
+# A case that cannot be solved, or hides nothing, is drawn anew so often.
 ATTEMPTS = 6
 
 
@@ -113,7 +116,7 @@ def compute(scene: Scene, case: Case, true: Level = TRUE, coarse: Level = COARSE
     """Find the doses on the coarse level, then the positions and the sizes reached on the true one.
 
     Raises:
-        SolveError: a trajectory cannot be followed.
+        SolveError: a trajectory cannot be followed, or nothing could be seen of an effect.
     """
     doses = _doses(scene, case, coarse)
     positions = _positions(scene, case, true, doses)
@@ -121,6 +124,8 @@ def compute(scene: Scene, case: Case, true: Level = TRUE, coarse: Level = COARSE
     for k in range(len(doses)):
         others = _positions(scene, case, true, doses[:k] + doses[k + 1 :])
         sizes.append(rms(positions - others) / case.noise)
+    if sizes and min(sizes) < INVISIBLE:
+        raise SolveError(f"a hidden effect moves the fiducials by no more than {INVISIBLE} of the noise")
     return Truth(positions, doses, tuple(sizes))
 
 
@@ -132,7 +137,7 @@ def rms(shift: Array) -> float:
 def halved(action: Action, first_extra: int) -> Action:
     """The action with every step cut in two; the frames between the commanded ones are numbered from `first_extra`."""
     path = poses(action)
-    middles = [between(a, b, 0.5) for a, b in zip(path[:-1], path[1:], strict=True)]
+    middles = [between(a, b, 0.5) for a, b in pairwise(path)]
     every = [pose for pair in zip(path[:-1], middles, strict=True) for pose in pair] + path[-1:]
     frames = np.empty(len(every), dtype=np.int64)
     frames[::2], frames[1::2] = action.frames, first_extra + np.arange(len(middles))
