@@ -567,6 +567,8 @@ def on_two_ranks(sources: Iterable[str]) -> dict[str, Array]:
     # A child must not take itself for a rank of the job that this process may belong to.
     inherited = ("PMIX_", "PMI_", "OMPI_COMM_", "OMPI_UNIVERSE_")
     clean = {key: value for key, value in os.environ.items() if not key.startswith(inherited)}
+    # Ranks that wait must not hold up the one they wait for, where there are fewer cores than ranks.
+    clean |= {"OMPI_MCA_mpi_yield_when_idle": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     command = ["mpirun", "-n", "2", sys.executable, "-m", "bcid.forms.check_effect", *sources]
     child = subprocess.run(command, env=clean, capture_output=True, text=True, timeout=600)
     lines = [line for line in child.stdout.splitlines() if line.startswith("{")]

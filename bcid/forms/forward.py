@@ -172,6 +172,7 @@ class Forward:
                     self.equilibrium.set_state(pose, states[int(frame)])
                     wrench[frame] = self.equilibrium.wrench(pose)
                     displacement[frame] = self.body.at_mesh_nodes(self.equilibrium.displacement())
+                    self.equilibrium.accept(pose)
         return replace(prediction, wrench=wrench, displacement=displacement)
 
     def frame(self, action: Action, step: int) -> Frame:

@@ -52,6 +52,14 @@ def test_everything_is_si(tmp_path: Path) -> None:
     assert Model.of(scene).values == {"young": 15e3, "poisson": 0.35}
 
 
+def test_a_support_is_one_of_the_places(tmp_path: Path) -> None:
+    text = GOOD.replace('name = "bar"', 'name = "bar"\nsupport = "floor"') + '[places]\nfloor = "patch_7"\n'
+    assert Scene.read(write(tmp_path, text)).support == "floor"
+    assert Scene.read(write(tmp_path, GOOD)).support == ""
+    with pytest.raises(InputError, match="support: place 'flor' is not defined; did you mean 'floor'"):
+        Scene.read(write(tmp_path, text.replace('support = "floor"', 'support = "flor"')))
+
+
 def test_divided_patches_wait_for_a_mesh(tmp_path: Path) -> None:
     table = '{ on = ["patch_1", "patch_2"], box = ["0 0 0 mm", "9 9 9 mm"], divide = "2 cm" }'
     scene = Scene.read(write(tmp_path, GOOD.replace('"1" = "patch_1"', f'"1" = {table}\n"1a" = "patch_3"')))
@@ -126,6 +134,13 @@ def test_shipped_scenes_are_valid() -> None:
         ('"1" = "15 10 12.5 mm"', '"1" = [15, 10, 12.5]', "fiducials.1: .* has no unit"),
         ('[fiducials]\n"1" = "15 10 12.5 mm"', "", "fiducials: none is defined"),
         ("[patches]", "[patch]", "patches: none is defined"),
+        (
+            'name = "bar"',
+            'name = "bar"\nsupport = "floor"',
+            "scene.toml:4: support: place 'floor' is not defined; none is",
+        ),
+        ('name = "bar"', 'name = "bar"\nsupport = 3', "support: expected text, found 3"),
+        ('name = "bar"', 'name = "bar"\nsupport = "II"', "support: place 'II' is not defined"),
         ("[fiducials]", '[effects.gravty]\nweight = "1 N/m^3"\n[fiducials]', "did you mean 'gravity'"),
         ("[fiducials]", "[effects.gravity]\nweight = 1.0\n[fiducials]", "has no unit"),
     ],
