@@ -29,17 +29,19 @@ from bcid.measurement import Action
 from bcid.run import write_whole
 from bcid.scene import Level, Scene
 from bcid.studies import outside
-from bcid.studies.cases import Case, Hidden, draw, generator
+from bcid.studies.cases import NOISE, Case, Hidden, draw, generator
 
 Array = NDArray[np.float64]
 
 TRUE = Level(degree=3, element_size=0.014)
 COARSE = Level(degree=2, element_size=0.020)
-ACCURACY = Settings(rtol=1e-6)
+ACCURACY = Settings(rtol=1e-6, halvings=3)
 # A dose is searched until its size is this near the target (relative), with so many trajectories at most.
 NEAR, MOST = 0.1, 7
 # Bounds are kept clear of: doses end at this part of the way to one.
 CLEAR = 0.95
+# An effect is not made larger than so many doses: beyond it would be rigid, and nothing more would be seen.
+DOSES = 20.0
 # Two meshes that differ by more, m, follow different branches: the slab buckles, and its shape is a matter of chance.
 BRANCHED = 4e-4
 # A smaller effect is none, in units of noise: an obstacle that is not met.
@@ -67,7 +69,7 @@ def make(folder: Path, seed: int, index: int, scene_file: Path) -> None:
             continue
         rng = generator(seed, 6, index, attempt)
         times = np.concatenate([action.clock for action in case.actions])
-        seen = recorded(scene, case.actions, truth.positions, case.noise, rng, times, f"hidden study, case {index}")
+        seen = recorded(scene, case.actions, truth.positions, truth.noise, rng, times, f"hidden study, case {index}")
         write_whole(folder / "truth.json", json.dumps(truth.to_json(case), indent=1) + "\n")
         seen.write(folder / "measurement")
         return
@@ -76,11 +78,12 @@ def make(folder: Path, seed: int, index: int, scene_file: Path) -> None:
 
 @dataclass(frozen=True)
 class Truth:
-    """Noise-free positions (frames, fiducials, 3), m, the doses that act, and their sizes in units of noise."""
+    """Noise-free positions (frames, fiducials, 3), m, the doses that act, their sizes in units of noise, and the noise, m."""
 
     positions: Array
     doses: tuple[Dose, ...]
     sizes: tuple[float, ...]
+    noise: float
 
     def to_json(self, case: Case) -> dict[str, Any]:
         """What the scoring needs to know, without any need of the catalogue."""
@@ -89,7 +92,7 @@ class Truth:
             "index": case.index,
             "kind": case.kind,
             "anchored": list(case.anchors),
-            "noise": case.noise,
+            "noise": self.noise,
             "size": min(self.sizes, default=0.0),
             "effects": [_effect_json(hidden, dose, size) for hidden, dose, size in pairs],
             "case": case.to_json(),
@@ -130,9 +133,18 @@ def compute(scene: Scene, case: Case, true: Level = TRUE, coarse: Level = COARSE
     for k in range(len(doses)):
         others = _positions(scene, case, true, doses[:k] + doses[k + 1 :])
         sizes.append(rms(positions - others) / case.noise)
+    noise = quieter(case, sizes)
+    sizes = [size * case.noise / noise for size in sizes]
     if sizes and min(sizes) < INVISIBLE:
         raise SolveError(f"a hidden effect moves the fiducials by no more than {INVISIBLE} of the noise")
-    return Truth(positions, doses, tuple(sizes))
+    return Truth(positions, doses, tuple(sizes), noise)
+
+
+def quieter(case: Case, sizes: Sequence[float]) -> float:
+    """The noise, m, lowered where an effect at its bounds falls short of its target, as far as the range of noises allows."""
+    reached = [size / hidden.target for size, hidden in zip(sizes, case.hidden, strict=True)]
+    short = min([1.0, *reached])
+    return case.noise if short > 1 - 2 * NEAR else max(NOISE[0], case.noise * short)
 
 
 def rms(shift: Array) -> float:
@@ -238,9 +250,9 @@ def _weights(hidden: Hidden, effect: Effect) -> Mapping[str, float]:
 
 
 def largest(hidden: Hidden, model: Model) -> float:
-    """The largest amount that keeps every parameter clear of its bounds."""
+    """The largest amount that is asked of an effect: every parameter keeps clear of its bounds."""
     effect = known(hidden.effect)
-    limits = [math.inf]
+    limits = [DOSES]
     for p in effect.amounts:
         weight, neutral = _weights(hidden, effect)[p.name], model.neutral(p)
         if weight and p.reciprocal and p.lower > 0:

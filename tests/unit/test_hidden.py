@@ -294,6 +294,18 @@ def test_the_dose_is_found_that_has_the_wanted_size() -> None:
         search(lambda t: None, 3.0, 10.0)
 
 
+def test_an_effect_at_its_bounds_gets_less_noise() -> None:
+    from dataclasses import replace
+
+    from bcid.studies.truth import quieter
+
+    case = replace(cases.draw(0, 0), noise=4e-4, hidden=(cases.Hidden("gravity", 5.0),))
+    assert quieter(case, [4.8]) == 4e-4
+    assert quieter(case, [2.5]) == pytest.approx(2e-4)
+    assert quieter(case, [0.1]) == cases.NOISE[0]
+    assert quieter(replace(case, hidden=()), []) == 4e-4
+
+
 def test_half_steps_keep_the_commanded_frames() -> None:
     from bcid.studies.truth import halved
 
