@@ -56,6 +56,8 @@ def main(argv: list[str] | None = None) -> int:
     if arguments.command == "bench":
         # Without MPI in this process: it starts others that are jobs of their own.
         return _bench(arguments)
+    if arguments.command == "study":
+        return _study(arguments)
     comm = _communicator()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, partial(_interrupted, comm))
@@ -109,6 +111,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_check_effect(commands)
     commands.add_parser("doctor", help="tell what is installed and whether it works")
     _add_bench(commands)
+    _add_study(commands)
     return parser
 
 
@@ -239,6 +242,25 @@ def _add_bench(commands: Any) -> None:
     parser.add_argument("--quick", action="store_true", help="a reduced form of each part, without a network")
 
 
+def _add_study(commands: Any) -> None:
+    parser = _add(
+        commands,
+        "study",
+        _study,
+        "find out on many made-up bodies what a diagnosis is worth",
+        "hidden: measurements with effects hidden in them are made and diagnosed blindly, and the answers scored.\n"
+        "A study that was stopped goes on where it was when the same command is given again. See docs/study.md.",
+    )
+    parser.add_argument("study", choices=["hidden"], metavar="STUDY", help="hidden")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="run folder to write")
+    parser.add_argument("--cases", type=int, default=100, metavar="N", help="number of cases (100)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the cases (0)")
+    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes at a time (2)")
+    parser.add_argument("--limit", type=float, default=900.0, metavar="SECONDS", help="time limit of a case (900)")
+    parser.add_argument("--overwrite", action="store_true", help="discard a run that the folder already holds")
+    parser.add_argument("--quiet", action="store_true", help="say only the result")
+
+
 # -- commands
 # ------------------------------------------------------------------------------------------------------------------
 
@@ -367,6 +389,25 @@ def _bench(arguments: argparse.Namespace) -> int:
         return 0
     except KeyboardInterrupt:
         print("bcid: interrupted; what was measured before is in bench.json", file=sys.stderr)
+        return 130
+    except BcidError as error:
+        print(f"bcid: {error}", file=sys.stderr)
+        return error.exit_code
+
+
+def _study(arguments: argparse.Namespace) -> int:
+    """`bcid study`; without MPI in this process, as `bcid bench`."""
+    from bcid.studies.hidden import Options, run_hidden
+
+    options = Options(arguments.cases, arguments.seed, arguments.jobs, arguments.limit)
+    progress: Progress = Silent() if arguments.quiet else Lines()
+    try:
+        folder = run_hidden(arguments.output, options, progress=progress, overwrite=arguments.overwrite)
+        print((folder / "table.txt").read_text(encoding="utf-8").rstrip())
+        print(f"\nrun folder: {folder}", flush=True)
+        return 0
+    except KeyboardInterrupt:
+        print("bcid: interrupted; the same command goes on where it was", file=sys.stderr)
         return 130
     except BcidError as error:
         print(f"bcid: {error}", file=sys.stderr)

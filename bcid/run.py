@@ -32,8 +32,17 @@ import xarray as xr
 from bcid.errors import InputError, MachineError
 
 FORMAT = "bcid-run/1"
-_FILES = ("identification.json", "prediction.nc", "body.nc", "summary.txt", "picture.png")
-_FOLDERS = ("outcomes", "paraview")
+_FILES = (
+    "identification.json",
+    "prediction.nc",
+    "body.nc",
+    "summary.txt",
+    "picture.png",
+    "hidden.json",
+    "table.txt",
+    "degradation.png",
+)
+_FOLDERS = ("outcomes", "paraview", "cases", "results")
 _PACKAGES = ("fenics-dolfinx", "fenics-ufl", "petsc4py", "mpi4py", "numpy", "scipy", "xarray")
 
 
@@ -151,16 +160,7 @@ class Run:
 
     def write_text(self, name: str, text: str) -> Path:
         """Write a file whole; returns its path."""
-        target = self.path / name
-        with writing(self.path):
-            target.parent.mkdir(parents=True, exist_ok=True)
-            partial = target.with_name(f".{target.name}.partial")
-            with partial.open("w", encoding="utf-8") as stream:
-                stream.write(text)
-                stream.flush()
-                os.fsync(stream.fileno())
-            partial.replace(target)
-        return target
+        return write_whole(self.path / name, text)
 
     def write_json(self, name: str, content: Any) -> Path:
         """Write a JSON file; numbers that are not finite are refused, for they are not JSON."""
@@ -203,6 +203,19 @@ class Run:
         """What `add_batch` kept, in order."""
         for file in sorted((self.path / "outcomes").glob("*.json")):
             yield _read_json(file)
+
+
+def write_whole(target: Path, text: str) -> Path:
+    """Write a file whole under another name, then rename it; returns its path."""
+    with writing(target.parent):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        partial = target.with_name(f".{target.name}.partial")
+        with partial.open("w", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        partial.replace(target)
+    return target
 
 
 @contextmanager

@@ -35,7 +35,7 @@ class Level:
     """One rung of the mesh ladder.
 
     `element_size` (m) drives a `.geo` file; for a mesh file `refinements` counts uniform refinements of it.
-    `degree` is the polynomial degree of the displacement, 1 or 2.
+    `degree` is the polynomial degree of the displacement, 1 or 2 (3 only in code: for reference solutions).
     """
 
     degree: int = 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.errors import InputError
 from bcid.forms.body import Body
 from bcid.scene import Region
 
@@ -52,6 +53,8 @@ def _measures(points: Array, entities: NDArray[np.int64]) -> Array:
 def _shares(corners: Array, degree: int, dimension: int) -> list[tuple[Array, float]]:
     """Places of the nodes of one entity and their shares."""
     n = len(corners)
+    if degree > 2:
+        raise InputError(f"known loads on elements of degree {degree}: allowed are degrees 1 and 2")
     if degree == 1 or dimension == 0:
         return [(corner, 1 / n) for corner in corners]
     middles = [(corners[i] + corners[j]) / 2 for i in range(n) for j in range(i)]

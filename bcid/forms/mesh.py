@@ -65,8 +65,10 @@ class BodyMesh:
     def unknowns(self, degree: int, mixed: bool = False) -> int:
         """Number of unknowns that a displacement of this degree has on the mesh (with pressures one degree lower if mixed)."""
         nodes = len(self.points)
-        edges = len(np.unique(np.sort(self.cells[:, _EDGES].reshape(-1, 2), axis=1), axis=0)) if degree == 2 else 0
-        return 3 * (nodes + edges) + (nodes if mixed else 0)
+        edges = len(np.unique(np.sort(self.cells[:, _EDGES].reshape(-1, 2), axis=1), axis=0)) if degree > 1 else 0
+        faces = (4 * len(self.cells) + len(self.boundary)) // 2 if degree == 3 else 0
+        pressures = nodes + (edges if degree == 3 else 0)
+        return 3 * (nodes + (degree - 1) * edges + faces) + (pressures if mixed else 0)
 
     def fingerprint(self) -> str:
         """Short hash of nodes, cells and groups."""
@@ -251,7 +253,7 @@ def _load(path: Path, element_size: float | None, _content: str) -> tuple[Points
         ]
         try:
             child = subprocess.run(
-                command, env=_child_environment(), capture_output=True, text=True, timeout=TIME_LIMIT, check=False
+                command, env=child_environment(), capture_output=True, text=True, timeout=TIME_LIMIT, check=False
             )
         except subprocess.TimeoutExpired:
             raise InputError(f"{path}: meshing took more than {TIME_LIMIT:.0f} s; choose larger elements") from None
@@ -264,7 +266,7 @@ def _load(path: Path, element_size: float | None, _content: str) -> tuple[Points
             return data["points"], data["cells"], groups
 
 
-def _child_environment() -> dict[str, str]:
+def child_environment() -> dict[str, str]:
     """Without the variables that would make the child a member of this MPI job."""
     mpi = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "MPIR_")
     kept = {name: value for name, value in os.environ.items() if not name.startswith(mpi)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -61,9 +62,34 @@ def simulate(
     if prediction.failure:
         raise SolveError(f"{prediction.failure.reason}; try smaller steps, or another level")
     sigma = (scene.noise_sigma or 0.0) if noise is None else noise
-    positions = prediction.positions
+    text = f"simulated: scene {scene.name}, level {level}, anchors {' '.join(sorted(anchors)) or 'none'}"
+    made = recorded(scene, actions, prediction.positions, sigma, np.random.default_rng(random_state), times, text)
+    if wrench:
+        data = made.data.assign_coords(component=WRENCH)
+        data["wrench"] = (("frame", "component"), prediction.wrench)
+        made = replace(made, data=data)
+    return made
+
+
+def recorded(
+    scene: Scene,
+    actions: Sequence[Action],
+    positions: Array,
+    sigma: float,
+    rng: np.random.Generator,
+    times: Array | None = None,
+    description: str = "",
+) -> Measurement:
+    """The measurement in which fiducials are seen at `positions` (frames, fiducials, 3), m, with white noise added.
+
+    Args:
+        scene, actions, times: as in `simulate`.
+        sigma: standard deviation of the noise, m; 0 for none.
+        rng: where the noise comes from.
+        description: what the measurement says of itself.
+    """
     if sigma:
-        positions = positions + np.random.default_rng(random_state).normal(0.0, sigma, positions.shape)
+        positions = positions + rng.normal(0.0, sigma, positions.shape)
     frames = [(action.name, int(step)) for action in actions for step in action.steps]
     data = frames_dataset(
         frames, [float(step) for _, step in frames] if times is None else list(times), scene.fiducial_names, positions
@@ -71,14 +97,10 @@ def simulate(
     data["grasp"] = ("frame", [action.grasp for action in actions for _ in action.steps])
     data["translation"] = (("frame", "axis"), np.vstack([action.translation for action in actions]))
     data["rotation"] = (("frame", "quaternion"), np.vstack([action.rotation for action in actions]))
-    if wrench:
-        data = data.assign_coords(component=WRENCH)
-        data["wrench"] = (("frame", "component"), prediction.wrench)
     places = sorted({place for action in actions for place in action.loads})
     if places:
         none = {action.name: np.zeros((len(action), 3)) for action in actions}
         loads = [np.vstack([a.loads.get(place, none[a.name]) for a in actions]) for place in places]
         data = data.assign_coords(place=places)
         data["load"] = (("frame", "place", "axis"), np.stack(loads, axis=1))
-    text = f"simulated: scene {scene.name}, level {level}, anchors {' '.join(sorted(anchors)) or 'none'}"
-    return Measurement(data, sigma or None, description=text, source="simulation")
+    return Measurement(data, sigma or None, description=description, source="simulation")

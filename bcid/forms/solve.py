@@ -482,7 +482,7 @@ class Equilibrium:
         return Status.UNSTABLE if self.factor.negative else Status.CONVERGED
 
     def smallest_jacobian(self) -> float:
-        """Smallest det F over all elements, at their corners and edge middles (at degree 1 it is one number per element)."""
+        """Smallest det F over all elements, at their corners, edge nodes and middles (at degree 1 it is one number per element)."""
         cells = np.arange(self.body.domain.topology.index_map(3).size_local, dtype=np.int32)
         values = self._jacobian.eval(self.body.domain, cells)
         return -self._largest(-float(values.min(initial=np.inf)))
@@ -531,5 +531,6 @@ def _sample_points(degree: int) -> Array:
     if degree == 1:
         return np.full((1, 3), 0.25)
     corners = np.vstack([np.zeros(3), np.eye(3)])
-    middles = [(corners[i] + corners[j]) / 2 for i in range(4) for j in range(i)]
-    return np.vstack([corners, middles, np.full(3, 0.25)])
+    inner = np.arange(1, degree)[:, None] / degree
+    edges = [(1 - inner) * corners[i] + inner * corners[j] for i in range(4) for j in range(i)]
+    return np.vstack([corners, *edges, np.full(3, 0.25)])

@@ -27,8 +27,10 @@ def refused(result: subprocess.CompletedProcess[str], *words: str) -> None:
 def test_help_names_every_command(tmp_path: Path) -> None:
     result = bcid("--help", cwd=tmp_path)
     assert result.returncode == 0
-    assert all(word in result.stdout for word in ("demo", "identify", "simulate", "doctor", "bench", "exit codes"))
-    for command in ("demo", "identify", "simulate", "bench"):
+    assert all(
+        word in result.stdout for word in ("demo", "identify", "simulate", "doctor", "bench", "study", "exit codes")
+    )
+    for command in ("demo", "identify", "simulate", "bench", "study"):
         assert bcid(command, "--help", cwd=tmp_path).returncode == 0
     assert bcid(cwd=tmp_path).returncode == 2
     assert "invalid choice" in bcid("identfy", cwd=tmp_path).stderr

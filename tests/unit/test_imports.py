@@ -21,7 +21,8 @@ ALLOWED = {
     "search": DATA | {"forms", "search"},
     "report": BASE | {"run", "report"},
     "doctor": BASE | {"doctor"},
-    "cli": DATA | {"forms", "search", "report", "doctor", "cli"},
+    "studies": DATA | {"forms", "search", "compare", "studies"},
+    "cli": DATA | {"forms", "search", "studies", "report", "doctor", "cli"},
     "__main__": {"cli"},
 }
 

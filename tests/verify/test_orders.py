@@ -135,6 +135,13 @@ def test_quadratic_elements_converge_with_order_three() -> None:
 
 
 @pytest.mark.slow
+def test_cubic_elements_converge_with_order_four() -> None:
+    counts = np.array([2, 4, 6])
+    observed = rates([error(3, n) for n in counts], 1 / counts)
+    assert observed[-1] == pytest.approx(4.0, abs=0.2)
+
+
+@pytest.mark.slow
 def test_the_mixed_formulation_converges_with_order_three() -> None:
     counts = np.array([3, 6])
     observed = rates([error(2, n, formulation="mixed") for n in counts], 1 / counts)

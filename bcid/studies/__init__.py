@@ -1,0 +1,1 @@
+"""Studies: what bcid is worth, found out on many made-up bodies whose truth is known."""
