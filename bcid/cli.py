@@ -107,6 +107,10 @@ def build_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _add_demo(commands)
     _add_identify(commands)
+    _add_compare(commands)
+    _add_diagnose(commands)
+    _add_fit(commands)
+    _add_explain(commands)
     _add_simulate(commands)
     _add_check_effect(commands)
     commands.add_parser("doctor", help="tell what is installed and whether it works")
@@ -188,6 +192,97 @@ def _add_identify(commands: Any) -> None:
     search.add_argument(
         "--budget", type=float, default=10_000, help="... or when so many trajectories were computed on a level"
     )
+
+
+def _add_source(parser: argparse.ArgumentParser, files: bool = True) -> None:
+    """A run to start from, and what all jobs on one have in common."""
+    parser.add_argument("run_folder", type=Path, metavar="RUN", help="run folder of identify, diagnose, fit or explain")
+    _add_level(parser)
+    if files:
+        _add_effect_files(parser)
+    _add_output(parser)
+
+
+def _add_level(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--level", type=int, metavar="LEVEL", help="fine mesh level (the last with at most 20,000 unknowns)"
+    )
+
+
+def _add_effect_files(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--effects",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="Python file with an effect of your own (docs/effects.md); it is run. May be given several times",
+    )
+
+
+def _add_compare(commands: Any) -> None:
+    parser = _add(
+        commands,
+        "compare",
+        compare,
+        "adequate? where does the model of a run fail?",
+        "Tests the residual against noise and the error of the mesh, and finds the force that would explain it.\n"
+        "Writes diagnosis.json, where.json, summary.txt, residuals.nc and pictures.",
+    )
+    parser.add_argument("-o", "--output", type=Path, metavar="RUN2", help="run folder to write (RUN-compare)")
+    _add_source(parser, files=False)
+
+
+def _add_diagnose(commands: Any) -> None:
+    parser = _add(
+        commands,
+        "diagnose",
+        diagnose,
+        "which effect is missing in the model of a run?",
+        "Ranks all effects of the catalogue by what they would explain, and refits the first of them.",
+    )
+    parser.add_argument("-o", "--output", type=Path, metavar="RUN2", help="run folder to write (RUN-diagnose)")
+    parser.add_argument("--only", metavar="a,b", help="look at these effects only")
+    _add_source(parser)
+
+
+def _add_fit(commands: Any) -> None:
+    parser = _add(
+        commands,
+        "fit",
+        fit,
+        "add effects to the model of a run and watch the error fall",
+        "Values are in SI units, angles in degrees. The numbers of added effects are fitted, as are those fitted before.",
+    )
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN2", help="run folder to write")
+    parser.add_argument(
+        "--add",
+        action="append",
+        default=[],
+        metavar="EFFECT",
+        help='effect, as "gravity", "soft_anchor:3" (a place) or "gravity:weight=9810" (where to begin); repeatable',
+    )
+    parser.add_argument("--free", action="append", default=[], metavar="NUMBER", help='fit this too, as "poisson"')
+    parser.add_argument("--fixed", action="append", default=[], metavar="NUMBER", help='keep this, as "gravity.weight"')
+    _add_source(parser)
+
+
+def _add_explain(commands: Any) -> None:
+    parser = _add(
+        commands,
+        "explain",
+        explain,
+        "anchors and missing effects from a measurement, until the model is adequate or unknown",
+        "Identifies the anchors, compares, ranks what is missing, adds the best, searches the anchors again, and so on.",
+    )
+    parser.add_argument("scene", type=Path, help="scene file (TOML)")
+    parser.add_argument("measurement", type=Path, help="measurement folder, NetCDF file, or mapping file")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="run folder to write")
+    parser.add_argument("--only", metavar="a,b", help="look at these effects only")
+    parser.add_argument("--most", type=int, default=3, metavar="N", help="effects that may be adopted together (3)")
+    _add_level(parser)
+    _add_effect_files(parser)
+    _add_output(parser)
 
 
 def _add_simulate(commands: Any) -> None:
@@ -325,6 +420,80 @@ def _draw(folder: Path, progress: Progress) -> None:
         print(f"bcid: no picture: {error.name} is not installed (the extra 'report')", file=sys.stderr)
     except Exception as error:
         print(f"bcid: no picture: {error}", file=sys.stderr)
+
+
+def compare(arguments: argparse.Namespace, comm: Any) -> None:
+    """`bcid compare`."""
+    from bcid.compare.job import run_compare
+
+    common = _common(arguments, comm)
+    _finish(run_compare(arguments.run_folder, _beside(arguments, "compare"), **common), arguments, comm)
+
+
+def diagnose(arguments: argparse.Namespace, comm: Any) -> None:
+    """`bcid diagnose`."""
+    from bcid.compare.job import run_diagnose
+
+    common = _common(arguments, comm) | {"files": arguments.effects, "only": _listed(arguments.only)}
+    _finish(run_diagnose(arguments.run_folder, _beside(arguments, "diagnose"), **common), arguments, comm)
+
+
+def fit(arguments: argparse.Namespace, comm: Any) -> None:
+    """`bcid fit`."""
+    from bcid.compare.job import run_fit
+
+    if not (arguments.add or arguments.free):
+        raise InputError("fit: nothing to do; name an effect with --add (as --add gravity) or a number with --free")
+    chosen = {name: getattr(arguments, name) for name in ("add", "free", "fixed")}
+    common = _common(arguments, comm) | {"files": arguments.effects}
+    _finish(run_fit(arguments.run_folder, arguments.output, **common, **chosen), arguments, comm)
+
+
+def explain(arguments: argparse.Namespace, comm: Any) -> None:
+    """`bcid explain`."""
+    if arguments.most < 1:
+        raise InputError(f"--most {arguments.most}: must be at least 1")
+    _explain(arguments.scene, arguments.measurement, arguments, comm)
+
+
+def _explain(scene: Path, measurement: Path, arguments: argparse.Namespace, comm: Any) -> None:
+    from bcid.compare.explain import Plan
+    from bcid.compare.job import run_explain
+
+    only = _listed(getattr(arguments, "only", None))
+    plan = Plan(getattr(arguments, "level", None), getattr(arguments, "most", 3), only=only)
+    files = getattr(arguments, "effects", [])
+    quiet = arguments.quiet or comm.rank > 0
+    progress: Progress = Silent() if quiet else Lines()
+    folder = run_explain(scene, measurement, arguments.output, plan, comm, progress, arguments.overwrite, files)
+    _finish(folder, arguments, comm)
+
+
+def _listed(text: str | None) -> tuple[str, ...] | None:
+    """Names separated by commas; None for none given."""
+    return tuple(name.strip() for name in text.split(",") if name.strip()) if text else None
+
+
+def _beside(arguments: argparse.Namespace, command: str) -> Path:
+    run: Path = arguments.run_folder
+    output: Path = arguments.output or run.with_name(f"{run.resolve().name}-{command}")
+    return output
+
+
+def _common(arguments: argparse.Namespace, comm: Any) -> dict[str, Any]:
+    quiet = arguments.quiet or comm.rank > 0
+    progress: Progress = Silent() if quiet else Lines()
+    return {"comm": comm, "progress": progress, "overwrite": arguments.overwrite, "level": arguments.level}
+
+
+def _finish(folder: Path, arguments: argparse.Namespace, comm: Any) -> None:
+    """Say the result and draw it."""
+    if comm.rank > 0:
+        return
+    print((folder / "summary.txt").read_text(encoding="utf-8").rstrip())
+    print(f"\nrun folder: {folder}", flush=True)
+    if not arguments.no_picture:
+        _draw(folder, Silent() if arguments.quiet else Lines())
 
 
 def simulate(arguments: argparse.Namespace, comm: Any) -> None:

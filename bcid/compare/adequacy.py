@@ -95,7 +95,9 @@ def _bias(state: State) -> Finding:
     total, freedom = _projected(state, data.fiducial * 3 + data.axis, shapes)
     freedom = max(freedom - len(state.free), 1)
     p = float(chi2.sf(total, freedom))
-    return Finding("bias", p, f"what a fiducial misses in all actions is {np.sqrt(total / freedom):.2f} times that of noise", True)
+    return Finding(
+        "bias", p, f"what a fiducial misses in all actions is {np.sqrt(total / freedom):.2f} times that of noise", True
+    )
 
 
 def _describing(state: State) -> list[Finding]:

@@ -123,7 +123,7 @@ class MeshError:
         `gain` is how many times the difference exceeds the error of the finer one (3 for halved elements of second order).
         """
         difference = fine - coarse
-        return cls(difference * (1 + 1 / gain), difference / gain, True)
+        return cls(np.asarray(difference * (1 + 1 / gain)), np.asarray(difference / gain), True)
 
 
 class Errors:
@@ -142,13 +142,12 @@ class Errors:
         self.data, self.sigma, self.mesh = data, sigma, mesh
         columns = self._columns(data.vector(mesh.left))
         if columns.shape[1] == 0:
-            self._basis = np.zeros((len(data), 0))
-            self._shrink = np.zeros(0)
+            self._basis: Array = np.zeros((len(data), 0))
+            self._shrink: Array = np.zeros(0)
             return
         basis, sizes, _ = np.linalg.svd(columns / sigma[:, None], full_matrices=False)
-        keep = sizes > 1e-6
-        self._basis, sizes = basis[:, keep], sizes[keep]
-        self._shrink = 1 - 1 / np.sqrt(1 + sizes**2)
+        self._basis = basis[:, sizes > 1e-6]
+        self._shrink = 1 - 1 / np.sqrt(1 + sizes[sizes > 1e-6] ** 2)
 
     def _columns(self, left: Array) -> Array:
         data, columns = self.data, []
@@ -157,7 +156,7 @@ class Errors:
             if np.any(left[here]):
                 columns.append(np.where(here, _OF_ACTION * left, 0.0))
         if columns:
-            size = {a: np.sqrt(np.mean(left[data.action == a] ** 2)) for a in np.unique(data.action)}
+            size = {a: float(np.sqrt(np.mean(left[data.action == a] ** 2))) for a in np.unique(data.action)}
             for number in range(int(data.trajectory.max()) + 1):
                 members = np.flatnonzero(data.trajectory == number)
                 own = np.sqrt(np.mean(left[members] ** 2))

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +19,7 @@ from bcid.compare.twin import Twin
 from bcid.errors import InputError, SolveError
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Dose, Model
-from bcid.forms.solve import Settings
-from bcid.measurement import Measurement
 from bcid.progress import Progress, Silent
-from bcid.scene import Scene
 from bcid.search.farm import label
 from bcid.search.identify import Identification, Options, identify
 
@@ -73,6 +69,7 @@ class Rival:
         anchors: the set.
         fitted: the fit.
         criterion: chi-square with a penalty for the fitted numbers (Schwarz 1978).
+        held_out: RMS residual when each action is predicted from the others, m, for the best rivals.
     """
 
     effect: str
@@ -80,6 +77,7 @@ class Rival:
     anchors: Anchored
     fitted: Fit
     criterion: float
+    held_out: float | None = None
 
 
 @dataclass(frozen=True)
@@ -134,47 +132,38 @@ class Explanation:
 
 
 def explain(
-    scene: Scene,
-    measurement: Measurement,
-    comm: Any,
+    twin: Twin,
     plan: Plan | None = None,
     model: Model | None = None,
     more: Iterable[Effect] = (),
-    settings: Settings | None = None,
     progress: Progress | None = None,
-) -> tuple[Explanation, Twin]:
+) -> Explanation:
     """Find anchors and missing effects until the model is adequate, or say that nothing explains the data; collective.
 
     Args:
-        scene: body, patches, mesh ladder.
-        measurement: must fit the scene.
-        comm: MPI communicator over which candidates and actions are spread.
+        twin: of the measurement.
         plan: how far to go.
         model: where to begin; by default the scene's model.
         more: effects beyond the catalogue.
-        settings: accuracy and patience of the solver.
         progress: told what goes on (give it on rank 0 only).
 
-    Returns:
-        What was found, and the twin (to be destroyed by the caller), with which more can be asked.
+    Raises:
+        InputError: the plan names an unknown effect or level.
+        SolveError: the plain model cannot be followed for any anchor set.
     """
-    loop = _Loop(scene, measurement, comm, plan or Plan(), tuple(more), settings, progress or Silent())
-    return loop.run(model or Model.of(scene)), loop.twin
+    loop = _Loop(twin, plan or Plan(), tuple(more), progress or Silent())
+    return loop.run(model or Model.of(twin.scene))
 
 
 @dataclass
 class _Loop:
-    scene: Scene
-    measurement: Measurement
-    comm: Any
+    twin: Twin
     plan: Plan
     more: tuple[Effect, ...]
-    settings: Settings | None
     progress: Progress
-    twin: Twin = field(init=False)
 
     def __post_init__(self) -> None:
-        self.twin = Twin(self.scene, self.measurement, self.comm, self.plan.level, self.settings, self.progress)
+        self.scene, self.measurement, self.comm = self.twin.whole, self.twin.measurement, self.twin.comm
 
     # -- the loop
     # --------------------------------------------------------------------------------------------------------------
@@ -182,12 +171,12 @@ class _Loop:
     def run(self, model: Model) -> Explanation:
         start = time.perf_counter()
         first = self.first_anchors(model)
-        fitted, identification = self.settle(fit(self.state(model, first), self.free(model)))
+        fitted, identification = self.settle(fit(self.state(model, first), free_numbers(model, self.twin)))
         rungs = [self.rung(fitted)]
         while not rungs[-1].adequacy.adequate and len(rungs) <= self.plan.effects:
             ranking, rivals = self.candidates(rungs[-1].fitted, identification)
             rungs[-1] = replace(rungs[-1], ranking=ranking, rivals=tuple(rivals))
-            if not rivals or rivals[0].criterion >= self.criterion(rungs[-1].fitted) - 2:
+            if not rivals or rivals[0].criterion >= criterion(rungs[-1].fitted) - 2:
                 break
             fitted, identification = self.settle(rivals[0].fitted)
             fitted = self.pruned(fitted)
@@ -218,12 +207,6 @@ class _Loop:
 
     def state(self, model: Model, anchors: Anchored) -> State:
         return State.of(self.twin, model, anchors)
-
-    def free(self, model: Model) -> tuple[str, ...]:
-        """Numbers that are fitted: all of the effects that the loop has added."""
-        begun = Model.of(self.scene)
-        known = set(begun.constants())
-        return tuple(name for name in model.constants() if name not in known and not name.endswith(".onset"))
 
     def settle(self, fitted: Fit, certify: str = "no") -> tuple[Fit, Identification]:
         """Fit, error of the mesh and anchors, until none of them changes the others."""
@@ -279,36 +262,16 @@ class _Loop:
         """Rank what is missing, for the anchors at hand and for those that come next, and refit the most promising."""
         state = fitted.state
         ranking = rank(state, self.more, self.plan.only)
-        proposals = [(row, state) for row in ranking.rows if row.p_value < SIGNIFICANT]
+        proposals = [(row, state) for row in ranking.rows]
         for other in self.next_sets(fitted, identification):
-            rows = rank(other, self.more, self.plan.only).rows
-            proposals += [(row, other) for row in rows if row.p_value < SIGNIFICANT]
-        size = math.log(len(self.twin.data))
-        proposals.sort(key=lambda pair: pair[1].chi2 - pair[0].score + size * pair[0].freedom)
-        rivals: list[Rival] = []
-        tried: dict[str, int] = {}
-        for row, base in proposals:
-            if len(rivals) >= self.plan.fitted:
-                break
-            # An effect may compete with two anchor sets, but must not crowd out the others.
-            if tried.get(row.effect, 0) >= 2 or self.hopeless(row, base, rivals):
-                continue
-            tried[row.effect] = tried.get(row.effect, 0) + 1
-            rival = self.refit(row, base)
-            if rival is not None:
-                rivals.append(rival)
-        rivals.sort(key=lambda rival: rival.criterion)
+            proposals += [(row, other) for row in rank(other, self.more, self.plan.only).rows]
+        rivals = refit_candidates(fitted, proposals, self.plan)
         for rival in rivals:
             self.progress.say(
                 f"  with {rival.dose.label}, anchors {self.name(rival.anchors)}: {rival.fitted.state.rms * 1e3:.3g} mm"
             )
-        self.twin.drop([fitted.state.model, *(r.fitted.state.model for r in rivals[:1])])
+        self.twin.drop([fitted.state.model, *(r.fitted.state.model for r in rivals[:2])])
         return ranking, rivals
-
-    def hopeless(self, row: Row, base: State, rivals: Sequence[Rival]) -> bool:
-        """Whether a rival explains nearly all already, and this effect is not expected to come near that."""
-        best = min((rival.fitted.state.chi2 for rival in rivals), default=math.inf)
-        return best < _NEARLY * len(self.twin.data) and base.chi2 - row.score > _FAR * len(self.twin.data)
 
     def next_sets(self, fitted: Fit, identification: Identification) -> list[State]:
         """The sets that come next to the best one, with the present model."""
@@ -327,32 +290,18 @@ class _Loop:
                 continue
         return found
 
-    def refit(self, row: Row, base: State) -> Rival | None:
-        """Add an effect, begin at what is expected of it, and fit everything together."""
-        for part in _CAUTION:
-            try:
-                model = base.model + _careful(row, base.model, part)
-                state = State.of(self.twin, model, base.anchors, base.errors.mesh)
-                fitted = fit(state, self.free(model), most=8, ftol=_ROUGH)
-            except (SolveError, InputError):
-                continue
-            dose = fitted.state.model.doses[-1]
-            return Rival(row.effect, dose, base.anchors, fitted, self.criterion(fitted))
-        return None
-
-    def criterion(self, fitted: Fit) -> float:
-        """Chi-square, with the logarithm of the number of values for each fitted number (Schwarz 1978)."""
-        return fitted.state.chi2 + len(fitted.coordinates) * math.log(len(self.twin.data))
-
     def pruned(self, fitted: Fit) -> Fit:
         """Without effects that a later one has made needless."""
         for dose in fitted.state.model.doses:
-            if dose.full(next(iter(dose.values))) not in self.free(fitted.state.model) or len(fitted.state.model.doses) < 2:
+            if (
+                dose.full(next(iter(dose.values))) not in free_numbers(fitted.state.model, self.twin)
+                or len(fitted.state.model.doses) < 2
+            ):
                 continue
             model = fitted.state.model.without(dose.label)
             state = State.of(self.twin, model, fitted.state.anchors, fitted.state.errors.mesh)
-            less = fit(state, self.free(model))
-            if self.criterion(less) <= self.criterion(fitted):
+            less = fit(state, free_numbers(model, self.twin))
+            if criterion(less) <= criterion(fitted):
                 self.say(f"{dose.label} is not needed any more")
                 return self.pruned(less)
         return fitted
@@ -381,6 +330,61 @@ class _Loop:
 
     def name(self, anchors: Anchored) -> str:
         return label(anchors, self.scene.patches)
+
+
+def criterion(fitted: Fit) -> float:
+    """Chi-square, with the logarithm of the number of values for each fitted number (Schwarz 1978)."""
+    return fitted.state.chi2 + len(fitted.coordinates) * math.log(len(fitted.state.twin.data))
+
+
+def free_numbers(model: Model, twin: Twin) -> tuple[str, ...]:
+    """Numbers that are fitted: all of the effects that the scene does not have. A first frame is no smooth number."""
+    known = set(Model.of(twin.scene).constants())
+    return tuple(name for name in model.constants() if name not in known and not name.endswith(".onset"))
+
+
+def refit_candidates(fitted: Fit, proposals: Iterable[tuple[Row, State]], plan: Plan) -> list[Rival]:
+    """Refit the most promising of ranked effects, each with the anchor set of its state; best first; collective."""
+    size = math.log(len(fitted.state.twin.data))
+    waiting = [(row, state) for row, state in proposals if row.p_value < SIGNIFICANT]
+    waiting.sort(key=lambda pair: pair[1].chi2 - pair[0].score + size * pair[0].freedom)
+    rivals: list[Rival] = []
+    tried: dict[str, int] = {}
+    for row, base in waiting:
+        if len(rivals) >= plan.fitted:
+            break
+        # An effect may compete with two anchor sets, but must not crowd out the others.
+        if tried.get(row.effect, 0) >= 2 or _hopeless(row, base, rivals):
+            continue
+        tried[row.effect] = tried.get(row.effect, 0) + 1
+        rival = _refit(fitted, row, base)
+        if rival is not None:
+            rivals.append(rival)
+    rivals.sort(key=lambda rival: rival.criterion)
+    return [replace(r, held_out=held_out(r.fitted)) if i < 2 else r for i, r in enumerate(rivals)]
+
+
+def _hopeless(row: Row, base: State, rivals: Sequence[Rival]) -> bool:
+    """Whether a rival explains nearly all already, and this effect is not expected to come near that."""
+    values = len(base.twin.data)
+    best = min((rival.fitted.state.chi2 for rival in rivals), default=math.inf)
+    return best < _NEARLY * values and base.chi2 - row.score > _FAR * values
+
+
+def _refit(fitted: Fit, row: Row, base: State) -> Rival | None:
+    """Add an effect, begin at what is expected of it, and fit everything together."""
+    for part in _CAUTION:
+        try:
+            model = base.model + _careful(row, base.model, part)
+            names = tuple(dict.fromkeys([*fitted.state.free, *free_numbers(model, base.twin)]))
+            begun = set(base.model.constants())
+            names = tuple(n for n in names if n in fitted.state.free or n not in begun)
+            state = State.of(base.twin, model, base.anchors, base.errors.mesh)
+            again = fit(state, names, most=8, ftol=_ROUGH)
+        except (SolveError, InputError):
+            continue
+        return Rival(row.effect, again.state.model.doses[-1], base.anchors, again, criterion(again))
+    return None
 
 
 def _careful(row: Row, model: Model, part: float) -> Dose:

@@ -107,7 +107,7 @@ class Fit:
     @property
     def stderr(self) -> dict[str, float]:
         """Standard errors of the values; infinite where the data do not tell."""
-        errors = np.sqrt(np.diag(self.covariance)) if len(self.coordinates) else []
+        errors = np.sqrt(np.diag(self.covariance))
         numbers = self.state.model.constants()
         # The error of a reciprocal is that of its coordinate times the square of the value.
         return {
@@ -186,7 +186,7 @@ def columns(
             probes.append(Probe(dose, wanted))
     law = {n: 1e-4 * max(abs(model.values.get(n, 1.0)), 1e-3) for n in names if n in model.law.complete(model.values)}
     found = twin.signatures(model, anchors, reply, Wanted(tuple(probes), law))
-    table = {name: array for name, array in found.law.items()}
+    table = dict(found.law.items())
     for probe, arrays in zip(probes, found.probes, strict=True):
         table |= {probe.dose.full(name): array for name, array in arrays.items()}
     return np.column_stack([twin.data.vector(table[name]) for name in names])
@@ -268,7 +268,9 @@ def _warnings(
     found = []
     for c, at, low, high, size, free in zip(chosen, x, lower, upper, scale, loose, strict=True):
         if min(at - low, high - at) < 1e-3 * size:
-            found.append(f"{c.name} is at a bound ({c.value(float(at)):.4g} {c.parameter.unit}; allowed: {c.parameter.allowed})")
+            found.append(
+                f"{c.name} is at a bound ({c.value(float(at)):.4g} {c.parameter.unit}; allowed: {c.parameter.allowed})"
+            )
         if free:
             found.append(f"{c.name} is not identifiable from these data")
     return found
@@ -309,5 +311,7 @@ def held_out(fitted: Fit) -> float | None:
 
 def refitted(fitted: Fit, mesh: MeshError) -> Fit:
     """The fit again with another error of the mesh; collective."""
-    state = State.of(fitted.state.twin, fitted.state.model, fitted.state.anchors, mesh, fitted.state.free, fitted.state.reply)
+    state = State.of(
+        fitted.state.twin, fitted.state.model, fitted.state.anchors, mesh, fitted.state.free, fitted.state.reply
+    )
     return fit(state, fitted.state.free)

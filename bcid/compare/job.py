@@ -67,7 +67,9 @@ class Source:
     def inputs(self, options: Any) -> dict[str, Any]:
         """Fingerprints of what a result depends on."""
         return {
-            "scene": fingerprint({"scene": scene_content(self.scene), "geometry": file_fingerprint(self.scene.geometry)}),
+            "scene": fingerprint(
+                {"scene": scene_content(self.scene), "geometry": file_fingerprint(self.scene.geometry)}
+            ),
             "measurement": self.measurement.fingerprint(),
             "model": self.model.constants() | {"name": self.model.name},
             "anchors": None if self.anchors is None else sorted(self.anchors),
@@ -102,7 +104,9 @@ def from_run(folder: Path, files: Sequence[Path], comm: Any) -> Source:
         raise InputError(f"{folder}: holds a run of '{run.record['command']}', which names no scene and measurement")
     stored = on_root(comm, lambda: run.read_json("model.json") if (folder / "model.json").is_file() else None)
     own = tuple(Path(name) for name in (stored or {}).get("files", []))
-    source = from_files(Path(names["scene"]), Path(names["measurement"]), (*own, *(f for f in files if f not in own)), comm)
+    source = from_files(
+        Path(names["scene"]), Path(names["measurement"]), (*own, *(f for f in files if f not in own)), comm
+    )
     for what in ("scene", "measurement"):
         if source.inputs(None)[what] != run.record["inputs"].get(what):
             raise InputError(f"{folder}: the {what} {names[what]} has changed since; repeat the run")
@@ -142,7 +146,12 @@ def find_effect(name: str, own: Iterable[Effect]) -> Effect:
 
 
 def run_compare(
-    folder: Path, output: Path, comm: Any, progress: Progress | None = None, overwrite: bool = False, level: int | None = None
+    folder: Path,
+    output: Path,
+    comm: Any,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+    level: int | None = None,
 ) -> Path:
     """Is the model of a run adequate, and where does it fail? Collective; returns the folder written."""
     source = from_run(folder, (), comm)
@@ -274,7 +283,9 @@ def _wanted(text: str, source: Source) -> Dose:
         try:
             values[key] = float(value)
         except ValueError:
-            raise InputError(f"--add {text}: '{value}' is not a number; values are in SI units (degrees for angles)") from None
+            raise InputError(
+                f"--add {text}: '{value}' is not a number; values are in SI units (degrees for angles)"
+            ) from None
     known = effect.places(source.scene, source.anchors or frozenset()) if effect.places else [""]
     if place not in known:
         raise InputError(f"--add {text}: place '{place}': {nearest(place, [k for k in known if k] or ['none'])}")
@@ -297,7 +308,9 @@ def _added(before: Fit, one: Dose, free: Sequence[str], fixed: Sequence[str]) ->
     state = before.state
     given = one.values != neutral_values(state.model, one.effect)
     if not given:
-        ranking = rank(replace(state, free=()), (one.effect,) if one.effect.name not in effects.names() else (), [one.effect.name])
+        ranking = rank(
+            replace(state, free=()), (one.effect,) if one.effect.name not in effects.names() else (), [one.effect.name]
+        )
         rows = [(row, state) for row in ranking.rows if row.dose.place == one.place or not one.place]
         rivals = refit_candidates(before, rows, Plan())
         if rivals:
@@ -456,13 +469,20 @@ def diagnosis_json(done: Outcome, unit: float) -> dict[str, Any]:
             for d in state.model.doses
         ],
         "warnings": list(last.fitted.warnings),
-        "tests": [{"name": f.name, "p_value": f.p_value, "decides": f.decides, "text": f.text} for f in last.adequacy.findings],
+        "tests": [
+            {"name": f.name, "p_value": f.p_value, "decides": f.decides, "text": f.text} for f in last.adequacy.findings
+        ],
         "residual_by": groups(state),
-        "first_ranked": [row.effect for row in words.ordered(asked.ranking, asked.rivals)] if asked and asked.ranking else [],
+        "first_ranked": [row.effect for row in words.ordered(asked.ranking, asked.rivals)]
+        if asked and asked.ranking
+        else [],
         "ranking": _ranking(asked.ranking, asked.rivals, unit, order) if asked and asked.ranking else [],
         "not_applicable": asked.ranking.excluded if asked and asked.ranking else {},
         "cannot_be_told_from": list(found.ambiguous) if found else [],
-        "separating_pulls": [{"grasp": p.grasp, "direction": p.direction, "distance": p.distance / unit, "sigmas": p.sigmas} for p in done.pulls],
+        "separating_pulls": [
+            {"grasp": p.grasp, "direction": p.direction, "distance": p.distance / unit, "sigmas": p.sigmas}
+            for p in done.pulls
+        ],
         "ladder": [
             {
                 "model": rung.state.model.name,
@@ -499,19 +519,19 @@ def _ranking(ranking: Ranking, rivals: Sequence[Rival], unit: float, order: list
         best.setdefault(rival.effect, rival)
     rows = []
     for row in words.ordered(ranking, rivals):
-        rival = best.get(row.effect)
-        one, errors = (rival.dose, words.errors_of(rival)) if rival else (row.dose, row.stderr)
+        own = best.get(row.effect)
+        one, errors = (own.dose, words.errors_of(own)) if own else (row.dose, row.stderr)
         rows.append(
             {
                 "effect": row.effect,
                 "place": one.place,
-                "anchored": sorted(rival.anchors, key=order.index) if rival else None,
-                "parameters": _parameters(one, errors, row.identifiable or rival is not None),
+                "anchored": sorted(own.anchors, key=order.index) if own else None,
+                "parameters": _parameters(one, errors, row.identifiable or own is not None),
                 "score": row.score,
                 "p_value": row.p_value,
                 "expected_rms": row.expected_rms / unit,
-                "fitted_rms": rival.fitted.state.rms / unit if rival else None,
-                "held_out_rms": finite(rival.held_out / unit) if rival and rival.held_out is not None else None,
+                "fitted_rms": own.fitted.state.rms / unit if own else None,
+                "held_out_rms": finite(own.held_out / unit) if own and own.held_out is not None else None,
                 "power": row.power,
                 "confounded_with": list(row.confounded_with),
                 "identifiable": row.identifiable,
@@ -526,7 +546,8 @@ def where_json(found: MissingForce, unit: float) -> dict[str, Any]:
 
     def table(places: Sequence[Any]) -> list[dict[str, Any]]:
         return [
-            {"position": list(p.position / unit), "force": list(map(float, p.force)), "stderr": p.stderr} for p in places
+            {"position": list(p.position / unit), "force": list(map(float, p.force)), "stderr": p.stderr}
+            for p in places
         ]
 
     growing = {name: table(places) for name, places in found.growing.items()}
@@ -576,7 +597,11 @@ def summary(done: Outcome, unit: float, name: str) -> list[str]:
             lines += [f"  {words.dose(d, _own(rung.fitted, d))}" for d in rung.state.model.doses]
             lines += [f"  Note: {text}" for text in rung.fitted.warnings] + [""]
         if rung.ranking is not None:
-            lines += ["Which effect is missing?", *words.table(rung.ranking, rung.rivals, rung.state.rms, unit, name), ""]
+            lines += [
+                "Which effect is missing?",
+                *words.table(rung.ranking, rung.rivals, rung.state.rms, unit, name),
+                "",
+            ]
     lines += words.worst(done.rungs[-1].state if not done.rungs[-1].adequacy.adequate else done.rungs[0].state)
     if done.where is not None:
         lines += ["", *words.force(done.where, unit, name)]

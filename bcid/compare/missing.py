@@ -262,11 +262,10 @@ def _expanded(state: State, group: Sequence[tuple[Probe, dict[str, Array]]]) -> 
     return [_variant(state, p.dose, [arrays[n] for n in p.wanted], p.wanted) for p, arrays in group]
 
 
-def _all_directions(
-    state: State, group: Sequence[tuple[Probe, dict[str, Array]]], angle: Parameter
-) -> list[Variant]:
+def _all_directions(state: State, group: Sequence[tuple[Probe, dict[str, Array]]], angle: Parameter) -> list[Variant]:
     """Trigonometric interpolation in a direction: exact up to the declared harmonic."""
-    assert angle.period is not None and angle.harmonics is not None
+    assert angle.period is not None
+    assert angle.harmonics is not None
     others: dict[tuple[float, ...], list[tuple[Probe, dict[str, Array]]]] = {}
     for pair in group:
         key = tuple(v for name, v in pair[0].dose.values.items() if name != angle.name)
@@ -287,7 +286,7 @@ def _all_directions(
     return found
 
 
-def _harmonics(degrees: Array, period: float, highest: int) -> Array:
+def _harmonics(degrees: NDArray[np.floating], period: float, highest: int) -> Array:
     phase = 2 * math.pi * degrees / period
     return np.column_stack(
         [np.ones(len(degrees))] + [f(k * phase) for k in range(1, highest + 1) for f in (np.cos, np.sin)]

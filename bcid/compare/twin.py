@@ -162,9 +162,7 @@ class Twin:
             self._replies = [*self._replies[-_REPLIES:], (key, keep, known)]
         return replace(known, positions=self._pictured(model, known.positions, level))
 
-    def _followed(
-        self, level: int, model: Model, anchors: frozenset[str], actions: list[Action], keep: bool
-    ) -> Reply:
+    def _followed(self, level: int, model: Model, anchors: frozenset[str], actions: list[Action], keep: bool) -> Reply:
         """Prediction before effects on the picture."""
         forward = self.forward(model, level)
         positions = np.full(self.data.mask.shape, np.nan)

@@ -118,5 +118,7 @@ def _evidence(columns: Array, residual: Array) -> tuple[Array, Array, float]:
     deviation = np.sqrt(np.maximum(prior - (rows.T**2) @ (prior * gain * sizes), 0.0))
     before = max(float(residual @ residual) - len(residual), 1e-12)
     after = residual - columns @ amounts
-    explained = float(np.clip((residual @ residual - after @ after) / max(before, residual @ residual * 1e-6), 0.0, 1.0))
+    explained = float(
+        np.clip((residual @ residual - after @ after) / max(before, 1e-6 * float(residual @ residual)), 0.0, 1.0)
+    )
     return amounts, deviation, explained

@@ -99,11 +99,11 @@ def table(ranking: Ranking, rivals: Sequence[Rival], now: float, unit: float, na
         f"{'score':>8s} {'p':>8s} {'power':>6s}  what"
     ]
     for row in ordered(ranking, rivals)[:most]:
-        rival = fitted.get(row.effect)
-        reached = f"{rival.fitted.state.rms / unit:.3g}" if rival else ""
+        own = fitted.get(row.effect)
+        reached = f"{own.fitted.state.rms / unit:.3g}" if own else ""
         lines.append(
             f"  {row.effect:20s} {now / unit:9.3g} → {row.expected_rms / unit:8.3g} → {reached:>7s} {'':{len(name)}s}   "
-            f"{row.score:8.0f} {row.p_value:8.1g} {row.power:6.2f}  {_what(row, rival)}"
+            f"{row.score:8.0f} {row.p_value:8.1g} {row.power:6.2f}  {_what(row, own)}"
         )
     if ranking.excluded:
         lines.append("  not applicable: " + "; ".join(f"{n} ({why})" for n, why in ranking.excluded.items()))
@@ -140,7 +140,9 @@ def ladder(rungs: Sequence[Rung], unit: float, name: str) -> list[str]:
     """The falling error."""
     lines = []
     for rung in rungs:
-        apart = "" if rung.held_out is None else f", actions predicted from the others {rung.held_out / unit:.3g} {name}"
+        apart = (
+            "" if rung.held_out is None else f", actions predicted from the others {rung.held_out / unit:.3g} {name}"
+        )
         word = "adequate" if rung.adequacy.adequate else "not adequate"
         noise = f"noise {rung.state.noise / unit:.3g}"
         lines.append(f"  {rung.state.model.name:44s} {rung.state.rms / unit:.3g} {name} ({noise}{apart}): {word}")
@@ -158,16 +160,16 @@ def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull]
         ]
     if found.verdict == "unknown":
         best = last.state.model.name if len(found.rungs) > 1 else "none of them"
-        lines = [
+        return [
             f"None of the known effects explains this measurement: {last.state.rms / unit:.3g} {name} are left where the noise is "
             f"{last.state.noise / unit:.3g} (the closest: {best}).",
             "Look where the force that would explain it acts. Probabilities and values below are those of a model that fails.",
         ]
-        return lines
     errors = last.fitted.stderr
     lines = [
         f"Missing in the plain model: {' and '.join(found.verdict.split('+'))}. The error falls from "
-        f"{first.state.rms / unit:.3g} to {last.state.rms / unit:.3g} {name} (noise {last.state.noise / unit:.3g}). Anchored: {held}."
+        f"{first.state.rms / unit:.3g} to {last.state.rms / unit:.3g} {name} (noise {last.state.noise / unit:.3g}). "
+        f"Anchored: {held}."
     ]
     for one in last.state.model.doses:
         own = {n.removeprefix(f"{one.label}."): e for n, e in errors.items() if n.startswith(f"{one.label}.")}

@@ -267,7 +267,7 @@ class Sensitivity:
         wanted: Wanted,
         result: Signatures,
     ) -> None:
-        forward, equilibrium, terms = self.forward, self.equilibrium, self.terms
+        _forward, equilibrium, terms = self.forward, self.equilibrium, self.terms
         action = self.model.driven(commanded)
         equilibrium.hold(anchors, action.grasp)
         for name, constant in terms.anchored.items():
@@ -351,7 +351,7 @@ class Sensitivity:
                     changes.append(scale * self._change(probe, name, pose.time))
                 if pairs is not None:
                     targets.append(target)
-                    gaps.append(self._gripped(*pairs[step]) / (2 * _STEP * parameter.typical))
+                    gaps.append(np.asarray(self._gripped(*pairs[step]) / (2 * _STEP * parameter.typical)))
                     changes.append(np.zeros(0))
                 if probe.effect.observe:
                     target += self._pictured(probe, parameter, places, action, step)
@@ -406,7 +406,9 @@ class Sensitivity:
         for axis in range(3):
             shift = np.zeros(3)
             shift[axis] = 1e-6
-            jacobian[:, :, axis] = (model.observed(places + shift, frame) - model.observed(places - shift, frame)) / 2e-6
+            jacobian[:, :, axis] = (
+                model.observed(places + shift, frame) - model.observed(places - shift, frame)
+            ) / 2e-6
         return lambda change: np.einsum("iab,ib...->ia...", jacobian, change)
 
     def _pictured(self, probe: Probe, parameter: Parameter, places: Array, action: Action, step: int) -> Array:
@@ -431,7 +433,7 @@ class Sensitivity:
             return picture
 
         at = dose.values[parameter.name]
-        return (value(at + size) - value(at - size)) / (2 * size)
+        return np.asarray((value(at + size) - value(at - size)) / (2 * size))
 
     def _gripped(self, more: Pose, less: Pose) -> Array:
         """Difference of the prescribed displacements of two poses, zero elsewhere."""

@@ -54,7 +54,7 @@ def run_identification(
     check_rounds(scene, refine)
     check_geometry(scene, first_level(scene, options.coarsest, options.last(scene), comm)[0], comm)
     inputs = {
-        "scene": fingerprint({"scene": _content(scene), "geometry": file_fingerprint(scene.geometry)}),
+        "scene": fingerprint({"scene": scene_content(scene), "geometry": file_fingerprint(scene.geometry)}),
         "measurement": measurement.fingerprint(),
         "options": asdict(options),
         "refine": refine,
@@ -82,7 +82,7 @@ def run_identification(
     return folder
 
 
-def _content(scene: Scene) -> dict[str, Any]:
+def scene_content(scene: Scene) -> dict[str, Any]:
     """What of a scene a result depends on: not where its files lie."""
     return {key: value for key, value in asdict(scene).items() if key not in ("geometry", "source", "description")}
 
@@ -134,6 +134,11 @@ def prediction_dataset(scene: Scene, measurement: Measurement, found: Identifica
 
 def body_dataset(scene: Scene, mesh: BodyMesh, found: Identification) -> xr.Dataset:
     """Mesh, boundary triangles with the places they belong to, and the displacement of every frame (m)."""
+    return body_parts(scene, mesh, found.prediction.displacement)
+
+
+def body_parts(scene: Scene, mesh: BodyMesh, displacement: Any) -> xr.Dataset:
+    """As `body_dataset`, with the displacement (frames, nodes, 3), m."""
     boundary = mesh.boundary
     places = {f"patch {name}": region for name, region in scene.patches.items()}
     places |= {f"grasp {name}": grasp.region for name, grasp in scene.grasps.items()}
@@ -147,7 +152,7 @@ def body_dataset(scene: Scene, mesh: BodyMesh, found: Identification) -> xr.Data
             "triangles": (("triangle", "vertex"), boundary.astype(np.int32)),
             "place": ("triangle", number),
             "place_name": ("place_number", ["", *places]),
-            "displacement": (("frame", "node", "axis"), found.prediction.displacement),
+            "displacement": (("frame", "node", "axis"), displacement),
         },
         coords={"axis": AXES},
         attrs={"scene": scene.name, "up": " ".join(str(-v) for v in scene.down)},

@@ -23,8 +23,8 @@ NEAR, DEGREES, HELD_OUT = 0.2, 15.0, 1.2
 GOALS = {
     "named": (0.90, "one effect: the verdict is that effect"),
     "first": (0.90, "one effect: it is ranked first"),
-    "first two": (0.95, "one effect: it is among the first two"),
-    "parameters": (0.85, "one effect: amounts within 20 %, directions within 15 deg, places right"),
+    "first two": (0.97, "one effect: it is among the first two"),
+    "parameters": (0.90, "one effect: amounts within 20 %, directions within 15 deg, places right"),
     "held out": (0.90, "one, two or none: held-out error at most 1.2 times the noise"),
     "adequate": (0.95, "nothing hidden: the model is called adequate"),
     "not misnamed": (0.90, "outside the catalogue: the verdict is 'unknown', or 'none'"),

@@ -19,10 +19,11 @@ ALLOWED = {
     **dict.fromkeys(DATA - BASE, DATA),
     "forms": DATA | {"forms"},
     "search": DATA | {"forms", "search"},
+    "compare": DATA | {"forms", "search", "compare"},
     "report": BASE | {"run", "report"},
     "doctor": BASE | {"doctor"},
     "studies": DATA | {"forms", "search", "compare", "studies"},
-    "cli": DATA | {"forms", "search", "studies", "report", "doctor", "cli"},
+    "cli": DATA | {"forms", "search", "compare", "studies", "report", "doctor", "cli"},
     "__main__": {"cli"},
 }
 
