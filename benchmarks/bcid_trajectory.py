@@ -72,7 +72,8 @@ def residual(eq: Equilibrium) -> None:
     """Assemble the residual of the present state."""
     with eq.vector.localForm() as local:
         local.set(0.0)
-    petsc.assemble_vector(eq.vector, eq.residual_form)
+    for form in eq.residual_forms:
+        petsc.assemble_vector(eq.vector, form)
 
 
 def parts(eq: Equilibrium) -> dict[str, float]:

@@ -10,8 +10,12 @@ import numpy as np
 from bcid.compare.data import MeshError
 from bcid.compare.twin import Twin
 from bcid.forms.model import Model
+from bcid.forms.solve import Settings
 from bcid.search.farm import Candidate
 from bcid.search.identify import Identification, Options, identify
+
+# A set with which the body would buckle again and again is given up early.
+_SETTINGS = Settings(rtol=1e-7, halvings=2)
 
 
 def search(
@@ -37,6 +41,6 @@ def search(
     noise = measurement.noise_sigma if data.stated else None
     options = Options(certify=certify, coarsest=twin.level, finest=twin.level)
     seen = replace(measurement, data=corrected, noise_sigma=noise)
-    found = identify(twin.scene, seen, twin.comm, options, model, start=tuple(start))
+    found = identify(twin.scene, seen, twin.comm, options, model, _SETTINGS, start=tuple(start))
     twin.count("working", sum(found.evaluations.values()))
     return found

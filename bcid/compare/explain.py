@@ -27,8 +27,9 @@ Array = NDArray[np.float64]
 Anchored = frozenset[str]
 # Two explanations whose chi-square differs by less (with a penalty for their numbers) cannot be told apart: odds of 20 to 1.
 _TELLING = 2 * math.log(20.0)
-# Random seeds of the first search: what it misses is found when the working level is searched.
-_SEEDS = 8
+# On the coarsest level every set of so many patches is looked at; with more, it is climbed from random seeds. What that
+# misses is found on the working level, which is climbed from so many of the best sets.
+_ALL, _SEEDS, _STARTS = 10, 8, 3
 # A candidate is not refitted when another leaves less than so many times the noise (chi-square per value) and it is
 # expected to leave more than so many times.
 _NEARLY, _FAR = 1.3, 4.0
@@ -171,7 +172,8 @@ class _Loop:
     def run(self, model: Model) -> Explanation:
         start = time.perf_counter()
         first = self.first_anchors(model)
-        fitted, identification = self.settle(fit(self.state(model, first), free_numbers(model, self.twin)))
+        begun = fit(self.state(model, first[0]), free_numbers(model, self.twin))
+        fitted, identification = self.settle(begun, more=first[1:])
         rungs = [self.rung(fitted)]
         while not rungs[-1].adequacy.adequate and len(rungs) <= self.plan.effects:
             ranking, rivals = self.candidates(rungs[-1].fitted, identification)
@@ -198,23 +200,27 @@ class _Loop:
             time.perf_counter() - start,
         )
 
-    def first_anchors(self, model: Model) -> Anchored:
-        """The anchors as the plain model sees them on the coarse levels."""
-        options = Options(certify="no", seeds=_SEEDS, finest=min(1, self.twin.fine_level))
+    def first_anchors(self, model: Model) -> list[Anchored]:
+        """The likely anchor sets as the plain model sees them on the coarsest level, the likeliest first."""
+        few = len(self.scene.patches) <= _ALL
+        options = Options(certify="yes" if few else "no", seeds=1 if few else _SEEDS, finest=0)
         found = identify(self.scene, self.measurement, self.comm, options, model)
         self.twin.count("coarse", sum(found.evaluations.values()))
-        return frozenset(found.anchored)
+        near = [a.anchored for a in found.alternatives if a.rms < _NEAR * a.best_rms]
+        return [frozenset(names) for names in [found.anchored, *near[: _STARTS - 1]]]
 
     def state(self, model: Model, anchors: Anchored) -> State:
         return State.of(self.twin, model, anchors)
 
-    def settle(self, fitted: Fit, certify: str = "no") -> tuple[Fit, Identification]:
-        """Fit, error of the mesh and anchors, until none of them changes the others."""
+    def settle(self, fitted: Fit, certify: str = "no", more: Sequence[Anchored] = ()) -> tuple[Fit, Identification]:
+        """Fit, error of the mesh and anchors, until none of them changes the others; `more` sets are climbed from too."""
         identification = None
         for _ in range(3):
             fitted = self.corrected(fitted)
             state = fitted.state
-            identification = anchor_search.search(self.twin, state.model, state.errors.mesh, [state.anchors], certify)
+            identification = anchor_search.search(
+                self.twin, state.model, state.errors.mesh, [state.anchors, *more], certify
+            )
             found = frozenset(identification.anchored)
             if found == state.anchors:
                 break

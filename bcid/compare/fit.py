@@ -48,12 +48,21 @@ class Coordinate:
 
     value = of
 
+    def allowed(self, at: float) -> float:
+        """The value at a coordinate that may miss a bound by rounding."""
+        lower, upper = self.bounds
+        value = self.value(float(np.clip(at, lower, upper)))
+        return float(np.clip(value, self.parameter.lower, self.parameter.upper))
+
     @property
     def bounds(self) -> tuple[float, float]:
         """Bounds of the coordinate."""
-        lower, upper = self.parameter.lower, self.parameter.upper
-        if self.parameter.reciprocal:
-            return 1 / upper if math.isfinite(upper) else 1e-9 * self.scale, 1 / lower if lower > 0 else math.inf
+        p, inside = self.parameter, 1e-3 * self.scale
+        lower = p.lower + inside if p.open_lower else p.lower
+        upper = p.upper - inside if p.open_upper else p.upper
+        if p.reciprocal:
+            least = 1 / p.upper if math.isfinite(p.upper) else 1e-9 * self.scale
+            return least, 1 / p.lower if p.lower > 0 else 1e4 * self.scale
         return lower, upper
 
 
@@ -131,8 +140,7 @@ class _Problem:
         # A value at a bound may miss it by rounding.
         values = {}
         for c, at in zip(self.coordinates, x, strict=True):
-            p = c.parameter
-            values[c.name] = float(np.clip(c.value(float(at)), p.lower, p.upper))
+            values[c.name] = c.allowed(float(at))
         return self.start.model.with_values(values)
 
     def reply(self, x: Array) -> tuple[Model, Reply]:
@@ -298,10 +306,7 @@ def held_out(fitted: Fit) -> float | None:
         ridge = 1e-6 * max(float(np.abs(rows.T @ rows).max(initial=0.0)), 1e-12) * np.eye(len(x))
         step = -np.linalg.solve(rows.T @ rows + ridge, rows.T @ scaled[others]) * scale
         moved = np.clip(x + step, bounds[:, 0], bounds[:, 1])
-        values = {
-            c.name: float(np.clip(c.value(float(at)), c.parameter.lower, c.parameter.upper))
-            for c, at in zip(fitted.coordinates, moved, strict=True)
-        }
+        values = {c.name: c.allowed(float(at)) for c, at in zip(fitted.coordinates, moved, strict=True)}
         reply = twin.predict(state.model.with_values(values), state.anchors, actions=[action])
         positions = reply.positions if not reply.failure else state.reply.positions
         residual = data.values - data.vector(positions + state.errors.mesh.correction)

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from dolfinx.fem import petsc as fp
+from dolfinx import fem
 from mpi4py import MPI
 from numpy.typing import NDArray
 
@@ -259,18 +259,11 @@ class Trial:
 
     def forces(self, form: Any = None) -> Array:
         """Residual at the present state, of a form or of the whole."""
-        vector = fp.assemble_vector(self.dosed.equilibrium.residual_form if form is None else form)
-        result = np.array(vector.array_r)
-        vector.destroy()
-        return result
+        return self.dosed.equilibrium.forces() if form is None else np.array(fem.assemble_vector(form).array)
 
     def tangent(self) -> Array:
         """Tangent at the present state."""
-        matrix = fp.assemble_matrix(self.dosed.equilibrium.tangent_form)
-        matrix.assemble()
-        result = np.asarray(matrix.convert("dense").getDenseArray()).copy()
-        matrix.destroy()
-        return result
+        return sum(fem.assemble_matrix(form).to_dense() for form in self.dosed.equilibrium.tangent_forms)
 
 
 # -- the checks: each tells what is wrong, or "" if nothing is
@@ -346,8 +339,7 @@ def _bare_forces(trial: Trial) -> Array:
     """Residual of the model without the effect at the state of the model with it."""
     forward = trial.forward(trial.bare)
     forward.equilibrium.u.x.array[:] = trial.dosed.equilibrium.u.x.array
-    vector = fp.assemble_vector(forward.equilibrium.residual_form)
-    return np.array(vector.array_r)
+    return forward.equilibrium.forces()
 
 
 def acts(trial: Trial) -> str:

@@ -177,7 +177,7 @@ class Sensitivity:
         value, result = float(constant.value), np.zeros(len(self.equilibrium.u.x.array))
         for sign in (1.0, -1.0):
             constant.value = value + sign * step
-            result += sign * self._assemble(self.equilibrium.residual_form) / (2 * step)
+            result += sign * self.equilibrium.forces() / (2 * step)
         constant.value = value
         return result
 
@@ -340,7 +340,7 @@ class Sensitivity:
                 target = out[name][frame]
                 target[:] = 0.0
                 if parameter.reciprocal and not math.isfinite(probe.dose.values[name]):
-                    forces = self._assemble(equilibrium.residual_form)
+                    forces = equilibrium.forces()
                     targets.append(target)
                     gaps.append(self._yielding(probe.dose.place, anchors, forces))
                     changes.append(np.zeros(0))

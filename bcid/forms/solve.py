@@ -14,6 +14,7 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fp
 from numpy.typing import NDArray
 from petsc4py import PETSc
+from ufl.algorithms import expand_derivatives
 
 from bcid import compat
 from bcid.errors import InputError, nearest
@@ -155,9 +156,11 @@ class Equilibrium:
         body = self.body
         self.terms = Terms(body, self.model, self.scene, self.u)
         self._constants = self.terms.constants
-        self.energy_form = fem.form(self.terms.energy)
-        self.residual_form = fem.form(self.terms.residual)
-        self.tangent_form = fem.form(ufl.derivative(self.terms.residual, self.u))
+        self.energy_forms = [fem.form(energy) for energy in self.terms.energies]
+        self.residual_forms = [fem.form(residual) for residual in self.terms.residuals]
+        tangents = [expand_derivatives(ufl.derivative(residual, self.u)) for residual in self.terms.residuals]
+        # A dead load has none.
+        self.tangent_forms = [fem.form(tangent) for tangent in tangents if not tangent.empty()]
         self._jacobian = fem.Expression(self.terms.kin.J, _sample_points(body.degree))
 
     @property
@@ -273,8 +276,8 @@ class Equilibrium:
 
     def _prepare_solver(self) -> None:
         comm = self.body.comm
-        self.tangent = Tangent(self.tangent_form, self.model.symmetric, comm.size > 1)
-        self.vector = compat.create_vector(self.residual_form)
+        self.tangent = Tangent(self.tangent_forms, self.model.symmetric, comm.size > 1)
+        self.vector = compat.create_vector(self.residual_forms[0])
         self.iterate = self.vector.duplicate()
         self.correction = self.vector.duplicate()
         self._owned = self.vector.getLocalSize()
@@ -341,7 +344,8 @@ class Equilibrium:
         """Internal minus external nodal forces into F; the force and reaction norms are kept for the convergence test."""
         with F.localForm() as local:
             local.set(0.0)
-        fp.assemble_vector(F, self.residual_form)
+        for form in self.residual_forms:
+            fp.assemble_vector(F, form)
         F.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         forces = F.array
         if self._loaded:
@@ -494,9 +498,17 @@ class Equilibrium:
 
         return float(self.body.comm.allreduce(value, op=MPI.MAX))
 
+    def forces(self) -> Array:
+        """Internal minus external nodal forces of the model, this rank's contributions, in the order of the unknowns.
+
+        Known dead loads of the actions are not among them.
+        """
+        return np.asarray(sum(fem.assemble_vector(form).array for form in self.residual_forms))
+
     def energy(self) -> float:
         """Energy of the present state (strain energy and potential of the effects that have one), J."""
-        return float(self.body.comm.allreduce(fem.assemble_scalar(self.energy_form)))
+        energy = sum(fem.assemble_scalar(form) for form in self.energy_forms)
+        return float(self.body.comm.allreduce(energy))
 
     def displacement(self) -> Array:
         """Displacement of this rank's nodes, ghosts included, shape (nodes, 3), m."""

@@ -24,7 +24,7 @@ class Tangent:
     change, and prescribed displacements be lifted, without assembling again. On a shared mesh PETSc assembles.
 
     Args:
-        form: the compiled bilinear form.
+        forms: the compiled bilinear forms, which add up; the first has the sparsity of all.
         symmetric: whether the matrix is.
         shared: whether the mesh is shared out over several ranks.
 
@@ -32,14 +32,14 @@ class Tangent:
         matrix: the constrained matrix.
     """
 
-    def __init__(self, form: Any, symmetric: bool, shared: bool) -> None:
-        self.form = form
+    def __init__(self, forms: Sequence[Any], symmetric: bool, shared: bool) -> None:
+        self.forms = forms
         self._full: Any = None
         self._remembered: dict[Hashable, Array] = {}
         if shared:
-            self.matrix = fp.create_matrix(form)
+            self.matrix = fp.create_matrix(forms[0])
         else:
-            self._full = fem.create_matrix(form)
+            self._full = fem.create_matrix(forms[0])
             self.matrix = self._scalar_matrix()
         self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
 
@@ -77,7 +77,9 @@ class Tangent:
         """The matrix at the present state; collective. With a `key`, a matrix remembered under it is taken instead."""
         if self._full is None:
             self.matrix.zeroEntries()
-            fp.assemble_matrix(self.matrix, self.form, self._conditions)
+            # The diagonal of what is held is written, not added: last, by the form that comes first.
+            for form in reversed(self.forms):
+                fp.assemble_matrix(self.matrix, form, self._conditions, float(form is self.forms[0]))
             self.matrix.assemble()
             return
         remembered = self._remembered.get(key) if key is not None else None
@@ -85,7 +87,8 @@ class Tangent:
             self._full.data[:] = remembered
         else:
             self._full.data[:] = 0.0
-            fem.assemble_matrix(self._full, self.form)
+            for form in self.forms:
+                fem.assemble_matrix(self._full, form)
             if key is not None:
                 self._remembered = {key: self._full.data.copy()}
         np.take(self._full.data, self._order, out=self._values)
@@ -108,7 +111,8 @@ class Tangent:
         else:
             with right.localForm() as local:
                 local.set(0.0)
-            fp.apply_lifting(right, [self.form], [list(self._conditions)], [state], 1.0)
+            for form in self.forms:
+                fp.apply_lifting(right, [form], [list(self._conditions)], [state], 1.0)
             right.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
 
     def destroy(self) -> None:

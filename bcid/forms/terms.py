@@ -89,6 +89,8 @@ class Terms:
         constants: every number of the model by its full name.
         anchored: by patch, 1 where an anchor is replaced by what an effect does.
         memories: of the effects that have one, by label.
+        energies, residuals: forms that add up to the model's: one for the law and one for each effect, so that an effect is
+            compiled once, whatever it is combined with.
     """
 
     def __init__(self, body: Body, model: Model, scene: Scene, u: Any) -> None:
@@ -103,17 +105,15 @@ class Terms:
             self.displacement, self.pressure, self.virtual = u, None, self.test
         self.kin = Kinematics.of(self.displacement)
         self.memories: dict[str, Memory] = {}
-        energy = self.stored(model.doses)
-        works = []
+        self.energies = [self.stored(model.doses)]
+        self.residuals = [ufl.derivative(self.energies[0], u, self.test)]
         for dose in model.doses:
-            added, work = self.added(dose)
-            energy = energy if added is None else energy + added
-            works += [] if work is None else [work]
-        self.energy = energy
-        residual = ufl.derivative(energy, u, self.test)
-        for work in works:
-            residual += work
-        self.residual = residual
+            energy, work = self.added(dose)
+            if energy is not None:
+                self.energies.append(energy)
+                self.residuals.append(ufl.derivative(energy, u, self.test))
+            if work is not None:
+                self.residuals.append(work)
 
     @property
     def places(self) -> dict[str, Region]:

@@ -206,7 +206,12 @@ def _anchors(rng: Rng, peeled: bool) -> tuple[str, ...]:
 def _motions(rng: Rng, anchors: tuple[str, ...]) -> tuple[Motion, ...]:
     """Four or five actions, among them a pull along x, one across and a lift; one or more lead back, one has a twist."""
     count = int(rng.integers(4, 6))
-    directions = ["x", str(rng.choice(["z", "-z"])), "up", *rng.choice(list(DIRECTIONS), count - 3)]
+    directions = [
+        "x",
+        str(rng.choice(["z", "-z", "x and z", "x and -z"])),
+        "up",
+        *rng.choice(list(DIRECTIONS), count - 3),
+    ]
     order = rng.permutation(count)
     back = rng.random(count) < 0.25
     back[rng.integers(count)] = True
@@ -218,7 +223,9 @@ def _motions(rng: Rng, anchors: tuple[str, ...]) -> tuple[Motion, ...]:
     for k, i in enumerate(order):
         steps = int(rng.integers(6, 11))
         direction = str(directions[i])
-        amplitude = float(rng.uniform(*(CROWDED if crowded and "z" in direction else AMPLITUDE)))
+        # Sheared far in its plane the slab buckles.
+        sheared = direction in ("z", "-z") or (crowded and "z" in direction)
+        amplitude = float(rng.uniform(*(CROWDED if sheared else AMPLITUDE)))
         seconds = common if rng.random() < 0.5 else _log_uniform(rng, *SECONDS_PER_STEP)
         twist = float(rng.uniform(10, 30) * rng.choice([-1, 1])) if k == twisted else 0.0
         steps += steps % 2 if back[k] else 0

@@ -23,7 +23,7 @@ from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import Forward
 from bcid.forms.model import Dose, Model, check_physics
 from bcid.forms.simulate import recorded
-from bcid.forms.solve import Settings
+from bcid.forms.solve import Settings, Status
 from bcid.forms.trajectory import between, poses
 from bcid.measurement import Action
 from bcid.run import write_whole
@@ -125,6 +125,7 @@ def compute(scene: Scene, case: Case, true: Level = TRUE, coarse: Level = COARSE
     Raises:
         SolveError: a trajectory cannot be followed, the body buckles, or nothing could be seen of an effect.
     """
+    _check_stable(scene, case, coarse)
     doses = _doses(scene, case, coarse)
     rough, positions = (_positions(scene, case, level, doses) for level in (coarse, true))
     if rms(rough - positions) > BRANCHED:
@@ -138,6 +139,18 @@ def compute(scene: Scene, case: Case, true: Level = TRUE, coarse: Level = COARSE
     if sizes and min(sizes) < INVISIBLE:
         raise SolveError(f"a hidden effect moves the fiducials by no more than {INVISIBLE} of the noise")
     return Truth(positions, doses, tuple(sizes), noise)
+
+
+def _check_stable(scene: Scene, case: Case, coarse: Level) -> None:
+    """Refuse motions in which the plain body passes an instability: which way it buckles is a matter of chance."""
+    forward = _forward(scene, coarse, ())
+    try:
+        trajectories = forward.predict(case.anchors, case.actions).trajectories
+    finally:
+        forward.destroy()
+    for t in trajectories:
+        if t.status is not Status.CONVERGED or t.halvings or t.factorisations > 4 + t.steps // 2:
+            raise SolveError("the plain body passes an instability")
 
 
 def quieter(case: Case, sizes: Sequence[float]) -> float:

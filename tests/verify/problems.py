@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from dolfinx import fem
-from dolfinx.fem import petsc as fp
 from mpi4py import MPI
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_matrix
@@ -156,20 +155,12 @@ def gradually(equilibrium: Equilibrium, steps: int) -> Status:
 
 def forces(equilibrium: Equilibrium) -> Array:
     """Internal nodal forces of the present state (one rank), without dead loads, in the order of the unknowns."""
-    vector = fp.assemble_vector(equilibrium.residual_form)
-    result = np.array(vector.array_r)
-    vector.destroy()
-    return result
+    return equilibrium.forces()
 
 
 def tangent(equilibrium: Equilibrium) -> csr_matrix:
     """The whole tangent of the present state (one rank), without boundary conditions."""
-    matrix = fp.assemble_matrix(equilibrium.tangent_form)
-    matrix.assemble()
-    rows, columns, values = matrix.getValuesCSR()
-    result = csr_matrix((values, columns, rows), shape=matrix.getSize())
-    matrix.destroy()
-    return result
+    return csr_matrix(sum(fem.assemble_matrix(form).to_scipy() for form in equilibrium.tangent_forms))
 
 
 def free(equilibrium: Equilibrium) -> NDArray[np.int64]:
