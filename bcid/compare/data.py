@@ -15,7 +15,7 @@ Index = NDArray[np.int64]
 
 # How far the error of the mesh may be from what the ladder says: of each action as a whole, and of a single trajectory.
 _OF_ACTION = 0.5
-_OF_TRAJECTORY = 0.35
+_OF_TRAJECTORY = 1.5
 # Without a stated noise and with too few steps to see it, m.
 _LEAST_NOISE = 1e-6
 
@@ -121,9 +121,11 @@ class MeshError:
         """From predictions on the working level and a finer one: Richardson's extrapolation.
 
         `gain` is how many times the difference exceeds the error of the finer one (3 for halved elements of second order).
+        What is left is taken to be as large as the difference: at corners and edges of anchored patches convergence is of
+        first order only, and two meshes of a ladder are not alike.
         """
         difference = fine - coarse
-        return cls(np.asarray(difference * (1 + 1 / gain)), np.asarray(difference / gain), True)
+        return cls(np.asarray(difference * (1 + 1 / gain)), np.asarray(difference), True)
 
 
 class Errors:
@@ -160,7 +162,7 @@ class Errors:
             for number in range(int(data.trajectory.max()) + 1):
                 members = np.flatnonzero(data.trajectory == number)
                 own = np.sqrt(np.mean(left[members] ** 2))
-                amount = _OF_TRAJECTORY * max(own, 0.5 * size[data.action[members[0]]])
+                amount = _OF_TRAJECTORY * max(own, size[data.action[members[0]]])
                 shape = np.zeros((len(data), 2))
                 # At rest there is no error; it grows with the motion.
                 along = np.linspace(0.0, 1.0, len(members)) if len(members) > 1 else np.ones(1)

@@ -33,8 +33,9 @@ _ALL, _SEEDS, _STARTS = 10, 8, 3
 # A candidate is not refitted when another leaves less than so many times the noise (chi-square per value) and it is
 # expected to leave more than so many times.
 _NEARLY, _FAR = 1.3, 4.0
-# Sets whose RMS residual exceeds the best one's by more than this do not compete.
-_NEAR = 1.6
+# A set from which the working level is climbed, and one that competes with the best, leave at most so many times its RMS
+# residual.
+_NEAR, _RIVAL = 1.6, 1.3
 # Candidates are refitted to this relative change of chi-square.
 _ROUGH = 3e-3
 # A reciprocal or a direction may need a start away from the neutral value: part of the way to the expected value.
@@ -55,8 +56,8 @@ class Plan:
 
     level: int | None = None
     effects: int = 3
-    fitted: int = 4
-    sets: int = 2
+    fitted: int = 3
+    sets: int = 1
     only: tuple[str, ...] | None = None
 
 
@@ -285,7 +286,7 @@ class _Loop:
         found: list[State] = []
         for other in identification.alternatives:
             anchors = frozenset(other.anchored)
-            if len(found) == self.plan.sets or other.rms > _NEAR * other.best_rms:
+            if len(found) == self.plan.sets or other.rms > _RIVAL * other.best_rms:
                 break
             if not anchors or anchors == state.anchors:
                 continue
