@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 _SIZE = (1500, 1250)
 # The longest arrow is drawn as this part of the body's diagonal, or a little shorter.
 _LONGEST = 0.22
-# A force is told from none beyond so many standard errors; if no force is, so many of the largest are drawn.
-_TOLD, _FEW = 2.0, 4
+# A force is told from none beyond so many standard errors.
+_TOLD = 2.0
 _ROWS = 10
 _DARK, _LIGHT = "#0072b2", "#9ccbe8"
 _GREY = "#444444"
@@ -101,10 +101,9 @@ def residual_figure(found: dict[str, Any], body: xr.Dataset, residuals: xr.Datas
     for _, predicted in panels:
         arrows = scale * (measured - predicted)[frame]
         seen = np.isfinite(arrows).all(axis=1) & np.isfinite(last[frame]).all(axis=1)
-        grasp = str(residuals["grasp"].values[frame])
-        images.append(
-            arrows_picture(body, found["anchored"], frame, grasp, last[frame][seen], arrows[seen], _up(body), _SIZE)
-        )
+        view = body, found["anchored"], frame, str(residuals["grasp"].values[frame])
+        coloured = np.ones(int(seen.sum()), dtype=bool)
+        images.append(arrows_picture(*view, last[frame][seen], arrows[seen], coloured, _up(body), _SIZE))
     unit = found["length_unit"]
     titles = [f"{_model(rung)}: {rung['rms']:.3g} {unit}" for rung, _ in panels]
     figure = _panels(images, titles)
@@ -116,7 +115,7 @@ def residual_figure(found: dict[str, Any], body: xr.Dataset, residuals: xr.Datas
     )
     shown = f"action {residuals['action'].values[frame]}, step {int(residuals['step'].values[frame])}"
     arrow = f"measured − predicted, {scale:g} × as long as it is ({shown})"
-    _legend(figure, arrow, str(residuals["grasp"].values[frame]))
+    _legend(figure, (arrow,), str(residuals["grasp"].values[frame]))
     return figure
 
 
@@ -157,29 +156,31 @@ def where_figure(found: dict[str, Any], where: dict[str, Any], body: xr.Dataset,
     """The force that would explain the residual: its steady part, and the largest of those that grow in an action."""
     to_mm = unit_factor(where["length_unit"], "m") * 1e3
     panels = [("", where["steady"])]
-    growing = sorted(where["growing"].items(), key=lambda item: -_strength(item[1]))
-    if growing and _strength(growing[0][1]) > 0:
-        panels.append(growing[0])
-    chosen = [_drawn(places) for _, places in panels]
-    largest = max((_size(place) for places, _ in chosen for place in places), default=0.0)
-    scale = _LONGEST * diagonal(body) / largest if largest else 1.0
+    growing: tuple[str, list[dict[str, Any]]] = max(
+        where["growing"].items(), key=lambda item: _strength(item[1]), default=("", [])
+    )
+    if _strength(growing[1]) > 0:
+        panels.append(growing)
+    largest = max((_size(place) for _, places in panels for place in places), default=0.0)
+    scale = _LONGEST * diagonal(body) / (largest or 1.0)
     images, titles = [], []
-    for (action, places), (some, told) in zip(panels, chosen, strict=True):
-        starts = np.array([p["position"] for p in some]).reshape(-1, 3) * to_mm
-        arrows = np.array([p["force"] for p in some]).reshape(-1, 3) * scale
-        images.append(
-            arrows_picture(body, found["anchored"], None, _grasp(residuals, action), starts, arrows, _up(body), _SIZE)
-        )
-        total = 1e3 * np.sum([p["force"] for p in places], axis=0)
-        note = "" if told else "\nnone is larger than twice its standard error"
-        when = f"growing in action {action}" if action else "in all frames"
-        together = " ".join(f"{v:+.3g}" for v in np.atleast_1d(total))
-        titles.append(f"{when}: together ({together}) mN{note}")
+    for action, places in panels:
+        starts, forces = (np.array([p[what] for p in places]).reshape(-1, 3) for what in ("position", "force"))
+        told = np.array([_size(p) > _TOLD * p["stderr"] for p in places], dtype=bool)
+        view = body, found["anchored"], None, _grasp(residuals, action)
+        images.append(arrows_picture(*view, to_mm * starts, scale * forces, told, _up(body), _SIZE))
+        together = " ".join(f"{v:+.3g}" for v in 1e3 * forces.sum(axis=0))
+        titles.append(f"{f'growing in action {action}' if action else 'in all frames'}: together ({together}) mN")
     figure = _panels(images, titles)
     first = found["ladder"][0 if found["adequate"] else -1]
-    text = f"It would explain {percent(where['explained'])} of what is beyond noise, and leave {where['rms']:.3g} {where['length_unit']}"
+    left = f"{where['rms']:.3g} {where['length_unit']}"
+    text = f"It would explain {percent(where['explained'])} of what is beyond noise, and leave {left}"
     _head(figure, f"The force that the {_model(first)} model lacks", f"{text} (its size is right if the stiffness is)")
-    _legend(figure, f"missing force on a region, longest {1e3 * largest:.2g} mN", "")
+    _legend(
+        figure,
+        (f"force on a region, beyond twice its error (longest arrow {1e3 * largest:.2g} mN)", "within twice its error"),
+        "",
+    )
     return figure
 
 
@@ -188,14 +189,8 @@ def _size(place: dict[str, Any]) -> float:
 
 
 def _strength(places: list[dict[str, Any]]) -> float:
-    """How large the forces are in units of their errors, beyond what chance makes of them."""
+    """How far forces exceed what can be told from none, in units of their errors."""
     return sum(max((_size(p) / max(p["stderr"], 1e-300)) ** 2 - _TOLD**2, 0.0) for p in places)
-
-
-def _drawn(places: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], bool]:
-    """Forces that can be told from none, else the largest few; and whether they can."""
-    told = [p for p in places if _size(p) > _TOLD * p["stderr"]]
-    return (told, True) if told else (sorted(places, key=_size, reverse=True)[:_FEW], False)
 
 
 def _grasp(residuals: xr.Dataset, action: str) -> str:
@@ -314,7 +309,7 @@ def _panels(images: list[Array], titles: list[str]) -> Any:
 
     figure = Figure(figsize=(7.2 * len(images) if len(images) > 1 else 9.5, 7.4), facecolor="white")
     grid = figure.add_gridspec(1, len(images), wspace=0.03)
-    grid.update(left=0.015, right=0.985, top=0.77, bottom=0.085)
+    grid.update(left=0.015, right=0.985, top=0.815, bottom=0.085)
     for i, (image, title) in enumerate(zip(images, titles, strict=True)):
         axes = figure.add_subplot(grid[0, i])
         axes.imshow(cropped(image))
@@ -329,12 +324,15 @@ def _head(figure: Any, title: str, text: str) -> None:
     figure.text(0.28 / inches, 0.885, text, fontsize=12.5 if inches > 10 else 11, color=_GREY)
 
 
-def _legend(figure: Any, arrow: str, grasp: str) -> None:
+def _legend(figure: Any, arrows: tuple[str, ...], grasp: str) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     entries = [
-        Line2D([], [], color=COLOURS.predicted, linewidth=3, label=arrow),
+        *(
+            Line2D([], [], color=colour, linewidth=width, label=text)
+            for text, colour, width in zip(arrows, (COLOURS.predicted, COLOURS.weak), (3, 2), strict=False)
+        ),
         Patch(color=COLOURS.anchored, label="anchored patch"),
         Patch(color=COLOURS.free, label="free candidate patch"),
         *([Patch(color=COLOURS.grasp, label=f"grasp {grasp}")] if grasp else []),

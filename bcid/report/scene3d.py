@@ -25,6 +25,7 @@ class Palette:
     grasp: str = "#e69f00"
     measured: str = "#222222"
     predicted: str = "#d55e00"
+    weak: str = "#7a828c"
     outline: str = "#9aa0a6"
     edge: str = "#6b5a52"
 
@@ -71,6 +72,7 @@ def arrows_picture(
     grasp: str,
     starts: Array,
     arrows: Array,
+    strong: NDArray[np.bool_],
     up: Array,
     size: tuple[int, int],
 ) -> Array:
@@ -82,12 +84,13 @@ def arrows_picture(
         frame: which frame to show; the rest shape if None.
         grasp: name of the grasp to colour, or "".
         starts, arrows: where arrows begin and what is drawn, shape (arrows, 3), mm.
+        strong: which arrows are drawn in colour; the others are grey and thinner.
         up: unit vector that points up in the picture.
         size: width and height in pixels.
     """
     plotter = _plotter(size)
     _add_body(plotter, body, anchored, frame, grasp, 0.3)
-    _add_arrows(plotter, starts, arrows, 0.005 * surface(body).length)
+    _add_arrows(plotter, starts, arrows, strong, 0.005 * surface(body).length)
     return _image(plotter, body, up)
 
 
@@ -108,11 +111,12 @@ def _image(plotter, body: xr.Dataset, up: Array) -> Array:  # type: ignore[no-un
     return np.asarray(image)
 
 
-def _add_arrows(plotter, starts: Array, arrows: Array, thick: float) -> None:  # type: ignore[no-untyped-def]
+def _add_arrows(plotter, starts: Array, arrows: Array, strong: NDArray[np.bool_], thickness: float) -> None:  # type: ignore[no-untyped-def]
     """Arrows of one thickness, so that short ones stay visible; a ball marks where each begins."""
     import pyvista as pv
 
-    for start, arrow in zip(starts, arrows, strict=True):
+    for start, arrow, is_strong in zip(starts, arrows, strong, strict=True):
+        colour, thick = (COLOURS.predicted, thickness) if is_strong else (COLOURS.weak, 0.6 * thickness)
         plotter.add_mesh(pv.Sphere(radius=1.2 * thick, center=start), color=COLOURS.measured, ambient=0.4)
         length = float(np.linalg.norm(arrow))
         if length < thick:
@@ -120,7 +124,7 @@ def _add_arrows(plotter, starts: Array, arrows: Array, thick: float) -> None:  #
         tip = min(6 * thick / length, 0.7)
         shape = {"tip_length": tip, "tip_radius": 0.4 * tip, "shaft_radius": min(thick / length, 0.16)}
         arrow_mesh = pv.Arrow(start=start, direction=arrow, scale=length, **shape)
-        plotter.add_mesh(arrow_mesh, color=COLOURS.predicted, ambient=0.5, diffuse=0.4)
+        plotter.add_mesh(arrow_mesh, color=colour, ambient=0.75, diffuse=0.25)
 
 
 def _add_body(  # type: ignore[no-untyped-def]
