@@ -133,9 +133,8 @@ def _evidence(columns: Array, residual: Array, sums: Array) -> tuple[Array, Arra
     amounts = rows.T @ (gain * along)
     variance = prior * (np.sum(sums**2, axis=1) - (sums @ rows.T) ** 2 @ (gain * sizes))
     deviation = np.sqrt(np.maximum(variance, 0.0))
-    before = max(float(residual @ residual) - len(residual), 1e-12)
     after = residual - columns @ amounts
-    explained = float(
-        np.clip((residual @ residual - after @ after) / max(before, 1e-6 * float(residual @ residual)), 0.0, 1.0)
-    )
+    # Noise alone leaves its number of values, give or take as many as chance does: a share of less means nothing.
+    beyond = max(float(residual @ residual) - len(residual), float(np.sqrt(2 * len(residual))))
+    explained = float(np.clip((residual @ residual - after @ after) / beyond, 0.0, 1.0))
     return amounts, deviation, explained

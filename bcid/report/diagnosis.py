@@ -24,6 +24,8 @@ _SIZE = (1500, 1250)
 _LONGEST = 0.22
 # A force is told from none beyond so many standard errors.
 _TOLD = 2.0
+# A force that explains a smaller share of what is beyond noise is none.
+_NOTHING = 0.01
 _ROWS = 10
 _DARK, _LIGHT = "#0072b2", "#9ccbe8"
 _GREY = "#444444"
@@ -175,7 +177,14 @@ def where_figure(found: dict[str, Any], where: dict[str, Any], body: xr.Dataset,
     first = found["ladder"][0 if found["adequate"] else -1]
     left = f"{where['rms']:.3g} {where['length_unit']}"
     text = f"It would explain {percent(where['explained'])} of what is beyond noise, and leave {left}"
-    _head(figure, f"The force that the {_model(first)} model lacks", f"{text} (its size is right if the stiffness is)")
+    if where["explained"] < _NOTHING:
+        _head(
+            figure, "No missing force can be told", f"{_model(first)} leaves nothing beyond noise that a force explains"
+        )
+    else:
+        _head(
+            figure, f"The force that the {_model(first)} model lacks", f"{text} (its size is right if the stiffness is)"
+        )
     _legend(
         figure,
         (f"force on a region, beyond twice its error (longest arrow {1e3 * largest:.2g} mN)", "within twice its error"),
