@@ -491,8 +491,13 @@ def _explained(scene: Path, measurement: Path, arguments: argparse.Namespace, co
 
 
 def _listed(text: str | None) -> tuple[str, ...] | None:
-    """Names separated by commas; None for none given."""
-    return tuple(name.strip() for name in text.split(",") if name.strip()) if text else None
+    """Names of effects separated by commas; None where the option is not given."""
+    if text is None:
+        return None
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    if not names:
+        raise InputError(f"--only '{text}': names no effect; give some, as --only gravity,soft_anchor")
+    return names
 
 
 def _beside(arguments: argparse.Namespace, command: str) -> Path:
