@@ -14,7 +14,7 @@ HERE = Path(__file__).resolve().parent
 
 def main() -> Explanation:
     """The whole job."""
-    scene = Scene.read(HERE / "scenes/slab.toml")
+    scene = Scene.read(HERE / "scenes/slab_explain.toml")
     measurement = Measurement.read(HERE / "measurements/slab-34-heavy")
     twin = Twin(scene, measurement, MPI.COMM_WORLD)
     found = explain(twin)
