@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from bcid.report.identification import cropped
+from bcid.report.identification import cropped_alike
 from bcid.report.paraview import write_paraview
 from bcid.report.scene3d import COLOURS, arrows_picture
 from bcid.run import Run, writing
@@ -212,17 +212,17 @@ def _grasp(residuals: xr.Dataset, action: str) -> str:
 
 
 def ladder_figure(found: dict[str, Any]) -> Any:
-    """Bars of the error of each model; beside them the ranked effects with the error now, expected and fitted."""
+    """The error of each model as bars; beside them the ranked effects with the error now, expected and fitted."""
     from matplotlib.figure import Figure
 
     rows = found["ranking"][:_ROWS]
     figure = Figure(figsize=(14, 6.6) if rows else (8, 6.6), facecolor="white")
     grid = figure.add_gridspec(1, 2 if rows else 1, width_ratios=[1, 1.15] if rows else [1], wspace=0.42)
-    grid.update(left=0.06 if rows else 0.1, right=0.975, top=0.77, bottom=0.2)
+    grid.update(left=0.135 if rows else 0.24, right=0.975, top=0.77, bottom=0.17)
     _head(
         figure,
         conclusion(found)[:1].upper() + conclusion(found)[1:],
-        falling(found) if len(found["ladder"]) < 4 else "",
+        falling(found) if len(found["ladder"]) < 5 else "",
     )
     _bars(figure.add_subplot(grid[0, 0]), found)
     if rows:
@@ -232,29 +232,28 @@ def ladder_figure(found: dict[str, Any]) -> Any:
 
 def _bars(axes: Any, found: dict[str, Any]) -> None:
     steps = _steps(found)
-    wide = 0.36
+    high = 0.36
     series = [
-        ("rms", _DARK, "", "all actions fitted", -wide / 2),
-        ("held_out_rms", _LIGHT, "///", "each action predicted from the others", wide / 2),
+        ("rms", _DARK, "", "all actions fitted", -high / 2),
+        ("held_out_rms", _LIGHT, "///", "each predicted from the others", high / 2),
     ]
+    largest = found["noise_rms"]
     for key, colour, hatch, label, aside in series:
-        values = [rung[key] for _, rung in steps]
-        known = [(i, v) for i, v in enumerate(values) if v is not None]
+        known = [(i, rung[key]) for i, (_, rung) in enumerate(steps) if rung[key] is not None]
         if not known:
             continue
-        places, heights = [i + aside for i, _ in known], [v for _, v in known]
-        bars = axes.bar(places, heights, width=wide, color=colour, hatch=hatch, edgecolor="white", label=label)
-        axes.bar_label(bars, [f"{v:.3g}" for v in heights], padding=2, fontsize=11, color=_GREY)
-    axes.axhline(found["noise_rms"], color="black", linewidth=1.4, linestyle="--", label="noise")
-    names = [text.replace(" + ", "\n+ ") for text, _ in steps]
-    axes.set_xticks(range(len(steps)), names, fontsize=12 if len(steps) < 4 else 10)
-    axes.set_xlim(-0.6, len(steps) - 0.4)
-    axes.set_ylim(
-        0, 1.12 * max([found["noise_rms"], *(r["rms"] for _, r in steps), *(r["held_out_rms"] or 0 for _, r in steps)])
-    )
+        places, values = [i + aside for i, _ in known], [value for _, value in known]
+        bars = axes.barh(places, values, height=high, color=colour, hatch=hatch, edgecolor="white", label=label)
+        axes.bar_label(bars, [f"{value:.3g}" for value in values], padding=4, fontsize=11, color=_GREY)
+        largest = max(largest, *values)
+    axes.axvline(found["noise_rms"], color="black", linewidth=1.4, linestyle="--", label="noise")
+    axes.set_yticks(range(len(steps)), [text.replace(" + ", "\n+ ") for text, _ in steps])
+    # One model alone gets no bars as thick as the picture.
+    axes.set_ylim(max(len(steps), 2) - 0.4, -0.6)
+    axes.set_xlim(0, 1.14 * largest)
     axes.set_title(f"Error of the models (RMS, {found['length_unit']})", fontsize=13, loc="left", pad=12)
     axes.legend(
-        frameon=False, fontsize=10.5, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, columnspacing=1.2
+        frameon=False, fontsize=10.5, loc="upper center", bbox_to_anchor=(0.35, -0.12), ncols=3, columnspacing=1.2
     )
     _bare(axes)
 
@@ -319,9 +318,9 @@ def _panels(images: list[Array], titles: list[str]) -> Any:
     figure = Figure(figsize=(7.2 * len(images) if len(images) > 1 else 9.5, 7.4), facecolor="white")
     grid = figure.add_gridspec(1, len(images), wspace=0.03)
     grid.update(left=0.015, right=0.985, top=0.815, bottom=0.085)
-    for i, (image, title) in enumerate(zip(images, titles, strict=True)):
+    for i, (image, title) in enumerate(zip(cropped_alike(images), titles, strict=True)):
         axes = figure.add_subplot(grid[0, i])
-        axes.imshow(cropped(image))
+        axes.imshow(image)
         axes.set_axis_off()
         axes.set_title(title, fontsize=13.5, pad=8)
     return figure
