@@ -18,7 +18,7 @@ from bcid.search.farm import label
 from bcid.units import percent
 
 # A force that explains a smaller share of what is beyond noise is none.
-_NOTHING = 0.01
+_NOTHING = 0.1
 
 
 def anchors(state: State) -> str:

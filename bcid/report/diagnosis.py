@@ -25,7 +25,7 @@ _LONGEST = 0.22
 # A force is told from none beyond so many standard errors.
 _TOLD = 2.0
 # A force that explains a smaller share of what is beyond noise is none.
-_NOTHING = 0.01
+_NOTHING = 0.1
 _ROWS = 10
 _DARK, _LIGHT = "#0072b2", "#9ccbe8"
 _GREY = "#444444"
