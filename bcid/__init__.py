@@ -18,6 +18,10 @@ _PUBLIC = {
     "Model": "bcid.forms.model",
     "identify": "bcid.search.identify",
     "Identification": "bcid.search.identify",
+    "Twin": "bcid.compare.twin",
+    "explain": "bcid.compare.explain",
+    "Explanation": "bcid.compare.explain",
+    "Plan": "bcid.compare.explain",
     "simulate": "bcid.forms.simulate",
 }
 __all__ = [*_PUBLIC, "__version__"]

@@ -3,11 +3,16 @@
     run.json              command, versions, fingerprints, timings, state ("running", "finished", "failed")
     outcomes/             what was computed so far, one small file per batch: a killed run goes on from here
     identification.json   the result of `bcid identify`
+    diagnosis.json        the result of `bcid compare`, `diagnose`, `fit` and `explain`
+    where.json            the force that would explain what the model misses
+    model.json            the model with its values and anchors, from which another run can start
     prediction.nc         measured and predicted positions, gripper wrench (SI)
+    residuals.nc          measured positions and those of the first and the last model (SI)
     body.nc               mesh, named places, displacement of every frame (SI)
     paraview/             the same for ParaView
     summary.txt           the result in plain sentences
-    picture.png           the body, its anchors, measured and predicted trajectories
+    picture.png           the body, its anchors, measured and predicted trajectories, or what a model misses
+    where.png, ladder.png the missing force; the falling error
 
 Every file is written whole under another name and then renamed: a reader never sees half of one.
 """
@@ -34,10 +39,16 @@ from bcid.errors import InputError, MachineError
 FORMAT = "bcid-run/1"
 _FILES = (
     "identification.json",
+    "diagnosis.json",
+    "where.json",
+    "model.json",
     "prediction.nc",
+    "residuals.nc",
     "body.nc",
     "summary.txt",
     "picture.png",
+    "where.png",
+    "ladder.png",
     "hidden.json",
     "table.txt",
     "degradation.png",

@@ -189,6 +189,7 @@ class _Loop:
         if rungs[-1].adequacy.adequate:
             # Nothing else may explain it as well: every set is looked at.
             before = rungs[-1].fitted
+            self.say("looking whether another set of patches does as well")
             fitted, identification = self.settle(before, "auto")
             if fitted.state.anchors != before.state.anchors:
                 rungs[-1] = replace(self.rung(fitted), ranking=rungs[-1].ranking)
@@ -268,6 +269,7 @@ class _Loop:
     def candidates(self, fitted: Fit, identification: Identification) -> tuple[Ranking, list[Rival]]:
         """Rank what is missing, for the anchors at hand and for those that come next, and refit the most promising."""
         state = fitted.state
+        self.say("ranking the effects by what they would explain, and fitting the first of them")
         ranking = rank(state, self.more, self.plan.only)
         proposals = [(row, state) for row in ranking.rows]
         for other in self.next_sets(fitted, identification):

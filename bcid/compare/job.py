@@ -127,6 +127,8 @@ def _stored_model(source: Source, stored: Any, folder: Path) -> dict[str, Any]:
             "anchors": frozenset(str(name) for name in stored["anchored"]),
             "free": tuple(str(name) for name in stored["free"]),
         }
+    except InputError as error:
+        raise InputError(f"{folder / 'model.json'}: is damaged ({error}); repeat the run") from None
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{folder / 'model.json'}: is damaged ({error!r}); repeat the run") from None
 
@@ -212,6 +214,14 @@ def run_fit(
     """
     source = from_run(folder, files, comm)
     doses = [_wanted(text, source) for text in add]
+    model = source.model
+    for one in doses:
+        if one.label in {present.label for present in model.doses}:
+            raise InputError(
+                f"--add {one.label}: the model {model.name} has it already; fit it with --free, or leave it out"
+            )
+        model = model + one
+    _names(model, source, free, fixed)
 
     def work(twin: Twin) -> Outcome:
         before = _present(twin, source)
@@ -288,7 +298,11 @@ def _wanted(text: str, source: Source) -> Dose:
             ) from None
     known = effect.places(source.scene, source.anchors or frozenset()) if effect.places else [""]
     if place not in known:
-        raise InputError(f"--add {text}: place '{place}': {nearest(place, [k for k in known if k] or ['none'])}")
+        there = [k for k in known if k]
+        if not place and there:
+            raise InputError(f"--add {text}: say where, as --add {name}:{there[0]}; known: {', '.join(there)}")
+        reason = f"place '{place}': {nearest(place, there)}" if there else "it has no places"
+        raise InputError(f"--add {text}: {reason}")
     return Dose(effect, values, place=place)
 
 
@@ -350,6 +364,9 @@ def _job(
     work: Callable[[Twin], Outcome],
 ) -> Path:
     progress = progress or Silent()
+    levels = len(source.scene.levels)
+    if level is not None and not 0 <= level < levels:
+        raise InputError(f"--level {level}: the scene has levels 0 to {levels - 1}")
     run: Run | None = None
     twin = None
 

@@ -187,7 +187,7 @@ def neutral_values(model: Model, effect: Effect) -> dict[str, float]:
     values = {}
     for p in effect.parameters:
         neutral = model.neutral(p)
-        values[p.name] = neutral if neutral is not None else p.default if p.default is not None else 0.0
+        values[p.name] = neutral if neutral is not None else p.default if p.default is not None else p.typical
     return values
 
 

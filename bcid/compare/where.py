@@ -17,18 +17,20 @@ from bcid.forms.sensitivity import Wanted
 Array = NDArray[np.float64]
 # So many bumps carry the force, each as wide as they are apart.
 _BUMPS = 48
+# The force is told by so many regions: neighbouring bumps stand in for each other, and only their sums are known well.
+_REGIONS = 9
 # Sizes of the force that are tried, relative to the one that would explain everything.
 _SIZES = np.logspace(-4, 4, 33)
 
 
 @dataclass(frozen=True)
 class Place:
-    """A part of the missing force.
+    """The missing force on a region of the body.
 
     Attributes:
-        position: middle of its bump, rest state, shape (3,), m.
+        position: middle of the region, rest state, shape (3,), m.
         force: N, shape (3,).
-        stderr: of the length of it, N.
+        stderr: of a component of it (RMS), N.
     """
 
     position: Array
@@ -41,7 +43,7 @@ class MissingForce:
     """A force field that would explain the residual. Its size is right if the stiffness is.
 
     Attributes:
-        steady: the part that acts in all frames, by bump.
+        steady: the part that acts in all frames, by region.
         growing: by action, the part that grows from nothing to its value at the last step.
         explained: share of the residual's excess over the noise that it explains, 0 to 1.
         rms: RMS residual that it leaves, m.
@@ -71,15 +73,17 @@ def missing_force(state: State) -> MissingForce:
         raw * np.where(data.action == a, growth, 0.0)[:, None] for a in range(len(data.actions)) if last[a] > 0
     ]
     names = [name for a, name in enumerate(data.actions) if last[a] > 0]
-    amounts, deviation, explained = _evidence(np.hstack([state.errors.whiten(b) for b in blocks]), state.scaled)
-    volumes = weights.sum(axis=0)
-    parts = amounts.reshape(len(blocks), len(centres), 3) * volumes[None, :, None]
-    spread = deviation.reshape(len(blocks), len(centres), 3) * volumes[None, :, None]
+    middles, volumes = _regions(centres, weights.sum(axis=0))
+    sums = np.kron(np.eye(len(blocks)), np.kron(volumes, np.eye(3)))
+    columns = np.hstack([state.errors.whiten(b) for b in blocks])
+    amounts, deviation, explained = _evidence(columns, state.scaled, sums)
+    parts = (sums @ amounts).reshape(len(blocks), len(middles), 3)
+    spread = deviation.reshape(len(blocks), len(middles), 3)
 
     def places(number: int) -> tuple[Place, ...]:
         return tuple(
             Place(c, f, float(np.linalg.norm(s) / np.sqrt(3)))
-            for c, f, s in zip(centres, parts[number], spread[number], strict=True)
+            for c, f, s in zip(middles, parts[number], spread[number], strict=True)
         )
 
     left = state.residual - np.hstack(blocks) @ amounts
@@ -101,8 +105,20 @@ def _bumps(forward: Forward) -> tuple[Array, Array]:
     return centres, shapes * volume[:, None]
 
 
-def _evidence(columns: Array, residual: Array) -> tuple[Array, Array, float]:
-    """Ridge regression with the width of the prior that makes the data most likely: amounts, their errors, share explained."""
+def _regions(centres: Array, volumes: Array) -> tuple[Array, Array]:
+    """Middles of the regions, shape (regions, 3), and the volume of each bump in its region, (regions, bumps)."""
+    seeds = _spread(centres, _REGIONS)
+    nearest = np.linalg.norm(centres[:, None] - seeds[None], axis=2).argmin(axis=1)
+    held = np.where(np.arange(len(seeds))[:, None] == nearest, volumes, 0.0)
+    return held @ centres / held.sum(axis=1)[:, None], held
+
+
+def _evidence(columns: Array, residual: Array, sums: Array) -> tuple[Array, Array, float]:
+    """Ridge regression with the width of the prior that makes the data most likely.
+
+    Returns:
+        The amounts, the standard errors of sums of them (sums @ amounts), and the share of the residual explained.
+    """
     basis, sizes, rows = np.linalg.svd(columns, full_matrices=False)
     along = basis.T @ residual
     scale = np.sqrt(np.mean(sizes**2)) or 1.0
@@ -115,10 +131,10 @@ def _evidence(columns: Array, residual: Array) -> tuple[Array, Array, float]:
     prior = (chosen / scale) ** 2
     gain = sizes * prior / (1 + prior * sizes**2)
     amounts = rows.T @ (gain * along)
-    deviation = np.sqrt(np.maximum(prior - (rows.T**2) @ (prior * gain * sizes), 0.0))
-    before = max(float(residual @ residual) - len(residual), 1e-12)
+    variance = prior * (np.sum(sums**2, axis=1) - (sums @ rows.T) ** 2 @ (gain * sizes))
+    deviation = np.sqrt(np.maximum(variance, 0.0))
     after = residual - columns @ amounts
-    explained = float(
-        np.clip((residual @ residual - after @ after) / max(before, 1e-6 * float(residual @ residual)), 0.0, 1.0)
-    )
+    # Noise alone leaves its number of values, give or take as many as chance does: a share of less means nothing.
+    beyond = max(float(residual @ residual) - len(residual), float(np.sqrt(2 * len(residual))))
+    explained = float(np.clip((residual @ residual - after @ after) / beyond, 0.0, 1.0))
     return amounts, deviation, explained

@@ -17,6 +17,9 @@ from bcid.forms.model import Dose
 from bcid.search.farm import label
 from bcid.units import percent
 
+# A force that explains a smaller share of what is beyond noise is none.
+_NOTHING = 0.1
+
 
 def anchors(state: State) -> str:
     """An anchor set: "{1 2}"."""
@@ -74,6 +77,8 @@ def worst(state: State) -> list[str]:
 
 def force(found: MissingForce, unit: float, name: str) -> list[str]:
     """The force that would explain the residual."""
+    if found.explained < _NOTHING:
+        return ["No missing force can be told from these data."]
     lines = [
         f"A smooth force on the body would explain {percent(found.explained)} of what is beyond noise "
         f"(residual then {found.rms / unit:.3g} {name}). Its largest parts, if the stiffness is right:"

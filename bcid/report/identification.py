@@ -60,12 +60,17 @@ def telling_frame(prediction: xr.Dataset) -> int:
 
 def cropped(image: Array, margin: int = 12) -> Array:
     """The image without its white border."""
-    ink = np.any(image < 250, axis=2)
+    return cropped_alike([image], margin)[0]
+
+
+def cropped_alike(images: list[Array], margin: int = 12) -> list[Array]:
+    """Images of one size without the white border that all of them have."""
+    ink = np.any([np.any(image < 250, axis=2) for image in images], axis=0)
     rows, columns = np.flatnonzero(ink.any(axis=1)), np.flatnonzero(ink.any(axis=0))
     if len(rows) == 0:
-        return image
+        return images
     top, left = max(rows[0] - margin, 0), max(columns[0] - margin, 0)
-    return image[top : rows[-1] + margin, left : columns[-1] + margin]
+    return [image[top : rows[-1] + margin, left : columns[-1] + margin] for image in images]
 
 
 def _title(figure: Any, found: dict[str, Any], body: xr.Dataset) -> None:

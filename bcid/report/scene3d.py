@@ -1,4 +1,4 @@
-"""The body in three dimensions: rest outline, deformed surface, anchored patches, gripper, trajectories."""
+"""The body in three dimensions: rest outline, deformed surface, anchored patches, gripper, trajectories, arrows."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ class Palette:
     grasp: str = "#e69f00"
     measured: str = "#222222"
     predicted: str = "#d55e00"
+    weak: str = "#7a828c"
     outline: str = "#9aa0a6"
     edge: str = "#6b5a52"
 
@@ -58,35 +59,91 @@ def picture(
         up: unit vector that points up in the picture.
         size: width and height in pixels.
     """
+    plotter = _plotter(size)
+    _add_body(plotter, body, anchored, frame, str(prediction["grasp"].values[frame]))
+    _add_trajectories(plotter, prediction, frame)
+    return _image(plotter, body, up)
+
+
+def arrows_picture(
+    body: xr.Dataset,
+    anchored: list[str],
+    frame: int | None,
+    grasp: str,
+    starts: Array,
+    arrows: Array,
+    strong: NDArray[np.bool_],
+    up: Array,
+    size: tuple[int, int],
+) -> Array:
+    """Image (height, width, 3) of the body with its anchors and with arrows.
+
+    Args:
+        body: the run's `body.nc`.
+        anchored: names of the anchored patches.
+        frame: which frame to show; the rest shape if None.
+        grasp: name of the grasp to colour, or "".
+        starts, arrows: where arrows begin and what is drawn, shape (arrows, 3), mm.
+        strong: which arrows are drawn in colour; the others are grey and thinner.
+        up: unit vector that points up in the picture.
+        size: width and height in pixels.
+    """
+    plotter = _plotter(size)
+    _add_body(plotter, body, anchored, frame, grasp, 0.3)
+    _add_arrows(plotter, starts, arrows, strong, 0.005 * surface(body).length)
+    return _image(plotter, body, up)
+
+
+def _plotter(size: tuple[int, int]):  # type: ignore[no-untyped-def]
     import pyvista as pv
 
     plotter = pv.Plotter(off_screen=True, window_size=list(size), lighting="three lights")
     plotter.set_background("white")
     plotter.enable_anti_aliasing("ssaa")
     plotter.enable_depth_peeling(10)
-    _add_body(plotter, body, prediction, anchored, frame)
-    _add_trajectories(plotter, prediction, frame)
+    return plotter
+
+
+def _image(plotter, body: xr.Dataset, up: Array) -> Array:  # type: ignore[no-untyped-def]
     _aim(plotter, body, up)
     image = plotter.screenshot(return_img=True)
     plotter.close()
     return np.asarray(image)
 
 
-def _add_body(plotter, body: xr.Dataset, prediction: xr.Dataset, anchored: list[str], frame: int) -> None:  # type: ignore[no-untyped-def]
+def _add_arrows(plotter, starts: Array, arrows: Array, strong: NDArray[np.bool_], thickness: float) -> None:  # type: ignore[no-untyped-def]
+    """Arrows of one thickness, so that short ones stay visible; a ball marks where each begins."""
+    import pyvista as pv
+
+    for start, arrow, is_strong in zip(starts, arrows, strong, strict=True):
+        colour, thick = (COLOURS.predicted, thickness) if is_strong else (COLOURS.weak, 0.6 * thickness)
+        plotter.add_mesh(pv.Sphere(radius=1.2 * thick, center=start), color=COLOURS.measured, ambient=0.4)
+        length = float(np.linalg.norm(arrow))
+        if length < thick:
+            continue
+        tip = min(6 * thick / length, 0.7)
+        shape = {"tip_length": tip, "tip_radius": 0.4 * tip, "shaft_radius": min(thick / length, 0.16)}
+        arrow_mesh = pv.Arrow(start=start, direction=arrow, scale=length, **shape)
+        plotter.add_mesh(arrow_mesh, color=colour, ambient=0.75, diffuse=0.25)
+
+
+def _add_body(  # type: ignore[no-untyped-def]
+    plotter, body: xr.Dataset, anchored: list[str], frame: int | None, grasp: str, opacity: float = 0.5
+) -> None:
     rest, moved = surface(body), surface(body, frame)
     edges = {"boundary_edges": False, "non_manifold_edges": False, "manifold_edges": False}
     plotter.add_mesh(rest.extract_feature_edges(40, **edges), color=COLOURS.outline, line_width=3)
     plotter.add_mesh(moved.extract_feature_edges(40, **edges), color=COLOURS.edge, line_width=2)
     light = {"ambient": 0.45, "diffuse": 0.6, "specular": 0.05}
     names = [str(name) for name in body["place_name"].values]
-    for number, colour in enumerate(_place_colours(body, anchored, str(prediction["grasp"].values[frame]))):
+    for number, colour in enumerate(_place_colours(body, anchored, grasp)):
         cells = np.flatnonzero(moved.cell_data["place"] == number)
         if len(cells) == 0:
             continue
         part = moved.extract_cells(cells).extract_surface(algorithm="dataset_surface")
         # The tissue lets the trajectories inside and below show through; what is anchored is solid.
-        opacity = 1.0 if colour in (COLOURS.anchored, COLOURS.grasp) else 0.5
-        plotter.add_mesh(part, color=colour or COLOURS.tissue, opacity=opacity, **light)
+        solid = colour in (COLOURS.anchored, COLOURS.grasp)
+        plotter.add_mesh(part, color=colour or COLOURS.tissue, opacity=1.0 if solid else opacity, **light)
         if names[number].startswith("patch "):
             _label(plotter, part, moved, names[number].removeprefix("patch "), colour == COLOURS.anchored)
 

@@ -5,12 +5,14 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 SLAB = ROOT / "examples/scenes/slab.toml"
 SEEN = ROOT / "examples/measurements/slab-12-semicircle"
+ON_A_RUN = ("compare", "diagnose", "fit")
 
 
 def bcid(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -28,9 +30,10 @@ def test_help_names_every_command(tmp_path: Path) -> None:
     result = bcid("--help", cwd=tmp_path)
     assert result.returncode == 0
     assert all(
-        word in result.stdout for word in ("demo", "identify", "simulate", "doctor", "bench", "study", "exit codes")
+        word in result.stdout
+        for word in ("demo", "identify", "simulate", "doctor", "bench", "study", *ON_A_RUN, "explain", "exit codes")
     )
-    for command in ("demo", "identify", "simulate", "bench", "study"):
+    for command in ("demo", "identify", "simulate", "bench", "study", *ON_A_RUN, "explain"):
         assert bcid(command, "--help", cwd=tmp_path).returncode == 0
     assert bcid(cwd=tmp_path).returncode == 2
     assert "invalid choice" in bcid("identfy", cwd=tmp_path).stderr
@@ -46,6 +49,17 @@ def test_help_names_every_command(tmp_path: Path) -> None:
         (["identify", SLAB, SEEN, "-o", "run", "--seeds", "0"], ["seeds = 0"]),
         (["identify", SLAB, SEEN, "-o", "run", "--start", "x"], ["maxima, threshold"]),
         (["identify", SLAB, SEEN, "-o", "run", "--refine", "-1"], ["refine = -1", "at least 0"]),
+        (["explain", "none.toml", SEEN, "-o", "run"], ["none.toml", "no such scene file"]),
+        (["explain", SLAB, "none", "-o", "run"], ["none", "no such measurement folder"]),
+        (["explain", SLAB, SEEN, "-o", "run", "--only", "gravty"], ["did you mean 'gravity'"]),
+        (["explain", SLAB, SEEN, "-o", "run", "--only", ","], ["names no effect"]),
+        (["explain", SLAB, SEEN, "-o", "run", "--level", "7"], ["--level 7", "levels 0 to 3"]),
+        (["explain", SLAB, SEEN, "-o", "run", "--most", "0"], ["--most 0", "at least 1"]),
+        (["explain", SLAB, SEEN, "-o", "run", "--effects", "none.py"], ["none.py", "no such file"]),
+        (["compare", "none"], ["none", "is not a run folder"]),
+        (["diagnose", ROOT / "examples"], ["is not a run folder"]),
+        (["fit", "none", "--add", "gravity", "-o", "run"], ["is not a run folder"]),
+        (["fit", "none", "-o", "run"], ["nothing to do", "--add"]),
         (["simulate", SLAB, "--motion", "dance", "-o", "made"], ["dance", "semicircle"]),
         (
             ["simulate", SLAB, "--motion", "pull", "--anchors", "1,9", "--level", "0", "-o", "made"],
@@ -63,6 +77,64 @@ def test_help_names_every_command(tmp_path: Path) -> None:
 def test_mistakes(arguments: list[object], words: list[str], tmp_path: Path) -> None:
     refused(bcid(*arguments, cwd=tmp_path), *words)
     assert not list(tmp_path.iterdir())
+
+
+def identified(folder: Path, scene: Path = SLAB, state: str = "finished", **record: Any) -> Path:
+    """A run folder as `bcid identify` leaves it, without the search."""
+    from mpi4py import MPI
+
+    from bcid.compare.job import from_files
+    from bcid.run import Run
+
+    source = from_files(scene, SEEN, (), MPI.COMM_SELF)
+    run = Run.start(folder, "identify", source.inputs({}))
+    run.record["names"] = {"scene": str(scene), "measurement": str(SEEN)}
+    run.write_json("identification.json", {"anchored": ["1", "2"]})
+    run.finish({})
+    run.write_json("run.json", run.record | {"state": state} | record)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["compare", "run", "--level", "9"], ["--level 9", "levels 0 to 3"]),
+        (["compare", "run", "-o", "run"], ["finished run", "--overwrite"]),
+        (["compare", "run", "-o", "file"], ["is a file"]),
+        (["diagnose", "run", "--only", "gravty"], ["did you mean 'gravity'"]),
+        (["diagnose", "run", "--effects", "none.py"], ["none.py", "no such file"]),
+        (["fit", "run", "--add", "gravty", "-o", "run2"], ["did you mean 'gravity'"]),
+        (["fit", "run", "--add", "soft_anchor:9", "-o", "run2"], ["place '9'", "known: 1, 2"]),
+        (["fit", "run", "--add", "gravity:3", "-o", "run2"], ["gravity:3", "no places"]),
+        (["fit", "run", "--add", "marker_fault", "-o", "run2"], ["say where", "marker_fault:1"]),
+        (["fit", "run", "--add", "gravity:weight=heavy", "-o", "run2"], ["'heavy' is not a number", "SI"]),
+        (["fit", "run", "--add", "gravity:wight=1", "-o", "run2"], ["did you mean 'weight'"]),
+        (["fit", "run", "--add", "gravity:weight=-1", "-o", "run2"], ["outside the allowed range"]),
+        (["fit", "run", "--add", "gravity:weight=nan", "-o", "run2"], ["not a finite number"]),
+        (["fit", "run", "--add", "gravity", "--add", "gravity", "-o", "run2"], ["has it already"]),
+        (["fit", "run", "--free", "yung", "-o", "run2"], ["no number 'yung'", "did you mean 'young'"]),
+        (["fit", "run", "--add", "inclusion", "--fixed", "x", "-o", "run2"], ["no number 'x'", "inclusion.radius"]),
+    ],
+)
+def test_mistakes_about_a_run(arguments: list[object], words: list[str], tmp_path: Path) -> None:
+    identified(tmp_path / "run")
+    (tmp_path / "file").touch()
+    refused(bcid(*arguments, cwd=tmp_path), *words)
+    assert {entry.name for entry in tmp_path.iterdir()} == {"run", "file"}
+
+
+def test_runs_that_nothing_can_start_from(tmp_path: Path) -> None:
+    """Unfinished, of another command, damaged, or of a scene that has changed since."""
+    refused(bcid("compare", identified(tmp_path / "a", state="failed"), cwd=tmp_path), "the run is failed")
+    refused(bcid("compare", identified(tmp_path / "b", names={}), cwd=tmp_path), "names no scene")
+    damaged = identified(tmp_path / "c")
+    (damaged / "model.json").write_text('{"law": {}}', encoding="utf-8")
+    refused(bcid("compare", damaged, cwd=tmp_path), "model.json", "is damaged")
+    changed = identified(tmp_path / "d", edited(tmp_path))
+    edited(tmp_path, ('"15 kPa"', '"16 kPa"'))
+    refused(bcid("compare", changed, cwd=tmp_path), "scene.toml has changed since")
+    gone = identified(tmp_path / "e", names={"scene": "gone.toml", "measurement": str(SEEN)})
+    refused(bcid("compare", gone, cwd=tmp_path), "gone.toml", "no such scene file")
 
 
 def edited(tmp_path: Path, *changes: tuple[str, str]) -> Path:

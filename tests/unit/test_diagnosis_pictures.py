@@ -1,0 +1,148 @@
+"""Pictures of a diagnosis, from a small run folder made by hand: no solver is needed."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from bcid.errors import InputError
+from bcid.report.diagnosis import conclusion, draw, falling, ladder_figure, round_scale, worst_frame
+from bcid.run import Run
+
+
+def rung(model: str, rms: float, adequate: bool) -> dict[str, Any]:
+    return {"model": model, "anchored": ["left"], "rms": rms, "held_out_rms": rms, "adequate": adequate, "p_value": 0.5}
+
+
+def row(effect: str, expected: float, fitted: float | None = None) -> dict[str, Any]:
+    return {"effect": effect, "place": "", "expected_rms": expected, "fitted_rms": fitted}
+
+
+def diagnosis(**more: Any) -> dict[str, Any]:
+    found = {
+        "adequate": True,
+        "verdict": "gravity",
+        "anchored": ["left"],
+        "rms": 0.21,
+        "noise_rms": 0.2,
+        "length_unit": "mm",
+        "ladder": [rung("neo_hooke", 1.4, False), rung("neo_hooke + gravity", 0.21, True)],
+        "ranking": [row("gravity", 0.25, 0.21), row("soft_anchor", 1.3)],
+    }
+    return found | more
+
+
+def body() -> xr.Dataset:
+    """A tetrahedron that is held at one face."""
+    points = 0.1 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+    return xr.Dataset(
+        {
+            "points": (("node", "axis"), points),
+            "cells": (("cell", "corner"), np.array([[0, 1, 2, 3]], dtype=np.int32)),
+            "triangles": (
+                ("triangle", "vertex"),
+                np.array([[0, 2, 3], [0, 1, 2], [0, 1, 3], [1, 2, 3]], dtype=np.int32),
+            ),
+            "place": ("triangle", [1, 0, 0, 2]),
+            "place_name": ("place_number", ["", "patch left", "grasp I"]),
+            "displacement": (("frame", "node", "axis"), np.zeros((2, 4, 3))),
+        },
+        attrs={"scene": "corner", "up": "0 1 0"},
+    )
+
+
+def residuals() -> xr.Dataset:
+    dims = ("frame", "fiducial", "axis")
+    rest = 0.1 * np.array([[0.2, 0.2, 0.2], [0.3, 0.1, 0.3]])
+    measured = np.tile(rest, (2, 1, 1))
+    measured[1, 0, 1] -= 5e-3
+    # A fiducial that was not seen in a frame.
+    measured[1, 1] = np.nan
+    return xr.Dataset(
+        {
+            "measured": (dims, measured),
+            "predicted_first": (dims, np.tile(rest, (2, 1, 1))),
+            "predicted": (dims, np.tile(rest, (2, 1, 1))),
+            "grasp": ("frame", ["I", "I"]),
+        },
+        {"action": ("frame", ["1", "1"]), "step": ("frame", [0, 1])},
+    )
+
+
+WHERE = {
+    "explained": 0.99,
+    "rms": 0.22,
+    "length_unit": "mm",
+    "steady": [{"position": [20, 20, 20], "force": [0.0, -0.1, 0.0], "stderr": 0.01}],
+    "growing": {"1": [{"position": [20, 20, 20], "force": [0.05, 0.0, 0.0], "stderr": 0.01}]},
+}
+
+
+def folder(path: Path, found: dict[str, Any], where: dict[str, Any] | None) -> Path:
+    run = Run.start(path, "explain", {})
+    run.write_json("diagnosis.json", found)
+    run.write_dataset("body.nc", body())
+    run.write_dataset("residuals.nc", residuals())
+    if where is not None:
+        run.write_json("where.json", where)
+    run.finish({})
+    return path
+
+
+def names(files: list[Path]) -> set[str]:
+    return {file.name for file in files}
+
+
+def test_every_picture_is_drawn(tmp_path: Path) -> None:
+    pytest.importorskip("pyvista")
+    written = draw(folder(tmp_path / "run", diagnosis(), WHERE))
+    assert names(written) == {"picture.png", "where.png", "ladder.png", "body.pvd"}
+    assert all(file.stat().st_size > (5000 if file.suffix == ".png" else 0) for file in written)
+    assert not list((tmp_path / "run").glob(".*.partial*"))
+
+
+def test_nothing_is_missing(tmp_path: Path) -> None:
+    """An adequate plain model has neither a missing force nor a second model, and a force may be no force."""
+    pytest.importorskip("pyvista")
+    found = diagnosis(verdict="none", ladder=[rung("neo_hooke", 0.2, True)], ranking=[])
+    assert names(draw(folder(tmp_path / "run", found, None))) == {"picture.png", "ladder.png", "body.pvd"}
+    nothing = WHERE | {"growing": {}, "steady": [WHERE["steady"][0] | {"force": [0.0, 0.0, 0.0]}]}  # type: ignore[index]
+    assert "where.png" in names(draw(folder(tmp_path / "other", found, nothing)))
+
+
+def test_nothing_explains_it(tmp_path: Path) -> None:
+    pytest.importorskip("pyvista")
+    found = diagnosis(verdict="unknown", adequate=False, ladder=[rung("neo_hooke", 1.4, False)])
+    assert "where.png" in names(draw(folder(tmp_path / "run", found, WHERE)))
+    assert conclusion(found) == "none of the known effects explains it"
+
+
+def test_a_run_without_a_diagnosis(tmp_path: Path) -> None:
+    Run.start(tmp_path / "run", "identify", {}).finish({})
+    with pytest.raises(InputError, match=r"diagnosis.json: is missing"):
+        draw(tmp_path / "run")
+
+
+def test_the_ladder_in_one_line() -> None:
+    assert falling(diagnosis()) == "neo-Hookean 1.4 mm → + gravity 0.21 mm (noise 0.2)"
+    steps = [rung("gent", 2, False), rung("gent + soft_anchor(3)", 1, False), rung("gent + gravity", 0.2, True)]
+    assert falling(diagnosis(ladder=steps)) == "gent 2 mm → + soft anchor (3) 1 mm → gent + gravity 0.2 mm (noise 0.2)"
+
+
+def test_titles() -> None:
+    assert conclusion(diagnosis()) == "adequate with gravity"
+    assert conclusion(diagnosis(verdict="gravity+time_lag", adequate=False)) == "missing: gravity and time lag"
+    assert conclusion(diagnosis(verdict="unknown", adequate=False, ranking=[])) == "the model is not adequate"
+    assert conclusion(diagnosis(verdict="none")) == "the plain model is adequate"
+
+
+def test_one_action_has_nothing_held_out() -> None:
+    steps = [rung("neo_hooke", 1.4, False) | {"held_out_rms": None}]
+    assert len(ladder_figure(diagnosis(ladder=steps)).axes) == 2
+
+
+def test_scale_and_frame() -> None:
+    assert [round_scale(x) for x in (0.7, 1, 3.9, 19, 50, np.inf, 0)] == [0.5, 1, 2, 10, 50, 1, 1]
+    assert worst_frame(np.array([[[np.nan] * 3], [[1.0, 0, 0]], [[0, 0, 2.0]]])) == 2
