@@ -213,7 +213,7 @@ def _add_source(parser: argparse.ArgumentParser, files: bool = True) -> None:
 
 def _add_level(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--level", type=int, metavar="LEVEL", help="fine mesh level (the last with at most 20,000 unknowns)"
+        "--level", type=int, metavar="LEVEL", help="fine mesh level (the last with at most 40,000 unknowns)"
     )
 
 

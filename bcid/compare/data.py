@@ -15,7 +15,11 @@ Index = NDArray[np.int64]
 
 # How far the error of the mesh may be from what the ladder says: of each action as a whole, and of a single trajectory.
 _OF_ACTION = 0.5
-_OF_TRAJECTORY = 1.5
+_OF_TRAJECTORY = 0.5
+_OF_FIDUCIAL = 0.5
+# Where patches end, convergence is of little more than first order: by so much the difference of two meshes with a ratio
+# of three exceeds the error of the finer one.
+_SINGULAR = 3.0
 # Without a stated noise and with too few steps to see it, m.
 _LEAST_NOISE = 1e-6
 
@@ -121,18 +125,18 @@ class MeshError:
         """From predictions on the working level and a finer one: Richardson's extrapolation.
 
         `gain` is how many times the difference exceeds the error of the finer one (3 for halved elements of second order).
-        What is left is taken to be as large as the difference: at corners and edges of anchored patches convergence is of
-        first order only, and two meshes of a ladder are not alike.
+        What is left is taken to be larger than that: see `_SINGULAR`.
         """
         difference = fine - coarse
-        return cls(np.asarray(difference * (1 + 1 / gain)), np.asarray(difference), True)
+        return cls(np.asarray(difference * (1 + 1 / gain)), np.asarray(difference / min(gain, _SINGULAR)), True)
 
 
 class Errors:
     """Covariance of the residual: white noise, and the error of the mesh as far as the ladder tells.
 
     The error that is left after extrapolation has the shape of the extrapolation with an uncertain factor per action, and
-    beside it a part that persists along every trajectory (a constant and a slope along the steps).
+    beside it parts that persist along every trajectory (a constant and a slope along the steps) and that each fiducial has
+    in common in all actions.
 
     Args:
         data: the measured values.
@@ -169,6 +173,11 @@ class Errors:
                 shape[members, 0] = amount * np.minimum(1.0, 4 * along)
                 shape[members, 1] = amount * (2 * along - 1) * np.minimum(1.0, 4 * along)
                 columns += [shape[:, 0], shape[:, 1]]
+            common = np.sqrt(np.mean(left**2)) * _OF_FIDUCIAL
+            way = data.step / np.maximum(1, [data.step[data.action == a].max() for a in data.action])
+            for fiducial, axis in np.unique(np.column_stack([data.fiducial, data.axis]), axis=0):
+                here = (data.fiducial == fiducial) & (data.axis == axis)
+                columns.append(np.where(here, common * way, 0.0))
         return np.array(columns).T if columns else np.zeros((len(data), 0))
 
     def whiten(self, values: Array) -> Array:

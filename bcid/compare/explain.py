@@ -19,6 +19,7 @@ from bcid.compare.twin import Twin
 from bcid.errors import InputError, SolveError
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Dose, Model
+from bcid.forms.solve import Settings
 from bcid.progress import Progress, Silent
 from bcid.search.farm import label
 from bcid.search.identify import Identification, Options, identify
@@ -47,7 +48,7 @@ class Plan:
     """How far the loop goes.
 
     Attributes:
-        level: fine level (see `Twin`); by default the last with at most 20,000 unknowns.
+        level: fine level (see `Twin`); by default the last with at most 40,000 unknowns.
         effects: effects that may be adopted together at most.
         fitted: candidates that are refitted at each step.
         sets: anchor sets that compete with the best one at each step.
@@ -206,7 +207,8 @@ class _Loop:
         """The likely anchor sets as the plain model sees them on the coarsest level, the likeliest first."""
         few = len(self.scene.patches) <= _ALL
         options = Options(certify="yes" if few else "no", seeds=1 if few else _SEEDS, finest=0)
-        found = identify(self.scene, self.measurement, self.comm, options, model)
+        # A set with which the body buckles takes long and is seldom the one.
+        found = identify(self.scene, self.measurement, self.comm, options, model, Settings(rtol=1e-6, halvings=0))
         self.twin.count("coarse", sum(found.evaluations.values()))
         near = [a.anchored for a in found.alternatives if a.rms < _NEAR * a.best_rms]
         return [frozenset(names) for names in [found.anchored, *near[: _STARTS - 1]]]
@@ -234,7 +236,7 @@ class _Loop:
         assert identification is not None
         return fitted, identification
 
-    def corrected(self, fitted: Fit, most: int = 3) -> Fit:
+    def corrected(self, fitted: Fit, most: int = 2) -> Fit:
         """Fit again with the error of the mesh of the fitted model, until the fitted numbers stay."""
         for _ in range(most):
             state = fitted.state

@@ -25,7 +25,9 @@ Array = NDArray[np.float64]
 # Elements twice as small leave a quarter of the error.
 _ORDER = 2
 _LEAST_GAIN = 0.5
-_AFFORDABLE = 20_000
+_AFFORDABLE = 40_000
+# The working mesh has elements so many times as large as those of the fine one.
+_COARSER = 3.0
 # So many of the last predictions are kept: what only changes the picture needs no other.
 _REPLIES = 5
 
@@ -48,14 +50,14 @@ class Reply:
 class Twin:
     """Predicts what a measurement should have shown. All methods are collective on `comm`; actions are spread over ranks.
 
-    It works on a mesh with elements twice as large as those of a level of the scene's ladder, and of the same degree; that
+    It works on a mesh with elements three times as large as those of a level of the scene's ladder, and of the same degree; that
     level says how large the error of the working one is.
 
     Args:
         scene: the scene.
         measurement: its motions are repeated.
         comm: an MPI communicator.
-        level: the fine level; by default the last with at most 20,000 unknowns.
+        level: the fine level; by default the last with at most 40,000 unknowns.
         settings: accuracy and patience of the solver.
         progress: told what goes on (rank 0).
 
@@ -259,13 +261,13 @@ def _affordable(scene: Scene, comm: Any) -> int:
 
 
 def _pair(scene: Scene, fine: int) -> tuple[Level, ...]:
-    """Working level and fine level: elements of the same degree, twice as large and as they are.
+    """Working level and fine level: elements of the same degree, three times as large and as they are.
 
     A mesh file cannot be made coarser than it is: there the level below serves, if it has the same degree.
     """
     level = scene.levels[fine]
     if level.element_size is not None:
-        return replace(level, element_size=2 * level.element_size), level
+        return replace(level, element_size=_COARSER * level.element_size), level
     if level.refinements > 0:
         return replace(level, refinements=level.refinements - 1), level
     return (level,)
