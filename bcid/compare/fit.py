@@ -230,22 +230,23 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL)
     inside = np.clip(x, lower + 1e-6 * scale, upper - 1e-6 * scale)
     if problem.reply(inside)[1].failure:
         raise SolveError(f"{start.model.name}: {problem.reply(inside)[1].failure}")
+    # In units of their scales: the optimiser takes a step of 1e-6 for none, and a compliance may be smaller than that.
     result = least_squares(
-        problem.residual,
-        inside,
-        jac=problem.jacobian,
-        bounds=(lower, upper),
-        x_scale=scale,
+        lambda z: problem.residual(z * scale),
+        inside / scale,
+        jac=lambda z: problem.jacobian(z * scale) * scale,
+        bounds=(lower / scale, upper / scale),
         xtol=_XTOL,
         ftol=ftol,
         gtol=1e-10,
         max_nfev=most,
     )
-    model, reply = problem.reply(result.x)
+    x = result.x * scale
+    model, reply = problem.reply(x)
     state = State(start.twin, model, start.anchors, reply, start.errors, tuple(names))
-    jacobian = np.asarray(result.jac)
+    jacobian = np.asarray(result.jac) / scale
     covariance, loose = _covariance(jacobian, scale)
-    warnings = _warnings(chosen, result.x, lower, upper, scale, loose)
+    warnings = _warnings(chosen, x, lower, upper, scale, loose)
     if result.status == 0:
         warnings.append(f"the fit did not settle within {most} predictions")
     return Fit(state, tuple(chosen), covariance, jacobian, tuple(warnings), problem.evaluations)
