@@ -23,7 +23,9 @@ def needs(scene: Scene, _measurement: Measurement) -> str:
     if not any(parameter.name == "poisson" for parameter in law.parameters):
         return f"the law {law.name} has no constant poisson"
     own = float(scene.material.values["poisson"])
-    return "" if poisson.check(own) is None else f"the law's own poisson is {own:g}; the effect allows {poisson.allowed}"
+    return (
+        "" if poisson.check(own) is None else f"the law's own poisson is {own:g}; the effect allows {poisson.allowed}"
+    )
 
 
 # The neutral value is the law's; 0.35 stands for it.
