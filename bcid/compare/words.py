@@ -184,5 +184,7 @@ def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull]
         if pulls and pulls[0].sigmas >= _SEPARATE:
             lines.append(f"The pull that would separate them best: {pulls[0].text}.")
         elif pulls:
-            lines.append("No pull along an axis would separate them: they do the same, or need another kind of experiment.")
+            lines.append(
+                "No pull along an axis would separate them: they do the same, or need another kind of experiment."
+            )
     return lines
