@@ -26,6 +26,8 @@ _FTOL = 1e-4
 _STEP = 1e-2
 # A number is not identified when its standard error exceeds this many of its scales.
 _LOOSE = 3.0
+# Variance of a number of which nothing is seen.
+_UNKNOWN = 1e200
 
 
 @dataclass(frozen=True)
@@ -256,9 +258,11 @@ def _covariance(jacobian: Array, scale: Array) -> tuple[Array, list[bool]]:
     """Inverse of J^T J, and which coordinates the data do not tell."""
     scaled = jacobian * scale
     _, sizes, rows = np.linalg.svd(scaled, full_matrices=False)
-    variances = np.where(sizes > 1e-8 * max(sizes.max(initial=0.0), 1e-300), 1 / np.maximum(sizes, 1e-150) ** 2, 1e300)
-    with np.errstate(over="ignore"):
-        covariance = (rows.T * np.minimum(variances, 1e200)) @ rows
+    least = max(1e-8 * sizes.max(initial=0.0), 1e-150)
+    covariance = (rows.T / np.maximum(sizes, least) ** 2) @ rows
+    # A number that takes part in a direction of which nothing is seen; the others keep their errors.
+    unseen = np.sum(rows[sizes <= least] ** 2, axis=0) > 1e-6
+    covariance[unseen, unseen] = _UNKNOWN
     loose = [bool(v > _LOOSE**2) for v in np.diag(covariance)]
     return np.asarray(covariance * np.outer(scale, scale)), loose
 
