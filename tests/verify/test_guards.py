@@ -5,7 +5,7 @@ A slab is measured on a mesh of 12.5 mm and compared on one of 50 mm, which 25 m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -152,7 +152,7 @@ def test_effects_that_do_the_same_are_not_told_apart(slab: Scene) -> None:
 def test_a_marker_that_jumped_is_named(slab: Scene, plain: Measurement) -> None:
     jumped = plain.data.copy(deep=True)
     onset = 8
-    jumped["position"][dict(frame=slice(onset, None), fiducial=slab.fiducial_names.index("6"), axis=2)] += 2e-3
+    jumped["position"][{"frame": slice(onset, None), "fiducial": slab.fiducial_names.index("6"), "axis": 2}] += 2e-3
     twin = Twin(slab, replace(plain, data=jumped), MPI.COMM_SELF, level=1)
     found = explain(twin, Plan(level=1, only=FEW))
     assert found.verdict == "marker_fault"
