@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from bcid.compare import anchors as anchor_search
 from bcid.compare.adequacy import Adequacy, judge
+from bcid.compare.buckling import leave_out
 from bcid.compare.fit import Fit, fit, held_out
 from bcid.compare.missing import SIGNIFICANT, Ranking, Row, rank
 from bcid.compare.state import State
@@ -171,6 +172,11 @@ class _Loop:
     def run(self, model: Model) -> Explanation:
         start = time.perf_counter()
         first = self.first_anchors(model)
+        for one in leave_out(self.twin, model, first):
+            self.say(str(one))
+        if self.twin.left_out:
+            self.measurement = self.twin.measurement
+            first = self.first_anchors(model)
         fitted, identification = self.settle(fit(self.state(model, first), free_numbers(model, self.twin)))
         rungs = [self.rung(fitted)]
         while not rungs[-1].adequacy.adequate and len(rungs) <= self.plan.effects:

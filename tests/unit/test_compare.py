@@ -120,6 +120,7 @@ class Toy:
     data: Data
     actions: list[Action]
     shapes: Mapping[str, Array]
+    left_out: tuple[str, ...] = ()
 
     def numbers(self, model: Model) -> dict[str, float]:
         values = model.constants()

@@ -5,7 +5,7 @@ A slab is measured on a mesh of 12.5 mm and compared on one of 50 mm, which 25 m
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from mpi4py import MPI
 
 from bcid.compare import words
 from bcid.compare.adequacy import judge
+from bcid.compare.buckling import buckled, leave_out
 from bcid.compare.data import MeshError
 from bcid.compare.explain import Plan, explain, refit_candidates
 from bcid.compare.fit import fit
@@ -161,3 +162,28 @@ def test_a_marker_that_jumped_is_named(slab: Scene, plain: Measurement) -> None:
     assert (dose.place, dose.values["onset"]) == ("6", onset)
     assert dose.values["z"] == pytest.approx(2e-3, abs=0.3e-3)
     twin.destroy()
+
+
+# -- a body that buckles
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def test_what_follows_buckling_is_no_evidence(slab: Scene, measurement_folder: Callable[[str], Path]) -> None:
+    """In the second action the sheet leaves its plane; to which side, imperfections decide."""
+    measurement = Measurement.read(measurement_folder("slab-34-buckles"))
+    twin = Twin(slab, measurement, MPI.COMM_SELF, level=1)
+    anchored, model = frozenset({"3", "4"}), Model.of(slab)
+    assert not judge(at(twin, anchored)).adequate
+    (found,) = leave_out(twin, model, anchored)
+    assert (found.action, found.step) == ("2", 6)
+    assert found.distance > 10e-3
+    state = at(twin, anchored)
+    adequacy = judge(state)
+    assert adequacy.adequate
+    assert any("two states exist" in finding.text for finding in adequacy.findings)
+    assert min(row.p_value for row in rank(state, only=FEW).rows) > 0.01
+    twin.destroy()
+
+
+def test_a_body_that_only_bends_is_compared_to_the_end(twin: Twin) -> None:
+    assert buckled(twin, Model.of(twin.scene), ANCHORED) == []
