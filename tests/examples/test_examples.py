@@ -67,6 +67,38 @@ def test_the_beams_quoted_deflections_are_those_of_the_recordings(real_data: Cal
             assert moved.reshape(3, 3) == pytest.approx(np.array(quoted), abs=0.01)
 
 
+def test_04_tension(capsys: pytest.CaptureFixture[str]) -> None:
+    found = load("04_tension").main()
+    # A shear modulus of 17.2 kPa and 2.6 % are published for the whole curve to a stretch of 3.
+    assert found.plain.values["young"] / 3 == pytest.approx(17.2e3, rel=0.02)
+    rows = {row.effect: row for row in found.ranking.rows}
+    assert {row.effect for row in found.ranking.rows[:2]} == {"strain_stiffening", "fibres"}
+    assert rows["strain_stiffening"].confounded_with == ("fibres",)
+    assert rows["strain_stiffening"].p_value < 1e-20
+    assert found.stiffening.state.rms < 0.35 * found.plain.state.rms
+    plain, stiffening, yeoh = found.errors
+    assert plain == pytest.approx(0.0247, abs=0.001)
+    assert stiffening == pytest.approx(0.0077, abs=0.0007)
+    assert yeoh < stiffening
+    assert "with strain_stiffening" in capsys.readouterr().out
+
+
+def test_the_bars_quoted_points_are_on_the_published_curve(real_data: Callable[[str], Path]) -> None:
+    example = load("04_tension")
+    file = real_data("soft_robotics_materials_db") / "Ecoflex 00-30.csv"
+    lines = file.read_text(encoding="latin-1").splitlines()
+    first = 1 + next(i for i, line in enumerate(lines) if line.startswith("Time"))
+    rows = [tuple(map(float, line.split(";")[3:5])) for line in lines[first:] if line.strip("; ")]
+    curve = [(strain, 1e3 * stress) for strain, stress in rows]
+    for strain, stress in example.CURVE:
+        assert min(abs(s - strain) + abs(p - stress) for s, p in curve) < 1e-6
+    whole = [point for point in curve if point[0] < 2.0]
+    assert len(whole) > 50
+    plain, stiffening, _ = example.main(whole).errors
+    assert plain == pytest.approx(0.0256, abs=0.003)
+    assert stiffening < 0.5 * plain
+
+
 def test_every_example_has_a_test() -> None:
     tested = Path(__file__).read_text(encoding="utf-8")
     assert all(f'load("{path.stem}")' in tested for path in EXAMPLES.glob("[0-9]*.py"))
