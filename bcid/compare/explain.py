@@ -344,9 +344,16 @@ def criterion(fitted: Fit) -> float:
 
 
 def free_numbers(model: Model, twin: Twin) -> tuple[str, ...]:
-    """Numbers that are fitted: all of the effects that the scene does not have. A first frame is no smooth number."""
+    """Numbers that are fitted: all of the effects that the scene does not have.
+
+    A first frame is no smooth number, and a period of 0, which stands for what is steady, has nothing to do with a short one.
+    """
     known = set(Model.of(twin.scene).constants())
-    return tuple(name for name in model.constants() if name not in known and not name.endswith(".onset"))
+    return tuple(
+        name
+        for name, value in model.constants().items()
+        if name not in known and not name.endswith(".onset") and not (name.endswith(".period") and value == 0)
+    )
 
 
 def refit_candidates(fitted: Fit, proposals: Iterable[tuple[Row, State]], plan: Plan) -> list[Rival]:
