@@ -37,6 +37,19 @@ def measurement_folder() -> Callable[[str], Path]:
     return find
 
 
+@pytest.fixture(scope="session")
+def real_data() -> Callable[[str], Path]:
+    """Finds a folder of published measurements in the optional data folder, else the test is skipped."""
+
+    def find(name: str) -> Path:
+        folder = PROJECT.parent / "shared" / "data" / "real" / name
+        if not folder.is_dir():
+            pytest.skip(f"the published measurements {name} are not in the optional data folder")
+        return folder
+
+    return find
+
+
 @dataclass(frozen=True)
 class Slab40:
     """The benchmark of tests/data/README.md on one mesh, with the field the other codes agree on.

@@ -52,6 +52,7 @@ def judge(state: State) -> Adequacy:
     its size, its slow part along each trajectory, and its part common to all actions of a fiducial (bias).
     """
     findings = [_size(state), _slow(state), _bias(state), *_describing(state)]
+    findings += [Finding("left out", 1.0, text) for text in state.twin.left_out]
     deciding = [f.p_value for f in findings if f.decides]
     p = min(1.0, len(deciding) * min(deciding))
     return Adequacy(p >= FALSE_ALARMS, p, tuple(findings))

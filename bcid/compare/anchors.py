@@ -15,7 +15,7 @@ from bcid.search.farm import Candidate
 from bcid.search.identify import Identification, Options, identify
 
 # A set with which the body would buckle again and again is given up early.
-_SETTINGS = Settings(rtol=1e-7, halvings=1)
+_SETTINGS = Settings(rtol=1e-7, halvings=0)
 
 
 def search(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from bcid.compare import anchors as anchor_search
 from bcid.compare.adequacy import Adequacy, judge
+from bcid.compare.buckling import leave_out
 from bcid.compare.fit import Fit, fit, held_out
 from bcid.compare.missing import SIGNIFICANT, Ranking, Row, rank
 from bcid.compare.state import State
@@ -174,6 +175,11 @@ class _Loop:
     def run(self, model: Model) -> Explanation:
         start = time.perf_counter()
         first = self.first_anchors(model)
+        for one in leave_out(self.twin, model, first[0]):
+            self.say(str(one))
+        if self.twin.left_out:
+            self.measurement = self.twin.measurement
+            first = self.first_anchors(model)
         begun = fit(self.state(model, first[0]), free_numbers(model, self.twin))
         fitted, identification = self.settle(begun, more=first[1:])
         rungs = [self.rung(fitted)]
@@ -349,9 +355,16 @@ def criterion(fitted: Fit) -> float:
 
 
 def free_numbers(model: Model, twin: Twin) -> tuple[str, ...]:
-    """Numbers that are fitted: all of the effects that the scene does not have. A first frame is no smooth number."""
+    """Numbers that are fitted: all of the effects that the scene does not have.
+
+    A first frame is no smooth number, and a period of 0, which stands for what is steady, has nothing to do with a short one.
+    """
     known = set(Model.of(twin.scene).constants())
-    return tuple(name for name in model.constants() if name not in known and not name.endswith(".onset"))
+    return tuple(
+        name
+        for name, value in model.constants().items()
+        if name not in known and not name.endswith(".onset") and not (name.endswith(".period") and value == 0)
+    )
 
 
 def refit_candidates(fitted: Fit, proposals: Iterable[tuple[Row, State]], plan: Plan) -> list[Rival]:

@@ -26,6 +26,8 @@ _FTOL = 1e-4
 _STEP = 1e-2
 # A number is not identified when its standard error exceeds this many of its scales.
 _LOOSE = 3.0
+# Variance of a number of which nothing is seen.
+_UNKNOWN = 1e200
 
 
 @dataclass(frozen=True)
@@ -238,22 +240,23 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL)
     inside = np.clip(x, lower + 1e-6 * scale, upper - 1e-6 * scale)
     if problem.reply(inside)[1].failure:
         raise SolveError(f"{start.model.name}: {problem.reply(inside)[1].failure}")
+    # In units of their scales: the optimiser takes a step of 1e-6 for none, and a compliance may be smaller than that.
     result = least_squares(
-        problem.residual,
-        inside,
-        jac=problem.jacobian,
-        bounds=(lower, upper),
-        x_scale=scale,
+        lambda z: problem.residual(z * scale),
+        inside / scale,
+        jac=lambda z: problem.jacobian(z * scale) * scale,
+        bounds=(lower / scale, upper / scale),
         xtol=_XTOL,
         ftol=ftol,
         gtol=1e-10,
         max_nfev=most,
     )
-    model, reply = problem.reply(result.x)
+    x = result.x * scale
+    model, reply = problem.reply(x)
     state = State(start.twin, model, start.anchors, reply, start.errors, tuple(names))
-    jacobian = np.asarray(result.jac)
+    jacobian = np.asarray(result.jac) / scale
     covariance, loose = _covariance(jacobian, scale)
-    warnings = _warnings(chosen, result.x, lower, upper, scale, loose)
+    warnings = _warnings(chosen, x, lower, upper, scale, loose)
     if result.status == 0:
         warnings.append(f"the fit did not settle within {most} predictions")
     return Fit(state, tuple(chosen), covariance, jacobian, tuple(warnings), problem.evaluations)
@@ -263,9 +266,11 @@ def _covariance(jacobian: Array, scale: Array) -> tuple[Array, list[bool]]:
     """Inverse of J^T J, and which coordinates the data do not tell."""
     scaled = jacobian * scale
     _, sizes, rows = np.linalg.svd(scaled, full_matrices=False)
-    variances = np.where(sizes > 1e-8 * max(sizes.max(initial=0.0), 1e-300), 1 / np.maximum(sizes, 1e-150) ** 2, 1e300)
-    with np.errstate(over="ignore"):
-        covariance = (rows.T * np.minimum(variances, 1e200)) @ rows
+    least = max(1e-8 * sizes.max(initial=0.0), 1e-150)
+    covariance = (rows.T / np.maximum(sizes, least) ** 2) @ rows
+    # A number that takes part in a direction of which nothing is seen; the others keep their errors.
+    unseen = np.sum(rows[sizes <= least] ** 2, axis=0) > 1e-6
+    covariance[unseen, unseen] = _UNKNOWN
     loose = [bool(v > _LOOSE**2) for v in np.diag(covariance)]
     return np.asarray(covariance * np.outer(scale, scale)), loose
 

@@ -14,6 +14,7 @@ import xarray as xr
 from bcid.collective import on_root
 from bcid.compare import words
 from bcid.compare.adequacy import FALSE_ALARMS, groups, judge
+from bcid.compare.buckling import leave_out
 from bcid.compare.explain import Explanation, Plan, Rival, Rung, explain, refit_candidates
 from bcid.compare.fit import Fit, fit, held_out
 from bcid.compare.missing import Ranking, neutral_values, rank
@@ -277,6 +278,7 @@ def _pulls(found: Explanation) -> list[Pull]:
 def _present(twin: Twin, source: Source) -> Fit:
     """The model of a run on the twin; its fitted numbers are fitted again, for the level may be another."""
     assert source.anchors is not None
+    leave_out(twin, source.model, source.anchors)
     return fit(State.of(twin, source.model, source.anchors, None, source.free), source.free)
 
 

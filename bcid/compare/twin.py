@@ -66,6 +66,7 @@ class Twin:
         whole: the scene as it was given.
         fine_level: number of the fine level in its ladder.
         data: the measured values.
+        left_out: what of the measurement is not compared, and why, in words.
         trajectories: forward trajectories by level ("working", "fine"), in whole-trajectory equivalents.
     """
 
@@ -88,12 +89,18 @@ class Twin:
         self.settings = settings or Settings(rtol=1e-7)
         self.progress = progress or Silent()
         self.data = Data(scene, measurement)
+        self.left_out: tuple[str, ...] = ()
         self.actions = measurement.actions
         self.trajectories: dict[str, float] = {}
         self._replies: list[tuple[Any, bool, Reply]] = []
         self._forwards: dict[tuple[int, str], Forward] = {}
         self._sensitivities: dict[tuple[int, str], Sensitivity] = {}
         self._meshes: dict[int, BodyMesh] = {}
+
+    def look_at(self, measurement: Measurement, left_out: tuple[str, ...] = ()) -> None:
+        """Compare with what else was seen of the same motions."""
+        self.measurement, self.left_out = measurement, left_out
+        self.data = Data(self.whole, measurement)
 
     @property
     def finer(self) -> int | None:

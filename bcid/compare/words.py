@@ -19,6 +19,8 @@ from bcid.units import percent
 
 # A force that explains a smaller share of what is beyond noise is none.
 _NOTHING = 0.1
+# A pull separates two explanations when their predictions are so many times the noise apart.
+_SEPARATE = 5.0
 
 
 def anchors(state: State) -> str:
@@ -183,6 +185,10 @@ def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull]
     lines += [f"  Note: {text}" for text in last.fitted.warnings]
     if found.ambiguous:
         lines.append(f"These data cannot tell it from: {', '.join(found.ambiguous)}.")
-        if pulls:
+        if pulls and pulls[0].sigmas >= _SEPARATE:
             lines.append(f"The pull that would separate them best: {pulls[0].text}.")
+        elif pulls:
+            lines.append(
+                "No pull along an axis would separate them: they do the same, or need another kind of experiment."
+            )
     return lines

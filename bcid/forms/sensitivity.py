@@ -341,6 +341,7 @@ class Sensitivity:
                 target[:] = 0.0
                 if parameter.reciprocal and not math.isfinite(probe.dose.values[name]):
                     forces = equilibrium.forces()
+                    forces[forward.body.displacement_dofs] -= equilibrium.external
                     targets.append(target)
                     gaps.append(self._yielding(probe.dose.place, anchors, forces))
                     changes.append(np.zeros(0))
@@ -353,6 +354,10 @@ class Sensitivity:
                     targets.append(target)
                     gaps.append(np.asarray(self._gripped(*pairs[step]) / (2 * _STEP * parameter.typical)))
                     changes.append(np.zeros(0))
+                    if pose.loads:
+                        targets.append(target)
+                        gaps.append(None)
+                        changes.append(np.asarray(-self._loaded(*pairs[step]) / (2 * _STEP * parameter.typical)))
                 if probe.effect.observe:
                     target += self._pictured(probe, parameter, places, action, step)
         for name, size in wanted.law.items():
@@ -434,6 +439,15 @@ class Sensitivity:
 
         at = dose.values[parameter.name]
         return np.asarray((value(at + size) - value(at - size)) / (2 * size))
+
+    def _loaded(self, more: Pose, less: Pose) -> Array:
+        """Difference of the dead loads of two poses."""
+        equilibrium = self.equilibrium
+        forces = np.zeros(len(equilibrium.u.x.array))
+        for place in more.loads:
+            across = np.tile(more.loads[place] - less.loads[place], len(equilibrium.external) // 3)
+            forces[equilibrium.body.displacement_dofs] += equilibrium._weight(place) * across
+        return forces
 
     def _gripped(self, more: Pose, less: Pose) -> Array:
         """Difference of the prescribed displacements of two poses, zero elsewhere."""

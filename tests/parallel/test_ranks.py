@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from verify.problems import move, pull_and_lift
 
 from bcid.collective import on_root
+from bcid.compare.state import State
+from bcid.compare.twin import Twin
 from bcid.errors import BcidError, InputError
 from bcid.forms.body import Body
 from bcid.forms.factor import Factor
@@ -27,6 +29,7 @@ from bcid.forms.loads import nodal_weights
 from bcid.forms.mesh import level_mesh
 from bcid.forms.model import Dose, Held, Model, check_physics
 from bcid.forms.patches import halves
+from bcid.forms.sensitivity import Probe, Wanted
 from bcid.forms.simulate import simulate
 from bcid.forms.solve import Settings, Status
 from bcid.forms.trajectory import follow
@@ -111,6 +114,25 @@ def test_fiducials_and_wrench_do_not_depend_on_the_ranks(slab: Scene, degree: in
     close(together.wrench, alone.wrench)
     assert same_everywhere(together.positions)
     assert same_everywhere(together.wrench)
+
+
+def test_a_twin_predicts_and_differentiates_alike_on_any_number_of_ranks(slab: Scene) -> None:
+    """Actions are spread over the ranks; every rank has all of the answer."""
+    scene = replace(slab, levels=(Level(2, 0.050), Level(2, 0.025)), noise_sigma=0.2e-3)
+    measurement = simulate(scene, {"1", "4"}, twisted(), level=0)
+    gravity = Dose("gravity", {"weight": 500.0})
+    model, wanted = Model.of(scene) + gravity, Wanted((Probe(gravity, ("weight",)),), {"young": 1.5}, stiffness=True)
+    answers = []
+    for comm in (MPI.COMM_SELF, WORLD):
+        twin = Twin(scene, measurement, comm, 1, EXACT)
+        state = State.of(twin, model, frozenset({"1", "4"}))
+        found = twin.signatures(model, state.anchors, state.reply, wanted)
+        assert found.stiffness is not None
+        answers.append((state.scaled, found.probes[0]["weight"], found.law["young"], found.stiffness))
+        twin.destroy()
+    for alone, together in zip(*answers, strict=True):
+        close(together, alone)
+        assert same_everywhere(together)
 
 
 def test_a_dead_load_is_shared_out_once(project: Path) -> None:

@@ -20,17 +20,22 @@ def needs(scene: Scene, _measurement: Measurement) -> str:
         law = materials.law(scene.material.law)
     except InputError as error:
         return str(error)
-    if any(parameter.name == "poisson" for parameter in law.parameters):
-        return ""
-    return f"the law {law.name} has no constant poisson"
+    if not any(parameter.name == "poisson" for parameter in law.parameters):
+        return f"the law {law.name} has no constant poisson"
+    own = float(scene.material.values["poisson"])
+    return (
+        "" if poisson.check(own) is None else f"the law's own poisson is {own:g}; the effect allows {poisson.allowed}"
+    )
 
+
+# The neutral value is the law's; 0.35 stands for it.
+poisson = Parameter(
+    "poisson", "1", "Poisson's ratio", lower=0.0, upper=0.495, neutral=0.35, law="poisson", typical=0.05
+)
 
 effect = Effect(
     name="compressibility",
-    parameters=(
-        # The neutral value is the law's; 0.35 stands for it.
-        Parameter("poisson", "1", "Poisson's ratio", lower=0.0, upper=0.495, neutral=0.35, law="poisson", typical=0.05),
-    ),
+    parameters=(poisson,),
     about="another Poisson's ratio than the law was given",
     acts_on="material",
     constants=lambda c: {"poisson": c["poisson"]},

@@ -1,0 +1,138 @@
+"""Where a body buckles two states exist, and imperfections choose: what follows is no evidence for or against a model.
+
+Along an action the smallest eigenvalue of the tangent falls towards zero where the body is about to buckle, and its
+eigenvector is the way in which it will. From the end of the action the state on the other side is sought: the
+deflection along that vector is reversed, and the equilibrium next to it found. If that is another one, and stable, the
+measurement may have gone either way, and the steps from the critical one on are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.compare.twin import Reply, Twin, mechanical
+from bcid.forms.forward import Forward
+from bcid.forms.model import Model
+from bcid.forms.solve import Status
+from bcid.forms.trajectory import poses
+from bcid.measurement import Action, Measurement
+
+Array = NDArray[np.float64]
+# Another state is sought where the smallest eigenvalue falls below this part of that at rest.
+_SOFT = 0.5
+# Iterations for it; a direction to reverse need not be exact.
+_SWEEPS = 8
+# Two states are different when a fiducial is so many times the noise (or this part of the body's size) apart.
+_APART, _LEAST = 5.0, 1e-3
+
+
+@dataclass(frozen=True)
+class Buckling:
+    """An action in which the body buckles.
+
+    Attributes:
+        action: its name.
+        step: the first step that is left out.
+        distance: largest distance of a fiducial between the two states at the end, m.
+        other: whether the measurement is nearer to the state that was not followed.
+    """
+
+    action: str
+    step: int
+    distance: float
+    other: bool
+
+    def __str__(self) -> str:
+        where = "near the other one" if self.other else "near the one followed"
+        return (
+            f"action {self.action} buckles: two states exist, {self.distance * 1e3:.2g} mm apart at its end, and the "
+            f"measurement is {where}; its steps from {self.step} on are left out"
+        )
+
+
+def buckled(twin: Twin, model: Model, anchors: Iterable[str]) -> list[Buckling]:
+    """The actions in which the body buckles, on the working or the fine level; collective."""
+    if model.mixed or model.remembers or not model.symmetric:
+        return []
+    anchors = frozenset(anchors)
+    found: dict[str, Buckling] = {}
+    for level in (twin.level, *([twin.finer] if twin.finer else [])):
+        reply = twin.predict(model, anchors, level, keep=True)
+        mine = [_of_action(twin, model, anchors, level, a, reply) for a in twin.mine(twin.actions)]
+        for one in (b for part in twin.comm.allgather(mine) for b in part if b):
+            known = found.get(one.action, one)
+            found[one.action] = replace(known, step=min(one.step, known.step))
+    return [found[name] for name in twin.data.actions if name in found]
+
+
+def leave_out(twin: Twin, model: Model, anchors: Iterable[str]) -> list[Buckling]:
+    """Compare a twin from now on with what was seen before the body buckles; collective."""
+    found = buckled(twin, model, anchors)
+    twin.look_at(_before(twin.measurement, found), tuple(map(str, found)))
+    return found
+
+
+def _before(measurement: Measurement, found: Sequence[Buckling]) -> Measurement:
+    """The measurement with nothing seen from where the body buckles."""
+    data = measurement.data.copy(deep=True)
+    for one in found:
+        later = (data["action"].values.astype(str) == one.action) & (data["step"].values >= one.step)
+        data["position"][{"frame": later}] = np.nan
+    return replace(measurement, data=data)
+
+
+def _of_action(
+    twin: Twin, model: Model, anchors: frozenset[str], level: int, action: Action, reply: Reply
+) -> Buckling | None:
+    states = reply.parts[action.name].states if action.name in reply.parts else None
+    if not states:
+        return None
+    forward = twin.forward(mechanical(model), level)
+    driven = model.driven(action)
+    forward.equilibrium.hold(anchors, driven.grasp)
+    path = poses(driven)[: len(states)]
+    sizes, modes = [], []
+    for pose, frame in zip(path, action.frames, strict=False):
+        forward.equilibrium.set_state(pose, states[int(frame)])
+        size, mode = _softest(forward)
+        sizes.append(size)
+        modes.append(mode)
+    critical = int(np.argmin(sizes))
+    if critical == 0 or sizes[critical] > _SOFT * sizes[0]:
+        return None
+    last = int(action.frames[len(path) - 1])
+    mode, end = modes[critical], states[last]
+    bent = float(mode @ (end - states[int(action.frames[critical - 1])]))
+    if forward.equilibrium.solve(path[-1], end - 2 * bent * mode) is not Status.CONVERGED:
+        return None
+    if forward.equilibrium.verify() is not Status.CONVERGED:
+        return None
+    other = forward.observer.positions(forward.equilibrium.displacement())
+    followed = reply.positions[last]
+    distance = float(np.linalg.norm(other - followed, axis=1).max())
+    noise = float(np.nanmean(twin.data.sigma)) if twin.data.stated else 0.0
+    if distance < max(_APART * noise, _LEAST * forward.mesh.size):
+        return None
+    seen = twin.data.measured[last]
+    nearer = np.nansum((seen - other) ** 2) < np.nansum((seen - followed) ** 2)
+    return Buckling(action.name, int(action.steps[critical]), distance, bool(nearer))
+
+
+def _softest(forward: Forward) -> tuple[float, Array]:
+    """Smallest eigenvalue of the tangent at the present state, N/m, and its eigenvector, by inverse iteration."""
+    equilibrium = forward.equilibrium
+    equilibrium._assemble_tangent()
+    vector = np.random.default_rng(0).normal(size=len(equilibrium.u.x.array))
+    vector[equilibrium._held] = 0.0
+    size = np.inf
+    if not equilibrium.factor.refresh():
+        return 0.0, vector / np.linalg.norm(vector)
+    for _ in range(_SWEEPS):
+        vector /= np.linalg.norm(vector)
+        solved = equilibrium.factor.solve_block(vector[:, None])[:, 0]
+        size, vector = 1 / float(vector @ solved), solved
+    return size, vector / np.linalg.norm(vector)

@@ -1,0 +1,280 @@
+"""The parts of a comparison, on made-up residuals and on models that are linear in their numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.linalg import sqrtm
+
+from bcid.compare.adequacy import judge
+from bcid.compare.data import Data, Errors, MeshError, estimate_noise
+from bcid.compare.fit import Coordinate, _covariance, fit, held_out
+from bcid.compare.missing import Variant, _bounded, _harmonics
+from bcid.compare.state import State
+from bcid.compare.twin import Reply
+from bcid.forms import check_effect, effects
+from bcid.forms.model import Dose, Model
+from bcid.forms.sensitivity import Signatures, Wanted
+from bcid.forms.simulate import recorded
+from bcid.measurement import Action
+
+Array = NDArray[np.float64]
+SCENE = check_effect.scene()
+SIGMA = 0.2e-3
+UNTURNED = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def actions(count: int = 3, steps: int = 8) -> list[Action]:
+    """Straight pulls."""
+    number = np.arange(steps)
+    ways = np.eye(3)[np.arange(count) % 3] * 1e-3
+    turns = np.tile(UNTURNED, (steps, 1))
+    return [
+        Action(str(i + 1), i * steps + number, number, "gripper", number[:, None] * way, turns)
+        for i, way in enumerate(ways)
+    ]
+
+
+def rest(made: list[Action]) -> Array:
+    """Fiducials that do not move."""
+    return np.tile(SCENE.rest, (sum(map(len, made)), 1, 1))
+
+
+def data_of(positions: Array, made: list[Action], sigma: float | None = SIGMA) -> Data:
+    measurement = recorded(SCENE, made, positions, 0.0, np.random.default_rng(0))
+    return Data(SCENE, replace(measurement, noise_sigma=sigma))
+
+
+def mesh_error(made: list[Action]) -> MeshError:
+    """An error of the mesh that grows along every action."""
+    rng = np.random.default_rng(5)
+    left = np.concatenate([np.linspace(0, 1, len(a))[:, None, None] * rng.normal(size=(1, 4, 3)) for a in made])
+    return MeshError(np.zeros_like(left), 0.5e-3 * left, True)
+
+
+def explicit(errors: Errors) -> Array:
+    """The covariance of a residual."""
+    columns = errors._columns(errors.data.vector(errors.mesh.left))
+    return np.asarray(np.diag(errors.sigma**2) + columns @ columns.T)
+
+
+# -- data
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def test_whitening_is_the_inverse_root_of_the_covariance() -> None:
+    made = actions()
+    data = data_of(rest(made), made)
+    sigma = np.random.default_rng(1).uniform(0.5, 2.0, len(data)) * SIGMA
+    errors = Errors(data, sigma, mesh_error(made))
+    scaled = explicit(errors) / np.outer(sigma, sigma)
+    root = np.linalg.inv(np.real(sqrtm(scaled)))
+    assert errors.whiten(np.diag(sigma)) == pytest.approx(root, abs=1e-9)
+    some = np.random.default_rng(2).normal(size=len(data)) * SIGMA
+    assert errors.whiten(some) == pytest.approx(root @ (some / sigma), abs=1e-9)
+
+
+def test_without_an_error_of_the_mesh_only_the_noise_scales() -> None:
+    made = actions()
+    data = data_of(rest(made), made)
+    errors = Errors(data, np.full(len(data), SIGMA), MeshError.unknown(data.mask.shape))
+    assert errors.whiten(np.full(len(data), SIGMA)) == pytest.approx(np.ones(len(data)))
+
+
+def test_noise_is_seen_under_a_smooth_residual() -> None:
+    made = actions(steps=40)
+    data = data_of(rest(made), made, None)
+    smooth = 2e-3 * np.sin(data.step / 15 + data.trajectory)
+    noise = np.random.default_rng(3).normal(0, SIGMA, len(data))
+    assert estimate_noise(data, smooth + noise) == pytest.approx(SIGMA, rel=0.05)
+    # Two steps say nothing of what is smooth.
+    short = actions(steps=2)
+    two = data_of(rest(short), short, None)
+    assert estimate_noise(two, np.full(len(two), 1e-3)) == pytest.approx(1e-3)
+
+
+def test_two_meshes_of_second_order_tell_the_limit() -> None:
+    limit, slope = np.random.default_rng(4).normal(size=(2, 5, 4, 3))
+    coarse, fine = (limit + slope * size**2 for size in (0.2, 0.1))
+    error = MeshError.between(coarse, fine, 3.0)
+    assert coarse + error.correction == pytest.approx(limit)
+    # What may be left after it is as large as the error of the finer mesh.
+    assert np.abs(error.left) == pytest.approx(np.abs(fine - limit))
+    assert error.known
+
+
+# -- adequacy
+# ------------------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Toy:
+    """Stands for a twin: what is seen is rest plus each number times a shape."""
+
+    data: Data
+    actions: list[Action]
+    shapes: Mapping[str, Array]
+    left_out: tuple[str, ...] = ()
+
+    def numbers(self, model: Model) -> dict[str, float]:
+        values = model.constants()
+        return {name: 1 / values[name] if name.endswith("stiffness") else values[name] for name in self.shapes}
+
+    def predict(
+        self,
+        model: Model,
+        _anchors: Iterable[str],
+        actions: Iterable[Action] | None = None,
+        keep: bool = False,
+    ) -> Reply:
+        positions = rest(self.actions) + sum(n * self.shapes[k] for k, n in self.numbers(model).items())
+        seen = np.full_like(positions, np.nan)
+        for action in self.actions if actions is None else actions:
+            seen[action.frames] = positions[action.frames]
+        return Reply(seen, {})
+
+    def signatures(self, _model: Model, _anchors: object, _reply: Reply, wanted: Wanted) -> Signatures:
+        return Signatures([{n: self.shapes[p.dose.full(n)] for n in p.wanted} for p in wanted.probes], {})
+
+
+def state_of(toy: Toy, model: Model, mesh: MeshError | None = None) -> State:
+    errors = Errors(toy.data, toy.data.sigma, mesh or MeshError.unknown(toy.data.mask.shape))
+    whole: Any = toy
+    return State(whole, model, frozenset({"left"}), toy.predict(model, ()), errors)
+
+
+@pytest.mark.parametrize("coarse", [False, True])
+def test_few_adequate_models_are_called_inadequate(coarse: bool) -> None:
+    made = actions()
+    mesh = mesh_error(made) if coarse else None
+    data = data_of(rest(made), made)
+    state = state_of(Toy(data, made, {}), Model.of(SCENE), mesh)
+    root = np.linalg.cholesky(explicit(state.errors))
+    rng = np.random.default_rng(6)
+    alarms = 0
+    for _ in range(200):
+        data.values = data.vector(rest(made)) + root @ rng.normal(size=len(data))
+        alarms += not judge(state).adequate
+    # Three tests together may raise 5 %; as they overlap, it is a little less.
+    assert 0.02 <= alarms / 200 <= 0.08
+
+
+def test_what_a_fiducial_misses_in_all_actions_is_an_alarm() -> None:
+    made = actions()
+    data = data_of(rest(made), made)
+    state = state_of(Toy(data, made, {}), Model.of(SCENE))
+    noise = np.random.default_rng(7).normal(0, SIGMA, len(data))
+    data.values = data.vector(rest(made)) + noise + np.where((data.fiducial == 1) & (data.axis == 2), SIGMA, 0.0)
+    adequacy = judge(state)
+    assert not adequacy.adequate
+    assert min(adequacy.findings[:3], key=lambda f: f.p_value).name == "bias"
+
+
+# -- ranking
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def test_trigonometric_interpolation_is_exact() -> None:
+    given, grid = np.array([0.0, 36.0, 72.0, 108.0, 144.0]), np.arange(0.0, 180.0, 7.0)
+
+    def polynomial(degrees: Array) -> Array:
+        twice = 2 * np.deg2rad(degrees)
+        return np.asarray(0.3 - np.cos(twice) + 2 * np.sin(twice) * np.cos(twice) + 0.7 * np.cos(twice) ** 2)
+
+    weights = _harmonics(grid, 180.0, 2) @ np.linalg.pinv(_harmonics(given, 180.0, 2))
+    assert weights @ polynomial(given) == pytest.approx(polynomial(grid))
+
+
+def variant(name: str, columns: Array, **values: float) -> Variant:
+    one = Dose(effects.effect(name), values)
+    scales = [Coordinate(one.full(p.name), p, 1 / p.typical if p.reciprocal else p.typical) for p in one.effect.amounts]
+    return Variant(one, tuple(scales), columns)
+
+
+def test_amounts_stay_within_their_bounds() -> None:
+    rng = np.random.default_rng(8)
+    column, other = rng.normal(size=(2, 50, 1))
+    gravity = variant("gravity", column, weight=0.0)
+    step, gain = _bounded(gravity, column, 3.0 * column[:, 0])
+    assert step == pytest.approx([3.0])
+    assert gain == pytest.approx(9 * float(column[:, 0] @ column[:, 0]))
+    # A body is not lighter than nothing, and a spring not stiffer than rigid.
+    for limited in (gravity, variant("soft_anchor", column, stiffness=math.inf)):
+        step, gain = _bounded(limited, column, -3.0 * column[:, 0])
+        assert step == pytest.approx([0.0], abs=1e-9)
+        assert gain == pytest.approx(0.0, abs=1e-9)
+    # Where one amount is at its bound the others are fitted without it.
+    both = np.hstack([column, other, np.zeros_like(column)])
+    stretched = variant("prestrain", 100 * both, sx=1.0, sy=1.0, sz=1.0)
+    upper = next(p.upper for p in stretched.dose.effect.parameters if p.name == "sx")
+    step, _ = _bounded(stretched, 100 * both, 100 * (5.0 * column + 0.01 * other)[:, 0])
+    assert step[0] == pytest.approx(upper - 1.0)
+    left = 100 * (5.0 * column + 0.01 * other)[:, 0] - 100 * column[:, 0] * step[0]
+    free = float(other[:, 0] @ left / (100 * other[:, 0] @ other[:, 0]))
+    bound = next(p for p in stretched.dose.effect.parameters if p.name == "sy")
+    assert step[1] == pytest.approx(np.clip(free, bound.lower - 1, bound.upper - 1))
+
+
+# -- fit
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def test_a_direction_that_the_data_do_not_tell_is_infinitely_uncertain() -> None:
+    column = np.random.default_rng(9).normal(size=40)
+    jacobian = np.column_stack([column, 2 * column, np.roll(column, 7)])
+    covariance, loose = _covariance(jacobian, np.array([1.0, 0.5, 1.0]))
+    assert loose == [True, True, False]
+    assert covariance[0, 0] > 1e100
+    assert covariance[2, 2] < 1
+    whole, tight = _covariance(jacobian[:, [0, 2]], np.array([3.0, 0.1]))
+    assert tight == [False, False]
+    assert whole == pytest.approx(np.linalg.inv(jacobian[:, [0, 2]].T @ jacobian[:, [0, 2]]))
+
+
+def toy(model: Model, names: tuple[str, ...], sizes: tuple[float, ...]) -> Toy:
+    """A linear measurement of these numbers with noise."""
+    made = actions()
+    rng = np.random.default_rng(10)
+    shape = rest(made).shape
+    shapes = {name: size * rng.normal(size=shape) for name, size in zip(names, sizes, strict=True)}
+    whole = Toy(data_of(rest(made), made), made, shapes)
+    positions = whole.predict(model, ()).positions + rng.normal(0, SIGMA, shape)
+    return Toy(data_of(positions, made), made, shapes)
+
+
+def test_a_linear_model_is_fitted_and_predicts_what_it_was_not_fitted_to() -> None:
+    model = Model.of(SCENE) + Dose(effects.effect("gravity"), {"weight": 6000.0})
+    model = model + Dose(
+        effects.effect("camera_offset"), dict.fromkeys(("rx", "ry", "rz", "tx", "ty", "tz"), 0.0) | {"scale": 1.1}
+    )
+    names = ("gravity.weight", "camera_offset.scale")
+    made = toy(model, names, (1e-7, 5e-3))
+    fitted = fit(state_of(made, model.with_values({"gravity.weight": 1000.0, "camera_offset.scale": 1.0})), names)
+    table = np.column_stack([made.data.vector(made.shapes[name]) for name in names])
+    away = made.data.values - made.data.vector(rest(made.actions))
+    best = np.linalg.lstsq(table, away, rcond=None)[0]
+    assert list(fitted.values.values()) == pytest.approx(best, rel=1e-6)
+    assert list(fitted.stderr.values()) == pytest.approx(
+        SIGMA * np.sqrt(np.diag(np.linalg.inv(table.T @ table))), rel=1e-6
+    )
+    squares = 0.0
+    for number in range(3):
+        own = made.data.action == number
+        without = np.linalg.lstsq(table[~own], away[~own], rcond=None)[0]
+        squares += float(np.sum((away - table @ without)[own] ** 2))
+    assert held_out(fitted) == pytest.approx(np.sqrt(squares / len(away)), rel=1e-4)
+
+
+@pytest.mark.parametrize("stiffness", [1e5, 1e8])
+def test_a_stiffness_is_fitted_whatever_its_size(stiffness: float) -> None:
+    model = Model.of(SCENE) + Dose(effects.effect("soft_anchor"), {"stiffness": stiffness})
+    made = toy(model, ("soft_anchor.stiffness",), (1e-2 * stiffness,))
+    begun = model.with_values({"soft_anchor.stiffness": 0.2 * stiffness})
+    fitted = fit(state_of(made, begun), ("soft_anchor.stiffness",))
+    assert fitted.values["soft_anchor.stiffness"] == pytest.approx(stiffness, rel=0.01)

@@ -1,0 +1,189 @@
+"""What must not be taken for a missing effect: wrong anchors, a coarse mesh, unfitted numbers, a marker that jumped.
+
+A slab is measured on a mesh of 12.5 mm and compared on one of 50 mm, which 25 mm say the error of.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from bcid.compare import words
+from bcid.compare.adequacy import judge
+from bcid.compare.buckling import buckled, leave_out
+from bcid.compare.data import MeshError
+from bcid.compare.explain import Plan, explain, refit_candidates
+from bcid.compare.fit import fit
+from bcid.compare.missing import rank
+from bcid.compare.separate import separating_pulls
+from bcid.compare.state import State
+from bcid.compare.twin import Twin
+from bcid.errors import InputError
+from bcid.forms import effects
+from bcid.forms.model import Dose, Model, check_physics
+from bcid.forms.simulate import simulate
+from bcid.measurement import Action, Measurement
+from bcid.scene import Level, Scene
+
+ANCHORED = frozenset({"1", "3"})
+NOISE = 0.2e-3
+STEPS = 5
+FEW = ("gravity", "fibres", "grasp_slip", "stiffness_gradient", "marker_fault", "soft_anchor", "strain_stiffening")
+
+
+@pytest.fixture(scope="module")
+def slab(project: Path) -> Scene:
+    scene = Scene.read(project / "examples" / "scenes" / "slab.toml", physics=check_physics)
+    return replace(scene, levels=tuple(Level(2, size) for size in (0.05, 0.025, 0.0125)), noise_sigma=NOISE)
+
+
+def pulls() -> list[Action]:
+    """Three pulls by 10 mm, each at another grasp and in another direction."""
+    unturned = np.tile([1.0, 0.0, 0.0, 0.0], (STEPS, 1))
+    steps = np.arange(STEPS)
+    found = []
+    for number, (grasp, way) in enumerate({"I": (1, 0, 0), "II": (0, 1, 0), "III": (1, 0, -1)}.items()):
+        path = 0.0025 * steps[:, None] * np.array(way, float)
+        found.append(Action(str(number + 1), number * STEPS + steps, steps, grasp, path, unturned))
+    return found
+
+
+@pytest.fixture(scope="module")
+def plain(slab: Scene) -> Measurement:
+    return simulate(slab, ANCHORED, pulls(), level=2)
+
+
+@pytest.fixture(scope="module")
+def twin(slab: Scene, plain: Measurement) -> Iterator[Twin]:
+    twin = Twin(slab, plain, MPI.COMM_SELF, level=1)
+    yield twin
+    twin.destroy()
+
+
+def at(twin: Twin, anchors: frozenset[str] = ANCHORED, **options: MeshError) -> State:
+    """The scene's model with these anchors."""
+    return State.of(twin, Model.of(twin.scene), anchors, **options)
+
+
+# -- wrong anchors
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def test_no_effect_makes_up_for_a_wrong_anchor_set(twin: Twin) -> None:
+    """From the wrong anchors every effect looks significant; none is adequate once it is fitted."""
+    wrong = at(twin, frozenset({"1"}))
+    assert not judge(wrong).adequate
+    ranking = rank(wrong, only=FEW)
+    assert ranking.rows[0].p_value < 1e-6
+    rivals = refit_candidates(fit(wrong, ()), [(row, wrong) for row in ranking.rows], Plan())
+    assert rivals
+    for rival in rivals:
+        assert not judge(rival.fitted.state).adequate, rival.effect
+
+
+def test_the_loop_finds_the_anchors_and_no_effect(twin: Twin) -> None:
+    assert judge(at(twin)).adequate
+    found = explain(twin, Plan(level=1, only=FEW))
+    assert found.verdict == "none"
+    assert found.last.state.anchors == ANCHORED
+
+
+# -- a coarse mesh
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def test_the_error_of_the_mesh_is_not_taken_for_physics(twin: Twin) -> None:
+    blind = at(twin, mesh=MeshError.unknown(twin.data.mask.shape))
+    assert not judge(blind).adequate
+    assert rank(blind, only=FEW).rows[0].p_value < 1e-6
+    seeing = at(twin)
+    assert judge(seeing).adequate
+    assert min(row.p_value for row in rank(seeing, only=FEW).rows) > 0.01
+
+
+# -- numbers that are not fitted
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def test_a_model_off_its_optimum_is_not_ranked(twin: Twin) -> None:
+    model = Model.of(twin.scene) + Dose(effects.effect("gravity"), {"weight": 2000.0})
+    off = State.of(twin, model, ANCHORED, free=("gravity.weight",))
+    with pytest.raises(InputError, match=r"not at its optimum: refitting gravity\.weight alone .* fit it first"):
+        rank(off, only=FEW)
+    fitted = fit(off, off.free)
+    assert rank(fitted.state, only=FEW).rows
+
+
+# -- effects that do the same
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def test_effects_that_do_the_same_are_not_told_apart(slab: Scene) -> None:
+    weight = Dose(effects.effect("gravity"), {"weight": 800.0})
+    model = Model.of(slab) + weight
+    anchored = frozenset({"3", "4"})
+    twin = Twin(slab, simulate(slab, anchored, pulls(), level=2, model=model), MPI.COMM_SELF, level=1)
+    other = replace(weight.effect, name="heaviness")
+    both = ("gravity", "heaviness")
+    ranking = rank(at(twin, anchored), [other], both)
+    assert {row.effect: row.confounded_with for row in ranking.rows} == {
+        "gravity": ("heaviness",),
+        "heaviness": ("gravity",),
+    }
+    found = explain(twin, Plan(level=1, only=both), more=[other])
+    assert found.verdict in both
+    assert found.ambiguous == tuple(name for name in both if name != found.verdict)
+    rivals = found.rungs[0].rivals
+    separating = separating_pulls(*(next(r for r in rivals if r.effect == name).fitted.state for name in both))
+    text = " ".join(words.conclusion(found, 1e-3, "mm", separating))
+    assert f"cannot tell it from: {found.ambiguous[0]}" in text
+    assert "No pull" in text
+    twin.destroy()
+
+
+# -- a marker that jumped
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def test_a_marker_that_jumped_is_named(slab: Scene, plain: Measurement) -> None:
+    jumped = plain.data.copy(deep=True)
+    onset = 8
+    jumped["position"][{"frame": slice(onset, None), "fiducial": slab.fiducial_names.index("6"), "axis": 2}] += 2e-3
+    twin = Twin(slab, replace(plain, data=jumped), MPI.COMM_SELF, level=1)
+    found = explain(twin, Plan(level=1, only=FEW))
+    assert found.verdict == "marker_fault"
+    assert found.last.state.anchors == ANCHORED
+    (dose,) = found.last.state.model.doses
+    assert (dose.place, dose.values["onset"]) == ("6", onset)
+    assert dose.values["z"] == pytest.approx(2e-3, abs=0.3e-3)
+    twin.destroy()
+
+
+# -- a body that buckles
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def test_what_follows_buckling_is_no_evidence(slab: Scene, measurement_folder: Callable[[str], Path]) -> None:
+    """In the second action the sheet leaves its plane; to which side, imperfections decide."""
+    measurement = Measurement.read(measurement_folder("slab-34-buckles"))
+    twin = Twin(slab, measurement, MPI.COMM_SELF, level=1)
+    anchored, model = frozenset({"3", "4"}), Model.of(slab)
+    assert not judge(at(twin, anchored)).adequate
+    (found,) = leave_out(twin, model, anchored)
+    assert (found.action, found.step) == ("2", 6)
+    assert found.distance > 10e-3
+    state = at(twin, anchored)
+    adequacy = judge(state)
+    assert adequacy.adequate
+    assert any("two states exist" in finding.text for finding in adequacy.findings)
+    assert min(row.p_value for row in rank(state, only=FEW).rows) > 0.01
+    twin.destroy()
+
+
+def test_a_body_that_only_bends_is_compared_to_the_end(twin: Twin) -> None:
+    assert buckled(twin, Model.of(twin.scene), ANCHORED) == []

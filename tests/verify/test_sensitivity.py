@@ -1,0 +1,191 @@
+"""Signatures by the tangent rule against differences of whole trajectories, for every kind of effect.
+
+On the box of the effects' contract: pulled, turned, loaded, there and back, with steps that are not equally long.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from bcid.compare.twin import mechanical
+from bcid.forms import check_effect, effects
+from bcid.forms.forward import Forward
+from bcid.forms.model import Dose, Model
+from bcid.forms.sensitivity import Probe, Sensitivity, Signatures, Wanted, coordinate
+from bcid.forms.solve import Settings
+from bcid.scene import Level, Material
+
+Array = NDArray[np.float64]
+SCENE, MESH, ACTIONS = check_effect.scene(), check_effect.box(), check_effect.actions()
+ANCHORS = frozenset({"left"})
+PLAIN = Model.of(SCENE)
+STEP = 1e-3
+
+
+def dose(name: str, place: str = "", **values: float) -> Dose:
+    return Dose(effects.effect(name), values, place=place)
+
+
+HEAVY = dose("gravity", weight=9000.0)
+FIBRES = dose("fibres", k1=3000.0, angle=25.0)
+TURNED = dose("camera_offset", rx=3.0, ry=-2.0, rz=5.0, tx=1e-3, ty=0.0, tz=0.0, scale=1.02)
+STILL = dose("camera_offset", rx=0.0, ry=0.0, rz=0.0, tx=0.0, ty=0.0, tz=0.0, scale=1.0)
+
+
+def positions(model: Model) -> Array:
+    """A whole trajectory, solved to round-off."""
+    forward = Forward(SCENE, 0, MPI.COMM_SELF, model, Settings(rtol=1e-12), MESH)
+    prediction = forward.predict(ANCHORS, ACTIONS)
+    assert prediction.complete
+    forward.destroy()
+    return prediction.positions
+
+
+def signatures(model: Model, wanted: Wanted, scene: object = SCENE, mesh: object = MESH) -> Signatures:
+    """By the tangent, as a twin asks for them."""
+    forward = Forward(scene, 0, MPI.COMM_SELF, mechanical(model), Settings(rtol=1e-12), mesh)  # type: ignore[arg-type]
+    prediction = forward.predict(ANCHORS, ACTIONS, keep=True)
+    found = Sensitivity(forward).of(ANCHORS, ACTIONS, prediction, wanted, model)
+    forward.destroy()
+    return found
+
+
+def differences(at: Callable[[float], Array], value: float, size: float, lower: float) -> Array:
+    """Derivative of second order: central, or to one side at a bound."""
+    step = STEP * size
+    if value - step >= lower:
+        return np.asarray((at(value + step) - at(value - step)) / (2 * step))
+    return np.asarray((4 * at(value + step) - 3 * at(value) - at(value + 2 * step)) / (2 * step))
+
+
+def assert_same(found: Array, expected: Array, tolerance: float = 1e-3) -> None:
+    assert np.abs(expected).max() > 0
+    assert found == pytest.approx(expected, abs=tolerance * np.abs(expected).max())
+
+
+# What acts already, the effect that is asked for, and its number.
+ADOPTED = [
+    ((), HEAVY, "weight"),
+    ((HEAVY,), FIBRES, "k1"),
+    ((HEAVY,), FIBRES, "angle"),
+    ((), dose("compressibility", poisson=0.42), "poisson"),
+    ((HEAVY,), dose("soft_anchor", stiffness=2e6), "stiffness"),
+    ((), dose("grasp_slip", lag=0.15), "lag"),
+    ((HEAVY,), TURNED, "ry"),
+    ((HEAVY,), TURNED, "scale"),
+    ((HEAVY,), dose("prestrain", sx=1.02, sy=0.99, sz=1.01), "sy"),
+    ((), dose("stiffness_gradient", gx=0.3, gy=0.0, gz=-0.2), "gx"),
+    ((TURNED,), HEAVY, "weight"),
+]
+
+
+@pytest.mark.parametrize(("others", "asked", "name"), ADOPTED, ids=lambda p: getattr(p, "label", p if p else "-"))
+def test_an_effect_that_acts(others: tuple[Dose, ...], asked: Dose, name: str) -> None:
+    model = PLAIN
+    for part in (*others, asked):
+        model = model + part
+    parameter = next(p for p in asked.effect.parameters if p.name == name)
+    full = asked.full(name)
+
+    def at(number: float) -> Array:
+        return positions(model.with_values({full: 1 / number if parameter.reciprocal else number}))
+
+    value = coordinate(parameter, asked.values[name])
+    size = abs(value) if parameter.reciprocal else parameter.typical
+    expected = differences(at, value, size, -math.inf if parameter.reciprocal else parameter.lower)
+    found = signatures(model, Wanted((Probe(asked, (name,)),))).probes[0][name]
+    assert_same(found, expected)
+
+
+DORMANT = [
+    ((), dose("gravity", weight=0.0), "weight"),
+    ((HEAVY,), dose("fibres", k1=0.0, angle=25.0), "k1"),
+    ((HEAVY,), dose("compressibility", poisson=0.35), "poisson"),
+    ((HEAVY,), dose("grasp_slip", lag=0.0), "lag"),
+    ((), dose("time_lag", seconds=0.0), "seconds"),
+    ((HEAVY,), STILL, "rz"),
+    ((HEAVY,), STILL, "scale"),
+    ((HEAVY,), dose("viscosity", fraction=0.0, relaxation_time=3.0), "fraction"),
+    ((HEAVY,), dose("support_friction", shear_stress=0.0), "shear_stress"),
+    ((HEAVY, TURNED), dose("marker_fault", "b", x=0.0, y=0.0, z=0.0, onset=2.0), "z"),
+    ((), dose("active_stress", amplitude=0.0, angle=40.0), "amplitude"),
+    ((HEAVY,), dose("strain_stiffening", c2=0.0), "c2"),
+]
+
+
+@pytest.mark.parametrize(("others", "asked", "name"), DORMANT, ids=lambda p: getattr(p, "label", p if p else "-"))
+def test_a_dormant_effect(others: tuple[Dose, ...], asked: Dose, name: str) -> None:
+    model = PLAIN
+    for part in others:
+        model = model + part
+    parameter = next(p for p in asked.effect.parameters if p.name == name)
+
+    def at(number: float) -> Array:
+        return positions(model + asked.with_values({name: number}))
+
+    expected = differences(at, asked.values[name], parameter.typical, parameter.lower)
+    found = signatures(model, Wanted((Probe(asked, (name,)),))).probes[0][name]
+    assert_same(found, expected)
+
+
+@pytest.mark.parametrize("place", ["", "left"])
+def test_a_rigid_anchor_that_may_yield(place: str) -> None:
+    """Per unit of compliance: what springs of a great stiffness give way, times that stiffness."""
+    rigid = PLAIN + HEAVY
+    asked = dose("soft_anchor", place, stiffness=math.inf)
+    unmoved = positions(rigid)
+
+    def yielding(stiffness: float) -> Array:
+        return stiffness * (positions(rigid + asked.with_values({"stiffness": stiffness})) - unmoved)
+
+    expected = 2 * yielding(1e9) - yielding(5e8)
+    found = signatures(rigid, Wanted((Probe(asked, ("stiffness",)),))).probes[0]["stiffness"]
+    assert_same(found, expected)
+
+
+def test_a_constant_of_the_law_under_known_loads() -> None:
+    model = PLAIN + HEAVY
+    expected = differences(lambda young: positions(model.with_values({"young": young})), 15e3, 15e3, 0.0)
+    assert_same(signatures(model, Wanted(law={"young": 1.5})).law["young"], expected)
+
+
+def test_the_stiffness_of_all_cells_is_that_of_the_body() -> None:
+    model = PLAIN + HEAVY
+    found = signatures(model, Wanted(law={"young": 1.5}, stiffness=True))
+    assert found.stiffness is not None
+    assert_same(found.stiffness.sum(axis=-1), 15e3 * found.law["young"])
+
+
+def test_a_body_force_everywhere_is_gravity() -> None:
+    space = fem.functionspace(Forward(SCENE, 0, MPI.COMM_SELF, PLAIN, mesh=MESH).body.domain, ("Lagrange", 1))
+    volume = fem.assemble_vector(fem.form(ufl.TestFunction(space) * ufl.dx)).array
+    found = signatures(PLAIN, Wanted((Probe(dose("gravity", weight=0.0), ("weight",)),), forces=volume[:, None]))
+    assert found.forces is not None
+    along = found.forces[:, :, :, 0] @ np.array(SCENE.down)
+    assert_same(along, found.probes[0]["weight"])
+
+
+def test_with_a_pressure_as_unknown() -> None:
+    """The mixed formulation: its tangent is a saddle point."""
+    material = Material("neo_hooke", {"young": "15 kPa", "poisson": 0.499}, "mixed")
+    scene = replace(SCENE, material=material, levels=(Level(2),))
+    model = Model.of(scene)
+    wanted = Wanted((Probe(dose("gravity", weight=0.0), ("weight",)),), {"young": 1.5})
+    found = signatures(model, wanted, scene)
+
+    def at(one: Model) -> Array:
+        return Forward(scene, 0, MPI.COMM_SELF, one, Settings(rtol=1e-12), MESH).predict(ANCHORS, ACTIONS).positions
+
+    heavier = differences(lambda w: at(model + dose("gravity", weight=w)), 0.0, 5000.0, 0.0)
+    assert_same(found.probes[0]["weight"], heavier)
+    stiffer = differences(lambda young: at(model.with_values({"young": young})), 15e3, 15e3, 0.0)
+    assert_same(found.law["young"], stiffer)
