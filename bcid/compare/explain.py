@@ -29,9 +29,9 @@ Array = NDArray[np.float64]
 Anchored = frozenset[str]
 # Two explanations whose chi-square differs by less (with a penalty for their numbers) cannot be told apart: odds of 20 to 1.
 _TELLING = 2 * math.log(20.0)
-# On the coarsest level every set of so many patches is looked at; with more, it is climbed from random seeds. What that
-# misses is found on the working level, which is climbed from so many of the best sets.
-_ALL, _SEEDS, _STARTS = 10, 8, 3
+# The coarsest level is climbed from random seeds. What that misses is found on the working level, which is climbed from
+# so many of the best sets.
+_SEEDS, _STARTS = 4, 2
 # A candidate is not refitted when another leaves less than so many times the noise (chi-square per value) and it is
 # expected to leave more than so many times.
 _NEARLY, _FAR = 1.3, 4.0
@@ -193,13 +193,6 @@ class _Loop:
             rungs.append(self.rung(fitted))
         if rungs[-1].ranking is None and rungs[-1].adequacy.adequate and len(rungs) == 1:
             rungs[-1] = self.second_look(rungs[-1])
-        if rungs[-1].adequacy.adequate:
-            # Nothing else may explain it as well: every set is looked at.
-            before = rungs[-1].fitted
-            self.say("looking whether another set of patches does as well")
-            fitted, identification = self.settle(before, "auto")
-            if fitted.state.anchors != before.state.anchors:
-                rungs[-1] = replace(self.rung(fitted), ranking=rungs[-1].ranking)
         return Explanation(
             self.verdict(rungs, model),
             tuple(rungs),
@@ -211,8 +204,7 @@ class _Loop:
 
     def first_anchors(self, model: Model) -> list[Anchored]:
         """The likely anchor sets as the plain model sees them on the coarsest level, the likeliest first."""
-        few = len(self.scene.patches) <= _ALL
-        options = Options(certify="yes" if few else "no", seeds=1 if few else _SEEDS, finest=0)
+        options = Options(certify="no", seeds=_SEEDS, finest=0)
         # A set with which the body buckles takes long and is seldom the one.
         found = identify(self.scene, self.measurement, self.comm, options, model, Settings(rtol=1e-6, halvings=0))
         self.twin.count("coarse", sum(found.evaluations.values()))
@@ -222,15 +214,18 @@ class _Loop:
     def state(self, model: Model, anchors: Anchored) -> State:
         return State.of(self.twin, model, anchors)
 
-    def settle(self, fitted: Fit, certify: str = "no", more: Sequence[Anchored] = ()) -> tuple[Fit, Identification]:
-        """Fit, error of the mesh and anchors, until none of them changes the others; `more` sets are climbed from too."""
+    def settle(self, fitted: Fit, more: Sequence[Anchored] = ()) -> tuple[Fit, Identification]:
+        """Fit, error of the mesh and anchors, until none of them changes the others; `more` sets are climbed from too.
+
+        Every set is looked at where the model is nearly adequate: where it is not, few can be stopped early.
+        """
         identification = None
         for _ in range(3):
             fitted = self.corrected(fitted)
             state = fitted.state
-            identification = anchor_search.search(
-                self.twin, state.model, state.errors.mesh, [state.anchors, *more], certify
-            )
+            near = state.chi2 < _NEARLY * len(self.twin.data)
+            starts, certify = ([state.anchors], "auto") if near else ([state.anchors, *more], "no")
+            identification = anchor_search.search(self.twin, state.model, state.errors.mesh, starts, certify)
             found = frozenset(identification.anchored)
             if found == state.anchors:
                 break
