@@ -59,7 +59,7 @@ class Plan:
     level: int | None = None
     effects: int = 3
     fitted: int = 3
-    sets: int = 1
+    sets: int = 2
     only: tuple[str, ...] | None = None
 
 
@@ -168,6 +168,7 @@ class _Loop:
 
     def __post_init__(self) -> None:
         self.scene, self.measurement, self.comm = self.twin.whole, self.twin.measurement, self.twin.comm
+        self.seen: list[Anchored] = []
 
     # -- the loop
     # --------------------------------------------------------------------------------------------------------------
@@ -175,6 +176,7 @@ class _Loop:
     def run(self, model: Model) -> Explanation:
         start = time.perf_counter()
         first = self.first_anchors(model)
+        self.seen = list(first)
         for one in leave_out(self.twin, model, first[0]):
             self.say(str(one))
         if self.twin.left_out:
@@ -232,6 +234,7 @@ class _Loop:
             other = fit(State.of(self.twin, state.model, found, state.errors.mesh, state.free), state.free)
             if other.state.chi2 >= state.chi2:
                 break
+            self.seen.append(found)
             self.say(f"with {state.model.name} the anchors are {self.name(found)}, not {self.name(state.anchors)}")
             fitted = other
         assert identification is not None
@@ -289,9 +292,10 @@ class _Loop:
         """The sets that come next to the best one, with the present model."""
         state = fitted.state
         found: list[State] = []
-        for other in identification.alternatives:
-            anchors = frozenset(other.anchored)
-            if len(found) == self.plan.sets or other.rms > _RIVAL * other.best_rms:
+        near = [frozenset(a.anchored) for a in identification.alternatives if a.rms < _RIVAL * a.best_rms]
+        # Without the missing effect another set may fit better than the true one, which was met before or comes next.
+        for anchors in dict.fromkeys([*near[:1], *self.seen, *near]):
+            if len(found) == self.plan.sets:
                 break
             if not anchors or anchors == state.anchors:
                 continue

@@ -468,7 +468,7 @@ def diagnosis_json(done: Outcome, unit: float) -> dict[str, Any]:
     if found is not None:
         verdict = found.verdict
     else:
-        added = "+".join(dict.fromkeys(d.effect.name for d in state.model.doses))
+        added = "+".join(dict.fromkeys(d.effect.name for d in state.model.doses if _seen(last.fitted, d)))
         verdict = (added or "none") if last.adequacy.adequate else "unknown"
         if asked is not None and asked.rivals and not last.adequacy.adequate:
             verdict = asked.rivals[0].effect if judge(asked.rivals[0].fitted.state).adequate else "unknown"
@@ -514,6 +514,21 @@ def diagnosis_json(done: Outcome, unit: float) -> dict[str, Any]:
             for rung in done.rungs
         ],
     }
+
+
+def _seen(fitted: Fit, one: Dose) -> bool:
+    """Whether an effect differs from nothing by more than its standard error lets expect; always, when it was not fitted."""
+    errors, model = _own(fitted, one), fitted.state.model
+    for p in one.effect.amounts:
+        neutral = model.neutral(p)
+        if p.name not in errors or neutral is None:
+            continue
+        value, error = one.values[p.name], errors[p.name]
+        if p.reciprocal:
+            value, neutral, error = 1 / value, 0.0, error / value**2
+        if abs(value - neutral) > 3 * error:
+            return True
+    return not any(p.name in errors for p in one.effect.amounts)
 
 
 def _own(fitted: Fit, one: Dose) -> dict[str, float]:

@@ -93,6 +93,12 @@ def coordinate(parameter: Parameter, value: float) -> float:
     return 1.0 / value if parameter.reciprocal else value
 
 
+def _opposite(more: Array, less: Array) -> bool:
+    """Whether an effect's force is proportional to its amount, so that one side of a difference tells the other."""
+    size = float(np.abs(more).max(initial=0.0))
+    return size > 0 and float(np.abs(more + less).max(initial=0.0)) < 1e-9 * size
+
+
 class Sensitivity:
     """Differentiates the prediction of one `Forward`, which must not share its mesh. Local to the process.
 
@@ -116,6 +122,7 @@ class Sensitivity:
         self.observe = sp.csr_matrix((np.repeat(columns.data, 3), (rows, where)), shape=shape)
         self.terms = Terms(body, forward.model, forward.scene, self.equilibrium.u)
         self._parts: dict[tuple[str, str], Any] = {}
+        self._kinds: dict[tuple[str, str], str] = {}
         self._cells: Any = None
         self._matrix: Any = None
         self._mass: dict[str, Any] = {}
@@ -153,14 +160,24 @@ class Sensitivity:
         parameter = next(p for p in dose.effect.parameters if p.name == name)
         value = dose.values[name]
         step = _STEP * parameter.typical
-        result = np.zeros(len(self.equilibrium.u.x.array))
-        for sign in (1.0, -1.0):
+
+        def force(change: float) -> Array:
             # Beyond a bound there is nothing physical, but the forms are smooth there.
-            changed = {**dose.values, name: value + sign * step}
-            self._set(terms, dose, changed, time)
-            result += sign * self._assemble(form) / (2 * step)
+            self._set(terms, dose, {**dose.values, name: value + change}, time)
+            return self._assemble(form)
+
+        key = dose.label, name
+        more = force(step)
+        kind = self._kinds.get(key)
+        if kind == "proportional":
+            result = more / step
+        else:
+            less = force(-step)
+            result = (more - less) / (2 * step)
+            if kind is None:
+                self._kinds[key] = "proportional" if _opposite(more, less) else "other"
         self._set(terms, dose, dose.values, time)
-        return result
+        return np.asarray(result)
 
     def _set(self, terms: Terms, dose: Dose, values: Mapping[str, float], time: float) -> None:
         envelope = dose.effect.envelope
