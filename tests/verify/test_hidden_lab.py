@@ -1,0 +1,41 @@
+"""Measurements of the lab with a hidden effect, computed by an independent finite element code (noise 0.2 mm, five pulls)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from mpi4py import MPI
+
+from bcid import Measurement, Scene
+from bcid.compare.explain import Explanation, explain
+from bcid.compare.twin import Twin
+
+
+def explained(project: Path, folder: Path) -> Explanation:
+    scene = Scene.read(project / "examples" / "scenes" / "slab_explain.toml")
+    twin = Twin(scene, Measurement.read(folder), MPI.COMM_SELF)
+    try:
+        return explain(twin)
+    finally:
+        twin.destroy()
+
+
+@pytest.mark.slow
+def test_hidden_fibres_are_named_and_measured(project: Path, measurement_folder: Callable[[str], Path]) -> None:
+    found = explained(project, measurement_folder("hidden-a"))
+    assert found.verdict == "fibres"
+    assert found.last.state.anchors == {"3", "4"}
+    assert found.last.fitted.values["fibres.k1"] == pytest.approx(5000.0, rel=0.15)
+    assert found.last.fitted.values["fibres.angle"] == pytest.approx(30.0, rel=0.15)
+    assert found.last.held_out is not None
+    assert found.last.held_out < 1.05 * found.last.state.noise
+
+
+@pytest.mark.slow
+def test_where_nothing_is_hidden_nothing_is_found(project: Path, measurement_folder: Callable[[str], Path]) -> None:
+    found = explained(project, measurement_folder("hidden-d"))
+    assert found.verdict == "none"
+    assert found.last.state.anchors == {"3", "4"}
+    assert found.last.adequacy.adequate
