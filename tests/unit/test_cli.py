@@ -83,7 +83,7 @@ def identified(folder: Path, scene: Path = SLAB, state: str = "finished", **reco
     """A run folder as `bcid identify` leaves it, without the search."""
     from mpi4py import MPI
 
-    from bcid.compare.job import from_files
+    from bcid.compare.source import from_files
     from bcid.run import Run
 
     source = from_files(scene, SEEN, (), MPI.COMM_SELF)
