@@ -80,6 +80,8 @@ class Tangent:
             # The diagonal of what is held is written, not added: last, by the form that comes first.
             for form in reversed(self.forms):
                 fp.assemble_matrix(self.matrix, form, self._conditions, float(form is self.forms[0]))
+                # PETSc does not add where values were just written, until they have been sent to where they belong.
+                self.matrix.assemble(PETSc.Mat.AssemblyType.FLUSH)
             self.matrix.assemble()
             return
         remembered = self._remembered.get(key) if key is not None else None
