@@ -276,10 +276,10 @@ class _Loop:
         """Rank what is missing, for the anchors at hand and for those that come next, and refit the most promising."""
         state = fitted.state
         self.say("ranking the effects by what they would explain, and fitting the first of them")
-        ranking = rank(state, self.more, self.plan.only)
+        ranking = rank(state, self.more, self.plan.only, strict=False)
         proposals = [(row, state) for row in ranking.rows]
         for other in self.next_sets(fitted, identification):
-            proposals += [(row, other) for row in rank(other, self.more, self.plan.only).rows]
+            proposals += [(row, other) for row in rank(other, self.more, self.plan.only, strict=False).rows]
         rivals = refit_candidates(fitted, proposals, self.plan)
         for rival in rivals:
             self.progress.say(

@@ -99,19 +99,21 @@ class Ranking:
     tried: int = 0
 
 
-def rank(state: State, more: Iterable[Effect] = (), only: Sequence[str] | None = None) -> Ranking:
+def rank(state: State, more: Iterable[Effect] = (), only: Sequence[str] | None = None, strict: bool = True) -> Ranking:
     """Rank all effects that the model lacks; collective.
 
     Args:
         state: the model at its optimum.
         more: effects beyond the catalogue.
         only: names of the effects to look at; all by default.
+        strict: refuse a model that is not at its optimum (what a refit of it could explain is projected out anyway).
 
     Raises:
         InputError: the model is not at its optimum: what a refit explains would be taken for a missing effect.
     """
     present = present_columns(state)
-    check_optimum(state, present)
+    if strict:
+        check_optimum(state, present)
     candidates, excluded = dormant(state.model, state, more, only)
     variants = _variants(state, candidates)
     basis = _orthonormal(present)
