@@ -39,7 +39,7 @@ FEW = ("gravity", "fibres", "grasp_slip", "stiffness_gradient", "marker_fault", 
 @pytest.fixture(scope="module")
 def slab(project: Path) -> Scene:
     scene = Scene.read(project / "examples" / "scenes" / "slab.toml", physics=check_physics)
-    return replace(scene, levels=tuple(Level(2, size) for size in (0.05, 0.025, 0.0125)), noise_sigma=NOISE)
+    return replace(scene, levels=tuple(Level(2, size) for size in (0.05, 0.025, 0.008)), noise_sigma=NOISE)
 
 
 def pulls() -> list[Action]:
@@ -127,7 +127,7 @@ def test_effects_that_do_the_same_are_not_told_apart(slab: Scene) -> None:
     weight = Dose(effects.effect("gravity"), {"weight": 800.0})
     model = Model.of(slab) + weight
     anchored = frozenset({"3", "4"})
-    twin = Twin(slab, simulate(slab, anchored, pulls(), level=2, model=model), MPI.COMM_SELF, level=1)
+    twin = Twin(slab, simulate(slab, anchored, pulls(), level=2, model=model), MPI.COMM_SELF, level=2)
     other = replace(weight.effect, name="heaviness")
     both = ("gravity", "heaviness")
     ranking = rank(at(twin, anchored), [other], both)
@@ -154,7 +154,7 @@ def test_a_marker_that_jumped_is_named(slab: Scene, plain: Measurement) -> None:
     jumped = plain.data.copy(deep=True)
     onset = 8
     jumped["position"][{"frame": slice(onset, None), "fiducial": slab.fiducial_names.index("6"), "axis": 2}] += 2e-3
-    twin = Twin(slab, replace(plain, data=jumped), MPI.COMM_SELF, level=1)
+    twin = Twin(slab, replace(plain, data=jumped), MPI.COMM_SELF, level=2)
     found = explain(twin, Plan(level=1, only=FEW))
     assert found.verdict == "marker_fault"
     assert found.last.state.anchors == ANCHORED
