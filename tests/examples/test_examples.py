@@ -8,6 +8,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from bcid import Measurement
+
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
@@ -35,7 +37,7 @@ def test_02_explain(capsys: pytest.CaptureFixture[str]) -> None:
     assert [sorted(rung.state.anchors) for rung in found.rungs] == [["3", "4"]] * 2
     assert [rung.adequacy.adequate for rung in found.rungs] == [False, True]
     assert found.rungs[0].state.rms == pytest.approx(1.41e-3, rel=0.01)
-    assert found.last.state.rms == pytest.approx(0.211e-3, rel=0.02)
+    assert found.last.state.rms == pytest.approx(0.202e-3, rel=0.02)
     weight = found.last.fitted.values["gravity.weight"]
     assert weight == pytest.approx(1260, abs=3 * found.last.fitted.stderr["gravity.weight"])
     assert "missing: gravity" in capsys.readouterr().out
@@ -45,8 +47,12 @@ def test_02_explain(capsys: pytest.CaptureFixture[str]) -> None:
 def test_the_measurement_to_be_explained_is_made_again(tmp_path: Path) -> None:
     load("make_slab_34_heavy").main(tmp_path / "made")
     shipped = EXAMPLES / "measurements/slab-34-heavy"
-    for file in shipped.iterdir():
-        assert (tmp_path / "made" / file.name).read_bytes() == file.read_bytes()
+    made, old = Measurement.read(tmp_path / "made"), Measurement.read(shipped)
+    # Whoever adds in another order differs in the last digits.
+    assert np.abs(made.positions - old.positions).max() < 1e-9
+    assert (made.noise_sigma, made.action_names) == (old.noise_sigma, old.action_names)
+    for one, other in zip(made.actions, old.actions, strict=True):
+        assert np.allclose(one.translation, other.translation, atol=1e-12)
 
 
 def test_03_beam(capsys: pytest.CaptureFixture[str]) -> None:
