@@ -105,9 +105,8 @@ def _describing(state: State) -> list[Finding]:
     """What the residual looks like: it does not decide, but tells where to look."""
     data, scaled = state.twin.data, state.scaled
     found = []
-    same = (data.trajectory[:, None] == np.arange(data.trajectory.max() + 1)).argmax(axis=1)
-    order = np.lexsort((data.step, same))
-    pairs = same[order][1:] == same[order][:-1]
+    order = np.lexsort((data.step, data.trajectory))
+    pairs = np.diff(data.trajectory[order]) == 0
     products = (scaled[order][1:] * scaled[order][:-1])[pairs]
     if len(products):
         along = float(products.mean() / np.mean(scaled**2))

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.compare.twin import Reply, Twin, mechanical
+from bcid.compare.twin import Reply, Twin
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model
 from bcid.forms.solve import Status
@@ -72,7 +72,8 @@ def buckled(twin: Twin, model: Model, anchors: Iterable[str]) -> list[Buckling]:
 def leave_out(twin: Twin, model: Model, anchors: Iterable[str]) -> list[Buckling]:
     """Compare a twin from now on with what was seen before the body buckles; collective."""
     found = buckled(twin, model, anchors)
-    twin.look_at(_before(twin.measurement, found), tuple(map(str, found)))
+    if found:
+        twin.look_at(_before(twin.measurement, found), tuple(map(str, found)))
     return found
 
 
@@ -91,7 +92,7 @@ def _of_action(
     states = reply.parts[action.name].states if action.name in reply.parts else None
     if not states:
         return None
-    forward = twin.forward(mechanical(model), level)
+    forward = twin.forward(model, level)
     driven = model.driven(action)
     forward.equilibrium.hold(anchors, driven.grasp)
     path = poses(driven)[: len(states)]
@@ -125,11 +126,10 @@ def _of_action(
 def _softest(forward: Forward) -> tuple[float, Array]:
     """Smallest eigenvalue of the tangent at the present state, N/m, and its eigenvector, by inverse iteration."""
     equilibrium = forward.equilibrium
-    equilibrium._assemble_tangent()
     vector = np.random.default_rng(0).normal(size=len(equilibrium.u.x.array))
     vector[equilibrium._held] = 0.0
     size = np.inf
-    if not equilibrium.factor.refresh():
+    if equilibrium.verify() is Status.LINEAR_SOLVER:
         return 0.0, vector / np.linalg.norm(vector)
     for _ in range(_SWEEPS):
         vector /= np.linalg.norm(vector)

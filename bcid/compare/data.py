@@ -11,7 +11,6 @@ from bcid.measurement import Measurement
 from bcid.scene import Scene
 
 Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 # How far the error of the mesh may be from what the ladder says: of each action as a whole, and of a single trajectory.
 _OF_ACTION = 0.5
@@ -37,6 +36,7 @@ class Data:
         sigma: standard deviation of each, m; NaN when none is stated.
         action, frame, step, fiducial, axis: labels, shape (n,); actions and fiducials as numbers.
         trajectory: number of the (action, fiducial, axis) it belongs to, shape (n,).
+        progress: part of its action that is done, 0 at step 0 and 1 at the last step seen, shape (n,).
     """
 
     def __init__(self, scene: Scene, measurement: Measurement) -> None:
@@ -60,6 +60,8 @@ class Data:
         key = (self.action * len(scene.fiducials) + fiducials) * 3 + axes
         _, self.trajectory = np.unique(key, return_inverse=True)
         self.actions = names
+        last = np.array([self.step[self.action == a].max(initial=1) for a in range(len(names))])
+        self.progress = self.step / last[self.action]
 
     def __len__(self) -> int:
         return len(self.values)
@@ -174,10 +176,9 @@ class Errors:
                 shape[members, 1] = amount * (2 * along - 1) * np.minimum(1.0, 4 * along)
                 columns += [shape[:, 0], shape[:, 1]]
             common = np.sqrt(np.mean(left**2)) * _OF_FIDUCIAL
-            way = data.step / np.maximum(1, [data.step[data.action == a].max() for a in data.action])
             for fiducial, axis in np.unique(np.column_stack([data.fiducial, data.axis]), axis=0):
                 here = (data.fiducial == fiducial) & (data.axis == axis)
-                columns.append(np.where(here, common * way, 0.0))
+                columns.append(np.where(here, common * data.progress, 0.0))
         return np.array(columns).T if columns else np.zeros((len(data), 0))
 
     def whiten(self, values: Array) -> Array:
@@ -187,3 +188,8 @@ class Errors:
             return np.asarray(scaled)
         shrink = self._shrink if values.ndim == 1 else self._shrink[:, None]
         return np.asarray(scaled - self._basis @ (shrink * (self._basis.T @ scaled)))
+
+    def unwhiten(self, values: Array) -> Array:
+        """The inverse of `whiten` for values (n,): back to m."""
+        grow = self._shrink / (1 - self._shrink)
+        return np.asarray((values + self._basis @ (grow * (self._basis.T @ values))) * self.sigma)

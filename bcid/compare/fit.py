@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from bcid.compare.data import MeshError
 from bcid.compare.state import State
 from bcid.compare.twin import Reply, Twin
 from bcid.errors import InputError, SolveError, nearest
@@ -43,6 +42,12 @@ class Coordinate:
     name: str
     parameter: Parameter
     scale: float
+
+    @classmethod
+    def of_parameter(cls, name: str, parameter: Parameter, typical: float | None = None) -> Coordinate:
+        """With the parameter's own typical size, or another."""
+        size = typical or parameter.typical
+        return cls(name, parameter, 1 / size if parameter.reciprocal else size)
 
     def of(self, value: float) -> float:
         """Coordinate of a value: the reciprocal for springs that replace a rigid hold."""
@@ -81,11 +86,10 @@ def coordinates(model: Model, names: Sequence[str]) -> list[Coordinate]:
     for name in names:
         if name not in known:
             raise InputError(f"the model {model.name} has no number '{name}'; {nearest(name, known)}")
-        parameter = known[name]
-        typical = parameter.typical
-        if name in model.law.complete(model.values):
-            typical = max(abs(float(model.constants()[name])), 1e-3) / 3
-        found.append(Coordinate(name, parameter, 1 / typical if parameter.reciprocal else typical))
+        # The constants of a law have no typical size: a third of their value.
+        law = name in model.law.complete(model.values)
+        typical = max(abs(float(model.constants()[name])), 1e-3) / 3 if law else None
+        found.append(Coordinate.of_parameter(name, known[name], typical))
     return found
 
 
@@ -139,10 +143,7 @@ class _Problem:
 
     def model(self, x: Array) -> Model:
         """The model at these coordinates."""
-        # A value at a bound may miss it by rounding.
-        values = {}
-        for c, at in zip(self.coordinates, x, strict=True):
-            values[c.name] = c.allowed(float(at))
+        values = {c.name: c.allowed(float(at)) for c, at in zip(self.coordinates, x, strict=True)}
         return self.start.model.with_values(values)
 
     def reply(self, x: Array) -> tuple[Model, Reply]:
@@ -196,7 +197,7 @@ def columns(
             probes.append(Probe(dose, wanted))
     law = {n: 1e-4 * max(abs(model.values.get(n, 1.0)), 1e-3) for n in names if n in model.law.complete(model.values)}
     found = twin.signatures(model, anchors, reply, Wanted(tuple(probes), law))
-    table = dict(found.law.items())
+    table = dict(found.law)
     for probe, arrays in zip(probes, found.probes, strict=True):
         table |= {probe.dose.full(name): array for name, array in arrays.items()}
     return np.column_stack([twin.data.vector(table[name]) for name in names])
@@ -317,11 +318,3 @@ def held_out(fitted: Fit) -> float | None:
         residual = data.values - data.vector(positions + state.errors.mesh.correction)
         squares += float(np.sum(residual[data.action == number] ** 2))
     return float(np.sqrt(squares / len(data)))
-
-
-def refitted(fitted: Fit, mesh: MeshError) -> Fit:
-    """The fit again with another error of the mesh; collective."""
-    state = State.of(
-        fitted.state.twin, fitted.state.model, fitted.state.anchors, mesh, fitted.state.free, fitted.state.reply
-    )
-    return fit(state, fitted.state.free)

@@ -15,12 +15,13 @@ from bcid.compare.adequacy import judge
 from bcid.compare.buckling import leave_out
 from bcid.compare.explain import Explanation, Plan, Rung, explain, refit_candidates
 from bcid.compare.fit import Fit, fit, held_out
-from bcid.compare.missing import neutral_values, rank
+from bcid.compare.missing import rank
 from bcid.compare.output import Outcome, collect, write
 from bcid.compare.separate import Pull, separating_pulls
 from bcid.compare.source import Source, find_effect, from_files, from_run
 from bcid.compare.state import State
 from bcid.compare.twin import Twin
+from bcid.compare.variants import neutral_values
 from bcid.compare.where import missing_force
 from bcid.errors import BcidError, InputError, nearest
 from bcid.forms import effects
@@ -252,7 +253,7 @@ def _job(
 
     on_root(comm, begin)
     try:
-        twin = Twin(source.scene, source.measurement, comm, level, None, progress)
+        twin = Twin(source.scene, source.measurement, comm, level)
         done = work(twin)
         content = collect(twin, done)
         on_root(comm, lambda: write(run, source, twin, done, content, comm.size))

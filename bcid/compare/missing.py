@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,42 +11,23 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 from scipy.stats import chi2, ncx2
 
-from bcid.compare.fit import Coordinate, columns, coordinates
+from bcid.compare.fit import columns, coordinates
 from bcid.compare.state import State
+from bcid.compare.variants import Variant, all_variants
 from bcid.errors import InputError
 from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
-from bcid.forms.model import Dose, Model
-from bcid.forms.parameter import Parameter
-from bcid.forms.sensitivity import Probe, Wanted
+from bcid.forms.model import Dose
 
 Array = NDArray[np.float64]
-# Directions are scanned in steps of this size, in degrees, centres of inclusions at so many places, in radii of these sizes.
-_DEGREES = 5.0
-_PLACES = 120
-_RADII = (0.1, 0.17, 0.28)
-_SMOOTH = 0.1
 # What two explanations leave different must exceed this (chi-square) for them to be told apart.
 _TELLING = 9.0
 # A refit of what the model has already must not gain more than this (chi-square, and part of it).
 _OPTIMUM = 9.0, 0.02
+# Scans of more variants count each of them as a try.
+_MANY = 60
 # A name is believed at this probability of a chance, all tries counted.
 SIGNIFICANT = 0.01
-
-
-@dataclass(frozen=True)
-class Variant:
-    """An effect at a place, in a direction, from a time on, ... with its signature.
-
-    Attributes:
-        dose: the effect with its amounts neutral.
-        amounts: coordinates of its amounts.
-        signature: scaled, per unit of each, shape (n, p).
-    """
-
-    dose: Dose
-    amounts: tuple[Coordinate, ...]
-    signature: Array
 
 
 @dataclass(frozen=True)
@@ -91,7 +71,6 @@ class Ranking:
         rows: the effects.
         excluded: effects that cannot act here, with the reason in words.
         tried: number of variants tried over all effects.
-        cost: time of the signatures in units of a forward trajectory is told by the caller.
     """
 
     rows: tuple[Row, ...]
@@ -114,8 +93,8 @@ def rank(state: State, more: Iterable[Effect] = (), only: Sequence[str] | None =
     present = present_columns(state)
     if strict:
         check_optimum(state, present)
-    candidates, excluded = dormant(state.model, state, more, only)
-    variants = _variants(state, candidates)
+    candidates, excluded = dormant(state, more, only)
+    variants = all_variants(state, candidates)
     basis = _orthonormal(present)
     tried = max(sum(_effective(v) for v in variants.values()), 1)
     rows = [_row(state, name, found, basis, tried) for name, found in variants.items() if found]
@@ -124,7 +103,7 @@ def rank(state: State, more: Iterable[Effect] = (), only: Sequence[str] | None =
 
 
 def dormant(
-    model: Model, state: State, more: Iterable[Effect] = (), only: Sequence[str] | None = None
+    state: State, more: Iterable[Effect] = (), only: Sequence[str] | None = None
 ) -> tuple[list[tuple[Effect, str]], dict[str, str]]:
     """Effects and places that the model lacks, and those that cannot act in this scene and measurement, with the reason."""
     known = [effects.effect(name) for name in effects.names()] + list(more)
@@ -137,18 +116,11 @@ def dormant(
         if reason:
             excluded[effect.name] = reason
             continue
-        own = [dose for dose in model.doses if dose.effect.name == effect.name]
-        if not effect.places:
-            if not own:
-                found.append((effect, ""))
-            elif effect.name in ("fibres", "inclusion", "active_stress"):
-                continue
-            continue
-        taken = {dose.place for dose in own}
-        if taken and ("" in effect.places(scene, state.anchors)):
-            # What acts everywhere already includes its places.
-            continue
-        found += [(effect, place) for place in effect.places(scene, state.anchors) if place not in taken]
+        taken = {dose.place for dose in state.model.doses if dose.effect.name == effect.name}
+        places = effect.places(scene, state.anchors) if effect.places else [""]
+        # What can act everywhere is not looked for once more at a place.
+        if not (taken and "" in places):
+            found += [(effect, place) for place in places if place not in taken]
     return found, excluded
 
 
@@ -180,164 +152,6 @@ def check_optimum(state: State, present: Array) -> None:
         )
 
 
-# -- variants
-# ------------------------------------------------------------------------------------------------------------------
-
-
-def neutral_values(model: Model, effect: Effect) -> dict[str, float]:
-    """Values at which an effect does nothing."""
-    values = {}
-    for p in effect.parameters:
-        neutral = model.neutral(p)
-        values[p.name] = neutral if neutral is not None else p.default if p.default is not None else p.typical
-    return values
-
-
-def _variants(state: State, candidates: Sequence[tuple[Effect, str]]) -> dict[str, list[Variant]]:
-    """Every variant of every effect, with its signature; collective."""
-    probes: list[Probe] = []
-    stiff = []
-    for effect, place in candidates:
-        if _is_inclusion(effect):
-            stiff.append(effect)
-            continue
-        values = neutral_values(state.model, effect)
-        names = tuple(p.name for p in effect.amounts)
-        scans = [p for p in effect.shapes if p.scan]
-        for k, chosen in enumerate(itertools.product(*(p.scan for p in scans))):
-            numbers = values | {p.name: float(v) for p, v in zip(scans, chosen, strict=True)}
-            base = f"{effect.name}({place})" if place else effect.name
-            # What remembers keeps a memory of its own for each time constant.
-            label = f"{base}@{k}" if effect.memory else base
-            probes.append(Probe(Dose(effect, numbers, label, place), names))
-    found = state.twin.signatures(state.model, state.anchors, state.reply, Wanted(tuple(probes), {}, bool(stiff)))
-    result: dict[str, list[Variant]] = {effect.name: [] for effect, _ in candidates}
-    for (name, _), group in itertools.groupby(
-        zip(probes, found.probes, strict=True), key=lambda pair: (pair[0].effect.name, pair[0].dose.place)
-    ):
-        result[name] += _scaled(state, _expanded(state, list(group)))
-    for effect in stiff:
-        assert found.stiffness is not None
-        result[effect.name] = _inclusions(state, effect, found.stiffness)
-    return result
-
-
-def _is_inclusion(effect: Effect) -> bool:
-    return {"cx", "cy", "cz", "radius"} <= {p.name for p in effect.shapes}
-
-
-def _variant(state: State, dose: Dose, arrays: Sequence[Array], names: Sequence[str]) -> Variant:
-    """A variant whose signature is not scaled yet."""
-    raw = np.column_stack([state.twin.data.vector(array) for array in arrays])
-    plain = Dose(dose.effect, dose.values, place=dose.place)
-    return Variant(plain, tuple(amounts(plain, names)), np.nan_to_num(raw))
-
-
-def _scaled(state: State, variants: Sequence[Variant]) -> list[Variant]:
-    """Variants with scaled signatures, all at once."""
-    if not variants:
-        return []
-    scaled = state.errors.whiten(np.hstack([v.signature for v in variants]))
-    ends = np.cumsum([v.signature.shape[1] for v in variants])[:-1]
-    return [replace(v, signature=part) for v, part in zip(variants, np.split(scaled, ends, axis=1), strict=True)]
-
-
-def amounts(dose: Dose, names: Sequence[str]) -> list[Coordinate]:
-    """Coordinates of amounts of an effect."""
-    parameters = {p.name: p for p in dose.effect.parameters}
-    return [_amount(dose, parameters[name]) for name in names]
-
-
-def _amount(dose: Dose, p: Parameter) -> Coordinate:
-    return Coordinate(dose.full(p.name), p, 1 / p.typical if p.reciprocal else p.typical)
-
-
-def _expanded(state: State, group: Sequence[tuple[Probe, dict[str, Array]]]) -> list[Variant]:
-    """From the probed directions to all directions, and from the first frame to every frame on which it may begin."""
-    probe = group[0][0]
-    effect = probe.effect
-    angle = next((p for p in effect.shapes if p.period and p.harmonics is not None), None)
-    if angle is not None:
-        return _all_directions(state, group, angle)
-    if any(p.name == "onset" for p in effect.shapes):
-        return [v for pair in group for v in _all_onsets(state, *pair)]
-    return [_variant(state, p.dose, [arrays[n] for n in p.wanted], p.wanted) for p, arrays in group]
-
-
-def _all_directions(state: State, group: Sequence[tuple[Probe, dict[str, Array]]], angle: Parameter) -> list[Variant]:
-    """Trigonometric interpolation in a direction: exact up to the declared harmonic."""
-    assert angle.period is not None
-    assert angle.harmonics is not None
-    others: dict[tuple[float, ...], list[tuple[Probe, dict[str, Array]]]] = {}
-    for pair in group:
-        key = tuple(v for name, v in pair[0].dose.values.items() if name != angle.name)
-        others.setdefault(key, []).append(pair)
-    grid = np.arange(0.0, angle.period, _DEGREES)
-    found = []
-    for members in others.values():
-        at = np.array([probe.dose.values[angle.name] for probe, _ in members])
-        weights = _harmonics(grid, angle.period, angle.harmonics) @ np.linalg.pinv(
-            _harmonics(at, angle.period, angle.harmonics)
-        )
-        probe = members[0][0]
-        stacks = {name: np.array([arrays[name] for _, arrays in members]) for name in probe.wanted}
-        for direction, weight in zip(grid, weights, strict=True):
-            dose = probe.dose.with_values({angle.name: float(direction)})
-            arrays = [np.tensordot(weight, stacks[name], axes=1) for name in probe.wanted]
-            found.append(_variant(state, dose, arrays, probe.wanted))
-    return found
-
-
-def _harmonics(degrees: NDArray[np.floating], period: float, highest: int) -> Array:
-    phase = 2 * math.pi * degrees / period
-    return np.column_stack(
-        [np.ones(len(degrees))] + [f(k * phase) for k in range(1, highest + 1) for f in (np.cos, np.sin)]
-    )
-
-
-def _all_onsets(state: State, probe: Probe, arrays: dict[str, Array]) -> list[Variant]:
-    """The effect from each frame on."""
-    frames = len(state.twin.data.mask)
-    found = []
-    for onset in range(frames):
-        later = [np.where((np.arange(frames) >= onset)[:, None, None], arrays[n], 0.0) for n in probe.wanted]
-        dose = probe.dose.with_values({"onset": float(onset)})
-        found.append(_variant(state, dose, later, probe.wanted))
-    return found
-
-
-def _inclusions(state: State, effect: Effect, stiffness: NDArray[np.float32]) -> list[Variant]:
-    """Round inclusions everywhere in the body, from the influence of every cell's stiffness."""
-    forward = state.twin.forward(state.model)
-    points, cells = forward.mesh.points, forward.mesh.cells
-    original = np.asarray(forward.body.domain.topology.original_cell_index)[: stiffness.shape[-1]]
-    middles = points[cells].mean(axis=1)[original]
-    size = float(np.linalg.norm(np.ptp(points, axis=0)))
-    columns = state.errors.whiten(stiffness[state.twin.data.mask].astype(float))
-    found = []
-    values = neutral_values(state.model, effect)
-    amount = effect.amounts[0].name
-    for centre in _spread(middles, _PLACES):
-        for part in _RADII:
-            radius = part * size
-            beyond = (np.linalg.norm(middles - centre, axis=1) - radius) / (_SMOOTH * radius)
-            inside = (1 - np.tanh(beyond / 2)) / 2
-            x, y, z = (float(v) for v in centre)
-            dose = Dose(effect, values | {"cx": x, "cy": y, "cz": z, "radius": radius})
-            found.append(Variant(dose, tuple(amounts(dose, [amount])), (columns @ inside)[:, None]))
-    return found
-
-
-def _spread(points: Array, count: int) -> Array:
-    """Points far from each other: each the farthest from those before it."""
-    chosen = [int(np.argmin(np.linalg.norm(points - points.mean(axis=0), axis=1)))]
-    distance = np.linalg.norm(points - points[chosen[0]], axis=1)
-    while len(chosen) < min(count, len(points)):
-        chosen.append(int(distance.argmax()))
-        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
-    return np.asarray(points[chosen])
-
-
 # -- scores
 # --------------------------------------------------------------------------------------------------------------------
 
@@ -354,7 +168,8 @@ def _effective(variants: Sequence[Variant]) -> int:
     """How many independent tries a scan is worth: the dimension of what its signatures span."""
     if len(variants) < 2:
         return len(variants)
-    if len(variants) > 60:
+    # An upper limit, where so many signatures are not worth a decomposition.
+    if len(variants) > _MANY:
         return len(variants)
     stacked = np.column_stack([v.signature for v in variants])
     sizes = np.linalg.svd(stacked, compute_uv=False)
@@ -394,7 +209,7 @@ def _row(state: State, name: str, variants: Sequence[Variant], basis: Array, tri
     limit = float(chi2.isf(SIGNIFICANT / tried, freedom))
     power = float(ncx2.sf(limit, freedom, max(float(np.trace(information)) / freedom, 1e-12)))
     explained = left @ step
-    after = state.residual - np.asarray(_unwhitened(state, best, step, basis))
+    after = state.residual - state.errors.unwhiten(explained)
     return Row(
         name,
         Dose(best.dose.effect, values, place=best.dose.place),
@@ -408,16 +223,6 @@ def _row(state: State, name: str, variants: Sequence[Variant], basis: Array, tri
         explained,
         len(variants),
     )
-
-
-def _unwhitened(state: State, variant: Variant, step: Array, basis: Array) -> Array:
-    """What the effect changes of the prediction, m, as far as the scaling of the errors can be undone."""
-    errors = state.errors
-    scaled = _projected(variant.signature, basis) @ step
-    if len(errors._shrink):
-        grow = errors._shrink / (1 - errors._shrink)
-        scaled = scaled + errors._basis @ (grow * (errors._basis.T @ scaled))
-    return np.asarray(scaled * errors.sigma)
 
 
 def _projected(signature: Array, basis: Array) -> Array:

@@ -17,12 +17,11 @@ from bcid.compare.fit import Fit
 from bcid.compare.missing import Ranking
 from bcid.compare.separate import Pull
 from bcid.compare.source import Source
-from bcid.compare.twin import Twin
+from bcid.compare.twin import Twin, joined
 from bcid.compare.where import MissingForce
 from bcid.forms.model import Dose
 from bcid.measurement import AXES
 from bcid.run import Run
-from bcid.scene import Scene
 from bcid.search.job import body_parts
 from bcid.units import unit_factor
 
@@ -46,21 +45,19 @@ def collect(twin: Twin, done: Outcome) -> dict[str, Any]:
     for one in state.model.doses:
         without = twin.predict(state.model.without(one.label), state.anchors)
         parts[one.label] = state.reply.positions - without.positions
-    displacement = np.full((len(twin.data.mask), len(twin.forward(state.model).mesh.points), 3), np.nan)
     forward = twin.forward(state.model)
+    displacement = np.full((len(twin.data.mask), len(forward.mesh.points), 3), np.nan)
     for action in twin.actions:
         part = state.reply.parts.get(action.name)
         if part is not None and part.states is not None:
             for frame in action.frames:
                 nodes = part.states[int(frame)][forward.body.displacement_dofs].reshape(-1, 3)
                 displacement[frame] = forward.body.at_mesh_nodes(nodes)
-    total = np.full_like(displacement, np.nan)
-    for found in twin.comm.allgather(displacement):
-        total = np.where(np.isnan(total), found, total)
-    return {"parts": parts, "displacement": total, "mesh": forward.mesh}
+    return {"parts": parts, "displacement": joined(twin.comm.allgather(displacement)), "mesh": forward.mesh}
 
 
 def write(run: Run | None, source: Source, twin: Twin, done: Outcome, content: dict[str, Any], ranks: int) -> None:
+    """Write everything into the run folder, which only rank 0 has, and finish the run."""
     assert run is not None
     name = source.measurement.units.length
     unit = unit_factor(name, "m")
@@ -72,7 +69,7 @@ def write(run: Run | None, source: Source, twin: Twin, done: Outcome, content: d
     if done.explanation is not None:
         run.write_json("identification.json", done.explanation.identification.to_json(unit) | {"length_unit": name})
     run.write_dataset("residuals.nc", residual_dataset(done, content["parts"]))
-    run.write_dataset("body.nc", _body(source.scene, done, content))
+    run.write_dataset("body.nc", body_parts(source.scene, content["mesh"], content["displacement"]))
     if done.where is not None:
         run.write_json("where.json", where_json(done.where, unit) | {"length_unit": name})
     run.write_text("summary.txt", "\n".join(summary(done, unit, name, shares)) + "\n")
@@ -258,10 +255,6 @@ def residual_dataset(done: Outcome, parts: dict[str, Any]) -> xr.Dataset:
     }
     attrs = {"model_first": first.model.name, "model": last.model.name}
     return xr.Dataset(content, coords, attrs)
-
-
-def _body(scene: Scene, done: Outcome, content: dict[str, Any]) -> xr.Dataset:
-    return body_parts(scene, content["mesh"], content["displacement"])
 
 
 def summary(done: Outcome, unit: float, name: str, shares: Mapping[str, float]) -> list[str]:

@@ -51,7 +51,6 @@ def separating_pulls(one: State, other: State, distance: float | None = None) ->
     for (grasp, name), a, b in zip(tasks, first, second, strict=True):
         if a is None or b is None:
             continue
-        # Twice the variance of one measurement would be too much: the predictions have no noise.
         sigmas = float(np.sqrt(np.sum((a - b) ** 2)) / one.noise)
         text = f"grasp {grasp} along {name} by {distance * 1e3:.3g} mm ({sigmas:.0f} sigma apart)"
         found.append(Pull(grasp, name, distance, sigmas, text))
@@ -76,4 +75,7 @@ def _one(forward: Forward, state: State, grasp: str, way: Array) -> Array | None
     unturned = np.tile([1.0, 0.0, 0.0, 0.0], (len(steps), 1))
     action = Action("1", steps, steps, grasp, steps[:, None] / _STEPS * way, unturned)
     prediction = forward.predict(state.anchors, [action])
-    return None if prediction.failure else prediction.positions
+    if prediction.failure:
+        return None
+    frames = (forward.frame(action, step) for step in range(len(steps)))
+    return np.array([state.model.observed(p, f) for p, f in zip(prediction.positions, frames, strict=True)])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,7 +19,6 @@ from bcid.forms.model import Model
 from bcid.forms.sensitivity import Sensitivity, Signatures, Wanted
 from bcid.forms.solve import Settings
 from bcid.measurement import Action, Measurement
-from bcid.progress import Progress, Silent
 from bcid.scene import Level, Scene
 
 Array = NDArray[np.float64]
@@ -59,7 +59,6 @@ class Twin:
         comm: an MPI communicator.
         level: the fine level; by default the last with at most 40,000 unknowns.
         settings: accuracy and patience of the solver.
-        progress: told what goes on (rank 0).
 
     Attributes:
         scene: the scene with the working level and, if there is one, the fine level, for a ladder.
@@ -79,7 +78,6 @@ class Twin:
         comm: Any,
         level: int | None = None,
         settings: Settings | None = None,
-        progress: Progress | None = None,
     ) -> None:
         if level is not None and not 0 <= level < len(scene.levels):
             raise InputError(f"level {level}: the scene has levels 0 to {len(scene.levels) - 1}")
@@ -87,7 +85,6 @@ class Twin:
         self.whole, self.measurement, self.comm = scene, measurement, comm
         self.scene = replace(scene, levels=_pair(scene, self.fine_level))
         self.settings = settings or Settings(rtol=1e-7)
-        self.progress = progress or Silent()
         self.data = Data(scene, measurement)
         self.left_out: tuple[str, ...] = ()
         self.actions = measurement.actions
@@ -102,14 +99,26 @@ class Twin:
         self.measurement, self.left_out = measurement, left_out
         self.data = Data(self.whole, measurement)
 
+    def thinned(self, parts: int) -> tuple[Twin, NDArray[np.int64]]:
+        """A twin that looks at rest, at the end and at steps between of each action, `parts` steps or so apart from rest.
+
+        It shares meshes and forward models with this one. Also returned: which frames it looks at.
+        """
+        chosen = [a.frames[np.unique(np.linspace(0, len(a) - 1, parts + 1).round().astype(int))] for a in self.actions]
+        frames = np.sort(np.concatenate(chosen))
+        other = copy(self)
+        other.look_at(replace(self.measurement, data=self.measurement.data.isel(frame=frames)), self.left_out)
+        other.actions, other._replies = other.measurement.actions, []
+        return other, frames
+
     @property
     def finer(self) -> int | None:
         """The level that the working level is compared with, if there is one."""
         return 1 if len(self.scene.levels) > 1 else None
 
     def forward(self, model: Model, level: int | None = None) -> Forward:
-        """The forward model of these parts, with its values, private to the process."""
-        level = self.level if level is None else level
+        """The forward model of these parts that move the body, with their values, private to the process."""
+        level, model = self.level if level is None else level, mechanical(model)
         key = level, model.name
         if key not in self._forwards:
             if level not in self._meshes:
@@ -132,7 +141,8 @@ class Twin:
         names = {mechanical(model).name for model in keep}
         for key in [key for key in self._forwards if key[1] not in names]:
             self._forwards.pop(key).destroy()
-            self._sensitivities.pop(key, None)
+            if key in self._sensitivities:
+                self._sensitivities.pop(key).destroy()
 
     def mine(self, actions: Iterable[Action]) -> list[Action]:
         """The actions that this rank computes: the longest first, each to the rank with the least to do."""
@@ -187,18 +197,15 @@ class Twin:
             failure = failure or (part.failure.reason if part.failure else "")
         agree(self.comm, error)
         gathered = self.comm.allgather((positions, failure))
-        total = np.full_like(positions, np.nan)
-        for found, _ in gathered:
-            total = np.where(np.isnan(total), found, total)
         share = sum(len(a) for a in actions) / sum(len(a) for a in self.actions)
         self.count("fine" if level else "working", share)
-        return Reply(total, parts, next((why for _, why in gathered if why), ""))
+        return Reply(joined([found for found, _ in gathered]), parts, next((why for _, why in gathered if why), ""))
 
     def _pictured(self, model: Model, positions: Array, level: int) -> Array:
         """Positions as the camera shows them."""
         if not any(dose.effect.observe for dose in model.doses):
             return positions
-        forward = self.forward(mechanical(model), level)
+        forward = self.forward(model, level)
         seen = positions.copy()
         for action in self.actions:
             for step, frame in enumerate(action.frames):
@@ -207,13 +214,13 @@ class Twin:
 
     def signatures(self, model: Model, anchors: Iterable[str], reply: Reply, wanted: Wanted) -> Signatures:
         """Signatures along all actions of a reply that kept its states, the same on every rank."""
-        forward = self.forward(mechanical(model))
+        forward = self.forward(model)
         key = self.level, forward.model.name
         if key not in self._sensitivities:
             self._sensitivities[key] = Sensitivity(forward)
         sensitivity = self._sensitivities[key]
         error, parts = None, []
-        for action in self.mine(a for a in self.actions):
+        for action in self.mine(self.actions):
             try:
                 parts.append(sensitivity.of(anchors, [action], self._whole(reply.parts[action.name]), wanted, model))
             except BcidError as caught:
@@ -280,19 +287,20 @@ def _pair(scene: Scene, fine: int) -> tuple[Level, ...]:
     return (level,)
 
 
+def joined(arrays: Sequence[Any]) -> Any:
+    """Arrays that cover different frames, with NaN elsewhere, as one."""
+    result = arrays[0].copy()
+    for other in arrays[1:]:
+        fill = np.isnan(result)
+        result[fill] = other[fill]
+    return result
+
+
 def _merged(parts: list[Signatures]) -> Signatures:
-    """Parts that cover different frames, as one."""
-
-    def join(arrays: list[Any]) -> Any:
-        result = arrays[0].copy()
-        for other in arrays[1:]:
-            fill = np.isnan(result)
-            result[fill] = other[fill]
-        return result
-
+    """Signatures of different actions as one."""
     first = parts[0]
-    probes = [{name: join([p.probes[i][name] for p in parts]) for name in one} for i, one in enumerate(first.probes)]
-    law = {name: join([p.law[name] for p in parts]) for name in first.law}
-    stiffness = None if first.stiffness is None else join([p.stiffness for p in parts])
-    forces = None if first.forces is None else join([p.forces for p in parts])
+    probes = [{name: joined([p.probes[i][name] for p in parts]) for name in one} for i, one in enumerate(first.probes)]
+    law = {name: joined([p.law[name] for p in parts]) for name in first.law}
+    stiffness = None if first.stiffness is None else joined([p.stiffness for p in parts])
+    forces = None if first.forces is None else joined([p.forces for p in parts])
     return Signatures(probes, law, stiffness, forces)

@@ -9,8 +9,8 @@ import ufl
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from bcid.compare.missing import _spread
 from bcid.compare.state import State
+from bcid.compare.variants import scattered
 from bcid.forms.forward import Forward
 from bcid.forms.sensitivity import Wanted
 
@@ -67,12 +67,9 @@ def missing_force(state: State) -> MissingForce:
     found = twin.signatures(state.model, state.anchors, state.reply, Wanted(forces=weights))
     assert found.forces is not None
     raw = found.forces[data.mask].astype(float).reshape(len(data), -1)
-    last = np.array([data.step[data.action == a].max(initial=1) for a in range(len(data.actions))])
-    growth = data.step / np.maximum(last[data.action], 1)
-    blocks = [raw] + [
-        raw * np.where(data.action == a, growth, 0.0)[:, None] for a in range(len(data.actions)) if last[a] > 0
-    ]
-    names = [name for a, name in enumerate(data.actions) if last[a] > 0]
+    names = [name for a, name in enumerate(data.actions) if data.progress[data.action == a].any()]
+    growing = [np.where(data.action == data.actions.index(name), data.progress, 0.0) for name in names]
+    blocks = [raw] + [raw * part[:, None] for part in growing]
     middles, volumes = _regions(centres, weights.sum(axis=0))
     sums = np.kron(np.eye(len(blocks)), np.kron(volumes, np.eye(3)))
     columns = np.hstack([state.errors.whiten(b) for b in blocks])
@@ -87,8 +84,8 @@ def missing_force(state: State) -> MissingForce:
         )
 
     left = state.residual - np.hstack(blocks) @ amounts
-    growing = {name: places(i + 1) for i, name in enumerate(names)}
-    return MissingForce(places(0), growing, explained, float(np.sqrt(np.mean(left**2))))
+    by_action = {name: places(i + 1) for i, name in enumerate(names)}
+    return MissingForce(places(0), by_action, explained, float(np.sqrt(np.mean(left**2))))
 
 
 def _bumps(forward: Forward) -> tuple[Array, Array]:
@@ -98,7 +95,7 @@ def _bumps(forward: Forward) -> tuple[Array, Array]:
         fem.form(ufl.TestFunction(fem.functionspace(body.domain, ("Lagrange", body.degree))) * ufl.dx)
     ).array
     nodes = body.nodes
-    centres = _spread(nodes, _BUMPS)
+    centres = scattered(nodes, _BUMPS)
     apart = np.linalg.norm(centres[:, None] - centres[None], axis=2) + np.diag(np.full(len(centres), np.inf))
     width = float(np.median(apart.min(axis=1)))
     shapes = np.exp(-0.5 * (np.linalg.norm(nodes[:, None] - centres[None], axis=2) / width) ** 2)
@@ -107,7 +104,7 @@ def _bumps(forward: Forward) -> tuple[Array, Array]:
 
 def _regions(centres: Array, volumes: Array) -> tuple[Array, Array]:
     """Middles of the regions, shape (regions, 3), and the volume of each bump in its region, (regions, bumps)."""
-    seeds = _spread(centres, _REGIONS)
+    seeds = scattered(centres, _REGIONS)
     nearest = np.linalg.norm(centres[:, None] - seeds[None], axis=2).argmin(axis=1)
     held = np.where(np.arange(len(seeds))[:, None] == nearest, volumes, 0.0)
     return held @ centres / held.sum(axis=1)[:, None], held

@@ -50,7 +50,7 @@ def dose(one: Dose, errors: dict[str, float]) -> str:
 def verdict(state: State, adequacy: Adequacy, unit: float, name: str) -> list[str]:
     """Whether a model is adequate, and what the tests say."""
     mesh = state.errors.mesh
-    known = f"{mesh.rms / unit:.2g} {name}" if mesh.known else "not known (one mesh level)"
+    known = f"{mesh.rms / unit:.2g} {name}" if mesh.known else "not known"
     stated = "stated" if state.twin.data.stated else "estimated from the measurement"
     word = "ADEQUATE" if adequacy.adequate else "NOT ADEQUATE"
     lines = [

@@ -26,6 +26,8 @@ class Parameter:
         prior: mean and standard deviation believed before any measurement, None if nothing is.
         scan: values at which a place or direction is tried before a fit.
         period: the parameter repeats itself with this period (an angle).
+        onset: the parameter is the number of the first frame in which the effect acts: every frame is tried, and no fit moves it.
+        off: value that stands for none (a period of 0 for what is steady): a fit leaves it alone.
         harmonics: highest harmonic in that period of what the effect does, if it is a trigonometric polynomial.
 
     Raises:
@@ -47,6 +49,8 @@ class Parameter:
     scan: tuple[float, ...] = ()
     period: float | None = None
     harmonics: int | None = None
+    onset: bool = False
+    off: float | None = None
 
     def __post_init__(self) -> None:
         if not self.lower < self.upper:

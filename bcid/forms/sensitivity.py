@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -25,8 +25,8 @@ from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.model import Dose, Model
 from bcid.forms.parameter import Parameter
-from bcid.forms.solve import Pose
-from bcid.forms.terms import Terms
+from bcid.forms.solve import Pose, Status
+from bcid.forms.terms import LONG, Terms
 from bcid.forms.trajectory import poses
 from bcid.measurement import Action
 
@@ -88,15 +88,26 @@ class Signatures:
     forces: NDArray[np.float32] | None = None
 
 
-def coordinate(parameter: Parameter, value: float) -> float:
-    """The number that an effect is proportional to, near its neutral value: the value, or its reciprocal."""
-    return 1.0 / value if parameter.reciprocal else value
-
-
-def _opposite(more: Array, less: Array) -> bool:
-    """Whether an effect's force is proportional to its amount, so that one side of a difference tells the other."""
+def _proportional(more: Array, less: Array) -> bool | None:
+    """Whether a force is proportional to an amount, so that one side of a difference tells the other; None: there is none."""
     size = float(np.abs(more).max(initial=0.0))
-    return size > 0 and float(np.abs(more + less).max(initial=0.0)) < 1e-9 * size
+    return float(np.abs(more + less).max(initial=0.0)) < 1e-9 * size if size > 0 else None
+
+
+def _parameter(probe: Probe, name: str) -> Parameter:
+    return next(p for p in probe.effect.parameters if p.name == name)
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What moves the fiducials: a change of the residual and one of what is prescribed (None: none), by shape (unknowns,).
+
+    `target`, shape (fiducials, 3), is where the movement is added.
+    """
+
+    target: Array
+    force: Array | float
+    gap: Array | None = None
 
 
 class Sensitivity:
@@ -122,19 +133,13 @@ class Sensitivity:
         self.observe = sp.csr_matrix((np.repeat(columns.data, 3), (rows, where)), shape=shape)
         self.terms = Terms(body, forward.model, forward.scene, self.equilibrium.u)
         self._parts: dict[tuple[str, str], Any] = {}
-        self._kinds: dict[tuple[str, str], str] = {}
+        self._proportional: dict[tuple[str, str], bool] = {}
         self._cells: Any = None
         self._matrix: Any = None
         self._mass: dict[str, Any] = {}
 
     # -- one step
     # ------------------------------------------------------------------------------------------------------------
-
-    def _factorise(self) -> None:
-        """The tangent at the present state."""
-        self.equilibrium._assemble_tangent()
-        if not self.equilibrium.factor.refresh():
-            raise SolveError("the tangent of a converged step could not be factorised")
 
     def _responses(self) -> Array:
         """G = K^-1 C^T at the present state, zero where something is held, shape (unknowns, 3 * fiducials)."""
@@ -157,9 +162,8 @@ class Sensitivity:
         """dR/dtheta at the present state."""
         dose, terms = probe.dose, self.terms
         form = self._part(dose)
-        parameter = next(p for p in dose.effect.parameters if p.name == name)
         value = dose.values[name]
-        step = _STEP * parameter.typical
+        step = _STEP * _parameter(probe, name).typical
 
         def force(change: float) -> Array:
             # Beyond a bound there is nothing physical, but the forms are smooth there.
@@ -168,14 +172,13 @@ class Sensitivity:
 
         key = dose.label, name
         more = force(step)
-        kind = self._kinds.get(key)
-        if kind == "proportional":
+        if self._proportional.get(key):
             result = more / step
         else:
             less = force(-step)
             result = (more - less) / (2 * step)
-            if kind is None:
-                self._kinds[key] = "proportional" if _opposite(more, less) else "other"
+            if key not in self._proportional and (found := _proportional(more, less)) is not None:
+                self._proportional[key] = found
         self._set(terms, dose, dose.values, time)
         return np.asarray(result)
 
@@ -284,7 +287,7 @@ class Sensitivity:
         wanted: Wanted,
         result: Signatures,
     ) -> None:
-        _forward, equilibrium, terms = self.forward, self.equilibrium, self.terms
+        equilibrium, terms = self.equilibrium, self.terms
         action = self.model.driven(commanded)
         equilibrium.hold(anchors, action.grasp)
         for name, constant in terms.anchored.items():
@@ -309,27 +312,28 @@ class Sensitivity:
             if name in self.equilibrium._constants:
                 constant.value = self.equilibrium._constants[name].value
         for memory in self.terms.memories.values():
-            from bcid.forms.terms import LONG
-
             memory.dt.value = max(pose.time - self.equilibrium._time, 1e-9) if memory.moving.value else LONG
 
     def _moves(self, probe: Probe, name: str, commanded: Action) -> list[tuple[Pose, Pose]] | None:
         """For an effect on the gripper: its poses for a slightly greater and smaller value, a unit step apart."""
         if not probe.effect.drive:
             return None
-        parameter = next(p for p in probe.effect.parameters if p.name == name)
-        step = _STEP * parameter.typical
-        model = self.model
-        pairs = []
-        for sign in (1.0, -1.0):
-            dose = Dose.__new__(Dose)
-            for key, value in (("effect", probe.effect), ("label", probe.dose.label), ("place", probe.dose.place)):
-                object.__setattr__(dose, key, value)
-            object.__setattr__(dose, "values", {**probe.dose.values, name: probe.dose.values[name] + sign * step})
-            doses = [dose if d.label == dose.label else d for d in model.doses]
-            doses += [] if any(d.label == dose.label for d in model.doses) else [dose]
-            pairs.append(poses(replace(model, doses=tuple(doses)).driven(commanded)))
-        return list(zip(*pairs, strict=True))
+        step = _STEP * _parameter(probe, name).typical
+
+        def driven(sign: float) -> list[Pose]:
+            action = commanded
+            for dose, values in self._chain(probe, name, sign * step):
+                action = dose.effect.drive(action, values) if dose.effect.drive else action
+            return poses(action)
+
+        return list(zip(driven(1.0), driven(-1.0), strict=True))
+
+    def _chain(self, probe: Probe, name: str, change: float) -> list[tuple[Dose, Mapping[str, float]]]:
+        """The model's effects, and the probe's if it is not among them, with one of the probe's numbers changed."""
+        doses = [probe.dose if dose.label == probe.dose.label else dose for dose in self.model.doses]
+        doses += [] if probe.dose in doses else [probe.dose]
+        changed = {**probe.dose.values, name: probe.dose.values[name] + change}
+        return [(dose, changed if dose is probe.dose else dose.values) for dose in doses]
 
     def _step(
         self,
@@ -342,64 +346,40 @@ class Sensitivity:
         wanted: Wanted,
         result: Signatures,
     ) -> None:
+        """All signatures in one frame."""
         equilibrium, forward = self.equilibrium, self.forward
         fiducials = len(forward.observer.rest)
         places = forward.observer.positions(equilibrium.displacement())
         seen = self._seen(places, action, step)
-        targets: list[Array] = []
-        changes: list[Array] = []
-        gaps: list[Array | None] = []
-        number = 0
-        for probe, out in zip(wanted.probes, result.probes, strict=True):
-            for name in probe.wanted:
-                pairs, number = moves[number], number + 1
-                parameter = next(p for p in probe.effect.parameters if p.name == name)
-                target = out[name][frame]
-                target[:] = 0.0
-                if parameter.reciprocal and not math.isfinite(probe.dose.values[name]):
-                    forces = equilibrium.forces()
-                    forces[forward.body.displacement_dofs] -= equilibrium.external
-                    targets.append(target)
-                    gaps.append(self._yielding(probe.dose.place, anchors, forces))
-                    changes.append(np.zeros(0))
-                elif probe.effect.mechanical:
-                    scale = -(probe.dose.values[name] ** 2) if parameter.reciprocal else 1.0
-                    targets.append(target)
-                    gaps.append(None)
-                    changes.append(scale * self._change(probe, name, pose.time))
-                if pairs is not None:
-                    targets.append(target)
-                    gaps.append(np.asarray(self._gripped(*pairs[step]) / (2 * _STEP * parameter.typical)))
-                    changes.append(np.zeros(0))
-                    if pose.loads:
-                        targets.append(target)
-                        gaps.append(None)
-                        changes.append(np.asarray(-self._loaded(*pairs[step]) / (2 * _STEP * parameter.typical)))
-                if probe.effect.observe:
-                    target += self._pictured(probe, parameter, places, action, step)
+        causes: list[Cause] = []
+        asked = [(p, name, out[name]) for p, out in zip(wanted.probes, result.probes, strict=True) for name in p.wanted]
+        for (probe, name, out), pairs in zip(asked, moves, strict=True):
+            out[frame] = self._pictured(probe, name, places, action, step) if probe.effect.observe else 0.0
+            pair = pairs[step] if pairs else None
+            causes += [Cause(out[frame], *c) for c in self._of_probe(probe, name, anchors, pose, pair)]
         for name, size in wanted.law.items():
             result.law[name][frame] = 0.0
-            targets.append(result.law[name][frame])
-            gaps.append(None)
-            changes.append(self._change_of_law(name, size))
+            causes.append(Cause(result.law[name][frame], self._change_of_law(name, size)))
         fields = result.stiffness is not None or result.forces is not None
-        if not targets and not fields:
+        if not causes and not fields:
             return
-        self._factorise()
-        columns = np.zeros((len(equilibrium.u.x.array), len(targets)))
-        direct = np.zeros((3 * fiducials, len(targets)))
-        for j, (gap, change) in enumerate(zip(gaps, changes, strict=True)):
-            columns[:, j] = change if gap is None else equilibrium.tangent.times(gap)
-            if gap is not None:
-                direct[:, j] = self.observe @ gap
+        if equilibrium.verify() is Status.LINEAR_SOLVER:
+            raise SolveError("the tangent of a converged step could not be factorised")
+        columns = np.zeros((len(equilibrium.u.x.array), len(causes)))
+        direct = np.zeros((3 * fiducials, len(causes)))
+        for j, cause in enumerate(causes):
+            columns[:, j] = cause.force
+            if cause.gap is not None:
+                columns[:, j] += equilibrium.tangent.times(cause.gap)
+                direct[:, j] = self.observe @ cause.gap
         columns[equilibrium._held] = 0.0
-        responses = self._responses() if fields or len(targets) > 3 * fiducials else None
+        responses = self._responses() if fields or len(causes) > 3 * fiducials else None
         if responses is None:
             moved = direct - self.observe @ equilibrium.factor.solve_block(columns)
         else:
             moved = direct - responses.T @ columns
-        for target, change in zip(targets, moved.T, strict=True):
-            target += seen(change.reshape(fiducials, 3))
+        for cause, change in zip(causes, moved.T, strict=True):
+            cause.target[:] += seen(change.reshape(fiducials, 3))
         if responses is None:
             return
         if result.stiffness is not None:
@@ -412,6 +392,26 @@ class Sensitivity:
             pushed = np.stack([responses[dofs[:, axis]].T @ wanted.forces for axis in range(3)], axis=-1)
             shaped = pushed.reshape(3 * fiducials, -1)
             result.forces[frame] = self._all_seen(seen, shaped).reshape(fiducials, 3, -1, 3)
+
+    def _of_probe(
+        self, probe: Probe, name: str, anchors: frozenset[str], pose: Pose, pair: tuple[Pose, Pose] | None
+    ) -> list[tuple[Array | float, Array | None]]:
+        """What a unit of a parameter changes at the present state: residual, and prescribed displacements."""
+        equilibrium, parameter = self.equilibrium, _parameter(probe, name)
+        found: list[tuple[Array | float, Array | None]] = []
+        value = probe.dose.values[name]
+        if parameter.reciprocal and not math.isfinite(value):
+            forces = equilibrium.forces()
+            forces[self.forward.body.displacement_dofs] -= equilibrium.external
+            found.append((0.0, self._yielding(probe.dose.place, anchors, np.asarray(forces))))
+        elif probe.effect.mechanical:
+            scale = -(value**2) if parameter.reciprocal else 1.0
+            found.append((scale * self._change(probe, name, pose.time), None))
+        if pair is not None:
+            width = 2 * _STEP * parameter.typical
+            loads: Array | float = np.asarray(-self._loaded(*pair) / width) if pose.loads else 0.0
+            found.append((loads, np.asarray(self._gripped(*pair) / width)))
+        return found
 
     @staticmethod
     def _all_seen(seen: Any, columns: Array) -> Array:
@@ -433,29 +433,17 @@ class Sensitivity:
             ) / 2e-6
         return lambda change: np.einsum("iab,ib...->ia...", jacobian, change)
 
-    def _pictured(self, probe: Probe, parameter: Parameter, places: Array, action: Action, step: int) -> Array:
+    def _pictured(self, probe: Probe, name: str, places: Array, action: Action, step: int) -> Array:
         """Change of the picture by an observation effect."""
-        frame, dose = self.forward.frame(action, step), probe.dose
-        size = _STEP * parameter.typical
-        observe = probe.effect.observe
-        assert observe is not None
-        before = places
-        after = self.model.doses
-        labels = [d.label for d in after]
-        position = labels.index(dose.label) if dose.label in labels else len(labels)
-        for other in after[:position]:
-            before = other.effect.observe(before, other.values, frame, other.place) if other.effect.observe else before
+        frame, size = self.forward.frame(action, step), _STEP * _parameter(probe, name).typical
 
-        def value(number: float) -> Array:
-            picture = observe(before, {**dose.values, parameter.name: number}, frame, dose.place)
-            for other in after[position + 1 :]:
-                picture = (
-                    other.effect.observe(picture, other.values, frame, other.place) if other.effect.observe else picture
-                )
-            return picture
+        def picture(sign: float) -> Array:
+            seen = places
+            for dose, values in self._chain(probe, name, sign * size):
+                seen = dose.effect.observe(seen, values, frame, dose.place) if dose.effect.observe else seen
+            return seen
 
-        at = dose.values[parameter.name]
-        return np.asarray((value(at + size) - value(at - size)) / (2 * size))
+        return np.asarray((picture(1.0) - picture(-1.0)) / (2 * size))
 
     def _loaded(self, more: Pose, less: Pose) -> Array:
         """Difference of the dead loads of two poses."""
@@ -479,3 +467,8 @@ class Sensitivity:
         gripped = equilibrium._gripped
         gap[gripped] = (places[0] - places[1])[gripped]
         return gap
+
+    def destroy(self) -> None:
+        """Free the PETSc matrix."""
+        if self._matrix is not None:
+            self._matrix.destroy()

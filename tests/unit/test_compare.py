@@ -15,9 +15,10 @@ from scipy.linalg import sqrtm
 from bcid.compare.adequacy import judge
 from bcid.compare.data import Data, Errors, MeshError, estimate_noise
 from bcid.compare.fit import Coordinate, _covariance, fit, held_out
-from bcid.compare.missing import Variant, _bounded, _harmonics
+from bcid.compare.missing import _bounded
 from bcid.compare.state import State
 from bcid.compare.twin import Reply
+from bcid.compare.variants import Variant, _harmonics
 from bcid.forms import check_effect, effects
 from bcid.forms.model import Dose, Model
 from bcid.forms.sensitivity import Signatures, Wanted

@@ -20,7 +20,7 @@ from bcid.compare.twin import mechanical
 from bcid.forms import check_effect, effects
 from bcid.forms.forward import Forward
 from bcid.forms.model import Dose, Model
-from bcid.forms.sensitivity import Probe, Sensitivity, Signatures, Wanted, coordinate
+from bcid.forms.sensitivity import Probe, Sensitivity, Signatures, Wanted
 from bcid.forms.solve import Settings
 from bcid.scene import Level, Material
 
@@ -99,7 +99,7 @@ def test_an_effect_that_acts(others: tuple[Dose, ...], asked: Dose, name: str) -
     def at(number: float) -> Array:
         return positions(model.with_values({full: 1 / number if parameter.reciprocal else number}))
 
-    value = coordinate(parameter, asked.values[name])
+    value = 1 / asked.values[name] if parameter.reciprocal else asked.values[name]
     size = abs(value) if parameter.reciprocal else parameter.typical
     expected = differences(at, value, size, -math.inf if parameter.reciprocal else parameter.lower)
     found = signatures(model, Wanted((Probe(asked, (name,)),))).probes[0][name]

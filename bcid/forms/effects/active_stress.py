@@ -46,7 +46,9 @@ effect = Effect(
             period=180.0,
             harmonics=1,
         ),
-        Parameter("period", "s", "of the contraction; 0 is steady", default=0.0, lower=0.0, typical=2.0, scan=(0.0,)),
+        Parameter(
+            "period", "s", "of the contraction; 0 is steady", default=0.0, lower=0.0, typical=2.0, scan=(0.0,), off=0.0
+        ),
     ),
     about="the body contracts by itself along one direction",
     acts_on="material",

@@ -120,6 +120,8 @@ class Effect:
         potential: a form whose value is an energy (J), such as one on the boundary.
         work: a form, the virtual work that the effect adds to the residual, for what has no energy.
         stiffness: factor of the law's strain energy.
+        around: change of `stiffness` at points (n, 3), m, per unit of its one amount, for an effect with a centre (cx, cy, cz)
+            and a radius, m: places all over the body are then tried.
         natural: 3 x 3 tensor by which the rest state is already stretched: the law sees F . natural.
         constants: constants of the law that it replaces, by name.
         memory: shapes of variables kept from step to step, by name, such as {"Q": (3, 3)}.
@@ -142,6 +144,7 @@ class Effect:
     potential: Callable[[Point, Constants], Any] | None = None
     work: Callable[[Point, Constants], Any] | None = None
     stiffness: Callable[[Point, Constants], Expr] | None = None
+    around: Callable[[Array, Mapping[str, float]], Array] | None = None
     natural: Callable[[Point, Constants], Expr] | None = None
     constants: Callable[[Constants], Mapping[str, Any]] | None = None
     memory: Mapping[str, tuple[int, ...]] = field(default_factory=dict)

@@ -8,23 +8,33 @@ of 0.1 to 0.3 of its size.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
 import ufl
 
-from bcid.forms.effects.effect import Constants, Effect, Point
+from bcid.forms.effects.effect import Array, Constants, Effect, Point
 from bcid.forms.parameter import Parameter
 
 _EDGE = 0.1
 
 
+def inside(distance: Any, radius: Any, tanh: Callable[[Any], Any]) -> Any:
+    """1 in the inclusion, 0 outside: 1/(1 + exp x) without the overflow of exp."""
+    return (1 - tanh((distance - radius) / (2 * _EDGE * radius))) / 2
+
+
 def stiffness(point: Point, c: Constants) -> Any:
     """Factor of the strain energy."""
     away = point.X - ufl.as_vector([c["cx"], c["cy"], c["cz"]])
-    beyond = (ufl.sqrt(ufl.inner(away, away)) - c["radius"]) / (_EDGE * c["radius"])
-    # 1/(1 + exp x) without the overflow of exp.
-    inside = (1 - ufl.tanh(beyond / 2)) / 2
-    return 1 + (c["ratio"] - 1) * inside
+    return 1 + (c["ratio"] - 1) * inside(ufl.sqrt(ufl.inner(away, away)), c["radius"], ufl.tanh)
+
+
+def around(points: Array, values: Mapping[str, float]) -> Array:
+    """Change of the stiffness at points (n, 3), m, per unit of the ratio."""
+    centre = np.array([values[f"c{axis}"] for axis in "xyz"])
+    return np.asarray(inside(np.linalg.norm(points - centre, axis=1), values["radius"], np.tanh))
 
 
 effect = Effect(
@@ -37,4 +47,5 @@ effect = Effect(
     about="a round part of the body is stiffer or softer",
     acts_on="material",
     stiffness=stiffness,
+    around=around,
 )
