@@ -48,7 +48,7 @@ def main() -> None:
     ]
     print(f"working level: {forward.describe}; a trajectory of {len(twin.data.mask)} frames: {trajectory:.2f} s")
     for text, only in (("without history or place", plain), ("all", effects.names())):
-        ranking = seconds(lambda only=only: rank(state, only=only))
+        ranking = seconds(lambda only=only: rank(state, effects.catalogue(only)))
         print(f"ranking {text} ({len(only)} effects): {ranking:.2f} s, {ranking / trajectory:.1f} trajectories")
 
 

@@ -17,8 +17,9 @@ from mpi4py import MPI
 from bcid import Measurement, Scene
 from bcid.compare import words
 from bcid.compare.adequacy import Adequacy, judge
-from bcid.compare.explain import Plan, Rival, refit_candidates
+from bcid.compare.explain import Rival, refit_candidates
 from bcid.compare.fit import Fit, fit
+from bcid.compare.joint import promised
 from bcid.compare.missing import Ranking, Row, rank
 from bcid.compare.state import State
 from bcid.compare.twin import Twin
@@ -83,7 +84,7 @@ def main() -> Found:
 
     plain = State.of(twin, Model.of(scene), CLAMPED)
     verdict, ranking = judge(plain), rank(plain)
-    rivals = refit_candidates(fit(plain, ()), [(row, plain) for row in ranking.rows], Plan())
+    rivals = refit_candidates(plain, promised(plain, ranking), 3)
     show(words.verdict(plain, verdict, 1e-3, "mm"))
     show(["", "What it lacks:", *words.table(ranking, rivals, plain.rms, 1e-3, "mm", 6)])
     for rival in rivals[:2]:
@@ -136,7 +137,7 @@ def what_is_left(weight: Fit, repeatability: float) -> tuple[Adequacy, Row, Fit]
     show(residuals(strict.state))
 
     own = effects.load(HERE / "effects/marker_stand.py")
-    ranking = rank(strict.state, [own])
+    ranking = rank(strict.state, effects.catalogue(own=[own]))
     show(words.table(ranking, [], strict.state.rms, 1e-3, "mm", 4))
     stand = next(row for row in ranking.rows if row.effect == own.name)
     model = strict.state.model + stand.dose

@@ -17,13 +17,15 @@ from numpy.typing import NDArray
 from bcid.compare.twin import Reply, Twin
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model
-from bcid.forms.solve import Status
+from bcid.forms.solve import Pose, Status
 from bcid.forms.trajectory import poses
 from bcid.measurement import Action, Measurement
 
 Array = NDArray[np.float64]
 # Another state is sought where the smallest eigenvalue falls below this part of that at rest.
 _SOFT = 0.5
+# A finer mesh is a little softer: it is asked about actions in which the coarser one comes below this part.
+_SOFTER = 0.7
 # Iterations for it; a direction to reverse need not be exact.
 _SWEEPS = 8
 # Two states are different when a fiducial is so many times the noise (or this part of the body's size) apart.
@@ -55,17 +57,29 @@ class Buckling:
 
 
 def buckled(twin: Twin, model: Model, anchors: Iterable[str]) -> list[Buckling]:
-    """The actions in which the body buckles, on the working or the fine level; collective."""
+    """The actions in which the body buckles, on the working or the fine level; collective.
+
+    The fine level is only asked about actions in which the working level becomes softer.
+    """
     if model.mixed or model.remembers or not model.symmetric:
         return []
     anchors = frozenset(anchors)
     found: dict[str, Buckling] = {}
+    actions = list(twin.actions)
     for level in (twin.level, *([twin.finer] if twin.finer else [])):
+        if not actions:
+            break
         reply = twin.predict(model, anchors, level, keep=True)
-        mine = [_of_action(twin, model, anchors, level, a, reply) for a in twin.mine(twin.actions)]
-        for one in (b for part in twin.comm.allgather(mine) for b in part if b):
+        paths = [(a, _softened(twin, model, anchors, level, a, reply)) for a in twin.mine(twin.actions) if a in actions]
+        mine = [(a, path) for a, path in paths if path is not None]
+        others = [_of_action(twin, anchors, a, path, reply) for a, path in mine if path.softest < _SOFT]
+        softer = {a.name for a, path in mine if path.softest < _SOFTER}
+        shared = twin.comm.allgather(([one for one in others if one], softer))
+        for one in (one for part, _ in shared for one in part):
             known = found.get(one.action, one)
             found[one.action] = replace(known, step=min(one.step, known.step))
+        names = {name for _, part in shared for name in part}
+        actions = [a for a in actions if a.name in names]
     return [found[name] for name in twin.data.actions if name in found]
 
 
@@ -86,29 +100,57 @@ def _before(measurement: Measurement, found: Sequence[Buckling]) -> Measurement:
     return replace(measurement, data=data)
 
 
-def _of_action(
+@dataclass(frozen=True)
+class _Path:
+    """What an action does to the body: poses, states, the smallest eigenvalue (N/m) and its eigenvector in each step."""
+
+    forward: Forward
+    poses: list[Pose]
+    states: list[Array]
+    sizes: list[float]
+    modes: list[Array]
+
+    @property
+    def critical(self) -> int:
+        """The step in which the body is softest."""
+        return int(np.argmin(self.sizes))
+
+    @property
+    def softest(self) -> float:
+        """The smallest eigenvalue, as part of that at rest."""
+        return self.sizes[self.critical] / self.sizes[0]
+
+
+def _softened(
     twin: Twin, model: Model, anchors: frozenset[str], level: int, action: Action, reply: Reply
-) -> Buckling | None:
-    states = reply.parts[action.name].states if action.name in reply.parts else None
-    if not states:
+) -> _Path | None:
+    """How soft the body becomes in an action; None when it could not be followed."""
+    kept = reply.parts[action.name].states if action.name in reply.parts else None
+    if not kept:
         return None
     forward = twin.forward(model, level)
     driven = model.driven(action)
     forward.equilibrium.hold(anchors, driven.grasp)
-    path = poses(driven)[: len(states)]
-    sizes, modes = [], []
-    for pose, frame in zip(path, action.frames, strict=False):
-        forward.equilibrium.set_state(pose, states[int(frame)])
+    states = [kept[int(frame)] for frame in action.frames if int(frame) in kept]
+    found = _Path(forward, poses(driven)[: len(states)], states, [], [])
+    for pose, state in zip(found.poses, states, strict=True):
+        forward.equilibrium.set_state(pose, state)
         size, mode = _softest(forward)
-        sizes.append(size)
-        modes.append(mode)
-    critical = int(np.argmin(sizes))
-    if critical == 0 or sizes[critical] > _SOFT * sizes[0]:
+        found.sizes.append(size)
+        found.modes.append(mode)
+    return found
+
+
+def _of_action(twin: Twin, anchors: frozenset[str], action: Action, path: _Path, reply: Reply) -> Buckling | None:
+    """Whether there is another state at the end of an action that softens the body."""
+    forward, critical = path.forward, path.critical
+    if critical == 0:
         return None
-    last = int(action.frames[len(path) - 1])
-    mode, end = modes[critical], states[last]
-    bent = float(mode @ (end - states[int(action.frames[critical - 1])]))
-    if forward.equilibrium.solve(path[-1], end - 2 * bent * mode) is not Status.CONVERGED:
+    forward.equilibrium.hold(anchors, action.grasp)
+    last = int(action.frames[len(path.states) - 1])
+    mode, end = path.modes[critical], path.states[-1]
+    bent = float(mode @ (end - path.states[critical - 1]))
+    if forward.equilibrium.solve(path.poses[-1], end - 2 * bent * mode) is not Status.CONVERGED:
         return None
     if forward.equilibrium.verify() is not Status.CONVERGED:
         return None

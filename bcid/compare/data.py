@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,16 +106,22 @@ class MeshError:
         correction: what to add to a prediction of the working level, shape (frames, fiducials, 3), m.
         left: what may be left after it, of the same shape, m; zero when nothing is known.
         known: whether there was a second level to compare with.
+        about: name of the model and set of anchors that it was found with; for others it is a good guess.
     """
 
     correction: Array
     left: Array
     known: bool
+    about: tuple[str, frozenset[str]] = ("", frozenset())
 
     @property
     def rms(self) -> float:
         """RMS of what may be left, m."""
         return float(np.sqrt(np.nanmean(self.left**2)))
+
+    def at(self, frames: NDArray[np.int64]) -> MeshError:
+        """The same in some of the frames."""
+        return replace(self, correction=self.correction[frames], left=self.left[frames])
 
     @classmethod
     def unknown(cls, shape: tuple[int, ...]) -> MeshError:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,14 @@ from numpy.typing import NDArray
 from bcid.compare import anchors as anchor_search
 from bcid.compare.adequacy import Adequacy, judge
 from bcid.compare.buckling import leave_out
+from bcid.compare.data import MeshError
 from bcid.compare.fit import Fit, fit, held_out
-from bcid.compare.missing import SIGNIFICANT, Ranking, Row, rank
+from bcid.compare.joint import Proposal, propose
+from bcid.compare.missing import Ranking, Row, rank
 from bcid.compare.state import State
 from bcid.compare.twin import Twin
 from bcid.errors import InputError, SolveError
+from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Dose, Model
 from bcid.forms.solve import Settings
@@ -29,15 +32,21 @@ Array = NDArray[np.float64]
 Anchored = frozenset[str]
 # Two explanations whose chi-square differs by less (with a penalty for their numbers) cannot be told apart: odds of 20 to 1.
 _TELLING = 2 * math.log(20.0)
-# The coarsest level is climbed from random seeds. What that misses is found on the working level, which is climbed from
-# so many of the best sets.
-_SEEDS, _STARTS = 4, 2
+# The coarsest level is climbed from random seeds. What that misses is found when sets and effects are looked at together,
+# which begins with so many of the best sets.
+_SEEDS, _STARTS = 3, 2
+# The coarsest level is climbed on two steps of each action; a set with which the body buckles takes long and is seldom the
+# one.
+_GLANCE = 2, Settings(rtol=1e-6, halvings=0)
 # A candidate is not refitted when another leaves less than so many times the noise (chi-square per value) and it is
 # expected to leave more than so many times.
 _NEARLY, _FAR = 1.3, 4.0
-# A set from which the working level is climbed, and one that competes with the best, leave at most so many times its RMS
-# residual.
-_NEAR, _RIVAL = 1.6, 1.3
+# Such a set leaves at most so many times the RMS residual of the best one.
+_NEAR = 1.6
+# An effect is adopted when it explains at least this part of what noise and mesh leave open.
+_LEAST_SHARE = 0.3
+# So many of the best candidates get an error of the mesh of their own, where they leave no more than so many times the least.
+_CORRECTED, _CLOSE = 2, 1.15
 # Candidates are refitted to this relative change of chi-square.
 _ROUGH = 3e-3
 # A reciprocal or a direction may need a start away from the neutral value: part of the way to the expected value.
@@ -52,14 +61,14 @@ class Plan:
         level: fine level (see `Twin`); by default the last with at most 40,000 unknowns.
         effects: effects that may be adopted together at most.
         fitted: candidates that are refitted at each step.
-        sets: anchor sets that compete with the best one at each step.
+        sets: anchor sets that are looked at together with the effects, at each step.
         only: names of the effects to look at; all by default.
     """
 
     level: int | None = None
     effects: int = 3
     fitted: int = 3
-    sets: int = 2
+    sets: int = 28
     only: tuple[str, ...] | None = None
 
 
@@ -82,6 +91,10 @@ class Rival:
     fitted: Fit
     criterion: float
     held_out: float | None = None
+
+    def with_fit(self, fitted: Fit) -> Rival:
+        """The same candidate fitted again."""
+        return replace(self, dose=fitted.state.model.doses[-1], fitted=fitted, criterion=criterion(fitted))
 
 
 @dataclass(frozen=True)
@@ -155,90 +168,109 @@ def explain(
         InputError: the plan names an unknown effect or level.
         SolveError: the plain model cannot be followed for any anchor set.
     """
-    loop = _Loop(twin, plan or Plan(), tuple(more), progress or Silent())
-    return loop.run(model or Model.of(twin.scene))
+    plan = plan or Plan()
+    known = effects.catalogue(plan.only, more)
+    return _Loop(twin, plan, model or Model.of(twin.scene), known, progress or Silent()).run()
 
 
 @dataclass
 class _Loop:
     twin: Twin
     plan: Plan
-    more: tuple[Effect, ...]
+    model: Model
+    known: list[Effect]
     progress: Progress
-
-    def __post_init__(self) -> None:
-        self.scene, self.measurement, self.comm = self.twin.whole, self.twin.measurement, self.twin.comm
-        self.seen: list[Anchored] = []
+    seen: list[Anchored] = field(default_factory=list)
 
     # -- the loop
     # --------------------------------------------------------------------------------------------------------------
 
-    def run(self, model: Model) -> Explanation:
+    def run(self) -> Explanation:
         start = time.perf_counter()
-        first = self.first_anchors(model)
-        self.seen = list(first)
-        for one in leave_out(self.twin, model, first[0]):
-            self.say(str(one))
-        if self.twin.left_out:
-            self.measurement = self.twin.measurement
-            first = self.first_anchors(model)
-        begun = fit(self.state(model, first[0]), free_numbers(model, self.twin))
-        fitted, identification = self.settle(begun, more=first[1:])
+        fitted, identification = self.settle(self.begun())
         rungs = [self.rung(fitted)]
         while not rungs[-1].adequacy.adequate and len(rungs) <= self.plan.effects:
-            ranking, rivals = self.candidates(rungs[-1].fitted, identification)
+            ranking, rivals, moved = self.candidates(rungs[-1].fitted)
+            if moved is not None:
+                fitted, identification = self.settle(moved)
+                rungs[-1] = self.rung(fitted)
+                continue
             rungs[-1] = replace(rungs[-1], ranking=ranking, rivals=tuple(rivals))
-            if not rivals or rivals[0].criterion >= criterion(rungs[-1].fitted) - 2:
+            if not rivals or not self.worthwhile(rivals[0], rungs[-1].fitted):
                 break
             fitted, identification = self.settle(rivals[0].fitted)
             fitted = self.pruned(fitted)
             rungs.append(self.rung(fitted))
         if rungs[-1].ranking is None and rungs[-1].adequacy.adequate and len(rungs) == 1:
-            rungs[-1] = self.second_look(rungs[-1])
+            # An adequate model is asked once whether one effect alone is significant all the same.
+            rungs[-1] = replace(rungs[-1], ranking=rank(rungs[-1].state, self.known))
         return Explanation(
-            self.verdict(rungs, model),
+            self.verdict(rungs),
             tuple(rungs),
-            identification,
+            identification or self.around(rungs[-1].state),
             self.ambiguous(rungs),
             dict(self.twin.trajectories),
             time.perf_counter() - start,
         )
 
-    def first_anchors(self, model: Model) -> list[Anchored]:
+    def begun(self) -> Fit:
+        """The model with the likely anchors, on what was seen before the body buckles with them."""
+        first = self.followed(self.first_anchors())
+        for one in leave_out(self.twin, self.model, first[0]):
+            self.say(str(one))
+        if self.twin.left_out:
+            first = self.followed(self.first_anchors())
+        self.seen = first[1:]
+        return fit(State.of(self.twin, self.model, first[0]), ())
+
+    def followed(self, sets: list[Anchored]) -> list[Anchored]:
+        """Those with which the working level can be followed; where there is none, the best of the sets around them."""
+        found = [s for s in sets if not self.twin.predict(self.model, s, keep=True).failure]
+        if found:
+            return found
+        nothing = MeshError.unknown(self.twin.data.mask.shape)
+        return [frozenset(anchor_search.search(self.twin, self.model, nothing, sets, "no").anchored)]
+
+    def first_anchors(self) -> list[Anchored]:
         """The likely anchor sets as the plain model sees them on the coarsest level, the likeliest first."""
         options = Options(certify="no", seeds=_SEEDS, finest=0)
-        # A set with which the body buckles takes long and is seldom the one.
-        found = identify(self.scene, self.measurement, self.comm, options, model, Settings(rtol=1e-6, halvings=0))
+        twin, _ = self.twin.thinned(*_GLANCE)
+        found = identify(twin.whole, twin.measurement, twin.comm, options, self.model, twin.settings)
         self.twin.count("coarse", sum(found.evaluations.values()))
         near = [a.anchored for a in found.alternatives if a.rms < _NEAR * a.best_rms]
         return [frozenset(names) for names in [found.anchored, *near[: _STARTS - 1]]]
 
-    def state(self, model: Model, anchors: Anchored) -> State:
-        return State.of(self.twin, model, anchors)
+    def settle(self, fitted: Fit) -> tuple[Fit, Identification | None]:
+        """Fit, error of the mesh and anchors, until none of them changes the others.
 
-    def settle(self, fitted: Fit, more: Sequence[Anchored] = ()) -> tuple[Fit, Identification]:
-        """Fit, error of the mesh and anchors, until none of them changes the others; `more` sets are climbed from too.
-
-        Every set is looked at where the model is nearly adequate: where it is not, few can be stopped early.
+        Every set of anchors is looked at where the model is nearly adequate. Where it is not, its best set says little: the
+        sets are then looked at together with the effects.
         """
         identification = None
         for _ in range(3):
-            fitted = self.corrected(fitted)
+            if fitted.state.errors.mesh.about != (fitted.state.model.name, fitted.state.anchors):
+                fitted = self.corrected(fitted)
             state = fitted.state
-            near = state.chi2 < _NEARLY * len(self.twin.data)
-            starts, certify = ([state.anchors], "auto") if near else ([state.anchors, *more], "no")
-            identification = anchor_search.search(self.twin, state.model, state.errors.mesh, starts, certify)
-            found = frozenset(identification.anchored)
+            if state.chi2 > _NEARLY * len(self.twin.data):
+                break
+            # A trajectory of a model that remembers costs several times as much.
+            certify = "no" if state.model.remembers else "auto"
+            identification = anchor_search.search(self.twin, state.model, state.errors.mesh, [state.anchors], certify)
+            # Of sets that the motions cannot tell apart the smallest is kept: what need not be held is not said to be.
+            found = min(map(frozenset, identification.classes[0]), key=len)
             if found == state.anchors:
                 break
             other = fit(State.of(self.twin, state.model, found, state.errors.mesh, state.free), state.free)
-            if other.state.chi2 >= state.chi2:
+            if other.state.chi2 >= state.chi2 + _TELLING:
                 break
-            self.seen.append(found)
+            self.seen.append(state.anchors)
             self.say(f"with {state.model.name} the anchors are {self.name(found)}, not {self.name(state.anchors)}")
             fitted = other
-        assert identification is not None
         return fitted, identification
+
+    def around(self, state: State) -> Identification:
+        """The anchors around those of a model that is not adequate."""
+        return anchor_search.search(self.twin, state.model, state.errors.mesh, [state.anchors], "no")
 
     def corrected(self, fitted: Fit, most: int = 2) -> Fit:
         """Fit again with the error of the mesh of the fitted model, until the fitted numbers stay."""
@@ -264,59 +296,68 @@ class _Loop:
         )
         return Rung(fitted, adequacy, apart)
 
-    def second_look(self, rung: Rung) -> Rung:
-        """An adequate model is asked once whether one effect alone is significant all the same."""
-        ranking = rank(rung.state, self.more, self.plan.only)
-        return replace(rung, ranking=ranking)
-
     # -- candidates
     # -----------------------------------------------------------------------------------------------------------
 
-    def candidates(self, fitted: Fit, identification: Identification) -> tuple[Ranking, list[Rival]]:
-        """Rank what is missing, for the anchors at hand and for those that come next, and refit the most promising."""
+    def candidates(self, fitted: Fit) -> tuple[Ranking, list[Rival], Fit | None]:
+        """Rank what is missing, for the anchors at hand and for others, and refit the most promising.
+
+        Where other anchors alone explain more than any effect does, the model with them comes last.
+        """
         state = fitted.state
-        self.say("ranking the effects by what they would explain, and fitting the first of them")
-        ranking = rank(state, self.more, self.plan.only, strict=False)
-        proposals = [(row, state) for row in ranking.rows]
-        for other in self.next_sets(fitted, identification):
-            proposals += [(row, other) for row in rank(other, self.more, self.plan.only, strict=False).rows]
-        rivals = refit_candidates(fitted, proposals, self.plan)
+        self.say("ranking the effects by what they would explain, with these anchors and with others")
+        ranking = rank(state, self.known, strict=False)
+        thin = self.glance(state)
+        try:
+            proposals = propose(thin, self.seen, self.plan.sets, self.known)
+            here = min((p.left for p in proposals if p.anchors == state.anchors and p.effect is None), default=math.inf)
+            best = proposals[0]
+            if best.effect is None and best.left < here - _TELLING and best.anchors not in self.seen:
+                self.seen.append(state.anchors)
+                self.say(f"other anchors explain more than any effect: {self.name(best.anchors)}")
+                return ranking, [], fit(State.of(self.twin, state.model, best.anchors, None, state.free), state.free)
+            glanced = refit_candidates(thin, proposals, self.plan.fitted)
+        finally:
+            if thin is not state:
+                thin.twin.destroy()
+        rivals = self.compared([r for r in (promoted(rival, state, glanced[0]) for rival in glanced) if r])
         for rival in rivals:
             self.progress.say(
                 f"  with {rival.dose.label}, anchors {self.name(rival.anchors)}: {rival.fitted.state.rms * 1e3:.3g} mm"
             )
         self.twin.drop([fitted.state.model, *(r.fitted.state.model for r in rivals[:2])])
-        return ranking, rivals
+        return ranking, rivals, None
 
-    def next_sets(self, fitted: Fit, identification: Identification) -> list[State]:
-        """The sets that come next to the best one, with the present model."""
-        state = fitted.state
-        found: list[State] = []
-        near = [frozenset(a.anchored) for a in identification.alternatives if a.rms < _RIVAL * a.best_rms]
-        # Without the missing effect another set may fit better than the true one, which was met before or comes next.
-        for anchors in dict.fromkeys([*near[:1], *self.seen, *near]):
-            if len(found) == self.plan.sets:
-                break
-            if not anchors or anchors == state.anchors:
-                continue
-            try:
-                rival = State.of(self.twin, state.model, anchors, state.errors.mesh, state.free)
-                found.append(fit(rival, state.free, most=4).state if state.free else rival)
-            except SolveError:
-                continue
-        return found
+    def glance(self, state: State) -> State:
+        """The same at a few steps of each action, unless the body must be followed in smaller ones."""
+        try:
+            return state.thinned(*_GLANCE)
+        except SolveError:
+            return state
+
+    def worthwhile(self, rival: Rival, before: Fit) -> bool:
+        """Whether a rival explains enough to be believed: what is missing besides may be large, but not much larger."""
+        values = len(self.twin.data)
+        excess = max(before.state.chi2 - values, 1e-9)
+        share = (before.state.chi2 - rival.fitted.state.chi2) / excess
+        return share > _LEAST_SHARE and rival.criterion < criterion(before) - 2
+
+    def compared(self, rivals: list[Rival]) -> list[Rival]:
+        """Rivals in their order; the error of the mesh was that of another model and set, which may matter to close ones."""
+        rivals = sorted(rivals, key=lambda r: r.criterion)
+        close = [r for r in rivals[:_CORRECTED] if r.criterion < _CLOSE * rivals[0].criterion]
+        if len(close) > 1:
+            close = sorted((r.with_fit(self.corrected(r.fitted, 1)) for r in close), key=lambda r: r.criterion)
+        return [*close, *rivals[len(close) :]]
 
     def pruned(self, fitted: Fit) -> Fit:
         """Without effects that a later one has made needless."""
-        for dose in fitted.state.model.doses:
-            if (
-                dose.full(next(iter(dose.values))) not in free_numbers(fitted.state.model, self.twin)
-                or len(fitted.state.model.doses) < 2
-            ):
-                continue
-            model = fitted.state.model.without(dose.label)
-            state = State.of(self.twin, model, fitted.state.anchors, fitted.state.errors.mesh)
-            less = fit(state, free_numbers(model, self.twin))
+        state = fitted.state
+        added = state.model.added(self.model)
+        for dose in added if len(added) > 1 else ():
+            model = state.model.without(dose.label)
+            names = [name for name in state.free if name not in dose.free]
+            less = fit(State.of(self.twin, model, state.anchors, state.errors.mesh), names)
             if criterion(less) <= criterion(fitted):
                 self.say(f"{dose.label} is not needed any more")
                 return self.pruned(less)
@@ -325,12 +366,11 @@ class _Loop:
     # -- the verdict
     # ----------------------------------------------------------------------------------------------------------
 
-    def verdict(self, rungs: Sequence[Rung], model: Model) -> str:
+    def verdict(self, rungs: Sequence[Rung]) -> str:
         last = rungs[-1]
         if not last.adequacy.adequate:
             return "unknown"
-        begun = {dose.label for dose in model.doses}
-        added = [dose.effect.name for dose in last.state.model.doses if dose.label not in begun]
+        added = [dose.effect.name for dose in last.state.model.added(self.model)]
         return "+".join(dict.fromkeys(added)) or "none"
 
     def ambiguous(self, rungs: Sequence[Rung]) -> tuple[str, ...]:
@@ -345,7 +385,7 @@ class _Loop:
         self.progress.say(text)
 
     def name(self, anchors: Anchored) -> str:
-        return label(anchors, self.scene.patches)
+        return label(anchors, self.twin.scene.patches)
 
 
 def criterion(fitted: Fit) -> float:
@@ -353,61 +393,65 @@ def criterion(fitted: Fit) -> float:
     return fitted.state.chi2 + len(fitted.coordinates) * math.log(len(fitted.state.twin.data))
 
 
-def free_numbers(model: Model, twin: Twin) -> tuple[str, ...]:
-    """Numbers that are fitted: all of the effects that the scene does not have.
+def refit_candidates(state: State, proposals: Iterable[Proposal], most: int) -> list[Rival]:
+    """Add the most promising effects to a model, each with its set of anchors, and refit all; best first; collective.
 
-    A first frame is no smooth number, and a period of 0, which stands for what is steady, has nothing to do with a short one.
+    At most `most` are refitted.
     """
-    known = set(Model.of(twin.scene).constants())
-    return tuple(
-        name
-        for name, value in model.constants().items()
-        if name not in known and not name.endswith(".onset") and not (name.endswith(".period") and value == 0)
-    )
-
-
-def refit_candidates(fitted: Fit, proposals: Iterable[tuple[Row, State]], plan: Plan) -> list[Rival]:
-    """Refit the most promising of ranked effects, each with the anchor set of its state; best first; collective."""
-    size = math.log(len(fitted.state.twin.data))
-    waiting = [(row, state) for row, state in proposals if row.p_value < SIGNIFICANT]
-    waiting.sort(key=lambda pair: pair[1].chi2 - pair[0].score + size * pair[0].freedom)
     rivals: list[Rival] = []
     tried: dict[str, int] = {}
-    for row, base in waiting:
-        if len(rivals) >= plan.fitted:
-            break
-        # An effect may compete with two anchor sets, but must not crowd out the others.
-        if tried.get(row.effect, 0) >= 2 or _hopeless(row, base, rivals):
+    for proposal in sorted(proposals, key=lambda p: p.left / p.values):
+        if proposal.effect is None:
             continue
-        tried[row.effect] = tried.get(row.effect, 0) + 1
-        rival = _refit(fitted, row, base)
-        if rival is not None:
-            rivals.append(rival)
-    rivals.sort(key=lambda rival: rival.criterion)
-    return [replace(r, held_out=held_out(r.fitted)) if i < 2 else r for i, r in enumerate(rivals)]
+        name = proposal.effect.name
+        # An effect may compete with two anchor sets, but must not crowd out the others.
+        if len(rivals) < most and tried.get(name, 0) < 2 and not _hopeless(proposal, rivals):
+            tried[name] = tried.get(name, 0) + 1
+            rivals += _refit(state, proposal, proposal.effect)
+    return sorted(rivals, key=lambda rival: rival.criterion)
 
 
-def _hopeless(row: Row, base: State, rivals: Sequence[Rival]) -> bool:
-    """Whether a rival explains nearly all already, and this effect is not expected to come near that."""
-    values = len(base.twin.data)
-    best = min((rival.fitted.state.chi2 for rival in rivals), default=math.inf)
-    return best < _NEARLY * values and base.chi2 - row.score > _FAR * values
+def promoted(rival: Rival, state: State, best: Rival) -> Rival | None:
+    """A rival that was fitted to a part of the steps, with all that the state looks at; None if that cannot be followed.
+
+    It is only fitted again when it is not far from the best one.
+    """
+    model, anchors = rival.fitted.state.model, rival.anchors
+    far = rival.criterion > _CLOSE * best.criterion
+    try:
+        if any(p.onset for p in rival.dose.effect.parameters):
+            # In which frame it begins is only known once all are looked at.
+            proposal = Proposal(anchors, rival.dose.effect, rival.dose.place, 0.0, 1)
+            return next(iter(_refit(state, proposal, rival.dose.effect)), None)
+        start = State.of(state.twin, model, anchors, state.errors.mesh)
+        again = fit(start, rival.fitted.state.free, most=1 if far else 8, ftol=_ROUGH)
+    except (SolveError, InputError):
+        return None
+    return replace(rival.with_fit(again), held_out=held_out(again))
 
 
-def _refit(fitted: Fit, row: Row, base: State) -> Rival | None:
-    """Add an effect, begin at what is expected of it, and fit everything together."""
+def _hopeless(proposal: Proposal, rivals: Sequence[Rival]) -> bool:
+    """Whether a rival explains nearly all already, and this effect does not promise to come near that."""
+    best = min((r.fitted.state.chi2 / len(r.fitted.state.twin.data) for r in rivals), default=math.inf)
+    return best < _NEARLY and proposal.left > _FAR * proposal.values
+
+
+def _refit(state: State, proposal: Proposal, effect: Effect) -> list[Rival]:
+    """Add an effect, begin at what is expected of it, and fit everything together; nothing if that cannot be followed."""
+    try:
+        base = State.of(state.twin, state.model, proposal.anchors, state.errors.mesh, state.free)
+    except SolveError:
+        return []
+    row = rank(base, [effect], strict=False).rows[0]
     for part in _CAUTION:
         try:
-            model = base.model + _careful(row, base.model, part)
-            names = tuple(dict.fromkeys([*fitted.state.free, *free_numbers(model, base.twin)]))
-            begun = set(base.model.constants())
-            names = tuple(n for n in names if n in fitted.state.free or n not in begun)
-            state = State.of(base.twin, model, base.anchors, base.errors.mesh)
-            again = fit(state, names, most=8, ftol=_ROUGH)
+            dose = _careful(row, base.model, part)
+            start = State.of(base.twin, base.model + dose, base.anchors, base.errors.mesh)
+            again = fit(start, (*state.free, *dose.free), most=8, ftol=_ROUGH)
         except (SolveError, InputError):
             continue
-        return Rival(row.effect, again.state.model.doses[-1], base.anchors, again, criterion(again))
-    return None
+        return [Rival(effect.name, again.state.model.doses[-1], base.anchors, again, criterion(again))]
+    return []
 
 
 def _careful(row: Row, model: Model, part: float) -> Dose:

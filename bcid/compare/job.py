@@ -8,13 +8,12 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from bcid.collective import on_root
 from bcid.compare.adequacy import judge
 from bcid.compare.buckling import leave_out
 from bcid.compare.explain import Explanation, Plan, Rung, explain, refit_candidates
 from bcid.compare.fit import Fit, fit, held_out
+from bcid.compare.joint import promised
 from bcid.compare.missing import rank
 from bcid.compare.output import Outcome, collect, write
 from bcid.compare.separate import Pull, separating_pulls
@@ -70,8 +69,8 @@ def run_diagnose(
     def work(twin: Twin) -> Outcome:
         fitted = _present(twin, source)
         adequacy = judge(fitted.state)
-        ranking = rank(fitted.state, source.own, only)
-        rivals = refit_candidates(fitted, [(row, fitted.state) for row in ranking.rows], Plan()) if ranking.rows else []
+        ranking = rank(fitted.state, effects.catalogue(only, source.own))
+        rivals = refit_candidates(fitted.state, promised(fitted.state, ranking), Plan().fitted)
         rung = Rung(fitted, adequacy, held_out(fitted), ranking, tuple(rivals))
         return Outcome((rung,), None if adequacy.adequate else missing_force(fitted.state))
 
@@ -112,11 +111,11 @@ def run_fit(
     def work(twin: Twin) -> Outcome:
         before = _present(twin, source)
         rungs = [Rung(before, judge(before.state), held_out(before))]
-        fitted = before
+        state = before.state
         for one in doses:
-            fitted = _added(fitted, one, free, fixed)
-        names = _names(fitted.state.model, source, free, fixed)
-        again = fit(fitted.state, names)
+            state = _added(state, one)
+        names = _names(state.model, source, free, fixed)
+        again = fit(state, names)
         mesh = twin.mesh_error(again.state.model, again.state.anchors, again.state.reply)
         again = fit(State.of(twin, again.state.model, again.state.anchors, mesh, names, again.state.reply), names)
         rungs.append(Rung(again, judge(again.state), held_out(again)))
@@ -195,8 +194,7 @@ def _wanted(text: str, source: Source) -> Dose:
 
 def _names(model: Model, source: Source, free: Sequence[str], fixed: Sequence[str]) -> tuple[str, ...]:
     """Numbers to fit: those fitted before, those of added effects, and what the user asks for."""
-    begun = set(source.model.constants())
-    names = [*source.free, *(n for n in model.constants() if n not in begun and not n.endswith(".onset")), *free]
+    names = [*source.free, *(name for dose in model.added(source.model) for name in dose.free), *free]
     known = model.constants()
     for name in (*free, *fixed):
         if name not in known:
@@ -204,29 +202,21 @@ def _names(model: Model, source: Source, free: Sequence[str], fixed: Sequence[st
     return tuple(dict.fromkeys(name for name in names if name not in fixed))
 
 
-def _added(before: Fit, one: Dose, free: Sequence[str], fixed: Sequence[str]) -> Fit:
+def _added(state: State, one: Dose) -> State:
     """The model with an effect, begun where its signature says, unless the user gave values."""
-    state = before.state
     given = one.values != neutral_values(state.model, one.effect)
     if not given:
-        ranking = rank(
-            replace(state, free=()), (one.effect,) if one.effect.name not in effects.names() else (), [one.effect.name]
-        )
-        rows = [(row, state) for row in ranking.rows if row.dose.place == one.place or not one.place]
-        rivals = refit_candidates(before, rows, Plan())
+        found = promised(state, rank(replace(state, free=()), [one.effect]))
+        rivals = refit_candidates(state, [p for p in found if p.place == one.place or not one.place], Plan().fitted)
         if rivals:
-            return rivals[0].fitted
+            return rivals[0].fitted.state
     moved = {
         p.name: p.typical if p.reciprocal else one.values[p.name] + (0.0 if given else 0.1 * p.typical)
         for p in one.effect.amounts
         if not (given and math.isfinite(one.values[p.name]))
     }
     model = state.model + one.with_values(moved)
-    return Fit(State.of(state.twin, model, state.anchors, state.errors.mesh, state.free), (), *_nothing(state))
-
-
-def _nothing(state: State) -> tuple[Any, ...]:
-    return np.zeros((0, 0)), np.zeros((len(state.twin.data), 0)), (), 0
+    return State.of(state.twin, model, state.anchors, state.errors.mesh, state.free)
 
 
 def _job(

@@ -71,20 +71,21 @@ class Ranking:
         rows: the effects.
         excluded: effects that cannot act here, with the reason in words.
         tried: number of variants tried over all effects.
+        left: chi-square that a refit of the model's own numbers would leave.
     """
 
     rows: tuple[Row, ...]
     excluded: dict[str, str] = field(default_factory=dict)
     tried: int = 0
+    left: float = math.inf
 
 
-def rank(state: State, more: Iterable[Effect] = (), only: Sequence[str] | None = None, strict: bool = True) -> Ranking:
-    """Rank all effects that the model lacks; collective.
+def rank(state: State, known: Sequence[Effect] | None = None, strict: bool = True) -> Ranking:
+    """Rank the effects that the model lacks; collective.
 
     Args:
         state: the model at its optimum.
-        more: effects beyond the catalogue.
-        only: names of the effects to look at; all by default.
+        known: the effects to look at; the whole catalogue by default.
         strict: refuse a model that is not at its optimum (what a refit of it could explain is projected out anyway).
 
     Raises:
@@ -93,25 +94,21 @@ def rank(state: State, more: Iterable[Effect] = (), only: Sequence[str] | None =
     present = present_columns(state)
     if strict:
         check_optimum(state, present)
-    candidates, excluded = dormant(state, more, only)
+    candidates, excluded = dormant(state, effects.catalogue() if known is None else known)
     variants = all_variants(state, candidates)
     basis = _orthonormal(present)
     tried = max(sum(_effective(v) for v in variants.values()), 1)
     rows = [_row(state, name, found, basis, tried) for name, found in variants.items() if found]
     rows.sort(key=lambda row: (-(row.score - 2 * row.freedom), row.effect))
-    return Ranking(tuple(_confusions(rows)), excluded, tried)
+    left = float(np.sum(_projected(state.scaled, basis) ** 2))
+    return Ranking(tuple(_confusions(rows)), excluded, tried, left)
 
 
-def dormant(
-    state: State, more: Iterable[Effect] = (), only: Sequence[str] | None = None
-) -> tuple[list[tuple[Effect, str]], dict[str, str]]:
+def dormant(state: State, known: Iterable[Effect]) -> tuple[list[tuple[Effect, str]], dict[str, str]]:
     """Effects and places that the model lacks, and those that cannot act in this scene and measurement, with the reason."""
-    known = [effects.effect(name) for name in effects.names()] + list(more)
     found, excluded = [], {}
     measurement, scene = state.twin.measurement, state.twin.scene
     for effect in known:
-        if only is not None and effect.name not in only:
-            continue
         reason = effect.needs(scene, measurement) if effect.needs else ""
         if reason:
             excluded[effect.name] = reason

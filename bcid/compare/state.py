@@ -11,6 +11,7 @@ from bcid.compare.data import Errors, MeshError
 from bcid.compare.twin import Reply, Twin
 from bcid.errors import SolveError
 from bcid.forms.model import Model
+from bcid.forms.solve import Settings
 
 Array = NDArray[np.float64]
 
@@ -54,6 +55,11 @@ class State:
         mesh = twin.mesh_error(model, anchors, reply) if mesh is None else mesh
         residual = twin.data.values - twin.data.vector(reply.positions + mesh.correction)
         return cls(twin, model, anchors, reply, Errors(twin.data, twin.data.noise(residual), mesh), free)
+
+    def thinned(self, steps: int, settings: Settings) -> State:
+        """The same hypothesis, looked at in a few steps of each action (see `Twin.thinned`); its twin is to be destroyed."""
+        twin, frames = self.twin.thinned(steps, settings)
+        return State.of(twin, self.model, self.anchors, self.errors.mesh.at(frames), self.free)
 
     @property
     def predicted(self) -> Array:

@@ -89,6 +89,7 @@ class Twin:
         self.left_out: tuple[str, ...] = ()
         self.actions = measurement.actions
         self.trajectories: dict[str, float] = {}
+        self._steps = sum(len(a) for a in self.actions)
         self._replies: list[tuple[Any, bool, Reply]] = []
         self._forwards: dict[tuple[int, str], Forward] = {}
         self._sensitivities: dict[tuple[int, str], Sensitivity] = {}
@@ -99,16 +100,19 @@ class Twin:
         self.measurement, self.left_out = measurement, left_out
         self.data = Data(self.whole, measurement)
 
-    def thinned(self, parts: int) -> tuple[Twin, NDArray[np.int64]]:
-        """A twin that looks at rest, at the end and at steps between of each action, `parts` steps or so apart from rest.
+    def thinned(self, steps: int, settings: Settings) -> tuple[Twin, NDArray[np.int64]]:
+        """A twin that follows so many evenly spread steps of each action, and looks at rest once; and which frames these are.
 
-        It shares meshes and forward models with this one. Also returned: which frames it looks at.
+        It shares the meshes with this one, but solves with its own settings.
         """
-        chosen = [a.frames[np.unique(np.linspace(0, len(a) - 1, parts + 1).round().astype(int))] for a in self.actions]
+        chosen = [a.frames[np.unique(np.linspace(0, len(a) - 1, steps + 1).round().astype(int))] for a in self.actions]
         frames = np.sort(np.concatenate(chosen))
+        data = self.measurement.data.isel(frame=frames).copy(deep=True)
+        data["position"][{"frame": np.flatnonzero(data["step"].values == 0)[1:]}] = np.nan
         other = copy(self)
-        other.look_at(replace(self.measurement, data=self.measurement.data.isel(frame=frames)), self.left_out)
-        other.actions, other._replies = other.measurement.actions, []
+        other.look_at(replace(self.measurement, data=data), self.left_out)
+        other.actions, other.settings = other.measurement.actions, settings
+        other._replies, other._forwards, other._sensitivities = [], {}, {}
         return other, frames
 
     @property
@@ -197,7 +201,7 @@ class Twin:
             failure = failure or (part.failure.reason if part.failure else "")
         agree(self.comm, error)
         gathered = self.comm.allgather((positions, failure))
-        share = sum(len(a) for a in actions) / sum(len(a) for a in self.actions)
+        share = sum(len(a) for a in actions) / self._steps
         self.count("fine" if level else "working", share)
         return Reply(joined([found for found, _ in gathered]), parts, next((why for _, why in gathered if why), ""))
 
@@ -219,10 +223,11 @@ class Twin:
         if key not in self._sensitivities:
             self._sensitivities[key] = Sensitivity(forward)
         sensitivity = self._sensitivities[key]
-        error, parts = None, []
+        error, parts, seen = None, [], self.data.mask.any(axis=(1, 2))
         for action in self.mine(self.actions):
+            whole = self._whole(reply.parts[action.name])
             try:
-                parts.append(sensitivity.of(anchors, [action], self._whole(reply.parts[action.name]), wanted, model))
+                parts.append(sensitivity.of(anchors, [action], whole, wanted, model, seen))
             except BcidError as caught:
                 error = caught
                 break
@@ -245,7 +250,9 @@ class Twin:
         if second.failure or reply.failure:
             return MeshError.unknown(self.data.mask.shape)
         gain = max((self._unknowns(other) / self._unknowns(self.level)) ** (_ORDER / 3) - 1, _LEAST_GAIN)
-        return MeshError.between(reply.positions, second.positions, gain)
+        return replace(
+            MeshError.between(reply.positions, second.positions, gain), about=(model.name, frozenset(anchors))
+        )
 
     def count(self, what: str, trajectories: float) -> None:
         """Note forward trajectories."""

@@ -72,6 +72,12 @@ class Dose:
         """Full name of one of its parameters, as in `Model.constants`."""
         return f"{self.label}.{name}"
 
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Full names of the numbers that a fit may move: no first frame, and nothing that stands for none."""
+        moving = [p for p in self.effect.parameters if not p.onset and (p.off is None or self.values[p.name] != p.off)]
+        return tuple(self.full(p.name) for p in moving)
+
 
 def pressure(place: str, value: float) -> Dose:
     """A pressure (Pa) that follows the surface of a place and pushes into the body.
@@ -210,6 +216,11 @@ class Model:
     def without(self, label: str) -> Model:
         """The model without one of its effects."""
         return replace(self, doses=tuple(dose for dose in self.doses if dose.label != label))
+
+    def added(self, begun: Model) -> tuple[Dose, ...]:
+        """The effects that another model lacks."""
+        labels = {dose.label for dose in begun.doses}
+        return tuple(dose for dose in self.doses if dose.label not in labels)
 
     def freed(self, anchors: Iterable[str]) -> frozenset[str]:
         """The anchored patches that an effect holds instead of a rigid anchor."""

@@ -253,6 +253,7 @@ class Sensitivity:
         prediction: Prediction,
         wanted: Wanted,
         model: Model | None = None,
+        seen: NDArray[np.bool_] | None = None,
     ) -> Signatures:
         """Signatures along the actions, from the states that the prediction kept.
 
@@ -262,6 +263,7 @@ class Sensitivity:
             prediction: with its states.
             wanted: what is asked for.
             model: the forward's model, with effects on gripper and picture besides; by default the forward's own.
+            seen: in which frames they are wanted, shape (frames,); all by default.
         """
         states = prediction.states
         if states is None:
@@ -276,7 +278,9 @@ class Sensitivity:
         )
         self.model = model or self.forward.model
         for commanded in actions:
-            self._follow(frozenset(anchors), commanded, states, wanted, result)
+            self._follow(
+                frozenset(anchors), commanded, states, wanted, result, np.ones(count, bool) if seen is None else seen
+            )
         return result
 
     def _follow(
@@ -286,6 +290,7 @@ class Sensitivity:
         states: Mapping[int, Array],
         wanted: Wanted,
         result: Signatures,
+        seen: NDArray[np.bool_],
     ) -> None:
         equilibrium, terms = self.equilibrium, self.terms
         action = self.model.driven(commanded)
@@ -301,7 +306,8 @@ class Sensitivity:
         for step, (pose, frame) in enumerate(zip(poses(action), action.frames, strict=True)):
             equilibrium.set_state(pose, states[int(frame)])
             self._remember(pose)
-            self._step(anchors, action, step, pose, int(frame), moves, wanted, result)
+            if seen[frame]:
+                self._step(anchors, action, step, pose, int(frame), moves, wanted, result)
             equilibrium.accept(pose)
             for memory in terms.memories.values():
                 memory.advance()

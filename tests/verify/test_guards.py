@@ -19,6 +19,7 @@ from bcid.compare.buckling import buckled, leave_out
 from bcid.compare.data import MeshError
 from bcid.compare.explain import Plan, explain, refit_candidates
 from bcid.compare.fit import fit
+from bcid.compare.joint import promised
 from bcid.compare.missing import rank
 from bcid.compare.separate import separating_pulls
 from bcid.compare.state import State
@@ -78,9 +79,9 @@ def test_no_effect_makes_up_for_a_wrong_anchor_set(twin: Twin) -> None:
     """From the wrong anchors every effect looks significant; none is adequate once it is fitted."""
     wrong = at(twin, frozenset({"1"}))
     assert not judge(wrong).adequate
-    ranking = rank(wrong, only=FEW)
+    ranking = rank(wrong, effects.catalogue(FEW))
     assert ranking.rows[0].p_value < 1e-6
-    rivals = refit_candidates(fit(wrong, ()), [(row, wrong) for row in ranking.rows], Plan())
+    rivals = refit_candidates(wrong, promised(wrong, ranking), 3)
     assert rivals
     for rival in rivals:
         assert not judge(rival.fitted.state).adequate, rival.effect
@@ -100,10 +101,10 @@ def test_the_loop_finds_the_anchors_and_no_effect(twin: Twin) -> None:
 def test_the_error_of_the_mesh_is_not_taken_for_physics(twin: Twin) -> None:
     blind = at(twin, mesh=MeshError.unknown(twin.data.mask.shape))
     assert not judge(blind).adequate
-    assert rank(blind, only=FEW).rows[0].p_value < 1e-6
+    assert rank(blind, effects.catalogue(FEW)).rows[0].p_value < 1e-6
     seeing = at(twin)
     assert judge(seeing).adequate
-    assert min(row.p_value for row in rank(seeing, only=FEW).rows) > 0.01
+    assert min(row.p_value for row in rank(seeing, effects.catalogue(FEW)).rows) > 0.01
 
 
 # -- numbers that are not fitted
@@ -114,9 +115,9 @@ def test_a_model_off_its_optimum_is_not_ranked(twin: Twin) -> None:
     model = Model.of(twin.scene) + Dose(effects.effect("gravity"), {"weight": 2000.0})
     off = State.of(twin, model, ANCHORED, free=("gravity.weight",))
     with pytest.raises(InputError, match=r"not at its optimum: refitting gravity\.weight alone .* fit it first"):
-        rank(off, only=FEW)
+        rank(off, effects.catalogue(FEW))
     fitted = fit(off, off.free)
-    assert rank(fitted.state, only=FEW).rows
+    assert rank(fitted.state, effects.catalogue(FEW)).rows
 
 
 # -- effects that do the same
@@ -130,7 +131,7 @@ def test_effects_that_do_the_same_are_not_told_apart(slab: Scene) -> None:
     twin = Twin(slab, simulate(slab, anchored, pulls(), level=2, model=model), MPI.COMM_SELF, level=2)
     other = replace(weight.effect, name="heaviness")
     both = ("gravity", "heaviness")
-    ranking = rank(at(twin, anchored), [other], both)
+    ranking = rank(at(twin, anchored), effects.catalogue(both, [other]))
     assert {row.effect: row.confounded_with for row in ranking.rows} == {
         "gravity": ("heaviness",),
         "heaviness": ("gravity",),
@@ -181,7 +182,7 @@ def test_what_follows_buckling_is_no_evidence(slab: Scene, measurement_folder: C
     adequacy = judge(state)
     assert adequacy.adequate
     assert any("two states exist" in finding.text for finding in adequacy.findings)
-    assert min(row.p_value for row in rank(state, only=FEW).rows) > 0.01
+    assert min(row.p_value for row in rank(state, effects.catalogue(FEW)).rows) > 0.01
     twin.destroy()
 
 

@@ -7,6 +7,7 @@ of the catalogue, and nothing else names it. A file elsewhere is read by `load`.
 from __future__ import annotations
 
 import traceback
+from collections.abc import Iterable, Sequence
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -15,7 +16,7 @@ from pkgutil import iter_modules
 from bcid.errors import InputError, nearest
 from bcid.forms.effects.effect import Effect
 
-__all__ = ["Effect", "effect", "load", "names"]
+__all__ = ["Effect", "catalogue", "effect", "load", "names"]
 
 
 def names() -> list[str]:
@@ -29,6 +30,12 @@ def effect(name: str) -> Effect:
         raise InputError(f"unknown effect '{name}'; {nearest(name, names())}")
     found: Effect = import_module(f"{__name__}.{name}").effect
     return found
+
+
+def catalogue(only: Sequence[str] | None = None, own: Iterable[Effect] = ()) -> list[Effect]:
+    """All effects of the catalogue and others beside them; or those of the given names."""
+    every = [*map(effect, names()), *own]
+    return [one for one in every if only is None or one.name in only]
 
 
 def load(path: str | Path) -> Effect:
