@@ -137,6 +137,21 @@ def test_runs_that_nothing_can_start_from(tmp_path: Path) -> None:
     refused(bcid("compare", gone, cwd=tmp_path), "gone.toml", "no such scene file")
 
 
+def test_an_effect_file_is_run_once(tmp_path: Path) -> None:
+    """However often the effects are asked for: they are the same objects, in the order of the files."""
+    from mpi4py import MPI
+
+    from bcid.compare.source import find_effect, from_files
+
+    text = (ROOT / "examples/effects/magnetic_force.py").read_text(encoding="utf-8")
+    path, times = tmp_path / "magnetic_force.py", tmp_path / "times"
+    path.write_text(f"{text}\nwith open({str(times)!r}, 'a') as file:\n    file.write('x')\n", encoding="utf-8")
+    source = from_files(SLAB, SEEN, (path,), MPI.COMM_SELF)
+    assert [effect.name for effect in source.own] == ["magnetic_force"]
+    assert find_effect("magnetic_force", source.own) is source.own[0]
+    assert times.read_text(encoding="utf-8") == "x"
+
+
 def edited(tmp_path: Path, *changes: tuple[str, str]) -> Path:
     """A copy of the slab's scene with some text replaced."""
     text = SLAB.read_text(encoding="utf-8").replace("../../", f"{ROOT}/")
