@@ -14,19 +14,23 @@ from collections.abc import Callable
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bcid import __version__
 from bcid.errors import BcidError, InputError
 from bcid.progress import Lines, Progress, Silent
 
-if TYPE_CHECKING:
-    from bcid.search.identify import Options
-
 DEMO_SCENE = "examples/scenes/slab_explain.toml"
 DEMO_MEASUREMENT = "examples/measurements/slab-34-heavy"
+# The project's folder, where bcid runs from a checkout.
+_PROJECT = Path(__file__).resolve().parents[1]
 # Commands whose result is a diagnosis.
 _DIAGNOSES = ("compare", "diagnose", "fit", "explain")
+# Commands without MPI in this process, for they start others that are jobs of their own; what becomes of an interrupted one.
+_WITHOUT_MPI = {
+    "bench": "what was measured before is in bench.json",
+    "study": "the same command goes on where it was",
+}
 
 _DESCRIPTION = """bcid finds out how a soft body is held, and what its model lacks, by watching it being pulled.
 
@@ -60,11 +64,8 @@ def main(argv: list[str] | None = None) -> int:
         from bcid import doctor
 
         return doctor.main()
-    if arguments.command == "bench":
-        # Without MPI in this process: it starts others that are jobs of their own.
-        return _bench(arguments)
-    if arguments.command == "study":
-        return _study(arguments)
+    if arguments.command in _WITHOUT_MPI:
+        return _run_without_mpi(arguments)
     comm = _communicator()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, partial(_interrupted, comm))
@@ -73,18 +74,36 @@ def main(argv: list[str] | None = None) -> int:
         return 0
     except BcidError as error:
         if comm.rank == 0:
-            print(f"bcid: {error}", file=sys.stderr)
+            _complain(error)
         return error.exit_code
     except BaseException:
         traceback.print_exc()
         return _end_all(comm, 1)
 
 
+def _run_without_mpi(arguments: argparse.Namespace) -> int:
+    """Run one of `_WITHOUT_MPI`; returns its exit code."""
+    try:
+        arguments.run(arguments)
+        return 0
+    except KeyboardInterrupt:
+        _complain(f"interrupted; {_WITHOUT_MPI[arguments.command]}")
+        return 128 + signal.SIGINT
+    except BcidError as error:
+        _complain(error)
+        return error.exit_code
+
+
+def _complain(text: object) -> None:
+    """Say on standard error what went wrong."""
+    print(f"bcid: {text}", file=sys.stderr, flush=True)
+
+
 def _communicator() -> Any:
     try:
         from mpi4py import MPI
     except ImportError:
-        print("bcid: mpi4py and DOLFINx are not installed here; `bcid doctor` tells what is missing", file=sys.stderr)
+        _complain("mpi4py and DOLFINx are not installed here; `bcid doctor` tells what is missing")
         raise SystemExit(3) from None
     return MPI.COMM_WORLD
 
@@ -92,7 +111,7 @@ def _communicator() -> Any:
 def _interrupted(comm: Any, number: int, _frame: object) -> None:
     """End at once: an exception inside a PETSc callback would be taken for a failed solve. Runs resume from what they kept."""
     if comm.rank == 0:
-        print("bcid: interrupted; the same command goes on where it was", file=sys.stderr, flush=True)
+        _complain("interrupted; the same command goes on where it was")
     if comm.size > 1:
         comm.Abort(128 + number)
     os._exit(128 + number)
@@ -134,10 +153,26 @@ def _add(commands: Any, name: str, run: Callable[..., Any], help_text: str, more
     return parser
 
 
-def _add_output(parser: argparse.ArgumentParser) -> None:
+def _add_output(parser: argparse.ArgumentParser, picture: bool = True) -> None:
     parser.add_argument("--overwrite", action="store_true", help="discard a run that the folder already holds")
-    parser.add_argument("--no-picture", action="store_true", help="do not draw pictures and write ParaView files")
+    if picture:
+        parser.add_argument("--no-picture", action="store_true", help="do not draw pictures and write ParaView files")
+    _add_quiet(parser)
+
+
+def _add_quiet(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quiet", action="store_true", help="say only the result")
+
+
+def _add_inputs(parser: argparse.ArgumentParser) -> None:
+    """What a run without an earlier one starts from, and where it goes."""
+    parser.add_argument(
+        "scene", type=Path, help="scene file (TOML): body, mesh ladder, candidate patches, grasps, fiducials"
+    )
+    parser.add_argument(
+        "measurement", type=Path, help="measurement folder, NetCDF file, or mapping file of a table or C3D"
+    )
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="run folder to write")
 
 
 def _add_demo(commands: Any) -> None:
@@ -164,13 +199,7 @@ def _add_identify(commands: Any) -> None:
         "Writes a run folder: identification.json, summary.txt, picture.png, arrays (NetCDF) and ParaView files.\n"
         "A run that was killed goes on where it was when the same command is given again.",
     )
-    parser.add_argument(
-        "scene", type=Path, help="scene file (TOML): body, mesh ladder, candidate patches, grasps, fiducials"
-    )
-    parser.add_argument(
-        "measurement", type=Path, help="measurement folder, NetCDF file, or mapping file of a table or C3D"
-    )
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="run folder to write")
+    _add_inputs(parser)
     _add_output(parser)
     search = parser.add_argument_group("search")
     search.add_argument(
@@ -217,6 +246,10 @@ def _add_level(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_only(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--only", metavar="a,b", help="look at these effects only")
+
+
 def _add_effect_files(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--effects",
@@ -250,7 +283,7 @@ def _add_diagnose(commands: Any) -> None:
         "Ranks all effects of the catalogue by what they would explain, and refits the first of them.",
     )
     parser.add_argument("-o", "--output", type=Path, metavar="RUN2", help="run folder to write (RUN-diagnose)")
-    parser.add_argument("--only", metavar="a,b", help="look at these effects only")
+    _add_only(parser)
     _add_source(parser)
 
 
@@ -283,10 +316,8 @@ def _add_explain(commands: Any) -> None:
         "anchors and missing effects from a measurement, until the model is adequate or unknown",
         "Identifies the anchors, compares, ranks what is missing, adds the best, searches the anchors again, and so on.",
     )
-    parser.add_argument("scene", type=Path, help="scene file (TOML)")
-    parser.add_argument("measurement", type=Path, help="measurement folder, NetCDF file, or mapping file")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="run folder to write")
-    parser.add_argument("--only", metavar="a,b", help="look at these effects only")
+    _add_inputs(parser)
+    _add_only(parser)
     parser.add_argument("--most", type=int, default=3, metavar="N", help="effects that may be adopted together (3)")
     _add_level(parser)
     _add_effect_files(parser)
@@ -316,7 +347,7 @@ def _add_simulate(commands: Any) -> None:
     )
     parser.add_argument("--random-state", type=int, default=0, metavar="N", help="of the noise (0)")
     parser.add_argument("--wrench", action="store_true", help="also record force and torque of the gripper")
-    parser.add_argument("--quiet", action="store_true", help="say only the result")
+    _add_quiet(parser)
 
 
 def _add_check_effect(commands: Any) -> None:
@@ -336,7 +367,7 @@ def _add_check_effect(commands: Any) -> None:
 def _add_bench(commands: Any) -> None:
     help_text = "measure speed against other codes, goals and limits"
     parser = _add(
-        commands, "bench", _bench, help_text, "Prints a table per part; writes bench.json and plots. See docs/bench.md."
+        commands, "bench", bench, help_text, "Prints a table per part; writes bench.json and plots. See docs/bench.md."
     )
     parser.add_argument("parts", nargs="*", metavar="PART", help="trajectory, toggles, identification, growth (all)")
     parser.add_argument(
@@ -349,7 +380,7 @@ def _add_study(commands: Any) -> None:
     parser = _add(
         commands,
         "study",
-        _study,
+        study,
         "find out on many made-up bodies what a diagnosis is worth",
         "hidden: measurements with effects hidden in them are made and diagnosed blindly, and the answers scored.\n"
         "A study that was stopped goes on where it was when the same command is given again. See docs/study.md.",
@@ -360,8 +391,7 @@ def _add_study(commands: Any) -> None:
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the cases (0)")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes at a time (2)")
     parser.add_argument("--limit", type=float, default=900.0, metavar="SECONDS", help="time limit of a case (900)")
-    parser.add_argument("--overwrite", action="store_true", help="discard a run that the folder already holds")
-    parser.add_argument("--quiet", action="store_true", help="say only the result")
+    _add_output(parser, picture=False)
 
 
 # -- commands
@@ -370,14 +400,13 @@ def _add_study(commands: Any) -> None:
 
 def demo(arguments: argparse.Namespace, comm: Any) -> None:
     """`bcid demo`."""
-    root = Path(__file__).resolve().parents[1]
-    scene, measurement = root / DEMO_SCENE, root / DEMO_MEASUREMENT
+    scene, measurement = _PROJECT / DEMO_SCENE, _PROJECT / DEMO_MEASUREMENT
     if not scene.exists():
         raise InputError(f"{scene}: is missing; `bcid demo` needs the project's folder with its examples")
-    progress = _progress(arguments, comm)
+    progress = _progress(arguments, comm.rank)
     progress.say("a soft slab was pulled five times; which patches hold it, and what does the plain model lack?")
     progress.say("searching the anchors with the plain model first")
-    folder = _explained(scene, measurement, arguments, comm)
+    folder = _explained(scene, measurement, arguments, comm, progress)
     if comm.rank > 0:
         return
     if not arguments.no_picture:
@@ -389,13 +418,15 @@ def demo(arguments: argparse.Namespace, comm: Any) -> None:
     print(f"{falling(found)}\n\nrun folder: {folder} (summary.txt tells more)", flush=True)
 
 
-def _progress(arguments: argparse.Namespace, comm: Any) -> Progress:
-    return Silent() if arguments.quiet or comm.rank > 0 else Lines()
+def _progress(arguments: argparse.Namespace, rank: int) -> Progress:
+    """What a command speaks through. One for each command: its lines count the seconds since it was made."""
+    return Silent() if arguments.quiet or rank > 0 else Lines()
 
 
 def identify(arguments: argparse.Namespace, comm: Any) -> None:
     """`bcid identify`."""
     from bcid.search.identify import Options
+    from bcid.search.job import run_identification
     from bcid.search.termination import Termination
 
     options = Options(
@@ -410,24 +441,26 @@ def identify(arguments: argparse.Namespace, comm: Any) -> None:
         toggles=arguments.toggles,
         termination=Termination(arguments.fit, arguments.patience, arguments.budget),
     )
-    _identify(arguments.scene, arguments.measurement, arguments, options, comm, arguments.refine)
+    scene, measurement, output = arguments.scene, arguments.measurement, arguments.output
+    progress = _progress(arguments, comm.rank)
+    folder = run_identification(
+        scene, measurement, output, options, comm, progress, arguments.overwrite, arguments.refine
+    )
+    _finish(folder, arguments, comm, progress)
 
 
-def _identify(
-    scene: Path, measurement: Path, arguments: argparse.Namespace, options: Options, comm: Any, refine: int = 0
-) -> None:
-    from bcid.search.job import run_identification
-
-    progress = _progress(arguments, comm)
-    overwrite = arguments.overwrite
-    folder = run_identification(scene, measurement, arguments.output, options, comm, progress, overwrite, refine)
+def _finish(folder: Path, arguments: argparse.Namespace, comm: Any, progress: Progress) -> None:
+    """Print the result and draw it."""
     if comm.rank > 0:
         return
-    text = (folder / "summary.txt").read_text(encoding="utf-8")
-    print(text.rstrip())
-    print(f"\nrun folder: {folder}", flush=True)
+    _print_result(folder, "summary.txt")
     if not arguments.no_picture:
         _draw(folder, progress)
+
+
+def _print_result(folder: Path, file: str) -> None:
+    print((folder / file).read_text(encoding="utf-8").rstrip())
+    print(f"\nrun folder: {folder}", flush=True)
 
 
 def _draw(folder: Path, progress: Progress) -> None:
@@ -439,25 +472,29 @@ def _draw(folder: Path, progress: Progress) -> None:
         for file in import_module(f"bcid.report.{kind}").draw(folder):
             progress.say(f"wrote {file}")
     except ImportError as error:
-        print(f"bcid: no picture: {error.name} is not installed (the extra 'report')", file=sys.stderr)
+        _complain(f"no picture: {error.name} is not installed (the extra 'report')")
     except Exception as error:
-        print(f"bcid: no picture: {error}", file=sys.stderr)
+        _complain(f"no picture: {error}")
 
 
 def compare(arguments: argparse.Namespace, comm: Any) -> None:
     """`bcid compare`."""
     from bcid.compare.job import run_compare
 
-    common = _common(arguments, comm)
-    _finish(run_compare(arguments.run_folder, _beside(arguments, "compare"), **common), arguments, comm)
+    progress = _progress(arguments, comm.rank)
+    common = _common(arguments, comm, progress)
+    folder = run_compare(arguments.run_folder, _beside(arguments, "compare"), **common)
+    _finish(folder, arguments, comm, progress)
 
 
 def diagnose(arguments: argparse.Namespace, comm: Any) -> None:
     """`bcid diagnose`."""
     from bcid.compare.job import run_diagnose
 
-    common = _common(arguments, comm) | {"files": arguments.effects, "only": _listed(arguments.only)}
-    _finish(run_diagnose(arguments.run_folder, _beside(arguments, "diagnose"), **common), arguments, comm)
+    progress = _progress(arguments, comm.rank)
+    common = _common(arguments, comm, progress) | {"files": arguments.effects, "only": _listed(arguments.only)}
+    folder = run_diagnose(arguments.run_folder, _beside(arguments, "diagnose"), **common)
+    _finish(folder, arguments, comm, progress)
 
 
 def fit(arguments: argparse.Namespace, comm: Any) -> None:
@@ -467,18 +504,22 @@ def fit(arguments: argparse.Namespace, comm: Any) -> None:
     if not (arguments.add or arguments.free):
         raise InputError("fit: nothing to do; name an effect with --add (as --add gravity) or a number with --free")
     chosen = {name: getattr(arguments, name) for name in ("add", "free", "fixed")}
-    common = _common(arguments, comm) | {"files": arguments.effects}
-    _finish(run_fit(arguments.run_folder, arguments.output, **common, **chosen), arguments, comm)
+    progress = _progress(arguments, comm.rank)
+    common = _common(arguments, comm, progress) | {"files": arguments.effects}
+    folder = run_fit(arguments.run_folder, arguments.output, **common, **chosen)
+    _finish(folder, arguments, comm, progress)
 
 
 def explain(arguments: argparse.Namespace, comm: Any) -> None:
     """`bcid explain`."""
     if arguments.most < 1:
         raise InputError(f"--most {arguments.most}: must be at least 1")
-    _finish(_explained(arguments.scene, arguments.measurement, arguments, comm), arguments, comm)
+    progress = _progress(arguments, comm.rank)
+    folder = _explained(arguments.scene, arguments.measurement, arguments, comm, progress)
+    _finish(folder, arguments, comm, progress)
 
 
-def _explained(scene: Path, measurement: Path, arguments: argparse.Namespace, comm: Any) -> Path:
+def _explained(scene: Path, measurement: Path, arguments: argparse.Namespace, comm: Any, progress: Progress) -> Path:
     """Run the whole loop; returns the run folder."""
     from bcid.compare.explain import Plan
     from bcid.compare.job import run_explain
@@ -486,15 +527,18 @@ def _explained(scene: Path, measurement: Path, arguments: argparse.Namespace, co
     only = _listed(getattr(arguments, "only", None))
     plan = Plan(getattr(arguments, "level", None), getattr(arguments, "most", 3), only=only)
     files = getattr(arguments, "effects", [])
-    progress = _progress(arguments, comm)
     return run_explain(scene, measurement, arguments.output, plan, comm, progress, arguments.overwrite, files)
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
 def _listed(text: str | None) -> tuple[str, ...] | None:
     """Names of effects separated by commas; None where the option is not given."""
     if text is None:
         return None
-    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    names = _names(text)
     if not names:
         raise InputError(f"--only '{text}': names no effect; give some, as --only gravity,soft_anchor")
     return names
@@ -506,19 +550,9 @@ def _beside(arguments: argparse.Namespace, command: str) -> Path:
     return output
 
 
-def _common(arguments: argparse.Namespace, comm: Any) -> dict[str, Any]:
-    progress = _progress(arguments, comm)
+def _common(arguments: argparse.Namespace, comm: Any, progress: Progress) -> dict[str, Any]:
+    """What all jobs on a run take."""
     return {"comm": comm, "progress": progress, "overwrite": arguments.overwrite, "level": arguments.level}
-
-
-def _finish(folder: Path, arguments: argparse.Namespace, comm: Any) -> None:
-    """Say the result and draw it."""
-    if comm.rank > 0:
-        return
-    print((folder / "summary.txt").read_text(encoding="utf-8").rstrip())
-    print(f"\nrun folder: {folder}", flush=True)
-    if not arguments.no_picture:
-        _draw(folder, Silent() if arguments.quiet else Lines())
 
 
 def simulate(arguments: argparse.Namespace, comm: Any) -> None:
@@ -534,7 +568,7 @@ def simulate(arguments: argparse.Namespace, comm: Any) -> None:
     if arguments.output.exists():
         raise InputError(f"{arguments.output}: exists already; choose another folder or remove it")
     scene = on_root(comm, lambda: Scene.read(arguments.scene, physics=check_physics))
-    anchors = [name.strip() for name in arguments.anchors.split(",") if name.strip()]
+    anchors = _names(arguments.anchors)
     noise = None if arguments.noise is None else quantity(arguments.noise, "m")
     if arguments.level is not None and not 0 <= arguments.level < len(scene.levels):
         raise InputError(f"--level {arguments.level}: the scene has levels 0 to {len(scene.levels) - 1}")
@@ -554,7 +588,7 @@ def simulate(arguments: argparse.Namespace, comm: Any) -> None:
         if not grasps:
             raise InputError(f"scene {scene.source} has no grasp: use --like with a measurement without one")
         actions = motion(arguments.motion, arguments.grasp or grasps[len(grasps) // 2])
-    progress: Progress = Silent() if arguments.quiet or comm.rank > 0 else Lines()
+    progress = _progress(arguments, comm.rank)
     progress.say(f"simulating {len(actions)} action(s), {sum(len(a) for a in actions)} steps")
     made = make(
         scene, anchors, actions, arguments.level, noise, arguments.random_state, comm, None, arguments.wrench, times
@@ -571,41 +605,23 @@ def check_effect(arguments: argparse.Namespace, comm: Any) -> None:
     check(arguments.effect, comm, lambda text: print(text, flush=True) if comm.rank == 0 else None)
 
 
-def _bench(arguments: argparse.Namespace) -> int:
+def bench(arguments: argparse.Namespace) -> None:
     """`bcid bench`."""
-    root = Path(__file__).resolve().parents[1]
-    try:
-        if not (root / "benchmarks" / "bench.py").exists():
-            raise InputError(f"{root / 'benchmarks'}: is missing; `bcid bench` needs the project's folder (a checkout)")
-        if str(root) not in sys.path:
-            sys.path.insert(0, str(root))
-        import_module("benchmarks.bench").run(arguments.parts, arguments.output, arguments.quick)
-        return 0
-    except KeyboardInterrupt:
-        print("bcid: interrupted; what was measured before is in bench.json", file=sys.stderr)
-        return 130
-    except BcidError as error:
-        print(f"bcid: {error}", file=sys.stderr)
-        return error.exit_code
+    if not (_PROJECT / "benchmarks" / "bench.py").exists():
+        raise InputError(f"{_PROJECT / 'benchmarks'}: is missing; `bcid bench` needs the project's folder (a checkout)")
+    if str(_PROJECT) not in sys.path:
+        sys.path.insert(0, str(_PROJECT))
+    import_module("benchmarks.bench").run(arguments.parts, arguments.output, arguments.quick)
 
 
-def _study(arguments: argparse.Namespace) -> int:
-    """`bcid study`; without MPI in this process, as `bcid bench`."""
+def study(arguments: argparse.Namespace) -> None:
+    """`bcid study`."""
     from bcid.studies.hidden import Options, run_hidden
 
     options = Options(arguments.cases, arguments.seed, arguments.jobs, arguments.limit)
-    progress: Progress = Silent() if arguments.quiet else Lines()
-    try:
-        folder = run_hidden(arguments.output, options, progress=progress, overwrite=arguments.overwrite)
-        print((folder / "table.txt").read_text(encoding="utf-8").rstrip())
-        print(f"\nrun folder: {folder}", flush=True)
-        return 0
-    except KeyboardInterrupt:
-        print("bcid: interrupted; the same command goes on where it was", file=sys.stderr)
-        return 130
-    except BcidError as error:
-        print(f"bcid: {error}", file=sys.stderr)
-        return error.exit_code
+    progress = _progress(arguments, 0)
+    folder = run_hidden(arguments.output, options, progress=progress, overwrite=arguments.overwrite)
+    _print_result(folder, "table.txt")
 
 
 if __name__ == "__main__":

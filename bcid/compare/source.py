@@ -7,18 +7,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from bcid.collective import on_root
-from bcid.errors import InputError, nearest
-from bcid.fingerprint import file_fingerprint, fingerprint
+from bcid.collective import agree, on_root
+from bcid.errors import BcidError, InputError, nearest
+from bcid.fingerprint import file_fingerprint
 from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import check_geometry
-from bcid.forms.model import Dose, Model, check_physics
-from bcid.forms.patches import divided
+from bcid.forms.model import Dose, Model
 from bcid.measurement import Measurement
 from bcid.run import Run
 from bcid.scene import Scene
-from bcid.search.job import scene_content
+from bcid.search.job import fingerprints, read_inputs
 
 
 @dataclass(frozen=True)
@@ -31,6 +30,7 @@ class Source:
         anchors: the anchored patches; None where they are to be found.
         free: fitted numbers.
         files: effect files of the user.
+        own: the effects of these files, in their order.
     """
 
     scene_file: Path
@@ -41,19 +41,11 @@ class Source:
     anchors: frozenset[str] | None
     free: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
-
-    @property
-    def own(self) -> list[Effect]:
-        """The user's effects."""
-        return [effects.load(path) for path in self.files]
+    own: tuple[Effect, ...] = ()
 
     def inputs(self, options: Any) -> dict[str, Any]:
         """Fingerprints of what a result depends on."""
-        return {
-            "scene": fingerprint(
-                {"scene": scene_content(self.scene), "geometry": file_fingerprint(self.scene.geometry)}
-            ),
-            "measurement": self.measurement.fingerprint(),
+        return fingerprints(self.scene, self.measurement) | {
             "model": self.model.constants() | {"name": self.model.name},
             "anchors": None if self.anchors is None else sorted(self.anchors),
             "effects": [file_fingerprint(path) for path in self.files],
@@ -62,15 +54,27 @@ class Source:
 
 
 def from_files(scene_file: Path, measurement_file: Path, files: Sequence[Path], comm: Any) -> Source:
-    """A scene and a measurement, with the anchors to be found; collective."""
-    scene = on_root(comm, lambda: Scene.read(scene_file, physics=check_physics))
-    measurement = on_root(comm, lambda: Measurement.read(measurement_file))
-    measurement.check(scene)
-    scene = divided(scene, comm)
+    """A scene and a measurement, with the anchors to be found, and the user's effects; collective on `comm`.
+
+    Raises:
+        InputError: scene, measurement, geometry or an effect file cannot be used.
+    """
+    scene, measurement = read_inputs(scene_file, measurement_file, comm)
     check_geometry(scene, 0, comm)
-    source = Source(scene_file, measurement_file, scene, measurement, Model.of(scene), None, (), tuple(files))
-    on_root(comm, lambda: [effect.name for effect in source.own] and None)
-    return source
+    own = _loaded(files, comm)
+    return Source(scene_file, measurement_file, scene, measurement, Model.of(scene), None, (), tuple(files), own)
+
+
+def _loaded(files: Sequence[Path], comm: Any) -> tuple[Effect, ...]:
+    """The effects of files. Each rank runs the files itself: effects hold functions, which cannot be sent."""
+    own: tuple[Effect, ...] = ()
+    error = None
+    try:
+        own = tuple(effects.load(path) for path in files)
+    except BcidError as caught:
+        error = caught
+    agree(comm, error)
+    return own
 
 
 def from_run(folder: Path, files: Sequence[Path], comm: Any) -> Source:
@@ -90,8 +94,8 @@ def from_run(folder: Path, files: Sequence[Path], comm: Any) -> Source:
     source = from_files(
         Path(names["scene"]), Path(names["measurement"]), (*own, *(f for f in files if f not in own)), comm
     )
-    for what in ("scene", "measurement"):
-        if source.inputs(None)[what] != run.record["inputs"].get(what):
+    for what, present in fingerprints(source.scene, source.measurement).items():
+        if present != run.record["inputs"].get(what):
             raise InputError(f"{folder}: the {what} {names[what]} has changed since; repeat the run")
     if stored is None:
         anchored = on_root(comm, lambda: run.read_json("identification.json"))["anchored"]

@@ -1,4 +1,4 @@
-"""Whether an effect keeps its contract, tried on a small box that is pulled, turned, loaded and brought back.
+"""Whether an effect keeps its contract, tried on a small box (see `bcid.forms.trial`).
 
 ``mpirun -n 2 python -m bcid.forms.check_effect NAME-OR-FILE...`` prints the predictions that two ranks make together; the
 comparison of ranks is made with it.
@@ -12,41 +12,26 @@ import shutil
 import subprocess
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import permutations
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from dolfinx import fem
 from mpi4py import MPI
 from numpy.typing import NDArray
 
 from bcid.collective import on_root
-from bcid.errors import BcidError, InputError, SolveError
+from bcid.errors import BcidError, InputError
 from bcid.forms import effects
 from bcid.forms.effects.effect import ACTS_ON, Effect
-from bcid.forms.forward import Forward, Prediction
-from bcid.forms.mesh import BodyMesh
-from bcid.forms.model import Dose, Model
 from bcid.forms.parameter import Parameter
-from bcid.forms.rotation import from_vector
-from bcid.forms.solve import Settings
 from bcid.forms.trajectory import poses
-from bcid.measurement import Action
-from bcid.scene import Grasp, Level, Material, Plane, Region, Scene
+from bcid.forms.trial import ANCHORS, OTHER, ROUND_OFF, Trial, box, scene
 from bcid.units import parse_unit
 
 Array = NDArray[np.float64]
 
-_BOX = np.array([0.06, 0.02, 0.04])
-_BRICKS = (4, 1, 2)
-_ANCHORS = ("left",)
-_EXACT = Settings(rtol=1e-12)
-# Positions are computed to about this part of the body's size.
-_ROUND_OFF = 1e-9
 _FUNCTIONS = (
     "energy",
     "potential",
@@ -70,200 +55,6 @@ class Finding:
     def __str__(self) -> str:
         word = {True: "ok   ", False: "WRONG", None: "--   "}[self.ok]
         return f"{word}  {self.check}: {self.text}"
-
-
-@dataclass(frozen=True)
-class Units:
-    """How many SI units one unit of another system has: numbers of a body that is similar in every way."""
-
-    metre: float = 1.0
-    kilogram: float = 1.0
-    second: float = 1.0
-
-    def __call__(self, value: float, unit: str) -> float:
-        """A value of the box in SI, made that of the similar body."""
-        metre, kilogram, second, _degree = parse_unit(unit)[1]
-        return value * self.metre**metre * self.kilogram**kilogram * self.second**second
-
-
-SI = Units()
-OTHER = Units(2.0, 3.0, 1.5)
-
-
-def box(units: Units = SI) -> BodyMesh:
-    """A box of 60 x 20 x 40 mm, cut into bricks of six tetrahedra."""
-    grid = np.stack(np.meshgrid(*(np.arange(n + 1) for n in _BRICKS), indexing="ij"), axis=-1).reshape(-1, 3)
-    number = np.arange(len(grid)).reshape(*(n + 1 for n in _BRICKS))
-    cells = []
-    for corner in np.ndindex(*_BRICKS):
-        for order in permutations(range(3)):
-            path = np.vstack([np.zeros(3, int), np.cumsum(np.eye(3, dtype=int)[list(order)], axis=0)]) + corner
-            cell = [int(number[tuple(place)]) for place in path]
-            odd = np.linalg.det(np.eye(3)[list(order)]) < 0
-            cells.append([cell[0], cell[2], cell[1], cell[3]] if odd else cell)
-    return BodyMesh(grid / np.array(_BRICKS) * _BOX * units.metre, np.array(cells, dtype=np.int64))
-
-
-def scene(units: Units = SI) -> Scene:
-    """The box: lying on its bottom, with two patches, held at the end x = 60 mm."""
-
-    def face(axis: int, upper: bool) -> Region:
-        point, normal = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
-        point[axis], normal[axis] = (float(_BOX[axis]) * units.metre if upper else 0.0), 1.0
-        return Region(plane=Plane((point[0], point[1], point[2]), (normal[0], normal[1], normal[2])))
-
-    def at(x: float, y: float, z: float) -> tuple[float, float, float]:
-        return units(x, "m"), units(y, "m"), units(z, "m")
-
-    return Scene(
-        name="box",
-        geometry=Path("box"),
-        length_unit=1.0,
-        levels=(Level(1),),
-        material=Material("neo_hooke", {"young": f"{units(15e3, 'Pa')!r} Pa", "poisson": 0.35}),
-        patches={"left": face(0, False), "back": face(2, False)},
-        grasps={"gripper": Grasp(face(0, True), at(0.06, 0.01, 0.02))},
-        fiducials={
-            "a": at(0.013, 0.02, 0.012),
-            "b": at(0.031, 0.02, 0.027),
-            "c": at(0.044, 0.013, 0.04),
-            "d": at(0.022, 0.02, 0.033),
-        },
-        places={"bottom": face(1, False), "top": face(1, True)},
-        support="bottom",
-        source="of the check",
-    )
-
-
-def actions(units: Units = SI) -> list[Action]:
-    """There and back, with a turn, under a load that grows; the steps are not equally long."""
-    part = np.array([0.0, 0.5, 1.0, 0.8, 0.3])
-    count = np.arange(len(part))
-    return [
-        Action(
-            "1",
-            count,
-            count,
-            "gripper",
-            units(1.0, "m") * part[:, None] * np.array([0.004, -0.002, 0.003]),
-            np.array([from_vector(p * np.array([5.0, 3.0, -8.0])) for p in part]),
-            {"top": units(1.0, "N") * count[:, None] * np.array([0.002, 0.004, -0.003])},
-            units(1.0, "s") * np.array([0.0, 1.0, 2.5, 3.0, 4.0]),
-        )
-    ]
-
-
-class Trial:
-    """An effect on the box, at its first place or the one that is given."""
-
-    def __init__(self, effect: Effect, place: str | None = None, units: Units = SI) -> None:
-        self.effect, self.units = effect, units
-        self.scene, self.mesh, self.actions = scene(units), box(units), actions(units)
-        self.bare = Model.of(self.scene)
-        places = effect.places(self.scene, frozenset(_ANCHORS)) if effect.places else [""]
-        self.place = places[0] if place is None else place
-
-    # -- values
-    # ------------------------------------------------------------------------------------------------------------
-
-    def amount(self, parameter: Parameter, part: float) -> float:
-        """A part of the typical amount."""
-        if parameter.reciprocal:
-            value = parameter.typical / part
-        else:
-            neutral = self.bare.neutral(parameter)
-            assert neutral is not None
-            value = neutral + part * parameter.typical
-            if parameter.check(value):
-                value = neutral - part * parameter.typical
-        return self.units(value, parameter.unit)
-
-    def none(self, parameter: Parameter) -> float:
-        """Value of no influence, or the amount of nearly none."""
-        return self.amount(parameter, 1e-6 if parameter.reciprocal else 0.0)
-
-    def values(self, part: float = 1.0, only: str = "") -> dict[str, float]:
-        """A part of the typical amount (of one parameter, the others being without influence), somewhere and somehow."""
-        found = {}
-        for p in self.effect.amounts:
-            found[p.name] = self.amount(p, part) if part and only in ("", p.name) else self.none(p)
-        for p in self.effect.shapes:
-            start = p.default if p.default is not None else (p.scan[0] if p.scan else 0.0)
-            value = start + p.typical if p.check(start + p.typical) is None else start
-            found[p.name] = self.units(value, p.unit)
-        return found
-
-    def model(self, values: Mapping[str, float]) -> Model:
-        """The box's model with the effect."""
-        # Bounds are those of numbers in SI; what stands for them in other units is not compared with them.
-        free = tuple(replace(p, lower=-np.inf, upper=np.inf, scan=()) for p in self.effect.parameters)
-        effect = self.effect if self.units == SI else replace(self.effect, parameters=free)
-        return self.bare + Dose(effect, values, place=self.place)
-
-    # -- predictions
-    # -------------------------------------------------------------------------------------------------------
-
-    def forward(self, model: Model, comm: Any = MPI.COMM_SELF) -> Forward:
-        """The box with a model, ready to predict."""
-        return Forward(self.scene, 0, comm, model, _EXACT, self.mesh)
-
-    @cached_property
-    def plain(self) -> Array:
-        """Positions without the effect."""
-        return self.positions(self.forward(self.bare))
-
-    @cached_property
-    def dosed(self) -> Forward:
-        """The box with the effect; its numbers may be changed."""
-        return self.forward(self.model(self.values()))
-
-    def positions(self, forward: Forward) -> Array:
-        """Where the fiducials are seen."""
-        return self.predicted(forward).positions
-
-    def predicted(self, forward: Forward) -> Prediction:
-        """The prediction, with the states."""
-        prediction = forward.predict(_ANCHORS, self.actions, keep=True)
-        if prediction.failure:
-            raise SolveError(
-                f"the box could not be solved with {forward.model.constants()}: {prediction.failure.reason}; "
-                "choose a smaller typical, or look for a sign"
-            )
-        return prediction
-
-    def at(self, values: Mapping[str, float]) -> Array:
-        """Positions with these values, by changing numbers only."""
-        self.dosed.set_model(self.model(values))
-        return self.positions(self.dosed)
-
-    # -- residual and tangent at a state that is no equilibrium
-    # ------------------------------------------------------------
-
-    def deform(self, amplitude: float = 1.0) -> None:
-        """Take a state, a last state and memories that are the same every time, and of that amplitude."""
-        equilibrium, random = self.dosed.equilibrium, np.random.default_rng(1)
-        span, nodes = self.mesh.size, equilibrium.body.nodes / self.mesh.size
-        wave = np.cos(nodes @ random.normal(size=(3, 3)) * 2 + random.uniform(0, 6, 3))
-        equilibrium.u.x.array[:] = amplitude * 0.02 * span * wave.ravel()
-        for constant in equilibrium.terms.anchored.values():
-            constant.value = 1.0
-        for memory in equilibrium.terms.memories.values():
-            memory.dt.value, memory.moving.value = self.units(0.7, "s"), 1.0
-            memory.last.x.array[:] = amplitude * 0.013 * span * np.sin(3 * nodes).ravel()
-            for variable in memory.variables.values():
-                variable.x.array[:] = amplitude * random.normal(size=len(variable.x.array)) * 0.1
-
-    def numbers(self, values: Mapping[str, float]) -> None:
-        """Set the effect's numbers."""
-        self.dosed.set_model(self.model(values))
-
-    def forces(self, form: Any = None) -> Array:
-        """Residual at the present state, of a form or of the whole."""
-        return self.dosed.equilibrium.forces() if form is None else np.array(fem.assemble_vector(form).array)
-
-    def tangent(self) -> Array:
-        """Tangent at the present state."""
-        return sum(fem.assemble_matrix(form).to_dense() for form in self.dosed.equilibrium.tangent_forms)
 
 
 # -- the checks: each tells what is wrong, or "" if nothing is
@@ -290,7 +81,7 @@ def definition(effect: Effect, stem: str = "") -> str:
         wrong.append("it has a memory that nothing advances: give advance")
     if not effect.symmetric and not effect.work:
         wrong.append("symmetric = False, but what has an energy has a symmetric tangent: leave it out")
-    if effect.places and not effect.places(scene(), frozenset(_ANCHORS)):
+    if effect.places and not effect.places(scene(), frozenset(ANCHORS)):
         wrong.append("places gives none for a body with patches, fiducials and a support")
     return "; ".join(wrong)
 
@@ -327,9 +118,9 @@ def vanishes(trial: Trial) -> str:
     away = np.abs(trial.at(none) - trial.plain).max()
     if limit:
         nearer = np.abs(trial.at(trial.values(1e-7)) - trial.plain).max()
-        if not nearer < 0.2 * away + _ROUND_OFF * size:
+        if not nearer < 0.2 * away + ROUND_OFF * size:
             return f"a ten times smaller dose leaves {nearer / away:.2g} of the difference to the model without it"
-    tolerance = 1e-4 * size if limit else _ROUND_OFF * size
+    tolerance = 1e-4 * size if limit else ROUND_OFF * size
     if not away < tolerance:
         return f"at {none} a fiducial is {away * 1e3:.2g} mm from where it is without it: it must be the same"
     return ""
@@ -347,7 +138,7 @@ def acts(trial: Trial) -> str:
     idle = []
     for p in trial.effect.amounts:
         moved = np.abs(trial.at(trial.values(1.0, p.name)) - trial.plain).max()
-        if not moved > 10 * _ROUND_OFF * trial.mesh.size:
+        if not moved > 10 * ROUND_OFF * trial.mesh.size:
             idle.append(p.name)
     return f"nothing moves at the typical size of {', '.join(idle)}: raise typical, or look for a unit" if idle else ""
 
@@ -357,7 +148,7 @@ def follows_numbers(trial: Trial) -> str:
     values = trial.values(0.6)
     changed, again = trial.at(values), trial.positions(trial.forward(trial.model(values)))
     gap = np.abs(changed - again).max() / trial.mesh.size
-    if gap < _ROUND_OFF:
+    if gap < ROUND_OFF:
         return ""
     return (
         f"the same values give positions that differ by {gap:.1e} of the size when they are set later and when the model is "
@@ -436,7 +227,7 @@ def _smooth_positions(trial: Trial, p: Parameter) -> str:
         return trial.at({**trial.values(0.0), p.name: trial.amount(p, max(step, 1e-6) if p.reciprocal else step)})
 
     slope, size, unsettled = _slopes(positions)
-    noise = 100 * _ROUND_OFF * trial.mesh.size
+    noise = 100 * ROUND_OFF * trial.mesh.size
     if unsettled > 1e-4 * size + noise:
         return f"difference quotients of the positions do not settle as the step is halved (by {unsettled / size:.1e})"
     effect = trial.effect
@@ -455,7 +246,7 @@ def _signature(trial: Trial, p: Parameter) -> Array:
     states = trial.predicted(forward).states
     assert states is not None
     action, step = trial.actions[0], 1e-3
-    equilibrium.hold(_ANCHORS, action.grasp)
+    equilibrium.hold(ANCHORS, action.grasp)
     part = equilibrium.terms.part(forward.model.doses[0])
     dosed = trial.model({**trial.values(0.0), p.name: trial.amount(p, step)})
     rows = []
@@ -489,7 +280,7 @@ def units(trial: Trial) -> str:
         here = trial.at(trial.values(1.0, p.name)) - trial.plain
         there = (other.at(other.values(1.0, p.name)) - other.plain) / OTHER.metre
         gap = np.abs(here - there).max()
-        if gap > 1e-5 * np.abs(here).max() + 10 * _ROUND_OFF * trial.mesh.size:
+        if gap > 1e-5 * np.abs(here).max() + 10 * ROUND_OFF * trial.mesh.size:
             return (
                 f"{p.name} ({p.unit}) does {np.abs(there).max() / np.abs(here).max():.3g} times as much in a similar body that is "
                 "larger, heavier and slower: a parameter has another unit than it says, or the formula holds a number with a "
@@ -582,7 +373,7 @@ def ranks(effect: Effect, source: str, comm: Any, shared: Array | None = None) -
         gap = np.abs(shared - together(effect, MPI.COMM_SELF)).max() / box().size
     except (BcidError, subprocess.TimeoutExpired) as error:
         return Finding(name, False, str(error))
-    if gap < _ROUND_OFF:
+    if gap < ROUND_OFF:
         return Finding(name, True, f"the same on one and on {count} ranks")
     text = f"positions on {count} ranks differ from those on one by {gap:.1e} of the size"
     return Finding(name, False, f"{text}: what it does at a point must not depend on how the mesh is shared out")
@@ -590,7 +381,11 @@ def ranks(effect: Effect, source: str, comm: Any, shared: Array | None = None) -
 
 def known(source: str) -> Effect:
     """An effect by the path of its file, or by its name in the catalogue."""
-    return effects.load(source) if source.endswith(".py") or os.sep in source else effects.effect(source)
+    return effects.load(source) if _is_file(source) else effects.effect(source)
+
+
+def _is_file(source: str) -> bool:
+    return source.endswith(".py") or os.sep in source
 
 
 def check_effect(source: str, comm: Any, say: Callable[[str], None]) -> None:
@@ -600,11 +395,10 @@ def check_effect(source: str, comm: Any, say: Callable[[str], None]) -> None:
         InputError: it cannot be read, or does not keep the contract.
     """
     effect = known(source)
-    is_file = source.endswith(".py") or os.sep in source
 
     def alone() -> list[bool]:
         made = []
-        for finding in findings(effect, source if is_file else ""):
+        for finding in findings(effect, source if _is_file(source) else ""):
             say(str(finding))
             made.append(finding.ok is not False)
         return made

@@ -5,17 +5,21 @@ falling error.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from bcid.report.identification import cropped_alike
+from bcid.report.figure import body_entries, cropped, open_frame, save
 from bcid.report.paraview import write_paraview
-from bcid.report.scene3d import COLOURS, arrows_picture
+from bcid.report.scene3d import COLOURS, Image, arrows_picture
 from bcid.run import Run, writing
 from bcid.units import percent, unit_factor
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -42,14 +46,9 @@ def draw(folder: str | Path) -> list[Path]:
     figures = {"picture.png": residual_figure(found, body, residuals), "ladder.png": ladder_figure(found)}
     if (run.path / "where.json").is_file():
         figures["where.png"] = where_figure(found, run.read_json("where.json"), body, residuals)
-    written = []
     with writing(run.path):
-        for name, figure in figures.items():
-            partial = run.path / f".{name.removesuffix('.png')}.partial.png"
-            figure.savefig(partial, dpi=150)
-            written.append(partial.replace(run.path / name))
-        written.append(write_paraview(run.path / "paraview", body, residuals))
-    return written
+        written = [save(figure, run.path / name) for name, figure in figures.items()]
+        return [*written, write_paraview(run.path / "paraview", body, residuals)]
 
 
 def falling(found: dict[str, Any]) -> str:
@@ -79,7 +78,7 @@ def _steps(found: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
     for rung in found["ladder"]:
         model = rung["model"]
         more = model.removeprefix(f"{before} + ") if before and model.startswith(f"{before} + ") else ""
-        text = " + ".join(plain(part) for part in (more or model).split(" + "))
+        text = _model(more or model)
         steps.append((f"+ {text}" if more else text, rung))
         before = model
     return steps
@@ -89,7 +88,7 @@ def _steps(found: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
 # ----------------------------------------------------------------------------------------------------------
 
 
-def residual_figure(found: dict[str, Any], body: xr.Dataset, residuals: xr.Dataset) -> Any:
+def residual_figure(found: dict[str, Any], body: xr.Dataset, residuals: xr.Dataset) -> Figure:
     """The residual of the first model as arrows, beside that of the last one in the same scale."""
     measured, last = residuals["measured"].values * 1e3, residuals["predicted"].values * 1e3
     first = residuals["predicted_first"].values * 1e3
@@ -105,9 +104,9 @@ def residual_figure(found: dict[str, Any], body: xr.Dataset, residuals: xr.Datas
         seen = np.isfinite(arrows).all(axis=1) & np.isfinite(last[frame]).all(axis=1)
         view = body, found["anchored"], frame, str(residuals["grasp"].values[frame])
         coloured = np.ones(int(seen.sum()), dtype=bool)
-        images.append(arrows_picture(*view, last[frame][seen], arrows[seen], coloured, _up(body), _SIZE))
+        images.append(arrows_picture(*view, last[frame][seen], arrows[seen], coloured, _SIZE))
     unit = found["length_unit"]
-    titles = [f"{_model(rung)}: {rung['rms']:.3g} {unit}" for rung, _ in panels]
+    titles = [f"{_model(rung['model'])}: {rung['rms']:.3g} {unit}" for rung, _ in panels]
     figure = _panels(images, titles)
     head = "What the model misses" if len(panels) == 1 else "What the models miss"
     _head(
@@ -142,19 +141,16 @@ def diagonal(body: xr.Dataset) -> float:
     return float(np.linalg.norm(np.ptp(body["points"].values, axis=0))) * 1e3
 
 
-def _up(body: xr.Dataset) -> Array:
-    return np.array([float(v) for v in str(body.attrs.get("up", "0 1 0")).split()])
-
-
-def _model(rung: dict[str, Any]) -> str:
-    return " + ".join(plain(part) for part in rung["model"].split(" + "))
+def _model(model: str) -> str:
+    """The name of a model as it is read: "neo-Hookean + gravity"."""
+    return " + ".join(plain(part) for part in model.split(" + "))
 
 
 # -- the missing force
 # -------------------------------------------------------------------------------------------------------------
 
 
-def where_figure(found: dict[str, Any], where: dict[str, Any], body: xr.Dataset, residuals: xr.Dataset) -> Any:
+def where_figure(found: dict[str, Any], where: dict[str, Any], body: xr.Dataset, residuals: xr.Dataset) -> Figure:
     """The force that would explain the residual: its steady part, and the largest of those that grow in an action."""
     to_mm = unit_factor(where["length_unit"], "m") * 1e3
     panels = [("", where["steady"])]
@@ -170,7 +166,7 @@ def where_figure(found: dict[str, Any], where: dict[str, Any], body: xr.Dataset,
         starts, forces = (np.array([p[what] for p in places]).reshape(-1, 3) for what in ("position", "force"))
         told = np.array([_size(p) > _TOLD * p["stderr"] for p in places], dtype=bool)
         view = body, found["anchored"], None, _grasp(residuals, action)
-        images.append(arrows_picture(*view, to_mm * starts, scale * forces, told, _up(body), _SIZE))
+        images.append(arrows_picture(*view, to_mm * starts, scale * forces, told, _SIZE))
         together = " ".join(f"{v:+.3g}" for v in 1e3 * forces.sum(axis=0))
         titles.append(f"{f'growing in action {action}' if action else 'in all frames'}: together ({together}) mN")
     figure = _panels(images, titles)
@@ -179,11 +175,15 @@ def where_figure(found: dict[str, Any], where: dict[str, Any], body: xr.Dataset,
     text = f"It would explain {percent(where['explained'])} of what is beyond noise, and leave {left}"
     if where["explained"] < _NOTHING:
         _head(
-            figure, "No missing force can be told", f"{_model(first)} leaves nothing beyond noise that a force explains"
+            figure,
+            "No missing force can be told",
+            f"{_model(first['model'])} leaves nothing beyond noise that a force explains",
         )
     else:
         _head(
-            figure, f"The force that the {_model(first)} model lacks", f"{text} (its size is right if the stiffness is)"
+            figure,
+            f"The force that the {_model(first['model'])} model lacks",
+            f"{text} (its size is right if the stiffness is)",
         )
     _legend(
         figure,
@@ -211,7 +211,7 @@ def _grasp(residuals: xr.Dataset, action: str) -> str:
 # -------------------------------------------------------------------------------------------------------------
 
 
-def ladder_figure(found: dict[str, Any]) -> Any:
+def ladder_figure(found: dict[str, Any]) -> Figure:
     """The error of each model as bars; beside them the ranked effects with the error now, expected and fitted."""
     from matplotlib.figure import Figure
 
@@ -230,7 +230,7 @@ def ladder_figure(found: dict[str, Any]) -> Any:
     return figure
 
 
-def _bars(axes: Any, found: dict[str, Any]) -> None:
+def _bars(axes: Axes, found: dict[str, Any]) -> None:
     steps = _steps(found)
     high = 0.36
     series = [
@@ -258,7 +258,7 @@ def _bars(axes: Any, found: dict[str, Any]) -> None:
     _bare(axes)
 
 
-def _ranked(axes: Any, found: dict[str, Any], rows: list[dict[str, Any]]) -> None:
+def _ranked(axes: Axes, found: dict[str, Any], rows: list[dict[str, Any]]) -> None:
     asked = next((rung for rung in found["ladder"] if not rung["adequate"]), found["ladder"][0])
     now, noise = asked["rms"], found["noise_rms"]
     for i, row in enumerate(rows):
@@ -294,7 +294,10 @@ def _ranked(axes: Any, found: dict[str, Any], rows: list[dict[str, Any]]) -> Non
     values = [now, noise, *(row["expected_rms"] for row in rows), *(row["fitted_rms"] or 0 for row in rows)]
     axes.set_xlim(0, 1.06 * max(values))
     axes.set_title(
-        f"Error of {_model(asked)} with one effect more (RMS, {found['length_unit']})", fontsize=13, loc="left", pad=12
+        f"Error of {_model(asked['model'])} with one effect more (RMS, {found['length_unit']})",
+        fontsize=13,
+        loc="left",
+        pad=12,
     )
     axes.legend(
         frameon=False, fontsize=10.5, loc="upper center", bbox_to_anchor=(0.45, -0.12), ncols=4, columnspacing=1.2
@@ -312,13 +315,13 @@ def _place(row: dict[str, Any]) -> str:
 # ------------------------------------------------------------------------------------------------------------
 
 
-def _panels(images: list[Array], titles: list[str]) -> Any:
+def _panels(images: list[Image], titles: list[str]) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.2 * len(images) if len(images) > 1 else 9.5, 7.4), facecolor="white")
     grid = figure.add_gridspec(1, len(images), wspace=0.03)
     grid.update(left=0.015, right=0.985, top=0.815, bottom=0.085)
-    for i, (image, title) in enumerate(zip(cropped_alike(images), titles, strict=True)):
+    for i, (image, title) in enumerate(zip(cropped(images), titles, strict=True)):
         axes = figure.add_subplot(grid[0, i])
         axes.imshow(image)
         axes.set_axis_off()
@@ -326,30 +329,26 @@ def _panels(images: list[Array], titles: list[str]) -> Any:
     return figure
 
 
-def _head(figure: Any, title: str, text: str) -> None:
+def _head(figure: Figure, title: str, text: str) -> None:
     inches = figure.get_figwidth()
     figure.text(0.28 / inches, 0.935, title, fontsize=19 if inches > 10 else 16, weight="bold")
     figure.text(0.28 / inches, 0.885, text, fontsize=12.5 if inches > 10 else 11, color=_GREY)
 
 
-def _legend(figure: Any, arrows: tuple[str, ...], grasp: str) -> None:
+def _legend(figure: Figure, arrows: tuple[str, ...], grasp: str) -> None:
     from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
 
     entries = [
         *(
             Line2D([], [], color=colour, linewidth=width, label=text)
             for text, colour, width in zip(arrows, (COLOURS.predicted, COLOURS.weak), (3, 2), strict=False)
         ),
-        Patch(color=COLOURS.anchored, label="anchored patch"),
-        Patch(color=COLOURS.free, label="free candidate patch"),
-        *([Patch(color=COLOURS.grasp, label=f"grasp {grasp}")] if grasp else []),
+        *body_entries(grasp),
     ]
     narrow = figure.get_figwidth() < 10
     figure.legend(handles=entries, loc="lower center", frameon=False, fontsize=11, ncols=2 if narrow else 4)
 
 
-def _bare(axes: Any) -> None:
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+def _bare(axes: Axes) -> None:
+    open_frame(axes)
     axes.tick_params(axis="y", labelsize=11)

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
+from bcid.report.figure import body_entries, cropped, open_frame, save
 from bcid.report.paraview import write_paraview
 from bcid.report.scene3d import COLOURS, picture
 from bcid.run import Run, writing
 from bcid.units import percent, unit_factor
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 def draw(folder: str | Path) -> list[Path]:
@@ -22,28 +24,25 @@ def draw(folder: str | Path) -> list[Path]:
     run = Run.open(folder)
     found = run.read_json("identification.json")
     body, prediction = run.read_dataset("body.nc"), run.read_dataset("prediction.nc")
-    target = run.path / "picture.png"
     figure = summary_figure(found, body, prediction)
     with writing(run.path):
-        partial = target.with_name(".picture.partial.png")
-        figure.savefig(partial, dpi=150)
-        partial.replace(target)
-        series = write_paraview(run.path / "paraview", body, prediction)
-    return [target, series]
+        return [
+            save(figure, run.path / "picture.png"),
+            write_paraview(run.path / "paraview", body, prediction),
+        ]
 
 
-def summary_figure(found: dict[str, Any], body: xr.Dataset, prediction: xr.Dataset) -> Any:
-    """A matplotlib figure: the body with its anchors and trajectories; probabilities; the residual against the noise."""
+def summary_figure(found: dict[str, Any], body: xr.Dataset, prediction: xr.Dataset) -> Figure:
+    """The body with its anchors and trajectories; probabilities; the residual against the noise."""
     from matplotlib.figure import Figure
 
     frame = telling_frame(prediction)
-    up = np.array([float(v) for v in str(body.attrs.get("up", "0 1 0")).split()])
-    image = picture(body, prediction, found["anchored"], frame, up, (1800, 1500))
+    image = picture(body, prediction, found["anchored"], frame, (1800, 1500))
     figure = Figure(figsize=(14, 7.6), facecolor="white")
     grid = figure.add_gridspec(2, 2, width_ratios=[2.15, 1], height_ratios=[1, 1], hspace=0.42, wspace=0.12)
     grid.update(left=0.015, right=0.975, top=0.875, bottom=0.1)
     left = figure.add_subplot(grid[:, 0])
-    left.imshow(cropped(image))
+    left.imshow(cropped([image])[0])
     left.set_axis_off()
     _title(figure, found, body)
     _legend(left, prediction, frame)
@@ -58,22 +57,7 @@ def telling_frame(prediction: xr.Dataset) -> int:
     return int(np.nanargmax(np.nanmean(away, axis=1)))
 
 
-def cropped(image: Array, margin: int = 12) -> Array:
-    """The image without its white border."""
-    return cropped_alike([image], margin)[0]
-
-
-def cropped_alike(images: list[Array], margin: int = 12) -> list[Array]:
-    """Images of one size without the white border that all of them have."""
-    ink = np.any([np.any(image < 250, axis=2) for image in images], axis=0)
-    rows, columns = np.flatnonzero(ink.any(axis=1)), np.flatnonzero(ink.any(axis=0))
-    if len(rows) == 0:
-        return images
-    top, left = max(rows[0] - margin, 0), max(columns[0] - margin, 0)
-    return [image[top : rows[-1] + margin, left : columns[-1] + margin] for image in images]
-
-
-def _title(figure: Any, found: dict[str, Any], body: xr.Dataset) -> None:
+def _title(figure: Figure, found: dict[str, Any], body: xr.Dataset) -> None:
     unit = found["length_unit"]
     names = " ".join(found["anchored"]) or "none"
     noise = "" if found["noise_rms"] is None else f", noise {found['noise_rms']:.2g} {unit}"
@@ -84,15 +68,11 @@ def _title(figure: Any, found: dict[str, Any], body: xr.Dataset) -> None:
     figure.text(0.02, 0.905, text, fontsize=12.5, color="#444444")
 
 
-def _legend(axes: Any, prediction: xr.Dataset, frame: int) -> None:
+def _legend(axes: Axes, prediction: xr.Dataset, frame: int) -> None:
     from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
 
-    grasp = str(prediction["grasp"].values[frame])
     entries = [
-        Patch(color=COLOURS.anchored, label="anchored patch"),
-        Patch(color=COLOURS.free, label="free candidate patch"),
-        *([Patch(color=COLOURS.grasp, label=f"grasp {grasp}")] if grasp else []),
+        *body_entries(str(prediction["grasp"].values[frame])),
         Line2D([], [], color=COLOURS.measured, marker="o", linestyle="", markersize=5, label="measured positions"),
         Line2D([], [], color=COLOURS.predicted, linewidth=3, label="predicted paths"),
         Line2D([], [], color=COLOURS.outline, linewidth=1.5, label="rest shape"),
@@ -102,13 +82,12 @@ def _legend(axes: Any, prediction: xr.Dataset, frame: int) -> None:
     axes.legend(handles=entries, loc="upper center", bbox_to_anchor=(0.5, 0.02), frameon=False, fontsize=11, ncols=3)
 
 
-def _plain(axes: Any) -> None:
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+def _plain(axes: Axes) -> None:
+    open_frame(axes)
     axes.tick_params(labelsize=10)
 
 
-def _probabilities(axes: Any, found: dict[str, Any]) -> None:
+def _probabilities(axes: Axes, found: dict[str, Any]) -> None:
     names = list(found["patches"])
     values = [found["patches"][name] for name in names]
     colours = [COLOURS.anchored if name in found["anchored"] else COLOURS.free for name in names]
@@ -124,7 +103,7 @@ def _probabilities(axes: Any, found: dict[str, Any]) -> None:
         axes.tick_params(axis="x", labelsize=min(10, 260 // len(names)))
 
 
-def _residuals(axes: Any, found: dict[str, Any], prediction: xr.Dataset) -> None:
+def _residuals(axes: Axes, found: dict[str, Any], prediction: xr.Dataset) -> None:
     length = unit_factor(found["length_unit"], "m")
     squares = ((prediction["predicted"] - prediction["measured"]) / length).values ** 2
     seen = np.isfinite(squares).any(axis=(1, 2))

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
+
+if TYPE_CHECKING:
+    import pyvista as pv
 
 
 def write_paraview(folder: Path, body: xr.Dataset, prediction: xr.Dataset) -> Path:
@@ -29,18 +33,15 @@ def write_paraview(folder: Path, body: xr.Dataset, prediction: xr.Dataset) -> Pa
     return _collection(folder / "body.pvd", bodies)
 
 
-def _save(grid, target: Path) -> str:  # type: ignore[no-untyped-def]
+def _save(grid: pv.UnstructuredGrid, target: Path) -> str:
     grid.save(target, binary=True)
     return target.name
 
 
 def _collection(target: Path, names: list[str]) -> Path:
     entries = "\n".join(f'    <DataSet timestep="{i}" file="{name}"/>' for i, name in enumerate(names))
-    head, tail = (
-        '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>',
-        "  </Collection>\n</VTKFile>\n",
-    )
-    text = f"{head}\n{entries}\n{tail}"
+    head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>'
+    text = f"{head}\n{entries}\n  </Collection>\n</VTKFile>\n"
     partial = target.with_name(f".{target.name}.partial")
     partial.write_text(text, encoding="utf-8")
     partial.replace(target)

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+if TYPE_CHECKING:
+    import pyvista as pv
+
 # VTK writes warnings about a missing display before it falls back to drawing in memory.
 os.environ.setdefault("VTK_LOGGING_LEVEL", "ERROR")
 
 Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -33,7 +38,7 @@ class Palette:
 COLOURS = Palette()
 
 
-def surface(body: xr.Dataset, frame: int | None = None):  # type: ignore[no-untyped-def]
+def surface(body: xr.Dataset, frame: int | None = None) -> pv.PolyData:
     """Boundary of the body as PyVista mesh in mm, at rest or in a frame; cell data "place" numbers the named places."""
     import pyvista as pv
 
@@ -47,22 +52,19 @@ def surface(body: xr.Dataset, frame: int | None = None):  # type: ignore[no-unty
     return mesh
 
 
-def picture(
-    body: xr.Dataset, prediction: xr.Dataset, anchored: list[str], frame: int, up: Array, size: tuple[int, int]
-) -> Array:
+def picture(body: xr.Dataset, prediction: xr.Dataset, anchored: list[str], frame: int, size: tuple[int, int]) -> Image:
     """Image (height, width, 3) of the body in a frame with its anchors and the trajectories of that frame's action.
 
     Args:
         body, prediction: the run's `body.nc` and `prediction.nc`.
         anchored: names of the anchored patches.
         frame: which frame to show.
-        up: unit vector that points up in the picture.
         size: width and height in pixels.
     """
     plotter = _plotter(size)
     _add_body(plotter, body, anchored, frame, str(prediction["grasp"].values[frame]))
     _add_trajectories(plotter, prediction, frame)
-    return _image(plotter, body, up)
+    return _image(plotter, body)
 
 
 def arrows_picture(
@@ -73,9 +75,8 @@ def arrows_picture(
     starts: Array,
     arrows: Array,
     strong: NDArray[np.bool_],
-    up: Array,
     size: tuple[int, int],
-) -> Array:
+) -> Image:
     """Image (height, width, 3) of the body with its anchors and with arrows.
 
     Args:
@@ -85,16 +86,15 @@ def arrows_picture(
         grasp: name of the grasp to colour, or "".
         starts, arrows: where arrows begin and what is drawn, shape (arrows, 3), mm.
         strong: which arrows are drawn in colour; the others are grey and thinner.
-        up: unit vector that points up in the picture.
         size: width and height in pixels.
     """
     plotter = _plotter(size)
     _add_body(plotter, body, anchored, frame, grasp, 0.3)
     _add_arrows(plotter, starts, arrows, strong, 0.005 * surface(body).length)
-    return _image(plotter, body, up)
+    return _image(plotter, body)
 
 
-def _plotter(size: tuple[int, int]):  # type: ignore[no-untyped-def]
+def _plotter(size: tuple[int, int]) -> pv.Plotter:
     import pyvista as pv
 
     plotter = pv.Plotter(off_screen=True, window_size=list(size), lighting="three lights")
@@ -104,14 +104,14 @@ def _plotter(size: tuple[int, int]):  # type: ignore[no-untyped-def]
     return plotter
 
 
-def _image(plotter, body: xr.Dataset, up: Array) -> Array:  # type: ignore[no-untyped-def]
-    _aim(plotter, body, up)
+def _image(plotter: pv.Plotter, body: xr.Dataset) -> Image:
+    _aim(plotter, body)
     image = plotter.screenshot(return_img=True)
     plotter.close()
     return np.asarray(image)
 
 
-def _add_arrows(plotter, starts: Array, arrows: Array, strong: NDArray[np.bool_], thickness: float) -> None:  # type: ignore[no-untyped-def]
+def _add_arrows(plotter: pv.Plotter, starts: Array, arrows: Array, strong: NDArray[np.bool_], thickness: float) -> None:
     """Arrows of one thickness, so that short ones stay visible; a ball marks where each begins."""
     import pyvista as pv
 
@@ -127,8 +127,8 @@ def _add_arrows(plotter, starts: Array, arrows: Array, strong: NDArray[np.bool_]
         plotter.add_mesh(arrow_mesh, color=colour, ambient=0.75, diffuse=0.25)
 
 
-def _add_body(  # type: ignore[no-untyped-def]
-    plotter, body: xr.Dataset, anchored: list[str], frame: int | None, grasp: str, opacity: float = 0.5
+def _add_body(
+    plotter: pv.Plotter, body: xr.Dataset, anchored: list[str], frame: int | None, grasp: str, opacity: float = 0.5
 ) -> None:
     rest, moved = surface(body), surface(body, frame)
     edges = {"boundary_edges": False, "non_manifold_edges": False, "manifold_edges": False}
@@ -148,7 +148,7 @@ def _add_body(  # type: ignore[no-untyped-def]
             _label(plotter, part, moved, names[number].removeprefix("patch "), colour == COLOURS.anchored)
 
 
-def _label(plotter, part, whole, text: str, strong: bool) -> None:  # type: ignore[no-untyped-def]
+def _label(plotter: pv.Plotter, part: pv.PolyData, whole: pv.PolyData, text: str, strong: bool) -> None:
     """The name of a patch, beside its middle."""
     normals = part.compute_normals(point_normals=False, auto_orient_normals=False, consistent_normals=False).cell_data[
         "Normals"
@@ -171,7 +171,7 @@ def _place_colours(body: xr.Dataset, anchored: list[str], grasp: str) -> list[st
     return colours
 
 
-def _add_trajectories(plotter, prediction: xr.Dataset, frame: int) -> None:  # type: ignore[no-untyped-def]
+def _add_trajectories(plotter: pv.Plotter, prediction: xr.Dataset, frame: int) -> None:
     """Predicted paths as tubes and measured positions as dots, of the action that `frame` belongs to."""
     import pyvista as pv
 
@@ -189,8 +189,9 @@ def _add_trajectories(plotter, prediction: xr.Dataset, frame: int) -> None:  # t
         plotter.add_mesh(spheres, color=COLOURS.measured, ambient=0.4)
 
 
-def _aim(plotter, body: xr.Dataset, up: Array) -> None:  # type: ignore[no-untyped-def]
+def _aim(plotter: pv.Plotter, body: xr.Dataset) -> None:
     """Look from above at the side of the gripper, from where neither hides the trajectories."""
+    up = np.array([float(v) for v in str(body.attrs.get("up", "0 1 0")).split()])
     points = body["points"].values * 1e3
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
     across = np.cross(up, np.array([1.0, 0.0, 0.0]))

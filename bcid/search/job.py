@@ -46,19 +46,11 @@ def run_identification(
         BcidError: see `bcid.search.identify.identify`, `Scene.read`, `Measurement.read` and `Run.start`.
     """
     progress = progress or Silent()
-    scene = on_root(comm, lambda: Scene.read(scene_file, physics=check_physics))
-    measurement = on_root(comm, lambda: Measurement.read(measurement_file))
-    measurement.check(scene)
-    scene = divided(scene, comm)
+    scene, measurement = read_inputs(scene_file, measurement_file, comm)
     options.check(scene)
     check_rounds(scene, refine)
     check_geometry(scene, first_level(scene, options.coarsest, options.last(scene), comm)[0], comm)
-    inputs = {
-        "scene": fingerprint({"scene": scene_content(scene), "geometry": file_fingerprint(scene.geometry)}),
-        "measurement": measurement.fingerprint(),
-        "options": asdict(options),
-        "refine": refine,
-    }
+    inputs = fingerprints(scene, measurement) | {"options": asdict(options), "refine": refine}
     names = {"scene": str(scene_file), "measurement": str(measurement_file)}
     run: Run | None = None
 
@@ -82,9 +74,25 @@ def run_identification(
     return folder
 
 
-def scene_content(scene: Scene) -> dict[str, Any]:
-    """What of a scene a result depends on: not where its files lie."""
-    return {key: value for key, value in asdict(scene).items() if key not in ("geometry", "source", "description")}
+def read_inputs(scene_file: Path, measurement_file: Path, comm: Any) -> tuple[Scene, Measurement]:
+    """A scene, with its divided patches replaced by their pieces, and a measurement that fits it; collective on `comm`.
+
+    Raises:
+        InputError: one of them cannot be read, or they do not belong together; see also `bcid.forms.patches.divided`.
+    """
+    scene = on_root(comm, lambda: Scene.read(scene_file, physics=check_physics))
+    measurement = on_root(comm, lambda: Measurement.read(measurement_file))
+    measurement.check(scene)
+    return divided(scene, comm), measurement
+
+
+def fingerprints(scene: Scene, measurement: Measurement) -> dict[str, Any]:
+    """Fingerprints of scene (with its geometry) and measurement, as run folders hold them: not where the files lie."""
+    content = {key: value for key, value in asdict(scene).items() if key not in ("geometry", "source", "description")}
+    return {
+        "scene": fingerprint({"scene": content, "geometry": file_fingerprint(scene.geometry)}),
+        "measurement": measurement.fingerprint(),
+    }
 
 
 def _keeper(run: Run | None, comm: Any) -> Callable[[list[Outcome]], None]:

@@ -27,6 +27,7 @@ from bcid.forms.model import Anchors, Dose, Held, Model
 from bcid.forms.parameter import Parameter
 from bcid.forms.solve import Equilibrium, Pose, Settings, Status
 from bcid.forms.trajectory import follow
+from bcid.forms.trial import Trial
 from bcid.measurement import Action, Measurement
 from bcid.scene import Level, Scene
 from bcid.units import parse_unit
@@ -45,12 +46,12 @@ PLACES = [(name, None) for name in effects.names()] + [("soft_anchor", "left"), 
 
 
 @pytest.fixture(scope="module")
-def trials() -> Callable[..., check_effect.Trial]:
-    made: dict[Any, check_effect.Trial] = {}
+def trials() -> Callable[..., Trial]:
+    made: dict[Any, Trial] = {}
 
-    def trial(name: str, place: str | None) -> check_effect.Trial:
+    def trial(name: str, place: str | None) -> Trial:
         if (name, place) not in made:
-            made[name, place] = check_effect.Trial(effects.effect(name), place)
+            made[name, place] = Trial(effects.effect(name), place)
         return made[name, place]
 
     return trial
@@ -75,7 +76,7 @@ def test_definition(name: str) -> None:
 
 @pytest.mark.parametrize("check", check_effect.CHECKS)
 @pytest.mark.parametrize(("name", "place"), PLACES)
-def test_contract(trials: Callable[..., check_effect.Trial], name: str, place: str | None, check: str) -> None:
+def test_contract(trials: Callable[..., Trial], name: str, place: str | None, check: str) -> None:
     finding = check_effect.run(check, trials(name, place))
     assert finding.ok, finding
 
@@ -144,7 +145,7 @@ BROKEN = {
 
 @pytest.mark.parametrize("case", BROKEN)
 def test_a_broken_effect_is_found_out(case: str) -> None:
-    finding = check_effect.run(case.split(",")[0], check_effect.Trial(BROKEN[case]))
+    finding = check_effect.run(case.split(",")[0], Trial(BROKEN[case]))
     assert finding.ok is False, finding
     assert str(finding).startswith("WRONG")
 

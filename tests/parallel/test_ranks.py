@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from verify.problems import move, pull_and_lift
 
 from bcid.collective import on_root
+from bcid.compare.source import from_files
 from bcid.compare.state import State
 from bcid.compare.twin import Twin
 from bcid.errors import BcidError, InputError
@@ -269,6 +270,20 @@ def test_errors_are_raised_on_every_rank(slab: Scene, tmp_path_factory: pytest.T
     with pytest.raises(InputError, match="patch far"):
         Forward(replace(slab, patches={"far": Region(("nothing",))}), 0, WORLD).predict({"far"}, twisted())
     WORLD.barrier()
+
+
+def test_an_effect_file_that_fails_on_one_rank_is_told_on_every_rank(
+    project: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    folder = WORLD.bcast(tmp_path_factory.mktemp("effect") if WORLD.rank == 0 else None)
+    path = folder / "mine.py"
+    examples = project / "examples"
+    text = (examples / "effects" / "magnetic_force.py").read_text(encoding="utf-8")
+    text += "\nfrom mpi4py import MPI\nassert MPI.COMM_WORLD.rank != MPI.COMM_WORLD.size - 1, 'the last rank'\n"
+    on_root(WORLD, lambda: path.write_text(text, encoding="utf-8"))
+    seen = examples / "measurements" / "slab-12-semicircle"
+    with pytest.raises(InputError, match="AssertionError: the last rank"):
+        from_files(examples / "scenes" / "slab.toml", seen, (path,), WORLD)
 
 
 def test_a_failed_solve_is_told_on_every_rank(slab: Scene) -> None:

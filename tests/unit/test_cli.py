@@ -9,6 +9,10 @@ from typing import Any
 
 import pytest
 
+from bcid import cli
+from bcid.errors import MachineError
+from bcid.progress import Lines
+
 ROOT = Path(__file__).resolve().parents[2]
 SLAB = ROOT / "examples/scenes/slab.toml"
 SEEN = ROOT / "examples/measurements/slab-12-semicircle"
@@ -56,6 +60,7 @@ def test_help_names_every_command(tmp_path: Path) -> None:
         (["explain", SLAB, SEEN, "-o", "run", "--level", "7"], ["--level 7", "levels 0 to 3"]),
         (["explain", SLAB, SEEN, "-o", "run", "--most", "0"], ["--most 0", "at least 1"]),
         (["explain", SLAB, SEEN, "-o", "run", "--effects", "none.py"], ["none.py", "no such file"]),
+        (["study", "hidden", "-o", "run", "--cases", "0"], ["--cases 0", "at least 1"]),
         (["compare", "none"], ["none", "is not a run folder"]),
         (["diagnose", ROOT / "examples"], ["is not a run folder"]),
         (["fit", "none", "--add", "gravity", "-o", "run"], ["is not a run folder"]),
@@ -135,6 +140,92 @@ def test_runs_that_nothing_can_start_from(tmp_path: Path) -> None:
     refused(bcid("compare", changed, cwd=tmp_path), "scene.toml has changed since")
     gone = identified(tmp_path / "e", names={"scene": "gone.toml", "measurement": str(SEEN)})
     refused(bcid("compare", gone, cwd=tmp_path), "gone.toml", "no such scene file")
+
+
+def test_an_effect_file_is_run_once(tmp_path: Path) -> None:
+    """However often the effects are asked for: they are the same objects, in the order of the files."""
+    from mpi4py import MPI
+
+    from bcid.compare.source import find_effect, from_files
+
+    text = (ROOT / "examples/effects/magnetic_force.py").read_text(encoding="utf-8")
+    path, times = tmp_path / "magnetic_force.py", tmp_path / "times"
+    path.write_text(f"{text}\nwith open({str(times)!r}, 'a') as file:\n    file.write('x')\n", encoding="utf-8")
+    source = from_files(SLAB, SEEN, (path,), MPI.COMM_SELF)
+    assert [effect.name for effect in source.own] == ["magnetic_force"]
+    assert find_effect("magnetic_force", source.own) is source.own[0]
+    assert times.read_text(encoding="utf-8") == "x"
+
+
+JOBS = {
+    "demo": ("bcid.compare.job.run_explain", []),
+    "identify": ("bcid.search.job.run_identification", ["scene.toml", "seen", "-o", "run"]),
+    "explain": ("bcid.compare.job.run_explain", ["scene.toml", "seen", "-o", "run"]),
+    "compare": ("bcid.compare.job.run_compare", ["run"]),
+    "diagnose": ("bcid.compare.job.run_diagnose", ["run"]),
+    "fit": ("bcid.compare.job.run_fit", ["run", "--add", "gravity", "-o", "run2"]),
+}
+
+
+@pytest.mark.parametrize("command", JOBS)
+def test_a_command_counts_the_seconds_from_its_start(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What is said while drawing too: one object speaks for the whole command."""
+    job, arguments = JOBS[command]
+    (tmp_path / "summary.txt").write_text("the result\n\nmore\n", encoding="utf-8")
+    nothing = {"ladder": [], "length_unit": "mm", "noise_rms": 0.2}
+    (tmp_path / "diagnosis.json").write_text(json.dumps(nothing), encoding="utf-8")
+    drawn: list[Path] = []
+    made: list[Lines] = []
+
+    def done(*_: Any, **__: Any) -> Path:
+        return tmp_path
+
+    def counted() -> Lines:
+        made.append(Lines())
+        return made[-1]
+
+    def draw(folder: Path, progress: object) -> None:
+        assert progress is made[0]
+        drawn.append(folder)
+
+    monkeypatch.setattr(job, done)
+    monkeypatch.setattr(cli, "Lines", counted)
+    monkeypatch.setattr(cli, "_draw", draw)
+    assert cli.main([command, *arguments]) == 0
+    assert len(made) == 1
+    assert drawn == [tmp_path]
+    out = capsys.readouterr().out
+    assert "the result" in out
+    assert f"run folder: {tmp_path}" in out
+    assert cli.main([command, *arguments, "--quiet", "--no-picture"]) == 0
+    assert len(made) == len(drawn) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "job", "said"),
+    [
+        (["bench"], "benchmarks.bench.run", "in bench.json"),
+        (["study", "hidden", "-o", "run"], "bcid.studies.hidden.run_hidden", "goes on where it was"),
+    ],
+)
+def test_how_commands_without_mpi_end(
+    arguments: list[str], job: str, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(error: BaseException) -> None:
+        def work(*_: Any, **__: Any) -> None:
+            raise error
+
+        monkeypatch.setattr(job, work)
+
+    fail(KeyboardInterrupt())
+    assert cli.main(arguments) == 130
+    assert "bcid: interrupted; " in (err := capsys.readouterr().err)
+    assert said in err
+    fail(MachineError("the disk is full"))
+    assert cli.main(arguments) == 3
+    assert capsys.readouterr().err == "bcid: the disk is full\n"
 
 
 def edited(tmp_path: Path, *changes: tuple[str, str]) -> Path:

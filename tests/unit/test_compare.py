@@ -19,14 +19,14 @@ from bcid.compare.missing import _bounded
 from bcid.compare.state import State
 from bcid.compare.twin import Reply
 from bcid.compare.variants import Variant, _harmonics
-from bcid.forms import check_effect, effects
+from bcid.forms import effects, trial
 from bcid.forms.model import Dose, Model
 from bcid.forms.sensitivity import Signatures, Wanted
 from bcid.forms.simulate import recorded
 from bcid.measurement import Action
 
 Array = NDArray[np.float64]
-SCENE = check_effect.scene()
+SCENE = trial.scene()
 SIGMA = 0.2e-3
 UNTURNED = np.array([1.0, 0.0, 0.0, 0.0])
 

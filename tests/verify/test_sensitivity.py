@@ -17,7 +17,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from bcid.compare.twin import mechanical
-from bcid.forms import check_effect, effects
+from bcid.forms import effects, trial
 from bcid.forms.forward import Forward
 from bcid.forms.model import Dose, Model
 from bcid.forms.sensitivity import Probe, Sensitivity, Signatures, Wanted
@@ -25,7 +25,7 @@ from bcid.forms.solve import Settings
 from bcid.scene import Level, Material
 
 Array = NDArray[np.float64]
-SCENE, MESH, ACTIONS = check_effect.scene(), check_effect.box(), check_effect.actions()
+SCENE, MESH, ACTIONS = trial.scene(), trial.box(), trial.actions()
 ANCHORS = frozenset({"left"})
 PLAIN = Model.of(SCENE)
 STEP = 1e-3
