@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,14 +31,14 @@ from bcid.search.identify import Identification, Options, identify
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
+Found = TypeVar("Found")
 # Two explanations whose chi-square differs by less (with a penalty for their numbers) cannot be told apart: odds of 20 to 1.
 _TELLING = 2 * math.log(20.0)
 # The coarsest level is climbed from random seeds. What that misses is found when sets and effects are looked at together,
 # which begins with so many of the best sets.
-_SEEDS, _STARTS = 3, 2
-# The coarsest level is climbed on two steps of each action; a set with which the body buckles takes long and is seldom the
-# one.
-_GLANCE = 2, Settings(rtol=1e-6, halvings=0)
+_SEEDS, _STARTS = 2, 2
+# Many sets and effects are looked at in so many steps of each action besides rest.
+_STEPS = 2
 # A candidate is not refitted when another leaves less than so many times the noise (chi-square per value) and it is
 # expected to leave more than so many times.
 _NEARLY, _FAR = 1.3, 4.0
@@ -45,8 +46,9 @@ _NEARLY, _FAR = 1.3, 4.0
 _NEAR = 1.6
 # An effect is adopted when it explains at least this part of what noise and mesh leave open.
 _LEAST_SHARE = 0.3
-# So many of the best candidates get an error of the mesh of their own, where they leave no more than so many times the least.
-_CORRECTED, _CLOSE = 2, 1.15
+# So many of the candidates are compared with all steps; the best, and what leaves no more than so many times as much, is
+# fitted to them.
+_PROMOTED, _CLOSE = 2, 1.15
 # Candidates are refitted to this relative change of chi-square.
 _ROUGH = 3e-3
 # A reciprocal or a direction may need a start away from the neutral value: part of the way to the expected value.
@@ -60,14 +62,14 @@ class Plan:
     Attributes:
         level: fine level (see `Twin`); by default the last with at most 40,000 unknowns.
         effects: effects that may be adopted together at most.
-        fitted: candidates that are refitted at each step.
+        fitted: candidates that are refitted at each step, on a few steps of each action.
         sets: anchor sets that are looked at together with the effects, at each step.
         only: names of the effects to look at; all by default.
     """
 
     level: int | None = None
-    effects: int = 3
-    fitted: int = 3
+    effects: int = 2
+    fitted: int = 5
     sets: int = 28
     only: tuple[str, ...] | None = None
 
@@ -234,7 +236,8 @@ class _Loop:
     def first_anchors(self) -> list[Anchored]:
         """The likely anchor sets as the plain model sees them on the coarsest level, the likeliest first."""
         options = Options(certify="no", seeds=_SEEDS, finest=0)
-        twin, _ = self.twin.thinned(*_GLANCE)
+        # A set with which the body buckles takes long and is seldom the one: no step is halved for it.
+        twin, _ = self.twin.thinned(_STEPS, Settings(rtol=1e-6, halvings=0))
         found = identify(twin.whole, twin.measurement, twin.comm, options, self.model, twin.settings)
         self.twin.count("coarse", sum(found.evaluations.values()))
         near = [a.anchored for a in found.alternatives if a.rms < _NEAR * a.best_rms]
@@ -243,18 +246,18 @@ class _Loop:
     def settle(self, fitted: Fit) -> tuple[Fit, Identification | None]:
         """Fit, error of the mesh and anchors, until none of them changes the others.
 
-        Every set of anchors is looked at where the model is nearly adequate. Where it is not, its best set says little: the
-        sets are then looked at together with the effects.
+        Every set of anchors is looked at once where the model is nearly adequate. Where it is not, its best set says little:
+        the sets are then looked at together with the effects.
         """
         identification = None
+        # A trajectory of a model that remembers costs several times as much.
+        certify = "no" if fitted.state.model.remembers else "auto"
         for _ in range(3):
             if fitted.state.errors.mesh.about != (fitted.state.model.name, fitted.state.anchors):
                 fitted = self.corrected(fitted)
             state = fitted.state
             if state.chi2 > _NEARLY * len(self.twin.data):
                 break
-            # A trajectory of a model that remembers costs several times as much.
-            certify = "no" if state.model.remembers else "auto"
             identification = anchor_search.search(self.twin, state.model, state.errors.mesh, [state.anchors], certify)
             # Of sets that the motions cannot tell apart the smallest is kept: what need not be held is not said to be.
             found = min(map(frozenset, identification.classes[0]), key=len)
@@ -265,7 +268,7 @@ class _Loop:
                 break
             self.seen.append(state.anchors)
             self.say(f"with {state.model.name} the anchors are {self.name(found)}, not {self.name(state.anchors)}")
-            fitted = other
+            fitted, certify = other, "no"
         return fitted, identification
 
     def around(self, state: State) -> Identification:
@@ -307,20 +310,16 @@ class _Loop:
         state = fitted.state
         self.say("ranking the effects by what they would explain, with these anchors and with others")
         ranking = rank(state, self.known, strict=False)
-        thin = self.glance(state)
-        try:
-            proposals = propose(thin, self.seen, self.plan.sets, self.known)
-            here = min((p.left for p in proposals if p.anchors == state.anchors and p.effect is None), default=math.inf)
-            best = proposals[0]
-            if best.effect is None and best.left < here - _TELLING and best.anchors not in self.seen:
-                self.seen.append(state.anchors)
-                self.say(f"other anchors explain more than any effect: {self.name(best.anchors)}")
-                return ranking, [], fit(State.of(self.twin, state.model, best.anchors, None, state.free), state.free)
-            glanced = refit_candidates(thin, proposals, self.plan.fitted)
-        finally:
-            if thin is not state:
-                thin.twin.destroy()
-        rivals = self.compared([r for r in (promoted(rival, state, glanced[0]) for rival in glanced) if r])
+        proposals = at_a_glance(state, 0, lambda thin: propose(thin, self.seen, self.plan.sets, self.known))
+        here = min((p.left for p in proposals if p.anchors == state.anchors and p.effect is None), default=math.inf)
+        best = proposals[0]
+        if best.effect is None and best.left < here - _TELLING and best.anchors not in self.seen:
+            self.seen.append(state.anchors)
+            self.say(f"other anchors explain more than any effect: {self.name(best.anchors)}")
+            return ranking, [], fit(State.of(self.twin, state.model, best.anchors, None, state.free), state.free)
+        glanced = at_a_glance(state, 2, lambda thin: refit_candidates(thin, proposals, self.plan.fitted))
+        promising = [promoted(rival, state, glanced[0]) for rival in glanced[:_PROMOTED]]
+        rivals = sorted((rival for rival in promising if rival), key=lambda rival: rival.criterion)
         for rival in rivals:
             self.progress.say(
                 f"  with {rival.dose.label}, anchors {self.name(rival.anchors)}: {rival.fitted.state.rms * 1e3:.3g} mm"
@@ -328,27 +327,12 @@ class _Loop:
         self.twin.drop([fitted.state.model, *(r.fitted.state.model for r in rivals[:2])])
         return ranking, rivals, None
 
-    def glance(self, state: State) -> State:
-        """The same at a few steps of each action, unless the body must be followed in smaller ones."""
-        try:
-            return state.thinned(*_GLANCE)
-        except SolveError:
-            return state
-
     def worthwhile(self, rival: Rival, before: Fit) -> bool:
         """Whether a rival explains enough to be believed: what is missing besides may be large, but not much larger."""
         values = len(self.twin.data)
         excess = max(before.state.chi2 - values, 1e-9)
         share = (before.state.chi2 - rival.fitted.state.chi2) / excess
         return share > _LEAST_SHARE and rival.criterion < criterion(before) - 2
-
-    def compared(self, rivals: list[Rival]) -> list[Rival]:
-        """Rivals in their order; the error of the mesh was that of another model and set, which may matter to close ones."""
-        rivals = sorted(rivals, key=lambda r: r.criterion)
-        close = [r for r in rivals[:_CORRECTED] if r.criterion < _CLOSE * rivals[0].criterion]
-        if len(close) > 1:
-            close = sorted((r.with_fit(self.corrected(r.fitted, 1)) for r in close), key=lambda r: r.criterion)
-        return [*close, *rivals[len(close) :]]
 
     def pruned(self, fitted: Fit) -> Fit:
         """Without effects that a later one has made needless."""
@@ -388,6 +372,18 @@ class _Loop:
         return label(anchors, self.twin.scene.patches)
 
 
+def at_a_glance(state: State, halvings: int, work: Callable[[State], Found]) -> Found:
+    """Work on a state at a few steps of each action, each halved so often at most; or on itself if it needs smaller ones."""
+    try:
+        thin = state.thinned(_STEPS, Settings(rtol=1e-6, halvings=halvings))
+    except SolveError:
+        return work(state)
+    try:
+        return work(thin)
+    finally:
+        thin.twin.destroy()
+
+
 def criterion(fitted: Fit) -> float:
     """Chi-square, with the logarithm of the number of values for each fitted number (Schwarz 1978)."""
     return fitted.state.chi2 + len(fitted.coordinates) * math.log(len(fitted.state.twin.data))
@@ -399,22 +395,32 @@ def refit_candidates(state: State, proposals: Iterable[Proposal], most: int) -> 
     At most `most` are refitted.
     """
     rivals: list[Rival] = []
-    tried: dict[str, int] = {}
-    for proposal in sorted(proposals, key=lambda p: p.left / p.values):
-        if proposal.effect is None:
-            continue
-        name = proposal.effect.name
-        # An effect may compete with two anchor sets, but must not crowd out the others.
-        if len(rivals) < most and tried.get(name, 0) < 2 and not _hopeless(proposal, rivals):
-            tried[name] = tried.get(name, 0) + 1
-            rivals += _refit(state, proposal, proposal.effect)
+    waiting = sorted((p for p in proposals if p.effect is not None), key=lambda p: p.left / p.values)
+    # What an effect promises is linear in its amount, which a large one is not: each has its best set tried first, and then
+    # the one that turns out best competes with itself on another set.
+    for proposal in _best_of_each(waiting):
+        if len(rivals) < most - 1 and not _hopeless(proposal, rivals):
+            rivals += _refit(state, proposal)
+    best = min(rivals, key=lambda rival: rival.criterion, default=None)
+    others = [p for p in waiting if best and p.effect == best.dose.effect and p.anchors != best.anchors]
+    for proposal in others[:1]:
+        rivals += _refit(state, proposal)
     return sorted(rivals, key=lambda rival: rival.criterion)
+
+
+def _best_of_each(proposals: Iterable[Proposal]) -> list[Proposal]:
+    """The first proposal of each effect."""
+    found: dict[str, Proposal] = {}
+    for proposal in proposals:
+        if proposal.effect is not None:
+            found.setdefault(proposal.effect.name, proposal)
+    return list(found.values())
 
 
 def promoted(rival: Rival, state: State, best: Rival) -> Rival | None:
     """A rival that was fitted to a part of the steps, with all that the state looks at; None if that cannot be followed.
 
-    It is only fitted again when it is not far from the best one.
+    Unless it is far from the best one it is fitted again, with an error of the mesh of its own.
     """
     model, anchors = rival.fitted.state.model, rival.anchors
     far = rival.criterion > _CLOSE * best.criterion
@@ -422,9 +428,9 @@ def promoted(rival: Rival, state: State, best: Rival) -> Rival | None:
         if any(p.onset for p in rival.dose.effect.parameters):
             # In which frame it begins is only known once all are looked at.
             proposal = Proposal(anchors, rival.dose.effect, rival.dose.place, 0.0, 1)
-            return next(iter(_refit(state, proposal, rival.dose.effect)), None)
-        start = State.of(state.twin, model, anchors, state.errors.mesh)
-        again = fit(start, rival.fitted.state.free, most=1 if far else 8, ftol=_ROUGH)
+            return next(iter(_refit(state, proposal)), None)
+        start = State.of(state.twin, model, anchors, state.errors.mesh if far else None)
+        again = fit(start, rival.fitted.state.free, most=1 if far else 8)
     except (SolveError, InputError):
         return None
     return replace(rival.with_fit(again), held_out=held_out(again))
@@ -436,13 +442,14 @@ def _hopeless(proposal: Proposal, rivals: Sequence[Rival]) -> bool:
     return best < _NEARLY and proposal.left > _FAR * proposal.values
 
 
-def _refit(state: State, proposal: Proposal, effect: Effect) -> list[Rival]:
+def _refit(state: State, proposal: Proposal) -> list[Rival]:
     """Add an effect, begin at what is expected of it, and fit everything together; nothing if that cannot be followed."""
     try:
         base = State.of(state.twin, state.model, proposal.anchors, state.errors.mesh, state.free)
     except SolveError:
         return []
-    row = rank(base, [effect], strict=False).rows[0]
+    assert proposal.effect is not None
+    row = rank(base, [proposal.effect], strict=False).rows[0]
     for part in _CAUTION:
         try:
             dose = _careful(row, base.model, part)
@@ -450,7 +457,7 @@ def _refit(state: State, proposal: Proposal, effect: Effect) -> list[Rival]:
             again = fit(start, (*state.free, *dose.free), most=8, ftol=_ROUGH)
         except (SolveError, InputError):
             continue
-        return [Rival(effect.name, again.state.model.doses[-1], base.anchors, again, criterion(again))]
+        return [Rival(row.effect, again.state.model.doses[-1], base.anchors, again, criterion(again))]
     return []
 
 

@@ -19,7 +19,7 @@ from bcid.forms.effects.effect import Effect
 
 Anchored = frozenset[str]
 # A set that leaves so many times what the best one promises is not ranked: no effect makes up for that.
-_HOPELESS = 30.0
+_HOPELESS = 12.0
 # From a second set it is climbed when that leaves at most so many times the least.
 _NEAR = 1.1
 

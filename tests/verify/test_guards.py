@@ -19,7 +19,7 @@ from bcid.compare.buckling import buckled, leave_out
 from bcid.compare.data import MeshError
 from bcid.compare.explain import Plan, explain, refit_candidates
 from bcid.compare.fit import fit
-from bcid.compare.joint import promised
+from bcid.compare.joint import promised, propose
 from bcid.compare.missing import rank
 from bcid.compare.separate import separating_pulls
 from bcid.compare.state import State
@@ -28,6 +28,7 @@ from bcid.errors import InputError
 from bcid.forms import effects
 from bcid.forms.model import Dose, Model, check_physics
 from bcid.forms.simulate import simulate
+from bcid.forms.solve import Settings
 from bcid.measurement import Action, Measurement
 from bcid.scene import Level, Scene
 
@@ -92,6 +93,26 @@ def test_the_loop_finds_the_anchors_and_no_effect(twin: Twin) -> None:
     found = explain(twin, Plan(level=1, only=FEW))
     assert found.verdict == "none"
     assert found.last.state.anchors == ANCHORED
+
+
+def test_anchors_and_effects_are_rivals(slab: Scene) -> None:
+    """A gripper that slips makes the body seem to be held in more places; with these, no effect explains what is seen."""
+    anchored, slip = frozenset({"2", "3"}), Dose(effects.effect("grasp_slip"), {"lag": 0.6})
+    measurement = simulate(slab, anchored, pulls(), level=2, model=Model.of(slab) + slip)
+    twin = Twin(slab, measurement, MPI.COMM_SELF, level=1)
+    seeming = at(twin, frozenset({"1", "2", "3", "4"}))
+    assert seeming.chi2 < at(twin, anchored).chi2
+    thin = seeming.thinned(2, Settings(rtol=1e-6))
+    (here, *_) = promised(thin, rank(thin, effects.catalogue(FEW), strict=False))
+    (best, *others) = propose(thin, [], 24, effects.catalogue(FEW))
+    assert best.effect is slip.effect
+    assert best.anchors == anchored
+    assert best.left < 0.8 * here.left
+    (rival, *_) = refit_candidates(seeming, [best, *others], 3)
+    assert rival.anchors == anchored
+    assert rival.dose.values["lag"] == pytest.approx(0.6, abs=0.05)
+    thin.twin.destroy()
+    twin.destroy()
 
 
 # -- a coarse mesh
