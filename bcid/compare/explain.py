@@ -44,8 +44,9 @@ _STEPS = 2
 _NEARLY, _FAR = 1.3, 4.0
 # Such a set leaves at most so many times the RMS residual of the best one.
 _NEAR = 1.6
-# An effect is adopted when it explains at least this part of what noise and mesh leave open.
-_LEAST_SHARE = 0.3
+# An effect is adopted when it explains at least this part of what noise and mesh leave open. Effects are named when the model
+# is adequate with them, or when they explain this part of it: then something small is missing besides.
+_LEAST_SHARE, _NEARLY_ALL = 0.3, 0.95
 # So many of the candidates are compared with all steps; the best, and what leaves no more than so many times as much, is
 # fitted to them.
 _PROMOTED, _CLOSE = 2, 1.15
@@ -129,7 +130,7 @@ class Explanation:
 
     Attributes:
         verdict: name of the effect adopted, several joined by "+"; "none" if the plain model is adequate, "unknown" if
-            nothing in the catalogue makes it so.
+            nothing in the catalogue makes it so, or nearly.
         rungs: the ladder of models.
         identification: anchors with the last model on the working level.
         ambiguous: names of effects that explain as much as the one adopted last.
@@ -329,10 +330,7 @@ class _Loop:
 
     def worthwhile(self, rival: Rival, before: Fit) -> bool:
         """Whether a rival explains enough to be believed: what is missing besides may be large, but not much larger."""
-        values = len(self.twin.data)
-        excess = max(before.state.chi2 - values, 1e-9)
-        share = (before.state.chi2 - rival.fitted.state.chi2) / excess
-        return share > _LEAST_SHARE and rival.criterion < criterion(before) - 2
+        return explained(before, rival.fitted) > _LEAST_SHARE and rival.criterion < criterion(before) - 2
 
     def pruned(self, fitted: Fit) -> Fit:
         """Without effects that a later one has made needless."""
@@ -352,9 +350,9 @@ class _Loop:
 
     def verdict(self, rungs: Sequence[Rung]) -> str:
         last = rungs[-1]
-        if not last.adequacy.adequate:
-            return "unknown"
         added = [dose.effect.name for dose in last.state.model.added(self.model)]
+        if not last.adequacy.adequate and not (added and explained(rungs[0].fitted, last.fitted) > _NEARLY_ALL):
+            return "unknown"
         return "+".join(dict.fromkeys(added)) or "none"
 
     def ambiguous(self, rungs: Sequence[Rung]) -> tuple[str, ...]:
@@ -387,6 +385,12 @@ def at_a_glance(state: State, halvings: int, work: Callable[[State], Found]) -> 
 def criterion(fitted: Fit) -> float:
     """Chi-square, with the logarithm of the number of values for each fitted number (Schwarz 1978)."""
     return fitted.state.chi2 + len(fitted.coordinates) * math.log(len(fitted.state.twin.data))
+
+
+def explained(before: Fit, after: Fit) -> float:
+    """Which part of a model's chi-square beyond that of noise and mesh another one explains."""
+    values = len(before.state.twin.data)
+    return (before.state.chi2 - after.state.chi2) / max(before.state.chi2 - values, 1e-9)
 
 
 def refit_candidates(state: State, proposals: Iterable[Proposal], most: int) -> list[Rival]:
