@@ -17,10 +17,10 @@ from mpi4py import MPI
 from bcid import Measurement, Scene
 from bcid.compare import words
 from bcid.compare.adequacy import Adequacy, judge
-from bcid.compare.explain import Rival, refit_candidates
 from bcid.compare.fit import Fit, fit
 from bcid.compare.joint import promised
 from bcid.compare.missing import Ranking, Row, rank
+from bcid.compare.rivals import Rival, refit_candidates
 from bcid.compare.state import State
 from bcid.compare.twin import Twin
 from bcid.forms import effects

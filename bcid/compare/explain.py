@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +15,15 @@ from bcid.compare.adequacy import Adequacy, judge
 from bcid.compare.buckling import leave_out
 from bcid.compare.data import MeshError
 from bcid.compare.fit import Fit, fit, held_out
-from bcid.compare.joint import Proposal, propose
-from bcid.compare.missing import Ranking, Row, rank
+from bcid.compare.joint import propose
+from bcid.compare.missing import Ranking, rank
+from bcid.compare.rivals import NEARLY, STEPS, Rival, at_a_glance, contest, criterion, explained
 from bcid.compare.state import State
 from bcid.compare.twin import Twin
-from bcid.errors import InputError, SolveError
+from bcid.errors import SolveError
 from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
-from bcid.forms.model import Dose, Model
+from bcid.forms.model import Model
 from bcid.forms.solve import Settings
 from bcid.progress import Progress, Silent
 from bcid.search.farm import label
@@ -31,29 +31,16 @@ from bcid.search.identify import Identification, Options, identify
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
-Found = TypeVar("Found")
 # Two explanations whose chi-square differs by less (with a penalty for their numbers) cannot be told apart: odds of 20 to 1.
 _TELLING = 2 * math.log(20.0)
 # The coarsest level is climbed from random seeds. What that misses is found when sets and effects are looked at together,
 # which begins with so many of the best sets.
 _SEEDS, _STARTS = 2, 2
-# Many sets and effects are looked at in so many steps of each action besides rest.
-_STEPS = 2
-# A candidate is not refitted when another leaves less than so many times the noise (chi-square per value) and it is
-# expected to leave more than so many times.
-_NEARLY, _FAR = 1.3, 4.0
 # Such a set leaves at most so many times the RMS residual of the best one.
 _NEAR = 1.6
 # An effect is adopted when it explains at least this part of what noise and mesh leave open. Effects are named when the model
 # is adequate with them, or when they explain this part of it: then something small is missing besides.
 _LEAST_SHARE, _NEARLY_ALL = 0.3, 0.95
-# So many of the candidates are compared with all steps; the best, and what leaves no more than so many times as much, is
-# fitted to them.
-_PROMOTED, _CLOSE = 2, 1.15
-# Candidates are refitted to this relative change of chi-square.
-_ROUGH = 3e-3
-# A reciprocal or a direction may need a start away from the neutral value: part of the way to the expected value.
-_CAUTION = (1.0, 0.5, 0.2)
 
 
 @dataclass(frozen=True)
@@ -73,31 +60,6 @@ class Plan:
     fitted: int = 5
     sets: int = 28
     only: tuple[str, ...] | None = None
-
-
-@dataclass(frozen=True)
-class Rival:
-    """A candidate that was refitted: a set of anchors and an effect added to the model before.
-
-    Attributes:
-        effect: name of the effect.
-        dose: fitted.
-        anchors: the set.
-        fitted: the fit.
-        criterion: chi-square with a penalty for the fitted numbers (Schwarz 1978).
-        held_out: RMS residual when each action is predicted from the others, m, for the best rivals.
-    """
-
-    effect: str
-    dose: Dose
-    anchors: Anchored
-    fitted: Fit
-    criterion: float
-    held_out: float | None = None
-
-    def with_fit(self, fitted: Fit) -> Rival:
-        """The same candidate fitted again."""
-        return replace(self, dose=fitted.state.model.doses[-1], fitted=fitted, criterion=criterion(fitted))
 
 
 @dataclass(frozen=True)
@@ -238,7 +200,7 @@ class _Loop:
         """The likely anchor sets as the plain model sees them on the coarsest level, the likeliest first."""
         options = Options(certify="no", seeds=_SEEDS, finest=0)
         # A set with which the body buckles takes long and is seldom the one: no step is halved for it.
-        twin, _ = self.twin.thinned(_STEPS, Settings(rtol=1e-6, halvings=0))
+        twin, _ = self.twin.thinned(STEPS, Settings(rtol=1e-6, halvings=0))
         found = identify(twin.whole, twin.measurement, twin.comm, options, self.model, twin.settings)
         self.twin.count("coarse", sum(found.evaluations.values()))
         near = [a.anchored for a in found.alternatives if a.rms < _NEAR * a.best_rms]
@@ -257,7 +219,7 @@ class _Loop:
             if fitted.state.errors.mesh.about != (fitted.state.model.name, fitted.state.anchors):
                 fitted = self.corrected(fitted)
             state = fitted.state
-            if state.chi2 > _NEARLY * len(self.twin.data):
+            if state.chi2 > NEARLY * len(self.twin.data):
                 break
             identification = anchor_search.search(self.twin, state.model, state.errors.mesh, [state.anchors], certify)
             # Of sets that the motions cannot tell apart the smallest is kept: what need not be held is not said to be.
@@ -315,12 +277,14 @@ class _Loop:
         here = min((p.left for p in proposals if p.anchors == state.anchors and p.effect is None), default=math.inf)
         best = proposals[0]
         if best.effect is None and best.left < here - _TELLING and best.anchors not in self.seen:
-            self.seen.append(state.anchors)
-            self.say(f"other anchors explain more than any effect: {self.name(best.anchors)}")
-            return ranking, [], fit(State.of(self.twin, state.model, best.anchors, None, state.free), state.free)
-        glanced = at_a_glance(state, 2, lambda thin: refit_candidates(thin, proposals, self.plan.fitted))
-        promising = [promoted(rival, state, glanced[0]) for rival in glanced[:_PROMOTED]]
-        rivals = sorted((rival for rival in promising if rival), key=lambda rival: rival.criterion)
+            self.seen.append(best.anchors)
+            try:
+                moved = fit(State.of(self.twin, state.model, best.anchors, None, state.free), state.free)
+                self.say(f"other anchors explain more than any effect: {self.name(best.anchors)}")
+                return ranking, [], moved
+            except SolveError:
+                pass
+        rivals = contest(state, proposals, self.plan.fitted)
         for rival in rivals:
             self.progress.say(
                 f"  with {rival.dose.label}, anchors {self.name(rival.anchors)}: {rival.fitted.state.rms * 1e3:.3g} mm"
@@ -368,112 +332,3 @@ class _Loop:
 
     def name(self, anchors: Anchored) -> str:
         return label(anchors, self.twin.scene.patches)
-
-
-def at_a_glance(state: State, halvings: int, work: Callable[[State], Found]) -> Found:
-    """Work on a state at a few steps of each action, each halved so often at most; or on itself if it needs smaller ones."""
-    try:
-        thin = state.thinned(_STEPS, Settings(rtol=1e-6, halvings=halvings))
-    except SolveError:
-        return work(state)
-    try:
-        return work(thin)
-    finally:
-        thin.twin.destroy()
-
-
-def criterion(fitted: Fit) -> float:
-    """Chi-square, with the logarithm of the number of values for each fitted number (Schwarz 1978)."""
-    return fitted.state.chi2 + len(fitted.coordinates) * math.log(len(fitted.state.twin.data))
-
-
-def explained(before: Fit, after: Fit) -> float:
-    """Which part of a model's chi-square beyond that of noise and mesh another one explains."""
-    values = len(before.state.twin.data)
-    return (before.state.chi2 - after.state.chi2) / max(before.state.chi2 - values, 1e-9)
-
-
-def refit_candidates(state: State, proposals: Iterable[Proposal], most: int) -> list[Rival]:
-    """Add the most promising effects to a model, each with its set of anchors, and refit all; best first; collective.
-
-    At most `most` are refitted.
-    """
-    rivals: list[Rival] = []
-    waiting = sorted((p for p in proposals if p.effect is not None), key=lambda p: p.left / p.values)
-    # What an effect promises is linear in its amount, which a large one is not: each has its best set tried first, and then
-    # the one that turns out best competes with itself on another set.
-    for proposal in _best_of_each(waiting):
-        if len(rivals) < most - 1 and not _hopeless(proposal, rivals):
-            rivals += _refit(state, proposal)
-    best = min(rivals, key=lambda rival: rival.criterion, default=None)
-    others = [p for p in waiting if best and p.effect == best.dose.effect and p.anchors != best.anchors]
-    for proposal in others[:1]:
-        rivals += _refit(state, proposal)
-    return sorted(rivals, key=lambda rival: rival.criterion)
-
-
-def _best_of_each(proposals: Iterable[Proposal]) -> list[Proposal]:
-    """The first proposal of each effect."""
-    found: dict[str, Proposal] = {}
-    for proposal in proposals:
-        if proposal.effect is not None:
-            found.setdefault(proposal.effect.name, proposal)
-    return list(found.values())
-
-
-def promoted(rival: Rival, state: State, best: Rival) -> Rival | None:
-    """A rival that was fitted to a part of the steps, with all that the state looks at; None if that cannot be followed.
-
-    Unless it is far from the best one it is fitted again, with an error of the mesh of its own.
-    """
-    model, anchors = rival.fitted.state.model, rival.anchors
-    far = rival.criterion > _CLOSE * best.criterion
-    try:
-        if any(p.onset for p in rival.dose.effect.parameters):
-            # In which frame it begins is only known once all are looked at.
-            proposal = Proposal(anchors, rival.dose.effect, rival.dose.place, 0.0, 1)
-            return next(iter(_refit(state, proposal)), None)
-        start = State.of(state.twin, model, anchors, state.errors.mesh if far else None)
-        again = fit(start, rival.fitted.state.free, most=1 if far else 8)
-    except (SolveError, InputError):
-        return None
-    return replace(rival.with_fit(again), held_out=held_out(again))
-
-
-def _hopeless(proposal: Proposal, rivals: Sequence[Rival]) -> bool:
-    """Whether a rival explains nearly all already, and this effect does not promise to come near that."""
-    best = min((r.fitted.state.chi2 / len(r.fitted.state.twin.data) for r in rivals), default=math.inf)
-    return best < _NEARLY and proposal.left > _FAR * proposal.values
-
-
-def _refit(state: State, proposal: Proposal) -> list[Rival]:
-    """Add an effect, begin at what is expected of it, and fit everything together; nothing if that cannot be followed."""
-    try:
-        base = State.of(state.twin, state.model, proposal.anchors, state.errors.mesh, state.free)
-    except SolveError:
-        return []
-    assert proposal.effect is not None
-    row = rank(base, [proposal.effect], strict=False).rows[0]
-    for part in _CAUTION:
-        try:
-            dose = _careful(row, base.model, part)
-            start = State.of(base.twin, base.model + dose, base.anchors, base.errors.mesh)
-            again = fit(start, (*state.free, *dose.free), most=8, ftol=_ROUGH)
-        except (SolveError, InputError):
-            continue
-        return [Rival(row.effect, again.state.model.doses[-1], base.anchors, again, criterion(again))]
-    return []
-
-
-def _careful(row: Row, model: Model, part: float) -> Dose:
-    """The expected dose, or a part of it, within its bounds."""
-    values = {}
-    for p in row.dose.effect.parameters:
-        value, neutral = row.dose.values[p.name], model.neutral(p)
-        if p.reciprocal:
-            value = p.typical if not math.isfinite(value) else value / part
-            value = min(value, 1e4 * p.typical)
-        elif neutral is not None:
-            value = neutral + part * (value - neutral)
-        values[p.name] = float(np.clip(value, p.lower, p.upper))
-    return Dose(row.dose.effect, values, place=row.dose.place)

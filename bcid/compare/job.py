@@ -11,11 +11,12 @@ from typing import Any
 from bcid.collective import on_root
 from bcid.compare.adequacy import judge
 from bcid.compare.buckling import leave_out
-from bcid.compare.explain import Explanation, Plan, Rung, explain, refit_candidates
+from bcid.compare.explain import Explanation, Plan, Rung, explain
 from bcid.compare.fit import Fit, fit, held_out
 from bcid.compare.joint import promised
 from bcid.compare.missing import rank
 from bcid.compare.output import Outcome, collect, write
+from bcid.compare.rivals import contest
 from bcid.compare.separate import Pull, separating_pulls
 from bcid.compare.source import Source, find_effect, from_files, from_run
 from bcid.compare.state import State
@@ -70,7 +71,7 @@ def run_diagnose(
         fitted = _present(twin, source)
         adequacy = judge(fitted.state)
         ranking = rank(fitted.state, effects.catalogue(only, source.own))
-        rivals = refit_candidates(fitted.state, promised(fitted.state, ranking), Plan().fitted)
+        rivals = contest(fitted.state, promised(fitted.state, ranking), Plan().fitted)
         rung = Rung(fitted, adequacy, held_out(fitted), ranking, tuple(rivals))
         return Outcome((rung,), None if adequacy.adequate else missing_force(fitted.state))
 
@@ -207,7 +208,7 @@ def _added(state: State, one: Dose) -> State:
     given = one.values != neutral_values(state.model, one.effect)
     if not given:
         found = promised(state, rank(replace(state, free=()), [one.effect]))
-        rivals = refit_candidates(state, [p for p in found if p.place == one.place or not one.place], Plan().fitted)
+        rivals = contest(state, [p for p in found if p.place == one.place or not one.place], Plan().fitted)
         if rivals:
             return rivals[0].fitted.state
     moved = {

@@ -12,9 +12,10 @@ import xarray as xr
 
 from bcid.compare import words
 from bcid.compare.adequacy import FALSE_ALARMS, groups, judge
-from bcid.compare.explain import Explanation, Rival, Rung
+from bcid.compare.explain import Explanation, Rung
 from bcid.compare.fit import Fit
 from bcid.compare.missing import Ranking
+from bcid.compare.rivals import Rival
 from bcid.compare.separate import Pull
 from bcid.compare.source import Source
 from bcid.compare.twin import Twin, joined

@@ -8,8 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from bcid.compare.adequacy import Adequacy, groups
-from bcid.compare.explain import Explanation, Rival, Rung
+from bcid.compare.explain import Explanation, Rung
 from bcid.compare.missing import Ranking, Row
+from bcid.compare.rivals import Rival
 from bcid.compare.separate import Pull
 from bcid.compare.state import State
 from bcid.compare.where import MissingForce

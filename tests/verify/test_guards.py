@@ -17,10 +17,11 @@ from bcid.compare import words
 from bcid.compare.adequacy import judge
 from bcid.compare.buckling import buckled, leave_out
 from bcid.compare.data import MeshError
-from bcid.compare.explain import Plan, explain, refit_candidates
+from bcid.compare.explain import Plan, explain
 from bcid.compare.fit import fit
 from bcid.compare.joint import promised, propose
 from bcid.compare.missing import rank
+from bcid.compare.rivals import refit_candidates
 from bcid.compare.separate import separating_pulls
 from bcid.compare.state import State
 from bcid.compare.twin import Twin
