@@ -40,7 +40,7 @@ _SEEDS, _STARTS = 2, 2
 _NEAR = 1.6
 # An effect is adopted when it explains at least this part of what noise and mesh leave open. Effects are named when the model
 # is adequate with them, or when they explain this part of it: then something small is missing besides.
-_LEAST_SHARE, _NEARLY_ALL = 0.3, 0.95
+_LEAST_SHARE, _NEARLY_ALL = 0.5, 0.95
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ from bcid.errors import SolveError
 from bcid.forms.effects.effect import Effect
 
 Anchored = frozenset[str]
-# A set that leaves so many times what the best one promises is not ranked: no effect makes up for that. Where little is left
-# to explain (chi-square per value) the sets are told apart without.
+# A set that leaves so many times what the best one promises is not ranked: no effect makes up for that. Where one leaves little
+# to explain (chi-square per value) as it is, the sets are told apart without.
 _HOPELESS, _NEARLY, _TOLD_APART = 12.0, 1.3, 3.0
 # From a second set it is climbed when that leaves at most so many times the least.
 _NEAR = 1.1
@@ -103,9 +103,9 @@ class _Climb:
             state = State.of(self.state.twin, self.state.model, anchors, self.state.errors.mesh, self.state.free)
         except SolveError:
             return
-        least = min(map(self.left, self.known))
-        nearly = least < _NEARLY * len(state.twin.data)
-        if state.chi2 < (_TOLD_APART if nearly else _HOPELESS) * least:
+        alone = min((p.left for found in self.known.values() for p in found if p.effect is None), default=math.inf)
+        nearly = alone < _NEARLY * len(state.twin.data)
+        if state.chi2 < (_TOLD_APART if nearly else _HOPELESS) * min(map(self.left, self.known)):
             ranking = rank(state, self.effects, strict=False)
             plain = Proposal(anchors, None, "", ranking.left, len(state.twin.data))
             self.known[anchors] = [plain, *promised(state, ranking)]
