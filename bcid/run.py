@@ -34,7 +34,7 @@ from typing import Any, TextIO
 
 import xarray as xr
 
-from bcid.errors import InputError, MachineError
+from bcid.errors import BcidError, InputError, MachineError
 
 FORMAT = "bcid-run/1"
 _FILES = (
@@ -153,6 +153,15 @@ class Run:
     def fail(self, reason: str) -> None:
         """Note why the run ended early; it can be continued."""
         self._close("failed", reason=reason)
+
+    @contextmanager
+    def watched(self) -> Iterator[None]:
+        """Note the reason when what is done inside ends early, by whatever."""
+        try:
+            yield
+        except BaseException as error:
+            self.fail(str(error) if isinstance(error, BcidError) else type(error).__name__)
+            raise
 
     def _close(self, state: str, **more: Any) -> None:
         self.record |= {"state": state, "ended": _now(), **more}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -23,11 +24,12 @@ from bcid.compare.state import State
 from bcid.compare.twin import Twin
 from bcid.compare.variants import neutral_values
 from bcid.compare.where import missing_force
-from bcid.errors import BcidError, InputError, nearest
+from bcid.errors import InputError, nearest
 from bcid.forms import effects
 from bcid.forms.model import Dose, Model
-from bcid.progress import Progress, Silent
+from bcid.progress import Progress
 from bcid.run import Run
+from bcid.search.farm import label
 
 # -- the jobs
 # ------------------------------------------------------------------------------------------------------------------
@@ -45,11 +47,11 @@ def run_compare(
     source = from_run(folder, (), comm)
 
     def work(twin: Twin) -> Outcome:
-        fitted = _present(twin, source)
+        fitted = _present(twin, source, progress)
         rung = Rung(fitted, judge(fitted.state), held_out(fitted))
         return Outcome((rung,), missing_force(fitted.state))
 
-    return _job("compare", source, output, {"level": level}, comm, progress, overwrite, level, work)
+    return _job("compare", source, output, {"level": level}, comm, overwrite, level, work)
 
 
 def run_diagnose(
@@ -68,7 +70,7 @@ def run_diagnose(
         find_effect(name, source.own)
 
     def work(twin: Twin) -> Outcome:
-        fitted = _present(twin, source)
+        fitted = _present(twin, source, progress)
         adequacy = judge(fitted.state)
         ranking = rank(fitted.state, effects.catalogue(only, source.own))
         rivals = contest(fitted.state, promised(fitted.state, ranking), Plan().fitted)
@@ -76,7 +78,7 @@ def run_diagnose(
         return Outcome((rung,), None if adequacy.adequate else missing_force(fitted.state))
 
     options = {"level": level, "only": list(only) if only else None}
-    return _job("diagnose", source, output, options, comm, progress, overwrite, level, work)
+    return _job("diagnose", source, output, options, comm, overwrite, level, work)
 
 
 def run_fit(
@@ -110,7 +112,7 @@ def run_fit(
     _names(model, source, free, fixed)
 
     def work(twin: Twin) -> Outcome:
-        before = _present(twin, source)
+        before = _present(twin, source, progress)
         rungs = [Rung(before, judge(before.state), held_out(before))]
         state = before.state
         for one in doses:
@@ -123,7 +125,7 @@ def run_fit(
         return Outcome(tuple(rungs), missing_force(again.state))
 
     options = {"level": level, "add": list(add), "free": list(free), "fixed": list(fixed)}
-    return _job("fit", source, output, options, comm, progress, overwrite, level, work)
+    return _job("fit", source, output, options, comm, overwrite, level, work)
 
 
 def run_explain(
@@ -151,7 +153,7 @@ def run_explain(
         pulls = _pulls(found) if found.ambiguous else []
         return Outcome(found.rungs, where, found, tuple(pulls))
 
-    return _job("explain", source, folder, asdict(plan), comm, progress, overwrite, plan.level, work)
+    return _job("explain", source, folder, asdict(plan), comm, overwrite, plan.level, work)
 
 
 def _pulls(found: Explanation) -> list[Pull]:
@@ -160,9 +162,13 @@ def _pulls(found: Explanation) -> list[Pull]:
     return separating_pulls(best.fitted.state, other.fitted.state)[:5]
 
 
-def _present(twin: Twin, source: Source) -> Fit:
+def _present(twin: Twin, source: Source, progress: Progress | None) -> Fit:
     """The model of a run on the twin; its fitted numbers are fitted again, for the level may be another."""
     assert source.anchors is not None
+    if progress is not None:
+        progress.say(
+            f"comparing {source.model.name}, anchors {label(source.anchors, source.scene.patches)}, on two meshes"
+        )
     leave_out(twin, source.model, source.anchors)
     return fit(State.of(twin, source.model, source.anchors, None, source.free), source.free)
 
@@ -226,33 +232,26 @@ def _job(
     folder: Path,
     options: Any,
     comm: Any,
-    progress: Progress | None,
     overwrite: bool,
     level: int | None,
     work: Callable[[Twin], Outcome],
 ) -> Path:
-    progress = progress or Silent()
     levels = len(source.scene.levels)
     if level is not None and not 0 <= level < levels:
         raise InputError(f"--level {level}: the scene has levels 0 to {levels - 1}")
     run: Run | None = None
-    twin = None
 
     def begin() -> None:
         nonlocal run
         run = Run.start(folder, command, source.inputs(options), overwrite)
 
     on_root(comm, begin)
-    try:
+    with run.watched() if run else nullcontext():
         twin = Twin(source.scene, source.measurement, comm, level)
-        done = work(twin)
-        content = collect(twin, done)
-        on_root(comm, lambda: write(run, source, twin, done, content, comm.size))
-    except BaseException as error:
-        if comm.rank == 0 and run is not None:
-            run.fail(str(error) if isinstance(error, BcidError) else type(error).__name__)
-        raise
-    finally:
-        if twin is not None:
+        try:
+            done = work(twin)
+            content = collect(twin, done)
+            on_root(comm, lambda: write(run, source, twin, done, content, comm.size))
+        finally:
             twin.destroy()
     return folder

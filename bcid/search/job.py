@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,6 @@ import numpy as np
 import xarray as xr
 
 from bcid.collective import on_root
-from bcid.errors import BcidError
 from bcid.fingerprint import file_fingerprint, fingerprint
 from bcid.forms.forward import check_geometry
 from bcid.forms.mesh import BodyMesh, level_mesh
@@ -62,15 +62,11 @@ def run_identification(
     known = on_root(comm, begin)
     if known:
         progress.say(f"going on with an interrupted run: {len(known)} evaluations are there already")
-    try:
+    with run.watched() if run else nullcontext():
         keep = _keeper(run, comm)
         done = identify_refined(scene, measurement, comm, options, refine, progress=progress, known=known, keep=keep)
         mesh = level_mesh(done.scene, scene.levels[done.found.levels[-1]], comm)
         on_root(comm, lambda: _write(run, measurement, done, mesh, names, comm.size))
-    except BaseException as error:
-        if comm.rank == 0 and run is not None:
-            run.fail(str(error) if isinstance(error, BcidError) else type(error).__name__)
-        raise
     return folder
 
 
