@@ -14,8 +14,10 @@ from scipy.linalg import sqrtm
 
 from bcid.compare.adequacy import judge
 from bcid.compare.data import Data, Errors, MeshError, estimate_noise
+from bcid.compare.explain import Plan, Rung, _Loop
 from bcid.compare.fit import Coordinate, _covariance, fit, held_out
 from bcid.compare.missing import _bounded
+from bcid.compare.rivals import Rival
 from bcid.compare.state import State
 from bcid.compare.twin import Reply
 from bcid.compare.variants import Variant, _harmonics
@@ -24,6 +26,7 @@ from bcid.forms.model import Dose, Model
 from bcid.forms.sensitivity import Signatures, Wanted
 from bcid.forms.simulate import recorded
 from bcid.measurement import Action
+from bcid.progress import Silent
 
 Array = NDArray[np.float64]
 SCENE = trial.scene()
@@ -279,3 +282,27 @@ def test_a_stiffness_is_fitted_whatever_its_size(stiffness: float) -> None:
     begun = model.with_values({"soft_anchor.stiffness": 0.2 * stiffness})
     fitted = fit(state_of(made, begun), ("soft_anchor.stiffness",))
     assert fitted.values["soft_anchor.stiffness"] == pytest.approx(stiffness, rel=0.01)
+
+
+# -- the verdict
+# ------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("unexplained", "verdict"), [(0.0, "gravity"), (0.1, "gravity"), (0.5, "unknown")])
+def test_an_effect_is_named_when_it_explains_nearly_all(unexplained: float, verdict: str) -> None:
+    """With 0.1 of what the weight does left over, the model is not adequate, but 0.99 of the excess is explained."""
+    plain = Model.of(SCENE)
+    heavy = plain + Dose(effects.effect("gravity"), {"weight": 6000.0})
+    made = toy(heavy, ("gravity.weight",), (5e-7,))
+    made.data.values = made.data.values + 3e-3 * unexplained * np.random.default_rng(11).normal(size=len(made.data))
+    light = Toy(made.data, made.actions, {})
+    rungs = []
+    for stand_in, model in ((light, plain), (made, heavy)):
+        state = state_of(stand_in, model)
+        rungs.append(Rung(fit(state, ()), judge(state), None))
+    whole: Any = made
+    loop = _Loop(whole, Plan(), plain, [], Silent())
+    assert rungs[1].adequacy.adequate == (unexplained == 0.0)
+    assert loop.verdict(rungs) == verdict
+    assert loop.worthwhile(Rival("gravity", heavy.doses[0], frozenset(), rungs[1].fitted, 0.0), rungs[0].fitted)
+    assert not loop.worthwhile(Rival("gravity", heavy.doses[0], frozenset(), rungs[0].fitted, 0.0), rungs[0].fitted)
