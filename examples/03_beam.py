@@ -8,6 +8,7 @@ gravity are used, so that each load case is an action of a single step.
 ./dev python examples/03_beam.py
 """
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from bcid.compare.adequacy import Adequacy, judge
 from bcid.compare.fit import Fit, fit
 from bcid.compare.joint import promised
 from bcid.compare.missing import Ranking, Row, rank
-from bcid.compare.rivals import Rival, refit_candidates
+from bcid.compare.rivals import Rival, contest
 from bcid.compare.state import State
 from bcid.compare.twin import Twin
 from bcid.forms import effects
@@ -84,11 +85,12 @@ def main() -> Found:
 
     plain = State.of(twin, Model.of(scene), CLAMPED)
     verdict, ranking = judge(plain), rank(plain)
-    rivals = refit_candidates(plain, promised(plain, ranking), 3)
+    rivals = contest(plain, promised(plain, ranking), 3)
     show(words.verdict(plain, verdict, 1e-3, "mm"))
     show(["", "What it lacks:", *words.table(ranking, rivals, plain.rms, 1e-3, "mm", 6)])
-    for rival in rivals[:2]:
-        print(f"  {rival.effect}: a load case predicted from the other is missed by {1e3 * rival.held_out:.2f} mm")
+    for rival in rivals:
+        apart = 1e3 * (rival.held_out or math.nan)
+        print(f"  {rival.effect}: a load case predicted from the other is missed by {apart:.2f} mm")
 
     # The error of the mesh is that of the plain model, in which the beam is straight, until it is asked again.
     weight = again(again(rivals[0].fitted))

@@ -109,7 +109,8 @@ class Twin:
         chosen = [a.frames[np.unique(np.linspace(0, len(a) - 1, steps + 1).round().astype(int))] for a in self.actions]
         frames = np.sort(np.concatenate(chosen))
         data = self.measurement.data.isel(frame=frames).copy(deep=True)
-        data["position"][{"frame": np.flatnonzero(data["step"].values == 0)[1:]}] = np.nan
+        rests = [int(kept[0]) for kept in chosen[1:] if len(kept) > 1]
+        data["position"][{"frame": np.searchsorted(frames, rests)}] = np.nan
         other = copy(self)
         other.look_at(replace(self.measurement, data=data), self.left_out)
         other.actions, other.settings = other.measurement.actions, settings

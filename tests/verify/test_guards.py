@@ -116,6 +116,17 @@ def test_anchors_and_effects_are_rivals(slab: Scene) -> None:
     twin.destroy()
 
 
+@pytest.mark.parametrize("steps", [STEPS, 1])
+def test_a_glance_looks_at_rest_once_and_at_every_end(slab: Scene, plain: Measurement, steps: int) -> None:
+    """Where an action is nothing but one state, that is looked at."""
+    measurement = replace(plain, data=plain.data.isel(frame=plain.data["step"].values < steps))
+    thin, frames = Twin(slab, measurement, MPI.COMM_SELF, level=1).thinned(2, Settings())
+    assert [len(action) for action in thin.actions] == [min(3, steps)] * 3
+    seen = thin.data.mask.any(axis=(1, 2))
+    assert list(seen) == ([True, True, True, False, True, True, False, True, True] if steps > 1 else [True] * 3)
+    assert np.array_equal(thin.data.measured[seen], measurement.positions[frames][seen])
+
+
 # -- a coarse mesh
 # ------------------------------------------------------------------------------------------------------------------
 
