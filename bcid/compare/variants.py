@@ -20,6 +20,8 @@ from bcid.forms.sensitivity import Probe, Wanted
 Array = NDArray[np.float64]
 # Directions are scanned in steps of this size, in degrees, centres of inclusions at so many places, in radii of these sizes.
 _DEGREES = 5.0
+# Periods are tried in cycles per measurement, from, to and in steps of, with every fourth of the directions.
+_CYCLES, _COARSER = (0.25, 8.0, 0.15), 4
 _PLACES = 120
 _RADII = (0.1, 0.17, 0.28)
 
@@ -104,8 +106,12 @@ def _expanded(state: State, group: Sequence[tuple[Probe, dict[str, Array]]]) -> 
     probe = group[0][0]
     effect = probe.effect
     angle = next((p for p in effect.shapes if p.period and p.harmonics is not None), None)
-    if angle is not None:
-        return _all_directions(state, group, angle)
+    variants = _all_directions(state, group, angle) if angle is not None else []
+    period = next((p for p in effect.shapes if p.off is not None), None)
+    if period is not None and effect.envelope:
+        variants += [v for one in variants[::_COARSER] for v in _all_periods(state, one, period)]
+    if variants:
+        return variants
     onset = next((p.name for p in effect.shapes if p.onset), None)
     if onset is not None:
         return [v for pair in group for v in _all_onsets(state, *pair, onset)]
@@ -133,6 +139,22 @@ def _all_directions(state: State, group: Sequence[tuple[Probe, dict[str, Array]]
             dose = probe.dose.with_values({angle.name: float(direction)})
             arrays = [np.tensordot(weight, stacks[name], axes=1) for name in probe.wanted]
             found.append(_variant(state, dose, arrays, probe.wanted))
+    return found
+
+
+def _all_periods(state: State, steady: Variant, period: Parameter) -> list[Variant]:
+    """An effect that comes and goes: its envelope times what it does when it is steady."""
+    envelope, data = steady.dose.effect.envelope, state.twin.data
+    assert envelope is not None
+    times = np.zeros(len(data.mask))
+    for action in state.twin.actions:
+        times[action.frames] = action.clock
+    found = []
+    # Two frequencies are told apart when they are out of step at the end.
+    for cycles in np.arange(_CYCLES[0], _CYCLES[1], _CYCLES[2]) if np.ptp(times) > 0 else ():
+        dose = steady.dose.with_values({period.name: float(times.max() / cycles)})
+        share = np.array([envelope(float(t), dose.values) for t in times])
+        found.append(replace(steady, dose=dose, signature=steady.signature * share[data.frame, None]))
     return found
 
 

@@ -16,7 +16,7 @@ from bcid.compare.adequacy import judge
 from bcid.compare.data import Data, Errors, MeshError, estimate_noise
 from bcid.compare.explain import Plan, Rung, _Loop
 from bcid.compare.fit import Coordinate, _covariance, fit, held_out
-from bcid.compare.missing import _bounded
+from bcid.compare.missing import _bounded, rank
 from bcid.compare.rivals import Rival
 from bcid.compare.state import State
 from bcid.compare.twin import Reply
@@ -25,8 +25,9 @@ from bcid.forms import effects, trial
 from bcid.forms.model import Dose, Model
 from bcid.forms.sensitivity import Signatures, Wanted
 from bcid.forms.simulate import recorded
-from bcid.measurement import Action
+from bcid.measurement import Action, Measurement
 from bcid.progress import Silent
+from bcid.scene import Scene
 
 Array = NDArray[np.float64]
 SCENE = trial.scene()
@@ -125,6 +126,14 @@ class Toy:
     actions: list[Action]
     shapes: Mapping[str, Array]
     left_out: tuple[str, ...] = ()
+
+    @property
+    def scene(self) -> Scene:
+        return SCENE
+
+    @property
+    def measurement(self) -> Measurement:
+        return self.data.measurement
 
     def numbers(self, model: Model) -> dict[str, float]:
         values = model.constants()
@@ -282,6 +291,22 @@ def test_a_stiffness_is_fitted_whatever_its_size(stiffness: float) -> None:
     begun = model.with_values({"soft_anchor.stiffness": 0.2 * stiffness})
     fitted = fit(state_of(made, begun), ("soft_anchor.stiffness",))
     assert fitted.values["soft_anchor.stiffness"] == pytest.approx(stiffness, rel=0.01)
+
+
+def test_an_effect_that_comes_and_goes_shows_its_period() -> None:
+    effect, plain = effects.effect("active_stress"), Model.of(SCENE)
+    made = toy(plain, (), ())
+    shape = 1e-6 * np.random.default_rng(12).normal(size=rest(made.actions).shape)
+    clock = np.concatenate([action.clock for action in made.actions])
+    period = 3.0
+    share = np.array([effect.envelope(t, {"period": period}) for t in clock]) if effect.envelope else clock
+    made.data.values = made.data.values + made.data.vector(800.0 * share[:, None, None] * shape)
+    seeing = Toy(made.data, made.actions, {"active_stress.amplitude": shape})
+    whole: Any = seeing
+    state = replace(state_of(Toy(made.data, made.actions, {}), plain), twin=whole)
+    (row,) = rank(state, [effect]).rows
+    assert row.dose.values["period"] == pytest.approx(period, rel=0.05)
+    assert row.dose.values["amplitude"] == pytest.approx(800.0, rel=0.1)
 
 
 # -- the verdict
