@@ -78,14 +78,15 @@ def at(twin: Twin, anchors: frozenset[str] = ANCHORED, **options: MeshError) -> 
 
 
 def test_no_effect_makes_up_for_a_wrong_anchor_set(twin: Twin) -> None:
-    """From the wrong anchors every effect looks significant; none is adequate once it is fitted."""
+    """From the wrong anchors every effect looks significant; none is adequate once it is fitted, unless the anchors move."""
     wrong = at(twin, frozenset({"1"}))
     assert not judge(wrong).adequate
     ranking = rank(wrong, effects.catalogue(FEW))
     assert ranking.rows[0].p_value < 1e-6
     rivals = refit_candidates(wrong, promised(wrong, ranking), 3)
-    assert rivals
-    for rival in rivals:
+    stayed = [rival for rival in rivals if rival.anchors == wrong.anchors]
+    assert stayed
+    for rival in stayed:
         assert not judge(rival.fitted.state).adequate, rival.effect
 
 
