@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 # Directions are scanned in steps of this size, in degrees, centres of inclusions at so many places, in radii of these sizes.
 _DEGREES = 5.0
 # Periods are tried in cycles per measurement, from, to and in steps of, with every fourth of the directions.
-_CYCLES, _COARSER = (0.25, 8.0, 0.15), 4
+_CYCLES, _COARSER = (1.0, 8.0, 0.15), 4
 _PLACES = 120
 _RADII = (0.1, 0.17, 0.28)
 
