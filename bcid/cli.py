@@ -318,7 +318,7 @@ def _add_explain(commands: Any) -> None:
     )
     _add_inputs(parser)
     _add_only(parser)
-    parser.add_argument("--most", type=int, default=3, metavar="N", help="effects that may be adopted together (3)")
+    parser.add_argument("--most", type=int, default=2, metavar="N", help="effects that may be adopted together (2)")
     _add_level(parser)
     _add_effect_files(parser)
     _add_output(parser)
@@ -525,7 +525,7 @@ def _explained(scene: Path, measurement: Path, arguments: argparse.Namespace, co
     from bcid.compare.job import run_explain
 
     only = _listed(getattr(arguments, "only", None))
-    plan = Plan(getattr(arguments, "level", None), getattr(arguments, "most", 3), only=only)
+    plan = Plan(getattr(arguments, "level", None), getattr(arguments, "most", Plan.effects), only=only)
     files = getattr(arguments, "effects", [])
     return run_explain(scene, measurement, arguments.output, plan, comm, progress, arguments.overwrite, files)
 

@@ -15,9 +15,9 @@ from bcid.compare.adequacy import Adequacy, judge
 from bcid.compare.buckling import leave_out
 from bcid.compare.data import MeshError
 from bcid.compare.fit import Fit, fit, held_out
-from bcid.compare.joint import propose
+from bcid.compare.joint import NEARLY, propose
 from bcid.compare.missing import Ranking, rank
-from bcid.compare.rivals import NEARLY, STEPS, Rival, at_a_glance, contest, criterion, explained
+from bcid.compare.rivals import STEPS, Rival, at_a_glance, contest, criterion, explained, explains
 from bcid.compare.state import State
 from bcid.compare.twin import Twin
 from bcid.errors import SolveError
@@ -38,9 +38,8 @@ _TELLING = 2 * math.log(20.0)
 _SEEDS, _STARTS = 2, 2
 # Such a set leaves at most so many times the RMS residual of the best one.
 _NEAR = 1.6
-# An effect is adopted when it explains at least this part of what noise and mesh leave open. Effects are named when the model
-# is adequate with them, or when they explain this part of it: then something small is missing besides.
-_LEAST_SHARE, _NEARLY_ALL = 0.5, 0.95
+# An effect is adopted when it explains at least this part of what noise and mesh leave open.
+_LEAST_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -238,9 +237,9 @@ class _Loop:
         """The anchors around those of a model that is not adequate."""
         return anchor_search.search(self.twin, state.model, state.errors.mesh, [state.anchors], "no")
 
-    def corrected(self, fitted: Fit, most: int = 2) -> Fit:
+    def corrected(self, fitted: Fit) -> Fit:
         """Fit again with the error of the mesh of the fitted model, until the fitted numbers stay."""
-        for _ in range(most):
+        for _ in range(2):
             state = fitted.state
             mesh = self.twin.mesh_error(state.model, state.anchors, state.reply)
             again = fit(State.of(self.twin, state.model, state.anchors, mesh, state.free, state.reply), state.free)
@@ -289,7 +288,7 @@ class _Loop:
             self.progress.say(
                 f"  with {rival.dose.label}, anchors {self.name(rival.anchors)}: {rival.fitted.state.rms * 1e3:.3g} mm"
             )
-        self.twin.drop([fitted.state.model, *(r.fitted.state.model for r in rivals[:2])])
+        self.twin.drop([fitted.state.model, *(r.fitted.state.model for r in rivals)])
         return ranking, rivals, None
 
     def worthwhile(self, rival: Rival, before: Fit) -> bool:
@@ -315,7 +314,7 @@ class _Loop:
     def verdict(self, rungs: Sequence[Rung]) -> str:
         last = rungs[-1]
         added = [dose.effect.name for dose in last.state.model.added(self.model)]
-        if not last.adequacy.adequate and not (added and explained(rungs[0].fitted, last.fitted) > _NEARLY_ALL):
+        if not explains(rungs[0].fitted, last.fitted, last.adequacy.adequate):
             return "unknown"
         return "+".join(dict.fromkeys(added)) or "none"
 

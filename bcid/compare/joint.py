@@ -16,11 +16,14 @@ from bcid.compare.missing import SIGNIFICANT, Ranking, rank
 from bcid.compare.state import State
 from bcid.errors import SolveError
 from bcid.forms.effects.effect import Effect
+from bcid.search.climb import neighbours
 
 Anchored = frozenset[str]
-# A set that leaves so many times what the best one promises is not ranked: no effect makes up for that. Where one leaves little
-# to explain (chi-square per value) as it is, the sets are told apart without.
-_HOPELESS, _NEARLY, _TOLD_APART = 12.0, 1.3, 3.0
+# Chi-square per value below which a model is nearly adequate.
+NEARLY = 1.3
+# A set that leaves so many times what the best one promises is not ranked: no effect makes up for that. Where one is nearly
+# adequate as it is, the sets are told apart without.
+_HOPELESS, _TOLD_APART = 12.0, 3.0
 # From a second set it is climbed when that leaves at most so many times the least.
 _NEAR = 1.1
 
@@ -82,7 +85,7 @@ class _Climb:
         """From a set to its best neighbour, until none is better."""
         best = start
         while True:
-            around = [best, *(best ^ {patch} for patch in self.state.twin.scene.patches)]
+            around = [best, *neighbours(best, list(self.state.twin.scene.patches))]
             for anchors in around:
                 self.look(anchors)
             top = min(around, key=self.left)
@@ -104,7 +107,7 @@ class _Climb:
         except SolveError:
             return
         alone = min((p.left for found in self.known.values() for p in found if p.effect is None), default=math.inf)
-        nearly = alone < _NEARLY * len(state.twin.data)
+        nearly = alone < NEARLY * len(state.twin.data)
         if state.chi2 < (_TOLD_APART if nearly else _HOPELESS) * min(map(self.left, self.known)):
             ranking = rank(state, self.effects, strict=False)
             plain = Proposal(anchors, None, "", ranking.left, len(state.twin.data))

@@ -15,7 +15,7 @@ from bcid.compare.adequacy import FALSE_ALARMS, groups, judge
 from bcid.compare.explain import Explanation, Rung
 from bcid.compare.fit import Fit
 from bcid.compare.missing import Ranking
-from bcid.compare.rivals import Rival
+from bcid.compare.rivals import Rival, explains
 from bcid.compare.separate import Pull
 from bcid.compare.source import Source
 from bcid.compare.twin import Twin, joined
@@ -112,9 +112,13 @@ def diagnosis_json(done: Outcome, unit: float) -> dict[str, Any]:
         verdict = found.verdict
     else:
         added = "+".join(dict.fromkeys(d.effect.name for d in state.model.doses if _seen(last.fitted, d)))
-        verdict = (added or "none") if last.adequacy.adequate else "unknown"
-        if asked is not None and asked.rivals and not last.adequacy.adequate:
-            verdict = asked.rivals[0].effect if judge(asked.rivals[0].fitted.state).adequate else "unknown"
+        adequate = last.adequacy.adequate
+        named = explains(done.rungs[0].fitted, last.fitted, adequate) if added else adequate
+        verdict = (added or "none") if named else "unknown"
+        if asked is not None and asked.rivals and not adequate:
+            first = asked.rivals[0]
+            named = explains(last.fitted, first.fitted, judge(first.fitted.state).adequate)
+            verdict = first.effect if named else "unknown"
     return {
         "adequate": last.adequacy.adequate,
         "p_value": last.adequacy.p_value,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -11,10 +12,11 @@ import numpy as np
 
 from bcid.compare.anchors import search
 from bcid.compare.fit import Fit, fit, held_out
-from bcid.compare.joint import Proposal
+from bcid.compare.joint import NEARLY, Proposal
 from bcid.compare.missing import Row, rank
 from bcid.compare.state import State
 from bcid.errors import InputError, SolveError
+from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Dose, Model
 from bcid.forms.solve import Settings
 
@@ -22,9 +24,11 @@ Anchored = frozenset[str]
 Found = TypeVar("Found")
 # Many sets and effects are looked at in so many steps of each action besides rest.
 STEPS = 2
-# A candidate is not refitted when another leaves less than so many times the noise (chi-square per value) and it is
-# expected to leave more than so many times.
-NEARLY, _FAR = 1.3, 4.0
+# When another is nearly adequate, a candidate is not refitted that is expected to leave more than this chi-square per value.
+_FAR = 4.0
+# A model explains what is missing when it explains this part of what noise and mesh leave open, adequate or not: then
+# something small is missing besides.
+_NEARLY_ALL = 0.95
 # So many of the candidates are compared with all steps; the best, and what leaves no more than so many times as much, is
 # fitted to them.
 _PROMOTED, _CLOSE = 2, 1.15
@@ -99,24 +103,34 @@ def explained(before: Fit, after: Fit) -> float:
     return (before.state.chi2 - after.state.chi2) / max(before.state.chi2 - values, 1e-9)
 
 
+def explains(before: Fit, after: Fit, adequate: bool) -> bool:
+    """Whether what was added to a model may be named: the model is adequate with it, or it explains nearly all."""
+    return adequate or explained(before, after) > _NEARLY_ALL
+
+
 def refit_candidates(state: State, proposals: Iterable[Proposal], most: int) -> list[Rival]:
     """Add the most promising effects to a model, each with its set of anchors, and refit all; best first; collective.
 
     At most `most` are refitted; the best of them also goes to other sets, when its numbers make them fit better.
     """
     rivals: list[Rival] = []
-    waiting = sorted((p for p in proposals if p.effect is not None), key=lambda p: p.left / p.values)
+    waiting = [(p.effect, p) for p in sorted(proposals, key=lambda p: p.left / p.values) if p.effect is not None]
     # What an effect promises is linear in its amount, which a large one is not: each has its best set tried first, and then
     # the one that turns out best competes with itself on another set.
-    for proposal in _best_of_each(waiting):
-        if len(rivals) < most - 1 and not _hopeless(proposal, rivals):
-            rivals += _refit(state, proposal)
-    best = min(rivals, key=lambda rival: rival.criterion, default=None)
-    others = [p for p in waiting if best and p.effect == best.dose.effect and p.anchors != best.anchors]
-    for proposal in others[:1]:
-        rivals += _refit(state, proposal)
-    rivals.sort(key=lambda rival: rival.criterion)
-    return sorted([*_moved(rivals[0]), *rivals], key=lambda rival: rival.criterion) if rivals else []
+    tried: set[str] = set()
+    for effect, proposal in waiting:
+        if effect.name in tried or len(rivals) >= most - 1 or _hopeless(proposal, rivals):
+            continue
+        tried.add(effect.name)
+        rivals += _refit(state, effect, proposal.anchors)
+    if not rivals:
+        return []
+    best = min(rivals, key=lambda rival: rival.criterion)
+    others = (p.anchors for effect, p in waiting if effect == best.dose.effect and p.anchors != best.anchors)
+    for anchors in itertools.islice(others, 1):
+        rivals += _refit(state, best.dose.effect, anchors)
+    best = min(rivals, key=lambda rival: rival.criterion)
+    return sorted([*_moved(best), *rivals], key=lambda rival: rival.criterion)
 
 
 def _moved(rival: Rival) -> list[Rival]:
@@ -129,26 +143,19 @@ def _moved(rival: Rival) -> list[Rival]:
         state = rival.fitted.state
         if state.chi2 < _DONE * len(state.twin.data):
             break
-        anchors = frozenset(search(state.twin, state.model, state.errors.mesh, [state.anchors], "no").anchored)
         try:
+            anchors = frozenset(search(state.twin, state.model, state.errors.mesh, [state.anchors], "no").anchored)
+            if anchors == state.anchors:
+                break
             start = State.of(state.twin, state.model, anchors, state.errors.mesh)
             again = fit(start, state.free, most=8, ftol=_ROUGH)
         except SolveError:
             break
-        if anchors == state.anchors or criterion(again) >= rival.criterion:
+        if criterion(again) >= rival.criterion:
             break
         rival = replace(rival.with_fit(again), anchors=anchors)
         found.append(rival)
     return found
-
-
-def _best_of_each(proposals: Iterable[Proposal]) -> list[Proposal]:
-    """The first proposal of each effect."""
-    found: dict[str, Proposal] = {}
-    for proposal in proposals:
-        if proposal.effect is not None:
-            found.setdefault(proposal.effect.name, proposal)
-    return list(found.values())
 
 
 def promoted(rival: Rival, state: State, best: Rival) -> Rival | None:
@@ -156,18 +163,18 @@ def promoted(rival: Rival, state: State, best: Rival) -> Rival | None:
 
     Unless it is far from the best one it is fitted again, with an error of the mesh of its own.
     """
-    model, anchors = rival.fitted.state.model, rival.anchors
+    model = rival.fitted.state.model
     far = rival.criterion > _CLOSE * best.criterion
-    try:
-        if any(p.onset for p in rival.dose.effect.parameters):
-            # In which frame it begins is only known once all are looked at.
-            proposal = Proposal(anchors, rival.dose.effect, rival.dose.place, 0.0, 1)
-            return next(iter(_refit(state, proposal)), None)
-        start = State.of(state.twin, model, anchors, state.errors.mesh if far else None)
-        again = fit(start, rival.fitted.state.free, most=1 if far else 8)
-    except (SolveError, InputError):
-        return None
-    return replace(rival.with_fit(again), held_out=held_out(again))
+    if any(p.onset for p in rival.dose.effect.parameters):
+        # In which frame it begins is only known once all are looked at.
+        fits = [found.fitted for found in _refit(state, rival.dose.effect, rival.anchors)]
+    else:
+        try:
+            start = State.of(state.twin, model, rival.anchors, state.errors.mesh if far else None)
+            fits = [fit(start, rival.fitted.state.free, most=1 if far else 8)]
+        except (SolveError, InputError):
+            fits = []
+    return replace(rival.with_fit(fits[0]), held_out=held_out(fits[0])) if fits else None
 
 
 def _hopeless(proposal: Proposal, rivals: Sequence[Rival]) -> bool:
@@ -176,14 +183,13 @@ def _hopeless(proposal: Proposal, rivals: Sequence[Rival]) -> bool:
     return best < NEARLY and proposal.left > _FAR * proposal.values
 
 
-def _refit(state: State, proposal: Proposal) -> list[Rival]:
+def _refit(state: State, effect: Effect, anchors: Anchored) -> list[Rival]:
     """Add an effect, begin at what is expected of it, and fit everything together; nothing if that cannot be followed."""
     try:
-        base = State.of(state.twin, state.model, proposal.anchors, state.errors.mesh, state.free)
+        base = State.of(state.twin, state.model, anchors, state.errors.mesh, state.free)
     except SolveError:
         return []
-    assert proposal.effect is not None
-    row = rank(base, [proposal.effect], strict=False).rows[0]
+    row = rank(base, [effect], strict=False).rows[0]
     for part in _CAUTION:
         try:
             dose = _careful(row, base.model, part)
