@@ -391,6 +391,9 @@ def _add_study(commands: Any) -> None:
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the cases (0)")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes at a time (2)")
     parser.add_argument("--limit", type=float, default=900.0, metavar="SECONDS", help="time limit of a case (900)")
+    parser.add_argument(
+        "--least", type=float, default=0.5, metavar="SIZE", help="of an effect, in units of noise (0.5)"
+    )
     _add_output(parser, picture=False)
 
 
@@ -618,7 +621,7 @@ def study(arguments: argparse.Namespace) -> None:
     """`bcid study`."""
     from bcid.studies.hidden import Options, run_hidden
 
-    options = Options(arguments.cases, arguments.seed, arguments.jobs, arguments.limit)
+    options = Options(arguments.cases, arguments.seed, arguments.jobs, arguments.limit, arguments.least)
     progress = _progress(arguments, 0)
     folder = run_hidden(arguments.output, options, progress=progress, overwrite=arguments.overwrite)
     _print_result(folder, "table.txt")

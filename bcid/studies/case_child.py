@@ -1,7 +1,7 @@
 """One case of the hidden study in a process of its own: make the measurement, diagnose it, write the result.
 
-Called with one argument, a JSON object: `folder` of the case, `result` file, `scene` file, `seed`, `index`, and the functions
-`make` and `diagnose` as "module:name".
+Called with one argument, a JSON object: `folder` of the case, `result` file, `scene` file, `seed`, `index`, `least`
+size of an effect, and the functions `make` and `diagnose` as "module:name".
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def main(job: dict[str, Any]) -> None:
     diagnosis: dict[str, Any] | None = None
     reason = ""
     try:
-        function(job["make"])(folder, job["seed"], job["index"], Path(job["scene"]))
+        function(job["make"])(folder, job["seed"], job["index"], Path(job["scene"]), job["least"])
         stage, began, began_cpu = "diagnosis", time.perf_counter(), time.process_time()
         diagnosis = diagnose(function(job["diagnose"]), folder, Path(job["scene"]))
         seconds, cpu = time.perf_counter() - began, time.process_time() - began_cpu

@@ -148,15 +148,15 @@ def generator(*key: int) -> Rng:
     return np.random.default_rng(np.random.SeedSequence(list(key)))
 
 
-def draw(seed: int, index: int, attempt: int = 0) -> Case:
-    """Case `index` of a seed. Kind and effects do not depend on the attempt."""
+def draw(seed: int, index: int, attempt: int = 0, least: float = SIZES[0]) -> Case:
+    """Case `index` of a seed, with effects of at least a size. Kind and effects do not depend on attempt and size."""
     kind, names = plan(seed, index)
     rng = generator(seed, 1, index, attempt)
     anchors = _anchors(rng, peeled="peeling" in names)
     motions = _motions(rng, anchors)
     noise = _log_uniform(rng, *NOISE)
     case = Case(seed, index, attempt, kind, anchors, motions, noise, ())
-    hidden = tuple(_hidden(rng, name, case) for name in names)
+    hidden = tuple(_hidden(rng, name, case, least) for name in names)
     return replace(case, hidden=hidden)
 
 
@@ -240,8 +240,8 @@ def _motions(rng: Rng, anchors: tuple[str, ...]) -> tuple[Motion, ...]:
 Recipe = tuple[dict[str, float], dict[str, float], str]
 
 
-def _hidden(rng: Rng, name: str, case: Case) -> Hidden:
-    target = _log_uniform(rng, *SIZES)
+def _hidden(rng: Rng, name: str, case: Case, least: float) -> Hidden:
+    target = _log_uniform(rng, least, SIZES[1])
     weights, shapes, place = _RECIPES.get(name, _plain)(rng, case)
     return Hidden(name, target, weights, shapes, place)
 

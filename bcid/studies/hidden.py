@@ -20,6 +20,7 @@ from bcid.fingerprint import file_fingerprint
 from bcid.progress import Progress, Silent
 from bcid.run import Run
 from bcid.studies.case_child import write_result
+from bcid.studies.cases import SIZES
 from bcid.studies.children import Ended, Task, supervise
 from bcid.studies.score import scores, table
 
@@ -37,6 +38,7 @@ class Options:
         seed: of the cases; case i is the same whatever their number.
         jobs: processes at a time.
         limit: time limit of a case, s.
+        least: size that effects are drawn from, in units of noise; the largest is 10.
         make, diagnose: functions as "module:name": `bcid.studies.truth.make` and the diagnosis.
     """
 
@@ -44,6 +46,7 @@ class Options:
     seed: int = 0
     jobs: int = 2
     limit: float = 900.0
+    least: float = SIZES[0]
     make: str = MAKE
     diagnose: str = DIAGNOSE
 
@@ -54,6 +57,8 @@ class Options:
                 raise InputError(f"--{name} {getattr(self, name)}: must be at least {lowest}")
         if not self.limit > 0:
             raise InputError(f"--limit {self.limit:g}: must be a positive number of seconds")
+        if not SIZES[0] <= self.least < SIZES[1]:
+            raise InputError(f"--least {self.least:g}: must be a size from {SIZES[0]:g} to below {SIZES[1]:g} noises")
 
 
 def run_hidden(
@@ -72,7 +77,7 @@ def run_hidden(
     options.check()
     if not scene.is_file():
         raise InputError(f"{scene}: is missing; `bcid study` needs the project's folder with its examples")
-    inputs = {name: getattr(options, name) for name in ("cases", "seed", "limit", "make", "diagnose")}
+    inputs = {name: getattr(options, name) for name in ("cases", "seed", "limit", "least", "make", "diagnose")}
     run = Run.start(folder, "study hidden", inputs | {"scene": file_fingerprint(scene)}, overwrite)
     path = run.path.resolve()
     tasks = [_task(path, i, options, scene) for i in range(options.cases) if not _result(path, i).is_file()]
@@ -107,6 +112,7 @@ def _task(path: Path, index: int, options: Options, scene: Path) -> Task:
         "scene": str(scene.resolve()),
         "seed": options.seed,
         "index": index,
+        "least": options.least,
         "make": options.make,
         "diagnose": options.diagnose,
     }

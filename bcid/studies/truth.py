@@ -50,8 +50,10 @@ INVISIBLE = 0.05
 ATTEMPTS = 6
 
 
-def make(folder: Path, seed: int, index: int, scene_file: Path) -> None:
+def make(folder: Path, seed: int, index: int, scene_file: Path, least: float) -> None:
     """Write `measurement/` and, apart from it, `truth.json` into the folder of a case; what is there already stays.
+
+    Sizes are drawn from `least` on, in units of noise.
 
     Raises:
         SolveError: none of the attempts could be solved.
@@ -61,7 +63,7 @@ def make(folder: Path, seed: int, index: int, scene_file: Path) -> None:
     scene = Scene.read(scene_file, physics=check_physics)
     reasons = []
     for attempt in range(ATTEMPTS):
-        case = draw(seed, index, attempt)
+        case = draw(seed, index, attempt, least)
         try:
             truth = compute(scene, case)
         except SolveError as error:

@@ -14,7 +14,7 @@ CALLS = "FAKE_STUDY_CALLS"
 SLEEP = "FAKE_STUDY_SLEEP"
 
 
-def make(folder: Path, seed: int, index: int, scene: Path) -> None:
+def make(folder: Path, seed: int, index: int, scene: Path, least: float) -> None:
     truth = {"index": index, "kind": "none", "anchored": ["1"], "noise": 2e-4, "size": 0.0, "effects": []}
     write_whole(folder / "truth.json", json.dumps(truth))
     (folder / "measurement").mkdir(exist_ok=True)

@@ -61,6 +61,7 @@ def test_help_names_every_command(tmp_path: Path) -> None:
         (["explain", SLAB, SEEN, "-o", "run", "--most", "0"], ["--most 0", "at least 1"]),
         (["explain", SLAB, SEEN, "-o", "run", "--effects", "none.py"], ["none.py", "no such file"]),
         (["study", "hidden", "-o", "run", "--cases", "0"], ["--cases 0", "at least 1"]),
+        (["study", "hidden", "-o", "run", "--least", "10"], ["--least 10", "below 10"]),
         (["compare", "none"], ["none", "is not a run folder"]),
         (["diagnose", ROOT / "examples"], ["is not a run folder"]),
         (["fit", "none", "--add", "gravity", "-o", "run"], ["is not a run folder"]),

@@ -8,6 +8,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,13 @@ def test_kinds_and_effects_are_balanced() -> None:
     twos = Counter(name for kind, names in plans if kind == "two" for name in names)
     assert twos == dict.fromkeys(cases.CATALOGUE, 4)
     assert all(len(set(names)) == 2 for kind, names in plans if kind == "two")
+
+
+def test_only_the_sizes_change_when_the_small_ones_are_left_out() -> None:
+    every, large = cases.draw(5, 3), cases.draw(5, 3, least=4.0)
+    assert replace(large, hidden=()) == replace(every, hidden=())
+    assert [replace(h, target=0.0) for h in large.hidden] == [replace(h, target=0.0) for h in every.hidden]
+    assert min(h.target for i in range(60) for h in cases.draw(5, i, least=4.0).hidden) >= 4.0
 
 
 def test_cases_keep_their_ranges() -> None:
@@ -327,7 +335,7 @@ def test_the_same_case_is_the_same_measurement(tmp_path: Path, monkeypatch: pyte
     index = next(i for i in range(40) if cases.plan(0, i) == ("one", ("time_lag",)))
     monkeypatch.setattr(truth.compute, "__defaults__", (Level(3, 0.025), Level(2, 0.025)))
     for name in ("a", "b"):
-        truth.make(tmp_path / name, 0, index, SCENE)
+        truth.make(tmp_path / name, 0, index, SCENE, cases.SIZES[0])
     for file in ("measurement/fiducials.csv", "measurement/grasps.csv", "measurement/measurement.toml", "truth.json"):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
     told = json.loads((tmp_path / "a/truth.json").read_text())
