@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 # How far the error of the mesh may be from what the ladder says: of each action as a whole, and of a single trajectory.
 _OF_ACTION = 0.5
 _OF_TRAJECTORY = 0.5
-_OF_FIDUCIAL = 0.5
+_OF_FIDUCIAL = 1.5
 # Where patches end, convergence is of little more than first order: by so much the difference of two meshes with a ratio
 # of three exceeds the error of the finer one.
 _SINGULAR = 3.0
