@@ -1,0 +1,292 @@
+"""Reading a scene from TOML: validated as a whole, every problem told at once, unknown keys refused."""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bcid.errors import InputError, Problems, nearest
+from bcid.scene import Box, Grasp, Level, Material, PhysicsCheck, Plane, Region, Scene, Values
+from bcid.units import quantities, quantity, unit_factor
+
+FORMAT = "bcid-scene/1"
+DEGREES = (1, 2)
+FORMULATIONS = ("displacement", "mixed")
+_VALUES = ("format", "name", "description", "down", "support", "noise_sigma", "attach_within")
+_TABLES = ("geometry", "levels", "material", "patches", "grasps", "fiducials", "places", "effects")
+_NAME = re.compile(r"^[^\s,;\"'\\/\x00-\x1f\x7f]{1,64}$")
+
+
+def read_scene(path: Path, physics: PhysicsCheck | None = None) -> Scene:
+    """See `Scene.read`."""
+    text = _text(path)
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not a TOML file: {error}") from None
+    reader = _Reader(path, text)
+    scene = reader.scene(table)
+    if physics is not None and not reader.problems.found:
+        for problem in physics(scene):
+            reader.problems.add(path, problem)
+    reader.problems.raise_if_any()
+    return scene
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such scene file; examples are in examples/scenes") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: is a folder; expected a scene file (TOML)") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as text: {error}") from None
+
+
+class _Reader:
+    """Turns the parsed TOML into a `Scene`, noting every problem on the way."""
+
+    def __init__(self, path: Path, text: str) -> None:
+        self.path = path
+        self.lines = text.splitlines()
+        self.problems = Problems(f"scene {path}")
+
+    def line_of(self, key: str) -> int | None:
+        """Line of the last part of a dotted key, as near as a text search gets."""
+        section, _, last = key.rpartition(".")
+        start = 0
+        if section:
+            header = re.compile(rf"^\s*\[+\s*\"?{re.escape(section)}\"?\s*\]+")
+            start = next((i for i, line in enumerate(self.lines) if header.match(line)), 0)
+        name = re.compile(rf"^\s*[\"']?{re.escape(last)}[\"']?\s*=")
+        for i in range(start, len(self.lines)):
+            if name.match(self.lines[i]):
+                return i + 1
+        # What stands in an inline table is found by the line of the table.
+        return start + 1 if start else self.line_of(section) if section else None
+
+    def bad(self, key: str, text: str) -> None:
+        self.problems.add(self.path, f"{key}: {text}", self.line_of(key))
+
+    def table(self, parent: Mapping[str, Any], key: str, where: str = "") -> dict[str, Any]:
+        value = parent.get(key, {})
+        if isinstance(value, dict):
+            return value
+        self.bad(where + key, f"expected a table, found {value!r}")
+        return {}
+
+    def unknown(self, table: Mapping[str, Any], allowed: tuple[str, ...], where: str = "") -> None:
+        for key in table:
+            if key not in allowed:
+                self.bad(where + key, f"unknown key; {nearest(key, allowed)}")
+
+    def text(self, table: Mapping[str, Any], key: str, default: str | None = None, where: str = "") -> str:
+        value = table.get(key, default)
+        if value is None:
+            self.bad(where + key, "is missing")
+        elif not isinstance(value, str) or (not value and default != ""):
+            self.bad(where + key, f"expected text, found {value!r}")
+        else:
+            return value
+        return ""
+
+    def vector(self, value: object, key: str) -> tuple[float, float, float]:
+        try:
+            x, y, z = quantities(value, "m", 3)
+            return x, y, z
+        except InputError as error:
+            self.bad(key, str(error))
+        return 0.0, 0.0, 0.0
+
+    def length(self, value: object, key: str) -> float:
+        """A positive length in m."""
+        try:
+            result = quantity(value, "m")
+        except InputError as error:
+            self.bad(key, str(error))
+            return 1.0
+        if result <= 0:
+            self.bad(key, f"'{value}' must be positive, as \"5 mm\"")
+            return 1.0
+        return result
+
+    def direction(self, value: object, key: str) -> tuple[float, float, float]:
+        numbers = isinstance(value, list) and all(
+            isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in value
+        )
+        if not numbers or len(value) != 3 or not any(value):  # type: ignore[arg-type]
+            self.bad(key, f"expected three numbers, not all zero, as [0, -1, 0]; found {value!r}")
+            return 0.0, -1.0, 0.0
+        x, y, z = np.asarray(value, float) / np.linalg.norm(np.asarray(value, float))
+        return float(x), float(y), float(z)
+
+    def names(self, table: Mapping[str, Any], what: str) -> list[str]:
+        for name in table:
+            if not _NAME.match(name):
+                self.bad(what, f"name {name!r} must have 1 to 64 characters without spaces, commas, slashes or quotes")
+        return list(table)
+
+    def scene(self, table: Mapping[str, Any]) -> Scene:
+        self.unknown(table, (*_VALUES, *_TABLES))
+        if table.get("format") != FORMAT:
+            self.bad("format", f'expected "{FORMAT}", found {table.get("format")!r}')
+        optional = {key: self.length(table[key], key) for key in ("noise_sigma", "attach_within") if key in table}
+        geometry, unit = self.geometry(self.table(table, "geometry"))
+        patches = self.table(table, "patches")
+        grasps = self.table(table, "grasps")
+        places = self.table(table, "places")
+        fiducials = self.table(table, "fiducials")
+        for what, entries in (("patches", patches), ("grasps", grasps), ("places", places), ("fiducials", fiducials)):
+            self.names(entries, what)
+        if not patches:
+            self.bad("patches", "none is defined: name at least one candidate patch")
+        if not fiducials:
+            self.bad("fiducials", 'none is defined: write name = "x y z mm" for each marker')
+        support = self.text(table, "support", "")
+        if support and support not in places:
+            self.bad("support", f"place '{support}' is not defined; {nearest(support, places)}")
+        return Scene(
+            name=self.text(table, "name", self.path.stem),
+            geometry=geometry,
+            length_unit=unit,
+            levels=self.levels(table.get("levels"), geometry),
+            material=self.material(self.table(table, "material")),
+            patches={name: self.region(value, f"patches.{name}", ("divide",)) for name, value in patches.items()},
+            grasps={name: self.grasp(value, f"grasps.{name}") for name, value in grasps.items()},
+            fiducials={name: self.vector(value, f"fiducials.{name}") for name, value in fiducials.items()},
+            places={name: self.region(value, f"places.{name}") for name, value in places.items()},
+            divide=self.divide(patches),
+            down=self.direction(table.get("down", [0, -1, 0]), "down"),
+            support=support,
+            noise_sigma=optional.get("noise_sigma"),
+            attach_within=optional.get("attach_within"),
+            effects={name: self.effect(value, name) for name, value in self.table(table, "effects").items()},
+            description=self.text(table, "description", ""),
+            source=str(self.path),
+        )
+
+    def geometry(self, table: Mapping[str, Any]) -> tuple[Path, float]:
+        self.unknown(table, ("file", "length_unit"), "geometry.")
+        name = self.text(table, "file", where="geometry.")
+        unit_text = self.text(table, "length_unit", where="geometry.")
+        unit = 1.0
+        if unit_text:
+            try:
+                unit = unit_factor(unit_text, "m")
+            except InputError as error:
+                self.bad("geometry.length_unit", str(error))
+        path = self.path.parent / name if name else self.path
+        if name and not path.is_file():
+            self.bad("geometry.file", f"'{name}': no such file (looked at {path})")
+        return path, unit
+
+    def levels(self, value: object, geometry: Path) -> tuple[Level, ...]:
+        if not isinstance(value, list) or not value or not all(isinstance(entry, dict) for entry in value):
+            self.bad("levels", "expected at least one [[levels]] table, coarsest first")
+            return (Level(),)
+        return tuple(self.level(entry, f"levels[{i}].", geometry.suffix == ".geo") for i, entry in enumerate(value))
+
+    def level(self, table: Mapping[str, Any], where: str, geo: bool) -> Level:
+        size = "element_size" if geo else "refinements"
+        self.unknown(table, ("degree", size), where)
+        degree = table.get("degree", 1)
+        if type(degree) is not int or degree not in DEGREES:
+            self.bad(where + "degree", f"expected 1 or 2, found {degree!r}")
+            degree = 1
+        if geo:
+            if "element_size" not in table:
+                self.bad(where + "element_size", 'is missing: write element_size = "10 mm"')
+                return Level(degree)
+            return Level(degree, self.length(table["element_size"], where + "element_size"))
+        count = table.get("refinements", 0)
+        if not isinstance(count, int) or isinstance(count, bool) or not 0 <= count <= 4:
+            self.bad(where + "refinements", f"expected a whole number from 0 to 4, found {count!r}")
+            count = 0
+        return Level(degree, None, count)
+
+    def material(self, table: Mapping[str, Any]) -> Material:
+        law = self.text(table, "law", "neo_hooke", "material.")
+        formulation = self.text(table, "formulation", "displacement", "material.")
+        if formulation not in FORMULATIONS:
+            self.bad("material.formulation", f"{formulation!r}: {nearest(formulation, FORMULATIONS)}")
+        values = {key: value for key, value in table.items() if key not in ("law", "formulation")}
+        self.values(values, "material.")
+        return Material(law, values, formulation)
+
+    def values(self, table: Mapping[str, Any], where: str) -> None:
+        for key, value in table.items():
+            if isinstance(value, bool) or not isinstance(value, str | int | float | list):
+                self.bad(where + key, f"expected a number or text with a unit, found {value!r}")
+            elif isinstance(value, float) and not math.isfinite(value):
+                self.bad(where + key, f"{value!r} is not a finite number")
+
+    def effect(self, value: object, name: str) -> Values:
+        if not isinstance(value, dict):
+            self.bad(f"effects.{name}", f"expected a table of parameters, found {value!r}")
+            return {}
+        self.values(value, f"effects.{name}.")
+        return value
+
+    def divide(self, patches: Mapping[str, Any]) -> dict[str, float]:
+        """Size (m) of the pieces of every patch that is divided."""
+        found = {}
+        for name, value in patches.items():
+            if not isinstance(value, dict) or "divide" not in value:
+                continue
+            found[name] = self.length(value["divide"], f"patches.{name}.divide")
+            for other in patches:
+                if re.fullmatch(rf"{re.escape(name)}\.[0-9]+", other):
+                    self.bad(f"patches.{name}", f"patch '{other}' has the name of a piece of it; rename one of them")
+        return found
+
+    def region(self, value: object, key: str, more: tuple[str, ...] = ()) -> Region:
+        """A region; `more` are keys that its table may have for somebody else."""
+        if isinstance(value, str | list):
+            return Region(self.groups(value, key))
+        if not isinstance(value, dict) or not ({"on", "box", "plane"} & set(value)):
+            self.bad(key, 'expected a physical group ("name"), a list of them, or a table with on, box and/or plane')
+            return Region()
+        self.unknown(value, ("on", "box", "plane", *more), key + ".")
+        groups = self.groups(value["on"], f"{key}.on") if "on" in value else ()
+        return Region(groups, self.box(value.get("box"), key), self.plane(value.get("plane"), key))
+
+    def groups(self, value: object, key: str) -> tuple[str, ...]:
+        """Names of physical groups: one, or a list."""
+        names = [value] if isinstance(value, str) else value
+        if isinstance(names, list) and names and all(isinstance(name, str) and name for name in names):
+            return tuple(names)
+        self.bad(key, f"expected names of physical groups, found {value!r}")
+        return ()
+
+    def box(self, value: object, key: str) -> Box | None:
+        if value is None:
+            return None
+        if not isinstance(value, list) or len(value) != 2:
+            self.bad(key, f'box: expected two corners, as ["0 0 50 mm", "0 10 100 mm"], found {value!r}')
+            return None
+        a, b = (self.vector(corner, key) for corner in value)
+        if any(low > high for low, high in zip(a, b, strict=True)):
+            self.bad(key, f"box: the first corner must not exceed the second in any axis, found {value!r}")
+        return Box(a, b)
+
+    def plane(self, value: object, key: str) -> Plane | None:
+        if value is None:
+            return None
+        if not isinstance(value, dict) or set(value) != {"point", "normal"}:
+            self.bad(key, f'plane: expected {{ point = "0 0 0 mm", normal = [0, 1, 0] }}, found {value!r}')
+            return None
+        return Plane(self.vector(value["point"], key), self.direction(value["normal"], key))
+
+    def grasp(self, value: object, key: str) -> Grasp:
+        if not isinstance(value, dict) or not {"on", "centre"} <= set(value):
+            self.bad(key, 'expected on = "physical group" and centre = "x y z mm"')
+            return Grasp(Region(), (0.0, 0.0, 0.0))
+        self.unknown(value, ("on", "centre"), key + ".")
+        return Grasp(self.region(value["on"], key + ".on"), self.vector(value["centre"], key + ".centre"))
