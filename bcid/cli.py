@@ -1,5 +1,5 @@
-"""The command line: ``bcid demo``, ``identify``, ``compare``, ``diagnose``, ``fit``, ``explain``, ``simulate``,
-``check-effect`` (also under ``mpirun -n N``), ``doctor``, ``bench``, ``study``.
+"""The command line: ``bcid demo``, ``identify``, ``compare``, ``diagnose``, ``fit``, ``explain``, ``explore``,
+``simulate``, ``check-effect`` (also under ``mpirun -n N``), ``doctor``, ``bench``, ``study``.
 """
 
 from __future__ import annotations
@@ -24,8 +24,11 @@ DEMO_SCENE = "examples/scenes/slab_explain.toml"
 DEMO_MEASUREMENT = "examples/measurements/slab-34-heavy"
 # The project's folder, where bcid runs from a checkout.
 _PROJECT = Path(__file__).resolve().parents[1]
-# Commands whose result is a diagnosis.
-_DIAGNOSES = ("compare", "diagnose", "fit", "explain")
+# The module of `bcid.report` that draws what a command found.
+_PICTURES = dict.fromkeys(("compare", "diagnose", "fit", "explain"), "diagnosis") | {
+    "identify": "identification",
+    "explore": "exploration",
+}
 # Commands without MPI in this process, for they start others that are jobs of their own; what becomes of an interrupted one.
 _WITHOUT_MPI = {
     "bench": "what was measured before is in bench.json",
@@ -45,6 +48,7 @@ _EXAMPLES = """examples:
   bcid compare run                                              is the model of a run adequate, and where does it fail?
   bcid diagnose run                                             which effect is missing in it?
   bcid fit run --add gravity -o run2                            add the effect and watch the error fall
+  bcid explore scene.toml --robot folder:lab -o run             which pull next? until the anchors are decided
   bcid simulate scene.toml --anchors 1,2 --motion pull -o made  a measurement made by the model
   bcid check-effect my_effect.py                                does an effect of one's own keep the contract?
   bcid doctor                                                   is everything installed that is needed?
@@ -137,6 +141,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_diagnose(commands)
     _add_fit(commands)
     _add_explain(commands)
+    _add_explore(commands)
     _add_simulate(commands)
     _add_check_effect(commands)
     commands.add_parser("doctor", help="tell what is installed and whether it works")
@@ -324,6 +329,39 @@ def _add_explain(commands: Any) -> None:
     _add_output(parser)
 
 
+def _add_explore(commands: Any) -> None:
+    parser = _add(
+        commands,
+        "explore",
+        explore,
+        "choose and make pulls until the anchors are decided",
+        "The scene's [explore] table says what a robot may do. A robot is a folder, through which any set-up can be driven,\n"
+        "or simulated. Writes a run folder: exploration.json, summary.txt, belief.png, and every pull with what was seen.\n"
+        "An exploration that was stopped goes on when the same command is given again. See docs/explore.md.",
+    )
+    parser.add_argument("scene", type=Path, help="scene file (TOML) with an [explore] table")
+    parser.add_argument(
+        "--robot", required=True, metavar="ROBOT", help="folder:DIR, or simulated:1,2 with the anchored patches"
+    )
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="run folder to write")
+    parser.add_argument("--grasps", metavar="I,II", help="grasps to use (all)")
+    parser.add_argument("--confidence", type=float, default=0.95, metavar="P", help="when a set is decided (0.95)")
+    parser.add_argument("--budget", type=float, default=12.0, metavar="COST", help="of all pulls together (12)")
+    parser.add_argument(
+        "--criterion", default="information", metavar="NAME", help="information, entropy (as in the paper) or random"
+    )
+    parser.add_argument("--no-look-ahead", action="store_true", help="do not look at pairs of pulls")
+    parser.add_argument("--noise", metavar='"0.3 mm"', help="of pulls to come (the scene's)")
+    parser.add_argument("--samples", type=int, default=1000, metavar="N", help="of the estimate of information (1000)")
+    parser.add_argument("--random-state", type=int, default=0, metavar="N", help="of all that is drawn (0)")
+    parser.add_argument("--wait", type=float, default=3600.0, metavar="SECONDS", help="for a measurement (3600)")
+    parser.add_argument(
+        "--store", type=Path, metavar="FOLDER", help="for predictions, shared by runs (in the run folder)"
+    )
+    _add_level(parser)
+    _add_output(parser)
+
+
 def _add_simulate(commands: Any) -> None:
     from bcid.motions import MOTIONS
 
@@ -471,7 +509,7 @@ def _draw(folder: Path, progress: Progress) -> None:
     try:
         from bcid.run import Run
 
-        kind = "diagnosis" if Run.open(folder).record["command"] in _DIAGNOSES else "identification"
+        kind = _PICTURES[Run.open(folder).record["command"]]
         for file in import_module(f"bcid.report.{kind}").draw(folder):
             progress.say(f"wrote {file}")
     except ImportError as error:
@@ -558,6 +596,55 @@ def _common(arguments: argparse.Namespace, comm: Any, progress: Progress) -> dic
     return {"comm": comm, "progress": progress, "overwrite": arguments.overwrite, "level": arguments.level}
 
 
+def explore(arguments: argparse.Namespace, comm: Any) -> None:
+    """`bcid explore`."""
+    from bcid.explore.job import run_exploration
+    from bcid.explore.loop import Plan
+
+    if not arguments.wait > 0:
+        raise InputError(f"--wait {arguments.wait:g}: must be a positive number of seconds")
+    plan = Plan(
+        confidence=arguments.confidence,
+        budget=arguments.budget,
+        criterion=arguments.criterion,
+        look_ahead=not arguments.no_look_ahead,
+        grasps=None if arguments.grasps is None else _names(arguments.grasps),
+        level=arguments.level,
+        noise=_noise(arguments.noise),
+        samples=arguments.samples,
+        random_state=_random_state(arguments.random_state),
+    )
+    progress = _progress(arguments, comm.rank)
+    folder = run_exploration(
+        arguments.scene,
+        arguments.robot,
+        arguments.output,
+        plan,
+        comm,
+        progress,
+        arguments.overwrite,
+        arguments.store,
+        arguments.wait,
+    )
+    _finish(folder, arguments, comm, progress)
+
+
+def _noise(text: str | None) -> float | None:
+    """A standard deviation, m; None where the option is not given."""
+    from bcid.units import quantity
+
+    noise = None if text is None else quantity(text, "m")
+    if noise is not None and noise < 0:
+        raise InputError(f"--noise '{text}': must not be negative")
+    return noise
+
+
+def _random_state(number: int) -> int:
+    if number < 0:
+        raise InputError(f"--random-state {number}: must be at least 0")
+    return number
+
+
 def simulate(arguments: argparse.Namespace, comm: Any) -> None:
     """`bcid simulate`."""
     from bcid.collective import on_root
@@ -566,21 +653,16 @@ def simulate(arguments: argparse.Namespace, comm: Any) -> None:
     from bcid.measurement import Measurement
     from bcid.motions import motion
     from bcid.scene import Scene
-    from bcid.units import quantity
 
     if arguments.output.exists():
         raise InputError(f"{arguments.output}: exists already; choose another folder or remove it")
     scene = on_root(comm, lambda: Scene.read(arguments.scene, physics=check_physics))
     anchors = _names(arguments.anchors)
-    noise = None if arguments.noise is None else quantity(arguments.noise, "m")
+    noise, random_state = _noise(arguments.noise), _random_state(arguments.random_state)
     if arguments.level is not None and not 0 <= arguments.level < len(scene.levels):
         raise InputError(f"--level {arguments.level}: the scene has levels 0 to {len(scene.levels) - 1}")
-    if noise is not None and noise < 0:
-        raise InputError(f"--noise '{arguments.noise}': must not be negative")
     if arguments.like and arguments.grasp:
         raise InputError("--grasp: a measurement given with --like names its grasps itself; leave one of the two out")
-    if arguments.random_state < 0:
-        raise InputError(f"--random-state {arguments.random_state}: must be at least 0")
     times = None
     if arguments.like:
         like = on_root(comm, lambda: Measurement.read(arguments.like))
@@ -593,9 +675,7 @@ def simulate(arguments: argparse.Namespace, comm: Any) -> None:
         actions = motion(arguments.motion, arguments.grasp or grasps[len(grasps) // 2])
     progress = _progress(arguments, comm.rank)
     progress.say(f"simulating {len(actions)} action(s), {sum(len(a) for a in actions)} steps")
-    made = make(
-        scene, anchors, actions, arguments.level, noise, arguments.random_state, comm, None, arguments.wrench, times
-    )
+    made = make(scene, anchors, actions, arguments.level, noise, random_state, comm, None, arguments.wrench, times)
     on_root(comm, lambda: made.write(arguments.output))
     if comm.rank == 0:
         print(f"{arguments.output}: {len(made.positions)} frames of {len(made.fiducial_names)} fiducials")

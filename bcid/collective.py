@@ -29,6 +29,23 @@ def on_root(comm: Any, work: Callable[[], T]) -> T:
     return result
 
 
+def in_turns(comm: Any, first: bool, work: Callable[[], T]) -> T:
+    """Run `work` on the ranks that are `first`, then on the others, and raise on all ranks or none; collective on `comm`.
+
+    So one rank compiles what the others then find in the cache: compiling at once would race for it.
+    """
+    results: list[T] = []
+    for turn in (True, False):
+        error = None
+        if bool(first) == turn:
+            try:
+                results.append(work())
+            except BcidError as caught:
+                error = caught
+        agree(comm, error)
+    return results[0]
+
+
 def agree(comm: Any, error: BcidError | None) -> None:
     """Raise the first error of any rank on every rank; collective on `comm`."""
     found = [e for e in comm.allgather(error) if e is not None]

@@ -6,7 +6,7 @@ import csv
 import math
 import shutil
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ import numpy as np
 import xarray as xr
 
 from bcid.errors import InputError, MachineError, Problems, nearest
-from bcid.measurement import AXES, FORMAT, QUATERNION, WRENCH, Measurement, Units
+from bcid.measurement import AXES, FORMAT, QUATERNION, WRENCH, Action, Measurement, Units
 from bcid.units import unit_factor
 
 _UNIT_KEYS = {"length_unit": "m", "time_unit": "s", "force_unit": "N"}
@@ -422,13 +422,7 @@ def _texts(measurement: Measurement) -> dict[str, list[str]]:
             cells += [] if sigma is None else [_text(v) for v in sigma[i, j]]
             lines.append(f"{start},{name},{','.join(cells)}")
     texts["fiducials.csv"] = lines
-    lines = ["action,step,time,grasp,x,y,z,qw,qx,qy,qz"]
-    for i, start in enumerate(head):
-        if data["grasp"].values[i]:
-            cells = [_text(v) for v in data["translation"].values[i] / length]
-            cells += [f"{v:.17g}" for v in data["rotation"].values[i]]
-            lines.append(f"{start},{data['grasp'].values[i]},{','.join(cells)}")
-    texts["grasps.csv"] = lines
+    texts["grasps.csv"] = grasp_lines([action for action in measurement.actions if action.grasp], length, time)
     if "wrench" in data:
         scale = np.array([force] * 3 + [force * length] * 3)
         rows = [
@@ -444,6 +438,17 @@ def _texts(measurement: Measurement) -> dict[str, list[str]]:
             for k, place in enumerate(data["place"].values)
         ]
     return texts
+
+
+def grasp_lines(actions: Iterable[Action], length: float, time: float) -> list[str]:
+    """Lines of a grasps.csv: the poses of the gripper, in units of `length` m and `time` s."""
+    lines = ["action,step,time,grasp,x,y,z,qw,qx,qy,qz"]
+    for action in actions:
+        rows = zip(action.steps, action.clock / time, action.translation / length, action.rotation, strict=True)
+        for step, at, translation, rotation in rows:
+            cells = [*map(_text, (at, *translation)), *(f"{v:.17g}" for v in rotation)]
+            lines.append(f"{action.name},{step},{cells[0]},{action.grasp},{','.join(cells[1:])}")
+    return lines
 
 
 _UNIT_NAMES = ("length", "time", "force")

@@ -3,6 +3,7 @@
     run.json              command, versions, fingerprints, timings, state ("running", "finished", "failed")
     outcomes/             what was computed so far, one small file per batch: a killed run goes on from here
     identification.json   the result of `bcid identify`
+    exploration.json      the result of `bcid explore`;  steps/ its pulls, predictions/ what was predicted
     diagnosis.json        the result of `bcid compare`, `diagnose`, `fit` and `explain`
     where.json            the force that would explain what the model misses
     model.json            the model with its values and anchors, from which another run can start
@@ -13,6 +14,7 @@
     summary.txt           the result in plain sentences
     picture.png           the body, its anchors, measured and predicted trajectories, or what a model misses
     where.png, ladder.png the missing force; the falling error
+    belief.png            the belief after each pull
 
 Every file is written whole under another name and then renamed: a reader never sees half of one.
 """
@@ -52,8 +54,10 @@ _FILES = (
     "hidden.json",
     "table.txt",
     "degradation.png",
+    "exploration.json",
+    "belief.png",
 )
-_FOLDERS = ("outcomes", "paraview", "cases", "results")
+_FOLDERS = ("outcomes", "paraview", "cases", "results", "steps", "predictions")
 _PACKAGES = ("fenics-dolfinx", "fenics-ufl", "petsc4py", "mpi4py", "numpy", "scipy", "xarray")
 
 

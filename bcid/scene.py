@@ -75,6 +75,31 @@ class Material:
 
 
 @dataclass(frozen=True)
+class Limits:
+    """What a robot may do to the body, and what it costs.
+
+    Attributes:
+        displacement: the gripper's distance from rest is never larger, m.
+        force: of the gripper, N; None for no limit.
+        strain: largest principal strain (stretch - 1, either sign) that 99 % of the volume may reach; None for no limit.
+        amplitudes: how far a pull may go, m, the largest first.
+        directions: unit vectors by name.
+        steps: of a pull, to its end; as many lead back to rest.
+        cost: of one pull.
+        regrasp: what changing the grasp costs besides.
+    """
+
+    displacement: float
+    force: float | None = None
+    strain: float | None = None
+    amplitudes: tuple[float, ...] = ()
+    directions: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    steps: int = 4
+    cost: float = 1.0
+    regrasp: float = 0.0
+
+
+@dataclass(frozen=True)
 class Scene:
     """What is known of the body before it is pulled; lengths in m.
 
@@ -91,6 +116,7 @@ class Scene:
         noise_sigma: per-axis standard deviation of a fiducial when the measurement does not state one.
         attach_within: a fiducial further from the body than this is refused; None means 5 % of the body's size.
         effects: effects that are already part of the model, with their parameters as written.
+        limits: what exploring may do to the body; None where nothing is stated.
     """
 
     name: str
@@ -108,6 +134,7 @@ class Scene:
     noise_sigma: float | None = None
     attach_within: float | None = None
     effects: dict[str, Values] = field(default_factory=dict)
+    limits: Limits | None = None
     description: str = ""
     source: str = "scene"
 

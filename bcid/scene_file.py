@@ -12,14 +12,16 @@ from typing import Any
 import numpy as np
 
 from bcid.errors import InputError, Problems, nearest
-from bcid.scene import Box, Grasp, Level, Material, PhysicsCheck, Plane, Region, Scene, Values
+from bcid.scene import Box, Grasp, Level, Limits, Material, PhysicsCheck, Plane, Region, Scene, Values
 from bcid.units import quantities, quantity, unit_factor
 
 FORMAT = "bcid-scene/1"
 DEGREES = (1, 2)
 FORMULATIONS = ("displacement", "mixed")
 _VALUES = ("format", "name", "description", "down", "support", "noise_sigma", "attach_within")
-_TABLES = ("geometry", "levels", "material", "patches", "grasps", "fiducials", "places", "effects")
+_TABLES = ("geometry", "levels", "material", "patches", "grasps", "fiducials", "places", "effects", "explore")
+_EXPLORE = ("displacement", "force", "strain", "amplitudes", "directions", "steps", "cost", "regrasp")
+_AXES = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
 _NAME = re.compile(r"^[^\s,;\"'\\/\x00-\x1f\x7f]{1,64}$")
 
 
@@ -168,9 +170,69 @@ class _Reader:
             noise_sigma=optional.get("noise_sigma"),
             attach_within=optional.get("attach_within"),
             effects={name: self.effect(value, name) for name, value in self.table(table, "effects").items()},
+            limits=self.limits(self.table(table, "explore")) if "explore" in table else None,
             description=self.text(table, "description", ""),
             source=str(self.path),
         )
+
+    def limits(self, table: Mapping[str, Any]) -> Limits:
+        """What exploring may do to the body."""
+        self.unknown(table, _EXPLORE, "explore.")
+        if "displacement" not in table:
+            self.bad("explore.displacement", 'is missing: write how far the gripper may go, as "8 mm"')
+        furthest = self.length(table.get("displacement", "1 m"), "explore.displacement")
+        written = table.get("amplitudes", [])
+        if not isinstance(written, list):
+            self.bad("explore.amplitudes", f'expected a list, as ["4 mm", "8 mm"], found {written!r}')
+            written = []
+        amplitudes = [self.length(value, "explore.amplitudes") for value in written] or [furthest, furthest / 2]
+        if max(amplitudes) > furthest * (1 + 1e-9):
+            self.bad("explore.amplitudes", "one of them is larger than explore.displacement")
+        directions = {
+            name: self.direction(value, f"explore.directions.{name}")
+            for name, value in (
+                self.table(table, "directions", "explore.") or {k: list(v) for k, v in _AXES.items()}
+            ).items()
+        }
+        self.names(directions, "explore.directions")
+        return Limits(
+            furthest,
+            self.positive(table, "explore.force", "N"),
+            self.positive(table, "explore.strain", ""),
+            tuple(sorted(amplitudes, reverse=True)),
+            directions,
+            self.count(table, "explore.steps", 4, 2, 50),
+            self.positive(table, "explore.cost", "") or 1.0,
+            self.positive(table, "explore.regrasp", "", zero=True) or 0.0,
+        )
+
+    def positive(self, table: Mapping[str, Any], key: str, unit: str, zero: bool = False) -> float | None:
+        """A positive number with a unit, or without where `unit` is ""; None where it is not given."""
+        value = table.get(key.rpartition(".")[2])
+        if value is None:
+            return None
+        try:
+            if unit:
+                number = quantity(value, unit)
+            elif isinstance(value, int | float) and not isinstance(value, bool):
+                number = float(value)
+            else:
+                raise InputError(f"expected a number, found {value!r}")
+        except InputError as error:
+            self.bad(key, str(error))
+            return None
+        if not (math.isfinite(number) and (number > 0 or (zero and number == 0))):
+            self.bad(key, f"{value!r} must be {'zero or ' if zero else ''}positive")
+            return None
+        return number
+
+    def count(self, table: Mapping[str, Any], key: str, default: int, least: int, most: int) -> int:
+        """A whole number within bounds."""
+        value = table.get(key.rpartition(".")[2], default)
+        if type(value) is int and least <= value <= most:
+            return value
+        self.bad(key, f"expected a whole number from {least} to {most}, found {value!r}")
+        return default
 
     def geometry(self, table: Mapping[str, Any]) -> tuple[Path, float]:
         self.unknown(table, ("file", "length_unit"), "geometry.")

@@ -17,17 +17,14 @@ from numpy.typing import NDArray
 from bcid.compare.twin import Reply, Twin
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model
+from bcid.forms.softness import SOFT, softest
 from bcid.forms.solve import Pose, Status
 from bcid.forms.trajectory import poses
 from bcid.measurement import Action, Measurement
 
 Array = NDArray[np.float64]
-# Another state is sought where the smallest eigenvalue falls below this part of that at rest.
-_SOFT = 0.5
 # A finer mesh is a little softer: it is asked about actions in which the coarser one comes below this part.
 _SOFTER = 0.7
-# Iterations for it; a direction to reverse need not be exact.
-_SWEEPS = 8
 # Two states are different when a fiducial is so many times the noise (or this part of the body's size) apart.
 _APART, _LEAST = 5.0, 1e-3
 
@@ -72,7 +69,7 @@ def buckled(twin: Twin, model: Model, anchors: Iterable[str]) -> list[Buckling]:
         reply = twin.predict(model, anchors, level, keep=True)
         paths = [(a, _softened(twin, model, anchors, level, a, reply)) for a in twin.mine(twin.actions) if a in actions]
         mine = [(a, path) for a, path in paths if path is not None]
-        others = [_of_action(twin, anchors, a, path, reply) for a, path in mine if path.softest < _SOFT]
+        others = [_of_action(twin, anchors, a, path, reply) for a, path in mine if path.softest < SOFT]
         softer = {a.name for a, path in mine if path.softest < _SOFTER}
         shared = twin.comm.allgather(([one for one in others if one], softer))
         for one in (one for part, _ in shared for one in part):
@@ -135,7 +132,7 @@ def _softened(
     found = _Path(forward, poses(driven)[: len(states)], states, [], [])
     for pose, state in zip(found.poses, states, strict=True):
         forward.equilibrium.set_state(pose, state)
-        size, mode = _softest(forward)
+        size, mode = softest(forward.equilibrium)
         found.sizes.append(size)
         found.modes.append(mode)
     return found
@@ -163,18 +160,3 @@ def _of_action(twin: Twin, anchors: frozenset[str], action: Action, path: _Path,
     seen = twin.data.measured[last]
     nearer = np.nansum((seen - other) ** 2) < np.nansum((seen - followed) ** 2)
     return Buckling(action.name, int(action.steps[critical]), distance, bool(nearer))
-
-
-def _softest(forward: Forward) -> tuple[float, Array]:
-    """Smallest eigenvalue of the tangent at the present state, N/m, and its eigenvector, by inverse iteration."""
-    equilibrium = forward.equilibrium
-    vector = np.random.default_rng(0).normal(size=len(equilibrium.u.x.array))
-    vector[equilibrium._held] = 0.0
-    size = np.inf
-    if equilibrium.verify() is Status.LINEAR_SOLVER:
-        return 0.0, vector / np.linalg.norm(vector)
-    for _ in range(_SWEEPS):
-        vector /= np.linalg.norm(vector)
-        solved = equilibrium.factor.solve_block(vector[:, None])[:, 0]
-        size, vector = 1 / float(vector @ solved), solved
-    return size, vector / np.linalg.norm(vector)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.collective import agree
+from bcid.collective import agree, in_turns
 from bcid.compare.data import Data, MeshError
 from bcid.errors import BcidError, InputError
 from bcid.forms.forward import Forward, Prediction
@@ -129,16 +129,11 @@ class Twin:
         if key not in self._forwards:
             if level not in self._meshes:
                 self._meshes[level] = level_mesh(self.scene, self.scene.levels[level], self.comm)
-            # One rank compiles the forms, the others find them in the cache.
-            for turn in (0, 1):
-                error = None
-                if (self.comm.rank > 0) == turn:
-                    try:
-                        forward = Forward(self.scene, level, None, model, self.settings, self._meshes[level])
-                        self._forwards[key] = forward
-                    except BcidError as caught:
-                        error = caught
-                agree(self.comm, error)
+            self._forwards[key] = in_turns(
+                self.comm,
+                self.comm.rank == 0,
+                lambda: Forward(self.scene, level, None, model, self.settings, self._meshes[level]),
+            )
         self._forwards[key].set_model(model)
         return self._forwards[key]
 

@@ -145,7 +145,7 @@ class Sensitivity:
         """G = K^-1 C^T at the present state, zero where something is held, shape (unknowns, 3 * fiducials)."""
         equilibrium = self.equilibrium
         right = self.observe.T.toarray()
-        right[equilibrium._held] = 0.0
+        right[equilibrium.prescribed] = 0.0
         return equilibrium.factor.solve_block(right, transpose=not equilibrium.model.symmetric)
 
     def _assemble(self, form: Any) -> Array:
@@ -378,7 +378,7 @@ class Sensitivity:
             if cause.gap is not None:
                 columns[:, j] += equilibrium.tangent.times(cause.gap)
                 direct[:, j] = self.observe @ cause.gap
-        columns[equilibrium._held] = 0.0
+        columns[equilibrium.prescribed] = 0.0
         responses = self._responses() if fields or len(causes) > 3 * fiducials else None
         if responses is None:
             moved = direct - self.observe @ equilibrium.factor.solve_block(columns)
@@ -390,7 +390,7 @@ class Sensitivity:
             return
         if result.stiffness is not None:
             free = np.ones(len(responses), dtype=bool)
-            free[equilibrium._held] = False
+            free[equilibrium.prescribed] = False
             softened = -(responses.T @ (self._stiffness_matrix().multiply(free[:, None]).tocsc()))
             result.stiffness[frame] = self._all_seen(seen, np.asarray(softened))
         if result.forces is not None and wanted.forces is not None:

@@ -132,6 +132,7 @@ class Equilibrium:
         age: steps taken since the tangent was last factorised.
         rtol: accuracy asked for, at first that of the settings.
         careful: whether every iteration gets a tangent of its own.
+        prescribed: numbers of the unknowns that are prescribed, on this rank.
     """
 
     def __init__(self, body: Body, model: Model, scene: Scene, settings: Settings | None = None) -> None:
@@ -195,11 +196,12 @@ class Equilibrium:
         self._bcs = [self._condition(what, region, axis) for what, region, axis in regions]
         self._grasp = grasp
         owned = self._owned
-        self._held = np.unique(np.concatenate([bc.dof_indices()[0] for bc in self._bcs] or [np.zeros(0, np.int32)]))
-        self._held_owned = self._held[self._held < owned]
-        self.tangent.hold(self._held, self._bcs)
+        self.prescribed = np.unique(
+            np.concatenate([bc.dof_indices()[0] for bc in self._bcs] or [np.zeros(0, np.int32)])
+        )
+        self._held_owned = self.prescribed[self.prescribed < owned]
+        self.tangent.hold(self.prescribed, self._bcs)
         self._gripped = self._bcs[len(anchors)].dof_indices()[0] if grasp else np.zeros(0, np.int32)
-        self.held = frozenset(anchors)
         self.reset()
 
     def _condition(self, what: str, region: Region | None, axis: int | None) -> Any:
@@ -437,7 +439,7 @@ class Equilibrium:
         for bc in self._bcs:
             bc.set(wanted)
         gap = np.zeros_like(state)
-        gap[self._held] = wanted[self._held] - state[self._held]
+        gap[self.prescribed] = wanted[self.prescribed] - state[self.prescribed]
         if self._largest(np.abs(gap).max(initial=0.0)) > _FAR * self.body.mesh.size:
             if not self.factor.usable:
                 self._assemble_tangent()
@@ -448,7 +450,7 @@ class Equilibrium:
             self.factor.solve(self.vector, self.correction)
             state[: self._owned] += self.correction.array_r
             self.u.x.scatter_forward()
-        state[self._held] = wanted[self._held]
+        state[self.prescribed] = wanted[self.prescribed]
         return Status.CONVERGED
 
     def _newton(self) -> Status:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.collective import agree
+from bcid.collective import agree, in_turns
 from bcid.errors import BcidError, InputError
 from bcid.forms.forward import Forward, Prediction, Watch
 from bcid.forms.mesh import BodyMesh, level_mesh
@@ -160,15 +160,11 @@ class Farm:
         if level not in self._forwards:
             mesh = level_mesh(self.scene, self.scene.levels[level], self.comm)
             team = self._team(level, mesh)
-            # One team compiles the forms, the others find them in the cache: compiling at once would race for it.
-            for turn in (0, 1):
-                error = None
-                if (self.comm.rank >= team.size) == turn:
-                    try:
-                        self._forwards[level] = Forward(self.scene, level, team, self.model, self.settings, mesh)
-                    except BcidError as caught:
-                        error = caught
-                agree(self.comm, error)
+            self._forwards[level] = in_turns(
+                self.comm,
+                self.comm.rank < team.size,
+                lambda: Forward(self.scene, level, team, self.model, self.settings, mesh),
+            )
             together = f", shared by {team.size} ranks" if team.size > 1 else ""
             self.progress.say(f"level {level}: {self._forwards[level].describe}{together}")
         return self._forwards[level]

@@ -20,10 +20,11 @@ ALLOWED = {
     "forms": DATA | {"forms"},
     "search": DATA | {"forms", "search"},
     "compare": DATA | {"forms", "search", "compare"},
+    "explore": DATA | {"forms", "search", "compare", "explore"},
     "report": BASE | {"run", "report"},
     "doctor": BASE | {"doctor"},
-    "studies": DATA | {"forms", "search", "compare", "studies"},
-    "cli": DATA | {"forms", "search", "compare", "studies", "report", "doctor", "cli"},
+    "studies": DATA | {"forms", "search", "compare", "explore", "studies"},
+    "cli": DATA | {"forms", "search", "compare", "explore", "studies", "report", "doctor", "cli"},
     "__main__": {"cli"},
 }
 

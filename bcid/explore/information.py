@@ -1,0 +1,103 @@
+"""How much a pull is expected to tell: bits of information about which hypothesis is true.
+
+With predictions mu_h, probabilities p_h and Gaussian errors the measurement y is a mixture, and the information of the
+pull is I = sum_h p_h E[log2 p(y|h) / sum_k p_k p(y|k)], y ~ p(.|h): it is estimated from samples, with a standard error.
+Boonvisut & Cavusoglu (2014), section 4, take the entropy that is left if each prediction were seen as it is, without noise:
+`noise_free`.
+
+Only differences of predictions matter. In units of their errors they lie in a space of few dimensions, in which the noise
+is drawn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+# A direction in which all predictions agree this well (in units of the error) tells nothing.
+_SEEN = 1e-2
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Information that a pull is expected to give, bits, and the standard error of the estimate."""
+
+    bits: float
+    error: float = 0.0
+
+
+def coordinates(predictions: Array) -> Array:
+    """Predictions (hypotheses, values), in units of their errors, in few coordinates with the same distances."""
+    centred = predictions - predictions.mean(axis=0)
+    gram = centred @ centred.T
+    sizes, vectors = np.linalg.eigh(gram)
+    seen = sizes > _SEEN**2
+    return np.asarray(vectors[:, seen] * np.sqrt(sizes[seen]))
+
+
+def information(predictions: Array, probabilities: Array, samples: int, random_state: int) -> Expected:
+    """Information of a pull.
+
+    Args:
+        predictions: shape (hypotheses, values), in units of their errors (see `Spread.whiten`).
+        probabilities: shape (hypotheses,), summing to one.
+        samples: how many measurements are drawn, shared among the hypotheses by their probabilities; two for each at least.
+        random_state: of the noise. Pulls are compared with the same noise.
+    """
+    places = coordinates(predictions)
+    if places.shape[1] == 0:
+        return Expected(0.0)
+    rng = np.random.default_rng(random_state)
+    with np.errstate(divide="ignore"):
+        logs = np.log(probabilities)
+    bits, variance = 0.0, 0.0
+    for h, p in enumerate(probabilities):
+        if p <= 0:
+            continue
+        count = max(2, int(np.ceil(samples * p)))
+        half = rng.normal(size=((count + 1) // 2, places.shape[1]))
+        noise = np.concatenate([half, -half])
+        seen = places[h] + noise
+        squares = np.sum((seen[:, None, :] - places[None, :, :]) ** 2, axis=2)
+        own = -0.5 * np.sum(noise**2, axis=1)
+        mixture = _log_sum(logs - 0.5 * squares)
+        values = (own - mixture) / np.log(2)
+        bits += p * float(values.mean())
+        # Noise comes in pairs of opposite sign, whose means are independent.
+        pairs = values.reshape(2, -1).mean(axis=0)
+        variance += (
+            p**2 * float(pairs.var(ddof=1)) / len(pairs) if len(pairs) > 1 else p**2 * float(np.ptp(values)) ** 2
+        )
+    return Expected(max(float(bits), 0.0), float(np.sqrt(variance)))
+
+
+def noise_free(predictions: Array, probabilities: Array) -> Expected:
+    """Information of a pull if each prediction were seen as it is: the greedy expected entropy of section 4 of the paper."""
+    places = coordinates(predictions)
+    squares = np.sum((places[:, None, :] - places[None, :, :]) ** 2, axis=2)
+    with np.errstate(divide="ignore"):
+        logs = np.log(probabilities)
+    posterior = logs - 0.5 * squares
+    posterior -= _log_sum(posterior)[:, None]
+    left = float(np.sum(probabilities * _entropy(posterior)))
+    return Expected(max(float(_entropy(logs[None, :])[0]) - left, 0.0))
+
+
+def together(predictions: Sequence[Array]) -> Array:
+    """Predictions of several pulls as those of one."""
+    return np.concatenate(predictions, axis=1)
+
+
+def _log_sum(logs: Array) -> Array:
+    highest = logs.max(axis=1)
+    return np.asarray(highest + np.log(np.exp(logs - highest[:, None]).sum(axis=1)))
+
+
+def _entropy(logs: Array) -> Array:
+    """Entropy in bits of each row of logarithms of probabilities."""
+    p = np.exp(logs)
+    return np.asarray(-np.sum(np.where(p > 0, p * logs, 0.0), axis=1) / np.log(2))

@@ -1,0 +1,266 @@
+"""`bcid explore` as a job: read, check, explore, and write everything into a run folder."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from contextlib import nullcontext
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from bcid.collective import on_root
+from bcid.errors import InputError
+from bcid.explore.inference import MISSED
+from bcid.explore.loop import BUDGET, DECIDED, INSEPARABLE, UNEXPLAINED, Exploration, Plan, Step, explore, levels
+from bcid.explore.moves import Move
+from bcid.explore.predictions import Predictor
+from bcid.explore.robots import Folder, Robot, Simulated
+from bcid.fingerprint import file_fingerprint, fingerprint
+from bcid.forms.forward import check_geometry
+from bcid.forms.model import check_physics
+from bcid.forms.patches import divided
+from bcid.measurement import Measurement
+from bcid.progress import Progress, Silent
+from bcid.run import Run
+from bcid.scene import Scene
+from bcid.search.farm import label
+from bcid.units import percent
+
+SIMULATED, FOLDER = "simulated", "folder"
+
+
+def run_exploration(
+    scene_file: Path,
+    robot: str,
+    folder: Path,
+    plan: Plan,
+    comm: Any,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+    store: Path | None = None,
+    wait: float = 3600.0,
+) -> Path:
+    """Explore and write the run folder; collective on `comm`. Returns the folder.
+
+    Everything is validated before the folder is touched. An exploration that was interrupted goes on with the pulls that it has
+    made.
+
+    Args:
+        scene_file: with an [explore] table.
+        robot: "simulated:3,4" (anchors, on the finest level of the scene) or "folder:DIR" (see `bcid.explore.robots.Folder`).
+        store: folder for predictions, which may be shared by runs; inside the run folder by default.
+        wait: how long a folder is waited for, s.
+
+    Raises:
+        BcidError: see `Scene.read`, `bcid.explore.loop.explore`, `Run.start`, and the robots.
+    """
+    progress = progress or Silent()
+    scene = divided(on_root(comm, lambda: Scene.read(scene_file, physics=check_physics)), comm)
+    plan.check(scene)
+    kind, about = _robot_kind(robot, scene)
+    working, finer = levels(scene, plan.level, comm)
+    check_geometry(scene, working, comm)
+    content = {key: value for key, value in asdict(scene).items() if key not in ("geometry", "source", "description")}
+    inputs = {
+        "scene": fingerprint({"scene": content, "geometry": file_fingerprint(scene.geometry)}),
+        "robot": robot,
+        "plan": asdict(plan),
+    }
+    run: Run | None = None
+
+    def begin() -> list[tuple[Move, Measurement]]:
+        nonlocal run
+        run = Run.start(folder, "explore", inputs, overwrite)
+        return _made(run.path)
+
+    made = on_root(comm, begin)
+    if made:
+        progress.say(f"going on with an interrupted exploration: {len(made)} pulls are there already")
+    store = store or folder / "predictions"
+    predictors = [Predictor(scene, level, comm, store) for level in (working, finer) if level is not None]
+    mover = None
+    try:
+        with run.watched() if run else nullcontext():
+            if comm.rank == 0:
+                mover = _robot(kind, about, scene, plan, store, wait)
+            found = explore(
+                scene,
+                mover,
+                plan,
+                predictors[0],
+                predictors[1] if len(predictors) > 1 else None,
+                progress,
+                made,
+                (lambda move, seen: _keep(folder, move, seen)),
+            )
+            on_root(comm, lambda: _write(run, scene, plan, found, predictors, str(scene_file), comm.size))
+    finally:
+        for predictor in predictors:
+            predictor.destroy()
+        if isinstance(mover, Simulated):
+            mover.predictor.destroy()
+    return folder
+
+
+# -- the robot
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def _robot_kind(text: str, scene: Scene) -> tuple[str, str]:
+    kind, colon, about = text.partition(":")
+    if not colon or kind not in (SIMULATED, FOLDER) or (kind == FOLDER and not about):
+        raise InputError(f"--robot '{text}': expected simulated:1,2 (anchored patches) or folder:DIR")
+    if kind == SIMULATED:
+        for name in _names(about):
+            if name not in scene.patches:
+                raise InputError(
+                    f"--robot '{text}': patch '{name}' is not in the scene; it has {', '.join(scene.patches)}"
+                )
+    return kind, about
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _robot(kind: str, about: str, scene: Scene, plan: Plan, store: Path, wait: float) -> Robot:
+    from mpi4py import MPI
+
+    if kind == FOLDER:
+        return Folder(Path(about), scene, wait)
+    noise = plan.noise if plan.noise is not None else scene.noise_sigma or 0.0
+    return Simulated(
+        Predictor(scene, len(scene.levels) - 1, MPI.COMM_SELF, store), _names(about), noise, plan.random_state
+    )
+
+
+# -- the run folder
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def _keep(folder: Path, move: Move, seen: Measurement) -> None:
+    """Keep a pull: the measurement, then what was asked for, which makes it complete."""
+    place = folder / "steps"
+    number = len(list(place.glob("*/move.json"))) + 1
+    step = place / f"{number:04d}"
+    shutil.rmtree(step, ignore_errors=True)
+    seen.write(step / "measurement")
+    Run.open(folder).write_json(f"steps/{number:04d}/move.json", asdict(move))
+
+
+def _made(folder: Path) -> list[tuple[Move, Measurement]]:
+    """The pulls that an interrupted exploration has made, as far as they are complete."""
+    found = []
+    for file in sorted((folder / "steps").glob("*/move.json")):
+        try:
+            move = Move(**json.loads(file.read_text(encoding="utf-8")))
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{file}: is damaged ({error}); start the exploration anew with --overwrite") from None
+        found.append((move, Measurement.read(file.parent / "measurement")))
+    return found
+
+
+def _write(
+    run: Run | None, scene: Scene, plan: Plan, found: Exploration, predictors: list[Predictor], source: str, ranks: int
+) -> None:
+    assert run is not None
+    result = exploration_json(scene, found)
+    run.write_json("exploration.json", result)
+    run.write_text("summary.txt", summary(scene, plan, found))
+    evaluations = {str(p.level): p.evaluations for p in predictors}
+    run.record |= {"names": {"scene": source}, "ranks": ranks, "evaluations": evaluations}
+    run.finish({key: result[key] for key in ("reason", "anchored", "probability")})
+
+
+def exploration_json(scene: Scene, found: Exploration) -> dict[str, Any]:
+    """The exploration as JSON: lengths in mm."""
+    view = found.view
+    return {
+        "reason": found.reason,
+        "anchored": _sorted(view.best, scene),
+        "probability": view.certainty,
+        "patches": view.patches,
+        "entropy": view.entropy,
+        "rms": _finite(view.rms * 1e3),
+        "missed": view.missed,
+        "length_unit": "mm",
+        "not_separated": [_sorted(a, scene) for a in found.told_apart],
+        "steps": [_step_json(scene, step) for step in found.steps],
+    }
+
+
+def _step_json(scene: Scene, step: Step) -> dict[str, Any]:
+    likely = [(a, p) for a, p in step.view.probabilities.items() if p > 1e-4][:16]
+    return {
+        "number": step.number,
+        "grasp": step.move.grasp,
+        "direction": step.move.direction,
+        "amplitude": step.move.amplitude * 1e3,
+        "expected_bits": _finite(step.expected[0]),
+        "expected_error": _finite(step.expected[1]),
+        "gained_bits": step.gained,
+        "entropy": step.view.entropy,
+        "belief": [{"anchored": _sorted(a, scene), "probability": p} for a, p in likely],
+        "patches": step.view.patches,
+        "missed": step.view.missed,
+        "before": None if step.ahead is None else str(step.ahead),
+        "options": [
+            {
+                "pull": str(o.move),
+                "bits": _finite(o.expected.bits),
+                "error": _finite(o.expected.error),
+                "cost": o.price,
+                "linear": o.linear,
+                "forbidden": o.forbidden,
+            }
+            for o in step.options
+        ],
+        "spent": step.spent,
+        "predicted": step.predicted,
+        "seconds": round(step.seconds, 3),
+    }
+
+
+def _sorted(anchors: frozenset[str], scene: Scene) -> list[str]:
+    return [name for name in scene.patches if name in anchors]
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def summary(scene: Scene, plan: Plan, found: Exploration) -> str:
+    """The result in plain sentences."""
+    view, count = found.view, len(found.steps)
+    best = label(view.best, scene.patches)
+    pulls = f"{count} pull{'s' if count != 1 else ''}"
+    words = {
+        DECIDED: f"Anchored patches of {scene.name}: {best}  (probability {percent(view.certainty)}, after {pulls})",
+        INSEPARABLE: f"Not decided after {pulls}: no allowed pull separates "
+        + ", ".join(label(a, scene.patches) for a in found.told_apart),
+        UNEXPLAINED: f"Not decided after {pulls}: no set of anchors explains what was seen; the likeliest is {best}",
+        BUDGET: f"Not decided: the budget is used ({pulls}); the likeliest is {best} (probability {percent(view.certainty)})",
+    }
+    lines = [words[found.reason]]
+    if view.missed > MISSED:
+        lines += [
+            "",
+            f"WARNING: no set explains what was seen: the best misses it by {view.missed:.1f} times what noise and mesh explain.",
+            "A physical effect is missing, or frames, grasp or material are not what the scene says: see `bcid explain`.",
+        ]
+    lines += ["", "Pulls:"]
+    for step in found.steps:
+        bits, error = step.expected
+        expected = f"{bits:5.2f} +- {error:.2f} bits expected" if math.isfinite(bits) else "chosen at random"
+        top = next(iter(step.view.probabilities.items()))
+        lines.append(
+            f"  {step.number:>2}  {step.move!s:44} {expected}, {step.gained:5.2f} gained; "
+            f"{label(top[0], scene.patches)} {percent(top[1])}"
+        )
+    lines += ["", "Probability that a patch is anchored:"]
+    lines += [f"  {name:>6}  {percent(p):>9}" for name, p in view.patches.items()]
+    predicted, seconds = sum(s.predicted for s in found.steps), sum(s.seconds for s in found.steps)
+    lines += ["", f"{predicted} pulls were predicted, in {seconds:.1f} s of computing."]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,296 @@
+"""The exploration: choose a pull, make it, look, believe, until the anchors are decided or nothing that is allowed tells more."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from bcid.collective import on_root
+from bcid.errors import InputError
+from bcid.explore.choice import CRITERIA, Choice, Chooser, Option
+from bcid.explore.inference import MISSED, Inference, View
+from bcid.explore.moves import Move, cost, limits_of, moves
+from bcid.explore.predictions import Anchored, Predictor
+from bcid.explore.robots import Robot
+from bcid.forms.mesh import level_mesh
+from bcid.measurement import Measurement
+from bcid.progress import Progress, Silent
+from bcid.scene import Scene
+from bcid.search.farm import label
+from bcid.units import percent
+
+# The finest level that is used has so many unknowns at most.
+_AFFORDABLE = 40_000
+DECIDED, INSEPARABLE, BUDGET, UNEXPLAINED = "decided", "inseparable", "budget", "unexplained"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How an exploration goes.
+
+    Attributes:
+        confidence: it ends when a set is at least so probable.
+        budget: what the pulls may cost together.
+        criterion: how pulls are chosen, one of `bcid.explore.choice.CRITERIA`.
+        look_ahead: whether pairs of pulls are looked at where one cannot decide.
+        grasps: names of the grasps to use; all by default.
+        level: the level of the scene on which sets are compared; the next finer one tells its error. By default the last but one
+            with at most 40,000 unknowns.
+        noise: standard deviation of a coordinate, m, expected of pulls to come; by default the scene's.
+        samples: of the estimate of information.
+        random_state: of that estimate, of random choice, and of the first sets where there are too many to look at all.
+    """
+
+    confidence: float = 0.95
+    budget: float = 12.0
+    criterion: str = "information"
+    look_ahead: bool = True
+    grasps: tuple[str, ...] | None = None
+    level: int | None = None
+    noise: float | None = None
+    samples: int = 1000
+    random_state: int = 0
+
+    def check(self, scene: Scene) -> None:
+        """Refuse what makes no sense.
+
+        Raises:
+            InputError: which value, and what is allowed.
+        """
+        limits_of(scene)
+        if not 0.5 < self.confidence < 1:
+            raise InputError(f"--confidence {self.confidence:g}: must be above 0.5 and below 1")
+        if not (math.isfinite(self.budget) and self.budget > 0):
+            raise InputError(f"--budget {self.budget:g}: must be positive")
+        if self.criterion not in CRITERIA:
+            raise InputError(f"--criterion {self.criterion}: must be one of {', '.join(CRITERIA)}")
+        if self.samples < 10:
+            raise InputError(f"--samples {self.samples}: must be at least 10")
+        if self.level is not None and not 0 <= self.level < len(scene.levels):
+            raise InputError(f"--level {self.level}: the scene has levels 0 to {len(scene.levels) - 1}")
+        for name in self.grasps or ():
+            if name not in scene.grasps:
+                raise InputError(f"--grasps {name}: is not in the scene; it has {', '.join(scene.grasps)}")
+
+    def moves(self, scene: Scene) -> tuple[Move, ...]:
+        """The pulls to choose from."""
+        return tuple(m for m in moves(scene) if self.grasps is None or m.grasp in self.grasps)
+
+
+@dataclass(frozen=True)
+class Step:
+    """One pull of an exploration.
+
+    Attributes:
+        number: from 1.
+        move: the pull.
+        expected: information that was expected, bits, and its standard error; NaN where it was not asked for.
+        gained: by how much the entropy fell, bits.
+        view: what is believed after it.
+        options: what else was considered.
+        ahead: the second pull that was thought of, if that decided the choice.
+        spent: cost of all pulls so far.
+        predicted: actions predicted for this step, on all levels.
+        seconds: of computing.
+    """
+
+    number: int
+    move: Move
+    expected: tuple[float, float]
+    gained: float
+    view: View
+    options: tuple[Option, ...]
+    ahead: Move | None
+    spent: float
+    predicted: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Exploration:
+    """What an exploration found.
+
+    Attributes:
+        reason: why it ended: "decided", "inseparable", "budget", or "unexplained": a set is the likeliest by far, but does not
+            explain what was seen.
+        view: what is believed at the end.
+        steps: the pulls.
+        told_apart: for "inseparable", the sets that no allowed pull separates.
+    """
+
+    reason: str
+    view: View
+    steps: tuple[Step, ...]
+    told_apart: tuple[Anchored, ...] = ()
+
+
+def levels(scene: Scene, level: int | None, comm: Any) -> tuple[int, int | None]:
+    """Working level, and the finer one that tells its error, if there is one; collective."""
+    if level is not None:
+        return level, level + 1 if level + 1 < len(scene.levels) else None
+    mixed = scene.material.formulation == "mixed"
+    fine = 0
+    for number in range(1, len(scene.levels)):
+        if level_mesh(scene, scene.levels[number], comm).unknowns(scene.levels[number].degree, mixed) <= _AFFORDABLE:
+            fine = number
+    return (fine - 1, fine) if fine > 0 else (0, None)
+
+
+def explore(
+    scene: Scene,
+    robot: Robot | None,
+    plan: Plan,
+    predictor: Predictor,
+    fine: Predictor | None = None,
+    progress: Progress | None = None,
+    made: Iterable[tuple[Move, Measurement]] = (),
+    keep: Callable[[Move, Measurement], None] | None = None,
+) -> Exploration:
+    """Explore until the anchors are decided, or cannot be; collective on the ranks of the predictor.
+
+    Args:
+        scene: the scene, with limits.
+        robot: makes the pulls; needed on rank 0 only.
+        plan: how to go on.
+        predictor: of the level on which sets are compared.
+        fine: of a finer level, which tells the error of that one.
+        progress: told what goes on (give it on rank 0 only).
+        made: pulls that were made before, by an exploration that was interrupted.
+        keep: called on rank 0 with each pull that was made.
+
+    Raises:
+        InputError: plan or measurement do not fit the scene.
+        BcidError: whatever the robot raises.
+    """
+    plan.check(scene)
+    return _Loop(scene, robot, plan, predictor, fine, progress or Silent(), list(made), keep).run()
+
+
+class _Loop:
+    def __init__(
+        self,
+        scene: Scene,
+        robot: Robot | None,
+        plan: Plan,
+        predictor: Predictor,
+        fine: Predictor | None,
+        progress: Progress,
+        made: list[tuple[Move, Measurement]],
+        keep: Callable[[Move, Measurement], None] | None,
+    ) -> None:
+        self.scene, self.robot, self.plan, self.progress = scene, robot, plan, progress
+        self.predictors = [p for p in (predictor, fine) if p is not None]
+        self.comm, self.made, self.keep = predictor.comm, made, keep
+        self.inference = Inference(scene, predictor, fine, plan.random_state)
+        noise = plan.noise if plan.noise is not None else scene.noise_sigma or 0.0
+        self.chooser = Chooser(
+            self.inference,
+            plan.moves(scene),
+            plan.criterion,
+            plan.look_ahead,
+            plan.samples,
+            noise,
+            plan.random_state,
+        )
+        self.steps: list[Step] = []
+        self.spent = 0.0
+
+    def run(self) -> Exploration:
+        view = self.inference.view()
+        limits = limits_of(self.scene)
+        while True:
+            if self.steps and view.certainty >= self.plan.confidence:
+                return Exploration(DECIDED if view.missed <= MISSED else UNEXPLAINED, view, tuple(self.steps))
+            began, count = time.perf_counter(), self._predicted()
+            last = self.steps[-1].move if self.steps else None
+            choice = self._choose(view, last)
+            if choice.move is None:
+                return Exploration(INSEPARABLE, view, tuple(self.steps), self._rivals(view))
+            price = cost(choice.move, last, limits)
+            if self.spent + price > self.plan.budget * (1 + 1e-9):
+                return Exploration(BUDGET, view, tuple(self.steps))
+            number = len(self.steps) + 1
+            self._announce(number, choice)
+            waiting = time.perf_counter()
+            measurement = self._pull(number, choice.move)
+            waiting = time.perf_counter() - waiting
+            self.inference.add(measurement)
+            before, view = view, self.inference.view()
+            self.spent += price
+            self.steps.append(
+                Step(
+                    number,
+                    choice.move,
+                    (choice.expected.bits, choice.expected.error),
+                    before.entropy - view.entropy,
+                    view,
+                    choice.options,
+                    choice.ahead,
+                    self.spent,
+                    self._predicted() - count,
+                    time.perf_counter() - began - waiting,
+                )
+            )
+            self._report(self.steps[-1])
+
+    def _choose(self, view: View, last: Move | None) -> Choice:
+        """The next pull; what was made before by an exploration that was interrupted comes again."""
+        number = len(self.steps)
+        choice = self.chooser.choose(view, last)
+        if number < len(self.made):
+            move = self.made[number][0]
+            known = next((o for o in choice.options if o.move == move), None)
+            return Choice(move, known.expected if known else choice.expected, choice.options, choice.ahead)
+        return choice
+
+    def _pull(self, number: int, move: Move) -> Measurement:
+        """Let the robot make a pull; the measurement on every rank."""
+        if number <= len(self.made):
+            return self.made[number - 1][1]
+
+        def work() -> Measurement:
+            assert self.robot is not None
+            self.robot.move(move.action(limits_of(self.scene), str(number)))
+            measurement = self.robot.observe()
+            if self.keep is not None:
+                self.keep(move, measurement)
+            return measurement
+
+        return on_root(self.comm, work)
+
+    def _rivals(self, view: View) -> tuple[Anchored, ...]:
+        """The sets that are not told apart: those that hold the confidence that is asked for."""
+        found: list[Anchored] = []
+        mass = 0.0
+        for anchors, p in view.probabilities.items():
+            if mass >= self.plan.confidence:
+                break
+            found.append(anchors)
+            mass += p
+        return tuple(found)
+
+    def _predicted(self) -> int:
+        return sum(p.evaluations for p in self.predictors)
+
+    # -- in words
+    # --------------------------------------------------------------------------------------------------------------
+
+    def _announce(self, number: int, choice: Choice) -> None:
+        bits = choice.expected.bits
+        why = f"{bits:.2f} bits expected" if math.isfinite(bits) else "chosen at random"
+        then = f", before {choice.ahead}" if choice.ahead else ""
+        self.progress.say(f"pull {number}: {choice.move} ({why}{then})")
+
+    def _report(self, step: Step) -> None:
+        shown = ", ".join(
+            f"{label(a, self.scene.patches)} {percent(p)}"
+            for a, p in list(step.view.probabilities.items())[:3]
+            if p > 1e-3
+        )
+        doubt = ""
+        if step.view.missed > MISSED:
+            doubt = f"; NO set explains what was seen ({step.view.missed:.1f} times noise and mesh)"
+        self.progress.say(f"  {step.gained:.2f} bits gained; {shown}{doubt}; {step.seconds:.1f} s of computing")

@@ -1,0 +1,274 @@
+"""What each anchor set predicts for each pull: computed once, spread over the ranks, and kept on disk for whoever asks again.
+
+A prediction depends on the scene, the level, the model, the set and the motion, not on noise: trials and runs share it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.collective import agree, in_turns, on_root
+from bcid.errors import BcidError, InputError
+from bcid.fingerprint import file_fingerprint, fingerprint
+from bcid.forms.forward import Forward
+from bcid.forms.mesh import level_mesh
+from bcid.forms.model import Model
+from bcid.forms.softness import SOFT, softest
+from bcid.forms.solve import Settings
+from bcid.forms.trajectory import poses
+from bcid.measurement import Action
+from bcid.run import writing
+from bcid.scene import Scene
+from bcid.search.schedule import counter, share
+
+Array = NDArray[np.float64]
+Anchored = frozenset[str]
+Task = tuple[Anchored, Action]
+# The strain that so much of the volume stays below: in corners it has no limit.
+_VOLUME = 0.99
+# Results are shared and stored at the latest after so many predictions of a rank.
+_BATCH = 64
+
+
+@dataclass(frozen=True)
+class Foreseen:
+    """What an anchor set predicts for an action.
+
+    Attributes:
+        positions: shape (frames, fiducials, 3), m; NaN where it cannot be predicted.
+        force: largest force of the gripper, N; NaN if it was not asked for, like all that follows.
+        strain: largest principal strain that 99 % of the volume stays below, over all frames.
+        softness: smallest eigenvalue of the tangent as part of that at rest, over all frames: below 0.5 the body may buckle.
+    """
+
+    positions: Array
+    force: float = math.nan
+    strain: float = math.nan
+    softness: float = math.nan
+
+    @property
+    def failed(self) -> bool:
+        """Whether it cannot be predicted."""
+        return not bool(np.isfinite(self.positions).all())
+
+    @property
+    def detailed(self) -> bool:
+        """Whether force, strain and softness are known."""
+        return self.failed or math.isfinite(self.softness)
+
+    @property
+    def buckles(self) -> bool:
+        """Whether the body may buckle, so that imperfections decide where it goes."""
+        return self.failed or self.softness < SOFT
+
+
+class Predictor:
+    """Predicts actions on a level of a scene. `foresee` is collective on `comm`, with the same result on every rank.
+
+    Args:
+        scene: the scene.
+        level: number of its level.
+        comm: an MPI communicator.
+        store: folder in which predictions are kept; None to keep them in memory only.
+        model: the model; by default the scene's.
+
+    Attributes:
+        evaluations: actions predicted by this object, on all ranks.
+    """
+
+    def __init__(
+        self, scene: Scene, level: int, comm: Any, store: Path | None = None, model: Model | None = None
+    ) -> None:
+        self.scene, self.level, self.comm = scene, level, comm
+        self.model = model or Model.of(scene)
+        self.evaluations = 0
+        self._known: dict[tuple[str, Anchored], Foreseen] = {}
+        self._forward: Forward | None = None
+        self._read: set[str] = set()
+        content = {k: v for k, v in asdict(scene).items() if k not in ("geometry", "source", "description", "limits")}
+        name = {"scene": content, "geometry": file_fingerprint(scene.geometry), "level": level}
+        numbers = {d.label: dict(d.values) for d in self.model.doses}
+        self._folder = (
+            None if store is None else store / fingerprint(name | {"model": self.model.name, "values": numbers})
+        )
+
+    def foresee(self, tasks: Iterable[Task], detailed: bool = False) -> list[Foreseen]:
+        """Predictions, in order; `detailed` with force, strain and softness. Each is computed once."""
+        tasks = list(tasks)
+        keys = [(key_of(action), anchors) for anchors, action in tasks]
+        for key in dict.fromkeys(key for key, _ in keys):
+            self._load(key)
+        missing = {k: task for k, task in zip(keys, tasks, strict=True) if not self._enough(k, detailed)}
+        todo = list(missing.items())
+        size = _BATCH * self.comm.size
+        for i in range(0, len(todo), size):
+            self._work(todo[i : i + size], detailed)
+        return [self._known[k] for k in keys]
+
+    def _enough(self, key: tuple[str, Anchored], detailed: bool) -> bool:
+        known = self._known.get(key)
+        return known is not None and (known.detailed or not detailed)
+
+    def _work(self, todo: Sequence[tuple[tuple[str, Anchored], Task]], detailed: bool) -> None:
+        forward = self.forward()
+        mine: list[tuple[int, Foreseen]] = []
+        error = None
+        tickets = counter(self.comm)
+        for i in share(range(len(todo)), tickets):
+            anchors, action = todo[i][1]
+            try:
+                mine.append((i, predicted(forward, anchors, action, detailed)))
+            except BcidError as caught:
+                error = caught
+                break
+        tickets.close()
+        agree(self.comm, error)
+        found = sorted((item for part in self.comm.allgather(mine) for item in part), key=lambda item: item[0])
+        fresh = {todo[i][0]: foreseen for i, foreseen in found}
+        self._known |= fresh
+        self.evaluations += len(fresh)
+        on_root(self.comm, lambda: self._keep(fresh))
+
+    def forward(self) -> Forward:
+        """The forward model, private to the process; collective where it is built."""
+        if self._forward is None:
+            mesh = level_mesh(self.scene, self.scene.levels[self.level], self.comm)
+            settings = Settings(rtol=1e-7, halvings=3)
+            self._forward = in_turns(
+                self.comm,
+                self.comm.rank == 0,
+                lambda: Forward(self.scene, self.level, None, self.model, settings, mesh),
+            )
+        return self._forward
+
+    # -- on disk
+    # --------------------------------------------------------------------------------------------------------------
+
+    def _keep(self, fresh: dict[tuple[str, Anchored], Foreseen]) -> None:
+        """Write a batch, whole, into one file for each action."""
+        if self._folder is None:
+            return
+        for key in dict.fromkeys(key for key, _ in fresh):
+            group = {anchors: f for (k, anchors), f in fresh.items() if k == key}
+            folder = self._folder / key
+            with writing(folder):
+                folder.mkdir(parents=True, exist_ok=True)
+                count = len(list(folder.glob("*.npz")))
+                partial = folder / f".{count:06d}-{os.getpid()}.partial"
+                with partial.open("wb") as stream:
+                    np.savez(
+                        stream,
+                        sets=np.array([json.dumps(sorted(anchors)) for anchors in group]),
+                        positions=np.array([f.positions for f in group.values()]),
+                        numbers=np.array([[f.force, f.strain, f.softness] for f in group.values()]),
+                    )
+                partial.replace(folder / f"{count:06d}-{os.getpid()}.npz")
+
+    def _load(self, key: str) -> None:
+        """Read what is stored of an action, on rank 0 for all; collective."""
+        if self._folder is None or key in self._read:
+            return
+        self._read.add(key)
+        folder = self._folder / key
+        stored = on_root(
+            self.comm, lambda: [entry for file in sorted(folder.glob("*.npz")) for entry in _entries(file)]
+        )
+        for anchors, foreseen in stored:
+            known = self._known.get((key, anchors))
+            if known is None or not known.detailed:
+                self._known[key, anchors] = foreseen
+
+    def destroy(self) -> None:
+        """Free the PETSc objects of this process."""
+        if self._forward is not None:
+            self._forward.destroy()
+            self._forward = None
+
+
+def _entries(file: Path) -> list[tuple[Anchored, Foreseen]]:
+    """What a stored file holds; it must be removed when it is damaged."""
+    try:
+        with np.load(file, allow_pickle=False) as content:
+            sets = [frozenset(json.loads(str(text))) for text in content["sets"]]
+            positions, numbers = content["positions"], content["numbers"]
+        if not (len(sets) == len(positions) == len(numbers) and numbers.shape[1:] == (3,) and positions.ndim == 4):
+            raise ValueError(f"{len(sets)} sets, positions {positions.shape}, numbers {numbers.shape}")
+        rows = zip(sets, positions, numbers, strict=True)
+        return [(anchors, Foreseen(np.asarray(p, float), *map(float, row))) for anchors, p, row in rows]
+    except Exception as error:
+        raise InputError(f"{file}: is damaged and cannot be read ({error}); remove it, it is computed again") from None
+
+
+def key_of(action: Action) -> str:
+    """Fingerprint of a motion: grasp, poses to the nanometre, loads; not its name or its clock."""
+    loads = {place: np.round(load, 9) for place, load in action.loads.items()}
+    # Adding zero makes one of the two zeros of the other.
+    content = {"translation": np.round(action.translation, 9) + 0.0, "rotation": np.round(action.rotation, 9) + 0.0}
+    return fingerprint(content | {"grasp": action.grasp, "loads": loads})
+
+
+def predicted(forward: Forward, anchors: Anchored, action: Action, detailed: bool) -> Foreseen:
+    """Predict an action of an anchor set on this process; a way back that repeats the way there is not computed."""
+    count = len(action) if forward.model.remembers else _turning(action)
+    there = replace(
+        action,
+        frames=np.arange(count),
+        steps=action.steps[:count],
+        translation=action.translation[:count],
+        rotation=action.rotation[:count],
+        loads={place: load[:count] for place, load in action.loads.items()},
+        times=action.clock[:count],
+    )
+    prediction = forward.predict(anchors, [there], keep=detailed)
+    frames = np.minimum(np.arange(len(action)), len(action) - 1 - np.arange(len(action)))
+    frames = frames if count < len(action) else np.arange(len(action))
+    result = Foreseen(prediction.positions[frames])
+    if not detailed or prediction.failure or prediction.states is None:
+        return result
+    return _with_details(forward, anchors, there, prediction.states, result)
+
+
+def _turning(action: Action) -> int:
+    """Number of steps to where the motion turns and goes the same way back; all steps where it does not."""
+    same = np.allclose(action.translation, action.translation[::-1], atol=1e-9) and np.allclose(
+        action.rotation, action.rotation[::-1], atol=1e-9
+    )
+    loaded = any(not np.allclose(load, load[::-1]) for load in action.loads.values())
+    return len(action) // 2 + 1 if same and not loaded and len(action) % 2 else len(action)
+
+
+def _with_details(
+    forward: Forward, anchors: Anchored, action: Action, states: dict[int, Array], result: Foreseen
+) -> Foreseen:
+    equilibrium = forward.equilibrium
+    equilibrium.hold(anchors, action.grasp)
+    forces, strains, sizes = [], [], []
+    for pose, frame in zip(poses(forward.model.driven(action)), action.frames, strict=True):
+        equilibrium.set_state(pose, states[int(frame)])
+        forces.append(float(np.linalg.norm(equilibrium.wrench(pose)[:3])))
+        strains.append(strain_of_most(forward, equilibrium.displacement()))
+        sizes.append(softest(equilibrium)[0])
+        equilibrium.accept(pose)
+    return replace(result, force=max(forces), strain=max(strains), softness=min(sizes) / sizes[0])
+
+
+def strain_of_most(forward: Forward, displacement: Array) -> float:
+    """Largest |principal stretch - 1| that 99 % of the volume stays below, from the corners of the cells; collective."""
+    mesh = forward.mesh
+    moved = mesh.points + forward.body.at_mesh_nodes(displacement)
+    rest, now = (p[mesh.cells[:, 1:]] - p[mesh.cells[:, :1]] for p in (mesh.points, moved))
+    stretches = np.linalg.svd(np.swapaxes(now, 1, 2) @ np.linalg.inv(np.swapaxes(rest, 1, 2)), compute_uv=False)
+    strain = np.abs(stretches - 1).max(axis=1)
+    volume = np.abs(np.linalg.det(rest))
+    order = np.argsort(strain)
+    below = np.cumsum(volume[order]) / volume.sum()
+    return float(strain[order][min(int(np.searchsorted(below, _VOLUME)), len(strain) - 1)])

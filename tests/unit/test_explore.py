@@ -1,0 +1,437 @@
+"""Exploration: bits of information, Bayes' rule, the choice of pulls, the loop and its robots, on bodies that are made up."""
+
+import json
+import math
+import threading
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from scipy.integrate import quad
+from scipy.stats import norm
+
+from bcid.errors import InputError, MachineError
+from bcid.explore.belief import Belief, Spread, entropy, patches
+from bcid.explore.choice import Chooser, live
+from bcid.explore.inference import MISSED, Inference
+from bcid.explore.information import coordinates, information, noise_free
+from bcid.explore.loop import BUDGET, DECIDED, INSEPARABLE, UNEXPLAINED, Plan, explore
+from bcid.explore.moves import Move, cost, limits_of, moves
+from bcid.explore.predictions import Foreseen, key_of
+from bcid.explore.robots import Folder
+from bcid.forms.simulate import recorded
+from bcid.measurement import Action, Measurement
+from bcid.scene import Grasp, Level, Limits, Material, Region, Scene
+
+Anchored = frozenset[str]
+AXES = {"+x": (1.0, 0.0, 0.0), "+y": (0.0, 1.0, 0.0), "+z": (0.0, 0.0, 1.0)}
+LIMITS = Limits(0.01, amplitudes=(0.01,), directions=AXES)
+
+
+def scene(names: str = "12", limits: Limits | None = LIMITS, grasps: str = "A") -> Scene:
+    return Scene(
+        "made up",
+        Path("none.geo"),
+        1.0,
+        (Level(),),
+        Material("neo_hooke", {}),
+        {name: Region() for name in names},
+        {name: Grasp(Region(), (0.0, 0.0, 0.0)) for name in grasps},
+        {str(i): (0.01 * i, 0.0, 0.0) for i in range(4)},
+        limits=limits,
+    )
+
+
+class MadeUp:
+    """A body whose fiducials follow the gripper by a factor: of the anchor set, the direction and the grasp."""
+
+    comm = MPI.COMM_SELF
+    level = 0
+
+    def __init__(self, of: Scene, factor: Callable[[Anchored, str, int], float], **numbers: float) -> None:
+        self.scene, self.factor, self.numbers = of, factor, {"force": 0.0, "strain": 0.0, "softness": 1.0} | numbers
+        self.evaluations = 0
+
+    def foresee(self, tasks: Iterable[tuple[Anchored, Action]], detailed: bool = False) -> list[Foreseen]:
+        return [self._one(anchors, action, detailed) for anchors, action in tasks]
+
+    def _one(self, anchors: Anchored, action: Action, detailed: bool) -> Foreseen:
+        self.evaluations += 1
+        factors = np.array([self.factor(anchors, action.grasp, axis) for axis in range(3)])
+        moved = (action.translation * factors)[:, None, :]
+        positions = self.scene.rest + np.repeat(moved, len(self.scene.fiducials), axis=1)
+        return Foreseen(positions, **self.numbers) if detailed else Foreseen(positions)
+
+
+class MadeUpRobot:
+    def __init__(self, body: MadeUp, anchors: str, noise: float, seed: int = 0) -> None:
+        self.body, self.anchors, self.noise = body, frozenset(anchors), noise
+        self.rng = np.random.default_rng(seed)
+        self.made: list[str] = []
+
+    def move(self, action: Action) -> None:
+        self.action = action
+        self.made.append(action.name)
+
+    def observe(self) -> Measurement:
+        positions = self.body.foresee([(self.anchors, self.action)])[0].positions
+        return recorded(self.body.scene, [self.action], positions, self.noise, self.rng, self.action.clock)
+
+
+def by_count(anchors: Anchored, _grasp: str, axis: int) -> float:
+    """Along x every set moves in its own way, along y only the number of patches matters, along z none."""
+    code = sum(2 ** (int(name) - 1) for name in anchors)
+    return (1 / (1 + code), 1 / (1 + len(anchors)), 0.5)[axis]
+
+
+# -- information
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def test_information_of_two_hypotheses_is_that_of_a_binary_channel() -> None:
+    """I = 1 - E[log2(1 + exp(...))] for two equally likely Gaussians, by quadrature."""
+    for distance in (0.3, 1.0, 2.5, 6.0):
+        shown = np.array([np.zeros(5), np.full(5, distance / math.sqrt(5))])
+        found = information(shown, np.array([0.5, 0.5]), 4000, 1)
+
+        def lost(x: float, d: float = distance) -> float:
+            return float(norm.pdf(x) * np.log2(1 + np.exp(-d * x - d**2 / 2)))
+
+        exact = 1 - quad(lost, -10, 10)[0]
+        assert abs(found.bits - exact) < 4 * found.error + 1e-4
+        assert found.error < 0.03
+
+
+def test_information_depends_on_the_probabilities() -> None:
+    far = 50 * np.eye(3)
+    p = np.array([0.7, 0.2, 0.1])
+    assert information(far, p, 1000, 0).bits == pytest.approx(entropy(p), abs=1e-9)
+    assert noise_free(far, p).bits == pytest.approx(entropy(p), abs=1e-9)
+    assert information(np.ones((3, 4)), p, 1000, 0).bits == 0.0
+    assert noise_free(np.ones((3, 4)), p).bits == pytest.approx(0.0, abs=1e-12)
+    assert information(far, np.array([1.0, 0.0, 0.0]), 1000, 0).bits == pytest.approx(0.0, abs=1e-9)
+
+
+def test_few_coordinates_keep_all_distances() -> None:
+    shown = np.random.default_rng(0).normal(size=(6, 300))
+    places = coordinates(shown)
+    assert places.shape[1] <= 5
+
+    def distances(x: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(x[:, None] - x[None], axis=2)
+
+    np.testing.assert_allclose(distances(places), distances(shown), rtol=1e-9, atol=1e-9)
+
+
+# -- belief
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def test_spread_is_the_covariance_that_it_says() -> None:
+    spread = Spread(np.array([0.0, 0.5, 1.0]), 2e-4, 3e-4)
+    covariance = spread.white**2 * np.eye(3) + spread.error**2 * np.outer(spread.profile, spread.profile)
+    difference = 1e-4 * np.random.default_rng(0).normal(size=(3, 2, 3))
+    flat = difference.reshape(3, -1)
+    chi2 = np.sum(flat * np.linalg.solve(covariance, flat))
+    assert np.sum(spread.whiten(difference) ** 2) == pytest.approx(chi2)
+    volume = 6 * 0.5 * np.linalg.slogdet(covariance)[1]
+    assert spread.log_volume(np.ones((3, 2, 3), dtype=bool)) == pytest.approx(volume)
+
+
+def test_a_set_comes_back_from_any_odds() -> None:
+    belief, a, b = Belief(), frozenset("1"), frozenset("2")
+    belief.add(0, {a: 0.0, b: -5000.0})
+    assert belief.probabilities()[b] == 0.0
+    belief.add(1, {a: -5003.0, b: 0.0})
+    assert belief.probabilities()[b] == pytest.approx(1 / (1 + math.exp(-3)))
+    assert next(iter(belief.probabilities())) == b
+
+
+def test_a_set_that_was_not_looked_at_is_compared_over_the_pulls_it_knows() -> None:
+    belief, a, b, c = Belief(), frozenset("1"), frozenset("2"), frozenset("3")
+    belief.add(0, {a: -1.0, b: -2.0, c: -31.0})
+    belief.add(1, {a: -40.0, b: -10.0})
+    assert belief.relative() == {a: -29.0, b: 0.0, c: -29.0}
+
+
+def test_patches_add_up() -> None:
+    found = patches({frozenset("12"): 0.5, frozenset("2"): 0.25, frozenset(): 0.25}, "123")
+    assert found == {"1": 0.5, "2": 0.75, "3": 0.0}
+    assert entropy([0.5, 0.25, 0.25]) == 1.5
+
+
+# -- pulls
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def test_every_pull_keeps_the_limit_and_returns_to_rest() -> None:
+    limits = replace(LIMITS, amplitudes=(0.01, 0.004), steps=3)
+    found = moves(scene(limits=limits, grasps="AB"))
+    assert len(found) == 2 * 2 * 3
+    assert [m.amplitude for m in found] == sorted((m.amplitude for m in found), reverse=True)
+    for move in found:
+        action = move.action(limits, "7")
+        assert action.name == "7"
+        way = np.linalg.norm(action.translation, axis=1)
+        assert way.max() == pytest.approx(move.amplitude)
+        assert len(action) == 7
+        assert way[0] == way[-1] == 0.0
+
+
+def test_changing_the_grasp_costs_more() -> None:
+    limits = replace(LIMITS, cost=2.0, regrasp=0.5)
+    a, b = Move("A", "+x", 0.01), Move("B", "+x", 0.01)
+    assert [cost(a, None, limits), cost(a, a, limits), cost(b, a, limits)] == [2.0, 2.0, 2.5]
+
+
+def test_a_scene_without_limits_is_refused() -> None:
+    with pytest.raises(InputError, match=r"\[explore\] table"):
+        limits_of(scene(limits=None))
+    with pytest.raises(InputError, match="no grasp"):
+        limits_of(scene(grasps=""))
+
+
+def test_motions_are_the_same_whatever_their_name() -> None:
+    one, other = Move("A", "+x", 0.01).action(LIMITS, "1"), Move("A", "+x", 0.01).action(LIMITS, "2")
+    assert key_of(one) == key_of(other)
+    assert key_of(one) == key_of(replace(one, translation=one.translation * -1.0 * -1.0 + 1e-12))
+    assert key_of(one) != key_of(Move("A", "+y", 0.01).action(LIMITS))
+
+
+# -- the choice
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def chooser(body: MadeUp, noise: float = 1e-4, **more: Any) -> Chooser:
+    inference = Inference(body.scene, body, None)  # type: ignore[arg-type]
+    options = {"criterion": "information", "look_ahead": True, "samples": 2000, "random_state": 0} | more
+    return Chooser(inference, tuple(moves(body.scene)), noise=noise, **options)
+
+
+@pytest.mark.parametrize("criterion", ["information", "entropy"])
+def test_the_pull_that_tells_most_is_chosen(criterion: str) -> None:
+    found = chooser(MadeUp(scene(), by_count), criterion=criterion)
+    choice = found.choose(found.inference.view(), None)
+    assert choice.move == Move("A", "+x", 0.01)
+    assert choice.expected.bits == pytest.approx(2.0, abs=0.01)
+    bits = {o.move.direction: o.expected.bits for o in choice.options}
+    assert bits["+y"] == pytest.approx(1.5, abs=0.01)
+    assert bits["+z"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("limit", "numbers", "words"),
+    [
+        ({"force": 1.0}, {"force": 1.1}, "force may exceed 1 N"),
+        ({"strain": 0.2}, {"strain": 0.3}, "strain may exceed 0.2"),
+        ({}, {"softness": 0.4}, "may buckle"),
+    ],
+)
+def test_a_pull_beyond_the_limits_is_not_made(limit: dict[str, float], numbers: dict[str, float], words: str) -> None:
+    body = MadeUp(scene(limits=replace(LIMITS, **limit)), by_count, **numbers)
+    found = chooser(body)
+    choice = found.choose(found.inference.view(), None)
+    assert choice.move is None
+    assert all(words in o.forbidden for o in choice.options)
+
+
+def test_a_dear_pull_must_tell_more() -> None:
+    """With grasp B a pull tells 2 bits, with A 1.5, which is more for its cost where changing the grasp costs as much again."""
+
+    def factor(anchors: Anchored, grasp: str, axis: int) -> float:
+        return by_count(anchors, grasp, 0 if grasp == "B" else 1)
+
+    limits = replace(LIMITS, directions={"+x": AXES["+x"]}, regrasp=1.0)
+    found = chooser(MadeUp(scene(limits=limits, grasps="AB"), factor), look_ahead=False)
+    view = found.inference.view()
+    assert found.choose(view, None).move == Move("B", "+x", 0.01)
+    assert found.choose(view, Move("A", "+x", 0.01)).move == Move("A", "+x", 0.01)
+
+
+def test_looking_ahead_finds_the_pair() -> None:
+    """Along +x and +z only patch 2 shows, along +y only patch 1: each pull tells one bit, and only a pair with +y decides."""
+    sizes = {"": (0, 0, 0), "1": (0, 1, 0), "2": (1, 0, 1), "12": (1, 1, 1)}
+
+    def factor(anchors: Anchored, _grasp: str, axis: int) -> float:
+        return 0.5 + 0.1 * sizes["".join(sorted(anchors))][axis]
+
+    body = MadeUp(scene(), factor)
+    found = chooser(body)
+    choice = found.choose(found.inference.view(), None)
+    values = {o.move.direction: o.expected.bits for o in choice.options}
+    assert values == pytest.approx({"+x": 1.0, "+y": 1.0, "+z": 1.0}, abs=0.01)
+    assert choice.move is not None
+    pair = {choice.move.direction, choice.ahead.direction if choice.ahead else "+y"}
+    assert "+y" in pair
+
+
+def test_the_live_sets_hold_nearly_all_probability() -> None:
+    view = Inference(scene(), MadeUp(scene(), by_count), None).view()  # type: ignore[arg-type]
+    assert len(live(view)) == 4
+    sure = replace(view, probabilities={frozenset("1"): 0.9995, frozenset("2"): 0.0005})
+    assert live(sure) == [frozenset("1")]
+
+
+# -- the loop
+# ------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("truth", ["", "1", "2", "12"])
+def test_anchors_are_decided(truth: str) -> None:
+    body = MadeUp(scene(), by_count)
+    found = explore(body.scene, MadeUpRobot(body, truth, 1e-4), Plan(noise=1e-4), body)  # type: ignore[arg-type]
+    assert (found.reason, found.view.best) == (DECIDED, frozenset(truth))
+    assert len(found.steps) == 1
+    assert found.steps[0].gained == pytest.approx(2.0, abs=0.2)
+
+
+def test_what_cannot_be_separated_is_named() -> None:
+    """Patch 2 makes no difference where patch 1 is anchored."""
+
+    def enclosed(anchors: Anchored, _grasp: str, axis: int) -> float:
+        return by_count(frozenset("1") if "1" in anchors else anchors, _grasp, axis)
+
+    body = MadeUp(scene(), enclosed)
+    found = explore(body.scene, MadeUpRobot(body, "12", 1e-4), Plan(noise=1e-4), body)  # type: ignore[arg-type]
+    assert found.reason == INSEPARABLE
+    assert set(found.told_apart) == {frozenset("1"), frozenset("12")}
+    assert found.view.probabilities[frozenset("12")] == pytest.approx(0.5)
+
+
+def test_the_budget_ends_it() -> None:
+    body = MadeUp(scene(limits=replace(LIMITS, cost=2.0)), by_count)
+    plan = Plan(noise=0.02, budget=6.0)
+    found = explore(body.scene, MadeUpRobot(body, "12", 0.02), plan, body)  # type: ignore[arg-type]
+    assert found.reason == BUDGET
+    assert [step.spent for step in found.steps] == [2.0, 4.0, 6.0]
+
+
+def test_answers_are_as_certain_as_they_say() -> None:
+    """Of 300 decisions at 95 % under strong noise at least 93 % are right."""
+    body = MadeUp(scene(), by_count)
+    right = []
+    for trial in range(300):
+        truth = ("", "1", "2", "12")[trial % 4]
+        plan = Plan(noise=3e-3, budget=30, samples=50)
+        found = explore(body.scene, MadeUpRobot(body, truth, 3e-3, trial), plan, body)  # type: ignore[arg-type]
+        if found.reason == DECIDED:
+            right.append(found.view.best == frozenset(truth))
+    assert len(right) > 200
+    assert np.mean(right) >= 0.93
+
+
+def test_what_no_set_explains_is_never_decided() -> None:
+    body = MadeUp(scene(), by_count)
+    other = MadeUp(scene(), lambda anchors, grasp, axis: 0.15 + by_count(anchors, grasp, axis))
+    robot = MadeUpRobot(other, "12", 1e-4)
+    found = explore(body.scene, robot, Plan(noise=1e-4, budget=4), body)  # type: ignore[arg-type]
+    assert found.reason == UNEXPLAINED
+    assert found.view.missed > MISSED
+
+
+def test_pulls_that_were_made_before_are_not_made_again() -> None:
+    body = MadeUp(scene(), by_count)
+    kept: list[tuple[Move, Measurement]] = []
+    plan = Plan(noise=5e-3, budget=8)
+    whole = explore(
+        body.scene,
+        MadeUpRobot(body, "1", 5e-3),
+        plan,
+        body,
+        keep=lambda move, seen: kept.append((move, seen)),  # type: ignore[arg-type]
+    )
+    assert len(kept) == len(whole.steps) > 2
+    robot = MadeUpRobot(body, "1", 5e-3)
+    for _ in range(2):
+        robot.move(kept[0][0].action(LIMITS))
+        robot.observe()
+    robot.made.clear()
+    again = explore(body.scene, robot, plan, body, made=kept[:2])  # type: ignore[arg-type]
+    assert [s.move for s in again.steps] == [s.move for s in whole.steps]
+    assert again.view.probabilities == pytest.approx(whole.view.probabilities)
+    assert robot.made == [str(k) for k in range(3, len(whole.steps) + 1)]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"confidence": 1.0}, "--confidence 1"),
+        ({"budget": 0.0}, "--budget 0"),
+        ({"criterion": "best"}, "one of information, entropy, random"),
+        ({"samples": 1}, "at least 10"),
+        ({"level": 3}, "levels 0 to 0"),
+        ({"grasps": ("C",)}, "it has A"),
+    ],
+)
+def test_a_wrong_plan_is_refused(wrong: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        Plan(**wrong).check(scene())
+
+
+# -- the folder robot
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def test_a_folder_is_asked_once_and_waited_for(tmp_path: Path) -> None:
+    body = MadeUp(scene(), by_count)
+    action = Move("A", "+x", 0.01).action(LIMITS, "1")
+    robot = Folder(tmp_path, body.scene, wait=20.0)
+    robot.move(action)
+    asked = (tmp_path / "0001/wanted.csv").read_text()
+    assert asked.splitlines()[0] == "action,step,time,grasp,x,y,z,qw,qx,qy,qz"
+    assert asked.splitlines()[5] == "1,4,4,A,10,0,0,1,0,0,0"
+    assert 'length_unit = "mm"' in (tmp_path / "0001/wanted.toml").read_text()
+    human = MadeUpRobot(body, "1", 1e-4)
+    human.move(action)
+    later = threading.Timer(0.5, lambda: human.observe().write(tmp_path / "0001/measurement"))
+    later.start()
+    seen = robot.observe()
+    later.join()
+    assert seen.actions[0].grasp == "A"
+    robot.move(action)
+    assert (tmp_path / "0001/wanted.csv").read_text() == asked
+    with pytest.raises(InputError, match="asks for another pull already"):
+        robot.move(Move("A", "+y", 0.01).action(LIMITS, "1"))
+
+
+def test_nothing_in_the_folder_ends_the_waiting(tmp_path: Path) -> None:
+    robot = Folder(tmp_path, scene(), wait=0.3)
+    robot.move(Move("A", "+x", 0.01).action(LIMITS, "1"))
+    with pytest.raises(MachineError, match="no measurement after"):
+        robot.observe()
+
+
+def test_a_measurement_of_two_actions_is_refused(tmp_path: Path) -> None:
+    body = MadeUp(scene(), by_count)
+    action = Move("A", "+x", 0.01).action(LIMITS, "1")
+    robot = Folder(tmp_path, body.scene, wait=1.0)
+    robot.move(action)
+    two = [action, replace(action, name="2", frames=action.frames + len(action))]
+    recorded(body.scene, two, np.tile(body.scene.rest, (18, 1, 1)), 1e-4, np.random.default_rng(0)).write(
+        tmp_path / "0001/measurement"
+    )
+    with pytest.raises(InputError, match="holds 2 actions"):
+        robot.observe()
+
+
+# -- the picture
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def test_the_belief_is_drawn(tmp_path: Path) -> None:
+    from bcid.explore.job import exploration_json, summary
+    from bcid.report.exploration import draw
+    from bcid.run import Run
+
+    body = MadeUp(scene(), by_count)
+    plan = Plan(noise=5e-3, budget=4)
+    found = explore(body.scene, MadeUpRobot(body, "1", 5e-3), plan, body)  # type: ignore[arg-type]
+    run = Run.start(tmp_path / "run", "explore", {})
+    run.write_json("exploration.json", exploration_json(body.scene, found))
+    assert draw(tmp_path / "run") == [tmp_path / "run/belief.png"]
+    assert json.loads((tmp_path / "run/exploration.json").read_text())["steps"][0]["expected_bits"] > 0
+    assert "Pulls:" in summary(body.scene, plan, found)
