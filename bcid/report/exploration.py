@@ -49,6 +49,8 @@ def _title(found: dict[str, Any]) -> str:
         return f"anchored: {_name(found['anchored'])}, probability {percent(found['probability'])}, after {pulls}"
     if found["reason"] == "inseparable":
         return "no allowed pull separates " + ", ".join(_name(a) for a in found["not_separated"][:4])
+    if found["reason"] == "unexplained":
+        return f"no set of anchors explains what was seen after {pulls}; likeliest {_name(found['anchored'])}"
     return (
         f"not decided after {pulls}; likeliest {_name(found['anchored'])}, probability {percent(found['probability'])}"
     )

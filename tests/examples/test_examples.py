@@ -43,6 +43,17 @@ def test_02_explain(capsys: pytest.CaptureFixture[str]) -> None:
     assert "missing: gravity" in capsys.readouterr().out
 
 
+def test_06_explore(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two processes that know of each other only through a folder."""
+    found = load("06_explore").main(tmp_path)
+    assert (found.reason, sorted(found.view.best)) == ("decided", ["3", "4"])
+    assert found.view.missed == pytest.approx(1.0, abs=0.1)
+    assert len(list(tmp_path.glob("*/measurement"))) == len(found.steps) <= 3
+    for step in found.steps:
+        assert step.gained > 0.3 * step.expected[0]
+    assert "decided: 3 4" in capsys.readouterr().out
+
+
 @pytest.mark.slow
 def test_the_measurement_to_be_explained_is_made_again(tmp_path: Path) -> None:
     load("make_slab_34_heavy").main(tmp_path / "made")

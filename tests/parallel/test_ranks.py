@@ -23,6 +23,9 @@ from bcid.compare.source import from_files
 from bcid.compare.state import State
 from bcid.compare.twin import Twin
 from bcid.errors import BcidError, InputError
+from bcid.explore.loop import Plan, explore
+from bcid.explore.predictions import Predictor
+from bcid.explore.robots import Simulated
 from bcid.forms.body import Body
 from bcid.forms.factor import Factor
 from bcid.forms.forward import Forward, Prediction
@@ -35,7 +38,7 @@ from bcid.forms.simulate import simulate
 from bcid.forms.solve import Settings, Status
 from bcid.forms.trajectory import follow
 from bcid.motions import about_x, motion
-from bcid.scene import Level, Region, Scene
+from bcid.scene import Level, Limits, Region, Scene
 from bcid.search.farm import Farm
 from bcid.search.identify import Options, identify
 from bcid.search.refine import identify_refined
@@ -322,3 +325,20 @@ def test_the_grasp_may_be_held_without_anchors(slab: Scene) -> None:
         np.tile([0.01, 0.02, 0.03], (len(slab.fiducials), 1)), abs=1e-12
     )
     forward.destroy()
+
+
+def test_an_exploration_does_not_depend_on_the_number_of_ranks(slab: Scene) -> None:
+    directions = {"+x": (1.0, 0.0, 0.0), "+y": (0.0, 1.0, 0.0)}
+    scene = replace(slab, limits=Limits(0.008, amplitudes=(0.008,), directions=directions))
+    found = []
+    for comm in (MPI.COMM_SELF, WORLD):
+        predictors = [Predictor(scene, level, comm) for level in (0, 1)]
+        body = Predictor(scene, 2, MPI.COMM_SELF)
+        plan = Plan(noise=3e-3, budget=3, samples=100)
+        found.append(explore(scene, Simulated(body, "12", 3e-3, 1), plan, *predictors))
+        for predictor in (*predictors, body):
+            predictor.destroy()
+    one, all_ranks = found
+    assert all(WORLD.allgather([s.move for s in one.steps] == [s.move for s in all_ranks.steps]))
+    close(np.array(list(all_ranks.view.patches.values())), np.array(list(one.view.patches.values())))
+    assert same_everywhere([s.expected for s in all_ranks.steps])

@@ -15,6 +15,7 @@ from bcid.progress import Lines
 
 ROOT = Path(__file__).resolve().parents[2]
 SLAB = ROOT / "examples/scenes/slab.toml"
+LIMITED = ROOT / "examples/scenes/slab_explain.toml"
 SEEN = ROOT / "examples/measurements/slab-12-semicircle"
 ON_A_RUN = ("compare", "diagnose", "fit")
 
@@ -37,7 +38,7 @@ def test_help_names_every_command(tmp_path: Path) -> None:
         word in result.stdout
         for word in ("demo", "identify", "simulate", "doctor", "bench", "study", *ON_A_RUN, "explain", "exit codes")
     )
-    for command in ("demo", "identify", "simulate", "bench", "study", *ON_A_RUN, "explain"):
+    for command in ("demo", "identify", "simulate", "bench", "study", "explore", *ON_A_RUN, "explain"):
         assert bcid(command, "--help", cwd=tmp_path).returncode == 0
     assert bcid(cwd=tmp_path).returncode == 2
     assert "invalid choice" in bcid("identfy", cwd=tmp_path).stderr
@@ -62,6 +63,18 @@ def test_help_names_every_command(tmp_path: Path) -> None:
         (["explain", SLAB, SEEN, "-o", "run", "--effects", "none.py"], ["none.py", "no such file"]),
         (["study", "hidden", "-o", "run", "--cases", "0"], ["--cases 0", "at least 1"]),
         (["study", "hidden", "-o", "run", "--least", "10"], ["--least 10", "below 10"]),
+        (["explore", "none.toml", "--robot", "simulated:1", "-o", "run"], ["none.toml", "no such scene file"]),
+        (["explore", SLAB, "--robot", "simulated:1", "-o", "run"], ["has no [explore] table"]),
+        (["explore", LIMITED, "--robot", "hand", "-o", "run"], ["--robot 'hand'", "folder:DIR"]),
+        (["explore", LIMITED, "--robot", "simulated:9", "-o", "run"], ["patch '9'", "it has 1, 2"]),
+        (["explore", LIMITED, "--robot", "simulated:1", "-o", "run", "--noise", "2"], ["'2'", "unit"]),
+        (["explore", LIMITED, "--robot", "simulated:1", "-o", "run", "--noise", "-2 mm"], ["must not be negative"]),
+        (["explore", LIMITED, "--robot", "simulated:1", "-o", "run", "--grasps", "IV"], ["--grasps IV", "I, II, III"]),
+        (
+            ["explore", LIMITED, "--robot", "simulated:1", "-o", "run", "--criterion", "luck"],
+            ["information, entropy, random"],
+        ),
+        (["explore", LIMITED, "--robot", "folder:lab", "-o", "run", "--wait", "0"], ["--wait 0"]),
         (["compare", "none"], ["none", "is not a run folder"]),
         (["diagnose", ROOT / "examples"], ["is not a run folder"]),
         (["fit", "none", "--add", "gravity", "-o", "run"], ["is not a run folder"]),
