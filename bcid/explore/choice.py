@@ -103,7 +103,7 @@ class Chooser:
         options = [Option(move, Expected(0.0), cost(move, last, limits)) for move in self.moves]
         if self.criterion == "random":
             return self._random(options, view, sets)
-        if len(options) > _SCREENED:
+        if len(options) > _SCREENED or len(sets) > _MOST:
             options = sorted(self._linear(options, view), key=lambda o: -o.worth)
         if len(sets) > _MOST:
             return self._first_allowed(options, view, sets)

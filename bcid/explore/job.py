@@ -29,6 +29,8 @@ from bcid.search.farm import label
 from bcid.units import percent
 
 SIMULATED, FOLDER = "simulated", "folder"
+# So many sets are named in a sentence.
+_NAMED = 6
 
 
 def run_exploration(
@@ -186,7 +188,8 @@ def exploration_json(scene: Scene, found: Exploration) -> dict[str, Any]:
         "rms": _finite(view.rms * 1e3),
         "missed": view.missed,
         "length_unit": "mm",
-        "not_separated": [_sorted(a, scene) for a in found.told_apart],
+        "not_allowed": [{"pull": str(o.move), "reason": o.forbidden} for o in found.options if o.forbidden],
+        "not_separated": [_sorted(a, scene) for a in found.rivals],
         "steps": [_step_json(scene, step) for step in found.steps],
     }
 
@@ -239,7 +242,8 @@ def summary(scene: Scene, plan: Plan, found: Exploration) -> str:
     words = {
         DECIDED: f"Anchored patches of {scene.name}: {best}  (probability {percent(view.certainty)}, after {pulls})",
         INSEPARABLE: f"Not decided after {pulls}: no allowed pull separates "
-        + ", ".join(label(a, scene.patches) for a in found.told_apart),
+        + ", ".join(label(a, scene.patches) for a in found.rivals[:_NAMED])
+        + (f" and {len(found.rivals) - _NAMED} more" if len(found.rivals) > _NAMED else ""),
         UNEXPLAINED: f"Not decided after {pulls}: no set of anchors explains what was seen; the likeliest is {best}",
         BUDGET: f"Not decided: the budget is used ({pulls}); the likeliest is {best} (probability {percent(view.certainty)})",
     }
@@ -250,6 +254,9 @@ def summary(scene: Scene, plan: Plan, found: Exploration) -> str:
             f"WARNING: no set explains what was seen: the best misses it by {view.missed:.1f} times what noise and mesh explain.",
             "A physical effect is missing, or frames, grasp or material are not what the scene says: see `bcid explain`.",
         ]
+    forbidden = [option for option in found.options if option.forbidden]
+    if forbidden:
+        lines += ["", "Not allowed:", *(f"  {option.move!s:44} {option.forbidden}" for option in forbidden)]
     lines += ["", "Pulls:"]
     for step in found.steps:
         bits, error = step.expected

@@ -118,13 +118,15 @@ class Exploration:
             explain what was seen.
         view: what is believed at the end.
         steps: the pulls.
-        told_apart: for "inseparable", the sets that no allowed pull separates.
+        rivals: for "inseparable", the sets that no allowed pull separates.
+        options: for "inseparable", the pulls that were considered in vain.
     """
 
     reason: str
     view: View
     steps: tuple[Step, ...]
-    told_apart: tuple[Anchored, ...] = ()
+    rivals: tuple[Anchored, ...] = ()
+    options: tuple[Option, ...] = ()
 
 
 def levels(scene: Scene, level: int | None, comm: Any) -> tuple[int, int | None]:
@@ -208,7 +210,7 @@ class _Loop:
             last = self.steps[-1].move if self.steps else None
             choice = self._choose(view, last)
             if choice.move is None:
-                return Exploration(INSEPARABLE, view, tuple(self.steps), self._rivals(view))
+                return Exploration(INSEPARABLE, view, tuple(self.steps), self._rivals(view), choice.options)
             price = cost(choice.move, last, limits)
             if self.spent + price > self.plan.budget * (1 + 1e-9):
                 return Exploration(BUDGET, view, tuple(self.steps))

@@ -298,7 +298,7 @@ def test_what_cannot_be_separated_is_named() -> None:
     body = MadeUp(scene(), enclosed)
     found = explore(body.scene, MadeUpRobot(body, "12", 1e-4), Plan(noise=1e-4), body)  # type: ignore[arg-type]
     assert found.reason == INSEPARABLE
-    assert set(found.told_apart) == {frozenset("1"), frozenset("12")}
+    assert set(found.rivals) == {frozenset("1"), frozenset("12")}
     assert found.view.probabilities[frozenset("12")] == pytest.approx(0.5)
 
 
