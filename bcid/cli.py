@@ -68,7 +68,7 @@ def main(argv: list[str] | None = None) -> int:
         from bcid import doctor
 
         return doctor.main()
-    if arguments.command in _WITHOUT_MPI:
+    if arguments.command in _WITHOUT_MPI and getattr(arguments, "study", None) != "exploration":
         return _run_without_mpi(arguments)
     comm = _communicator()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -421,12 +421,14 @@ def _add_study(commands: Any) -> None:
         study,
         "find out on many made-up bodies what a diagnosis is worth",
         "hidden: measurements with effects hidden in them are made and diagnosed blindly, and the answers scored.\n"
+        "exploration: how many pulls does it take to know the anchors? Also under mpirun.\n"
         "A study that was stopped goes on where it was when the same command is given again. See docs/study.md.",
     )
-    parser.add_argument("study", choices=["hidden"], metavar="STUDY", help="hidden")
+    parser.add_argument("study", choices=["hidden", "exploration"], metavar="STUDY", help="hidden, exploration")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="run folder to write")
-    parser.add_argument("--cases", type=int, default=100, metavar="N", help="number of cases (100)")
+    parser.add_argument("--cases", type=int, default=100, metavar="N", help="number of cases of hidden (100)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the cases (0)")
+    parser.add_argument("--trials", type=int, default=30, metavar="N", help="of each setting of exploration (30)")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes at a time (2)")
     parser.add_argument("--limit", type=float, default=900.0, metavar="SECONDS", help="time limit of a case (900)")
     parser.add_argument(
@@ -697,8 +699,16 @@ def bench(arguments: argparse.Namespace) -> None:
     import_module("benchmarks.bench").run(arguments.parts, arguments.output, arguments.quick)
 
 
-def study(arguments: argparse.Namespace) -> None:
+def study(arguments: argparse.Namespace, comm: Any = None) -> None:
     """`bcid study`."""
+    if arguments.study == "exploration":
+        from bcid.studies.exploration import run_study
+
+        progress = _progress(arguments, comm.rank)
+        folder = run_study(arguments.output, arguments.trials, arguments.seed, comm, progress, arguments.overwrite)
+        if comm.rank == 0:
+            _print_result(folder, "table.txt")
+        return
     from bcid.studies.hidden import Options, run_hidden
 
     options = Options(arguments.cases, arguments.seed, arguments.jobs, arguments.limit, arguments.least)

@@ -14,7 +14,7 @@ import numpy as np
 from mpi4py import MPI
 
 from bcid import Measurement, Scene
-from bcid.explore.loop import Exploration, Plan, explore, levels
+from bcid.explore.loop import Exploration, Plan, explore, paired
 from bcid.explore.predictions import Predictor
 from bcid.explore.robots import Folder, Simulated
 from bcid.measurement import Action
@@ -26,9 +26,8 @@ NOISE = 1e-3
 def main(folder: Path, store: Path | None = None) -> Exploration:
     """Explore, with a lab that works in `folder`."""
     scene = Scene.read(HERE / "scenes/slab_explain.toml")
-    working, fine = levels(scene, None, MPI.COMM_WORLD)
-    assert fine is not None
-    predictors = [Predictor(scene, level, MPI.COMM_WORLD, store) for level in (working, fine)]
+    ladder = paired(scene, None, MPI.COMM_WORLD)
+    predictors = [Predictor(ladder, level, MPI.COMM_WORLD, store) for level in range(2)]
     with Popen([sys.executable, __file__, "lab", folder]) as process:
         try:
             found = explore(scene, Folder(folder, scene, wait=120.0), Plan(noise=NOISE), *predictors)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -115,3 +116,24 @@ def slab40() -> Callable[..., Slab40]:
 def _slab40_arrays(name: str) -> dict[str, NDArray[Any]]:
     with np.load(PROJECT / "tests" / "data" / f"slab40-{name}.npz", allow_pickle=False) as data:
         return dict(data)
+
+
+_EXPLORE = """
+[explore]
+displacement = "8 mm"
+amplitudes = ["8 mm"]
+directions = { out = [1, 0, 0], lift = [0, 1, 0] }
+"""
+
+
+@pytest.fixture
+def coarse_scene(tmp_path: Path, project: Path) -> Path:
+    """The slab with one level, of 17 mm, four patches, and two directions to pull in."""
+    text = (project / "examples/scenes/slab.toml").read_text(encoding="utf-8")
+    text = text.replace("../../meshes/geo/slab.geo", str(project / "meshes/geo/slab.geo"))
+    first, _, rest = text.partition("[material]")
+    text = first.split("[[levels]]")[0] + '[[levels]]\nelement_size = "17 mm"\ndegree = 2\n\n[material]' + rest
+    text = re.sub(r'(?m)^"([5678])" = "patch_\1"\n', "", text)
+    file = tmp_path / "slab.toml"
+    file.write_text(text + _EXPLORE, encoding="utf-8")
+    return file

@@ -81,9 +81,9 @@ class Twin:
     ) -> None:
         if level is not None and not 0 <= level < len(scene.levels):
             raise InputError(f"level {level}: the scene has levels 0 to {len(scene.levels) - 1}")
-        self.fine_level = _affordable(scene, comm) if level is None else level
+        self.fine_level = affordable(scene, comm) if level is None else level
         self.whole, self.measurement, self.comm = scene, measurement, comm
-        self.scene = replace(scene, levels=_pair(scene, self.fine_level))
+        self.scene = replace(scene, levels=pair(scene, self.fine_level))
         # Where a step must be halved more often the body buckles, and following it proves nothing.
         self.settings = settings or Settings(rtol=1e-7, halvings=3)
         self.data = Data(scene, measurement)
@@ -268,7 +268,7 @@ def mechanical(model: Model) -> Model:
     return replace(model, doses=tuple(d for d in model.doses if d.effect.mechanical or d.effect.drive))
 
 
-def _affordable(scene: Scene, comm: Any) -> int:
+def affordable(scene: Scene, comm: Any) -> int:
     """The last level of a ladder with at most `_AFFORDABLE` unknowns; collective."""
     mixed = scene.material.formulation == "mixed"
     for number in reversed(range(1, len(scene.levels))):
@@ -278,7 +278,7 @@ def _affordable(scene: Scene, comm: Any) -> int:
     return 0
 
 
-def _pair(scene: Scene, fine: int) -> tuple[Level, ...]:
+def pair(scene: Scene, fine: int) -> tuple[Level, ...]:
     """Working level and fine level: elements of the same degree, three times as large and as they are.
 
     A mesh file cannot be made coarser than it is: there the level below serves, if it has the same degree.

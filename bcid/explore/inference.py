@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,8 @@ _ASLEEP = 25.0
 _CONTENDS, _CONTENDERS = 0.01, 4
 # A body that may buckle in a pull is taken to go anywhere within this part of its motion.
 _ANYWHERE = 0.5
+# Between levels that hardly differ nothing can be extrapolated.
+_LEAST_GAIN = 0.5
 # Before anything was seen the error of the mesh is taken as this part of the motion.
 _FIRST_ERROR = 0.03
 # The best set misses what was seen by more than this many times what noise and mesh explain: no set does explain it.
@@ -40,20 +43,28 @@ class Pulled:
     Attributes:
         action: as the gripper really moved; frames numbered from 0.
         misfit: the comparison with what was seen.
+        profile: part of the motion that is done in each frame.
+        motion: RMS motion of the fiducials, m.
     """
 
     action: Action
     misfit: Misfit
+    profile: Array
+    motion: float
 
     @classmethod
     def of(cls, scene: Scene, measurement: Measurement) -> Pulled:
         """From a measurement that holds one action."""
-        return cls(measurement.actions[0], Misfit(scene, measurement))
+        action, misfit = measurement.actions[0], Misfit(scene, measurement)
+        return cls(action, misfit, profile(action), misfit.motion_rms)
 
-    @property
-    def profile(self) -> Array:
-        """Part of the motion that is done in each frame."""
-        return profile(self.action)
+
+@dataclass(frozen=True)
+class Meshed:
+    """What the fine level says of a prediction: what to add to it, (frames, fiducials, 3), m, and the RMS of what is left, m."""
+
+    correction: Array
+    left: float
 
 
 def profile(action: Action) -> Array:
@@ -114,14 +125,16 @@ class Inference:
             sets = random_seeds(names, _RANDOM, np.random.default_rng(random_state))
         self.sets: dict[Anchored, None] = dict.fromkeys(sets)
         self.pulls: list[Pulled] = []
-        self._foreseen: dict[tuple[int, Anchored], Foreseen] = {}
-        self._finely: dict[tuple[int, Anchored], Array] = {}
-        # Chi-square and volume by pull, set, the set whose error of the mesh was taken, and whether buckling was looked for.
-        self._seen: dict[tuple[int, Anchored, Anchored | None, bool], tuple[float, float]] = {}
+        # By pull and set: predictions, the error of the mesh where it is known, chi-square and volume of the errors.
+        self._foreseen: list[dict[Anchored, Foreseen]] = []
+        self._meshed: list[dict[Anchored, Meshed]] = []
+        self._compared: dict[int, dict[Anchored, tuple[float, float]]] = {}
 
     def add(self, measurement: Measurement) -> None:
         """Take what was seen of a pull."""
         self.pulls.append(Pulled.of(self.scene, measurement))
+        self._foreseen.append({})
+        self._meshed.append({})
 
     def view(self) -> View:
         """What is believed now."""
@@ -137,10 +150,16 @@ class Inference:
         """Predict what is not known of sets that are not asleep; whether there was anything."""
         relative = self._belief()[0].relative()
         awake = [a for a in self.sets if relative.get(a, 0.0) > -_ASLEEP]
-        todo = [(i, a) for i in range(len(self.pulls)) for a in awake if (i, a) not in self._foreseen]
+        todo = [(i, a) for i in range(len(self.pulls)) for a in awake if a not in self._foreseen[i]]
         found = self.predictor.foresee((a, self.pulls[i].action) for i, a in todo)
-        self._foreseen |= dict(zip(todo, found, strict=True))
+        self._take(zip(todo, found, strict=True))
         return bool(todo)
+
+    def _take(self, found: Iterable[tuple[tuple[int, Anchored], Foreseen]]) -> None:
+        """Keep predictions; what was compared with the pulls they belong to is no longer true."""
+        for key, foreseen in found:
+            self._foreseen[key[0]][key[1]] = foreseen
+            self._compared.pop(key[0], None)
 
     def _grow(self, view: View) -> bool:
         """Take the neighbours of sets that contend among the hypotheses; whether there was any."""
@@ -155,13 +174,16 @@ class Inference:
         if view.missed > MISSED:
             # Where nothing explains what was seen, the body may have buckled with any of the sets.
             todo = [(i, a) for i in range(len(self.pulls)) for a in self.sets]
-        soft = [(i, a) for i, a in todo if (i, a) in self._foreseen and not self._foreseen[i, a].detailed]
+        soft = [(i, a) for i, a in todo if a in self._foreseen[i] and not self._foreseen[i][a].detailed]
         found = self.predictor.foresee(((a, self.pulls[i].action) for i, a in soft), detailed=True)
-        self._foreseen |= dict(zip(soft, found, strict=True))
-        rough = [(i, a) for i in range(len(self.pulls)) for a in self._contending(view) if (i, a) not in self._finely]
+        self._take(zip(soft, found, strict=True))
+        rough = [(i, a) for i in range(len(self.pulls)) for a in self._contending(view) if a not in self._meshed[i]]
         if self.fine is not None and rough:
             finely = self.fine.foresee((a, self.pulls[i].action) for i, a in rough)
-            self._finely |= {key: f.positions for key, f in zip(rough, finely, strict=True)}
+            for (i, a), foreseen in zip(rough, finely, strict=True):
+                error = MeshError.between(self._foreseen[i][a].positions, foreseen.positions, self._gain)
+                self._meshed[i][a] = Meshed(error.correction, error.rms)
+                self._compared.pop(i, None)
             return True
         return bool(soft)
 
@@ -181,92 +203,80 @@ class Inference:
 
     def _belief(self) -> tuple[Belief, float, float, float]:
         """Belief, what the best set misses in units of its errors and in m, and the error of the mesh as part of the motion."""
-        chi2, volumes = self._compared()
-        every = sorted({i for i, _ in chi2})
-        best = self._best(chi2, volumes, every)
+        every = [i for i, known in enumerate(self._foreseen) if known]
+        compared = {i: self._compare(i) for i in every}
+        best = self._best(compared)
         belief = Belief()
         if best is None:
             return belief, 0.0, math.nan, _FIRST_ERROR
         values = sum(self.pulls[i].misfit.values for i in every)
-        missed = math.sqrt(sum(chi2[i, best] for i in every) / values)
+        missed = math.sqrt(sum(compared[i][best][0] for i in every) / values)
         # What no set explains makes all of them less sure of themselves.
         scale = max(1.0, missed**2)
         for i in every:
-            belief.add(i, {a: -0.5 * chi2[i, a] / scale - volumes[i, a] for at, a in chi2 if at == i})
+            belief.add(i, {a: -0.5 * chi2 / scale - volume for a, (chi2, volume) in compared[i].items()})
         squares = [self._differences(i, best) for i in every]
         rms = math.sqrt(sum(float(np.nansum(d**2)) for d in squares) / values)
         return belief, missed, rms, self._relative_error(best)
 
-    def _compared(self) -> tuple[dict[tuple[int, Anchored], float], dict[tuple[int, Anchored], float]]:
-        """Chi-square and logarithm of the volume of the errors, by pull and set."""
-        chi2: dict[tuple[int, Anchored], float] = {}
-        volumes: dict[tuple[int, Anchored], float] = {}
-        for (i, anchors), foreseen in self._foreseen.items():
-            if foreseen.failed:
-                chi2[i, anchors], volumes[i, anchors] = math.inf, 0.0
-                continue
-            key = i, anchors, self._nearest(i, anchors), foreseen.detailed
-            if key not in self._seen:
-                spread = self.spread(i, anchors)
-                difference = self._differences(i, anchors)
-                numbers = float(np.sum(spread.whiten(difference) ** 2)), spread.log_volume(np.isfinite(difference))
-                self._seen[key] = numbers
-            chi2[i, anchors], volumes[i, anchors] = self._seen[key]
-        return chi2, volumes
+    def _compare(self, pull: int) -> dict[Anchored, tuple[float, float]]:
+        """Chi-square and logarithm of the volume of the errors of every set that was predicted for a pull."""
+        if pull not in self._compared:
+            found = {}
+            for anchors, foreseen in self._foreseen[pull].items():
+                if foreseen.failed:
+                    found[anchors] = math.inf, 0.0
+                    continue
+                spread, difference = self.spread(pull, anchors), self._differences(pull, anchors)
+                chi2 = float(np.sum(spread.whiten(difference) ** 2))
+                found[anchors] = chi2, spread.log_volume(np.isfinite(difference))
+            self._compared[pull] = found
+        return self._compared[pull]
 
-    def _best(
-        self, chi2: dict[tuple[int, Anchored], float], volumes: dict[tuple[int, Anchored], float], every: list[int]
-    ) -> Anchored | None:
+    def _best(self, compared: Mapping[int, Mapping[Anchored, tuple[float, float]]]) -> Anchored | None:
         """The likeliest of the sets that were compared with all these pulls."""
-        full = [a for a in self.sets if every and all((i, a) in chi2 for i in every)]
-        solved = [a for a in full if all(math.isfinite(chi2[i, a]) for i in every)]
-        total = {a: sum(0.5 * chi2[i, a] + volumes[i, a] for i in every) for a in solved}
-        return min(solved, key=lambda a: (total[a], len(a), sorted(a)), default=None)
+        total: dict[Anchored, float] = {}
+        for anchors in self.sets:
+            known = [found[anchors] for found in compared.values() if anchors in found]
+            if known and len(known) == len(compared):
+                total[anchors] = sum(0.5 * chi2 + volume for chi2, volume in known)
+        solved = {a: value for a, value in total.items() if math.isfinite(value)}
+        return min(solved, key=lambda a: (solved[a], len(a), sorted(a)), default=None)
 
     def _differences(self, pull: int, anchors: Anchored) -> Array:
         """Seen minus predicted, with the error of the mesh taken out, (frames, fiducials, 3), m; NaN where nothing was seen."""
         seen = self.pulls[pull]
         return np.asarray(
-            seen.misfit.measured - self._foreseen[pull, anchors].positions - self._mesh(pull, anchors).correction
+            seen.misfit.measured - self._foreseen[pull][anchors].positions - self._mesh(pull, anchors).correction
         )
 
     def spread(self, pull: int, anchors: Anchored) -> Spread:
         """Errors of a pull about a set's prediction."""
-        seen = self.pulls[pull]
-        motion = float(np.sqrt(np.nanmean((seen.misfit.measured - self.scene.rest) ** 2)))
-        error = self._mesh(pull, anchors).rms if self.fine is not None else 0.0
-        foreseen = self._foreseen[pull, anchors]
+        seen, foreseen = self.pulls[pull], self._foreseen[pull][anchors]
+        error = self._mesh(pull, anchors).left
         if foreseen.detailed and foreseen.buckles:
-            error = max(error, _ANYWHERE * motion)
+            error = max(error, _ANYWHERE * seen.motion)
         return Spread(seen.profile, seen.misfit.noise or 0.0, error)
 
-    def _mesh(self, pull: int, anchors: Anchored) -> MeshError:
-        """Error of the mesh in a pull: of the set itself, or of the nearest one of which it is known."""
-        near = self._nearest(pull, anchors)
-        if near is None:
-            return MeshError.unknown(self.pulls[pull].misfit.measured.shape)
-        gain = max(self._gain**2 - 1, 0.5)
-        return MeshError.between(self._foreseen[pull, near].positions, self._finely[pull, near], gain)
+    def _mesh(self, pull: int, anchors: Anchored) -> Meshed:
+        """Error of the mesh in a pull: of the set itself, or of the set most like it of which it is known."""
+        known = self._meshed[pull]
+        if anchors in known or not known:
+            return known.get(anchors, Meshed(np.zeros((1, 1, 1)), 0.0))
+        return known[min(known, key=lambda a: (len(a ^ anchors), sorted(a)))]
 
-    def _nearest(self, pull: int, anchors: Anchored) -> Anchored | None:
-        """The set most like another of which the error of the mesh is known."""
-        known = [a for i, a in self._finely if i == pull]
-        return min(known, key=lambda a: (len(a ^ anchors), sorted(a)), default=None)
-
-    @property
+    @cached_property
     def _gain(self) -> float:
-        """How many times smaller the elements of the fine level are."""
+        """How many times the difference of the levels exceeds the error of the fine one, at second order; collective."""
         assert self.fine is not None
         coarse, fine = (p.forward().body.unknowns for p in (self.predictor, self.fine))
-        return float((fine / coarse) ** (1 / 3))
+        return max(float((fine / coarse) ** (2 / 3)) - 1, _LEAST_GAIN)
 
     def _relative_error(self, best: Anchored) -> float:
         """RMS error that the mesh leaves, as part of the motion, over all pulls."""
         if self.fine is None:
             return 0.0
-        motions = [float(np.sqrt(np.nanmean((p.misfit.measured - self.scene.rest) ** 2))) for p in self.pulls]
-        errors = [self._mesh(i, best).rms for i in range(len(self.pulls))]
-        known = [e / m for e, m in zip(errors, motions, strict=True) if e > 0 and m > 0]
+        known = [self._mesh(i, best).left / max(p.motion, 1e-12) for i, p in enumerate(self.pulls) if self._meshed[i]]
         return float(np.mean(known)) if known else _FIRST_ERROR
 
 

@@ -13,7 +13,7 @@ from typing import Any
 from bcid.collective import on_root
 from bcid.errors import InputError
 from bcid.explore.inference import MISSED
-from bcid.explore.loop import BUDGET, DECIDED, INSEPARABLE, UNEXPLAINED, Exploration, Plan, Step, explore, levels
+from bcid.explore.loop import BUDGET, DECIDED, INSEPARABLE, UNEXPLAINED, Exploration, Plan, Step, explore, paired
 from bcid.explore.moves import Move
 from bcid.explore.predictions import Predictor
 from bcid.explore.robots import Folder, Robot, Simulated
@@ -62,8 +62,8 @@ def run_exploration(
     scene = divided(on_root(comm, lambda: Scene.read(scene_file, physics=check_physics)), comm)
     plan.check(scene)
     kind, about = _robot_kind(robot, scene)
-    working, finer = levels(scene, plan.level, comm)
-    check_geometry(scene, working, comm)
+    ladder = paired(scene, plan.level, comm)
+    check_geometry(ladder, 0, comm)
     content = {key: value for key, value in asdict(scene).items() if key not in ("geometry", "source", "description")}
     inputs = {
         "scene": fingerprint({"scene": content, "geometry": file_fingerprint(scene.geometry)}),
@@ -81,7 +81,7 @@ def run_exploration(
     if made:
         progress.say(f"going on with an interrupted exploration: {len(made)} pulls are there already")
     store = store or folder / "predictions"
-    predictors = [Predictor(scene, level, comm, store) for level in (working, finer) if level is not None]
+    predictors = [Predictor(ladder, level, comm, store) for level in range(len(ladder.levels))]
     mover = None
     try:
         with run.watched() if run else nullcontext():

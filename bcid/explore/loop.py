@@ -5,25 +5,23 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from bcid.collective import on_root
+from bcid.compare.twin import affordable, pair
 from bcid.errors import InputError
 from bcid.explore.choice import CRITERIA, Choice, Chooser, Option
 from bcid.explore.inference import MISSED, Inference, View
 from bcid.explore.moves import Move, cost, limits_of, moves
 from bcid.explore.predictions import Anchored, Predictor
 from bcid.explore.robots import Robot
-from bcid.forms.mesh import level_mesh
 from bcid.measurement import Measurement
 from bcid.progress import Progress, Silent
 from bcid.scene import Scene
 from bcid.search.farm import label
 from bcid.units import percent
 
-# The finest level that is used has so many unknowns at most.
-_AFFORDABLE = 40_000
 DECIDED, INSEPARABLE, BUDGET, UNEXPLAINED = "decided", "inseparable", "budget", "unexplained"
 
 
@@ -37,8 +35,7 @@ class Plan:
         criterion: how pulls are chosen, one of `bcid.explore.choice.CRITERIA`.
         look_ahead: whether pairs of pulls are looked at where one cannot decide.
         grasps: names of the grasps to use; all by default.
-        level: the level of the scene on which sets are compared; the next finer one tells its error. By default the last but one
-            with at most 40,000 unknowns.
+        level: the fine level (see `paired`).
         noise: standard deviation of a coordinate, m, expected of pulls to come; by default the scene's.
         samples: of the estimate of information.
         random_state: of that estimate, of random choice, and of the first sets where there are too many to look at all.
@@ -129,16 +126,12 @@ class Exploration:
     options: tuple[Option, ...] = ()
 
 
-def levels(scene: Scene, level: int | None, comm: Any) -> tuple[int, int | None]:
-    """Working level, and the finer one that tells its error, if there is one; collective."""
-    if level is not None:
-        return level, level + 1 if level + 1 < len(scene.levels) else None
-    mixed = scene.material.formulation == "mixed"
-    fine = 0
-    for number in range(1, len(scene.levels)):
-        if level_mesh(scene, scene.levels[number], comm).unknowns(scene.levels[number].degree, mixed) <= _AFFORDABLE:
-            fine = number
-    return (fine - 1, fine) if fine > 0 else (0, None)
+def paired(scene: Scene, level: int | None, comm: Any) -> Scene:
+    """The scene with two levels: the working one, and the one that tells its error, where there is one; collective.
+
+    As in a `Twin`: a level of the scene (by default the last with at most 40,000 unknowns), and elements three times as large.
+    """
+    return replace(scene, levels=pair(scene, affordable(scene, comm) if level is None else level))
 
 
 def explore(
@@ -150,6 +143,7 @@ def explore(
     progress: Progress | None = None,
     made: Iterable[tuple[Move, Measurement]] = (),
     keep: Callable[[Move, Measurement], None] | None = None,
+    first: Choice | None = None,
 ) -> Exploration:
     """Explore until the anchors are decided, or cannot be; collective on the ranks of the predictor.
 
@@ -162,13 +156,14 @@ def explore(
         progress: told what goes on (give it on rank 0 only).
         made: pulls that were made before, by an exploration that was interrupted.
         keep: called on rank 0 with each pull that was made.
+        first: the first choice, where it is known: it depends on nothing that is seen.
 
     Raises:
         InputError: plan or measurement do not fit the scene.
         BcidError: whatever the robot raises.
     """
     plan.check(scene)
-    return _Loop(scene, robot, plan, predictor, fine, progress or Silent(), list(made), keep).run()
+    return _Loop(scene, robot, plan, predictor, fine, progress or Silent(), list(made), keep, first).run()
 
 
 class _Loop:
@@ -182,7 +177,9 @@ class _Loop:
         progress: Progress,
         made: list[tuple[Move, Measurement]],
         keep: Callable[[Move, Measurement], None] | None,
+        first: Choice | None,
     ) -> None:
+        self.first = first
         self.scene, self.robot, self.plan, self.progress = scene, robot, plan, progress
         self.predictors = [p for p in (predictor, fine) if p is not None]
         self.comm, self.made, self.keep = predictor.comm, made, keep
@@ -241,7 +238,7 @@ class _Loop:
     def _choose(self, view: View, last: Move | None) -> Choice:
         """The next pull; what was made before by an exploration that was interrupted comes again."""
         number = len(self.steps)
-        choice = self.chooser.choose(view, last)
+        choice = self.first if self.first and number == 0 else self.chooser.choose(view, last)
         if number < len(self.made):
             move = self.made[number][0]
             known = next((o for o in choice.options if o.move == move), None)

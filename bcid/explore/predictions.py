@@ -10,6 +10,7 @@ import math
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +56,7 @@ class Foreseen:
     strain: float = math.nan
     softness: float = math.nan
 
-    @property
+    @cached_property
     def failed(self) -> bool:
         """Whether it cannot be predicted."""
         return not bool(np.isfinite(self.positions).all())
@@ -104,7 +105,8 @@ class Predictor:
     def foresee(self, tasks: Iterable[Task], detailed: bool = False) -> list[Foreseen]:
         """Predictions, in order; `detailed` with force, strain and softness. Each is computed once."""
         tasks = list(tasks)
-        keys = [(key_of(action), anchors) for anchors, action in tasks]
+        names = {id(action): key_of(action) for _, action in {id(a): (s, a) for s, a in tasks}.values()}
+        keys = [(names[id(action)], anchors) for anchors, action in tasks]
         for key in dict.fromkeys(key for key, _ in keys):
             self._load(key)
         missing = {k: task for k, task in zip(keys, tasks, strict=True) if not self._enough(k, detailed)}

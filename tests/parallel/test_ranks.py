@@ -333,7 +333,7 @@ def test_an_exploration_does_not_depend_on_the_number_of_ranks(slab: Scene) -> N
     found = []
     for comm in (MPI.COMM_SELF, WORLD):
         predictors = [Predictor(scene, level, comm) for level in (0, 1)]
-        body = Predictor(scene, 2, MPI.COMM_SELF)
+        body = Predictor(scene, 1, MPI.COMM_SELF)
         plan = Plan(noise=3e-3, budget=3, samples=100)
         found.append(explore(scene, Simulated(body, "12", 3e-3, 1), plan, *predictors))
         for predictor in (*predictors, body):

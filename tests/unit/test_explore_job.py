@@ -18,42 +18,24 @@ from bcid.scene import Scene
 
 # With so much noise three pulls never decide.
 NOISE = 2e-2
-PLAN = Plan(level=0, noise=NOISE, budget=3, samples=100)
-EXPLORE = """
-[explore]
-displacement = "8 mm"
-amplitudes = ["8 mm"]
-directions = { out = [1, 0, 0], lift = [0, 1, 0] }
-"""
+PLAN = Plan(noise=NOISE, budget=3, samples=100)
 
 
-@pytest.fixture
-def scene_file(tmp_path: Path, project: Path) -> Path:
-    """The slab on its coarsest meshes, with two directions to pull in."""
-    text = (project / "examples/scenes/slab.toml").read_text(encoding="utf-8")
-    text = text.replace("../../meshes/geo/slab.geo", str(project / "meshes/geo/slab.geo"))
-    first, _, rest = text.partition("[material]")
-    text = "[[levels]]".join(first.split("[[levels]]")[:3]) + "[material]" + rest
-    file = tmp_path / "slab.toml"
-    file.write_text(text + EXPLORE, encoding="utf-8")
-    return file
-
-
-def explored(scene_file: Path, robot: str, run: Path, wait: float = 0.3) -> dict[str, Any]:
-    run_exploration(scene_file, robot, run, PLAN, MPI.COMM_SELF, store=scene_file.parent / "store", wait=wait)
+def explored(coarse_scene: Path, robot: str, run: Path, wait: float = 0.3) -> dict[str, Any]:
+    run_exploration(coarse_scene, robot, run, PLAN, MPI.COMM_SELF, store=coarse_scene.parent / "store", wait=wait)
     found: dict[str, Any] = json.loads((run / "exploration.json").read_text(encoding="utf-8"))
     return found
 
 
-def test_a_stopped_exploration_goes_on_with_the_pulls_it_has_made(scene_file: Path, tmp_path: Path) -> None:
+def test_a_stopped_exploration_goes_on_with_the_pulls_it_has_made(coarse_scene: Path, tmp_path: Path) -> None:
     lab, run = tmp_path / "lab", tmp_path / "run"
-    scene = Scene.read(scene_file)
-    body = Simulated(Predictor(scene, len(scene.levels) - 1, MPI.COMM_SELF), "12", NOISE, 0)
+    scene = Scene.read(coarse_scene)
+    body = Simulated(Predictor(scene, 0, MPI.COMM_SELF), "12", NOISE, 0)
     assert scene.limits is not None
     made = []
     for number in range(1, 4):
         with pytest.raises(MachineError, match="no measurement"):
-            explored(scene_file, f"folder:{lab}", run)
+            explored(coarse_scene, f"folder:{lab}", run)
         assert json.loads((run / "run.json").read_text())["state"] == "failed"
         assert len(list((run / "steps").glob("*/move.json"))) == number - 1
         end = (lab / f"{number:04d}/wanted.csv").read_text().splitlines()[5].split(",")
@@ -61,31 +43,31 @@ def test_a_stopped_exploration_goes_on_with_the_pulls_it_has_made(scene_file: Pa
         made.append(move)
         body.move(move.action(scene.limits, str(number)))
         body.observe().write(lab / f"{number:04d}/measurement")
-    found = explored(scene_file, f"folder:{lab}", run)
+    found = explored(coarse_scene, f"folder:{lab}", run)
     assert [(s["grasp"], s["direction"]) for s in found["steps"]] == [(m.grasp, m.direction) for m in made]
     # The same as one that was never stopped.
-    whole = explored(scene_file, "simulated:1,2", tmp_path / "whole")
+    whole = explored(coarse_scene, "simulated:1,2", tmp_path / "whole")
     assert [s["patches"] for s in whole["steps"]] == [pytest.approx(s["patches"], abs=1e-6) for s in found["steps"]]
     body.predictor.destroy()
 
 
-def test_predictions_are_shared_and_what_is_damaged_is_told(scene_file: Path, tmp_path: Path) -> None:
-    first = explored(scene_file, "simulated:1,2", tmp_path / "one")
-    again = explored(scene_file, "simulated:1,2", tmp_path / "two")
+def test_predictions_are_shared_and_what_is_damaged_is_told(coarse_scene: Path, tmp_path: Path) -> None:
+    first = explored(coarse_scene, "simulated:1,2", tmp_path / "one")
+    again = explored(coarse_scene, "simulated:1,2", tmp_path / "two")
     assert first["steps"][0]["predicted"] > 0
     assert sum(step["predicted"] for step in again["steps"]) == 0
     assert [s["belief"] for s in again["steps"]] == [s["belief"] for s in first["steps"]]
     with pytest.raises(InputError, match="holds a finished run"):
-        explored(scene_file, "simulated:1,2", tmp_path / "two")
+        explored(coarse_scene, "simulated:1,2", tmp_path / "two")
     stored = sorted((tmp_path / "store").glob("*/*/*.npz"))
     stored[0].write_bytes(stored[0].read_bytes()[:100])
     with pytest.raises(InputError, match="is damaged and cannot be read"):
-        explored(scene_file, "simulated:1,2", tmp_path / "three")
+        explored(coarse_scene, "simulated:1,2", tmp_path / "three")
 
 
-def test_the_way_back_is_not_computed_and_the_same(scene_file: Path) -> None:
+def test_the_way_back_is_not_computed_and_the_same(coarse_scene: Path) -> None:
     """A pull that is followed step by step to its end and back gives what half of it gives."""
-    scene = Scene.read(scene_file)
+    scene = Scene.read(coarse_scene)
     predictor = Predictor(scene, 0, MPI.COMM_SELF)
     assert scene.limits is not None
     action = moves(scene)[0].action(scene.limits)

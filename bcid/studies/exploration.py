@@ -1,0 +1,309 @@
+"""The exploration study: how many pulls does it take to know how a body is held, and are the answers as certain as they say?
+
+The setting of section 8 of Boonvisut & Cavusoglu (2014): a slab held by {1 2}, {3 4} or {1 2 3 4}, one grasp or three, six
+directions, 8 mm and back to rest, no noise and three amounts of it. Pulls chosen by information and by the paper's expected
+entropy compete with random ones and with the best single pull, repeated, in the same trials.
+
+RUN/predictions/         what every set predicts for every pull, computed first, by all ranks together
+RUN/results/NAME.json    one trial
+RUN/exploration.json  table.txt
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import product
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from bcid.collective import agree, on_root
+from bcid.errors import BcidError, InputError
+from bcid.explore.choice import Choice, Chooser
+from bcid.explore.inference import Inference
+from bcid.explore.loop import DECIDED, Plan, explore, paired
+from bcid.explore.moves import moves
+from bcid.explore.predictions import Predictor
+from bcid.explore.robots import Simulated
+from bcid.fingerprint import file_fingerprint
+from bcid.forms.model import check_physics
+from bcid.progress import Progress, Silent
+from bcid.run import Run, write_whole
+from bcid.scene import Level, Scene
+from bcid.search.farm import label
+from bcid.search.schedule import counter, share
+from bcid.search.seeds import all_candidates
+from bcid.studies.score import wilson
+
+SCENE = Path(__file__).resolve().parents[2] / "examples/scenes/slab_explain.toml"
+ANCHORS = (("1", "2"), ("3", "4"), ("1", "2", "3", "4"))
+NOISES = (0.0, 0.3e-3, 1e-3, 3e-3)
+GRASPS = (("II",), ("I", "II", "III"))
+STRATEGIES = ("information", "entropy", "random", "fixed")
+# The truth is computed with other elements than any level of the scene has.
+TRUE = Level(degree=3, element_size=0.014)
+BUDGET = 20.0
+# Of answers given at 95 %, so many shall be right.
+CALIBRATED = 0.93
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One exploration: what holds the body, how noisy it is seen, what may be used, how pulls are chosen, and its number."""
+
+    anchors: tuple[str, ...]
+    noise: float
+    grasps: tuple[str, ...]
+    strategy: str
+    number: int
+
+    @property
+    def name(self) -> str:
+        """For its file."""
+        noise = f"{self.noise * 1e6:.0f}um"
+        return f"{'-'.join(self.anchors)}_{noise}_{len(self.grasps)}_{self.strategy}_{self.number:03d}"
+
+
+def trials(count: int, noises: Sequence[float] = NOISES) -> Iterator[Trial]:
+    """Every trial; without noise one is enough of a strategy that draws nothing."""
+    for strategy, grasps, noise, anchors in product(STRATEGIES, GRASPS, noises, ANCHORS):
+        for number in range(count if noise > 0 or strategy == "random" else 1):
+            yield Trial(anchors, noise, grasps, strategy, number)
+
+
+def run_study(
+    folder: Path,
+    count: int,
+    seed: int,
+    comm: Any,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+    scene_file: Path = SCENE,
+    noises: Sequence[float] = NOISES,
+) -> Path:
+    """Run the study into a run folder; collective on `comm`. One that was interrupted goes on with the trials that have no result.
+
+    Raises:
+        InputError: the numbers, or a folder that cannot be used (see `Run.start`).
+    """
+    progress = progress or Silent()
+    for name, value, lowest in (("trials", count, 1), ("seed", seed, 0)):
+        if value < lowest:
+            raise InputError(f"--{name} {value}: must be at least {lowest}")
+    scene = on_root(comm, lambda: Scene.read(scene_file, physics=check_physics))
+    scene = (
+        replace(scene, limits=replace(scene.limits, amplitudes=scene.limits.amplitudes[:1])) if scene.limits else scene
+    )
+    run: Run | None = None
+
+    def begin() -> Path:
+        nonlocal run
+        inputs = {"trials": count, "seed": seed, "noises": list(noises), "scene": file_fingerprint(scene_file)}
+        run = Run.start(folder, "study exploration", inputs, overwrite)
+        return run.path.resolve()
+
+    path = on_root(comm, begin)
+    try:
+        _predict(scene, path / "predictions", comm, progress)
+        todo = on_root(comm, lambda: [t for t in trials(count, noises) if not _result(path, t).is_file()])
+        progress.say(f"{len(todo)} trials to go")
+        _work(scene, path, seed, todo, comm, progress)
+        on_root(comm, lambda: _conclude(run, list(trials(count, noises))))
+    except BaseException as error:
+        if run is not None:
+            run.fail(str(error) if isinstance(error, BcidError) else type(error).__name__)
+        raise
+    return folder
+
+
+def _result(path: Path, trial: Trial) -> Path:
+    return path / "results" / f"{trial.name}.json"
+
+
+def _predict(scene: Scene, store: Path, comm: Any, progress: Progress) -> None:
+    """Predict every pull with every set, once, on all ranks together."""
+    assert scene.limits is not None
+    predictor = Predictor(paired(scene, None, comm), 0, comm, store)
+    every = all_candidates(list(scene.patches))
+    for i, move in enumerate(moves(scene), start=1):
+        progress.step(f"predicting pull {i} of {len(moves(scene))} with {len(every)} sets")
+        action = move.action(scene.limits)
+        predictor.foresee([(anchors, action) for anchors in every], detailed=True)
+    predictor.destroy()
+
+
+def _work(scene: Scene, path: Path, seed: int, todo: Sequence[Trial], comm: Any, progress: Progress) -> None:
+    """Make the trials: every rank takes the next one when it is free."""
+    tickets = counter(comm)
+    bench = Bench.of(scene, path / "predictions", seed) if todo else None
+    error = None
+    for done, trial in enumerate(share(todo, tickets), start=1):
+        assert bench is not None
+        try:
+            write_whole(_result(path, trial), json.dumps(bench.make(trial), indent=1) + "\n")
+        except BcidError as caught:
+            error = caught
+            break
+        progress.step(f"{done} trials done by this rank, {len(todo)} in all")
+    tickets.close()
+    if bench is not None:
+        bench.destroy()
+    agree(comm, error)
+
+
+class Bench:
+    """Makes trials on one process, with predictions that all trials share."""
+
+    def __init__(self, scene: Scene, predictor: Any, fine: Any, truth: Any, seed: int) -> None:
+        self.scene, self.predictor, self.fine, self.truth, self.seed = scene, predictor, fine, truth, seed
+        self._first: dict[tuple[str, tuple[str, ...], float], Choice] = {}
+
+    @classmethod
+    def of(cls, scene: Scene, store: Path, seed: int) -> Bench:
+        """With predictors of a scene on this process alone."""
+        from mpi4py import MPI
+
+        ladder, true = paired(scene, None, MPI.COMM_SELF), replace(scene, levels=(TRUE,))
+        working, *fine = (Predictor(ladder, level, MPI.COMM_SELF, store) for level in range(len(ladder.levels)))
+        truth = Predictor(true, 0, MPI.COMM_SELF, store)
+        return cls(scene, working, fine[0] if fine else None, truth, seed)
+
+    def make(self, trial: Trial) -> dict[str, Any]:
+        """One trial; a robot that cannot make a pull is a result too."""
+        start = time.perf_counter()
+        before = self.predictor.evaluations
+        plan = Plan(
+            criterion=trial.strategy if trial.strategy != "fixed" else "information",
+            grasps=trial.grasps,
+            noise=trial.noise,
+            budget=BUDGET,
+            # Only what is drawn for random pulls differs from trial to trial.
+            random_state=trial.number if trial.strategy == "random" else 0,
+        )
+        scene = self.scene
+        if trial.strategy == "fixed":
+            best = self.first(replace(plan, criterion="information"), trial).move
+            assert best is not None
+            assert scene.limits is not None
+            directions = {best.direction: scene.limits.directions[best.direction]}
+            scene = replace(scene, limits=replace(scene.limits, directions=directions))
+            plan = replace(plan, grasps=(best.grasp,), look_ahead=False)
+        robot = Simulated(self.truth, trial.anchors, trial.noise, self.seed + 1000 * trial.number)
+        first = self.first(plan, trial) if trial.strategy in ("information", "entropy") else None
+        found = explore(scene, robot, plan, self.predictor, self.fine, first=first)
+        return asdict(trial) | {
+            "reason": found.reason,
+            "found": sorted(found.view.best),
+            "right": found.view.best == frozenset(trial.anchors),
+            "probability": found.view.certainty,
+            "pulls": len(found.steps),
+            "moves": [str(step.move) for step in found.steps],
+            "gained": [step.gained for step in found.steps],
+            "expected": [None if math.isnan(step.expected[0]) else step.expected[0] for step in found.steps],
+            "predicted": self.predictor.evaluations - before,
+            "seconds": round(time.perf_counter() - start, 3),
+        }
+
+    def first(self, plan: Plan, trial: Trial) -> Choice:
+        """The first choice of a strategy, which is the same in every trial."""
+        key = plan.criterion, trial.grasps, trial.noise
+        if key not in self._first:
+            inference = Inference(self.scene, self.predictor, self.fine)
+            options = plan.moves(self.scene)
+            chooser = Chooser(inference, options, plan.criterion, plan.look_ahead, plan.samples, trial.noise, 0)
+            self._first[key] = chooser.choose(inference.view(), None)
+        return self._first[key]
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        for predictor in (self.predictor, self.fine, self.truth):
+            if predictor is not None:
+                predictor.destroy()
+
+
+# -- scores
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def _conclude(run: Run | None, made: Sequence[Trial]) -> None:
+    assert run is not None
+    results = [json.loads(_result(run.path, t).read_text(encoding="utf-8")) for t in made]
+    found = scores(results)
+    run.write_json("exploration.json", found)
+    run.write_text("table.txt", table(found))
+    run.finish({"calibration": found["calibration"]})
+
+
+def scores(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """By grasps, noise and strategy: decided, right, pulls; and of all answers by information, how many are right."""
+    rows = []
+    for grasps, noise, strategy in product(GRASPS, NOISES, STRATEGIES):
+        mine = [r for r in results if (tuple(r["grasps"]), r["noise"], r["strategy"]) == (grasps, noise, strategy)]
+        if mine:
+            rows.append({"grasps": len(grasps), "noise": noise * 1e3, "strategy": strategy} | _row(mine))
+    answers = [r["right"] for r in results if r["reason"] == DECIDED and r["strategy"] in ("information", "entropy")]
+    low, high = wilson(sum(answers), len(answers))
+    calibration = {"right": sum(answers), "answers": len(answers), "low": low, "high": high, "wanted": CALIBRATED}
+    wrong = [
+        f"{label(r['anchors'], r['anchors'])} taken for {label(r['found'], r['found'])}"
+        for r in results
+        if not r["right"]
+    ]
+    return {
+        "trials": len(results),
+        "rows": rows,
+        "calibration": calibration,
+        "wrong": {w: wrong.count(w) for w in sorted(set(wrong))},
+    }
+
+
+def _row(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    decided = [r for r in results if r["reason"] == DECIDED]
+    return {
+        "trials": len(results),
+        "decided": len(decided),
+        "right": sum(r["right"] for r in results),
+        "falsely_certain": sum(not r["right"] for r in decided),
+        # Who does not decide has used all that was allowed, and would need more.
+        "pulls": median(r["pulls"] if r["reason"] == DECIDED else BUDGET for r in results),
+        "predicted": sum(r["predicted"] for r in results),
+        "seconds": median(r["seconds"] for r in results),
+    }
+
+
+def table(found: Mapping[str, Any]) -> str:
+    """The scores as text."""
+    lines = [f"Exploration study: {found['trials']} trials, anchors {{1 2}}, {{3 4}}, {{1 2 3 4}}", ""]
+    head = f"{'grasps':>6}{'noise':>8}  {'strategy':12}{'trials':>7}{'right':>7}{'decided':>9}{'falsely':>9}"
+    lines.append(f"{head}{'pulls':>7}{'random needs':>14}{'seconds':>9}")
+    for row in found["rows"]:
+        random = [
+            r["pulls"]
+            for r in found["rows"]
+            if (r["grasps"], r["noise"], r["strategy"]) == (row["grasps"], row["noise"], "random")
+        ]
+        ratio = f"{random[0] / row['pulls']:.2g} times" if random and row["strategy"] != "random" else "-"
+        lines.append(
+            f"{row['grasps']:>6}{row['noise']:>6.1f}mm  {row['strategy']:12}{row['trials']:>7}"
+            f"{row['right'] / row['trials']:>7.0%}{row['decided']:>9}{row['falsely_certain']:>9}"
+            f"{row['pulls']:>7g}{ratio:>14}{row['seconds']:>9.2f}"
+        )
+    c = found["calibration"]
+    if c["answers"]:
+        lines += [
+            "",
+            f"Of {c['answers']} answers at 95 % (information, entropy) {c['right'] / c['answers']:.1%} are right "
+            f"({c['low']:.1%} to {c['high']:.1%}; wanted {c['wanted']:.0%})",
+        ]
+    if found["wrong"]:
+        lines += ["", "Wrong, decided or not:", *(f"  {text}: {count}" for text, count in found["wrong"].items())]
+    lines += [
+        "",
+        "right: the likeliest set at the end; decided: with 95 %; falsely: of these, wrong; pulls: median to the decision,",
+        f"{BUDGET:g} where there was none; random needs: pulls of random choice over those of the strategy.",
+    ]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,99 @@
+"""The exploration study: its trials, made on a body that is made up, and its scores."""
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mpi4py import MPI
+from test_explore import AXES, LIMITS, MadeUp, by_count, scene
+
+from bcid.studies.exploration import ANCHORS, STRATEGIES, Bench, Trial, run_study, scores, table, trials
+
+
+def bench() -> Bench:
+    body = MadeUp(scene("1234", replace(LIMITS, directions=AXES), grasps=""), by_count)
+    body.scene = replace(body.scene, grasps=scene(grasps=("I", "II", "III")).grasps)  # type: ignore[arg-type]
+    return Bench(body.scene, body, None, body, 0)
+
+
+def test_every_trial_has_a_name_of_its_own() -> None:
+    every = list(trials(3))
+    assert len({trial.name for trial in every}) == len(every)
+    settings = {(t.anchors, t.grasps) for t in every}
+    assert len(settings) == 2 * len(ANCHORS)
+    # Nothing is drawn without noise but by random choice.
+    quiet = [t for t in every if t.noise == 0]
+    assert sum(t.strategy == "random" for t in quiet) == 3 * len(settings)
+    assert sum(t.strategy == "information" for t in quiet) == len(settings)
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_a_trial_finds_the_anchors(strategy: str) -> None:
+    made = bench().make(Trial(("1", "2"), 0.3e-3, ("II",), strategy, 4))
+    assert made["right"]
+    assert made["reason"] == "decided"
+    assert made["pulls"] == len(made["moves"]) == len(made["gained"])
+    if strategy == "fixed":
+        assert len(set(made["moves"])) == 1
+    if strategy != "random":
+        assert made["moves"][0].startswith("grasp II along +x")
+
+
+def test_trials_of_the_same_number_are_the_same() -> None:
+    trial = Trial(("3", "4"), 3e-3, ("I", "II", "III"), "random", 7)
+    one, again = bench().make(trial), bench().make(trial)
+    assert one | {"seconds": 0} == again | {"seconds": 0}
+    other = bench().make(replace(trial, number=8))
+    assert one["moves"] != other["moves"] or one["gained"] != other["gained"]
+
+
+def test_a_study_that_was_stopped_goes_on(tmp_path: Path, coarse_scene: Path) -> None:
+    """Trials that are there are not made again, and the table counts them all."""
+
+    def run() -> dict[str, Any]:
+        run_study(tmp_path / "study", 1, 0, MPI.COMM_SELF, scene_file=coarse_scene, noises=(3e-3,))
+        found: dict[str, Any] = json.loads((tmp_path / "study/exploration.json").read_text(encoding="utf-8"))
+        return found
+
+    whole = run()
+    files = sorted((tmp_path / "study/results").glob("*.json"))
+    assert len(files) == whole["trials"] == 24
+    kept = [file.read_text(encoding="utf-8") for file in files]
+    record = json.loads((tmp_path / "study/run.json").read_text(encoding="utf-8"))
+    (tmp_path / "study/run.json").write_text(json.dumps(record | {"state": "running"}), encoding="utf-8")
+    for file in files[:3]:
+        file.unlink()
+    again = run()
+    assert [file.read_text(encoding="utf-8") for file in files[3:]] == kept[3:]
+    for file, text in zip(files[:3], kept[:3], strict=True):
+        assert without_time(json.loads(file.read_text(encoding="utf-8"))) == without_time(json.loads(text))
+    assert again["calibration"] == whole["calibration"]
+    assert sum(row["right"] for row in whole["rows"]) > 12
+
+
+def without_time(made: dict[str, Any]) -> dict[str, Any]:
+    """A trial without what differs when predictions are on disk already."""
+    return {key: value for key, value in made.items() if key not in ("seconds", "predicted")}
+
+
+def result(strategy: str, pulls: int, right: bool = True, reason: str = "decided") -> dict[str, Any]:
+    trial = asdict(Trial(("1", "2"), 1e-3, ("II",), strategy, 0))
+    found = ["1", "2"] if right else ["1"]
+    return trial | {"reason": reason, "found": found, "right": right, "pulls": pulls, "predicted": 3, "seconds": 0.5}
+
+
+def test_scores_count_what_is_right_decided_and_falsely_certain() -> None:
+    results = [result("information", 2), result("information", 4, False), result("information", 3, False, "budget")]
+    results += [result("random", 5), result("random", 20, True, "inseparable")]
+    found = scores(results)
+    rows = {row["strategy"]: row for row in found["rows"]}
+    told = rows["information"]
+    assert (told["trials"], told["decided"], told["right"], told["falsely_certain"]) == (3, 2, 1, 1)
+    # No decision counts as the whole budget.
+    assert told["pulls"] == 4
+    assert rows["random"]["pulls"] == 12.5
+    assert (found["calibration"]["right"], found["calibration"]["answers"]) == (1, 2)
+    assert found["wrong"] == {"{1 2} taken for {1}": 2}
+    assert "3.1 times" in table(found)
