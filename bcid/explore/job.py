@@ -17,7 +17,6 @@ from bcid.explore.loop import BUDGET, DECIDED, INSEPARABLE, UNEXPLAINED, Explora
 from bcid.explore.moves import Move
 from bcid.explore.predictions import Predictor
 from bcid.explore.robots import Folder, Robot, Simulated
-from bcid.fingerprint import file_fingerprint, fingerprint
 from bcid.forms.forward import check_geometry
 from bcid.forms.model import check_physics
 from bcid.forms.patches import divided
@@ -26,6 +25,7 @@ from bcid.progress import Progress, Silent
 from bcid.run import Run
 from bcid.scene import Scene
 from bcid.search.farm import label
+from bcid.search.job import scene_fingerprint
 from bcid.units import percent
 
 SIMULATED, FOLDER = "simulated", "folder"
@@ -64,12 +64,7 @@ def run_exploration(
     kind, about = _robot_kind(robot, scene)
     ladder = paired(scene, plan.level, comm)
     check_geometry(ladder, 0, comm)
-    content = {key: value for key, value in asdict(scene).items() if key not in ("geometry", "source", "description")}
-    inputs = {
-        "scene": fingerprint({"scene": content, "geometry": file_fingerprint(scene.geometry)}),
-        "robot": robot,
-        "plan": asdict(plan),
-    }
+    inputs = {"scene": scene_fingerprint(scene), "robot": robot, "plan": asdict(plan)}
     run: Run | None = None
 
     def begin() -> list[tuple[Move, Measurement]]:

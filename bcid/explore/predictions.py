@@ -9,7 +9,7 @@ import json
 import math
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from bcid.collective import agree, in_turns, on_root
 from bcid.errors import BcidError, InputError
-from bcid.fingerprint import file_fingerprint, fingerprint
+from bcid.fingerprint import fingerprint
 from bcid.forms.forward import Forward
 from bcid.forms.mesh import level_mesh
 from bcid.forms.model import Model
@@ -29,6 +29,7 @@ from bcid.forms.trajectory import poses
 from bcid.measurement import Action
 from bcid.run import writing
 from bcid.scene import Scene
+from bcid.search.job import scene_fingerprint
 from bcid.search.schedule import counter, share
 
 Array = NDArray[np.float64]
@@ -95,12 +96,10 @@ class Predictor:
         self._known: dict[tuple[str, Anchored], Foreseen] = {}
         self._forward: Forward | None = None
         self._read: set[str] = set()
-        content = {k: v for k, v in asdict(scene).items() if k not in ("geometry", "source", "description", "limits")}
-        name = {"scene": content, "geometry": file_fingerprint(scene.geometry), "level": level}
-        numbers = {d.label: dict(d.values) for d in self.model.doses}
-        self._folder = (
-            None if store is None else store / fingerprint(name | {"model": self.model.name, "values": numbers})
-        )
+        # What a robot may do changes no prediction.
+        about = {"scene": scene_fingerprint(replace(scene, limits=None)), "level": level, "model": self.model.name}
+        about |= {"values": {dose.label: dict(dose.values) for dose in self.model.doses}}
+        self._folder = None if store is None else store / fingerprint(about)
 
     def foresee(self, tasks: Iterable[Task], detailed: bool = False) -> list[Foreseen]:
         """Predictions, in order; `detailed` with force, strain and softness. Each is computed once."""

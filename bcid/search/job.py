@@ -83,12 +83,14 @@ def read_inputs(scene_file: Path, measurement_file: Path, comm: Any) -> tuple[Sc
 
 
 def fingerprints(scene: Scene, measurement: Measurement) -> dict[str, Any]:
-    """Fingerprints of scene (with its geometry) and measurement, as run folders hold them: not where the files lie."""
+    """Fingerprints of scene and measurement, as run folders hold them."""
+    return {"scene": scene_fingerprint(scene), "measurement": measurement.fingerprint()}
+
+
+def scene_fingerprint(scene: Scene) -> str:
+    """Fingerprint of a scene with its geometry: not of where the files lie."""
     content = {key: value for key, value in asdict(scene).items() if key not in ("geometry", "source", "description")}
-    return {
-        "scene": fingerprint({"scene": content, "geometry": file_fingerprint(scene.geometry)}),
-        "measurement": measurement.fingerprint(),
-    }
+    return fingerprint({"scene": content, "geometry": file_fingerprint(scene.geometry)})
 
 
 def _keeper(run: Run | None, comm: Any) -> Callable[[list[Outcome]], None]:
