@@ -430,7 +430,9 @@ def _add_study(commands: Any) -> None:
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the cases (0)")
     parser.add_argument("--trials", type=int, default=30, metavar="N", help="of each setting of exploration (30)")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes at a time (2)")
-    parser.add_argument("--limit", type=float, default=900.0, metavar="SECONDS", help="time limit of a case (900)")
+    parser.add_argument(
+        "--limit", type=float, default=900.0, metavar="SECONDS", help="CPU seconds that a case may take (900)"
+    )
     parser.add_argument(
         "--least", type=float, default=0.5, metavar="SIZE", help="of an effect, in units of noise (0.5)"
     )

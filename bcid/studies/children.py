@@ -18,6 +18,8 @@ from bcid.forms.mesh import child_environment
 # What a child said last is told when it died.
 _LAST_LINES = 3
 _POLL = 0.05
+# A child that does not use its CPU seconds is waited for so many times the limit.
+_PATIENCE = 4.0
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,8 @@ class _Child:
 def supervise(tasks: Sequence[Task], jobs: int, limit: float, ended: Callable[[Task, Ended], None]) -> None:
     """Run every task in a process of its own, `jobs` at a time; `ended` is called as each ends.
 
-    A child that takes longer than `limit` (s) is killed. SIGINT and SIGTERM kill all and raise `KeyboardInterrupt`; when
+    A child that uses more than `limit` CPU seconds is killed, so that what else runs on the machine changes no outcome; so is
+    one that takes `_PATIENCE` times as long without. SIGINT and SIGTERM kill all and raise `KeyboardInterrupt`; when
     this process is killed the children notice and end themselves (see `end_with_parent`).
     """
     waiting, running = list(reversed(tasks)), list[_Child]()
@@ -86,16 +89,28 @@ def _start(task: Task) -> _Child:
 
 def _outcome(child: _Child, limit: float) -> Ended | None:
     code, seconds = child.process.poll(), time.monotonic() - child.began
-    if code is None and seconds < limit:
+    over = code is None and _cpu_seconds(child.process.pid) > limit
+    if code is None and not over and seconds < _PATIENCE * limit:
         return None
     _kill(child)
     if code is None:
-        return Ended("timeout", f"took more than {limit:.0f} s", seconds)
+        text = f"took more than {limit:.0f} CPU s" if over else f"was not done after {_PATIENCE * limit:.0f} s"
+        return Ended("timeout", text, seconds)
     if code == 0:
         return Ended("done", "", seconds)
     lines = child.task.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
     died = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"
     return Ended("failed", "; ".join([f"the process {died}", *lines[-_LAST_LINES:]]), seconds)
+
+
+def _cpu_seconds(process: int) -> float:
+    """CPU seconds of a process, and of those that it has started and waited for; 0 where that cannot be told."""
+    try:
+        # The name of the program, in brackets, may hold spaces: what follows it are numbers.
+        fields = Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
 
 
 def _kill(child: _Child) -> None:

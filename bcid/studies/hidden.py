@@ -37,7 +37,7 @@ class Options:
         cases: how many.
         seed: of the cases; case i is the same whatever their number.
         jobs: processes at a time.
-        limit: time limit of a case, s.
+        limit: CPU seconds that a case may take.
         least: size that effects are drawn from, in units of noise; the largest is 10.
         make, diagnose: functions as "module:name": `bcid.studies.truth.make` and the diagnosis.
     """

@@ -23,7 +23,7 @@ def make(folder: Path, seed: int, index: int, scene: Path, least: float) -> None
 def diagnose(
     scene: Path, measurement: Path, folder: Path, options: Any, comm: Any, progress: Any, overwrite: bool
 ) -> Path:
-    """Case 1 raises, case 3 dies, case 5 hangs."""
+    """Case 1 raises, case 3 dies, case 5 hangs, case 6 computes for ever."""
     assert measurement.is_dir()
     assert not list(measurement.iterdir())
     index = int(measurement.parent.name)
@@ -33,6 +33,8 @@ def diagnose(
         raise ValueError("no such thing")
     if index == 3:
         os.abort()
+    while index == 6:
+        pass
     time.sleep(600.0 if index == 5 else float(os.environ.get(SLEEP, "0")))
     answer = {"adequate": True, "verdict": "none", "anchored": ["1"], "ranking": [], "noise_rms": 0.2}
     write_whole(folder / "diagnosis.json", json.dumps(answer | {"held_out_rms": 0.2}))

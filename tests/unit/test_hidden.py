@@ -217,19 +217,21 @@ def read(run: Path, index: int) -> dict[str, Any]:
 
 @pytest.mark.timeout(120)
 def test_what_fails_is_recorded_and_stops_nothing(tmp_path: Path, calls: Path) -> None:
-    run = run_hidden(tmp_path / "run", options(6, limit=8.0))
-    assert [read(run, i)["state"] for i in range(6)] == ["done", "failed", "done", "failed", "done", "timeout"]
+    run = run_hidden(tmp_path / "run", options(7, limit=3.0))
+    states = [read(run, i)["state"] for i in range(7)]
+    assert states == ["done", "failed", "done", "failed", "done", "timeout", "timeout"]
     assert read(run, 1)["reason"] == "diagnosis: ValueError: no such thing"
     assert "signal 6" in read(run, 3)["reason"]
-    assert read(run, 5)["reason"] == "took more than 8 s"
+    assert read(run, 5)["reason"] == "was not done after 12 s"
+    assert read(run, 6)["reason"] == "took more than 3 CPU s"
     assert read(run, 5)["truth"]["anchored"] == ["1"]
     found = json.loads((run / "hidden.json").read_text())
-    assert found["states"] == {"done": 3, "failed": 2, "timeout": 1}
+    assert found["states"] == {"done": 3, "failed": 2, "timeout": 2}
     assert found["rates"]["adequate"]["met"] == 3
     assert "no such thing" in (run / "table.txt").read_text()
     assert (run / "degradation.png").stat().st_size > 1000
     with pytest.raises(InputError, match="finished"):
-        run_hidden(run, options(6, limit=8.0))
+        run_hidden(run, options(7, limit=3.0))
 
 
 def start(run: Path, count: int) -> subprocess.Popen[bytes]:
