@@ -5,30 +5,32 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import signal
 import sys
 import traceback
 from collections.abc import Callable
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from bcid import __version__
-from bcid.errors import BcidError, InputError
-from bcid.progress import Lines, Progress, Silent
+from bcid.commands import (
+    bench,
+    check_effect,
+    compare,
+    complain,
+    demo,
+    diagnose,
+    explain,
+    explore,
+    fit,
+    identify,
+    simulate,
+    study,
+)
+from bcid.errors import BcidError
 
-DEMO_SCENE = "examples/scenes/slab_explain.toml"
-DEMO_MEASUREMENT = "examples/measurements/slab-34-heavy"
-# The project's folder, where bcid runs from a checkout.
-_PROJECT = Path(__file__).resolve().parents[1]
-# The module of `bcid.report` that draws what a command found.
-_PICTURES = dict.fromkeys(("compare", "diagnose", "fit", "explain"), "diagnosis") | {
-    "identify": "identification",
-    "explore": "exploration",
-}
 # Commands without MPI in this process, for they start others that are jobs of their own; what becomes of an interrupted one.
 _WITHOUT_MPI = {
     "bench": "what was measured before is in bench.json",
@@ -78,7 +80,7 @@ def main(argv: list[str] | None = None) -> int:
         return 0
     except BcidError as error:
         if comm.rank == 0:
-            _complain(error)
+            complain(error)
         return error.exit_code
     except BaseException:
         traceback.print_exc()
@@ -91,23 +93,18 @@ def _run_without_mpi(arguments: argparse.Namespace) -> int:
         arguments.run(arguments)
         return 0
     except KeyboardInterrupt:
-        _complain(f"interrupted; {_WITHOUT_MPI[arguments.command]}")
+        complain(f"interrupted; {_WITHOUT_MPI[arguments.command]}")
         return 128 + signal.SIGINT
     except BcidError as error:
-        _complain(error)
+        complain(error)
         return error.exit_code
-
-
-def _complain(text: object) -> None:
-    """Say on standard error what went wrong."""
-    print(f"bcid: {text}", file=sys.stderr, flush=True)
 
 
 def _communicator() -> Any:
     try:
         from mpi4py import MPI
     except ImportError:
-        _complain("mpi4py and DOLFINx are not installed here; `bcid doctor` tells what is missing")
+        complain("mpi4py and DOLFINx are not installed here; `bcid doctor` tells what is missing")
         raise SystemExit(3) from None
     return MPI.COMM_WORLD
 
@@ -115,7 +112,7 @@ def _communicator() -> Any:
 def _interrupted(comm: Any, number: int, _frame: object) -> None:
     """End at once: an exception inside a PETSc callback would be taken for a failed solve. Runs resume from what they kept."""
     if comm.rank == 0:
-        _complain("interrupted; the same command goes on where it was")
+        complain("interrupted; the same command goes on where it was")
     if comm.size > 1:
         comm.Abort(128 + number)
     os._exit(128 + number)
@@ -437,286 +434,6 @@ def _add_study(commands: Any) -> None:
         "--least", type=float, default=0.5, metavar="SIZE", help="of an effect, in units of noise (0.5)"
     )
     _add_output(parser, picture=False)
-
-
-# -- commands
-# ------------------------------------------------------------------------------------------------------------------
-
-
-def demo(arguments: argparse.Namespace, comm: Any) -> None:
-    """`bcid demo`."""
-    scene, measurement = _PROJECT / DEMO_SCENE, _PROJECT / DEMO_MEASUREMENT
-    if not scene.exists():
-        raise InputError(f"{scene}: is missing; `bcid demo` needs the project's folder with its examples")
-    progress = _progress(arguments, comm.rank)
-    progress.say("a soft slab was pulled five times; which patches hold it, and what does the plain model lack?")
-    progress.say("searching the anchors with the plain model first")
-    folder = _explained(scene, measurement, arguments, comm, progress)
-    if comm.rank > 0:
-        return
-    if not arguments.no_picture:
-        _draw(folder, progress)
-    from bcid.report.diagnosis import falling
-
-    found = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
-    print("\n" + (folder / "summary.txt").read_text(encoding="utf-8").split("\n\n")[0])
-    print(f"{falling(found)}\n\nrun folder: {folder} (summary.txt tells more)", flush=True)
-
-
-def _progress(arguments: argparse.Namespace, rank: int) -> Progress:
-    """What a command speaks through. One for each command: its lines count the seconds since it was made."""
-    return Silent() if arguments.quiet or rank > 0 else Lines()
-
-
-def identify(arguments: argparse.Namespace, comm: Any) -> None:
-    """`bcid identify`."""
-    from bcid.search.identify import Options
-    from bcid.search.job import run_identification
-    from bcid.search.termination import Termination
-
-    options = Options(
-        certify=arguments.certify,
-        seeds=arguments.seeds,
-        random_state=arguments.random_state,
-        coarsest=arguments.coarsest,
-        finest=arguments.finest,
-        climbed=arguments.climbed,
-        start=arguments.start,
-        threshold=arguments.threshold,
-        toggles=arguments.toggles,
-        termination=Termination(arguments.fit, arguments.patience, arguments.budget),
-    )
-    scene, measurement, output = arguments.scene, arguments.measurement, arguments.output
-    progress = _progress(arguments, comm.rank)
-    folder = run_identification(
-        scene, measurement, output, options, comm, progress, arguments.overwrite, arguments.refine
-    )
-    _finish(folder, arguments, comm, progress)
-
-
-def _finish(folder: Path, arguments: argparse.Namespace, comm: Any, progress: Progress) -> None:
-    """Print the result and draw it."""
-    if comm.rank > 0:
-        return
-    _print_result(folder, "summary.txt")
-    if not arguments.no_picture:
-        _draw(folder, progress)
-
-
-def _print_result(folder: Path, file: str) -> None:
-    print((folder / file).read_text(encoding="utf-8").rstrip())
-    print(f"\nrun folder: {folder}", flush=True)
-
-
-def _draw(folder: Path, progress: Progress) -> None:
-    """Pictures are a view of the run: what stops them must not take the result along."""
-    try:
-        from bcid.run import Run
-
-        kind = _PICTURES[Run.open(folder).record["command"]]
-        for file in import_module(f"bcid.report.{kind}").draw(folder):
-            progress.say(f"wrote {file}")
-    except ImportError as error:
-        _complain(f"no picture: {error.name} is not installed (the extra 'report')")
-    except Exception as error:
-        _complain(f"no picture: {error}")
-
-
-def compare(arguments: argparse.Namespace, comm: Any) -> None:
-    """`bcid compare`."""
-    from bcid.compare.job import run_compare
-
-    progress = _progress(arguments, comm.rank)
-    common = _common(arguments, comm, progress)
-    folder = run_compare(arguments.run_folder, _beside(arguments, "compare"), **common)
-    _finish(folder, arguments, comm, progress)
-
-
-def diagnose(arguments: argparse.Namespace, comm: Any) -> None:
-    """`bcid diagnose`."""
-    from bcid.compare.job import run_diagnose
-
-    progress = _progress(arguments, comm.rank)
-    common = _common(arguments, comm, progress) | {"files": arguments.effects, "only": _listed(arguments.only)}
-    folder = run_diagnose(arguments.run_folder, _beside(arguments, "diagnose"), **common)
-    _finish(folder, arguments, comm, progress)
-
-
-def fit(arguments: argparse.Namespace, comm: Any) -> None:
-    """`bcid fit`."""
-    from bcid.compare.job import run_fit
-
-    if not (arguments.add or arguments.free):
-        raise InputError("fit: nothing to do; name an effect with --add (as --add gravity) or a number with --free")
-    chosen = {name: getattr(arguments, name) for name in ("add", "free", "fixed")}
-    progress = _progress(arguments, comm.rank)
-    common = _common(arguments, comm, progress) | {"files": arguments.effects}
-    folder = run_fit(arguments.run_folder, arguments.output, **common, **chosen)
-    _finish(folder, arguments, comm, progress)
-
-
-def explain(arguments: argparse.Namespace, comm: Any) -> None:
-    """`bcid explain`."""
-    if arguments.most < 1:
-        raise InputError(f"--most {arguments.most}: must be at least 1")
-    progress = _progress(arguments, comm.rank)
-    folder = _explained(arguments.scene, arguments.measurement, arguments, comm, progress)
-    _finish(folder, arguments, comm, progress)
-
-
-def _explained(scene: Path, measurement: Path, arguments: argparse.Namespace, comm: Any, progress: Progress) -> Path:
-    """Run the whole loop; returns the run folder."""
-    from bcid.compare.explain import Plan
-    from bcid.compare.job import run_explain
-
-    only = _listed(getattr(arguments, "only", None))
-    plan = Plan(getattr(arguments, "level", None), getattr(arguments, "most", Plan.effects), only=only)
-    files = getattr(arguments, "effects", [])
-    return run_explain(scene, measurement, arguments.output, plan, comm, progress, arguments.overwrite, files)
-
-
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())
-
-
-def _listed(text: str | None) -> tuple[str, ...] | None:
-    """Names of effects separated by commas; None where the option is not given."""
-    if text is None:
-        return None
-    names = _names(text)
-    if not names:
-        raise InputError(f"--only '{text}': names no effect; give some, as --only gravity,soft_anchor")
-    return names
-
-
-def _beside(arguments: argparse.Namespace, command: str) -> Path:
-    run: Path = arguments.run_folder
-    output: Path = arguments.output or run.with_name(f"{run.resolve().name}-{command}")
-    return output
-
-
-def _common(arguments: argparse.Namespace, comm: Any, progress: Progress) -> dict[str, Any]:
-    """What all jobs on a run take."""
-    return {"comm": comm, "progress": progress, "overwrite": arguments.overwrite, "level": arguments.level}
-
-
-def explore(arguments: argparse.Namespace, comm: Any) -> None:
-    """`bcid explore`."""
-    from bcid.explore.job import run_exploration
-    from bcid.explore.loop import Plan
-
-    if not arguments.wait > 0:
-        raise InputError(f"--wait {arguments.wait:g}: must be a positive number of seconds")
-    plan = Plan(
-        confidence=arguments.confidence,
-        budget=arguments.budget,
-        criterion=arguments.criterion,
-        look_ahead=not arguments.no_look_ahead,
-        grasps=None if arguments.grasps is None else _names(arguments.grasps),
-        level=arguments.level,
-        noise=_noise(arguments.noise),
-        samples=arguments.samples,
-        random_state=_random_state(arguments.random_state),
-    )
-    progress = _progress(arguments, comm.rank)
-    folder = run_exploration(
-        arguments.scene,
-        arguments.robot,
-        arguments.output,
-        plan,
-        comm,
-        progress,
-        arguments.overwrite,
-        arguments.store,
-        arguments.wait,
-    )
-    _finish(folder, arguments, comm, progress)
-
-
-def _noise(text: str | None) -> float | None:
-    """A standard deviation, m; None where the option is not given."""
-    from bcid.units import quantity
-
-    noise = None if text is None else quantity(text, "m")
-    if noise is not None and noise < 0:
-        raise InputError(f"--noise '{text}': must not be negative")
-    return noise
-
-
-def _random_state(number: int) -> int:
-    if number < 0:
-        raise InputError(f"--random-state {number}: must be at least 0")
-    return number
-
-
-def simulate(arguments: argparse.Namespace, comm: Any) -> None:
-    """`bcid simulate`."""
-    from bcid.collective import on_root
-    from bcid.forms.model import check_physics
-    from bcid.forms.simulate import simulate as make
-    from bcid.measurement import Measurement
-    from bcid.motions import motion
-    from bcid.scene import Scene
-
-    if arguments.output.exists():
-        raise InputError(f"{arguments.output}: exists already; choose another folder or remove it")
-    scene = on_root(comm, lambda: Scene.read(arguments.scene, physics=check_physics))
-    anchors = _names(arguments.anchors)
-    noise, random_state = _noise(arguments.noise), _random_state(arguments.random_state)
-    if arguments.level is not None and not 0 <= arguments.level < len(scene.levels):
-        raise InputError(f"--level {arguments.level}: the scene has levels 0 to {len(scene.levels) - 1}")
-    if arguments.like and arguments.grasp:
-        raise InputError("--grasp: a measurement given with --like names its grasps itself; leave one of the two out")
-    times = None
-    if arguments.like:
-        like = on_root(comm, lambda: Measurement.read(arguments.like))
-        like.check(scene)
-        actions, times = like.actions, like.data["time"].values
-    else:
-        grasps = list(scene.grasps)
-        if not grasps:
-            raise InputError(f"scene {scene.source} has no grasp: use --like with a measurement without one")
-        actions = motion(arguments.motion, arguments.grasp or grasps[len(grasps) // 2])
-    progress = _progress(arguments, comm.rank)
-    progress.say(f"simulating {len(actions)} action(s), {sum(len(a) for a in actions)} steps")
-    made = make(scene, anchors, actions, arguments.level, noise, random_state, comm, None, arguments.wrench, times)
-    on_root(comm, lambda: made.write(arguments.output))
-    if comm.rank == 0:
-        print(f"{arguments.output}: {len(made.positions)} frames of {len(made.fiducial_names)} fiducials")
-
-
-def check_effect(arguments: argparse.Namespace, comm: Any) -> None:
-    """`bcid check-effect`."""
-    from bcid.forms.check_effect import check_effect as check
-
-    check(arguments.effect, comm, lambda text: print(text, flush=True) if comm.rank == 0 else None)
-
-
-def bench(arguments: argparse.Namespace) -> None:
-    """`bcid bench`."""
-    if not (_PROJECT / "benchmarks" / "bench.py").exists():
-        raise InputError(f"{_PROJECT / 'benchmarks'}: is missing; `bcid bench` needs the project's folder (a checkout)")
-    if str(_PROJECT) not in sys.path:
-        sys.path.insert(0, str(_PROJECT))
-    import_module("benchmarks.bench").run(arguments.parts, arguments.output, arguments.quick)
-
-
-def study(arguments: argparse.Namespace, comm: Any = None) -> None:
-    """`bcid study`."""
-    if arguments.study == "exploration":
-        from bcid.studies.exploration import run_study
-
-        progress = _progress(arguments, comm.rank)
-        folder = run_study(arguments.output, arguments.trials, arguments.seed, comm, progress, arguments.overwrite)
-        if comm.rank == 0:
-            _print_result(folder, "table.txt")
-        return
-    from bcid.studies.hidden import Options, run_hidden
-
-    options = Options(arguments.cases, arguments.seed, arguments.jobs, arguments.limit, arguments.least)
-    progress = _progress(arguments, 0)
-    folder = run_hidden(arguments.output, options, progress=progress, overwrite=arguments.overwrite)
-    _print_result(folder, "table.txt")
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from bcid import cli
+from bcid import cli, commands
 from bcid.errors import MachineError
 from bcid.progress import Lines
 
@@ -205,8 +205,8 @@ def test_a_command_counts_the_seconds_from_its_start(
         drawn.append(folder)
 
     monkeypatch.setattr(job, done)
-    monkeypatch.setattr(cli, "Lines", counted)
-    monkeypatch.setattr(cli, "_draw", draw)
+    monkeypatch.setattr(commands, "Lines", counted)
+    monkeypatch.setattr(commands, "_draw", draw)
     assert cli.main([command, *arguments]) == 0
     assert len(made) == 1
     assert drawn == [tmp_path]

@@ -24,7 +24,8 @@ ALLOWED = {
     "report": BASE | {"run", "report"},
     "doctor": BASE | {"doctor"},
     "studies": DATA | {"forms", "search", "compare", "explore", "studies"},
-    "cli": DATA | {"forms", "search", "compare", "explore", "studies", "report", "doctor", "cli"},
+    "commands": DATA | {"forms", "search", "compare", "explore", "studies", "report", "commands"},
+    "cli": BASE | {"motions", "doctor", "commands", "cli"},
     "__main__": {"cli"},
 }
 
