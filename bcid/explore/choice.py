@@ -233,7 +233,7 @@ class Chooser:
         for grasp in dict.fromkeys(o.move.grasp for o in options):
             action = small_action(grasp, _SMALL * limits.displacement)
             found = self.inference.predictor.foresee([(a, action) for a in sets])
-            responses[grasp] = np.array([np.nan_to_num(f.positions[1:] - rest) for f in found]) / (
+            responses[grasp] = np.array([np.nan_to_num(f.positions[1:] - f.positions[:1]) for f in found]) / (
                 _SMALL * limits.displacement
             )
         result = []

@@ -181,11 +181,17 @@ class Inference:
         if self.fine is not None and rough:
             finely = self.fine.foresee((a, self.pulls[i].action) for i, a in rough)
             for (i, a), foreseen in zip(rough, finely, strict=True):
-                error = MeshError.between(self._foreseen[i][a].positions, foreseen.positions, self._gain)
-                self._meshed[i][a] = Meshed(error.correction, error.rms)
+                self._meshed[i][a] = self._mesh_error(i, a, foreseen)
                 self._compared.pop(i, None)
             return True
         return bool(soft)
+
+    def _mesh_error(self, pull: int, anchors: Anchored, finely: Foreseen) -> Meshed:
+        """From the predictions of both levels; where the fine one fails the working one may be anywhere."""
+        if finely.failed:
+            return Meshed(np.zeros((1, 1, 1)), _ANYWHERE * self.pulls[pull].motion)
+        error = MeshError.between(self._foreseen[pull][anchors].positions, finely.positions, self._gain)
+        return Meshed(error.correction, error.rms)
 
     def _contending(self, view: View) -> list[Anchored]:
         likely = [a for a, p in view.probabilities.items() if p > _CONTENDS]

@@ -104,7 +104,10 @@ class Predictor:
     def foresee(self, tasks: Iterable[Task], detailed: bool = False) -> list[Foreseen]:
         """Predictions, in order; `detailed` with force, strain and softness. Each is computed once."""
         tasks = list(tasks)
-        names = {id(action): key_of(action) for _, action in {id(a): (s, a) for s, a in tasks}.values()}
+        names = {
+            id(action): key_of(action, bool(self.model.doses))
+            for _, action in {id(a): (s, a) for s, a in tasks}.values()
+        }
         keys = [(names[id(action)], anchors) for anchors, action in tasks]
         for key in dict.fromkeys(key for key, _ in keys):
             self._load(key)
@@ -209,17 +212,21 @@ def _entries(file: Path) -> list[tuple[Anchored, Foreseen]]:
         raise InputError(f"{file}: is damaged and cannot be read ({error}); remove it, it is computed again") from None
 
 
-def key_of(action: Action) -> str:
-    """Fingerprint of a motion: grasp, poses to the nanometre, loads; not its name or its clock."""
+def key_of(action: Action, timed: bool = False) -> str:
+    """Fingerprint of a motion: grasp, poses to the nanometre, loads, and if it is `timed` its clock; not its name."""
     loads = {place: np.round(load, 9) for place, load in action.loads.items()}
     # Adding zero makes one of the two zeros of the other.
     content = {"translation": np.round(action.translation, 9) + 0.0, "rotation": np.round(action.rotation, 9) + 0.0}
-    return fingerprint(content | {"grasp": action.grasp, "loads": loads})
+    clock = np.round(action.clock, 9) if timed else None
+    return fingerprint(content | {"grasp": action.grasp, "loads": loads, "clock": clock})
 
 
 def predicted(forward: Forward, anchors: Anchored, action: Action, detailed: bool) -> Foreseen:
-    """Predict an action of an anchor set on this process; a way back that repeats the way there is not computed."""
-    count = len(action) if forward.model.remembers else _turning(action)
+    """Predict an action of an anchor set on this process.
+
+    A way back that repeats the way there is not computed, but with effects: some depend on time, or remember.
+    """
+    count = len(action) if forward.model.doses else _turning(action)
     there = replace(
         action,
         frames=np.arange(count),

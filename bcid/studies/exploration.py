@@ -15,6 +15,7 @@ import json
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -22,11 +23,11 @@ from statistics import median
 from typing import Any
 
 from bcid.collective import agree, on_root
-from bcid.errors import BcidError, InputError
+from bcid.errors import BcidError, InputError, SolveError
 from bcid.explore.choice import Choice, Chooser
 from bcid.explore.inference import Inference
 from bcid.explore.loop import DECIDED, Plan, explore, paired
-from bcid.explore.moves import moves
+from bcid.explore.moves import limits_of, moves
 from bcid.explore.predictions import Predictor
 from bcid.explore.robots import Simulated
 from bcid.fingerprint import file_fingerprint
@@ -107,16 +108,12 @@ def run_study(
         return run.path.resolve()
 
     path = on_root(comm, begin)
-    try:
+    with run.watched() if run else nullcontext():
         _predict(scene, path / "predictions", comm, progress)
         todo = on_root(comm, lambda: [t for t in trials(count, noises) if not _result(path, t).is_file()])
         progress.say(f"{len(todo)} trials to go")
         _work(scene, path, seed, todo, comm, progress)
         on_root(comm, lambda: _conclude(run, list(trials(count, noises))))
-    except BaseException as error:
-        if run is not None:
-            run.fail(str(error) if isinstance(error, BcidError) else type(error).__name__)
-        raise
     return folder
 
 
@@ -126,12 +123,12 @@ def _result(path: Path, trial: Trial) -> Path:
 
 def _predict(scene: Scene, store: Path, comm: Any, progress: Progress) -> None:
     """Predict every pull with every set, once, on all ranks together."""
-    assert scene.limits is not None
+    limits = limits_of(scene)
     predictor = Predictor(paired(scene, None, comm), 0, comm, store)
     every = all_candidates(list(scene.patches))
     for i, move in enumerate(moves(scene), start=1):
         progress.step(f"predicting pull {i} of {len(moves(scene))} with {len(every)} sets")
-        action = move.action(scene.limits)
+        action = move.action(limits)
         predictor.foresee([(anchors, action) for anchors in every], detailed=True)
     predictor.destroy()
 
@@ -144,7 +141,7 @@ def _work(scene: Scene, path: Path, seed: int, todo: Sequence[Trial], comm: Any,
     for done, trial in enumerate(share(todo, tickets), start=1):
         assert bench is not None
         try:
-            write_whole(_result(path, trial), json.dumps(bench.make(trial), indent=1) + "\n")
+            write_whole(_result(path, trial), json.dumps(attempted(bench, trial), indent=1) + "\n")
         except BcidError as caught:
             error = caught
             break
@@ -153,6 +150,23 @@ def _work(scene: Scene, path: Path, seed: int, todo: Sequence[Trial], comm: Any,
     if bench is not None:
         bench.destroy()
     agree(comm, error)
+
+
+def attempted(bench: Bench, trial: Trial) -> dict[str, Any]:
+    """The result of a trial; a pull that cannot be followed ends it, and is recorded."""
+    try:
+        return bench.make(trial)
+    except SolveError as error:
+        nothing = {
+            "found": [],
+            "right": False,
+            "probability": 0.0,
+            "pulls": 0,
+            "moves": [],
+            "gained": [],
+            "expected": [],
+        }
+        return asdict(trial) | {"reason": f"failed: {error}", "predicted": 0, "seconds": 0.0} | nothing
 
 
 class Bench:
@@ -173,7 +187,7 @@ class Bench:
         return cls(scene, working, fine[0] if fine else None, truth, seed)
 
     def make(self, trial: Trial) -> dict[str, Any]:
-        """One trial; a robot that cannot make a pull is a result too."""
+        """One trial."""
         start = time.perf_counter()
         before = self.predictor.evaluations
         plan = Plan(

@@ -9,7 +9,7 @@ import pytest
 from mpi4py import MPI
 from test_explore import AXES, LIMITS, MadeUp, by_count, scene
 
-from bcid.studies.exploration import ANCHORS, STRATEGIES, Bench, Trial, run_study, scores, table, trials
+from bcid.studies.exploration import ANCHORS, STRATEGIES, Bench, Trial, attempted, run_study, scores, table, trials
 
 
 def bench() -> Bench:
@@ -39,6 +39,14 @@ def test_a_trial_finds_the_anchors(strategy: str) -> None:
         assert len(set(made["moves"])) == 1
     if strategy != "random":
         assert made["moves"][0].startswith("grasp II along +x")
+
+
+def test_a_trial_that_fails_is_recorded() -> None:
+    made = bench()
+    made.truth = MadeUp(made.scene, lambda _anchors, _grasp, _axis: float("nan"))
+    found = attempted(made, Trial(("1", "2"), 1e-3, ("II",), "information", 0))
+    assert found["reason"].startswith("failed: the simulated robot cannot make pull 1")
+    assert scores([found])["rows"][0]["decided"] == 0
 
 
 def test_trials_of_the_same_number_are_the_same() -> None:

@@ -200,6 +200,9 @@ def test_motions_are_the_same_whatever_their_name() -> None:
     assert key_of(one) == key_of(other)
     assert key_of(one) == key_of(replace(one, translation=one.translation * -1.0 * -1.0 + 1e-12))
     assert key_of(one) != key_of(Move("A", "+y", 0.01).action(LIMITS))
+    slower = replace(one, times=2 * one.clock)
+    assert key_of(one) == key_of(slower)
+    assert key_of(one, timed=True) != key_of(slower, timed=True)
 
 
 # -- the choice
@@ -322,6 +325,23 @@ def test_answers_are_as_certain_as_they_say() -> None:
             right.append(found.view.best == frozenset(truth))
     assert len(right) > 200
     assert np.mean(right) >= 0.93
+
+
+def test_a_set_that_the_fine_level_cannot_follow_is_not_taken_for_a_perfect_one() -> None:
+    body = MadeUp(scene(), by_count)
+    inference = Inference(body.scene, body, None)  # type: ignore[arg-type]
+    robot = MadeUpRobot(body, "12", 1e-4)
+    robot.move(Move("A", "+x", 0.01).action(LIMITS))
+    inference.add(robot.observe())
+    inference.view()
+    wrong = frozenset("1")
+    lost = Foreseen(np.full((9, 4, 3), np.nan))
+    inference._meshed[0][wrong] = inference._mesh_error(0, wrong, lost)
+    inference._compared.clear()
+    assert inference._meshed[0][wrong].left == pytest.approx(0.5 * inference.pulls[0].motion)
+    chi2, _ = inference._compare(0)[wrong]
+    assert chi2 > 0
+    assert inference.view().best == frozenset("12")
 
 
 def test_what_no_set_explains_is_never_decided() -> None:
