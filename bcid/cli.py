@@ -342,6 +342,14 @@ def _add_explore(commands: Any) -> None:
     )
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="run folder to write")
     parser.add_argument("--grasps", metavar="I,II", help="grasps to use (all)")
+    parser.add_argument("--effects", metavar="NAME,NAME", help="that may act besides, as gravity,fibres (none)")
+    parser.add_argument(
+        "--hide",
+        action="append",
+        default=[],
+        metavar='"fibres: k1 = 5 kPa, angle = 30 deg"',
+        help="an effect that the simulated body has and the scene does not; may be repeated",
+    )
     parser.add_argument("--confidence", type=float, default=0.95, metavar="P", help="when a set is decided (0.95)")
     parser.add_argument("--budget", type=float, default=12.0, metavar="COST", help="of all pulls together (12)")
     parser.add_argument(

@@ -202,6 +202,7 @@ def explore(arguments: argparse.Namespace, comm: Any) -> None:
         noise=_noise(arguments.noise),
         samples=arguments.samples,
         random_state=_random_state(arguments.random_state),
+        effects=_names(arguments.effects or ""),
     )
     progress = _progress(arguments, comm.rank)
     folder = run_exploration(
@@ -214,6 +215,7 @@ def explore(arguments: argparse.Namespace, comm: Any) -> None:
         arguments.overwrite,
         arguments.store,
         arguments.wait,
+        arguments.hide,
     )
     _finish(folder, arguments, comm, progress)
 

@@ -35,7 +35,7 @@ def main(folder: Path, store: Path | None = None) -> Exploration:
             process.terminate()
     for step in found.steps:
         print(f"{step.move}: {step.expected[0]:.2f} bits expected, {step.gained:.2f} gained")
-    print(f"{found.reason}: {' '.join(sorted(found.view.best))}, probability {found.view.certainty:.4f}")
+    print(f"{found.reason}: {' '.join(sorted(found.view.best.anchors))}, probability {found.view.certainty:.4f}")
     for predictor in predictors:
         predictor.destroy()
     return found

@@ -195,6 +195,11 @@ class Errors:
         shrink = self._shrink if values.ndim == 1 else self._shrink[:, None]
         return np.asarray(scaled - self._basis @ (shrink * (self._basis.T @ scaled)))
 
+    @property
+    def log_volume(self) -> float:
+        """Half the logarithm of the determinant of the covariance, of it in m."""
+        return float(np.sum(np.log(self.sigma)) - np.sum(np.log1p(-self._shrink)))
+
     def unwhiten(self, values: Array) -> Array:
         """The inverse of `whiten` for values (n,): back to m."""
         grow = self._shrink / (1 - self._shrink)

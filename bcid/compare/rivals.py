@@ -122,13 +122,13 @@ def refit_candidates(state: State, proposals: Iterable[Proposal], most: int) -> 
         if effect.name in tried or len(rivals) >= most - 1 or _hopeless(proposal, rivals):
             continue
         tried.add(effect.name)
-        rivals += _refit(state, effect, proposal.anchors)
+        rivals += refit(state, effect, proposal.anchors)
     if not rivals:
         return []
     best = min(rivals, key=lambda rival: rival.criterion)
     others = (p.anchors for effect, p in waiting if effect == best.dose.effect and p.anchors != best.anchors)
     for anchors in itertools.islice(others, 1):
-        rivals += _refit(state, best.dose.effect, anchors)
+        rivals += refit(state, best.dose.effect, anchors)
     best = min(rivals, key=lambda rival: rival.criterion)
     return sorted([*_moved(best), *rivals], key=lambda rival: rival.criterion)
 
@@ -167,7 +167,7 @@ def promoted(rival: Rival, state: State, best: Rival) -> Rival | None:
     far = rival.criterion > _CLOSE * best.criterion
     if any(p.onset for p in rival.dose.effect.parameters):
         # In which frame it begins is only known once all are looked at.
-        fits = [found.fitted for found in _refit(state, rival.dose.effect, rival.anchors)]
+        fits = [found.fitted for found in refit(state, rival.dose.effect, rival.anchors)]
     else:
         try:
             start = State.of(state.twin, model, rival.anchors, state.errors.mesh if far else None)
@@ -183,7 +183,7 @@ def _hopeless(proposal: Proposal, rivals: Sequence[Rival]) -> bool:
     return best < NEARLY and proposal.left > _FAR * proposal.values
 
 
-def _refit(state: State, effect: Effect, anchors: Anchored) -> list[Rival]:
+def refit(state: State, effect: Effect, anchors: Anchored) -> list[Rival]:
     """Add an effect, begin at what is expected of it, and fit everything together; nothing if that cannot be followed."""
     try:
         base = State.of(state.twin, state.model, anchors, state.errors.mesh, state.free)

@@ -101,6 +101,14 @@ class Twin:
         self.measurement, self.left_out = measurement, left_out
         self.data = Data(self.whole, measurement)
 
+    def repeating(self, measurement: Measurement) -> Twin:
+        """A twin of another measurement of the same body; meshes and forward models are shared."""
+        other = copy(self)
+        other.look_at(measurement)
+        other.actions = measurement.actions
+        other._steps, other._replies = sum(len(a) for a in other.actions), []
+        return other
+
     def thinned(self, steps: int, settings: Settings) -> tuple[Twin, NDArray[np.int64]]:
         """A twin that follows so many evenly spread steps of each action, and looks at rest once; and which frames these are.
 

@@ -14,12 +14,31 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.search.farm import label
+
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
 # Part of the error of the model that differs from frame to frame.
 _ROUGH = 0.5
 # Without noise and error: what a solver leaves, m.
 LEAST = 1e-6
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """What holds the body, and the name of the effect that acts besides; "" for none."""
+
+    anchors: Anchored
+    effect: str = ""
+
+    @property
+    def order(self) -> tuple[bool, int, list[str], str]:
+        """The simpler of two that are as likely comes first."""
+        return bool(self.effect), len(self.anchors), sorted(self.anchors), self.effect
+
+    def label(self, names: Iterable[str]) -> str:
+        """As in tables: "{3 4} + gravity"; patches in the order of `names`."""
+        return label(self.anchors, names) + (f" + {self.effect}" if self.effect else "")
 
 
 @dataclass(frozen=True)
@@ -58,7 +77,7 @@ class Spread:
 
 
 class Belief:
-    """Probabilities of hypotheses from the logarithms of their likelihoods, pull by pull.
+    """Odds of anchor sets from the logarithms of their likelihoods, pull by pull.
 
     A hypothesis that was not looked at after some of the pulls keeps what it had: it is compared with the best one over the
     pulls that both know, which is its chance to come back.
@@ -88,14 +107,13 @@ class Belief:
             return dict.fromkeys(self.logs, 0.0)
         return {a: sum(value - reference[pull] for pull, value in known.items()) for a, known in self.logs.items()}
 
-    def probabilities(self) -> dict[Anchored, float]:
-        """Probability of every set, the likeliest first; they sum to one."""
-        relative = self.relative()
-        highest = max(relative.values(), default=0.0)
-        weights = {a: math.exp(value - highest) for a, value in relative.items()}
-        total = math.fsum(weights.values())
-        found = {a: w / total for a, w in weights.items()}
-        return dict(sorted(found.items(), key=lambda item: (-item[1], len(item[0]), sorted(item[0]))))
+
+def normalised(logs: Mapping[Hypothesis, float]) -> dict[Hypothesis, float]:
+    """Probabilities that sum to one, from logarithms of odds; the likeliest first."""
+    highest = max(logs.values(), default=0.0)
+    weights = {h: math.exp(value - highest) for h, value in logs.items()}
+    total = math.fsum(weights.values())
+    return dict(sorted(((h, w / total) for h, w in weights.items()), key=lambda item: (-item[1], item[0].order)))
 
 
 def entropy(probabilities: Iterable[float]) -> float:
@@ -103,6 +121,11 @@ def entropy(probabilities: Iterable[float]) -> float:
     return -math.fsum(p * math.log2(p) for p in probabilities if p > 0)
 
 
-def patches(probabilities: Mapping[Anchored, float], names: Iterable[str]) -> dict[str, float]:
+def patches(probabilities: Mapping[Hypothesis, float], names: Iterable[str]) -> dict[str, float]:
     """Probability that each patch is anchored."""
-    return {name: min(1.0, math.fsum(p for a, p in probabilities.items() if name in a)) for name in names}
+    return {name: min(1.0, math.fsum(p for h, p in probabilities.items() if name in h.anchors)) for name in names}
+
+
+def effects(probabilities: Mapping[Hypothesis, float], names: Iterable[str]) -> dict[str, float]:
+    """Probability of each effect; of none under the name ""."""
+    return {name: min(1.0, math.fsum(p for h, p in probabilities.items() if h.effect == name)) for name in ("", *names)}

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.explore.belief import Spread, entropy
+from bcid.explore.belief import Hypothesis, Spread, entropy
 from bcid.explore.inference import Inference, View, profile, weights
-from bcid.explore.information import Expected, information, noise_free, together
+from bcid.explore.information import Expected, information, noise_free
 from bcid.explore.moves import Move, cost, limits_of
-from bcid.explore.predictions import Anchored, Foreseen
+from bcid.explore.predictions import Foreseen
 from bcid.measurement import Action
 
 Array = NDArray[np.float64]
@@ -75,6 +75,24 @@ class Choice:
 
 
 @dataclass(frozen=True)
+class Shown:
+    """What the hypotheses predict for a pull, in units of its errors.
+
+    Attributes:
+        means: shape (hypotheses, values).
+        loose: of each, what its unknown numbers change, shape (numbers, values).
+    """
+
+    means: Array
+    loose: tuple[Array, ...]
+
+    def __add__(self, other: Shown) -> Shown:
+        """Two pulls as one: the unknown numbers are the same in both."""
+        loose = (np.concatenate(pair, axis=1) for pair in zip(self.loose, other.loose, strict=True))
+        return Shown(np.concatenate([self.means, other.means], axis=1), tuple(loose))
+
+
+@dataclass(frozen=True)
 class Chooser:
     """Chooses pulls; collective on the ranks of the predictor, with the same choice on all.
 
@@ -98,9 +116,20 @@ class Chooser:
 
     def choose(self, view: View, last: Move | None) -> Choice:
         """The next pull after `last`."""
+        barred: dict[Move, str] = {}
+        while True:
+            choice = self._choose(view, last, barred)
+            reason = self._barred(choice.move, view) if choice.move else ""
+            if not (choice.move and reason):
+                return choice
+            barred[choice.move] = reason
+
+    def _choose(self, view: View, last: Move | None, barred: Mapping[Move, str]) -> Choice:
         limits = limits_of(self.inference.scene)
         sets = live(view)
-        options = [Option(move, Expected(0.0), cost(move, last, limits)) for move in self.moves]
+        options = [
+            Option(move, Expected(0.0), cost(move, last, limits), forbidden=barred.get(move, "")) for move in self.moves
+        ]
         if self.criterion == "random":
             return self._random(options, view, sets)
         if len(options) > _SCREENED or len(sets) > _MOST:
@@ -109,17 +138,25 @@ class Chooser:
             return self._first_allowed(options, view, sets)
         return self._best(options, view, sets)
 
+    def _barred(self, move: Move, view: View) -> str:
+        """Why a pull that the working level allows is not: a finer mesh buckles earlier. "" if it can be followed there too."""
+        likely = [h for h, p in view.probabilities.items() if p > 1 - _SAFE]
+        if self.inference.fine is None or not likely:
+            return ""
+        foreseen = self.inference.foresee(view, likely, self._action(move), detailed=False, fine=True)
+        return self._forbidden(foreseen, np.array([view.probabilities[h] for h in likely]))
+
     # -- ways to choose
     # --------------------------------------------------------------------------------------------------------------
 
-    def _best(self, options: list[Option], view: View, sets: list[Anchored]) -> Choice:
+    def _best(self, options: list[Option], view: View, sets: list[Hypothesis]) -> Choice:
         """By full predictions, those that promise most first, until one of them is worth it."""
         seen: list[Option] = []
-        shown: dict[Move, Array] = {}
+        shown: dict[Move, Shown] = {}
         for i in range(0, len(options), _SCREENED):
             for option in options[i : i + _SCREENED]:
-                foreseen = self._foreseen(option.move, sets)
-                forbidden = self._forbidden(foreseen, weights(view.probabilities, sets))
+                foreseen = self._foreseen(option.move, view, sets)
+                forbidden = option.forbidden or self._forbidden(foreseen, weights(view.probabilities, sets))
                 shown[option.move] = self._in_errors(option.move, foreseen, view)
                 expected = self._expected(shown[option.move], weights(view.probabilities, sets))
                 seen.append(replace(option, expected=expected, linear=False, forbidden=forbidden))
@@ -133,7 +170,7 @@ class Chooser:
         return Choice(first.move, first.expected, every, ahead)
 
     def _pair(
-        self, allowed: list[Option], shown: dict[Move, Array], p: Array, view: View
+        self, allowed: list[Option], shown: dict[Move, Shown], p: Array, view: View
     ) -> tuple[Option, Move | None]:
         """The first pull of the best pair, where one pull alone cannot decide and the pair tells more than any with the best.
 
@@ -146,7 +183,7 @@ class Chooser:
             return best, None
         pairs = []
         for a, b in [*combinations(allowed, 2), *((o, o) for o in allowed)]:
-            both = self._expected(together([shown[a.move], shown[b.move]]), p)
+            both = self._expected(shown[a.move] + shown[b.move], p)
             pairs.append((both.bits / (a.price + b.price), both, a, b))
         with_best = max((pair for pair in pairs if best in pair[2:]), key=lambda pair: pair[0])
         top = max(pairs, key=lambda pair: pair[0])
@@ -156,7 +193,7 @@ class Chooser:
         first, second = sorted(top[2:], key=lambda o: -o.worth)
         return first, second.move
 
-    def _first_allowed(self, options: list[Option], view: View, sets: list[Anchored]) -> Choice:
+    def _first_allowed(self, options: list[Option], view: View, sets: list[Hypothesis]) -> Choice:
         """By the linear response of many sets: the best one that a sample of them allows."""
         rng = np.random.default_rng([self.random_state, len(self.inference.pulls)])
         p = weights(view.probabilities, sets)
@@ -165,13 +202,14 @@ class Chooser:
         for i, option in enumerate(options):
             if option.expected.bits < LEAST:
                 break
-            forbidden = self._forbidden(self._foreseen(option.move, drawn), np.full(len(drawn), 1 / len(drawn)))
+            even = np.full(len(drawn), 1 / len(drawn))
+            forbidden = option.forbidden or self._forbidden(self._foreseen(option.move, view, drawn), even)
             seen.append(replace(option, forbidden=forbidden))
             if not forbidden:
                 return Choice(option.move, option.expected, (*reversed(seen), *options[i + 1 :]))
         return Choice(None, Expected(0.0), (*seen, *options[len(seen) :]))
 
-    def _random(self, options: list[Option], view: View, sets: list[Anchored]) -> Choice:
+    def _random(self, options: list[Option], view: View, sets: list[Hypothesis]) -> Choice:
         """Any allowed pull."""
         rng = np.random.default_rng([self.random_state, len(self.inference.pulls)])
         if len(sets) > _SAMPLED:
@@ -179,7 +217,7 @@ class Chooser:
             sets = [sets[k] for k in sorted(rng.choice(len(sets), _SAMPLED, replace=False, p=p))]
         p = weights(view.probabilities, sets)
         for k in rng.permutation(len(options)):
-            if not self._forbidden(self._foreseen(options[k].move, sets), p):
+            if not options[k].forbidden and not self._forbidden(self._foreseen(options[k].move, view, sets), p):
                 return Choice(options[k].move, Expected(math.nan), tuple(options))
         return Choice(None, Expected(0.0), tuple(options))
 
@@ -189,9 +227,8 @@ class Chooser:
     def _action(self, move: Move) -> Action:
         return move.action(limits_of(self.inference.scene))
 
-    def _foreseen(self, move: Move, sets: Sequence[Anchored]) -> list[Foreseen]:
-        action = self._action(move)
-        return self.inference.predictor.foresee([(a, action) for a in sets], detailed=True)
+    def _foreseen(self, move: Move, view: View, sets: Sequence[Hypothesis]) -> list[Foreseen]:
+        return self.inference.foresee(view, sets, self._action(move), detailed=True)
 
     def _forbidden(self, foreseen: Sequence[Foreseen], p: Array) -> str:
         """Why a pull is not allowed, or ""."""
@@ -213,40 +250,47 @@ class Chooser:
                 return f"{reason} (probability {risk:.2g})"
         return ""
 
-    def _in_errors(self, move: Move, foreseen: Sequence[Foreseen], view: View) -> Array:
-        """Predictions (sets, values) in units of their errors."""
+    def _in_errors(self, move: Move, foreseen: Sequence[Foreseen], view: View) -> Shown:
         positions = np.array([np.nan_to_num(f.positions) for f in foreseen])
-        return self._scaled(positions, self._action(move), view)
+        return self._scaled(positions, [f.loose for f in foreseen], self._action(move), view)
 
-    def _scaled(self, positions: Array, action: Action, view: View) -> Array:
-        motion = float(np.sqrt(np.mean((positions - self.inference.scene.rest) ** 2)))
+    def _scaled(self, positions: Array, loose: Sequence[Sequence[Array]], action: Action, view: View) -> Shown:
+        """Predictions (hypotheses, frames, fiducials, 3), m, and what is loose of them, in units of their errors."""
+        rest = self.inference.scene.rest
+        motion = float(np.sqrt(np.mean((positions - rest) ** 2)))
         spread = Spread(profile(action), self.noise, view.error * motion)
-        return np.array([spread.whiten(p - self.inference.scene.rest).ravel() for p in positions])
+        means = np.array([spread.whiten(p - rest).ravel() for p in positions])
+        columns = [[spread.whiten(np.nan_to_num(c)).ravel() for c in own] for own in loose]
+        return Shown(means, tuple(np.array(own).reshape(-1, means.shape[1]) for own in columns))
 
     def _linear(self, options: list[Option], view: View) -> list[Option]:
-        """The options with what the linear response of every set with a part in the belief promises."""
+        """The options with what the linear response of every hypothesis with a part in the belief promises."""
         sets = live(view)
         p = weights(view.probabilities, sets)
-        limits = limits_of(self.inference.scene)
-        rest = self.inference.scene.rest
-        responses: dict[str, Array] = {}
+        size = _SMALL * limits_of(self.inference.scene).displacement
+        responses: dict[str, list[Foreseen]] = {}
         for grasp in dict.fromkeys(o.move.grasp for o in options):
-            action = small_action(grasp, _SMALL * limits.displacement)
-            found = self.inference.predictor.foresee([(a, action) for a in sets])
-            responses[grasp] = np.array([np.nan_to_num(f.positions[1:] - f.positions[:1]) for f in found]) / (
-                _SMALL * limits.displacement
-            )
+            responses[grasp] = self.inference.foresee(view, sets, small_action(grasp, size), detailed=False)
         result = []
         for option in options:
             action = self._action(option.move)
-            moved = np.einsum("fa,hajk->hfjk", action.translation, responses[option.move.grasp])
-            result.append(replace(option, expected=self._expected(self._scaled(rest + moved, action, view), p)))
+            found = responses[option.move.grasp]
+            positions = np.array([extended(f.positions, action, size) for f in found])
+            loose = [[extended(c, action, size) for c in f.loose] for f in found]
+            result.append(replace(option, expected=self._expected(self._scaled(positions, loose, action, view), p)))
         return result
 
-    def _expected(self, shown: Array, p: Array) -> Expected:
+    def _expected(self, shown: Shown, p: Array) -> Expected:
         if self.criterion == "entropy":
-            return noise_free(shown, p)
-        return information(shown, p, self.samples, self.random_state)
+            return noise_free(shown.means, p)
+        return information(shown.means, p, self.samples, self.random_state, shown.loose)
+
+
+def extended(small: Array, action: Action, size: float) -> Array:
+    """What a linear body shows of an action, from what it shows at rest and after a step of `size` along each axis."""
+    return np.asarray(
+        np.nan_to_num(small[0] + np.einsum("fa,ajk->fjk", action.translation, small[1:] - small[0]) / size)
+    )
 
 
 def telling(option: Option) -> bool:
@@ -256,14 +300,14 @@ def telling(option: Option) -> bool:
     )
 
 
-def live(view: View) -> list[Anchored]:
-    """The likeliest sets, which hold 99.9 % of the probability."""
-    found: list[Anchored] = []
+def live(view: View) -> list[Hypothesis]:
+    """The likeliest hypotheses, which hold 99.9 % of the probability."""
+    found: list[Hypothesis] = []
     mass = 0.0
-    for anchors, p in view.probabilities.items():
+    for hypothesis, p in view.probabilities.items():
         if mass >= _MASS or p <= 0:
             break
-        found.append(anchors)
+        found.append(hypothesis)
         mass += p
     return found
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bcid.compare.data import MeshError
-from bcid.explore.belief import Belief, Spread, entropy, patches
+from bcid.explore.belief import Belief, Hypothesis, Spread, effects, entropy, normalised, patches
 from bcid.explore.predictions import Anchored, Foreseen, Predictor
+from bcid.explore.rival_effects import Fitted, RivalEffects
 from bcid.measurement import Action, Measurement
 from bcid.scene import Scene
 from bcid.search.climb import neighbours
@@ -32,6 +33,8 @@ _ANYWHERE = 0.5
 _LEAST_GAIN = 0.5
 # Before anything was seen the error of the mesh is taken as this part of the motion.
 _FIRST_ERROR = 0.03
+# Before any pull it is as likely that no effect acts as that one of the rivals does.
+NONE = 0.5
 # The best set misses what was seen by more than this many times what noise and mesh explain: no set does explain it.
 MISSED = 1.5
 
@@ -80,24 +83,28 @@ class View:
     """What is believed after some pulls.
 
     Attributes:
-        probabilities: of every set looked at, the likeliest first.
+        probabilities: of every hypothesis looked at, the likeliest first.
         patches: probability that each patch is anchored.
+        effects: probability of each rival effect, and of none ("").
         entropy: bits.
-        rms: RMS residual of the likeliest set, m; NaN before anything was seen.
+        rms: RMS residual of the likeliest hypothesis, m; NaN before anything was seen.
         missed: the same in units of what noise and mesh explain.
         error: RMS error of the mesh at the end of a pull, as part of its motion.
+        fitted: the hypotheses with an effect, with their numbers.
     """
 
-    probabilities: dict[Anchored, float]
+    probabilities: dict[Hypothesis, float]
     patches: dict[str, float]
+    effects: dict[str, float]
     entropy: float
     rms: float
     missed: float
     error: float
+    fitted: dict[Hypothesis, Fitted] = field(default_factory=dict)
 
     @property
-    def best(self) -> Anchored:
-        """The likeliest set."""
+    def best(self) -> Hypothesis:
+        """The likeliest hypothesis."""
         return next(iter(self.probabilities))
 
     @property
@@ -114,10 +121,18 @@ class Inference:
         predictor: of the working level.
         fine: of a finer level, from which the error of the working one is told; None if there is none.
         random_state: of the sets to begin with, where there are too many to look at all.
+        rivals: the effects that may act besides; None where only the anchors are asked for.
     """
 
-    def __init__(self, scene: Scene, predictor: Predictor, fine: Predictor | None, random_state: int = 0) -> None:
-        self.scene, self.predictor, self.fine = scene, predictor, fine
+    def __init__(
+        self,
+        scene: Scene,
+        predictor: Predictor,
+        fine: Predictor | None,
+        random_state: int = 0,
+        rivals: RivalEffects | None = None,
+    ) -> None:
+        self.scene, self.predictor, self.fine, self.rivals = scene, predictor, fine, rivals
         names = list(scene.patches)
         if len(names) <= _ENUMERATED:
             sets = all_candidates(names)
@@ -125,30 +140,68 @@ class Inference:
             sets = random_seeds(names, _RANDOM, np.random.default_rng(random_state))
         self.sets: dict[Anchored, None] = dict.fromkeys(sets)
         self.pulls: list[Pulled] = []
+        self.seen: list[Measurement] = []
         # By pull and set: predictions, the error of the mesh where it is known, chi-square and volume of the errors.
         self._foreseen: list[dict[Anchored, Foreseen]] = []
         self._meshed: list[dict[Anchored, Meshed]] = []
         self._compared: dict[int, dict[Anchored, tuple[float, float]]] = {}
+        # The hypotheses that were fitted, and to how many pulls.
+        self._fitted: tuple[int, list[Fitted]] = 0, []
+        # What chi-squares are divided by.
+        self._scale = 1.0
 
     def add(self, measurement: Measurement) -> None:
         """Take what was seen of a pull."""
         self.pulls.append(Pulled.of(self.scene, measurement))
+        self.seen.append(measurement)
         self._foreseen.append({})
         self._meshed.append({})
 
     def view(self) -> View:
         """What is believed now."""
         view = self._look()
-        while self.pulls and (self._wake() or self._grow(view) or self._refine(view)):
+        while self.pulls and (self._wake() or self._grow() or self._fit() or self._refine(view)):
             view = self._look()
         return view
+
+    def foresee(
+        self, view: View, hypotheses: Sequence[Hypothesis], action: Action, detailed: bool, fine: bool = False
+    ) -> list[Foreseen]:
+        """What hypotheses predict for an action, with what is not known of their numbers; collective.
+
+        On the working level, or without what is not known on the fine one.
+        """
+        if fine:
+            return self._finely(view, hypotheses, action, detailed)
+        plain = [h for h in hypotheses if h not in view.fitted]
+        found = dict(zip(plain, self.predictor.foresee([(h.anchors, action) for h in plain], detailed), strict=True))
+        acting = [h for h in hypotheses if h in view.fitted]
+        if acting:
+            found |= dict(zip(acting, self._loosely([view.fitted[h] for h in acting], action, detailed), strict=True))
+        return [found[h] for h in hypotheses]
+
+    def _finely(self, view: View, hypotheses: Sequence[Hypothesis], action: Action, detailed: bool) -> list[Foreseen]:
+        assert self.fine is not None
+        models = [view.fitted[h].model if h in view.fitted else self.fine.model for h in hypotheses]
+        return self.fine.foresee([(h.anchors, action) for h in hypotheses], detailed, models)
+
+    def _loosely(self, fitted: Sequence[Fitted], action: Action, detailed: bool) -> list[Foreseen]:
+        """What fitted hypotheses predict, and how that changes with their numbers."""
+        tasks = [(f.hypothesis.anchors, action) for f in fitted]
+        main = self.predictor.foresee(tasks, detailed, [f.model for f in fitted])
+        around = [(task, model) for task, f in zip(tasks, fitted, strict=True) for model in f.deviating]
+        moved = iter(self.predictor.foresee([task for task, _ in around], False, [model for _, model in around]))
+        return [
+            replace(one, loose=tuple(next(moved).positions - one.positions for _ in f.deviating))
+            for one, f in zip(main, fitted, strict=True)
+        ]
 
     # -- which sets are looked at
     # --------------------------------------------------------------------------------------------------------------
 
     def _wake(self) -> bool:
         """Predict what is not known of sets that are not asleep; whether there was anything."""
-        relative = self._belief()[0].relative()
+        relative = self._belief(self._scale).relative()
         awake = [a for a in self.sets if relative.get(a, 0.0) > -_ASLEEP]
         todo = [(i, a) for i in range(len(self.pulls)) for a in awake if a not in self._foreseen[i]]
         found = self.predictor.foresee((a, self.pulls[i].action) for i, a in todo)
@@ -161,23 +214,30 @@ class Inference:
             self._foreseen[key[0]][key[1]] = foreseen
             self._compared.pop(key[0], None)
 
-    def _grow(self, view: View) -> bool:
+    def _fit(self) -> bool:
+        """Fit the rival effects to all pulls, each with the sets that go with it; whether that was not done yet."""
+        if self.rivals is None or self._fitted[0] == len(self.pulls):
+            return False
+        self._fitted = len(self.pulls), self.rivals.look(self.seen, self._contending())
+        return True
+
+    def _grow(self) -> bool:
         """Take the neighbours of sets that contend among the hypotheses; whether there was any."""
-        near = [n for a in self._contending(view) for n in neighbours(a, list(self.scene.patches))]
+        near = [n for a in self._contending() for n in neighbours(a, list(self.scene.patches))]
         fresh = [n for n in near if n not in self.sets]
         self.sets |= dict.fromkeys(fresh)
         return bool(fresh)
 
     def _refine(self, view: View) -> bool:
         """Predict the sets that contend on the fine level, and whether the body may buckle with them; whether there was any."""
-        todo = [(i, a) for i in range(len(self.pulls)) for a in self._contending(view)]
+        todo = [(i, a) for i in range(len(self.pulls)) for a in self._contending()]
         if view.missed > MISSED:
             # Where nothing explains what was seen, the body may have buckled with any of the sets.
             todo = [(i, a) for i in range(len(self.pulls)) for a in self.sets]
         soft = [(i, a) for i, a in todo if a in self._foreseen[i] and not self._foreseen[i][a].detailed]
         found = self.predictor.foresee(((a, self.pulls[i].action) for i, a in soft), detailed=True)
         self._take(zip(soft, found, strict=True))
-        rough = [(i, a) for i in range(len(self.pulls)) for a in self._contending(view) if a not in self._meshed[i]]
+        rough = [(i, a) for i in range(len(self.pulls)) for a in self._contending() if a not in self._meshed[i]]
         if self.fine is not None and rough:
             finely = self.fine.foresee((a, self.pulls[i].action) for i, a in rough)
             for (i, a), foreseen in zip(rough, finely, strict=True):
@@ -193,37 +253,76 @@ class Inference:
         error = MeshError.between(self._foreseen[pull][anchors].positions, finely.positions, self._gain)
         return Meshed(error.correction, error.rms)
 
-    def _contending(self, view: View) -> list[Anchored]:
-        likely = [a for a, p in view.probabilities.items() if p > _CONTENDS]
-        return likely[:_CONTENDERS]
+    def _contending(self) -> list[Anchored]:
+        """The likely sets, where no effect acts."""
+        known = normalised({Hypothesis(a): value for a, value in self._belief(None).relative().items()})
+        return [h.anchors for h, p in known.items() if p > _CONTENDS][:_CONTENDERS]
 
     # -- what they say
     # --------------------------------------------------------------------------------------------------------------
 
     def _look(self) -> View:
-        belief, missed, rms, error = self._belief()
-        known = belief.probabilities()
-        if not known:
-            known = dict.fromkeys(self.sets, 1.0 / len(self.sets))
-        return View(known, patches(known, self.scene.patches), entropy(known.values()), rms, missed, error)
-
-    def _belief(self) -> tuple[Belief, float, float, float]:
-        """Belief, what the best set misses in units of its errors and in m, and the error of the mesh as part of the motion."""
-        every = [i for i, known in enumerate(self._foreseen) if known]
-        compared = {i: self._compare(i) for i in every}
-        best = self._best(compared)
-        belief = Belief()
+        """What the pulls say as far as they were predicted; before the first one nothing is known."""
+        best = self._best()
+        names = self.rivals.names if self.rivals else ()
         if best is None:
-            return belief, 0.0, math.nan, _FIRST_ERROR
-        values = sum(self.pulls[i].misfit.values for i in every)
-        missed = math.sqrt(sum(compared[i][best][0] for i in every) / values)
-        # What no set explains makes all of them less sure of themselves.
-        scale = max(1.0, missed**2)
-        for i in every:
-            belief.add(i, {a: -0.5 * chi2 / scale - volume for a, (chi2, volume) in compared[i].items()})
-        squares = [self._differences(i, best) for i in every]
-        rms = math.sqrt(sum(float(np.nansum(d**2)) for d in squares) / values)
-        return belief, missed, rms, self._relative_error(best)
+            even = {Hypothesis(a): 1.0 / len(self.sets) for a in self.sets}
+            prior = believed(names)
+            bits = math.log2(len(self.sets)) + entropy(prior.values())
+            return View(even, patches(even, self.scene.patches), prior, bits, math.nan, 0.0, _FIRST_ERROR)
+        fitted = self._fitted[1] if self._fitted[0] == len(self.pulls) else []
+        top = max(fitted, key=lambda f: f.log(1.0), default=None)
+        if top is not None and top.hypothesis.effect:
+            rms, missed = top.rms, top.missed
+        else:
+            rms, missed = self._rms(best), self._missed(best)
+        # What no hypothesis explains makes all of them less sure of themselves.
+        scale = self._scale = max(1.0, missed**2)
+        logs = {Hypothesis(a): value for a, value in self._belief(scale).relative().items()}
+        plain = [f for f in fitted if not f.hypothesis.effect and f.hypothesis in logs]
+        acting = {f.hypothesis: f for f in fitted if f.hypothesis.effect} if plain else {}
+        if acting:
+            # Both know the best set: through it the sets alone and those with an effect are compared.
+            shared = max(plain, key=lambda f: logs[f.hypothesis])
+            apart = logs[shared.hypothesis] - shared.log(scale) + math.log(believed(names)[names[0]] / NONE)
+            logs |= {h: f.log(scale) + apart for h, f in acting.items()}
+        known = normalised(logs)
+        return View(
+            known,
+            patches(known, self.scene.patches),
+            effects(known, names),
+            entropy(known.values()),
+            rms,
+            missed,
+            self._relative_error(best),
+            acting,
+        )
+
+    def _belief(self, scale: float | None) -> Belief:
+        """Odds of the sets, with all chi-squares divided by `scale`; by default by what the best set leaves."""
+        best, belief = self._best(), Belief()
+        if best is None:
+            return belief
+        scale = max(1.0, self._missed(best) ** 2) if scale is None else scale
+        for i in self._looked_at:
+            belief.add(i, {a: -0.5 * chi2 / scale - volume for a, (chi2, volume) in self._compare(i).items()})
+        return belief
+
+    @property
+    def _looked_at(self) -> list[int]:
+        """The pulls that something was predicted for."""
+        return [i for i, known in enumerate(self._foreseen) if known]
+
+    def _missed(self, anchors: Anchored) -> float:
+        """What a set misses in units of its errors."""
+        values = sum(self.pulls[i].misfit.values for i in self._looked_at)
+        return math.sqrt(sum(self._compare(i)[anchors][0] for i in self._looked_at) / values)
+
+    def _rms(self, anchors: Anchored) -> float:
+        """What a set misses, m."""
+        values = sum(self.pulls[i].misfit.values for i in self._looked_at)
+        squares = sum(float(np.nansum(self._differences(i, anchors) ** 2)) for i in self._looked_at)
+        return math.sqrt(squares / values)
 
     def _compare(self, pull: int) -> dict[Anchored, tuple[float, float]]:
         """Chi-square and logarithm of the volume of the errors of every set that was predicted for a pull."""
@@ -239,13 +338,13 @@ class Inference:
             self._compared[pull] = found
         return self._compared[pull]
 
-    def _best(self, compared: Mapping[int, Mapping[Anchored, tuple[float, float]]]) -> Anchored | None:
-        """The likeliest of the sets that were compared with all these pulls."""
+    def _best(self) -> Anchored | None:
+        """The likeliest of the sets that were compared with all pulls that were looked at."""
+        compared = [self._compare(i) for i in self._looked_at]
         total: dict[Anchored, float] = {}
-        for anchors in self.sets:
-            known = [found[anchors] for found in compared.values() if anchors in found]
-            if known and len(known) == len(compared):
-                total[anchors] = sum(0.5 * chi2 + volume for chi2, volume in known)
+        for anchors in self.sets if compared else ():
+            if all(anchors in found for found in compared):
+                total[anchors] = sum(0.5 * found[anchors][0] + found[anchors][1] for found in compared)
         solved = {a: value for a, value in total.items() if math.isfinite(value)}
         return min(solved, key=lambda a: (solved[a], len(a), sorted(a)), default=None)
 
@@ -286,7 +385,12 @@ class Inference:
         return float(np.mean(known)) if known else _FIRST_ERROR
 
 
-def weights(probabilities: dict[Anchored, float], sets: Iterable[Anchored]) -> Array:
-    """Probabilities of some sets, summing to one."""
-    found = np.array([probabilities[a] for a in sets])
+def believed(names: Sequence[str]) -> dict[str, float]:
+    """Probability of each effect, and of none (""), before any pull."""
+    return {"": NONE if names else 1.0} | dict.fromkeys(names, (1 - NONE) / max(len(names), 1))
+
+
+def weights(probabilities: Mapping[Hypothesis, float], hypotheses: Iterable[Hypothesis]) -> Array:
+    """Probabilities of some hypotheses, summing to one."""
+    found = np.array([probabilities[h] for h in hypotheses])
     return np.asarray(found / found.sum())

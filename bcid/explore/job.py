@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import shutil
+from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 from bcid.collective import on_root
 from bcid.errors import InputError
-from bcid.explore.inference import MISSED
+from bcid.explore.belief import Hypothesis, entropy
+from bcid.explore.inference import MISSED, View, believed
 from bcid.explore.loop import BUDGET, DECIDED, INSEPARABLE, UNEXPLAINED, Exploration, Plan, Step, explore, paired
 from bcid.explore.moves import Move
 from bcid.explore.predictions import Predictor
@@ -24,7 +27,6 @@ from bcid.measurement import Measurement
 from bcid.progress import Progress, Silent
 from bcid.run import Run
 from bcid.scene import Scene
-from bcid.search.farm import label
 from bcid.search.job import scene_fingerprint
 from bcid.units import percent
 
@@ -43,6 +45,7 @@ def run_exploration(
     overwrite: bool = False,
     store: Path | None = None,
     wait: float = 3600.0,
+    hidden: Sequence[str] = (),
 ) -> Path:
     """Explore and write the run folder; collective on `comm`. Returns the folder.
 
@@ -54,6 +57,7 @@ def run_exploration(
         robot: "simulated:3,4" (anchors, on the finest level of the scene) or "folder:DIR" (see `bcid.explore.robots.Folder`).
         store: folder for predictions, which may be shared by runs; inside the run folder by default.
         wait: how long a folder is waited for, s.
+        hidden: effects that the simulated body has and the scene does not, as "fibres: k1 = 5 kPa, angle = 30 deg".
 
     Raises:
         BcidError: see `Scene.read`, `bcid.explore.loop.explore`, `Run.start`, and the robots.
@@ -62,9 +66,14 @@ def run_exploration(
     scene = divided(on_root(comm, lambda: Scene.read(scene_file, physics=check_physics)), comm)
     plan.check(scene)
     kind, about = _robot_kind(robot, scene)
+    body = with_effects(scene, hidden)
+    if hidden and kind != SIMULATED:
+        raise InputError(f"--hide '{hidden[0]}': belongs to a simulated robot")
     ladder = paired(scene, plan.level, comm)
     check_geometry(ladder, 0, comm)
     inputs = {"scene": scene_fingerprint(scene), "robot": robot, "plan": asdict(plan)}
+    if hidden:
+        inputs["hidden"] = list(hidden)
     run: Run | None = None
 
     def begin() -> list[tuple[Move, Measurement]]:
@@ -81,7 +90,7 @@ def run_exploration(
     try:
         with run.watched() if run else nullcontext():
             if comm.rank == 0:
-                mover = _robot(kind, about, scene, plan, store, wait)
+                mover = _robot(kind, about, body, plan, store, wait)
             found = explore(
                 scene,
                 mover,
@@ -116,6 +125,35 @@ def _robot_kind(text: str, scene: Scene) -> tuple[str, str]:
                     f"--robot '{text}': patch '{name}' is not in the scene; it has {', '.join(scene.patches)}"
                 )
     return kind, about
+
+
+def with_effects(scene: Scene, hidden: Sequence[str]) -> Scene:
+    """The scene with more effects, written as "fibres: k1 = 5 kPa, angle = 30 deg".
+
+    Raises:
+        InputError: an effect or its numbers cannot be used.
+    """
+    for text in hidden:
+        name, colon, rest = (part.strip() for part in text.partition(":"))
+        pairs = [pair.partition("=") for pair in rest.split(",")] if colon else []
+        if not name or not pairs or not all(key.strip() and value.strip() for key, _, value in pairs):
+            raise InputError(f"--hide '{text}': expected as in \"fibres: k1 = 5 kPa, angle = 30 deg\"")
+        if name in scene.effects:
+            raise InputError(f"--hide '{text}': the scene's model has {name} already")
+        values = {key.strip(): _number(value.strip()) for key, _, value in pairs}
+        scene = replace(scene, effects={**scene.effects, name: values})
+        problems = check_physics(scene)
+        if problems:
+            raise InputError("\n".join([f"--hide '{text}':", *(f"  {problem}" for problem in problems)]))
+    return scene
+
+
+def _number(text: str) -> float | str:
+    """A pure number, or a text: a quantity with its unit, or the name of a place."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def _names(text: str) -> list[str]:
@@ -168,7 +206,7 @@ def _write(
     run.write_text("summary.txt", summary(scene, plan, found))
     evaluations = {str(p.level): p.evaluations for p in predictors}
     run.record |= {"names": {"scene": source}, "ranks": ranks, "evaluations": evaluations}
-    run.finish({key: result[key] for key in ("reason", "anchored", "probability")})
+    run.finish({key: result[key] for key in ("reason", "anchored", "effect", "probability")})
 
 
 def exploration_json(scene: Scene, found: Exploration) -> dict[str, Any]:
@@ -176,21 +214,24 @@ def exploration_json(scene: Scene, found: Exploration) -> dict[str, Any]:
     view = found.view
     return {
         "reason": found.reason,
-        "anchored": _sorted(view.best, scene),
+        "anchored": _sorted(view.best.anchors, scene),
+        "effect": view.best.effect,
         "probability": view.certainty,
         "patches": view.patches,
+        "effects": view.effects,
+        "amounts": amounts(view),
         "entropy": view.entropy,
         "rms": _finite(view.rms * 1e3),
         "missed": view.missed,
         "length_unit": "mm",
         "not_allowed": [{"pull": str(o.move), "reason": o.forbidden} for o in found.options if o.forbidden],
-        "not_separated": [_sorted(a, scene) for a in found.rivals],
+        "not_separated": [_named(h, scene) for h in found.rivals],
         "steps": [_step_json(scene, step) for step in found.steps],
     }
 
 
 def _step_json(scene: Scene, step: Step) -> dict[str, Any]:
-    likely = [(a, p) for a, p in step.view.probabilities.items() if p > 1e-4][:16]
+    likely = [(h, p) for h, p in step.view.probabilities.items() if p > 1e-4][:16]
     return {
         "number": step.number,
         "grasp": step.move.grasp,
@@ -200,8 +241,9 @@ def _step_json(scene: Scene, step: Step) -> dict[str, Any]:
         "expected_error": _finite(step.expected[1]),
         "gained_bits": step.gained,
         "entropy": step.view.entropy,
-        "belief": [{"anchored": _sorted(a, scene), "probability": p} for a, p in likely],
+        "belief": [_named(h, scene) | {"probability": p} for h, p in likely],
         "patches": step.view.patches,
+        "effects": step.view.effects,
         "missed": step.view.missed,
         "before": None if step.ahead is None else str(step.ahead),
         "options": [
@@ -221,6 +263,21 @@ def _step_json(scene: Scene, step: Step) -> dict[str, Any]:
     }
 
 
+def _named(hypothesis: Hypothesis, scene: Scene) -> dict[str, Any]:
+    return {"anchored": _sorted(hypothesis.anchors, scene), "effect": hypothesis.effect}
+
+
+def amounts(view: View) -> dict[str, dict[str, Any]]:
+    """Numbers of the likeliest hypothesis' effect, SI, with standard errors."""
+    fitted = view.fitted.get(view.best)
+    if fitted is None:
+        return {}
+    return {
+        name: {"value": _finite(value), "stderr": _finite(error), "unit": fitted.unit(name)}
+        for name, (value, error) in fitted.amounts.items()
+    }
+
+
 def _sorted(anchors: frozenset[str], scene: Scene) -> list[str]:
     return [name for name in scene.patches if name in anchors]
 
@@ -229,24 +286,61 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
+def _about_effects(plan: Plan, found: Exploration) -> list[str]:
+    """Probabilities of the effects after each pull, and which pull told them apart."""
+    names = ("", *plan.effects)
+    lines = ["Probability of the effects:"]
+    lines.append(f"  {'pull':>4}  " + "".join(f"{name or 'none':>{max(12, len(name) + 2)}}" for name in names))
+    for step in found.steps:
+        shown = "".join(f"{percent(step.view.effects[name]):>{max(12, len(name) + 2)}}" for name in names)
+        lines.append(f"  {step.number:>4}  {shown}")
+    told = telling_pull(plan, found)
+    if told is None:
+        lines.append("No pull told them apart.")
+    else:
+        bits = effect_bits(plan, found)[told.number - 1]
+        lines.append(f"Pull {told.number} ({told.move!s}) told them apart most: {bits:.2f} bits about the effect.")
+    return lines
+
+
+def effect_bits(plan: Plan, found: Exploration) -> list[float]:
+    """By how much each pull lowered the entropy of the effects, bits."""
+    before = [entropy(believed(plan.effects).values()), *(entropy(step.view.effects.values()) for step in found.steps)]
+    return [a - b for a, b in itertools.pairwise(before)]
+
+
+def telling_pull(plan: Plan, found: Exploration) -> Step | None:
+    """The pull that told most about the effects; None where no effect is as likely as was asked for."""
+    if not found.steps or max(found.view.effects.values()) < plan.confidence:
+        return None
+    bits = effect_bits(plan, found)
+    return found.steps[bits.index(max(bits))]
+
+
 def summary(scene: Scene, plan: Plan, found: Exploration) -> str:
     """The result in plain sentences."""
     view, count = found.view, len(found.steps)
-    best = label(view.best, scene.patches)
+    best = view.best.label(scene.patches)
     pulls = f"{count} pull{'s' if count != 1 else ''}"
+    what = "Anchored patches" + (" and effect" if plan.effects else "")
     words = {
-        DECIDED: f"Anchored patches of {scene.name}: {best}  (probability {percent(view.certainty)}, after {pulls})",
+        DECIDED: f"{what} of {scene.name}: {best}  (probability {percent(view.certainty)}, after {pulls})",
         INSEPARABLE: f"Not decided after {pulls}: no allowed pull separates "
-        + ", ".join(label(a, scene.patches) for a in found.rivals[:_NAMED])
+        + ", ".join(h.label(scene.patches) for h in found.rivals[:_NAMED])
         + (f" and {len(found.rivals) - _NAMED} more" if len(found.rivals) > _NAMED else ""),
-        UNEXPLAINED: f"Not decided after {pulls}: no set of anchors explains what was seen; the likeliest is {best}",
+        UNEXPLAINED: f"Not decided after {pulls}: no hypothesis explains what was seen; the likeliest is {best}",
         BUDGET: f"Not decided: the budget is used ({pulls}); the likeliest is {best} (probability {percent(view.certainty)})",
     }
     lines = [words[found.reason]]
+    for name, number in amounts(view).items():
+        if number["value"] is not None and number["stderr"] is not None:
+            lines.append(f"  {name} = {number['value']:.4g} +- {number['stderr']:.2g} {number['unit']}")
+    if plan.effects:
+        lines += ["", *_about_effects(plan, found)]
     if view.missed > MISSED:
         lines += [
             "",
-            f"WARNING: no set explains what was seen: the best misses it by {view.missed:.1f} times what noise and mesh explain.",
+            f"WARNING: nothing explains what was seen: the best hypothesis misses it by {view.missed:.1f} times noise and mesh.",
             "A physical effect is missing, or frames, grasp or material are not what the scene says: see `bcid explain`.",
         ]
     forbidden = [option for option in found.options if option.forbidden]
@@ -259,7 +353,7 @@ def summary(scene: Scene, plan: Plan, found: Exploration) -> str:
         top = next(iter(step.view.probabilities.items()))
         lines.append(
             f"  {step.number:>2}  {step.move!s:44} {expected}, {step.gained:5.2f} gained; "
-            f"{label(top[0], scene.patches)} {percent(top[1])}"
+            f"{top[0].label(scene.patches)} {percent(top[1])}"
         )
     lines += ["", "Probability that a patch is anchored:"]
     lines += [f"  {name:>6}  {percent(p):>9}" for name, p in view.patches.items()]

@@ -10,16 +10,18 @@ from typing import Any
 
 from bcid.collective import on_root
 from bcid.compare.twin import affordable, pair
-from bcid.errors import InputError
+from bcid.errors import InputError, nearest
+from bcid.explore.belief import Hypothesis
 from bcid.explore.choice import CRITERIA, Choice, Chooser, Option
 from bcid.explore.inference import MISSED, Inference, View
 from bcid.explore.moves import Move, cost, limits_of, moves
-from bcid.explore.predictions import Anchored, Predictor
+from bcid.explore.predictions import Predictor
+from bcid.explore.rival_effects import RivalEffects
 from bcid.explore.robots import Robot
+from bcid.forms import effects
 from bcid.measurement import Measurement
 from bcid.progress import Progress, Silent
 from bcid.scene import Scene
-from bcid.search.farm import label
 from bcid.units import percent
 
 DECIDED, INSEPARABLE, BUDGET, UNEXPLAINED = "decided", "inseparable", "budget", "unexplained"
@@ -38,6 +40,7 @@ class Plan:
         level: the fine level (see `paired`).
         noise: standard deviation of a coordinate, m, expected of pulls to come; by default the scene's.
         samples: of the estimate of information.
+        effects: names of the effects that may act besides.
         random_state: of that estimate, of random choice, and of the first sets where there are too many to look at all.
     """
 
@@ -50,6 +53,7 @@ class Plan:
     noise: float | None = None
     samples: int = 1000
     random_state: int = 0
+    effects: tuple[str, ...] = ()
 
     def check(self, scene: Scene) -> None:
         """Refuse what makes no sense.
@@ -68,6 +72,11 @@ class Plan:
             raise InputError(f"--samples {self.samples}: must be at least 10")
         if self.level is not None and not 0 <= self.level < len(scene.levels):
             raise InputError(f"--level {self.level}: the scene has levels 0 to {len(scene.levels) - 1}")
+        for name in self.effects:
+            if name not in effects.names():
+                raise InputError(f"--effects {name}: {nearest(name, effects.names())}")
+            if name in scene.effects:
+                raise InputError(f"--effects {name}: the scene's model has it already")
         for name in self.grasps or ():
             if name not in scene.grasps:
                 raise InputError(f"--grasps {name}: is not in the scene; it has {', '.join(scene.grasps)}")
@@ -115,14 +124,14 @@ class Exploration:
             explain what was seen.
         view: what is believed at the end.
         steps: the pulls.
-        rivals: for "inseparable", the sets that no allowed pull separates.
+        rivals: for "inseparable", the hypotheses that no allowed pull separates.
         options: for "inseparable", the pulls that were considered in vain.
     """
 
     reason: str
     view: View
     steps: tuple[Step, ...]
-    rivals: tuple[Anchored, ...] = ()
+    rivals: tuple[Hypothesis, ...] = ()
     options: tuple[Option, ...] = ()
 
 
@@ -163,7 +172,12 @@ def explore(
         BcidError: whatever the robot raises.
     """
     plan.check(scene)
-    return _Loop(scene, robot, plan, predictor, fine, progress or Silent(), list(made), keep, first).run()
+    loop = _Loop(scene, robot, plan, predictor, fine, progress or Silent(), list(made), keep, first)
+    try:
+        return loop.run()
+    finally:
+        if loop.rivals is not None:
+            loop.rivals.destroy()
 
 
 class _Loop:
@@ -183,7 +197,9 @@ class _Loop:
         self.scene, self.robot, self.plan, self.progress = scene, robot, plan, progress
         self.predictors = [p for p in (predictor, fine) if p is not None]
         self.comm, self.made, self.keep = predictor.comm, made, keep
-        self.inference = Inference(scene, predictor, fine, plan.random_state)
+        known = effects.catalogue(plan.effects)
+        self.rivals = RivalEffects(scene, predictor.comm, plan.level, known) if known else None
+        self.inference = Inference(scene, predictor, fine, plan.random_state, self.rivals)
         noise = plan.noise if plan.noise is not None else scene.noise_sigma or 0.0
         self.chooser = Chooser(
             self.inference,
@@ -260,14 +276,14 @@ class _Loop:
 
         return on_root(self.comm, work)
 
-    def _rivals(self, view: View) -> tuple[Anchored, ...]:
-        """The sets that are not told apart: those that hold the confidence that is asked for."""
-        found: list[Anchored] = []
+    def _rivals(self, view: View) -> tuple[Hypothesis, ...]:
+        """The hypotheses that are not told apart: those that hold the confidence that is asked for."""
+        found: list[Hypothesis] = []
         mass = 0.0
-        for anchors, p in view.probabilities.items():
+        for hypothesis, p in view.probabilities.items():
             if mass >= self.plan.confidence:
                 break
-            found.append(anchors)
+            found.append(hypothesis)
             mass += p
         return tuple(found)
 
@@ -285,11 +301,11 @@ class _Loop:
 
     def _report(self, step: Step) -> None:
         shown = ", ".join(
-            f"{label(a, self.scene.patches)} {percent(p)}"
-            for a, p in list(step.view.probabilities.items())[:3]
+            f"{h.label(self.scene.patches)} {percent(p)}"
+            for h, p in list(step.view.probabilities.items())[:3]
             if p > 1e-3
         )
         doubt = ""
         if step.view.missed > MISSED:
-            doubt = f"; NO set explains what was seen ({step.view.missed:.1f} times noise and mesh)"
+            doubt = f"; NOTHING explains what was seen ({step.view.missed:.1f} times noise and mesh)"
         self.progress.say(f"  {step.gained:.2f} bits gained; {shown}{doubt}; {step.seconds:.1f} s of computing")

@@ -10,7 +10,7 @@ import math
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from bcid.collective import agree, in_turns, on_root
 from bcid.errors import BcidError, InputError
 from bcid.fingerprint import fingerprint
 from bcid.forms.forward import Forward
-from bcid.forms.mesh import level_mesh
+from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
 from bcid.forms.softness import SOFT, softest
 from bcid.forms.solve import Settings
@@ -50,12 +50,15 @@ class Foreseen:
         force: largest force of the gripper, N; NaN if it was not asked for, like all that follows.
         strain: largest principal strain that 99 % of the volume stays below, over all frames.
         softness: smallest eigenvalue of the tangent as part of that at rest, over all frames: below 0.5 the body may buckle.
+        loose: how positions change when one of the numbers that are not known, or a combination of them, changes by its standard
+            deviation, each of the shape of `positions`, m.
     """
 
     positions: Array
     force: float = math.nan
     strain: float = math.nan
     softness: float = math.nan
+    loose: tuple[Array, ...] = ()
 
     @cached_property
     def failed(self) -> bool:
@@ -94,43 +97,62 @@ class Predictor:
         self.model = model or Model.of(scene)
         self.evaluations = 0
         self._known: dict[tuple[str, Anchored], Foreseen] = {}
-        self._forward: Forward | None = None
+        self._forwards: dict[str, Forward] = {}
+        self._mesh: BodyMesh | None = None
         self._read: set[str] = set()
         # What a robot may do changes no prediction.
         about = {"scene": scene_fingerprint(replace(scene, limits=None)), "level": level, "model": self.model.name}
         about |= {"values": {dose.label: dict(dose.values) for dose in self.model.doses}}
         self._folder = None if store is None else store / fingerprint(about)
 
-    def foresee(self, tasks: Iterable[Task], detailed: bool = False) -> list[Foreseen]:
-        """Predictions, in order; `detailed` with force, strain and softness. Each is computed once."""
+    def foresee(
+        self, tasks: Iterable[Task], detailed: bool = False, models: Sequence[Model] | None = None
+    ) -> list[Foreseen]:
+        """Predictions, in order; `detailed` with force, strain and softness. Each is computed once.
+
+        `models` are those of the tasks, where they are other than the predictor's own; what they predict is not kept on disk.
+        """
         tasks = list(tasks)
-        names = {
-            id(action): key_of(action, bool(self.model.doses))
-            for _, action in {id(a): (s, a) for s, a in tasks}.values()
-        }
-        keys = [(names[id(action)], anchors) for anchors, action in tasks]
-        for key in dict.fromkeys(key for key, _ in keys):
+        whose = [self.model] * len(tasks) if models is None else list(models)
+        keys = self._keys(tasks, whose)
+        for key in dict.fromkeys(k for (k, _), model in zip(keys, whose, strict=True) if model is self.model):
             self._load(key)
-        missing = {k: task for k, task in zip(keys, tasks, strict=True) if not self._enough(k, detailed)}
+        missing = {
+            k: (task, model) for k, task, model in zip(keys, tasks, whose, strict=True) if not self._enough(k, detailed)
+        }
         todo = list(missing.items())
         size = _BATCH * self.comm.size
         for i in range(0, len(todo), size):
-            self._work(todo[i : i + size], detailed)
+            fresh = self._work(todo[i : i + size], detailed)
+            on_root(self.comm, partial(self._keep, {k: f for k, f in fresh.items() if missing[k][1] is self.model}))
         return [self._known[k] for k in keys]
+
+    def _keys(self, tasks: Sequence[Task], models: Sequence[Model]) -> list[tuple[str, Anchored]]:
+        """Fingerprints of motion and model, with the set; the own model goes without one."""
+        known: dict[tuple[int, int], str] = {}
+        for (_, action), model in zip(tasks, models, strict=True):
+            pair = id(action), id(model)
+            if pair not in known:
+                about = "" if model is self.model else "-" + fingerprint({"name": model.name} | model.constants())
+                known[pair] = key_of(action, timed=not model.steady) + about
+        return [(known[id(t[1]), id(model)], t[0]) for t, model in zip(tasks, models, strict=True)]
 
     def _enough(self, key: tuple[str, Anchored], detailed: bool) -> bool:
         known = self._known.get(key)
         return known is not None and (known.detailed or not detailed)
 
-    def _work(self, todo: Sequence[tuple[tuple[str, Anchored], Task]], detailed: bool) -> None:
-        forward = self.forward()
+    def _work(
+        self, todo: Sequence[tuple[tuple[str, Anchored], tuple[Task, Model]]], detailed: bool
+    ) -> dict[tuple[str, Anchored], Foreseen]:
+        for model in {model.name: model for _, (_, model) in todo}.values():
+            self.forward(model)
         mine: list[tuple[int, Foreseen]] = []
         error = None
         tickets = counter(self.comm)
         for i in share(range(len(todo)), tickets):
-            anchors, action = todo[i][1]
+            (anchors, action), model = todo[i][1]
             try:
-                mine.append((i, predicted(forward, anchors, action, detailed)))
+                mine.append((i, predicted(self.forward(model), anchors, action, detailed)))
             except BcidError as caught:
                 error = caught
                 break
@@ -140,19 +162,23 @@ class Predictor:
         fresh = {todo[i][0]: foreseen for i, foreseen in found}
         self._known |= fresh
         self.evaluations += len(fresh)
-        on_root(self.comm, lambda: self._keep(fresh))
+        return fresh
 
-    def forward(self) -> Forward:
-        """The forward model, private to the process; collective where it is built."""
-        if self._forward is None:
-            mesh = level_mesh(self.scene, self.scene.levels[self.level], self.comm)
+    def forward(self, model: Model | None = None) -> Forward:
+        """The forward model of these parts, with their values, private to the process; collective where it is built."""
+        model = model or self.model
+        if model.name not in self._forwards:
+            mesh = self._mesh = self._mesh or level_mesh(self.scene, self.scene.levels[self.level], self.comm)
             settings = Settings(rtol=1e-7, halvings=3)
-            self._forward = in_turns(
+            self._forwards[model.name] = in_turns(
                 self.comm,
                 self.comm.rank == 0,
-                lambda: Forward(self.scene, self.level, None, self.model, settings, mesh),
+                lambda: Forward(self.scene, self.level, None, model, settings, mesh),
             )
-        return self._forward
+        forward = self._forwards[model.name]
+        if forward.model is not model:
+            forward.set_model(model)
+        return forward
 
     # -- on disk
     # --------------------------------------------------------------------------------------------------------------
@@ -167,15 +193,15 @@ class Predictor:
             with writing(folder):
                 folder.mkdir(parents=True, exist_ok=True)
                 count = len(list(folder.glob("*.npz")))
-                partial = folder / f".{count:06d}-{os.getpid()}.partial"
-                with partial.open("wb") as stream:
+                begun = folder / f".{count:06d}-{os.getpid()}.partial"
+                with begun.open("wb") as stream:
                     np.savez(
                         stream,
                         sets=np.array([json.dumps(sorted(anchors)) for anchors in group]),
                         positions=np.array([f.positions for f in group.values()]),
                         numbers=np.array([[f.force, f.strain, f.softness] for f in group.values()]),
                     )
-                partial.replace(folder / f"{count:06d}-{os.getpid()}.npz")
+                begun.replace(folder / f"{count:06d}-{os.getpid()}.npz")
 
     def _load(self, key: str) -> None:
         """Read what is stored of an action, on rank 0 for all; collective."""
@@ -193,9 +219,9 @@ class Predictor:
 
     def destroy(self) -> None:
         """Free the PETSc objects of this process."""
-        if self._forward is not None:
-            self._forward.destroy()
-            self._forward = None
+        for forward in self._forwards.values():
+            forward.destroy()
+        self._forwards.clear()
 
 
 def _entries(file: Path) -> list[tuple[Anchored, Foreseen]]:
@@ -207,7 +233,7 @@ def _entries(file: Path) -> list[tuple[Anchored, Foreseen]]:
         if not (len(sets) == len(positions) == len(numbers) and numbers.shape[1:] == (3,) and positions.ndim == 4):
             raise ValueError(f"{len(sets)} sets, positions {positions.shape}, numbers {numbers.shape}")
         rows = zip(sets, positions, numbers, strict=True)
-        return [(anchors, Foreseen(np.asarray(p, float), *map(float, row))) for anchors, p, row in rows]
+        return [(a, Foreseen(np.asarray(p, float), float(n[0]), float(n[1]), float(n[2]))) for a, p, n in rows]
     except Exception as error:
         raise InputError(f"{file}: is damaged and cannot be read ({error}); remove it, it is computed again") from None
 
@@ -224,9 +250,9 @@ def key_of(action: Action, timed: bool = False) -> str:
 def predicted(forward: Forward, anchors: Anchored, action: Action, detailed: bool) -> Foreseen:
     """Predict an action of an anchor set on this process.
 
-    A way back that repeats the way there is not computed, but with effects: some depend on time, or remember.
+    A way back that repeats the way there is not computed, unless an effect depends on time, or remembers.
     """
-    count = len(action) if forward.model.doses else _turning(action)
+    count = _turning(action) if forward.model.steady else len(action)
     there = replace(
         action,
         frames=np.arange(count),

@@ -247,6 +247,13 @@ class Model:
         """Whether an equilibrium depends on the ones before it."""
         return any(dose.effect.memory or dose.effect.uses_past for dose in self.doses)
 
+    @property
+    def steady(self) -> bool:
+        """Whether what is seen depends on the pose alone: not on time, nor on the frames before, nor on the picture's number."""
+        return not self.remembers and not any(
+            dose.effect.envelope or dose.effect.drive or dose.effect.observe for dose in self.doses
+        )
+
     @classmethod
     def of(cls, scene: Scene) -> Model:
         """The model that a scene describes, without anchors and grasp.

@@ -46,18 +46,16 @@ def _title(found: dict[str, Any]) -> str:
     count = len(found["steps"])
     pulls = f"{count} pull{'s' if count != 1 else ''}"
     if found["reason"] == "decided":
-        return f"anchored: {_name(found['anchored'])}, probability {percent(found['probability'])}, after {pulls}"
+        return f"anchored: {_name(found)}, probability {percent(found['probability'])}, after {pulls}"
     if found["reason"] == "inseparable":
-        return "no allowed pull separates " + ", ".join(_name(a) for a in found["not_separated"][:4])
+        return "no allowed pull separates " + ", ".join(map(_name, found["not_separated"][:4]))
     if found["reason"] == "unexplained":
-        return f"no set of anchors explains what was seen after {pulls}; likeliest {_name(found['anchored'])}"
-    return (
-        f"not decided after {pulls}; likeliest {_name(found['anchored'])}, probability {percent(found['probability'])}"
-    )
+        return f"nothing explains what was seen after {pulls}; likeliest {_name(found)}"
+    return f"not decided after {pulls}; likeliest {_name(found)}, probability {percent(found['probability'])}"
 
 
-def _name(anchored: list[str]) -> str:
-    return "{" + " ".join(anchored) + "}"
+def _name(hypothesis: dict[str, Any]) -> str:
+    return "{" + " ".join(hypothesis["anchored"]) + "}" + (f" + {hypothesis['effect']}" if hypothesis["effect"] else "")
 
 
 def _sets(axes: Axes, steps: list[dict[str, Any]]) -> None:
@@ -65,19 +63,19 @@ def _sets(axes: Axes, steps: list[dict[str, Any]]) -> None:
     weight: dict[str, float] = {}
     for step in steps:
         for entry in step["belief"]:
-            name = _name(entry["anchored"])
+            name = _name(entry)
             weight[name] = weight.get(name, 0.0) + entry["probability"]
     shown = sorted(weight, key=lambda name: -weight[name])[: len(_COLOURS)]
     for k, name in enumerate(shown):
         heights, bottoms = [], []
         for step in steps:
-            known = {_name(entry["anchored"]): entry["probability"] for entry in step["belief"]}
+            known = {_name(entry): entry["probability"] for entry in step["belief"]}
             bottoms.append(sum(known.get(other, 0.0) for other in shown[:k]))
             heights.append(known.get(name, 0.0))
         axes.bar(
             range(1, len(steps) + 1),
             heights,
-            0.6,
+            _width(steps),
             bottoms,
             color=_COLOURS[k],
             hatch=_HATCHES[k],
@@ -86,12 +84,12 @@ def _sets(axes: Axes, steps: list[dict[str, Any]]) -> None:
         )
     rest = []
     for step in steps:
-        known = {_name(entry["anchored"]): entry["probability"] for entry in step["belief"]}
+        known = {_name(entry): entry["probability"] for entry in step["belief"]}
         rest.append(max(0.0, 1 - sum(known.get(name, 0.0) for name in shown)))
     if max(rest, default=0.0) > 1e-3:
-        axes.bar(range(1, len(steps) + 1), rest, 0.6, [1 - r for r in rest], color=_OTHERS, label="other sets")
+        axes.bar(range(1, len(steps) + 1), rest, _width(steps), [1 - r for r in rest], color=_OTHERS, label="others")
     axes.set_ylim(0, 1)
-    axes.set_ylabel("probability of a set")
+    axes.set_ylabel("probability")
     axes.set_xlim(0.4, len(steps) + 0.6)
     axes.set_xticks(range(1, len(steps) + 1), [_pull(step) for step in steps])
     open_frame(axes)
@@ -99,29 +97,44 @@ def _sets(axes: Axes, steps: list[dict[str, Any]]) -> None:
         axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=4, frameon=False, fontsize=9)
 
 
+def _width(steps: list[dict[str, Any]]) -> float:
+    """Of a bar: few are not broad."""
+    return min(0.6, 0.15 * len(steps))
+
+
 def _pull(step: dict[str, Any]) -> str:
     return f"{step['grasp']} {step['direction']}\n{step['amplitude']:.3g} mm"
 
 
 def _patches(axes: Axes, steps: list[dict[str, Any]]) -> None:
-    """Probability of each patch by pull, as numbers on shades of grey."""
+    """Probability of each patch, and of each effect where there are rivals, by pull, as numbers on shades of grey."""
     if not steps:
         axes.set_axis_off()
         return
-    names = list(steps[0]["patches"])
-    table = [[step["patches"][name] for step in steps] for name in names]
+    rows = [_probabilities(step) for step in steps]
+    names = list(rows[0])
+    table = [[row[name] for row in rows] for name in names]
     axes.imshow(
         table, cmap="Greys", vmin=0, vmax=1.25, aspect="auto", extent=(0.5, len(steps) + 0.5, len(names) - 0.5, -0.5)
     )
     for i, row in enumerate(table):
         for j, p in enumerate(row):
             axes.text(j + 1, i, f"{p:.2f}", ha="center", va="center", fontsize=8, color="white" if p > 0.6 else "black")
+    patches = len(steps[0]["patches"])
+    if len(names) > patches:
+        axes.axhline(patches - 0.5, color="#0072B2", lw=1.5)
     axes.set_xlim(0.4, len(steps) + 0.6)
     axes.set_yticks(range(len(names)), names)
     axes.set_xticks(range(1, len(steps) + 1))
     axes.set_xlabel("pull")
-    axes.set_ylabel("patch anchored")
+    axes.set_ylabel("patch anchored" if len(names) == patches else "patch anchored,\neffect acting")
     open_frame(axes)
+
+
+def _probabilities(step: dict[str, Any]) -> dict[str, float]:
+    """Of patches, and of effects where there are rivals."""
+    rivals = step["effects"] if len(step["effects"]) > 1 else {}
+    return step["patches"] | {name or "no effect": p for name, p in rivals.items()}
 
 
 def _bits(axes: Axes, steps: list[dict[str, Any]]) -> None:

@@ -211,8 +211,8 @@ class Bench:
         found = explore(scene, robot, plan, self.predictor, self.fine, first=first)
         return asdict(trial) | {
             "reason": found.reason,
-            "found": sorted(found.view.best),
-            "right": found.view.best == frozenset(trial.anchors),
+            "found": sorted(found.view.best.anchors),
+            "right": found.view.best.anchors == frozenset(trial.anchors),
             "probability": found.view.certainty,
             "pulls": len(found.steps),
             "moves": [str(step.move) for step in found.steps],

@@ -46,7 +46,7 @@ def test_02_explain(capsys: pytest.CaptureFixture[str]) -> None:
 def test_06_explore(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Two processes that know of each other only through a folder."""
     found = load("06_explore").main(tmp_path)
-    assert (found.reason, sorted(found.view.best)) == ("decided", ["3", "4"])
+    assert (found.reason, sorted(found.view.best.anchors)) == ("decided", ["3", "4"])
     assert found.view.missed == pytest.approx(1.0, abs=0.1)
     assert len(list(tmp_path.glob("*/measurement"))) == len(found.steps) <= 3
     for step in found.steps:

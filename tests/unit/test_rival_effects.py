@@ -1,0 +1,159 @@
+"""Rival effects: their evidence against numerical integration, and an exploration that finds the hidden one."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from scipy.integrate import quad, simpson
+from scipy.stats import norm
+
+from bcid.compare.data import MeshError
+from bcid.compare.fit import fit
+from bcid.compare.state import State
+from bcid.compare.twin import Twin
+from bcid.errors import InputError
+from bcid.explore.belief import Hypothesis
+from bcid.explore.information import information
+from bcid.explore.job import run_exploration
+from bcid.explore.loop import Plan
+from bcid.explore.moves import Move, limits_of
+from bcid.explore.rival_effects import Fitted, RivalEffects, joined
+from bcid.forms import effects
+from bcid.forms.model import Dose, Model
+from bcid.forms.simulate import simulate
+from bcid.measurement import Measurement
+from bcid.scene import Scene
+
+NOISE = 3e-4
+WEIGHT = 1500.0
+
+
+def test_information_about_a_spread_is_that_of_two_gaussians() -> None:
+    """The same mean, but one hypothesis has an unknown number: by quadrature."""
+    size = 4.0
+    shown = np.zeros((2, 6))
+    loose = [np.zeros((0, 6)), np.full((1, 6), size / math.sqrt(6))]
+    found = information(shown, np.array([0.5, 0.5]), 4000, 1, loose)
+    wide = math.hypot(1.0, size)
+
+    def bits(x: float) -> float:
+        logs = np.array([norm.logpdf(x), norm.logpdf(x, scale=wide)])
+        mixture = np.logaddexp(*logs) - math.log(2)
+        return 0.5 * float(np.exp(logs) @ (logs - mixture)) / math.log(2)
+
+    exact = 2 * quad(bits, 0, 12 * wide, limit=200)[0]
+    assert abs(found.bits - exact) < 4 * found.error + 1e-3
+    assert information(shown, np.array([0.5, 0.5]), 4000, 1).bits == 0.0
+
+
+@pytest.fixture
+def heavy(coarse_scene: Path) -> tuple[Scene, Measurement]:
+    """The coarse slab, and one pull at it with a weight that its scene does not know of."""
+    scene = Scene.read(coarse_scene)
+    model = Model.of(scene) + Dose("gravity", {"weight": WEIGHT})
+    action = Move("II", "out", limits_of(scene).displacement).action(limits_of(scene))
+    return scene, simulate(scene, ["3", "4"], [action], 0, NOISE, 3, model=model)
+
+
+def test_evidence_is_the_likelihood_averaged_over_what_was_believed(heavy: tuple[Scene, Measurement]) -> None:
+    """Laplace's approximation against Simpson's rule over the weight, with predictions at every one of its values."""
+    scene, seen = heavy
+    twin = Twin(scene, seen, MPI.COMM_SELF)
+    anchors, plain = frozenset("34"), Model.of(scene)
+    start = State.of(twin, plain + Dose("gravity", {"weight": 1000.0}), anchors)
+    one = Fitted(Hypothesis(anchors, "gravity"), fit(start, ["gravity.weight"]), plain)
+    value, error = one.amounts["gravity.weight"]
+    assert value == pytest.approx(WEIGHT, abs=4 * error)
+    sigma = 2 * effects.effect("gravity").parameters[0].typical
+    at = value + error * np.linspace(-5, 5, 21)
+    chi2 = [State.of(twin, start.model.with_values({"gravity.weight": w}), anchors, start.errors.mesh).chi2 for w in at]
+    averaged = simpson(np.exp(-0.5 * (np.array(chi2) - one.chi2)) * norm.pdf(at, 0.0, sigma), x=at)
+    volume = start.errors.log_volume
+    assert one.log(1.0) == pytest.approx(-0.5 * one.chi2 - volume + math.log(averaged), abs=0.05)
+    twin.destroy()
+
+
+def test_what_the_pulls_do_not_tell_stays_as_it_was_expected(heavy: tuple[Scene, Measurement]) -> None:
+    """Springs at a patch that is not anchored do nothing: any stiffness fits, and none is likelier for it."""
+    scene, seen = heavy
+    twin = Twin(scene, seen, MPI.COMM_SELF)
+    anchors, plain = frozenset("34"), Model.of(scene)
+    nothing = MeshError.unknown(twin.data.mask.shape)
+    alone = Fitted(Hypothesis(anchors), fit(State.of(twin, plain, anchors, nothing), ()), plain)
+    loose = plain + Dose("soft_anchor", {"stiffness": 3e4}, place="2")
+    one = fit(State.of(twin, loose, anchors, nothing), ["soft_anchor(2).stiffness"])
+    dormant = Fitted(Hypothesis(anchors, "soft_anchor"), one, plain)
+    assert dormant.log(1.0) == pytest.approx(alone.log(1.0), abs=1e-6)
+    assert dormant.model.constants()["soft_anchor(2).stiffness"] > 1e9
+    twin.destroy()
+
+
+def test_pulls_are_joined_with_their_noise(heavy: tuple[Scene, Measurement]) -> None:
+    scene, seen = heavy
+    other = replace(seen, noise_sigma=2 * NOISE)
+    whole = joined([seen, other], scene)
+    assert whole.action_names == ["1", "2"]
+    sigma = whole.sigma()
+    assert sigma is not None
+    count = len(seen.positions)
+    assert (np.unique(sigma[:count]), np.unique(sigma[count:])) == (NOISE, 2 * NOISE)
+    assert [list(a.frames) for a in whole.actions] == [list(range(count)), list(range(count, 2 * count))]
+
+
+def test_a_hidden_weight_is_told_from_soft_anchors(coarse_scene: Path, tmp_path: Path) -> None:
+    hidden = [f"gravity: weight = {WEIGHT} N/m^3"]
+    plan = Plan(noise=NOISE, effects=("gravity", "soft_anchor"), samples=200)
+    run_exploration(coarse_scene, "simulated:3,4", tmp_path / "run", plan, MPI.COMM_SELF, hidden=hidden)
+    found = json.loads((tmp_path / "run/exploration.json").read_text())
+    assert (found["reason"], found["anchored"], found["effect"]) == ("decided", ["3", "4"], "gravity")
+    weight = found["amounts"]["gravity.weight"]
+    assert weight["value"] == pytest.approx(WEIGHT, abs=4 * weight["stderr"])
+    assert weight["unit"] == "N/m^3"
+    assert found["missed"] == pytest.approx(1.0, abs=0.1)
+    text = (tmp_path / "run/summary.txt").read_text()
+    assert "{3 4} + gravity" in text
+    assert "told them apart most" in text
+    # The scene alone explains nothing of it, and says so instead of naming a set.
+    alone = replace(plan, effects=(), budget=2.0)
+    run_exploration(coarse_scene, "simulated:3,4", tmp_path / "alone", alone, MPI.COMM_SELF, hidden=hidden)
+    found = json.loads((tmp_path / "alone/exploration.json").read_text())
+    assert found["reason"] != "decided"
+    assert found["missed"] > 1.5
+
+
+def test_an_effect_is_not_fitted_at_a_place_that_it_has_not(heavy: tuple[Scene, Measurement]) -> None:
+    scene, seen = heavy
+    rivals = RivalEffects(scene, MPI.COMM_SELF, None, [effects.effect("soft_anchor")])
+    found = rivals.look([seen], [frozenset("34"), frozenset("234")])
+    acting = [f for f in found if f.hypothesis.effect]
+    assert acting
+    for one in acting:
+        assert one.model.doses[-1].place in ("", *one.hypothesis.anchors)
+    rivals.destroy()
+
+
+@pytest.mark.parametrize(
+    ("robot", "hidden", "words"),
+    [
+        ("folder:lab", "gravity: weight = 1 N/m^3", "belongs to a simulated robot"),
+        ("simulated:1", "gravity", "expected as in"),
+        ("simulated:1", "gravity: weight = 1", "weight"),
+        ("simulated:1", "fibres: k1 = 5 kPa, angle", "expected as in"),
+        ("simulated:1", "gravty: weight = 1 N/m^3", "gravity"),
+    ],
+)
+def test_what_cannot_be_hidden_is_told(coarse_scene: Path, tmp_path: Path, robot: str, hidden: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        run_exploration(coarse_scene, robot, tmp_path / "run", Plan(), MPI.COMM_SELF, hidden=[hidden])
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(("name", "words"), [("gravty", "gravity"), ("gravity", "has it already")])
+def test_wrong_effects_are_refused(coarse_scene: Path, name: str, words: str) -> None:
+    scene = Scene.read(coarse_scene)
+    with pytest.raises(InputError, match=words):
+        Plan(effects=(name,)).check(replace(scene, effects={"gravity": {"weight": "1 N/m^3"}}))
