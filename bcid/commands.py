@@ -292,9 +292,12 @@ def study(arguments: argparse.Namespace, comm: Any = None) -> None:
     """`bcid study`."""
     if arguments.study == "exploration":
         from bcid.studies.exploration import run_study
+        from bcid.studies.exploration_trials import Extent
 
         progress = _progress(arguments, comm.rank)
-        folder = run_study(arguments.output, arguments.trials, arguments.seed, comm, progress, arguments.overwrite)
+        folder = run_study(
+            arguments.output, Extent(arguments.trials), arguments.seed, comm, progress, arguments.overwrite
+        )
         if comm.rank == 0:
             _print_result(folder, "table.txt")
         return

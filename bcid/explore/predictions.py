@@ -93,7 +93,7 @@ class Predictor:
     def __init__(
         self, scene: Scene, level: int, comm: Any, store: Path | None = None, model: Model | None = None
     ) -> None:
-        self.scene, self.level, self.comm = scene, level, comm
+        self.scene, self.level, self.comm, self.store = scene, level, comm, store
         self.model = model or Model.of(scene)
         self.evaluations = 0
         self._known: dict[tuple[str, Anchored], Foreseen] = {}

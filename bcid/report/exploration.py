@@ -34,7 +34,9 @@ def belief_figure(found: dict[str, Any]) -> Figure:
     steps = found["steps"]
     figure = Figure(figsize=(12, 6.4), facecolor="white")
     grid = figure.add_gridspec(2, 2, width_ratios=[2.1, 1], height_ratios=[1.25, 1], hspace=0.5, wspace=0.2)
-    grid.update(left=0.065, right=0.98, top=0.86, bottom=0.1)
+    # Names of effects need room.
+    rivals = bool(steps) and len(steps[0]["effects"]) > 1
+    grid.update(left=0.11 if rivals else 0.065, right=0.98, top=0.86, bottom=0.1)
     figure.suptitle(_title(found), x=0.02, ha="left", fontsize=14, fontweight="bold")
     _sets(figure.add_subplot(grid[0, 0]), steps)
     _patches(figure.add_subplot(grid[1, 0]), steps)

@@ -4,6 +4,9 @@ The setting of section 8 of Boonvisut & Cavusoglu (2014): a slab held by {1 2}, 
 directions, 8 mm and back to rest, no noise and three amounts of it. Pulls chosen by information and by the paper's expected
 entropy compete with random ones and with the best single pull, repeated, in the same trials.
 
+Two more parts go beyond the paper: with {3 4}, nothing or one of three effects is hidden, and exploring must tell which; and
+patches that others enclose make no difference, which must be said instead of guessed.
+
 RUN/predictions/         what every set predicts for every pull, computed first, by all ranks together
 RUN/results/NAME.json    one trial
 RUN/exploration.json  table.txt
@@ -14,19 +17,19 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, replace
-from itertools import product
+from dataclasses import asdict, replace
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 from bcid.collective import agree, on_root
 from bcid.errors import BcidError, InputError, SolveError
+from bcid.explore.belief import Hypothesis
 from bcid.explore.choice import Choice, Chooser
 from bcid.explore.inference import Inference
-from bcid.explore.loop import DECIDED, Plan, explore, paired
+from bcid.explore.job import telling_pull, with_effects
+from bcid.explore.loop import Plan, explore, paired
 from bcid.explore.moves import limits_of, moves
 from bcid.explore.predictions import Predictor
 from bcid.explore.robots import Simulated
@@ -35,56 +38,24 @@ from bcid.forms.model import check_physics
 from bcid.progress import Progress, Silent
 from bcid.run import Run, write_whole
 from bcid.scene import Level, Scene
-from bcid.search.farm import label
 from bcid.search.schedule import counter, share
 from bcid.search.seeds import all_candidates
-from bcid.studies.score import wilson
+from bcid.studies.exploration_scores import scores, table
+from bcid.studies.exploration_trials import BUDGET, HIDDEN, RIVALS, Extent, Trial, trials
 
 SCENE = Path(__file__).resolve().parents[2] / "examples/scenes/slab_explain.toml"
-ANCHORS = (("1", "2"), ("3", "4"), ("1", "2", "3", "4"))
-NOISES = (0.0, 0.3e-3, 1e-3, 3e-3)
-GRASPS = (("II",), ("I", "II", "III"))
-STRATEGIES = ("information", "entropy", "random", "fixed")
 # The truth is computed with other elements than any level of the scene has.
 TRUE = Level(degree=3, element_size=0.014)
-BUDGET = 20.0
-# Of answers given at 95 %, so many shall be right.
-CALIBRATED = 0.93
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One exploration: what holds the body, how noisy it is seen, what may be used, how pulls are chosen, and its number."""
-
-    anchors: tuple[str, ...]
-    noise: float
-    grasps: tuple[str, ...]
-    strategy: str
-    number: int
-
-    @property
-    def name(self) -> str:
-        """For its file."""
-        noise = f"{self.noise * 1e6:.0f}um"
-        return f"{'-'.join(self.anchors)}_{noise}_{len(self.grasps)}_{self.strategy}_{self.number:03d}"
-
-
-def trials(count: int, noises: Sequence[float] = NOISES) -> Iterator[Trial]:
-    """Every trial; without noise one is enough of a strategy that draws nothing."""
-    for strategy, grasps, noise, anchors in product(STRATEGIES, GRASPS, noises, ANCHORS):
-        for number in range(count if noise > 0 or strategy == "random" else 1):
-            yield Trial(anchors, noise, grasps, strategy, number)
 
 
 def run_study(
     folder: Path,
-    count: int,
+    extent: Extent,
     seed: int,
     comm: Any,
     progress: Progress | None = None,
     overwrite: bool = False,
     scene_file: Path = SCENE,
-    noises: Sequence[float] = NOISES,
 ) -> Path:
     """Run the study into a run folder; collective on `comm`. One that was interrupted goes on with the trials that have no result.
 
@@ -92,7 +63,7 @@ def run_study(
         InputError: the numbers, or a folder that cannot be used (see `Run.start`).
     """
     progress = progress or Silent()
-    for name, value, lowest in (("trials", count, 1), ("seed", seed, 0)):
+    for name, value, lowest in (("trials", extent.count, 1), ("seed", seed, 0)):
         if value < lowest:
             raise InputError(f"--{name} {value}: must be at least {lowest}")
     scene = on_root(comm, lambda: Scene.read(scene_file, physics=check_physics))
@@ -103,17 +74,17 @@ def run_study(
 
     def begin() -> Path:
         nonlocal run
-        inputs = {"trials": count, "seed": seed, "noises": list(noises), "scene": file_fingerprint(scene_file)}
+        inputs = {"extent": json.loads(json.dumps(asdict(extent))), "seed": seed, "scene": file_fingerprint(scene_file)}
         run = Run.start(folder, "study exploration", inputs, overwrite)
         return run.path.resolve()
 
     path = on_root(comm, begin)
     with run.watched() if run else nullcontext():
         _predict(scene, path / "predictions", comm, progress)
-        todo = on_root(comm, lambda: [t for t in trials(count, noises) if not _result(path, t).is_file()])
+        todo = on_root(comm, lambda: [t for t in trials(extent) if not _result(path, t).is_file()])
         progress.say(f"{len(todo)} trials to go")
         _work(scene, path, seed, todo, comm, progress)
-        on_root(comm, lambda: _conclude(run, list(trials(count, noises))))
+        on_root(comm, lambda: _conclude(run, list(trials(extent))))
     return folder
 
 
@@ -159,7 +130,11 @@ def attempted(bench: Bench, trial: Trial) -> dict[str, Any]:
     except SolveError as error:
         nothing = {
             "found": [],
+            "effect": "",
+            "effects": {},
             "right": False,
+            "named": [],
+            "told_by": None,
             "probability": 0.0,
             "pulls": 0,
             "moves": [],
@@ -175,6 +150,7 @@ class Bench:
     def __init__(self, scene: Scene, predictor: Any, fine: Any, truth: Any, seed: int) -> None:
         self.scene, self.predictor, self.fine, self.truth, self.seed = scene, predictor, fine, truth, seed
         self._first: dict[tuple[str, tuple[str, ...], float], Choice] = {}
+        self._bodies: dict[str, Any] = {}
 
     @classmethod
     def of(cls, scene: Scene, store: Path, seed: int) -> Bench:
@@ -197,6 +173,7 @@ class Bench:
             budget=BUDGET,
             # Only what is drawn for random pulls differs from trial to trial.
             random_state=trial.number if trial.strategy == "random" else 0,
+            effects=RIVALS if trial.hidden else (),
         )
         scene = self.scene
         if trial.strategy == "fixed":
@@ -206,13 +183,18 @@ class Bench:
             directions = {best.direction: scene.limits.directions[best.direction]}
             scene = replace(scene, limits=replace(scene.limits, directions=directions))
             plan = replace(plan, grasps=(best.grasp,), look_ahead=False)
-        robot = Simulated(self.truth, trial.anchors, trial.noise, self.seed + 1000 * trial.number)
+        robot = Simulated(self.body(trial.hidden), trial.anchors, trial.noise, self.seed + 1000 * trial.number)
         first = self.first(plan, trial) if trial.strategy in ("information", "entropy") else None
         found = explore(scene, robot, plan, self.predictor, self.fine, first=first)
+        told = telling_pull(plan, found)
         return asdict(trial) | {
             "reason": found.reason,
             "found": sorted(found.view.best.anchors),
-            "right": found.view.best.anchors == frozenset(trial.anchors),
+            "effect": found.view.best.effect,
+            "effects": found.view.effects,
+            "right": found.view.best == Hypothesis(frozenset(trial.anchors), trial.effect),
+            "named": [sorted(h.anchors) for h in found.rivals],
+            "told_by": told.number if told else None,
             "probability": found.view.certainty,
             "pulls": len(found.steps),
             "moves": [str(step.move) for step in found.steps],
@@ -221,6 +203,15 @@ class Bench:
             "predicted": self.predictor.evaluations - before,
             "seconds": round(time.perf_counter() - start, 3),
         }
+
+    def body(self, hidden: str) -> Any:
+        """Predictor of what the body is really made of."""
+        if not HIDDEN.get(hidden):
+            return self.truth
+        if hidden not in self._bodies:
+            scene = with_effects(self.truth.scene, HIDDEN[hidden])
+            self._bodies[hidden] = Predictor(scene, self.truth.level, self.truth.comm, self.truth.store)
+        return self._bodies[hidden]
 
     def first(self, plan: Plan, trial: Trial) -> Choice:
         """The first choice of a strategy, which is the same in every trial."""
@@ -234,13 +225,9 @@ class Bench:
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
-        for predictor in (self.predictor, self.fine, self.truth):
+        for predictor in (self.predictor, self.fine, self.truth, *self._bodies.values()):
             if predictor is not None:
                 predictor.destroy()
-
-
-# -- scores
-# ------------------------------------------------------------------------------------------------------------------
 
 
 def _conclude(run: Run | None, made: Sequence[Trial]) -> None:
@@ -250,74 +237,3 @@ def _conclude(run: Run | None, made: Sequence[Trial]) -> None:
     run.write_json("exploration.json", found)
     run.write_text("table.txt", table(found))
     run.finish({"calibration": found["calibration"]})
-
-
-def scores(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """By grasps, noise and strategy: decided, right, pulls; and of all answers by information, how many are right."""
-    rows = []
-    for grasps, noise, strategy in product(GRASPS, NOISES, STRATEGIES):
-        mine = [r for r in results if (tuple(r["grasps"]), r["noise"], r["strategy"]) == (grasps, noise, strategy)]
-        if mine:
-            rows.append({"grasps": len(grasps), "noise": noise * 1e3, "strategy": strategy} | _row(mine))
-    answers = [r["right"] for r in results if r["reason"] == DECIDED and r["strategy"] in ("information", "entropy")]
-    low, high = wilson(sum(answers), len(answers))
-    calibration = {"right": sum(answers), "answers": len(answers), "low": low, "high": high, "wanted": CALIBRATED}
-    wrong = [
-        f"{label(r['anchors'], r['anchors'])} taken for {label(r['found'], r['found'])}"
-        for r in results
-        if not r["right"]
-    ]
-    return {
-        "trials": len(results),
-        "rows": rows,
-        "calibration": calibration,
-        "wrong": {w: wrong.count(w) for w in sorted(set(wrong))},
-    }
-
-
-def _row(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    decided = [r for r in results if r["reason"] == DECIDED]
-    return {
-        "trials": len(results),
-        "decided": len(decided),
-        "right": sum(r["right"] for r in results),
-        "falsely_certain": sum(not r["right"] for r in decided),
-        # Who does not decide has used all that was allowed, and would need more.
-        "pulls": median(r["pulls"] if r["reason"] == DECIDED else BUDGET for r in results),
-        "predicted": sum(r["predicted"] for r in results),
-        "seconds": median(r["seconds"] for r in results),
-    }
-
-
-def table(found: Mapping[str, Any]) -> str:
-    """The scores as text."""
-    lines = [f"Exploration study: {found['trials']} trials, anchors {{1 2}}, {{3 4}}, {{1 2 3 4}}", ""]
-    head = f"{'grasps':>6}{'noise':>8}  {'strategy':12}{'trials':>7}{'right':>7}{'decided':>9}{'falsely':>9}"
-    lines.append(f"{head}{'pulls':>7}{'random needs':>14}{'seconds':>9}")
-    for row in found["rows"]:
-        random = [
-            r["pulls"]
-            for r in found["rows"]
-            if (r["grasps"], r["noise"], r["strategy"]) == (row["grasps"], row["noise"], "random")
-        ]
-        ratio = f"{random[0] / row['pulls']:.2g} times" if random and row["strategy"] != "random" else "-"
-        lines.append(
-            f"{row['grasps']:>6}{row['noise']:>6.1f}mm  {row['strategy']:12}{row['trials']:>7}"
-            f"{row['right'] / row['trials']:>7.0%}{row['decided']:>9}{row['falsely_certain']:>9}"
-            f"{row['pulls']:>7g}{ratio:>14}{row['seconds']:>9.2f}"
-        )
-    c = found["calibration"]
-    if c["answers"]:
-        lines += [
-            "",
-            f"Of {c['answers']} answers at 95 % (information, entropy) {c['right'] / c['answers']:.1%} are right "
-            f"({c['low']:.1%} to {c['high']:.1%}; wanted {c['wanted']:.0%})",
-        ]
-    if found["wrong"]:
-        lines += ["", "Wrong, decided or not:", *(f"  {text}: {count}" for text, count in found["wrong"].items())]
-    lines += [
-        "",
-        "right: the likeliest set at the end; decided: with 95 %; falsely: of these, wrong; pulls: median to the decision,",
-        f"{BUDGET:g} where there was none; random needs: pulls of random choice over those of the strategy.",
-    ]
-    return "\n".join(lines) + "\n"

@@ -9,7 +9,9 @@ import pytest
 from mpi4py import MPI
 from test_explore import AXES, LIMITS, MadeUp, by_count, scene
 
-from bcid.studies.exploration import ANCHORS, STRATEGIES, Bench, Trial, attempted, run_study, scores, table, trials
+from bcid.studies.exploration import Bench, attempted, run_study
+from bcid.studies.exploration_scores import scores, table
+from bcid.studies.exploration_trials import ANCHORS, STRATEGIES, Extent, Trial, trials
 
 
 def bench() -> Bench:
@@ -19,8 +21,10 @@ def bench() -> Bench:
 
 
 def test_every_trial_has_a_name_of_its_own() -> None:
-    every = list(trials(3))
+    every = list(trials(Extent(3)))
     assert len({trial.name for trial in every}) == len(every)
+    assert sum(bool(t.hidden) for t in every) == 4
+    every = [t for t in every if not t.hidden and t.anchors in ANCHORS]
     settings = {(t.anchors, t.grasps) for t in every}
     assert len(settings) == 2 * len(ANCHORS)
     # Nothing is drawn without noise but by random choice.
@@ -60,14 +64,16 @@ def test_trials_of_the_same_number_are_the_same() -> None:
 def test_a_study_that_was_stopped_goes_on(tmp_path: Path, coarse_scene: Path) -> None:
     """Trials that are there are not made again, and the table counts them all."""
 
+    extent = Extent(1, (3e-3,), ("gravity",), ())
+
     def run() -> dict[str, Any]:
-        run_study(tmp_path / "study", 1, 0, MPI.COMM_SELF, scene_file=coarse_scene, noises=(3e-3,))
+        run_study(tmp_path / "study", extent, 0, MPI.COMM_SELF, scene_file=coarse_scene)
         found: dict[str, Any] = json.loads((tmp_path / "study/exploration.json").read_text(encoding="utf-8"))
         return found
 
     whole = run()
     files = sorted((tmp_path / "study/results").glob("*.json"))
-    assert len(files) == whole["trials"] == 24
+    assert len(files) == whole["trials"] == 25
     kept = [file.read_text(encoding="utf-8") for file in files]
     record = json.loads((tmp_path / "study/run.json").read_text(encoding="utf-8"))
     (tmp_path / "study/run.json").write_text(json.dumps(record | {"state": "running"}), encoding="utf-8")
@@ -79,6 +85,8 @@ def test_a_study_that_was_stopped_goes_on(tmp_path: Path, coarse_scene: Path) ->
         assert without_time(json.loads(file.read_text(encoding="utf-8"))) == without_time(json.loads(text))
     assert again["calibration"] == whole["calibration"]
     assert sum(row["right"] for row in whole["rows"]) > 12
+    heavy = next(row for row in whole["hidden"] if row["hidden"] == "gravity")
+    assert (heavy["trials"], heavy["right"], heavy["told_by"]) == (1, 1, 1)
 
 
 def without_time(made: dict[str, Any]) -> dict[str, Any]:
@@ -89,7 +97,8 @@ def without_time(made: dict[str, Any]) -> dict[str, Any]:
 def result(strategy: str, pulls: int, right: bool = True, reason: str = "decided") -> dict[str, Any]:
     trial = asdict(Trial(("1", "2"), 1e-3, ("II",), strategy, 0))
     found = ["1", "2"] if right else ["1"]
-    return trial | {"reason": reason, "found": found, "right": right, "pulls": pulls, "predicted": 3, "seconds": 0.5}
+    numbers = {"pulls": pulls, "predicted": 3, "seconds": 0.5, "named": [], "told_by": None, "probability": 0.97}
+    return trial | {"reason": reason, "found": found, "right": right} | numbers
 
 
 def test_scores_count_what_is_right_decided_and_falsely_certain() -> None:
@@ -105,3 +114,21 @@ def test_scores_count_what_is_right_decided_and_falsely_certain() -> None:
     assert (found["calibration"]["right"], found["calibration"]["answers"]) == (1, 2)
     assert found["wrong"] == {"{1 2} taken for {1}": 2}
     assert "3.1 times" in table(found)
+
+
+def test_what_is_hidden_and_what_is_enclosed_has_tables_of_its_own() -> None:
+    results = [result("information", 2)]
+    results += [result("information", k, k < 3) | {"hidden": "fibres", "told_by": k} for k in (1, 2, 3)]
+    apart = {"anchors": ["1", "2", "3"], "reason": "inseparable"}
+    results += [
+        result("information", 4) | apart | {"named": named} for named in ([["1", "2", "3"], ["1", "3"]], [["1", "3"]])
+    ]
+    found = scores(results)
+    assert [row["trials"] for row in found["rows"]] == [1]
+    assert found["calibration"]["answers"] == 1
+    fibres = next(row for row in found["hidden"] if row["hidden"] == "fibres")
+    assert (fibres["trials"], fibres["right"], fibres["told_by"]) == (3, 2, 2)
+    assert (found["enclosed"]["inseparable"], found["enclosed"]["truth_named"]) == (2, 1)
+    text = table(found)
+    assert "fibres              3    67%" in text
+    assert 'of 2 ended with "inseparable"' in text
