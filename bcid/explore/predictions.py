@@ -23,7 +23,7 @@ from bcid.fingerprint import fingerprint
 from bcid.forms.forward import Forward
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
-from bcid.forms.softness import SOFT, softest
+from bcid.forms.softness import SOFT, linear_buckling, softest, two_states
 from bcid.forms.solve import Settings
 from bcid.forms.trajectory import poses
 from bcid.measurement import Action
@@ -49,7 +49,8 @@ class Foreseen:
         positions: shape (frames, fiducials, 3), m; NaN where it cannot be predicted.
         force: largest force of the gripper, N; NaN if it was not asked for, like all that follows.
         strain: largest principal strain that 99 % of the volume stays below, over all frames.
-        softness: smallest eigenvalue of the tangent as part of that at rest, over all frames: below 0.5 the body may buckle.
+        softness: smallest eigenvalue of the tangent as part of that at rest, over all frames: below 0.5 the body may buckle;
+            zero where it has buckled: two states exist at the far end.
         loose: how positions change when one of the numbers that are not known, or a combination of them, changes by its standard
             deviation, each of the shape of `positions`, m.
     """
@@ -292,7 +293,27 @@ def _with_details(
         strains.append(strain_of_most(forward, equilibrium.displacement()))
         sizes.append(softest(equilibrium)[0])
         equilibrium.accept(pose)
-    return replace(result, force=max(forces), strain=max(strains), softness=min(sizes) / sizes[0])
+    softness = min(sizes) / sizes[0]
+    if softness >= SOFT and _has_buckled(forward, action, [states[int(frame)] for frame in action.frames]):
+        softness = 0.0
+    return replace(result, force=max(forces), strain=max(strains), softness=softness)
+
+
+def _has_buckled(forward: Forward, action: Action, states: Sequence[Array]) -> bool:
+    """Whether two states exist where the gripper is furthest from rest."""
+    model, equilibrium = forward.model, forward.equilibrium
+    if model.mixed or model.remembers or not model.symmetric:
+        return False
+    path = poses(model.driven(action))
+    far = int(np.argmax(np.linalg.norm(action.translation, axis=1)))
+    mode = linear_buckling(equilibrium, states[0], path[0], path[far])
+    if mode.part > 1 / SOFT:
+        return False
+
+    def fiducials() -> Array:
+        return forward.observer.positions(equilibrium.displacement())
+
+    return two_states(equilibrium, fiducials, mode, states[0], path[far], states[far])
 
 
 def strain_of_most(forward: Forward, displacement: Array) -> float:

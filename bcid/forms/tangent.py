@@ -102,6 +102,13 @@ class Tangent:
         """Product of the full matrix, as it was last assembled, with a change of all unknowns; one rank only."""
         return np.asarray(self._blocked @ change)
 
+    def copied(self) -> sp.csr_matrix:
+        """The constrained matrix as it was last assembled, this rank's rows."""
+        rows, columns, values = self.matrix.getValuesCSR()
+        return sp.csr_matrix(
+            (values.copy(), columns.copy(), rows.copy()), shape=(len(rows) - 1, self.matrix.getSize()[1])
+        )
+
     def lift(self, gap: Array, right: PETSc.Vec, state: PETSc.Vec) -> None:
         """Right-hand side for prescribed changes `gap` of the held unknowns (zero elsewhere, ghosts included); collective.
 

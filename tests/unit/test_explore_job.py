@@ -1,6 +1,7 @@
 """`bcid explore` as a job: its run folder, what a stopped one keeps, and what it says of a damaged one."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from mpi4py import MPI
 from bcid.errors import InputError, MachineError
 from bcid.explore.job import run_exploration
 from bcid.explore.loop import Plan
-from bcid.explore.moves import moves
+from bcid.explore.moves import Move, moves
 from bcid.explore.predictions import Predictor, predicted
 from bcid.explore.robots import Simulated
 from bcid.scene import Scene
@@ -81,4 +82,24 @@ def test_the_way_back_is_not_computed_and_the_same(coarse_scene: Path) -> None:
     assert half.force == pytest.approx(np.linalg.norm(wrench[:, :3], axis=1).max(), rel=1e-4)
     assert 0.05 < half.strain < 1.0
     assert half.softness == pytest.approx(1.0, abs=0.2)
+    predictor.destroy()
+
+
+def test_a_body_that_has_buckled_is_told(coarse_scene: Path) -> None:
+    """Pushed at its corner the slab bends aside on a path that never gets soft; pulled and lifted it does not."""
+    scene = Scene.read(coarse_scene)
+    assert scene.limits is not None
+    limits = replace(scene.limits, directions={"in": (-1.0, 0.0, 0.0), "out": (1.0, 0.0, 0.0), "up": (0.0, 1.0, 0.0)})
+    predictor = Predictor(scene, 0, MPI.COMM_SELF)
+    found = {}
+    for direction in limits.directions:
+        action = Move("III", direction, 0.008).action(limits)
+        found[direction] = predicted(predictor.forward(), frozenset("34"), action, detailed=True)
+    assert found["in"].softness == 0.0
+    assert found["out"].softness > 0.9
+    assert found["up"].softness > 0.9
+    # Pushed in its plane it has left it, by millimetres.
+    aside = found["in"].positions[4, :, 1].mean() - scene.rest[:, 1].mean()
+    assert abs(aside) > 3e-3
+    assert abs(found["out"].positions[4, :, 1].mean() - scene.rest[:, 1].mean()) < 1e-3
     predictor.destroy()
