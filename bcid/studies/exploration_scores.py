@@ -34,6 +34,7 @@ def scores(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return {
         "trials": len(results),
         "rows": rows,
+        "by_anchors": _by_anchors(main),
         "calibration": calibration,
         "wrong": {w: wrong.count(w) for w in sorted(set(wrong))},
         "hidden": [_hidden_row(name, [r for r in results if r["hidden"] == name]) for name in HIDDEN],
@@ -46,6 +47,26 @@ def scores(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             "pulls": median(r["pulls"] for r in enclosed) if enclosed else 0,
         },
     }
+
+
+def _by_anchors(results: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Median number of pulls of every strategy, set by set: some are known after one pull, whichever it is."""
+    rows = []
+    for grasps, noise, anchors in product(GRASPS, NOISES, ANCHORS):
+        pulls = {}
+        for strategy in STRATEGIES:
+            key = grasps, noise, anchors, strategy
+            mine = [r for r in results if (tuple(r["grasps"]), r["noise"], tuple(r["anchors"]), r["strategy"]) == key]
+            if mine:
+                pulls[strategy] = _pulls(mine)
+        if pulls:
+            rows.append({"grasps": len(grasps), "noise": noise * 1e3, "anchors": list(anchors), "pulls": pulls})
+    return rows
+
+
+def _pulls(results: Sequence[Mapping[str, Any]]) -> float:
+    """Median number; who does not decide has used all that was allowed, and would need more."""
+    return float(median(r["pulls"] if r["reason"] == DECIDED else BUDGET for r in results))
 
 
 def _hidden_row(name: str, results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -70,8 +91,7 @@ def _row(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "decided": len(decided),
         "right": sum(r["right"] for r in results),
         "falsely_certain": sum(not r["right"] for r in decided),
-        # Who does not decide has used all that was allowed, and would need more.
-        "pulls": median(r["pulls"] if r["reason"] == DECIDED else BUDGET for r in results),
+        "pulls": _pulls(results),
         "predicted": sum(r["predicted"] for r in results),
         "seconds": median(r["seconds"] for r in results),
     }
@@ -94,6 +114,10 @@ def table(found: Mapping[str, Any]) -> str:
             f"{row['right'] / row['trials']:>7.0%}{row['decided']:>9}{row['falsely_certain']:>9}"
             f"{row['pulls']:>7g}{ratio:>14}{row['seconds']:>9.2f}"
         )
+    lines += ["", f"{'grasps':>6}{'noise':>8}  {'pulls by anchors':18}" + "".join(f"{s:>14}" for s in STRATEGIES)]
+    for row in found["by_anchors"]:
+        pulls = "".join(f"{row['pulls'][s]:>14g}" if s in row["pulls"] else f"{'-':>14}" for s in STRATEGIES)
+        lines.append(f"{row['grasps']:>6}{row['noise']:>6.1f}mm  {label(row['anchors'], row['anchors']):18}{pulls}")
     c = found["calibration"]
     if c["answers"]:
         lines += [

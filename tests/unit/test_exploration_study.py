@@ -111,6 +111,7 @@ def test_scores_count_what_is_right_decided_and_falsely_certain() -> None:
     # No decision counts as the whole budget.
     assert told["pulls"] == 4
     assert rows["random"]["pulls"] == 12.5
+    assert found["by_anchors"][0]["pulls"] == {"information": 4, "random": 12.5}
     assert (found["calibration"]["right"], found["calibration"]["answers"]) == (1, 2)
     assert found["wrong"] == {"{1 2} taken for {1}": 2}
     assert "3.1 times" in table(found)
