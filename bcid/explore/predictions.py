@@ -89,6 +89,7 @@ class Predictor:
 
     Attributes:
         evaluations: actions predicted by this object, on all ranks.
+        asked: what it was asked for, by motion, model and set, whether it was known or not.
     """
 
     def __init__(
@@ -97,6 +98,7 @@ class Predictor:
         self.scene, self.level, self.comm, self.store = scene, level, comm, store
         self.model = model or Model.of(scene)
         self.evaluations = 0
+        self.asked: set[tuple[str, Anchored]] = set()
         self._known: dict[tuple[str, Anchored], Foreseen] = {}
         self._forwards: dict[str, Forward] = {}
         self._mesh: BodyMesh | None = None
@@ -116,6 +118,7 @@ class Predictor:
         tasks = list(tasks)
         whose = [self.model] * len(tasks) if models is None else list(models)
         keys = self._keys(tasks, whose)
+        self.asked.update(keys)
         for key in dict.fromkeys(k for (k, _), model in zip(keys, whose, strict=True) if model is self.model):
             self._load(key)
         missing = {

@@ -52,11 +52,13 @@ class Mode:
         part: of the motion, at which it would; infinite: never.
         shape: change of all unknowns, with an energy of one half by the tangent at rest.
         dual: the tangent at rest times that: its product with a deflection is how much of the mode there is in it.
+        begun: how much there would be at the end of the motion, if the body went on as it begins to.
     """
 
     part: float
     shape: Array
     dual: Array
+    begun: float = 0.0
 
 
 def linear_buckling(equilibrium: Equilibrium, rest: Array, start: Pose, end: Pose) -> Mode:
@@ -75,7 +77,7 @@ def linear_buckling(equilibrium: Equilibrium, rest: Array, start: Pose, end: Pos
     if equilibrium.solve(_between(start, end, _SMALL)) is not Status.CONVERGED:
         return never
     equilibrium.verify()
-    bent = equilibrium.tangent.copied()
+    bent, little = equilibrium.tangent.copied(), equilibrium.u.x.array - rest
     equilibrium.set_state(start, rest)
     if equilibrium.verify() is not Status.CONVERGED:
         return never
@@ -96,7 +98,8 @@ def linear_buckling(equilibrium: Equilibrium, rest: Array, start: Pose, end: Pos
     except ArpackNoConvergence:
         return never
     shape = shapes[:, 0]
-    return Mode(1 / sizes[0] if sizes[0] > 0 else math.inf, shape, straight @ shape)
+    dual = straight @ shape
+    return Mode(1 / sizes[0] if sizes[0] > 0 else math.inf, shape, dual, float(dual @ little) / _SMALL)
 
 
 def _between(start: Pose, end: Pose, part: float) -> Pose:
@@ -124,6 +127,9 @@ def two_states(
     equilibrium.set_state(end, state)
     known = fiducials()
     deflected = float(mode.dual @ (state - rest))
+    if abs(deflected - mode.begun) * float(np.abs(mode.shape).max()) < _APART * equilibrium.body.mesh.size:
+        # It has gone no further than in proportion.
+        return False
     if equilibrium.solve(end, state - 2 * deflected * mode.shape) is not Status.CONVERGED:
         return False
     if equilibrium.verify() is not Status.CONVERGED:

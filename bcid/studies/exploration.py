@@ -141,7 +141,7 @@ def attempted(bench: Bench, trial: Trial) -> dict[str, Any]:
             "gained": [],
             "expected": [],
         }
-        return asdict(trial) | {"reason": f"failed: {error}", "predicted": 0, "seconds": 0.0} | nothing
+        return asdict(trial) | {"reason": f"failed: {error}", "calls": 0, "seconds": 0.0} | nothing
 
 
 class Bench:
@@ -149,7 +149,8 @@ class Bench:
 
     def __init__(self, scene: Scene, predictor: Any, fine: Any, truth: Any, seed: int) -> None:
         self.scene, self.predictor, self.fine, self.truth, self.seed = scene, predictor, fine, truth, seed
-        self._first: dict[tuple[str, tuple[str, ...], float], Choice] = {}
+        # With what the predictor was asked for it.
+        self._first: dict[tuple[str, tuple[str, ...], float], tuple[Choice, set[Any]]] = {}
         self._bodies: dict[str, Any] = {}
 
     @classmethod
@@ -165,7 +166,7 @@ class Bench:
     def make(self, trial: Trial) -> dict[str, Any]:
         """One trial."""
         start = time.perf_counter()
-        before = self.predictor.evaluations
+        self.predictor.asked = set()
         plan = Plan(
             criterion=trial.strategy if trial.strategy != "fixed" else "information",
             grasps=trial.grasps,
@@ -200,7 +201,7 @@ class Bench:
             "moves": [str(step.move) for step in found.steps],
             "gained": [step.gained for step in found.steps],
             "expected": [None if math.isnan(step.expected[0]) else step.expected[0] for step in found.steps],
-            "predicted": self.predictor.evaluations - before,
+            "calls": len(self.predictor.asked),
             "seconds": round(time.perf_counter() - start, 3),
         }
 
@@ -216,12 +217,16 @@ class Bench:
     def first(self, plan: Plan, trial: Trial) -> Choice:
         """The first choice of a strategy, which is the same in every trial."""
         key = plan.criterion, trial.grasps, trial.noise
+        asked = self.predictor.asked
         if key not in self._first:
+            self.predictor.asked = set()
             inference = Inference(self.scene, self.predictor, self.fine)
             options = plan.moves(self.scene)
             chooser = Chooser(inference, options, plan.criterion, plan.look_ahead, plan.samples, trial.noise, 0)
-            self._first[key] = chooser.choose(inference.view(), None)
-        return self._first[key]
+            self._first[key] = chooser.choose(inference.view(), None), self.predictor.asked
+        choice, more = self._first[key]
+        self.predictor.asked = asked | more
+        return choice
 
     def destroy(self) -> None:
         """Free the PETSc objects."""

@@ -92,7 +92,7 @@ def _row(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "right": sum(r["right"] for r in results),
         "falsely_certain": sum(not r["right"] for r in decided),
         "pulls": _pulls(results),
-        "predicted": sum(r["predicted"] for r in results),
+        "calls": median(r["calls"] for r in results),
         "seconds": median(r["seconds"] for r in results),
     }
 
@@ -101,7 +101,7 @@ def table(found: Mapping[str, Any]) -> str:
     """The scores as text."""
     lines = [f"Exploration study: {found['trials']} trials, anchors {{1 2}}, {{3 4}}, {{1 2 3 4}}", ""]
     head = f"{'grasps':>6}{'noise':>8}  {'strategy':12}{'trials':>7}{'right':>7}{'decided':>9}{'falsely':>9}"
-    lines.append(f"{head}{'pulls':>7}{'random needs':>14}{'seconds':>9}")
+    lines.append(f"{head}{'pulls':>7}{'random needs':>14}{'calls':>8}{'seconds':>9}")
     for row in found["rows"]:
         random = [
             r["pulls"]
@@ -112,7 +112,7 @@ def table(found: Mapping[str, Any]) -> str:
         lines.append(
             f"{row['grasps']:>6}{row['noise']:>6.1f}mm  {row['strategy']:12}{row['trials']:>7}"
             f"{row['right'] / row['trials']:>7.0%}{row['decided']:>9}{row['falsely_certain']:>9}"
-            f"{row['pulls']:>7g}{ratio:>14}{row['seconds']:>9.2f}"
+            f"{row['pulls']:>7g}{ratio:>14}{row['calls']:>8g}{row['seconds']:>9.2f}"
         )
     lines += ["", f"{'grasps':>6}{'noise':>8}  {'pulls by anchors':18}" + "".join(f"{s:>14}" for s in STRATEGIES)]
     for row in found["by_anchors"]:
@@ -130,7 +130,8 @@ def table(found: Mapping[str, Any]) -> str:
     lines += [
         "",
         "right: the likeliest set at the end; decided: with 95 %; falsely: of these, wrong; pulls: median to the decision,",
-        f"{BUDGET:g} where there was none; random needs: pulls of random choice over those of the strategy.",
+        f"{BUDGET:g} where there was none; random needs: pulls of random choice over those of the strategy; calls: predictions",
+        "of a pull with a set that a trial asks for (median); seconds: of a trial, which looks these up (median).",
         *_hidden_table([row for row in found["hidden"] if row["trials"]]),
         *_enclosed_lines(found["enclosed"]),
     ]

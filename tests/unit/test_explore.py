@@ -55,8 +55,11 @@ class MadeUp:
     def __init__(self, of: Scene, factor: Callable[[Anchored, str, int], float], **numbers: float) -> None:
         self.scene, self.factor, self.numbers = of, factor, {"force": 0.0, "strain": 0.0, "softness": 1.0} | numbers
         self.evaluations = 0
+        self.asked: set[Any] = set()
 
     def foresee(self, tasks: Iterable[tuple[Anchored, Action]], detailed: bool = False) -> list[Foreseen]:
+        tasks = list(tasks)
+        self.asked.update((key_of(action), anchors) for anchors, action in tasks)
         return [self._one(anchors, action, detailed) for anchors, action in tasks]
 
     def _one(self, anchors: Anchored, action: Action, detailed: bool) -> Foreseen:
