@@ -37,6 +37,8 @@ Anchored = frozenset[str]
 Task = tuple[Anchored, Action]
 # The strain that so much of the volume stays below: in corners it has no limit.
 _VOLUME = 0.99
+# On a path along which the body does not become softer than this part there is nothing to buckle.
+_STIFF = 0.95
 # Results are shared and stored at the latest after so many predictions of a rank.
 _BATCH = 64
 
@@ -297,7 +299,7 @@ def _with_details(
         sizes.append(softest(equilibrium)[0])
         equilibrium.accept(pose)
     softness = min(sizes) / sizes[0]
-    if softness >= SOFT and _has_buckled(forward, action, [states[int(frame)] for frame in action.frames]):
+    if SOFT <= softness < _STIFF and _has_buckled(forward, action, [states[int(frame)] for frame in action.frames]):
         softness = 0.0
     return replace(result, force=max(forces), strain=max(strains), softness=softness)
 
