@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from bcid.compare.fit import Coordinate, Fit, fit
 from bcid.compare.joint import Proposal, propose
-from bcid.compare.rivals import Rival, at_a_glance, refit
+from bcid.compare.rivals import Rival, at_a_glance, criterion, refit
 from bcid.compare.state import State
 from bcid.compare.twin import Twin
 from bcid.errors import SolveError
@@ -34,8 +34,8 @@ from bcid.measurement import Measurement
 from bcid.scene import Scene
 
 Array = NDArray[np.float64]
-# Sets that are looked at together with the effects, and around the best one of an effect.
-_SETS, _AROUND = 28, 28
+# Sets looked at together with the effects, and in a climb with the numbers of one, at most; how often that is repeated.
+_SETS, _AROUND, _AGAIN = 56, 80, 3
 # An effect is fitted with so many sets that promise much, and kept with so many.
 _TRIED, _KEPT = 3, 3
 # A set is kept with odds of at least exp(-_NEAR) against the best one of the effect, as a few steps of each pull tell.
@@ -209,8 +209,8 @@ class RivalEffects:
             sets = list(dict.fromkeys([*known, thin.anchors, *promising]))[:_TRIED]
             rivals = sorted((r for a in sets for r in refit(thin, effect, a)), key=lambda rival: rival.criterion)
             least = min([least, *(r.criterion for r in rivals)])
-            near = [_near(r) if r.criterion < least + 2 * _FAR else [r.anchors] for r in rivals[:1]]
-            found[effect.name] = list(zip(rivals, [*near, *([r.anchors] for r in rivals[1:])], strict=True))
+            best = [_climbed(r) if r.criterion < least + 2 * _FAR else (r, [r.anchors]) for r in rivals[:1]]
+            found[effect.name] = [*best, *((r, [r.anchors]) for r in rivals)]
         return found
 
     def destroy(self) -> None:
@@ -224,6 +224,24 @@ def _followed(twin: Twin, model: Model, anchors: Anchored) -> State | None:
         return State.of(twin, model, anchors)
     except SolveError:
         return None
+
+
+def _climbed(rival: Rival) -> tuple[Rival, list[Anchored]]:
+    """A rival on the set that it climbs to, its numbers fitted to each, and the sets there that do as well."""
+    near = _near(rival)
+    for _ in range(_AGAIN):
+        if near[0] == rival.anchors:
+            break
+        state = rival.fitted.state
+        try:
+            moved = fit(State.of(state.twin, state.model, near[0], state.errors.mesh), state.free, most=8)
+        except SolveError:
+            break
+        if criterion(moved) >= rival.criterion:
+            break
+        rival = replace(rival.with_fit(moved), anchors=near[0])
+        near = _near(rival)
+    return rival, near
 
 
 def _near(rival: Rival) -> list[Anchored]:
