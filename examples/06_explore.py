@@ -30,7 +30,7 @@ def main(folder: Path, store: Path | None = None) -> Exploration:
     predictors = [Predictor(ladder, level, MPI.COMM_WORLD, store) for level in range(2)]
     with Popen([sys.executable, __file__, "lab", folder]) as process:
         try:
-            found = explore(scene, Folder(folder, scene, wait=120.0), Plan(noise=NOISE), *predictors)
+            found = explore(scene, Folder(folder, scene, wait=120.0), Plan(noise=NOISE, grasps=("II",)), *predictors)
         finally:
             process.terminate()
     for step in found.steps:

@@ -22,7 +22,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bcid.compare.fit import Coordinate, Fit, fit
-from bcid.compare.joint import Proposal, propose
+from bcid.compare.joint import NEARLY, Proposal, propose
 from bcid.compare.rivals import Rival, at_a_glance, criterion, refit
 from bcid.compare.state import State
 from bcid.compare.twin import Twin
@@ -234,7 +234,8 @@ def _climbed(rival: Rival) -> tuple[Rival, list[Anchored]]:
             break
         state = rival.fitted.state
         try:
-            moved = fit(State.of(state.twin, state.model, near[0], state.errors.mesh), state.free, most=8)
+            # The error of the mesh was that of another set, which may have been far from this one.
+            moved = fit(State.of(state.twin, state.model, near[0]), state.free, most=8)
         except SolveError:
             break
         if criterion(moved) >= rival.criterion:
@@ -245,8 +246,16 @@ def _climbed(rival: Rival) -> tuple[Rival, list[Anchored]]:
 
 
 def _near(rival: Rival) -> list[Anchored]:
-    """The sets that do as well as a rival's own with its numbers, which are refitted to each by their tangent."""
-    around = propose(rival.fitted.state, [], _AROUND, [])
+    """The sets that do as well as a rival's own with its numbers, which are refitted to each by their tangent.
+
+    Where the rival is not nearly adequate a climb patch by patch may have ended too early: patches are exchanged too.
+    """
+    state, every = rival.fitted.state, frozenset(rival.fitted.state.twin.scene.patches)
+    poor = state.chi2 > NEARLY * len(state.twin.data)
+    exchanged = [
+        rival.anchors - {a} | {b} for a in sorted(rival.anchors) for b in sorted(every - rival.anchors) if poor
+    ]
+    around = propose(state, exchanged, _AROUND, [])
     near = [p.anchors for p in around if p.left < around[0].left + 2 * _NEAR and _at_its_place(rival, p.anchors)]
     return list(dict.fromkeys([*near[:_KEPT], rival.anchors]))
 
