@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from bcid.compare.twin import Reply, Twin
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model
-from bcid.forms.softness import SOFT, softest
-from bcid.forms.solve import Pose, Status
+from bcid.forms.softness import APART, SOFT, softest, stable_state
+from bcid.forms.solve import Pose
 from bcid.forms.trajectory import poses
 from bcid.measurement import Action, Measurement
 
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 # A finer mesh is a little softer: it is asked about actions in which the coarser one comes below this part.
 _SOFTER = 0.7
 # Two states are different when a fiducial is so many times the noise (or this part of the body's size) apart.
-_APART, _LEAST = 5.0, 1e-3
+_APART = 5.0
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def buckled(twin: Twin, model: Model, anchors: Iterable[str]) -> list[Buckling]:
 
     The fine level is only asked about actions in which the working level becomes softer.
     """
-    if model.mixed or model.remembers or not model.symmetric:
+    if not model.definite:
         return []
     anchors = frozenset(anchors)
     found: dict[str, Buckling] = {}
@@ -147,15 +147,13 @@ def _of_action(twin: Twin, anchors: frozenset[str], action: Action, path: _Path,
     last = int(action.frames[len(path.states) - 1])
     mode, end = path.modes[critical], path.states[-1]
     bent = float(mode @ (end - path.states[critical - 1]))
-    if forward.equilibrium.solve(path.poses[-1], end - 2 * bent * mode) is not Status.CONVERGED:
+    other = stable_state(forward.equilibrium, forward.fiducials, path.poses[-1], end - 2 * bent * mode)
+    if other is None:
         return None
-    if forward.equilibrium.verify() is not Status.CONVERGED:
-        return None
-    other = forward.observer.positions(forward.equilibrium.displacement())
     followed = reply.positions[last]
     distance = float(np.linalg.norm(other - followed, axis=1).max())
     noise = float(np.nanmean(twin.data.sigma)) if twin.data.stated else 0.0
-    if distance < max(_APART * noise, _LEAST * forward.mesh.size):
+    if distance < max(_APART * noise, APART * forward.mesh.size):
         return None
     seen = twin.data.measured[last]
     nearer = np.nansum((seen - other) ** 2) < np.nansum((seen - followed) ** 2)

@@ -39,6 +39,8 @@ Task = tuple[Anchored, Action]
 _VOLUME = 0.99
 # On a path along which the body does not become softer than this part there is nothing to buckle.
 _STIFF = 0.95
+# What a stored prediction holds; part of its fingerprint.
+_FORMAT = "bcid-predictions/1"
 # Results are shared and stored at the latest after so many predictions of a rank.
 _BATCH = 64
 
@@ -106,7 +108,12 @@ class Predictor:
         self._mesh: BodyMesh | None = None
         self._read: set[str] = set()
         # What a robot may do changes no prediction.
-        about = {"scene": scene_fingerprint(replace(scene, limits=None)), "level": level, "model": self.model.name}
+        about = {
+            "format": _FORMAT,
+            "scene": scene_fingerprint(replace(scene, limits=None)),
+            "level": level,
+            "model": self.model.name,
+        }
         about |= {"values": {dose.label: dict(dose.values) for dose in self.model.doses}}
         self._folder = None if store is None else store / fingerprint(about)
 
@@ -307,18 +314,14 @@ def _with_details(
 def _has_buckled(forward: Forward, action: Action, states: Sequence[Array]) -> bool:
     """Whether two states exist where the gripper is furthest from rest."""
     model, equilibrium = forward.model, forward.equilibrium
-    if model.mixed or model.remembers or not model.symmetric:
+    if not model.definite:
         return False
     path = poses(model.driven(action))
     far = int(np.argmax(np.linalg.norm(action.translation, axis=1)))
     mode = linear_buckling(equilibrium, states[0], path[0], path[far])
     if mode.part > 1 / SOFT:
         return False
-
-    def fiducials() -> Array:
-        return forward.observer.positions(equilibrium.displacement())
-
-    return two_states(equilibrium, fiducials, mode, states[0], path[far], states[far])
+    return two_states(equilibrium, forward.fiducials, mode, states[0], path[far], states[far])
 
 
 def strain_of_most(forward: Forward, displacement: Array) -> float:

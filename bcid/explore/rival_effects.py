@@ -186,8 +186,8 @@ class RivalEffects:
         plain = [Fitted(Hypothesis(s.anchors), fit(s, ()), begun) for s in alone]
         base = min(alone, key=lambda state: state.chi2)
         others = [state.anchors for state in alone if state is not base]
-        proposals = at_a_glance(base, 0, lambda thin: propose(thin, others, _SETS, self.effects))
         acting = [e for e in self.effects if not (e.needs and e.needs(self.scene, measurement))]
+        proposals = at_a_glance(base, 0, lambda thin: propose(thin, others, _SETS, acting))
         glanced = at_a_glance(base, 2, lambda thin: self._glanced(thin, acting, proposals))
         found: dict[Hypothesis, Fitted] = {}
         for name, candidates in glanced.items():
@@ -256,7 +256,8 @@ def _near(rival: Rival) -> list[Anchored]:
         rival.anchors - {a} | {b} for a in sorted(rival.anchors) for b in sorted(every - rival.anchors) if poor
     ]
     around = propose(state, exchanged, _AROUND, [])
-    near = [p.anchors for p in around if p.left < around[0].left + 2 * _NEAR and _at_its_place(rival, p.anchors)]
+    least = min((p.left for p in around), default=math.inf)
+    near = [p.anchors for p in around if p.left < least + 2 * _NEAR and _at_its_place(rival, p.anchors)]
     return list(dict.fromkeys([*near[:_KEPT], rival.anchors]))
 
 

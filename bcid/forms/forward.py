@@ -142,8 +142,7 @@ class Forward:
 
             def seen(step: int, _pose: Pose, action: Action = action) -> bool | None:
                 frame = int(action.frames[step])
-                places = self.observer.positions(equilibrium.displacement())
-                positions[frame] = self.model.observed(places, self.frame(action, step))
+                positions[frame] = self.model.observed(self.fiducials(), self.frame(action, step))
                 if keep:
                     states[frame] = equilibrium.u.x.array.copy()
                 return None if watch is None else watch(frame, positions[frame])
@@ -174,6 +173,10 @@ class Forward:
                     displacement[frame] = self.body.at_mesh_nodes(self.equilibrium.displacement())
                     self.equilibrium.accept(pose)
         return replace(prediction, wrench=wrench, displacement=displacement)
+
+    def fiducials(self) -> Array:
+        """Positions of the fiducials (fiducials, 3), m, in the present state; collective."""
+        return self.observer.positions(self.equilibrium.displacement())
 
     def frame(self, action: Action, step: int) -> Frame:
         """What an observation effect may know of a step of an action."""

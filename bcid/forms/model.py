@@ -248,6 +248,11 @@ class Model:
         return any(dose.effect.memory or dose.effect.uses_past for dose in self.doses)
 
     @property
+    def definite(self) -> bool:
+        """Whether the tangent of a stable state is symmetric and positive definite, and depends on the state alone."""
+        return self.symmetric and not self.mixed and not self.remembers
+
+    @property
     def steady(self) -> bool:
         """Whether what is seen depends on the pose alone: not on time, nor on the frames before, nor on the picture's number."""
         return not self.remembers and not any(

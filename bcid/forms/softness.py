@@ -27,7 +27,7 @@ _SWEEPS = 8
 # Part of a motion in which the tangent changes in proportion to it; accuracy and restarts of the mode.
 _SMALL, _ACCURATE, _RESTARTS = 0.01, 1e-2, 30
 # Two states are different when a fiducial is this part of the body's size apart.
-_APART = 1e-3
+APART = 1e-3
 
 
 def softest(equilibrium: Equilibrium) -> tuple[float, Array]:
@@ -127,12 +127,15 @@ def two_states(
     equilibrium.set_state(end, state)
     known = fiducials()
     deflected = float(mode.dual @ (state - rest))
-    if abs(deflected - mode.begun) * float(np.abs(mode.shape).max()) < _APART * equilibrium.body.mesh.size:
+    if abs(deflected - mode.begun) * float(np.abs(mode.shape).max()) < APART * equilibrium.body.mesh.size:
         # It has gone no further than in proportion.
         return False
-    if equilibrium.solve(end, state - 2 * deflected * mode.shape) is not Status.CONVERGED:
-        return False
-    if equilibrium.verify() is not Status.CONVERGED:
-        return False
-    apart = float(np.linalg.norm(fiducials() - known, axis=1).max())
-    return apart > _APART * equilibrium.body.mesh.size
+    other = stable_state(equilibrium, fiducials, end, state - 2 * deflected * mode.shape)
+    return other is not None and bool(np.linalg.norm(other - known, axis=1).max() > APART * equilibrium.body.mesh.size)
+
+
+def stable_state(equilibrium: Equilibrium, fiducials: Callable[[], Array], pose: Pose, start: Array) -> Array | None:
+    """Fiducials (fiducials, 3), m, in the equilibrium that is found from a state; None if there is none, or it is not stable."""
+    if equilibrium.solve(pose, start) is not Status.CONVERGED or equilibrium.verify() is not Status.CONVERGED:
+        return None
+    return fiducials()

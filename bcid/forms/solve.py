@@ -288,7 +288,7 @@ class Equilibrium:
         modes = self._rigid_modes()
         self.factor = Factor(self.tangent.matrix, self.model.symmetric, self.body.pressures, modes)
         # What is kept must be positive definite, and solved with directly.
-        self._keeps = self.model.symmetric and not self.body.mixed and modes is None and not self.model.remembers
+        self._keeps = self.model.definite and modes is None
         self.secant = Secant(self.factor, comm, self._keeps)
         snes = PETSc.SNES().create(comm)
         snes.setOptionsPrefix(prefix := f"bcid_snes_{next(_prefixes)}_")

@@ -51,13 +51,16 @@ class MadeUp:
 
     comm = MPI.COMM_SELF
     level = 0
+    model = None
 
     def __init__(self, of: Scene, factor: Callable[[Anchored, str, int], float], **numbers: float) -> None:
         self.scene, self.factor, self.numbers = of, factor, {"force": 0.0, "strain": 0.0, "softness": 1.0} | numbers
         self.evaluations = 0
         self.asked: set[Any] = set()
 
-    def foresee(self, tasks: Iterable[tuple[Anchored, Action]], detailed: bool = False) -> list[Foreseen]:
+    def foresee(
+        self, tasks: Iterable[tuple[Anchored, Action]], detailed: bool = False, models: object = None
+    ) -> list[Foreseen]:
         tasks = list(tasks)
         self.asked.update((key_of(action), anchors) for anchors, action in tasks)
         return [self._one(anchors, action, detailed) for anchors, action in tasks]
@@ -253,6 +256,23 @@ def test_a_pull_beyond_the_limits_is_not_made(limit: dict[str, float], numbers: 
     choice = found.choose(found.inference.view(), None)
     assert choice.move is None
     assert all(words in o.forbidden for o in choice.options)
+
+
+@pytest.mark.parametrize("criterion", ["information", "random"])
+def test_a_pull_that_the_fine_level_cannot_follow_is_not_made(criterion: str) -> None:
+    """The best pull is along +x; on the fine level that fails with one of four sets."""
+
+    def lost(anchors: Anchored, grasp: str, axis: int) -> float:
+        return math.nan if axis == 0 and anchors == frozenset("1") else by_count(anchors, grasp, axis)
+
+    body = MadeUp(scene(), by_count)
+    body_fine = MadeUp(scene(), lost)
+    found = chooser(body, criterion=criterion)
+    found = replace(found, inference=Inference(body.scene, body, body_fine))  # type: ignore[arg-type]
+    move = found.choose(found.inference.view(), None).move
+    barred = found._barred(Move("A", "+x", 0.01), found.inference.view())
+    assert "may buckle" in barred
+    assert move is None or move.direction != "+x"
 
 
 def test_a_dear_pull_must_tell_more() -> None:
