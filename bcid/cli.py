@@ -1,5 +1,5 @@
 """The command line: ``bcid demo``, ``identify``, ``compare``, ``diagnose``, ``fit``, ``explain``, ``explore``,
-``simulate``, ``check-effect`` (also under ``mpirun -n N``), ``doctor``, ``bench``, ``study``.
+``simulate``, ``check-effect`` (also under ``mpirun -n N``), ``calibrate``, ``track``, ``doctor``, ``bench``, ``study``.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing import Any
 from bcid import __version__
 from bcid.commands import (
     bench,
+    calibrate,
     check_effect,
     compare,
     complain,
@@ -28,6 +29,7 @@ from bcid.commands import (
     identify,
     simulate,
     study,
+    track,
 )
 from bcid.errors import BcidError
 
@@ -35,6 +37,8 @@ from bcid.errors import BcidError
 _WITHOUT_MPI = {
     "bench": "what was measured before is in bench.json",
     "study": "the same command goes on where it was",
+    "calibrate": "nothing is lost but the time",
+    "track": "give the same command again",
 }
 
 _DESCRIPTION = """bcid finds out how a soft body is held, and what its model lacks, by watching it being pulled.
@@ -51,6 +55,8 @@ _EXAMPLES = """examples:
   bcid diagnose run                                             which effect is missing in it?
   bcid fit run --add gravity -o run2                            add the effect and watch the error fall
   bcid explore scene.toml --robot folder:lab -o run             which pull next? until the anchors are decided
+  bcid calibrate left right --board "chessboard 10x7 10 mm" -o cameras   two cameras, from images of a board
+  bcid track scene.toml recording.toml -o tracked               from their images of beads to a measurement
   bcid simulate scene.toml --anchors 1,2 --motion pull -o made  a measurement made by the model
   bcid check-effect my_effect.py                                does an effect of one's own keep the contract?
   bcid doctor                                                   is everything installed that is needed?
@@ -139,6 +145,8 @@ def build_parser() -> argparse.ArgumentParser:
     _add_fit(commands)
     _add_explain(commands)
     _add_explore(commands)
+    _add_calibrate(commands)
+    _add_track(commands)
     _add_simulate(commands)
     _add_check_effect(commands)
     commands.add_parser("doctor", help="tell what is installed and whether it works")
@@ -364,6 +372,45 @@ def _add_explore(commands: Any) -> None:
         "--store", type=Path, metavar="FOLDER", help="for predictions, shared by runs (in the run folder)"
     )
     _add_level(parser)
+    _add_output(parser)
+
+
+def _add_calibrate(commands: Any) -> None:
+    parser = _add(
+        commands,
+        "calibrate",
+        calibrate,
+        "calibrate two cameras from pairs of images of a board",
+        "Writes a run folder: cameras.json, calibration.json, summary.txt with a verdict, calibration.png. See docs/vision.md.",
+    )
+    parser.add_argument("left", type=Path, help="folder of images of the left camera, or a video")
+    parser.add_argument("right", type=Path, help="the same of the right camera; pairs have equal numbers")
+    parser.add_argument(
+        "--board",
+        required=True,
+        metavar='"chessboard 10x7 10 mm"',
+        help='inner corners and square; or "charuco 8x6 30 mm 22 mm DICT_5X5_100": squares, square, marker, dictionary',
+    )
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="run folder to write")
+    _add_output(parser)
+
+
+def _add_track(commands: Any) -> None:
+    parser = _add(
+        commands,
+        "track",
+        track,
+        "follow the beads of a scene through images of two cameras, and write a measurement",
+        "Writes a run folder: measurement/ for identify and explain, summary.txt, film.mp4 to check it, tracking.png,\n"
+        "tracking.nc. See docs/vision.md for the recording file.",
+    )
+    parser.add_argument("scene", type=Path, help="scene file (TOML); its fiducials are the beads")
+    parser.add_argument("recording", type=Path, help="recording file (TOML): cameras, images, gripper, beads")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="run folder to write")
+    parser.add_argument(
+        "--expected", type=Path, metavar="MEASUREMENT", help="what a model has the beads do: they are looked for there"
+    )
+    parser.add_argument("--no-film", action="store_true", help="do not write film.mp4")
     _add_output(parser)
 
 

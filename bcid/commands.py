@@ -20,6 +20,8 @@ _PROJECT = Path(__file__).resolve().parents[1]
 _PICTURES = dict.fromkeys(("compare", "diagnose", "fit", "explain"), "diagnosis") | {
     "identify": "identification",
     "explore": "exploration",
+    "calibrate": "calibration",
+    "track": "tracking",
 }
 
 
@@ -80,8 +82,8 @@ def identify(arguments: argparse.Namespace, comm: Any) -> None:
 
 
 def _finish(folder: Path, arguments: argparse.Namespace, comm: Any, progress: Progress) -> None:
-    """Print the result and draw it."""
-    if comm.rank > 0:
+    """Print the result and draw it; `comm` is None for commands without MPI."""
+    if comm is not None and comm.rank > 0:
         return
     _print_result(folder, "summary.txt")
     if not arguments.no_picture:
@@ -234,6 +236,43 @@ def _random_state(number: int) -> int:
     if number < 0:
         raise InputError(f"--random-state {number}: must be at least 0")
     return number
+
+
+def calibrate(arguments: argparse.Namespace) -> None:
+    """`bcid calibrate`."""
+    from bcid.vision.calibration_job import run_calibration
+
+    progress = _progress(arguments, 0)
+    folder = run_calibration(
+        arguments.left,
+        arguments.right,
+        arguments.board,
+        arguments.output,
+        progress=progress,
+        overwrite=arguments.overwrite,
+    )
+    _finish(folder, arguments, None, progress)
+
+
+def track(arguments: argparse.Namespace) -> None:
+    """`bcid track`."""
+    from bcid.measurement import Measurement
+    from bcid.scene import Scene
+    from bcid.vision.job import run_tracking
+
+    scene = Scene.read(arguments.scene)
+    expected = None if arguments.expected is None else Measurement.read(arguments.expected)
+    progress = _progress(arguments, 0)
+    folder = run_tracking(
+        arguments.recording,
+        scene.fiducials,
+        arguments.output,
+        progress,
+        arguments.overwrite,
+        expected,
+        not arguments.no_film,
+    )
+    _finish(folder, arguments, None, progress)
 
 
 def simulate(arguments: argparse.Namespace, comm: Any) -> None:

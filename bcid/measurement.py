@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from bcid.errors import InputError, Problems, nearest
 from bcid.fingerprint import fingerprint
+from bcid.frame_error import FrameError
 from bcid.units import unit_factor
 
 if TYPE_CHECKING:
@@ -83,6 +84,7 @@ class Measurement:
     Attributes:
         noise_sigma: per-axis standard deviation of a fiducial, m; None when not stated.
         wrench_sigma: standard deviation of a force, N; None when not stated.
+        frame_error: what is not known of the frame of the positions; None when nothing is stated.
     """
 
     data: xr.Dataset
@@ -91,6 +93,7 @@ class Measurement:
     units: Units = Units()
     description: str = ""
     source: str = "measurement"
+    frame_error: FrameError | None = None
 
     @classmethod
     def read(cls, path: str | Path) -> Measurement:
@@ -124,6 +127,9 @@ class Measurement:
         for name in ("noise_sigma", "wrench_sigma"):
             if getattr(self, name) is not None:
                 data.attrs[name] = getattr(self, name)
+        if self.frame_error is not None:
+            data.attrs["frame_centre"] = self.frame_error.centre
+            data.attrs["frame_covariance"] = self.frame_error.covariance.ravel()
         data.to_netcdf(path, engine="scipy")
 
     @classmethod
@@ -150,7 +156,8 @@ class Measurement:
         for name, like in (("length", "m"), ("time", "s"), ("force", "N")):
             unit_factor(getattr(units, name), like)
         sigma, wrench = (float(attrs[k]) if k in attrs else None for k in ("noise_sigma", "wrench_sigma"))
-        return cls(data, sigma, wrench, units, str(attrs.get("description", "")), str(path)).validated()
+        of_frame = _frame_error(attrs, path)
+        return cls(data, sigma, wrench, units, str(attrs.get("description", "")), str(path), of_frame).validated()
 
     def validated(self) -> Measurement:
         """This measurement with its dimensions in order, or an `InputError` with everything that is wrong with it.
@@ -248,6 +255,8 @@ class Measurement:
     def fingerprint(self) -> str:
         """Short hash of the content; equal measurements have equal fingerprints whatever file they came from."""
         arrays = {name: self.data[name].values for name in sorted(map(str, self.data.variables))}
+        if self.frame_error is not None:
+            arrays |= {"frame_centre": self.frame_error.centre, "frame_covariance": self.frame_error.covariance}
         return fingerprint({"noise": self.noise_sigma, "wrench": self.wrench_sigma, **arrays})
 
     def check(self, scene: Scene) -> None:
@@ -289,6 +298,21 @@ _DIMENSIONS = {
     "translation": ("frame", "axis"),
     "rotation": ("frame", "quaternion"),
 }
+
+
+def _frame_error(attrs: dict[str, Any], path: Path) -> FrameError | None:
+    """The frame error that `to_netcdf` has kept."""
+    names = ("frame_centre", "frame_covariance")
+    if not any(name in attrs for name in names):
+        return None
+    try:
+        centre, covariance = (
+            np.asarray(attrs.get(name), dtype=float).reshape(shape)
+            for name, shape in zip(names, ((3,), (7, 7)), strict=True)
+        )
+    except (TypeError, ValueError):
+        raise InputError(f"{path}: its attributes {' and '.join(names)} must hold 3 and 49 numbers") from None
+    return FrameError(centre, covariance)
 
 
 def _in_order(data: xr.Dataset, problems: Problems, source: str) -> xr.Dataset:

@@ -15,12 +15,14 @@ import numpy as np
 import xarray as xr
 
 from bcid.errors import InputError, MachineError, Problems, nearest
+from bcid.frame_error import FrameError
 from bcid.measurement import AXES, FORMAT, QUATERNION, WRENCH, Action, Measurement, Units
 from bcid.units import unit_factor
 
 _UNIT_KEYS = {"length_unit": "m", "time_unit": "s", "force_unit": "N"}
 _KEYS = ("format", *_UNIT_KEYS, "noise_sigma", "wrench_sigma", "description")
 _SIGMA = ["sigma_x", "sigma_y", "sigma_z"]
+FRAME_FORMAT = "bcid-frame/1"
 _TIME_TOLERANCE = 1e-9
 _REST_TOLERANCE = 1e-6
 
@@ -61,7 +63,77 @@ def read_folder(folder: Path) -> Measurement:
     data = reader.dataset()
     problems.raise_if_any()
     assert data is not None
-    return Measurement(data, header.noise_sigma, header.wrench_sigma, header.units, header.description, str(folder))
+    error = _read_frame_error(folder / "frame.toml", header.length, problems)
+    problems.raise_if_any()
+    return Measurement(
+        data, header.noise_sigma, header.wrench_sigma, header.units, header.description, str(folder), error
+    )
+
+
+def read_grasps(path: Path, units: Units) -> list[Action]:
+    """The motions of the gripper in a grasps.csv that stands alone, numbered along one frame axis in the order of its rows.
+
+    Raises:
+        InputError: with every problem of the file.
+    """
+    problems = Problems(f"motions {path}")
+    if not path.is_file():
+        raise InputError(f"{path}: no such file with the poses of the gripper")
+    length, time, force = (unit_factor(getattr(units, n), like) for n, like in zip(_UNIT_NAMES, "msN", strict=True))
+    reader = _FolderReader(path.parent, _Header(units, length, time, force, None, None, ""), problems)
+    poses = reader.grasps(path.name)
+    for action in dict.fromkeys(action for action, _ in poses):
+        steps = sorted(step for name, step in poses if name == action)
+        if steps[0] != 0:
+            reader.bad(None, f"action {action} starts at step {steps[0]}: step 0, the rest pose, is missing")
+        reader.check_motion(action, steps, poses)
+    if not poses and not problems.found:
+        reader.bad(None, "holds no pose")
+    problems.raise_if_any()
+    data = frames_dataset(list(poses), [reader.times[frame] for frame in poses], [], np.zeros((len(poses), 0, 3)))
+    data["grasp"] = ("frame", [pose[1] for pose in poses.values()])
+    data["translation"] = (("frame", "axis"), np.array([pose[2] for pose in poses.values()]))
+    data["rotation"] = (("frame", "quaternion"), np.array([pose[3] for pose in poses.values()]))
+    return Measurement(data).actions
+
+
+def _read_frame_error(path: Path, length: float, problems: Problems) -> FrameError | None:
+    """The optional frame.toml; `length` is the folder's unit in m."""
+    if not path.is_file():
+        return None
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        problems.add(path, f"not a TOML file: {error}")
+        return None
+    for key in table:
+        if key not in ("format", "centre", "covariance"):
+            problems.add(path, f"{key}: unknown key; {nearest(key, ('format', 'centre', 'covariance'))}")
+    if table.get("format") != FRAME_FORMAT:
+        problems.add(path, f'format: expected "{FRAME_FORMAT}", found {table.get("format")!r}')
+    found = []
+    for key, shape in (("centre", (3,)), ("covariance", (7, 7))):
+        try:
+            found.append(np.asarray(table.get(key), dtype=float).reshape(shape))
+        except (TypeError, ValueError):
+            problems.add(
+                path, f"{key}: expected {' x '.join(map(str, shape))} numbers, found {str(table.get(key))[:60]!r}"
+            )
+    if len(found) < 2 or not all(np.isfinite(array).all() for array in found):
+        problems.add(path, "centre and covariance must be finite numbers")
+        return None
+    scales = _frame_scales(length)
+    stated = FrameError(found[0] * length, found[1] * np.outer(scales, scales))
+    if np.abs(stated.covariance - stated.covariance.T).max() > 1e-9 * max(np.abs(stated.covariance).max(), 1e-300) or (
+        np.linalg.eigvalsh(found[1]).min() < -1e-9 * np.abs(found[1]).max()
+    ):
+        problems.add(path, "covariance: expected a symmetric matrix without negative eigenvalues")
+    return stated
+
+
+def _frame_scales(length: float) -> np.ndarray:
+    """SI units of rotation vector, shift and logarithm of the scale, for lengths in units of `length` m."""
+    return np.array([1.0] * 3 + [length] * 3 + [1.0])
 
 
 def _read_header(path: Path, problems: Problems) -> _Header:
@@ -271,9 +343,9 @@ class _FolderReader:
             self.bad(line, f"{column}: expected a positive number, found '{row[column]}'")
         return value * self.header.length
 
-    def grasps(self) -> dict[Frame, tuple[int, str, list[float], list[float]]]:
+    def grasps(self, file: str = "grasps.csv") -> dict[Frame, tuple[int, str, list[float], list[float]]]:
         """Line, grasp name, translation (m) and unit quaternion by frame."""
-        table = self.table("grasps.csv", ["action", "step", "time", "grasp", *AXES, *QUATERNION])
+        table = self.table(file, ["action", "step", "time", "grasp", *AXES, *QUATERNION])
         result = {}
         for line, row, frame in self.frames(table, []):
             translation = [self.number(line, row, axis) * self.header.length for axis in AXES]
@@ -311,10 +383,11 @@ class _FolderReader:
             back = next((i for i in range(1, len(times)) if times[i] < times[i - 1]), None)
             if back is not None:
                 self.bad(None, f"time: goes back at step {steps[back]} of action {action}, to {times[back]:g} s")
+            self.file = "grasps.csv"
             self.check_motion(action, steps, poses)
+            self.file = "fiducials.csv"
 
     def check_motion(self, action: str, steps: list[int], poses: dict[Frame, Any]) -> None:
-        self.file = "grasps.csv"
         present = [step for step in steps if (action, step) in poses]
         if present and present != steps:
             absent = ", ".join(str(step) for step in steps if step not in present)
@@ -437,7 +510,17 @@ def _texts(measurement: Measurement) -> dict[str, list[str]]:
             for i, start in enumerate(head)
             for k, place in enumerate(data["place"].values)
         ]
+    if measurement.frame_error is not None:
+        texts["frame.toml"] = _frame_lines(measurement.frame_error, length)
     return texts
+
+
+def _frame_lines(error: FrameError, length: float) -> list[str]:
+    scales = _frame_scales(length)
+    rows = [f"  [{', '.join(f'{v:.17g}' for v in row)}]," for row in error.covariance / np.outer(scales, scales)]
+    centre = ", ".join(f"{v:.17g}" for v in error.centre / length)
+    what = "# Of rotation vector (rad), shift (length_unit) and logarithm of the scale, about the centre."
+    return [f'format = "{FRAME_FORMAT}"', f"centre = [{centre}]", what, "covariance = [", *rows, "]"]
 
 
 def grasp_lines(actions: Iterable[Action], length: float, time: float) -> list[str]:

@@ -4,6 +4,7 @@
     outcomes/             what was computed so far, one small file per batch: a killed run goes on from here
     identification.json   the result of `bcid identify`
     exploration.json      the result of `bcid explore`;  steps/ its pulls, predictions/ what was predicted
+    calibration.json      the result of `bcid calibrate`;  cameras.json the two cameras alone, calibration.png their corners
     diagnosis.json        the result of `bcid compare`, `diagnose`, `fit` and `explain`
     where.json            the force that would explain what the model misses
     model.json            the model with its values and anchors, from which another run can start
@@ -15,6 +16,7 @@
     picture.png           the body, its anchors, measured and predicted trajectories, or what a model misses
     where.png, ladder.png the missing force; the falling error
     belief.png            the belief after each pull
+    measurement/          what `bcid track` measured;  tracking.json, tracking.nc, film.mp4, rest.png, tracking.png how
 
 Every file is written whole under another name and then renamed: a reader never sees half of one.
 """
@@ -56,8 +58,16 @@ _FILES = (
     "degradation.png",
     "exploration.json",
     "belief.png",
+    "calibration.json",
+    "cameras.json",
+    "calibration.png",
+    "tracking.json",
+    "tracking.nc",
+    "film.mp4",
+    "rest.png",
+    "tracking.png",
 )
-_FOLDERS = ("outcomes", "paraview", "cases", "results", "steps", "predictions")
+_FOLDERS = ("outcomes", "paraview", "cases", "results", "steps", "predictions", "measurement")
 _PACKAGES = ("fenics-dolfinx", "fenics-ufl", "petsc4py", "mpi4py", "numpy", "scipy", "xarray")
 
 

@@ -140,7 +140,7 @@ class MeshError:
 
 
 class Errors:
-    """Covariance of the residual: white noise, and the error of the mesh as far as the ladder tells.
+    """Covariance of the residual: white noise, the error of the mesh as far as the ladder tells, and that of the measured frame.
 
     The error that is left after extrapolation has the shape of the extrapolation with an uncertain factor per action, and
     beside it parts that persist along every trajectory (a constant and a slope along the steps) and that each fiducial has
@@ -154,7 +154,7 @@ class Errors:
 
     def __init__(self, data: Data, sigma: Array, mesh: MeshError) -> None:
         self.data, self.sigma, self.mesh = data, sigma, mesh
-        columns = self._columns(data.vector(mesh.left))
+        columns = np.column_stack([self._columns(data.vector(mesh.left)), self._of_frame()])
         if columns.shape[1] == 0:
             self._basis: Array = np.zeros((len(data), 0))
             self._shrink: Array = np.zeros(0)
@@ -186,6 +186,13 @@ class Errors:
                 here = (data.fiducial == fiducial) & (data.axis == axis)
                 columns.append(np.where(here, common * data.progress, 0.0))
         return np.array(columns).T if columns else np.zeros((len(data), 0))
+
+    def _of_frame(self) -> Array:
+        """What an error of the measured frame does to all values together."""
+        error = self.data.measurement.frame_error
+        if error is None:
+            return np.zeros((len(self.data), 0))
+        return np.asarray(error.modes(self.data.measured)[self.data.mask])
 
     def whiten(self, values: Array) -> Array:
         """Values (n,) or columns (n, m), m, in units in which their errors are independent and of size one."""

@@ -132,8 +132,8 @@ def model_errors(farm: Farm, best: Candidate, levels: Sequence[int]) -> dict[int
     """RMS error of the model on each of the levels, m; collective.
 
     On a coarser level it is how far its prediction of the best set is from the finest level's; on the finest, what
-    second-order convergence leaves of the last such difference (Richardson): a third when elements are halved. Nowhere is
-    it less than what the best set's residual has beyond the noise.
+    second-order convergence leaves of the last such difference (Richardson): a third when elements are halved. An error of the
+    measured frame is added to it. Nowhere is it less than what the best set's residual has beyond the noise.
     """
     last = levels[-1]
     # Where the model fails for the best set it tells nothing, and `log_likelihood` does not ask.
@@ -144,6 +144,8 @@ def model_errors(farm: Farm, best: Candidate, levels: Sequence[int]) -> dict[int
     if len(solved) > 1:
         errors[last] = errors[solved[-2]] / gain(farm, solved[-2], last)
     for level in solved:
+        # The error of the measured frame persists as that of the model does.
+        errors[level] = math.hypot(errors[level], farm.misfit.common)
         errors[level] = max(errors[level], beyond_noise(farm.outcomes[level, best], farm.misfit))
     return errors
 

@@ -22,6 +22,7 @@ class Misfit:
         values: number of visible coordinates.
         motion_rms: RMS distance of the measured positions from rest, m: what predicting no motion would miss.
         frames: number of frames.
+        common: RMS of what an error of the measured frame does to a coordinate, m; it persists along all trajectories.
         curves: number of visible trajectories (action, fiducial, axis): errors of the model persist along each of them.
     """
 
@@ -40,6 +41,8 @@ class Misfit:
         if sigma is not None:
             self._sigma[:, columns] = sigma
         self.noise = None if sigma is None else float(np.sqrt(np.mean(self._sigma[self.visible] ** 2)))
+        error = measurement.frame_error
+        self.common = 0.0 if error is None else error.rms(self.measured)
         self.motion_rms = float(np.sqrt(np.mean((self.measured - scene.rest)[self.visible] ** 2)))
 
     def frame(self, index: int, predicted: Array) -> tuple[float, float]:

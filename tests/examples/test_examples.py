@@ -2,6 +2,7 @@
 
 import importlib.util
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from bcid import Measurement
+from bcid.vision.triangulate import linear
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
@@ -43,6 +45,19 @@ def test_02_explain(capsys: pytest.CaptureFixture[str]) -> None:
     assert "missing: gravity" in capsys.readouterr().out
 
 
+def test_05_from_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Images, measurement, anchors; no bead is taken for another."""
+    found = load("05_from_images").main(tmp_path)
+    assert found.identification.anchored == ("1", "2")
+    assert found.rms < 5e-6
+    assert found.honesty == pytest.approx(1.0, abs=0.35)
+    visible = found.filmed.visible.all(axis=1)
+    seen = np.isfinite(found.measurement.positions).all(axis=2)
+    assert not (seen & ~visible).any()
+    assert seen.sum() > 0.97 * visible.sum()
+    assert "anchored: 1 2" in capsys.readouterr().out
+
+
 def test_06_explore(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Two processes that know of each other only through a folder."""
     found = load("06_explore").main(tmp_path)
@@ -52,6 +67,30 @@ def test_06_explore(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for step in found.steps:
         assert step.gained > 0.3 * step.expected[0]
     assert "decided: 3 4" in capsys.readouterr().out
+
+
+def test_07_strip(real_data: Callable[[str], Path], tmp_path: Path) -> None:
+    """The published points are found again; an incompressible strip is too narrow, and Poisson's ratio is that of its width."""
+    example, folder = load("07_strip"), real_data("duodic_rubber")
+    found = example.main(folder, tmp_path / "strip")
+    table = np.genfromtxt(folder / "uniaxial_points.csv.gz", delimiter=",", names=True)
+    published = np.column_stack([table[f"{axis}_mm"] for axis in "XYZ"]).reshape(found.positions.shape)
+    # By homogeneous least squares, as there; the table has five digits.
+    left, right = (np.column_stack([table[f"{axis}{n}_px"] for axis in "uv"]) - 1 for n in (1, 2))
+    rig = example.calibration(folder)
+    again = linear(replace(rig, translation=rig.translation * 1e3), left, right).reshape(published.shape)
+    error = again - published
+    assert np.nanmax(np.abs(error)) < 7e-6
+    assert np.sqrt(np.nanmean(error**2)) == pytest.approx(1e-5 / np.sqrt(12), rel=0.05)
+    assert np.abs(np.nanmean(error, axis=(0, 1))).max() < 1e-7
+    assert np.nanmax(np.abs(found.positions * 1e3 - published)) < 2e-3
+    measured, rubber, fitted = found.width
+    assert found.stretch == pytest.approx(1.2615, abs=1e-3)
+    assert rubber == pytest.approx(found.stretch**-0.5, abs=1e-3)
+    assert 0.013 < measured - rubber < 0.018
+    assert abs(fitted - measured) < 0.006
+    assert found.fitted.values["poisson"] == pytest.approx(0.40, abs=0.02)
+    assert Measurement.read(tmp_path / "strip").positions.shape == found.measurement.positions.shape
 
 
 @pytest.mark.slow

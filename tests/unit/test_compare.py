@@ -25,6 +25,7 @@ from bcid.forms import effects, trial
 from bcid.forms.model import Dose, Model
 from bcid.forms.sensitivity import Signatures, Wanted
 from bcid.forms.simulate import recorded
+from bcid.frame_error import FrameError
 from bcid.measurement import Action, Measurement
 from bcid.progress import Silent
 from bcid.scene import Scene
@@ -90,6 +91,26 @@ def test_without_an_error_of_the_mesh_only_the_noise_scales() -> None:
     data = data_of(rest(made), made)
     errors = Errors(data, np.full(len(data), SIGMA), MeshError.unknown(data.mask.shape))
     assert errors.whiten(np.full(len(data), SIGMA)) == pytest.approx(np.ones(len(data)))
+
+
+def test_an_error_of_the_measured_frame_is_shared_by_all_positions() -> None:
+    """A residual that is a turn of the frame of one standard deviation is one surprise, not one for each value."""
+    made = actions()
+    spread = np.zeros((7, 7))
+    spread[1, 1] = 0.05**2
+    error = FrameError(SCENE.rest.mean(axis=0), spread)
+    measurement = replace(recorded(SCENE, made, rest(made), 0.0, np.random.default_rng(0)), noise_sigma=SIGMA)
+    data = Data(SCENE, replace(measurement, frame_error=error))
+    errors = Errors(data, data.sigma, MeshError.unknown(data.mask.shape))
+    turn = error.modes(rest(made))[..., 0][data.mask]
+    assert np.abs(turn).max() > 3 * SIGMA
+    assert np.sum(errors.whiten(turn) ** 2) == pytest.approx(1.0, abs=0.02)
+    assert np.sum((turn / SIGMA) ** 2) > 50
+    # What is not a turn costs as much as ever.
+    other = np.where(data.axis == 1, SIGMA, 0.0)
+    assert np.sum(errors.whiten(other) ** 2) == pytest.approx(np.sum(data.axis == 1), rel=1e-6)
+    scaled = np.diag(np.ones(len(data))) + np.outer(turn, turn) / SIGMA**2
+    assert errors.log_volume == pytest.approx(len(data) * np.log(SIGMA) + np.linalg.slogdet(scaled)[1] / 2)
 
 
 def test_noise_is_seen_under_a_smooth_residual() -> None:

@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "bcid"
 # Each part may import itself and those to its left; "report" reads run folders and must not see what solves.
 HEAVY = ("dolfinx", "petsc4py", "vtk", "pyvista", "cv2", "gmsh", "matplotlib")
 
-BASE = {"errors", "units", "compat", "fingerprint", "progress", "collective", ""}
+BASE = {"errors", "units", "compat", "fingerprint", "frame_error", "progress", "collective", ""}
 DATA = BASE | {"scene", "scene_file", "measurement", "measurement_folder", "mapping", "motions", "run"}
 ALLOWED = {
     **dict.fromkeys(BASE, BASE),
@@ -21,10 +21,11 @@ ALLOWED = {
     "search": DATA | {"forms", "search"},
     "compare": DATA | {"forms", "search", "compare"},
     "explore": DATA | {"forms", "search", "compare", "explore"},
+    "vision": BASE | {"measurement", "measurement_folder", "run", "vision"},
     "report": BASE | {"run", "report"},
     "doctor": BASE | {"doctor"},
-    "studies": DATA | {"forms", "search", "compare", "explore", "studies"},
-    "commands": DATA | {"forms", "search", "compare", "explore", "studies", "report", "commands"},
+    "studies": DATA | {"forms", "search", "compare", "explore", "vision", "studies"},
+    "commands": DATA | {"forms", "search", "compare", "explore", "studies", "report", "vision", "commands"},
     "cli": BASE | {"motions", "doctor", "commands", "cli"},
     "__main__": {"cli"},
 }

@@ -54,6 +54,51 @@ def test_optional_files_round_trip(folder: Path, tmp_path: Path) -> None:
     assert Measurement.read(tmp_path / "again").fingerprint() == measurement.fingerprint()
 
 
+FRAME = """format = "bcid-frame/1"
+centre = [50, 10, 50]
+covariance = [
+  [1e-6, 0, 0, 0, 0, 0, 0], [0, 1e-6, 0, 2e-5, 0, 0, 0], [0, 0, 1e-6, 0, 0, 0, 0],
+  [0, 2e-5, 0, 1e-2, 0, 0, 0], [0, 0, 0, 0, 1e-2, 0, 0], [0, 0, 0, 0, 0, 1e-2, 0], [0, 0, 0, 0, 0, 0, 0],
+]
+"""
+
+
+def test_the_error_of_the_frame_round_trips(folder: Path, tmp_path: Path) -> None:
+    without = Measurement.read(folder)
+    (folder / "frame.toml").write_text(FRAME, encoding="utf-8")
+    measurement = Measurement.read(folder)
+    error = measurement.frame_error
+    assert error is not None
+    assert error.centre == pytest.approx([0.05, 0.01, 0.05])
+    assert error.covariance[3, 3] == pytest.approx(1e-8)
+    assert error.covariance[1, 3] == pytest.approx(2e-8)
+    assert error.rms(error.centre[None]) == pytest.approx(1e-4)
+    assert measurement.fingerprint() != without.fingerprint()
+    measurement.write(tmp_path / "again")
+    measurement.to_netcdf(tmp_path / "again.nc")
+    for copy in (tmp_path / "again", tmp_path / "again.nc"):
+        assert Measurement.read(copy).fingerprint() == measurement.fingerprint()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[50, 10, 50]", "[50, 10]", "centre: expected 3 numbers"),
+        ("bcid-frame/1", "bcid-scene/1", 'expected "bcid-frame/1"'),
+        ("2e-5, 0, 0, 0], [0, 0, 1e-6", "9e-5, 0, 0, 0], [0, 0, 1e-6", "symmetric matrix"),
+        ("[1e-6,", "[-1e-6,", "without negative eigenvalues"),
+        ("centre", "center", "did you mean 'centre'"),
+        ("[50, 10, 50]", "[50, nan, 50]", "must be finite numbers"),
+        ("[50, 10, 50]", "[50,", "not a TOML file"),
+    ],
+)
+def test_a_bad_error_of_the_frame_is_refused(folder: Path, old: str, new: str, words: str) -> None:
+    assert old in FRAME
+    (folder / "frame.toml").write_text(FRAME.replace(old, new), encoding="utf-8")
+    with pytest.raises(InputError, match=words):
+        Measurement.read(folder)
+
+
 def test_own_sigma_and_spreadsheet_habits(folder: Path) -> None:
     """Columns in another order, a byte order mark, blank lines and Windows line ends are no mistakes."""
     text = "\ufefffiducial,sigma_x,sigma_y,sigma_z,action,step,time,x,y,z\r\n1,0.1,0.2,0.4,1,0,0,15,10,12\r\n"

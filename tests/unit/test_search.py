@@ -34,6 +34,7 @@ class Landscape:
             curves=60,
             noise=noise,
             motion_rms=100.0,
+            common=0.0,
             distance=lambda a, b: abs(a - b),
             similarity=lambda rms: 1 - rms / 100,
         )
@@ -194,6 +195,14 @@ def test_the_error_of_a_level_comes_from_the_next_and_from_the_residual() -> Non
     for level in (0, 1):
         farm.evaluate(level, {TRUE: math.inf})
     assert model_errors(farm, TRUE, [0, 1]) == pytest.approx({0: 2.0, 1: 1.0})  # type: ignore[arg-type]
+
+
+def test_an_error_of_the_measured_frame_counts_on_every_level() -> None:
+    farm = Landscape(distance, distance, apart=3.0)
+    for level in (0, 1):
+        farm.evaluate(level, {TRUE: math.inf})
+    farm.misfit.common = 4.0
+    assert model_errors(farm, TRUE, [0, 1]) == pytest.approx({0: 5.0, 1: math.sqrt(17.0)})  # type: ignore[arg-type]
 
 
 def test_a_best_set_that_failed_on_a_coarse_level() -> None:

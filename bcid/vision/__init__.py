@@ -1,0 +1,1 @@
+"""From two cameras that watch beads on a body to a measurement."""

@@ -1,0 +1,124 @@
+"""Where the adjustment of two cameras starts: each camera from its boards alone (Zhang, IEEE PAMI 22, 2000), then the place of
+the right camera that most pairs agree on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.vision.adjustment import LENSES, Adjustment, Size, State, camera_matrix, turned
+from bcid.vision.corners import Corners
+
+Array = NDArray[np.float64]
+# Rotation (3, 3) and place (3,), m, of a board in a camera's frame.
+Placed = tuple[Array, Array]
+
+# Pairs from which a camera is found.
+_PAIRS = 20
+
+
+def first_guess(
+    corners: Sequence[Corners], sizes: tuple[Size, Size], distortion: int
+) -> tuple[State, list[Corners], list[int]]:
+    """A state to start from, the corners in one order for both cameras, and the pairs whose order was turned in the right image.
+
+    Args:
+        sizes: width and height of the left and of the right images, px.
+        distortion: coefficients of the lens, see `LENSES`; all are zero here.
+    """
+    inner = np.zeros((2, 4 + max((k + 1 for k in LENSES[distortion]), default=0)))
+    for side in range(2):
+        inner[side, :4] = _alone(corners, side, sizes[side])
+    left = [_pose(c.board, c.left, inner[0]) for c in corners]
+    orders = [[np.arange(len(c)), *_symmetries(c.board)] for c in corners]
+    right = [
+        [_pose(c.board, c.right[order], inner[1]) for order in some] for c, some in zip(corners, orders, strict=True)
+    ]
+    rotation, translation, chosen = _agreed(left, right)
+    ordered = [
+        replace(c, right=c.right[some[k]]) if k else c for c, some, k in zip(corners, orders, chosen, strict=True)
+    ]
+    flipped = [c.number for c, k in zip(corners, chosen, strict=True) if k]
+    other = [
+        (rotation.T @ turn, rotation.T @ (place - translation))
+        for turn, place in (poses[k] for poses, k in zip(right, chosen, strict=True))
+    ]
+    poses = []
+    for pair, two in zip(ordered, zip(left, other, strict=True), strict=True):
+        adjustment = Adjustment([pair], distortion)
+        tried = [State(inner, rotation, translation, t[None], p[None]) for t, p in two]
+        # A small board looks nearly the same from its mirrored tilt: the camera that saw it better decides.
+        poses.append(min(tried, key=adjustment.cost))
+    state = State(
+        inner, rotation, translation, np.vstack([s.turns for s in poses]), np.vstack([s.places for s in poses])
+    )
+    return state, ordered, flipped
+
+
+def _alone(corners: Sequence[Corners], side: int, size: Size) -> list[float]:
+    """fx, fy, cx, cy of one camera, without distortion and with the principal point in the middle, px."""
+    import cv2
+
+    chosen = [corners[i] for i in np.unique(np.linspace(0, len(corners) - 1, _PAIRS).round().astype(int))]
+    boards = [c.board.astype(np.float32) for c in chosen]
+    pixels = [(c.right if side else c.left).astype(np.float32)[:, None] for c in chosen]
+    flags = cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_ZERO_TANGENT_DIST
+    flags |= cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
+    focal, middle = 1.5 * max(size), [(size[0] - 1) / 2, (size[1] - 1) / 2]
+    try:
+        matrix = np.asarray(cv2.calibrateCamera(boards, pixels, size, None, None, flags=flags)[1])
+    except cv2.error:
+        return [focal, focal, *middle]
+    lengths = matrix[[0, 1], [0, 1]]
+    sensible = np.isfinite(lengths).all() and lengths.min() > 0.1 * max(size) and lengths.max() < 200 * max(size)
+    return [*map(float, lengths), *middle] if sensible else [focal, focal, *middle]
+
+
+def _pose(board: Array, pixels: Array, inner: Array) -> Placed:
+    """Rotation and place of a board in a camera's frame."""
+    import cv2
+
+    try:
+        _, turn, place = cv2.solvePnP(board[:, None], np.ascontiguousarray(pixels[:, None]), camera_matrix(inner), None)
+    except cv2.error:
+        return np.eye(3), np.array([0.0, 0.0, 1.0])
+    return turned(turn), np.asarray(place).ravel()
+
+
+def _symmetries(board: Array) -> list[NDArray[np.intp]]:
+    """Orders of the corners (n, 3) that a turn of the board in its plane makes, as the half turn of a chessboard."""
+    middle = (board.max(axis=0) + board.min(axis=0))[:2] / 2
+    flat = board[:, :2] - middle
+    found = []
+    for turn in ([[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]]):
+        gaps = np.linalg.norm((flat @ np.array(turn).T)[:, None] - flat[None], axis=2)
+        order = gaps.argmin(axis=1)
+        if gaps.min(axis=1).max() < 1e-6 * np.abs(flat).max():
+            found.append(order)
+    return found
+
+
+def _agreed(left: list[Placed], right: list[list[Placed]]) -> tuple[Array, Array, list[int]]:
+    """The place of the right camera that most pairs agree on, and the order of each pair's corners that gives it.
+
+    A chessboard looks the same after half a turn, so each image may count its corners from the other end. The same end in both
+    images gives one place of the cameras in all pairs; different ends do not.
+    """
+    owner = np.array([i for i, poses in enumerate(right) for _ in poses])
+    kinds = np.array([k for poses in right for k in range(len(poses))])
+    turns = np.array([turn @ left[i][0].T for i, poses in enumerate(right) for turn, _ in poses])
+    places = np.array([p for poses in right for _, p in poses]) - np.einsum(
+        "nij,nj->ni", turns, np.array([left[i][1] for i in owner])
+    )
+    depth = float(np.median([abs(place[2]) for _, place in left])) or 1.0
+    angles = np.arccos(np.clip((np.einsum("aij,bij->ab", turns, turns) - 1) / 2, -1, 1))
+    gaps = angles + np.linalg.norm(places[:, None] - places[None], axis=2) / depth
+    # To change the order is the exception: it must fit clearly better.
+    weighted = gaps * np.where(kinds == 0, 1.0, 2.0)[None]
+    best = np.array([weighted[:, owner == i].min(axis=1) for i in range(len(left))])
+    winner = int(np.argmin(np.minimum(best, 0.3).sum(axis=0) + 1e-6 * (kinds > 0)))
+    chosen = [int(kinds[owner == i][np.argmin(weighted[winner, owner == i])]) for i in range(len(left))]
+    return turns[winner], places[winner], chosen

@@ -1,0 +1,234 @@
+"""A recording: which images show which step of which motion, and what the beads look like.
+
+Its TOML file is described in docs/vision.md.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bcid.errors import InputError, Problems, nearest
+from bcid.measurement import Action, Units
+from bcid.measurement_folder import read_grasps
+from bcid.units import quantity
+from bcid.vision.camera import SIDES, Cameras
+
+FORMAT = "bcid-recording/1"
+_KEYS = ("format", "cameras", "camera_length_unit", *SIDES, "grasps", "rate", "length_unit", "time_unit", "distance")
+_TABLES = {
+    "beads": ("diameter", "colour"),
+    "images": ("first", "every", "last"),
+    "layout": ("sigma", "tolerance", "scale"),
+    "seen": None,
+}
+_COLOURS = ("dark", "bright")
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What was recorded, and where it is; lengths in m.
+
+    Attributes:
+        cameras: the calibration.
+        left, right: folders of images, or videos.
+        actions: motions of the gripper; None where nothing holds the body: all images are one action then.
+        rate: images per second, used without motions.
+        diameter: of a bead.
+        dark: whether beads are darker than the body.
+        distance: of the body from the cameras; None where their axes tell.
+        first, every, last: numbers of the images that are used; the first and last that exist where None.
+        layout_sigma: standard deviation of a coordinate of the layout.
+        tolerance: how far a bead at rest may be from the layout; None for a part of its size.
+        scale: whether a scale is fitted.
+        seen: pixels (u, v) of beads in the left of the first images, by name.
+        units: of the files, and of the measurement to be written.
+    """
+
+    cameras: Cameras
+    left: Path
+    right: Path
+    actions: list[Action] | None
+    rate: float
+    diameter: float
+    dark: bool = True
+    distance: float | None = None
+    first: int | None = None
+    every: int = 1
+    last: int | None = None
+    layout_sigma: float = 0.0
+    tolerance: float | None = None
+    scale: bool = False
+    seen: dict[str, tuple[float, float]] = field(default_factory=dict)
+    units: Units = field(default_factory=Units)
+    source: str = "recording"
+
+    @classmethod
+    def read(cls, path: str | Path) -> Recording:
+        """Read and validate a recording file; paths inside are relative to it.
+
+        Raises:
+            InputError: with every problem of the file.
+        """
+        path = Path(path)
+        try:
+            table = tomllib.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise InputError(f"{path}: no such recording file") from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+            raise InputError(f"{path}: not a TOML file: {error}") from None
+        return _Reader(path, table).recording()
+
+    def numbers(self, present: Iterable[int]) -> list[int]:
+        """Numbers of the images that are used, one for each step.
+
+        Args:
+            present: numbers of the images that one of the cameras has.
+
+        Raises:
+            InputError: there are not as many as the motions have steps.
+        """
+        present = sorted(present)
+        first = present[0] if self.first is None else self.first
+        last = present[-1] if self.last is None else self.last
+        if self.actions is None:
+            return list(range(first, last + 1, self.every))
+        steps = sum(map(len, self.actions))
+        end = first + self.every * (steps - 1)
+        if end > last or (self.last is not None and end != last):
+            raise InputError(
+                f"{self.source}: the motions have {steps} steps, which are images {first} to {end} (every {self.every}); "
+                f"the images end at {last}. Set first, every and last in [images]"
+            )
+        return list(range(first, end + 1, self.every))
+
+
+class _Reader:
+    """Reads the table of a recording file, noting every problem."""
+
+    def __init__(self, path: Path, table: dict[str, Any]) -> None:
+        self.path, self.table = path, table
+        self.problems = Problems(f"recording {path}")
+
+    def bad(self, text: str) -> None:
+        self.problems.add(self.path, text)
+
+    def recording(self) -> Recording:
+        self.keys()
+        units = Units(self.text("length_unit", "mm"), self.text("time_unit", "s"))
+        images = [self.path.parent / self.text(side) for side in SIDES]
+        found: dict[str, Any] = {
+            "diameter": self.length("beads", "diameter"),
+            "dark": self.colour(),
+            "distance": self.length(None, "distance", None),
+            "first": self.whole("first", None, 0),
+            "every": self.whole("every", 1, 1),
+            "last": self.whole("last", None, 0),
+            "layout_sigma": self.length("layout", "sigma", 0.0),
+            "tolerance": self.length("layout", "tolerance", None),
+            "scale": self.flag("layout", "scale"),
+            "seen": self.seen(),
+        }
+        rate = self.table.get("rate", 1.0)
+        if isinstance(rate, bool) or not isinstance(rate, int | float) or not rate > 0:
+            self.bad(f"rate: expected a positive number of images per second, found {rate!r}")
+        cameras = self.attempt(
+            lambda: Cameras.read(self.path.parent / self.text("cameras"), self.table.get("camera_length_unit"))
+        )
+        actions = None
+        if "grasps" in self.table:
+            actions = self.attempt(lambda: read_grasps(self.path.parent / self.text("grasps"), units))
+        self.problems.raise_if_any()
+        left, right = images
+        return Recording(cameras, left, right, actions, float(rate), **found, units=units, source=str(self.path))
+
+    def keys(self) -> None:
+        if self.table.get("format") != FORMAT:
+            self.bad(f'format: expected "{FORMAT}", found {self.table.get("format")!r}')
+        for key, value in self.table.items():
+            if key in _TABLES:
+                allowed = _TABLES[key]
+                if not isinstance(value, dict):
+                    self.bad(f"{key}: expected a table [{key}], found {value!r}")
+                    self.table[key] = {}
+                elif allowed is not None:
+                    for name in value:
+                        if name not in allowed:
+                            self.bad(f"{key}.{name}: unknown key; {nearest(name, allowed)}")
+            elif key not in _KEYS:
+                self.bad(f"{key}: unknown key; {nearest(key, [*_KEYS, *_TABLES])}")
+
+    def attempt(self, read: Any) -> Any:
+        """What another file holds; its problems join those of this one."""
+        try:
+            return read()
+        except InputError as error:
+            self.bad(str(error))
+            return None
+
+    def text(self, key: str, default: str | None = None) -> str:
+        value = self.table.get(key, default)
+        if not isinstance(value, str):
+            self.bad(f"{key}: {'is missing' if value is None else f'expected text, found {value!r}'}")
+            return ""
+        return value
+
+    def value(self, table: str | None, key: str, default: Any = None) -> Any:
+        return (self.table if table is None else self.table.get(table, {})).get(key, default)
+
+    def length(self, table: str | None, key: str, *default: Any) -> Any:
+        """A length, m; it must be there unless a default is given."""
+        value = self.value(table, key)
+        name = key if table is None else f"{table}.{key}"
+        if value is None:
+            if not default:
+                self.bad(f'{name}: is missing; give it, as {key} = "1 mm"')
+                return 0.0
+            return default[0]
+        try:
+            number = quantity(value, "m")
+        except InputError as error:
+            self.bad(f"{name}: {error}")
+            return 0.0
+        if not number > 0:
+            self.bad(f"{name}: must be positive, found {value!r}")
+        return number
+
+    def whole(self, key: str, default: int | None, least: int) -> int | None:
+        value = self.value("images", key, default)
+        if value is None:
+            return None
+        if isinstance(value, bool) or not isinstance(value, int) or value < least:
+            self.bad(f"images.{key}: expected a whole number from {least}, found {value!r}")
+            return default
+        return value
+
+    def flag(self, table: str, key: str) -> bool:
+        value = self.value(table, key, False)
+        if not isinstance(value, bool):
+            self.bad(f"{table}.{key}: expected true or false, found {value!r}")
+        return bool(value)
+
+    def colour(self) -> bool:
+        value = self.value("beads", "colour", "dark")
+        if value not in _COLOURS:
+            self.bad(f"beads.colour: expected {' or '.join(_COLOURS)}, found {value!r}")
+        return bool(value == "dark")
+
+    def seen(self) -> dict[str, tuple[float, float]]:
+        found = {}
+        for name, value in self.table.get("seen", {}).items():
+            try:
+                pixel = np.asarray(value, dtype=float)
+            except (TypeError, ValueError):
+                pixel = np.zeros(0)
+            if pixel.shape != (2,) or not np.isfinite(pixel).all():
+                self.bad(f"seen.{name}: expected a pixel [u, v], found {value!r}")
+            else:
+                found[name] = (float(pixel[0]), float(pixel[1]))
+        return found

@@ -1,0 +1,1 @@
+"""Images that two cameras would take of a body with beads on it, with known truth."""
