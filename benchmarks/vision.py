@@ -1,6 +1,6 @@
 """How good and how fast tracking is: rendered sequences with known truth.
 
-./dev python benchmarks/vision.py [SEQUENCES]
+./dev python benchmarks/vision.py [SEQUENCES [FIRST]]
 
 Each sequence is the benchmark slab, held at {1 2} and pulled around three half circles, in 31 pairs of images of two cameras of
 1.3 megapixels at 30 cm: 16 beads of 1 mm, six false ones, texture, noise of two grey levels, light from another side each time,
@@ -81,13 +81,13 @@ def score(scene: Scene, filmed: Filmed, found: Tracking, rate: float) -> Score:
     return Score(visible, int(found.seen.sum()), int((found.seen & ~right).sum()), error[right], chi2, rate)
 
 
-def main(count: int) -> list[Score]:
+def main(count: int = 20, first: int = 0) -> list[Score]:
     """Run and print."""
     scene = Scene.read(SCENE)
     surface = moved(scene, ("1", "2"), motion("semicircle", "II"), 1)
     print("sequence  visible  seen  wrong  RMS mm  largest mm  chi2 / 3  pairs/s")
     scores = []
-    for number in range(count):
+    for number in range(first, first + count):
         with tempfile.TemporaryDirectory() as folder:
             scores.append(sequence(scene, surface, number, Path(folder) / "filmed"))
         line(f"{number:8d}", scores[-1:])
@@ -106,4 +106,4 @@ def line(name: str, scores: list[Score]) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 20)
+    main(*map(int, sys.argv[1:]))

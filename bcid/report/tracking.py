@@ -36,7 +36,7 @@ def tracking_figure(found: dict[str, Any], data: xr.Dataset, rest: Path) -> Figu
     pictured = rest.is_file()
     figure = Figure(figsize=(12, 9.4 if pictured else 4.6), facecolor="white")
     rows = [1.55, 1] if pictured else [1]
-    grid = figure.add_gridspec(len(rows), 3, height_ratios=rows, width_ratios=[1.5, 1, 1], hspace=0.22, wspace=0.3)
+    grid = figure.add_gridspec(len(rows), 3, height_ratios=rows, width_ratios=[1.5, 1, 1], hspace=0.12, wspace=0.3)
     grid.update(left=0.06, right=0.98, top=0.92 if pictured else 0.86, bottom=0.08 if pictured else 0.14)
     sigma = f"{found['sigma'] * 1e3:.2g}"
     title = f"{found['beads']} beads in {found['frames']} pairs of images: {found['seen']:.1%} seen, standard deviation {sigma} mm"
@@ -104,7 +104,7 @@ def _agreement(axes: Axes, data: xr.Dataset) -> None:
     x = np.linspace(0, 4, 200)
     axes.plot(x, chi2.cdf(x**2, 1), color=_GREY, linewidth=2, linestyle="--", label="expected")
     axes.set_xlim(0, max(4, float(np.sqrt(misfit[int(0.98 * (len(misfit) - 1))])) if len(misfit) else 4))
-    axes.set_xlabel("distance of the two rays, standard deviations")
+    axes.set_xlabel("distance of the rays, st. dev.")
     axes.set_ylabel("share of positions")
     axes.legend(frameon=False, fontsize=9)
     open_frame(axes)

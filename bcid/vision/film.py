@@ -120,7 +120,7 @@ def _write(picture: NDArray[np.uint8], text: str, at: tuple[int, int], colour: C
     import cv2
 
     rim = (255, 255, 255) if colour != _WHITE else (30, 30, 30)
-    cv2.putText(picture, text, at, _FONT, 0.6, rim, 4, cv2.LINE_AA)
+    cv2.putText(picture, text, at, _FONT, 0.6, rim, 3, cv2.LINE_AA)
     cv2.putText(picture, text, at, _FONT, 0.6, colour, 1, cv2.LINE_AA)
 
 

@@ -163,7 +163,8 @@ def find(
 
     Args:
         tolerance: a bead's point is at most so far from its place, m.
-        hints: points that a bead may be, by the number of the bead.
+        hints: points that a bead may be, by the number of the bead; at least one of these beads must have such a point, and none
+            another.
     """
     found: dict[tuple[int, ...], Assignment] = {}
     apart = np.linalg.norm(points[:, None] - points[None], axis=2)
@@ -171,7 +172,7 @@ def find(
         corners = _alike(apart, layout[list(triple)], tolerance)
         for begin in range(0, len(corners), _BATCH):
             for one in _laid(points, layout, triple, corners[begin : begin + _BATCH], tolerance):
-                if all(one.points[bead] in allowed for bead, allowed in (hints or {}).items()):
+                if _fits(one, hints or {}):
                     found[tuple(one.points)] = one
         most = max((one.count for one in found.values()), default=0)
         if most >= _ENOUGH * len(layout):
@@ -184,6 +185,12 @@ def find(
     rivals = [one for one in ranked[1:] if one.count >= best.count and one.rms <= allowance]
     # Assignments that differ in a bead or two are variants of one way, not others.
     return [best, *(one for one in rivals if np.mean(one.points == best.points) < 0.5)]
+
+
+def _fits(assignment: Assignment, hints: Mapping[int, Indices]) -> bool:
+    told = [(assignment.points[bead], allowed) for bead, allowed in hints.items()]
+    right = [point in allowed for point, allowed in told]
+    return not hints or (any(right) and all(ok or point < 0 for ok, (point, _) in zip(right, told, strict=True)))
 
 
 def _triples(layout: Array) -> list[tuple[int, int, int]]:

@@ -37,6 +37,8 @@ _LAYOUT = 0.02
 # A bead that is partly hidden looks smaller, and what hides it disturbs the ground: allowed change of the diameter in one camera,
 # and of what the fit leaves against that of the other beads.
 _PARTLY, _DISTURBED = 1.06, 2.5
+# This part of the beads must be found at rest.
+_FOUND = 0.34
 # So many beads are needed to lay a layout onto spots, and for neighbours to say something.
 LEAST = 4
 # A depth may be this factor from the working distance.
@@ -141,7 +143,7 @@ class Tracker:
             hints: pixels (u, v) in the left image where beads are, by name: needed where a layout is symmetric.
 
         Raises:
-            InputError: too few beads are seen, they fit no motion of the layout, more than one, or the two cameras do not agree.
+            InputError: less than a third of the beads is found, they fit no motion of the layout, more than one, or the two cameras do not agree.
         """
         spots = self._spots(left, right, None)
         pairs = self._pairs(spots, self._epipolar)
@@ -156,7 +158,7 @@ class Tracker:
         return replace(frame, expected=self._start)
 
     def _least(self) -> int:
-        return max(LEAST, int(np.ceil(len(self.names) / 2)))
+        return max(LEAST + 1, int(np.ceil(_FOUND * len(self.names))))
 
     def _laid(self, pairs: _Pairs, hints: Mapping[str, tuple[float, float]]) -> Assignment | None:
         if len(pairs) < LEAST:
@@ -201,13 +203,21 @@ class Tracker:
             raise InputError(f"{head}: are their diameter ({self.diameter * 1e3:.3g} mm) and colour right?")
         badly = self._pairs(spots, _BADLY)
         ways = find(badly.points.positions, self.rest, 2 * self.tolerance) if len(badly) >= LEAST else []
-        if ways and ways[0].count >= self._least():
+        if ways and ways[0].count >= self._least() and (best is None or ways[0].count > best.count):
             chosen = ways[0].points[ways[0].points >= 0]
             pixels = [s.pixels[i[chosen]] for s, i in zip(spots, (badly.left, badly.right), strict=True)]
             away = float(np.median(np.diag(epipolar_distance(self.cameras, *pixels))))
+            if away < self._epipolar:
+                raise InputError(
+                    f"{head}: the layout lies on them, but no bead named in [seen] is among those that both cameras see; name others"
+                )
             raise InputError(
                 f"{head}: the calibration does not fit the images. Spots are {away:.1f} px (median) from the epipolar lines, "
                 f"{self._epipolar:.2g} are allowed: was a camera moved or refocused? Calibrate again"
+            )
+        if best is not None:
+            raise InputError(
+                f"{head}, {self._least()} are needed: begin with images in which more of them are seen by both cameras"
             )
         raise InputError(
             f"{head}: no rigid motion takes the layout to them within {self.tolerance * 1e3:.3g} mm. "

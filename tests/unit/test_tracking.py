@@ -265,6 +265,9 @@ def test_a_symmetric_layout_lies_in_several_ways() -> None:
     """A rectangle of beads can be turned by half a turn about three axes."""
     assert len(find(in_camera(REST), REST, 1e-3)) == 4
     assert len(find(in_camera(REST), REST, 1e-3, {0: np.array([0])})) == 1
+    # Of two beads that are named, one may not have been found.
+    alone = find(np.delete(in_camera(REST), 15, axis=0), REST, 1e-3, {0: np.array([0]), 15: np.array([], dtype=int)})
+    assert [tuple(way.points) for way in alone] == [(*range(15), -1)]
 
 
 def test_rigid_motion_and_scale() -> None:
@@ -356,6 +359,20 @@ def test_a_camera_that_was_moved_is_named(changed: Callable[..., Path]) -> None:
         track(Recording.read(file), LAYOUT)
 
 
+@pytest.mark.parametrize("axis", range(3))
+def test_a_camera_that_is_turned_by_a_degree_is_noticed(changed: Callable[..., Path], axis: int) -> None:
+    """About its own axes: by the epipolar lines, or, where the turn keeps these, by the scale."""
+    file = changed()
+    rig = cameras()
+    turn = cv2.Rodrigues(np.radians(np.eye(3)[axis]))[0]
+    replace(rig, rotation=turn @ rig.rotation).write(file.parent / "cameras.json")
+    try:
+        said = track(Recording.read(file), LAYOUT).warnings[0]
+    except InputError as error:
+        said = str(error)
+    assert "the calibration does not fit the images" in said or "than in the layout" in said
+
+
 def test_a_board_of_the_wrong_size_is_named(changed: Callable[..., Path]) -> None:
     file = changed()
     rig = cameras()
@@ -418,6 +435,20 @@ def test_images_of_another_size_are_refused(changed: Callable[..., Path]) -> Non
         InputError, match="the left images have 1280 x 1024 pixels, the camera was calibrated with 1920 x 1080"
     ):
         track(Recording.read(file), LAYOUT)
+
+
+def test_too_few_beads_that_are_seen_are_named() -> None:
+    """Five of sixteen are not enough, six are."""
+    rig, rng = cameras(), np.random.default_rng(0)
+    hint = {"1": tuple(rig.project(places(0))[0][0])}
+    hidden = np.ones((2, 16), bool)
+    hidden[:, [0, 3, 5, 12, 14]] = False
+    with pytest.raises(InputError, match=r"5 of 16 beads were found at rest .*, 6 are needed: begin with images"):
+        Tracker(rig, LAYOUT, DIAMETER).begin(*pair(0, rig, rng, hidden), hints=hint)
+    hidden[:, 10] = False
+    assert Tracker(rig, LAYOUT, DIAMETER).begin(*pair(0, rig, rng, hidden), hints=hint).seen.sum() == 6
+    with pytest.raises(InputError, match=r"no bead named in \[seen\] is among those"):
+        Tracker(rig, LAYOUT, DIAMETER).begin(*pair(0, rig, rng, hidden), hints={"2": hint["1"]})
 
 
 def test_too_few_beads_are_refused() -> None:
