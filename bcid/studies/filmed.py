@@ -166,7 +166,7 @@ def film(
     assert hints is not None
     recording = folder / "recording.toml"
     seen = np.flatnonzero(visible[0].all(axis=0))
-    write_whole(recording, _recording(look, {scene.fiducial_names[i]: hints[i] for i in seen[[0, -1]]}))
+    write_whole(recording, _recording(look, {scene.fiducial_names[i]: hints[i] for i in seen}))
     return Filmed(recording, beads, visible)
 
 

@@ -20,10 +20,12 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _STEPS, _EXACT = 50, 1e-14
-# Triples of beads that an assignment is built on, and the part of the beads that must be found to stop looking.
-_TRIPLES, _ENOUGH = 12, 0.9
-# Another assignment is as good when it finds as many beads and its distances are at most so many times as large.
-_AS_GOOD = 2.0
+# Triples of beads that an assignment is built on: large ones first, then any, for beads that are seen may stand close together. The
+# part of the beads that must be found to stop looking, after each large one and after each other one.
+_LARGE, _ANY = 12, 60
+_ENOUGH, _HALF = 0.9, 0.5
+# Another assignment is as good when it finds this part of the beads and its distances are at most so many times as large.
+_AS_MANY, _AS_GOOD = 0.8, 2.0
 # Hypotheses looked at together.
 _BATCH = 2000
 
@@ -163,50 +165,63 @@ def find(
 
     Args:
         tolerance: a bead's point is at most so far from its place, m.
-        hints: points that a bead may be, by the number of the bead; at least one of these beads must have such a point, and none
-            another.
+        hints: points that a bead may be, by the number of the bead; at least one of these beads must have such a point, none
+            another, and no other bead one of these.
     """
     found: dict[tuple[int, ...], Assignment] = {}
     apart = np.linalg.norm(points[:, None] - points[None], axis=2)
-    for triple in _triples(layout):
+    for number, triple in enumerate(_triples(layout)):
         corners = _alike(apart, layout[list(triple)], tolerance)
         for begin in range(0, len(corners), _BATCH):
             for one in _laid(points, layout, triple, corners[begin : begin + _BATCH], tolerance):
                 if _fits(one, hints or {}):
                     found[tuple(one.points)] = one
         most = max((one.count for one in found.values()), default=0)
-        if most >= _ENOUGH * len(layout):
+        if most >= (_ENOUGH if number < _LARGE - 1 else _HALF) * len(layout):
             break
     ranked = sorted(found.values(), key=lambda one: (-one.count, one.rms))
     if not ranked:
         return []
     best = ranked[0]
     allowance = max(_AS_GOOD * best.rms, best.rms + tolerance / 20)
-    rivals = [one for one in ranked[1:] if one.count >= best.count and one.rms <= allowance]
+    rivals = [one for one in ranked[1:] if one.count >= _AS_MANY * best.count and one.rms <= allowance]
     # Assignments that differ in a bead or two are variants of one way, not others.
-    return [best, *(one for one in rivals if np.mean(one.points == best.points) < 0.5)]
+    ways = [best]
+    for one in rivals:
+        if all(np.mean((one.points == way.points)[one.points >= 0]) < 0.5 for way in ways):
+            ways.append(one)
+    return ways
 
 
 def _fits(assignment: Assignment, hints: Mapping[int, Indices]) -> bool:
-    told = [(assignment.points[bead], allowed) for bead, allowed in hints.items()]
-    right = [point in allowed for point, allowed in told]
-    return not hints or (any(right) and all(ok or point < 0 for ok, (point, _) in zip(right, told, strict=True)))
+    """Whether a bead with a hint is found at its point, and none of these points is another bead's."""
+    if not hints:
+        return True
+    of_point = {int(point): bead for bead, points in hints.items() for point in points}
+    assigned = {bead: int(point) for bead, point in enumerate(assignment.points) if point >= 0}
+    told = {bead: of_point[point] for bead, point in assigned.items() if point in of_point}
+    return (
+        bool(told)
+        and all(bead == named for bead, named in told.items())
+        and not (hints.keys() & assigned.keys()) - told.keys()
+    )
 
 
 def _triples(layout: Array) -> list[tuple[int, int, int]]:
-    """Triples of beads that span much, the largest triangles first, no bead in more than a few."""
+    """Triples of beads: the largest triangles, no bead in more than a few of them, and then any that are no lines."""
     count = len(layout)
     rng = np.random.default_rng(0)
     numbers = np.array([rng.choice(count, 3, replace=False) for _ in range(400)])
     a, b, c = (layout[numbers[:, i]] for i in range(3))
-    order = np.argsort(-np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     chosen: list[tuple[int, int, int]] = []
     used = np.zeros(count, dtype=int)
-    for number in numbers[order]:
-        if len(chosen) < _TRIPLES and used[number].max() < max(3 * _TRIPLES // count, 2):
+    for number in numbers[np.argsort(-area)]:
+        if len(chosen) < _LARGE and used[number].max() < max(3 * _LARGE // count, 2):
             used[number] += 1
             chosen.append((int(number[0]), int(number[1]), int(number[2])))
-    return chosen
+    others = numbers[area > 0.05 * area.max()][:_ANY]
+    return chosen + [(int(i), int(j), int(k)) for i, j, k in others]
 
 
 def _alike(apart: Array, corners: Array, tolerance: float) -> Indices:

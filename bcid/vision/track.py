@@ -143,7 +143,8 @@ class Tracker:
             hints: pixels (u, v) in the left image where beads are, by name: needed where a layout is symmetric.
 
         Raises:
-            InputError: less than a third of the beads is found, they fit no motion of the layout, more than one, or the two cameras do not agree.
+            InputError: less than a third of the beads is found, they fit no motion of the layout, more than one, or the two cameras
+                do not agree.
         """
         spots = self._spots(left, right, None)
         pairs = self._pairs(spots, self._epipolar)
@@ -169,16 +170,18 @@ class Tracker:
         return ways[0] if ways else None
 
     def _hinted(self, pairs: _Pairs, hints: Mapping[str, tuple[float, float]]) -> dict[int, Indices]:
-        found = {}
+        """Pairs that named beads may be. Of several names, some may belong to beads that cannot be seen."""
+        found, missing = {}, []
         pixels = pairs.spots[0].pixels
         for name, place in hints.items():
             away = np.linalg.norm(pixels - np.asarray(place), axis=1)
-            if len(away) == 0 or away.min() > _HINT:
+            if len(away) and away.min() <= _HINT:
+                found[self.names.index(name)] = np.flatnonzero(pairs.left == np.argmin(away))
+            else:
                 near = f"the nearest is {away.min():.0f} px away" if len(away) else "there is none"
-                raise InputError(
-                    f"seen: no spot of the left image is at {place[0]:g}, {place[1]:g} (bead {name}); {near}"
-                )
-            found[self.names.index(name)] = np.flatnonzero(pairs.left == np.argmin(away))
+                missing.append(f"at {place[0]:g}, {place[1]:g} (bead {name}; {near})")
+        if missing and not found:
+            raise InputError(f"seen: no spot of the left image is {', '.join(missing[:3])}")
         return found
 
     def _ambiguous(self, pairs: _Pairs, ways: list[Assignment]) -> str:
@@ -209,7 +212,7 @@ class Tracker:
             away = float(np.median(np.diag(epipolar_distance(self.cameras, *pixels))))
             if away < self._epipolar:
                 raise InputError(
-                    f"{head}: the layout lies on them, but no bead named in [seen] is among those that both cameras see; name others"
+                    f"{head}: the layout lies on them, but both cameras see no bead that is named in [seen]; name others"
                 )
             raise InputError(
                 f"{head}: the calibration does not fit the images. Spots are {away:.1f} px (median) from the epipolar lines, "

@@ -270,6 +270,15 @@ def test_a_symmetric_layout_lies_in_several_ways() -> None:
     assert [tuple(way.points) for way in alone] == [(*range(15), -1)]
 
 
+def test_a_part_of_a_lattice_lies_in_several_ways() -> None:
+    """Few beads of a regular layout are as well those of the next row, whatever single bead is known."""
+    some = [0, 1, 2, 4, 5, 6, 8]
+    points = in_camera(REST)[some]
+    assert len(find(points, REST, 1e-3, {5: np.array([4])})) > 1
+    alone = find(points, REST, 1e-3, {5: np.array([4]), 0: np.array([0]), 2: np.array([2])})
+    assert [list(way.points[some]) for way in alone] == [list(range(7))]
+
+
 def test_rigid_motion_and_scale() -> None:
     rotation, translation, scale = rigid(REST, 2 * in_camera(REST), True)
     assert np.allclose(rotation, TO_CAMERA)
@@ -346,6 +355,20 @@ def test_two_beads_are_never_swapped(recorded: Path) -> None:
 def test_a_symmetric_layout_needs_a_hint(changed: Callable[..., Path]) -> None:
     file = changed('[seen]\n"1"', "#")
     with pytest.raises(InputError, match=r'in 4 ways: bead \d+ is at .* say which with \[seen\] "\d+" = \[u, v\]'):
+        track(Recording.read(file), LAYOUT)
+
+
+def test_a_hint_at_no_spot_is_named(changed: Callable[..., Path]) -> None:
+    """Unless another bead that is named is there."""
+    file = changed()
+    text = file.read_text(encoding="utf-8")
+    nowhere = '"2" = [20, 30]\n'
+    file.write_text(text + nowhere, encoding="utf-8")
+    assert track(Recording.read(file), LAYOUT).warnings == []
+    file.write_text(text[: text.index("[seen]")] + "[seen]\n" + nowhere, encoding="utf-8")
+    with pytest.raises(
+        InputError, match=r"no spot of the left image is at 20, 30 \(bead 2; the nearest is \d+ px away\)"
+    ):
         track(Recording.read(file), LAYOUT)
 
 
@@ -447,7 +470,7 @@ def test_too_few_beads_that_are_seen_are_named() -> None:
         Tracker(rig, LAYOUT, DIAMETER).begin(*pair(0, rig, rng, hidden), hints=hint)
     hidden[:, 10] = False
     assert Tracker(rig, LAYOUT, DIAMETER).begin(*pair(0, rig, rng, hidden), hints=hint).seen.sum() == 6
-    with pytest.raises(InputError, match=r"no bead named in \[seen\] is among those"):
+    with pytest.raises(InputError, match=r"both cameras see no bead that is named in \[seen\]"):
         Tracker(rig, LAYOUT, DIAMETER).begin(*pair(0, rig, rng, hidden), hints={"2": hint["1"]})
 
 
