@@ -163,6 +163,10 @@ def _add(commands: Any, name: str, run: Callable[..., Any], help_text: str, more
     return parser
 
 
+def _add_run(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="run folder to write")
+
+
 def _add_output(parser: argparse.ArgumentParser, picture: bool = True) -> None:
     parser.add_argument("--overwrite", action="store_true", help="discard a run that the folder already holds")
     if picture:
@@ -182,7 +186,7 @@ def _add_inputs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "measurement", type=Path, help="measurement folder, NetCDF file, or mapping file of a table or C3D"
     )
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="run folder to write")
+    _add_run(parser)
 
 
 def _add_demo(commands: Any) -> None:
@@ -348,7 +352,7 @@ def _add_explore(commands: Any) -> None:
     parser.add_argument(
         "--robot", required=True, metavar="ROBOT", help="folder:DIR, or simulated:1,2 with the anchored patches"
     )
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="run folder to write")
+    _add_run(parser)
     parser.add_argument("--grasps", metavar="I,II", help="grasps to use (all)")
     parser.add_argument("--effects", metavar="NAME,NAME", help="that may act besides, as gravity,fibres (none)")
     parser.add_argument(
@@ -391,7 +395,10 @@ def _add_calibrate(commands: Any) -> None:
         metavar='"chessboard 10x7 10 mm"',
         help='inner corners and square; or "charuco 8x6 30 mm 22 mm DICT_5X5_100": squares, square, marker, dictionary',
     )
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="run folder to write")
+    parser.add_argument(
+        "--distortion", type=int, default=4, metavar="N", help="coefficients of the lenses: 0, 2, 4 (default), 5 or 8"
+    )
+    _add_run(parser)
     _add_output(parser)
 
 
@@ -406,7 +413,7 @@ def _add_track(commands: Any) -> None:
     )
     parser.add_argument("scene", type=Path, help="scene file (TOML); its fiducials are the beads")
     parser.add_argument("recording", type=Path, help="recording file (TOML): cameras, images, gripper, beads")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="run folder to write")
+    _add_run(parser)
     parser.add_argument(
         "--expected", type=Path, metavar="MEASUREMENT", help="what a model has the beads do: they are looked for there"
     )
@@ -477,7 +484,7 @@ def _add_study(commands: Any) -> None:
         "A study that was stopped goes on where it was when the same command is given again. See docs/study.md.",
     )
     parser.add_argument("study", choices=["hidden", "exploration"], metavar="STUDY", help="hidden, exploration")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="run folder to write")
+    _add_run(parser)
     parser.add_argument("--cases", type=int, default=100, metavar="N", help="number of cases of hidden (100)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the cases (0)")
     parser.add_argument("--trials", type=int, default=30, metavar="N", help="of each setting of exploration (30)")

@@ -248,8 +248,9 @@ def calibrate(arguments: argparse.Namespace) -> None:
         arguments.right,
         arguments.board,
         arguments.output,
-        progress=progress,
-        overwrite=arguments.overwrite,
+        arguments.distortion,
+        progress,
+        arguments.overwrite,
     )
     _finish(folder, arguments, None, progress)
 

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.errors import InputError, Problems, nearest
+
 Array = NDArray[np.float64]
 
+FORMAT = "bcid-frame/1"
+_KEYS = ("format", "centre", "covariance")
+# A covariance may miss symmetry, and being positive, by this part of its largest element.
+_ROUNDING = 1e-9
 # Parts of the error that are this small beside its largest are none.
 _LEAST = 1e-9
 
@@ -25,6 +34,55 @@ class FrameError:
     centre: Array
     covariance: Array
 
+    @classmethod
+    def read(cls, path: Path, length: float) -> FrameError:
+        """Read a frame.toml in which lengths are in units of `length` m.
+
+        Raises:
+            InputError: with every problem of the file.
+        """
+        problems = Problems(f"error of the frame {path}")
+        try:
+            table = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+            raise InputError(f"{path}: not a TOML file: {error}") from None
+        for key in table:
+            if key not in _KEYS:
+                problems.add(path, f"{key}: unknown key; {nearest(key, _KEYS)}")
+        if table.get("format") != FORMAT:
+            problems.add(path, f'format: expected "{FORMAT}", found {table.get("format")!r}')
+        found = cls.checked(table.get("centre"), table.get("covariance"), path, problems)
+        problems.raise_if_any()
+        scales = _scales(length)
+        return cls(found.centre * length, found.covariance * np.outer(scales, scales))
+
+    @classmethod
+    def checked(cls, centre: Any, covariance: Any, path: Path, problems: Problems) -> FrameError:
+        """From numbers of any origin; what is wrong with them is noted."""
+        found = []
+        for name, value, shape in (("centre", centre, (3,)), ("covariance", covariance, (7, 7))):
+            try:
+                array = np.asarray(value, dtype=float).reshape(shape)
+            except (TypeError, ValueError):
+                array = np.full(shape, np.nan)
+            if not np.isfinite(array).all():
+                wanted = " x ".join(map(str, shape))
+                problems.add(path, f"{name}: expected {wanted} finite numbers, found {str(value)[:60]!r}")
+                array = np.zeros(shape)
+            found.append(array)
+        most = _ROUNDING * np.abs(found[1]).max()
+        if np.abs(found[1] - found[1].T).max() > most or np.linalg.eigvalsh(found[1]).min() < -most:
+            problems.add(path, "covariance: expected a symmetric matrix without negative eigenvalues")
+        return cls(found[0], found[1])
+
+    def lines(self, length: float) -> list[str]:
+        """Lines of a frame.toml in which lengths are in units of `length` m."""
+        scales = _scales(length)
+        rows = [f"  [{', '.join(f'{v:.17g}' for v in row)}]," for row in self.covariance / np.outer(scales, scales)]
+        centre = ", ".join(f"{v:.17g}" for v in self.centre / length)
+        what = "# Of rotation vector (rad), shift (length_unit) and logarithm of the scale, about the centre."
+        return [f'format = "{FORMAT}"', f"centre = [{centre}]", what, "covariance = [", *rows, "]"]
+
     def modes(self, points: Array) -> Array:
         """Displacements (..., 3, k), m, of points (..., 3): independent, each as large as one standard deviation of its part."""
         # Lengths are brought to the size of the body, so that angles and shifts can be compared.
@@ -39,6 +97,11 @@ class FrameError:
     def rms(self, points: Array) -> float:
         """RMS displacement per coordinate of points (..., 3), m."""
         return float(np.sqrt(np.nanmean(np.sum(self.modes(points) ** 2, axis=-1))))
+
+
+def _scales(length: float) -> Array:
+    """SI units of rotation vector, shift and logarithm of the scale, for lengths in units of `length` m."""
+    return np.array([1.0] * 3 + [length] * 3 + [1.0])
 
 
 def slopes(away: Array) -> Array:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
@@ -156,7 +156,12 @@ class Measurement:
         for name, like in (("length", "m"), ("time", "s"), ("force", "N")):
             unit_factor(getattr(units, name), like)
         sigma, wrench = (float(attrs[k]) if k in attrs else None for k in ("noise_sigma", "wrench_sigma"))
-        of_frame = _frame_error(attrs, path)
+        centre, covariance = attrs.get("frame_centre"), attrs.get("frame_covariance")
+        of_frame = None
+        if centre is not None or covariance is not None:
+            problems = Problems(f"measurement {path}")
+            of_frame = FrameError.checked(centre, covariance, path, problems)
+            problems.raise_if_any()
         return cls(data, sigma, wrench, units, str(attrs.get("description", "")), str(path), of_frame).validated()
 
     def validated(self) -> Measurement:
@@ -298,21 +303,6 @@ _DIMENSIONS = {
     "translation": ("frame", "axis"),
     "rotation": ("frame", "quaternion"),
 }
-
-
-def _frame_error(attrs: dict[str, Any], path: Path) -> FrameError | None:
-    """The frame error that `to_netcdf` has kept."""
-    names = ("frame_centre", "frame_covariance")
-    if not any(name in attrs for name in names):
-        return None
-    try:
-        centre, covariance = (
-            np.asarray(attrs.get(name), dtype=float).reshape(shape)
-            for name, shape in zip(names, ((3,), (7, 7)), strict=True)
-        )
-    except (TypeError, ValueError):
-        raise InputError(f"{path}: its attributes {' and '.join(names)} must hold 3 and 49 numbers") from None
-    return FrameError(centre, covariance)
 
 
 def _in_order(data: xr.Dataset, problems: Problems, source: str) -> xr.Dataset:

@@ -6,7 +6,7 @@ import csv
 import math
 import shutil
 import tomllib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,6 @@ from bcid.units import unit_factor
 _UNIT_KEYS = {"length_unit": "m", "time_unit": "s", "force_unit": "N"}
 _KEYS = ("format", *_UNIT_KEYS, "noise_sigma", "wrench_sigma", "description")
 _SIGMA = ["sigma_x", "sigma_y", "sigma_z"]
-FRAME_FORMAT = "bcid-frame/1"
 _TIME_TOLERANCE = 1e-9
 _REST_TOLERANCE = 1e-6
 
@@ -63,8 +62,8 @@ def read_folder(folder: Path) -> Measurement:
     data = reader.dataset()
     problems.raise_if_any()
     assert data is not None
-    error = _read_frame_error(folder / "frame.toml", header.length, problems)
-    problems.raise_if_any()
+    file = folder / "frame.toml"
+    error = FrameError.read(file, header.length) if file.is_file() else None
     return Measurement(
         data, header.noise_sigma, header.wrench_sigma, header.units, header.description, str(folder), error
     )
@@ -80,60 +79,24 @@ def read_grasps(path: Path, units: Units) -> list[Action]:
     if not path.is_file():
         raise InputError(f"{path}: no such file with the poses of the gripper")
     length, time, force = (unit_factor(getattr(units, n), like) for n, like in zip(_UNIT_NAMES, "msN", strict=True))
-    reader = _FolderReader(path.parent, _Header(units, length, time, force, None, None, ""), problems)
-    poses = reader.grasps(path.name)
-    for action in dict.fromkeys(action for action, _ in poses):
-        steps = sorted(step for name, step in poses if name == action)
-        if steps[0] != 0:
-            reader.bad(None, f"action {action} starts at step {steps[0]}: step 0, the rest pose, is missing")
-        reader.check_motion(action, steps, poses)
+    reader = _FolderReader(path.parent, _Header(units, length, time, force, None, None, ""), problems, path.name)
+    poses = reader.grasps()
     if not poses and not problems.found:
         reader.bad(None, "holds no pose")
+    frames, actions = list(poses), []
+    for name in dict.fromkeys(action for action, _ in frames):
+        here = [number for number, (action, _) in enumerate(frames) if action == name]
+        if here[-1] - here[0] >= len(here):
+            reader.bad(None, f"the rows of action {name} do not stand together")
+        steps = [frames[number][1] for number in here]
+        reader.check_steps(name, steps)
+        reader.check_motion(name, steps, poses)
+        _, grasps, translations, rotations = zip(*(poses[frames[number]] for number in here), strict=True)
+        times = np.array([reader.times[frames[number]] for number in here])
+        moved = np.array(translations), np.array(rotations)
+        actions.append(Action(name, np.array(here), np.array(steps), grasps[0], *moved, times=times))
     problems.raise_if_any()
-    data = frames_dataset(list(poses), [reader.times[frame] for frame in poses], [], np.zeros((len(poses), 0, 3)))
-    data["grasp"] = ("frame", [pose[1] for pose in poses.values()])
-    data["translation"] = (("frame", "axis"), np.array([pose[2] for pose in poses.values()]))
-    data["rotation"] = (("frame", "quaternion"), np.array([pose[3] for pose in poses.values()]))
-    return Measurement(data).actions
-
-
-def _read_frame_error(path: Path, length: float, problems: Problems) -> FrameError | None:
-    """The optional frame.toml; `length` is the folder's unit in m."""
-    if not path.is_file():
-        return None
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
-        problems.add(path, f"not a TOML file: {error}")
-        return None
-    for key in table:
-        if key not in ("format", "centre", "covariance"):
-            problems.add(path, f"{key}: unknown key; {nearest(key, ('format', 'centre', 'covariance'))}")
-    if table.get("format") != FRAME_FORMAT:
-        problems.add(path, f'format: expected "{FRAME_FORMAT}", found {table.get("format")!r}')
-    found = []
-    for key, shape in (("centre", (3,)), ("covariance", (7, 7))):
-        try:
-            found.append(np.asarray(table.get(key), dtype=float).reshape(shape))
-        except (TypeError, ValueError):
-            problems.add(
-                path, f"{key}: expected {' x '.join(map(str, shape))} numbers, found {str(table.get(key))[:60]!r}"
-            )
-    if len(found) < 2 or not all(np.isfinite(array).all() for array in found):
-        problems.add(path, "centre and covariance must be finite numbers")
-        return None
-    scales = _frame_scales(length)
-    stated = FrameError(found[0] * length, found[1] * np.outer(scales, scales))
-    if np.abs(stated.covariance - stated.covariance.T).max() > 1e-9 * max(np.abs(stated.covariance).max(), 1e-300) or (
-        np.linalg.eigvalsh(found[1]).min() < -1e-9 * np.abs(found[1]).max()
-    ):
-        problems.add(path, "covariance: expected a symmetric matrix without negative eigenvalues")
-    return stated
-
-
-def _frame_scales(length: float) -> np.ndarray:
-    """SI units of rotation vector, shift and logarithm of the scale, for lengths in units of `length` m."""
-    return np.array([1.0] * 3 + [length] * 3 + [1.0])
+    return actions
 
 
 def _read_header(path: Path, problems: Problems) -> _Header:
@@ -190,8 +153,8 @@ def _sigma(path: Path, table: dict[str, Any], key: str, problems: Problems) -> f
 class _FolderReader:
     """Reads the CSV files into one Dataset, noting every problem with its line."""
 
-    def __init__(self, folder: Path, header: _Header, problems: Problems) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, header: _Header, problems: Problems, motions: str = "grasps.csv") -> None:
+        self.folder, self.motions = folder, motions
         self.header = header
         self.problems = problems
         self.times: dict[Frame, float] = {}
@@ -343,9 +306,9 @@ class _FolderReader:
             self.bad(line, f"{column}: expected a positive number, found '{row[column]}'")
         return value * self.header.length
 
-    def grasps(self, file: str = "grasps.csv") -> dict[Frame, tuple[int, str, list[float], list[float]]]:
+    def grasps(self) -> dict[Frame, tuple[int, str, list[float], list[float]]]:
         """Line, grasp name, translation (m) and unit quaternion by frame."""
-        table = self.table(file, ["action", "step", "time", "grasp", *AXES, *QUATERNION])
+        table = self.table(self.motions, ["action", "step", "time", "grasp", *AXES, *QUATERNION])
         result = {}
         for line, row, frame in self.frames(table, []):
             translation = [self.number(line, row, axis) * self.header.length for axis in AXES]
@@ -371,21 +334,24 @@ class _FolderReader:
         return result
 
     def check_frames(self, seen: dict[tuple[Frame, str], Any], poses: dict[Frame, Any]) -> None:
-        self.file = "fiducials.csv"
         frames = {frame for frame, _ in seen}
         for action in dict.fromkeys(action for action, _ in self.times):
+            self.file = "fiducials.csv"
             steps = sorted(step for a, step in self.times if a == action)
-            if steps[0] != 0:
-                self.bad(None, f"action {action} starts at step {steps[0]}: step 0, the rest pose, is missing")
+            self.check_steps(action, steps)
             if not any(a == action for a, _ in frames):
                 self.bad(None, f"action {action} has a motion but no fiducial was recorded")
-            times = [self.times[action, step] for step in steps]
-            back = next((i for i in range(1, len(times)) if times[i] < times[i - 1]), None)
-            if back is not None:
-                self.bad(None, f"time: goes back at step {steps[back]} of action {action}, to {times[back]:g} s")
-            self.file = "grasps.csv"
+            self.file = self.motions
             self.check_motion(action, steps, poses)
-            self.file = "fiducials.csv"
+
+    def check_steps(self, action: str, steps: list[int]) -> None:
+        """The steps of an action begin with 0, and their times do not go back."""
+        if steps[0] != 0:
+            self.bad(None, f"action {action} starts at step {steps[0]}: step 0, the rest pose, is missing")
+        times = [self.times[action, step] for step in steps]
+        back = next((i for i in range(1, len(times)) if times[i] < times[i - 1]), None)
+        if back is not None:
+            self.bad(None, f"time: goes back at step {steps[back]} of action {action}, to {times[back]:g} s")
 
     def check_motion(self, action: str, steps: list[int], poses: dict[Frame, Any]) -> None:
         present = [step for step in steps if (action, step) in poses]
@@ -454,6 +420,18 @@ def frames_dataset(frames: list[Frame], times: list[float], names: list[str], po
     )
 
 
+def motions_dataset(
+    actions: Sequence[Action], times: list[float], names: list[str], positions: np.ndarray
+) -> xr.Dataset:
+    """Dataset of fiducial positions (frames, fiducials, 3) with motions that stand one after the other, at `times` (frames), s."""
+    frames = [(action.name, int(step)) for action in actions for step in action.steps]
+    data = frames_dataset(frames, times, names, positions)
+    data["grasp"] = ("frame", [action.grasp for action in actions for _ in action.steps])
+    data["translation"] = (("frame", "axis"), np.vstack([action.translation for action in actions]))
+    data["rotation"] = (("frame", "quaternion"), np.vstack([action.rotation for action in actions]))
+    return data
+
+
 def _stack(frames: list[Frame], names: list[str], get: Callable[[tuple[Frame, str]], list[float]]) -> np.ndarray:
     return np.array([[get((frame, name)) for name in names] for frame in frames], dtype=float)
 
@@ -511,16 +489,8 @@ def _texts(measurement: Measurement) -> dict[str, list[str]]:
             for k, place in enumerate(data["place"].values)
         ]
     if measurement.frame_error is not None:
-        texts["frame.toml"] = _frame_lines(measurement.frame_error, length)
+        texts["frame.toml"] = measurement.frame_error.lines(length)
     return texts
-
-
-def _frame_lines(error: FrameError, length: float) -> list[str]:
-    scales = _frame_scales(length)
-    rows = [f"  [{', '.join(f'{v:.17g}' for v in row)}]," for row in error.covariance / np.outer(scales, scales)]
-    centre = ", ".join(f"{v:.17g}" for v in error.centre / length)
-    what = "# Of rotation vector (rad), shift (length_unit) and logarithm of the scale, about the centre."
-    return [f'format = "{FRAME_FORMAT}"', f"centre = [{centre}]", what, "covariance = [", *rows, "]"]
 
 
 def grasp_lines(actions: Iterable[Action], length: float, time: float) -> list[str]:

@@ -15,7 +15,7 @@ from bcid.forms.model import Model
 from bcid.forms.patches import divided
 from bcid.forms.solve import Settings
 from bcid.measurement import WRENCH, Action, Measurement
-from bcid.measurement_folder import frames_dataset
+from bcid.measurement_folder import motions_dataset
 from bcid.scene import Scene
 
 Array = NDArray[np.float64]
@@ -90,13 +90,8 @@ def recorded(
     """
     if sigma:
         positions = positions + rng.normal(0.0, sigma, positions.shape)
-    frames = [(action.name, int(step)) for action in actions for step in action.steps]
-    data = frames_dataset(
-        frames, [float(step) for _, step in frames] if times is None else list(times), scene.fiducial_names, positions
-    )
-    data["grasp"] = ("frame", [action.grasp for action in actions for _ in action.steps])
-    data["translation"] = (("frame", "axis"), np.vstack([action.translation for action in actions]))
-    data["rotation"] = (("frame", "quaternion"), np.vstack([action.rotation for action in actions]))
+    seconds = [float(step) for action in actions for step in action.steps] if times is None else list(times)
+    data = motions_dataset(actions, seconds, scene.fiducial_names, positions)
     places = sorted({place for action in actions for place in action.loads})
     if places:
         none = {action.name: np.zeros((len(action), 3)) for action in actions}

@@ -22,11 +22,11 @@ from bcid.vision.camera import SIDES, Cameras
 from bcid.vision.rendering.instruments import instruments
 from bcid.vision.rendering.look import Look
 from bcid.vision.rendering.renderer import Renderer
-from bcid.vision.rendering.rig import stereo_rig
+from bcid.vision.rendering.rig import Pose, stereo_rig
 from bcid.vision.rendering.shot import Gripper
+from bcid.vision.rendering.vectors import unit
 
 Array = NDArray[np.float64]
-Pose = tuple[Array, Array]
 
 # How far the gripper's box reaches beyond what it holds, and away from the body, m.
 _AROUND, _HANDLE = 0.004, 0.025
@@ -96,7 +96,7 @@ def _normals(mesh: BodyMesh, points: Array, places: Array) -> Array:
     """Outward normals (frames, places, 3) of the surface where places lie at rest, smooth over its facets."""
     triangles = mesh.boundary
     corners = mesh.points[triangles]
-    flat = _unit(_facets(corners))
+    flat = unit(_facets(corners))
     facets = _facets(points[:, triangles])
     result = np.empty((len(points), len(places), 3))
     for number, place in enumerate(places):
@@ -108,17 +108,13 @@ def _normals(mesh: BodyMesh, points: Array, places: Array) -> Array:
         # Facets beyond an edge of the body say nothing of this side of it.
         same = flat @ flat[best] > _SAME_SIDE
         at = [np.sum(facets[:, same & (triangles == node).any(axis=1)], axis=1) for node in triangles[best]]
-        result[:, number] = np.einsum("cfx,c->fx", _unit(np.array(at)), weights)
-    return _unit(result)
+        result[:, number] = np.einsum("cfx,c->fx", unit(np.array(at)), weights)
+    return unit(result)
 
 
 def _facets(corners: Array) -> Array:
     """Normals (..., 3) of triangles (..., 3, 3), as long as twice their area."""
     return np.asarray(np.cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :]))
-
-
-def _unit(vectors: Array) -> Array:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 def film(

@@ -97,7 +97,8 @@ def _fitted(grey: NDArray[np.float32], peaks: Array, diameter: float) -> Spots:
     windows = grey[rows[:, None, None] + offsets[None, :, None], columns[:, None, None] + offsets[None, None, :]]
     values: Array = windows.reshape(len(peaks), -1).astype(float)
     grid: Array = np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2).astype(float)
-    values, grid = values[:, _round(grid, reach)], grid[_round(grid, reach)]
+    inside = np.linalg.norm(grid, axis=1) <= reach
+    values, grid = values[:, inside], grid[inside]
     parameters, hessian, noise = _least_squares(grid, values, _start(values, grid, diameter))
     covariance = np.linalg.pinv(hessian)[:, :2, :2] * (noise**2)[:, None, None] + _FLOOR**2 * np.eye(2)
     axes = np.linalg.svd(_shape(parameters), compute_uv=False)
@@ -114,10 +115,6 @@ def _fitted(grey: NDArray[np.float32], peaks: Array, diameter: float) -> Spots:
     return _distinct(
         Spots((peaks + parameters[:, :2])[good], covariance[good], sizes[good], contrast[good], noise[good])
     )
-
-
-def _round(grid: Array, reach: int) -> NDArray[np.bool_]:
-    return np.asarray(np.linalg.norm(grid, axis=1) <= reach)
 
 
 def _none() -> Spots:

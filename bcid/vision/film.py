@@ -86,7 +86,9 @@ class Film:
             picture = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR)
             if image is None:
                 _write(picture, "no image", (20, 40), _WHITE)
-            self._beads(picture, frame.pixels[side] * scale, expected[side] * scale, (frame.pixels - shown)[side])
+            self._beads(
+                picture, frame.pixels[side] * scale, expected[side] * scale, (frame.pixels - shown)[side] * scale
+            )
             sides.append(picture)
         body = np.hstack(sides)
         line = np.full((_LINE, body.shape[1], 3), 30, np.uint8)
@@ -108,7 +110,7 @@ class Film:
             u, v = (round(float(x)) for x in at)
             if seen:
                 cv2.circle(picture, (u, v), 9, _SEEN, 2, cv2.LINE_AA)
-                end = at + _MAGNIFIED * np.nan_to_num(off) * (_WIDTH / 2) / max(self._size()[1], 1)
+                end = at + _MAGNIFIED * np.nan_to_num(off)
                 cv2.line(picture, (u, v), (round(float(end[0])), round(float(end[1]))), _EXPECTED, 2, cv2.LINE_AA)
             else:
                 cv2.drawMarker(picture, (u, v), _EXPECTED, cv2.MARKER_TILTED_CROSS, 14, 2, cv2.LINE_AA)

@@ -53,8 +53,7 @@ def run_tracking(
         "expected": None if expected is None else expected.fingerprint(),
     }
     run: Run | None = None
-    began = perf_counter()
-    spent = [0.0]
+    began, drawing = perf_counter(), 0.0
     with contextlib.ExitStack() as stack:
         made: list[Film] = []
 
@@ -68,6 +67,7 @@ def run_tracking(
                 made.append(stack.enter_context(Film(folder / "film.mp4", recording.cameras, list(layout))))
 
         def watch(place: int, pair: Pair, frame: Frame) -> None:
+            nonlocal drawing
             before = perf_counter()
             if made:
                 drawn = made[0].add(
@@ -77,11 +77,11 @@ def run_tracking(
                     _picture(folder / "rest.png", drawn)
             if place % 20 == 0:
                 progress.say(f"pair {place}: {frame.seen.sum()} of {len(layout)} beads")
-            spent[0] += perf_counter() - before
+            drawing += perf_counter() - before
 
         found = track(recording, layout, watch, started, expected)
         assert run is not None
-        seconds = perf_counter() - began - spent[0]
+        seconds = perf_counter() - began - drawing
         _write(run, found, recording, seconds)
     return folder
 

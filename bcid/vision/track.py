@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 from bcid.errors import InputError
 from bcid.vision.camera import SIDES, Cameras
 from bcid.vision.detect import Image, Spots, detect
-from bcid.vision.register import Assignment, Indices, find, rigid
+from bcid.vision.layout import LEAST, Assignment, Indices, axes, find, spans
+from bcid.vision.neighbours import neighbours
+from bcid.vision.register import rigid
 from bcid.vision.triangulate import Points, epipolar_distance, triangulate
 
 Array = NDArray[np.float64]
@@ -39,16 +41,12 @@ _LAYOUT = 0.02
 _PARTLY, _DISTURBED = 1.06, 2.5
 # This part of the beads must be found at rest.
 _FOUND = 0.34
-# So many beads are needed to lay a layout onto spots, and for neighbours to say something.
-LEAST = 4
 # A depth may be this factor from the working distance.
 _DEPTH = 3.0
 # A pair of spots whose chi-square is more than so many times the usual one is not one bead.
 _MISFIT = 25.0
 # How fast a bead's usual diameter follows what is seen of it.
 _LEARN = 0.3
-# Beads whose spread along an axis is less than this part of the largest stand in a plane, or in a row; smoothing of the spline.
-_FLAT, _SMOOTH = 0.02, 1e-6
 # A hint names a spot within so many pixels.
 _HINT = 25.0
 
@@ -60,14 +58,14 @@ class Frame:
     Attributes:
         points: in the left camera's frame, in the order of the layout; NaN where a bead is not seen by both cameras.
         pixels: in the left and the right image, shape (2, beads, 2), px; NaN likewise.
+        diameters: in the left and the right image, shape (2, beads), px; NaN likewise.
         expected: where they were expected, shape (beads, 3), m.
-        spots: how many spots each image shows.
     """
 
     points: Points
     pixels: Array
+    diameters: Array
     expected: Array
-    spots: tuple[int, int] = (0, 0)
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -100,7 +98,7 @@ class Tracker:
         distance: of the body from the cameras, m; by default where the two optical axes are nearest to each other.
 
     Raises:
-        InputError: fewer than four beads, or no working distance follows from the cameras.
+        InputError: fewer than four beads, all of them in a row, or no working distance follows from the cameras.
     """
 
     def __init__(
@@ -116,6 +114,10 @@ class Tracker:
         self.rest = np.array(list(layout.values()), dtype=float).reshape(-1, 3)
         if len(self.names) < LEAST:
             raise InputError(f"{len(self.names)} beads: at least {LEAST} are needed to find a layout in images")
+        if len(axes(self.rest)) < 2:
+            raise InputError(
+                "the beads stand in a row: how the body is turned about it cannot be seen; add one beside it"
+            )
         apart = np.linalg.norm(self.rest[:, None] - self.rest[None], axis=2)
         np.fill_diagonal(apart, np.inf)
         self.spacing = apart.min(axis=1)
@@ -123,7 +125,8 @@ class Tracker:
         self.tolerance = _LAYOUT * size if tolerance is None else tolerance
         self.distance = working_distance(cameras) if distance is None else distance
         self._epipolar = max(_EPIPOLAR, _ERRORS * (cameras.error or 0.0))
-        self._usual: dict[tuple[int, int], float] = {}
+        # Diameters that the beads usually have in the two cameras, px.
+        self._usual: Array = np.full((2, len(self.names)), np.nan)
         # What the epipolar misfit of a bead usually is, at least one; nothing is refused for it before the first pair.
         self._misfit = np.inf
         # Of each bead: its last place, the motion that led there, how it differed from what the neighbours said, and where it was
@@ -152,9 +155,10 @@ class Tracker:
         if best is None or best.count < self._least():
             self._explain(spots, best)
         assert best is not None
-        sizes = self._diameters(pairs, best.points)
-        frame = self._frame(pairs, best.points, self.rest, sizes)
-        self._keep(frame, sizes)
+        frame = self._frame(pairs, best.points, self.rest)
+        if not spans(self.rest[frame.seen]):
+            self._explain(spots, replace(best, points=np.where(frame.seen, best.points, -1)))
+        self._keep(frame)
         assert self._start is not None
         return replace(frame, expected=self._start)
 
@@ -252,28 +256,26 @@ class Tracker:
         pairs = self._pairs(spots, self._epipolar)
         chosen = self._nearest(pairs, expected, _STEP * self.spacing)
         chosen, expected = self._agreed(pairs, chosen, expected)
-        sizes = self._diameters(pairs, chosen)
-        frame = self._frame(pairs, chosen, expected, sizes)
-        self._keep(frame, sizes)
+        frame = self._frame(pairs, chosen, expected)
+        self._keep(frame)
         return frame
 
-    def _nearest(self, pairs: _Pairs, expected: Array, reach: Array) -> Indices:
-        """Number of the pair of each bead, -1 for none: the nearest first, every spot for one bead."""
-        chosen = np.full(len(self.names), -1, dtype=np.int64)
+    def _nearest(self, pairs: _Pairs, expected: Array, reach: Array, chosen: Indices | None = None) -> Indices:
+        """Number of the pair of each bead, -1 for none: the nearest first, every spot for one bead; those chosen already stay."""
+        chosen = np.full(len(self.names), -1, dtype=np.int64) if chosen is None else chosen.copy()
         if len(pairs) == 0:
             return chosen
         away = np.linalg.norm(expected[:, None] - pairs.points.positions[None], axis=2) / reach[:, None]
         cost = np.where(away < 1, away**2 + pairs.points.misfit / 100, np.inf)
-        taken: tuple[set[int], set[int]] = (set(), set())
+        left, right = (set(map(int, ends[chosen[chosen >= 0]])) for ends in (pairs.left, pairs.right))
         for flat in np.argsort(cost, axis=None):
             bead, pair = np.unravel_index(flat, cost.shape)
             if not np.isfinite(cost[bead, pair]):
                 break
-            ends = int(pairs.left[pair]), int(pairs.right[pair])
-            if chosen[bead] < 0 and ends[0] not in taken[0] and ends[1] not in taken[1]:
+            if chosen[bead] < 0 and pairs.left[pair] not in left and pairs.right[pair] not in right:
                 chosen[bead] = pair
-                taken[0].add(ends[0])
-                taken[1].add(ends[1])
+                left.add(int(pairs.left[pair]))
+                right.add(int(pairs.right[pair]))
         return chosen
 
     def _agreed(self, pairs: _Pairs, chosen: Indices, expected: Array) -> tuple[Indices, Array]:
@@ -293,12 +295,8 @@ class Tracker:
             if not np.nanmax(off / allowed, initial=0.0) > 1:
                 break
             chosen[int(np.nanargmax(off / allowed))] = -1
-        lost = chosen < 0
-        expected = np.where(lost[:, None] & np.isfinite(said), said, expected)
-        free = ~(np.isin(pairs.left, pairs.left[chosen[~lost]]) | np.isin(pairs.right, pairs.right[chosen[~lost]]))
-        again = self._nearest(pairs, np.where(lost[:, None], expected, np.inf), allowed)
-        found = lost & (again >= 0) & free[np.maximum(again, 0)] if len(pairs) else lost & False
-        return np.where(found, again, chosen), expected
+        expected = np.where((chosen < 0)[:, None] & np.isfinite(said), said, expected)
+        return self._nearest(pairs, expected, allowed, chosen), expected
 
     def _places(self, pairs: _Pairs, chosen: Indices) -> Array:
         places = np.full(self.rest.shape, np.nan)
@@ -337,51 +335,31 @@ class Tracker:
         points = Points(points.positions[good], points.covariance[good], points.misfit[good])
         return _Pairs(i[good], j[good], points, spots)
 
-    def _diameters(self, pairs: _Pairs, chosen: Indices) -> Array:
-        """Diameters (2, beads), px, of the spots of each bead; NaN where there is none."""
-        sizes = np.full((2, len(self.names)), np.nan)
+    def _frame(self, pairs: _Pairs, chosen: Indices, expected: Array) -> Frame:
+        """What is known of the beads whose pairs were chosen, without those that something hides in part or disturbs."""
+        frame = _nothing(expected)
         beads = np.flatnonzero(chosen >= 0)
         for side, (spots, numbers) in enumerate(zip(pairs.spots, (pairs.left, pairs.right), strict=True)):
-            sizes[side, beads] = spots.diameter[numbers[chosen[beads]]]
-        return sizes
+            at = numbers[chosen[beads]]
+            frame.pixels[side, beads], frame.diameters[side, beads] = spots.pixels[at], spots.diameter[at]
+        clear = ~self._partly(frame.diameters)[beads] & ~_disturbed(pairs, chosen[beads])
+        frame.pixels[:, beads[~clear]], frame.diameters[:, beads[~clear]] = np.nan, np.nan
+        beads = beads[clear]
+        for name in ("positions", "covariance", "misfit"):
+            getattr(frame.points, name)[beads] = getattr(pairs.points, name)[chosen[beads]]
+        return frame
 
-    def _frame(self, pairs: _Pairs, chosen: Indices, expected: Array, sizes: Array) -> Frame:
-        count = len(self.names)
-        positions, covariance = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
-        misfit, pixels = np.full(count, np.nan), np.full((2, count, 2), np.nan)
-        beads = np.flatnonzero((chosen >= 0) & ~self._partly(sizes) & ~self._disturbed(pairs, chosen))
-        at = chosen[beads]
-        positions[beads], covariance[beads] = pairs.points.positions[at], pairs.points.covariance[at]
-        misfit[beads] = pairs.points.misfit[at]
-        for side, (spots, numbers) in enumerate(zip(pairs.spots, (pairs.left, pairs.right), strict=True)):
-            pixels[side, beads] = spots.pixels[numbers[at]]
-        seen = len(pairs.spots[0]), len(pairs.spots[1])
-        return Frame(Points(positions, covariance, misfit), pixels, expected, seen)
-
-    def _partly(self, sizes: Array) -> NDArray[np.bool_]:
+    def _partly(self, diameters: Array) -> NDArray[np.bool_]:
         """Which beads look smaller or larger in a camera than they use to: something hides a part of them."""
-        hidden = np.zeros(len(self.names), dtype=bool)
-        for (side, bead), usual in self._usual.items():
-            ratio = sizes[side, bead] / usual
-            hidden[bead] |= bool(ratio > _PARTLY or ratio < 1 / _PARTLY)
-        return hidden
+        ratio = diameters / self._usual
+        return np.asarray(((ratio > _PARTLY) | (ratio < 1 / _PARTLY)).any(axis=0))
 
-    def _disturbed(self, pairs: _Pairs, chosen: Indices) -> NDArray[np.bool_]:
-        """Which beads are fitted much worse than the others in a camera: something else is in the window."""
-        worse = np.zeros(len(self.names), dtype=bool)
-        beads = np.flatnonzero(chosen >= 0)
-        for spots, numbers in zip(pairs.spots, (pairs.left, pairs.right), strict=True):
-            left = spots.residual[numbers[chosen[beads]]]
-            worse[beads] |= left > _DISTURBED * np.median(left) if len(left) else False
-        return worse
-
-    def _keep(self, frame: Frame, sizes: Array) -> None:
+    def _keep(self, frame: Frame) -> None:
         """Remember a frame for the next one."""
         places, seen = frame.points.positions, frame.seen[:, None]
-        for bead in np.flatnonzero(frame.seen):
-            for side in range(2):
-                usual = self._usual.get((side, int(bead)), sizes[side, bead])
-                self._usual[side, int(bead)] = float(usual + _LEARN * (sizes[side, bead] - usual))
+        learned = self._usual + _LEARN * (frame.diameters - self._usual)
+        first = np.where(np.isnan(self._usual), frame.diameters, learned)
+        self._usual = np.where(np.isnan(frame.diameters), self._usual, first)
         if self._start is None:
             self._start = self._last = self._sighted = _whole(self.rest, places)
             self._misfit = max(1.0, float(np.nanmedian(frame.points.misfit)))
@@ -410,35 +388,6 @@ def working_distance(cameras: Cameras) -> float:
     return float(depth)
 
 
-def neighbours(rest: Array, displacement: Array) -> Array:
-    """What the others say of each bead's displacement, shape (beads, 3), m: a thin plate spline without the bead itself.
-
-    Args:
-        rest: places at rest, shape (beads, 3), m.
-        displacement: shape (beads, 3), m; NaN where not known. With fewer than four others the result is NaN.
-    """
-    from scipy.interpolate import RBFInterpolator
-
-    away = rest - rest.mean(axis=0)
-    sizes, axes = np.linalg.svd(away, full_matrices=False)[1:]
-    flat = away @ axes[sizes > _FLAT * sizes[0]].T / sizes[0]
-    known = _finite(displacement)
-    said = np.full(displacement.shape, np.nan)
-    for bead in range(len(rest)):
-        others = known.copy()
-        others[bead] = False
-        if others.sum() >= max(LEAST, flat.shape[1] + 1):
-            try:
-                spline = RBFInterpolator(
-                    flat[others], displacement[others], kernel="thin_plate_spline", smoothing=_SMOOTH
-                )
-                said[bead] = spline(flat[bead : bead + 1])[0]
-            except np.linalg.LinAlgError:
-                # Those that are left stand in a row.
-                said[bead] = displacement[others].mean(axis=0)
-    return said
-
-
 def _whole(rest: Array, places: Array) -> Array:
     """Places at rest, shape (beads, 3), m, with those that were not seen where the layout has them."""
     seen = _finite(places)
@@ -446,10 +395,19 @@ def _whole(rest: Array, places: Array) -> Array:
     return np.where(seen[:, None], places, rest @ rotation.T + translation)
 
 
+def _disturbed(pairs: _Pairs, chosen: Indices) -> NDArray[np.bool_]:
+    """Which of some pairs (n,) are fitted much worse than the others in a camera: something else is in the window."""
+    worse = np.zeros(len(chosen), dtype=bool)
+    for spots, numbers in zip(pairs.spots, (pairs.left, pairs.right), strict=True):
+        left = spots.residual[numbers[chosen]]
+        worse |= left > _DISTURBED * np.median(left) if len(left) else False
+    return worse
+
+
 def _nothing(expected: Array) -> Frame:
     count = len(expected)
     points = Points(np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan), np.full(count, np.nan))
-    return Frame(points, np.full((2, count, 2), np.nan), expected)
+    return Frame(points, np.full((2, count, 2), np.nan), np.full((2, count), np.nan), expected)
 
 
 def _detected(image: Image, size: float, dark: bool, places: Array | None, margin: float) -> Spots:

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from bcid.errors import InputError
 from bcid.measurement import Action, Measurement
-from bcid.measurement_folder import frames_dataset
+from bcid.measurement_folder import motions_dataset
 from bcid.vision.camera import SIDES
 from bcid.vision.images import Image, Images
+from bcid.vision.layout import spans
 from bcid.vision.recording import Recording
 from bcid.vision.register import Registration, register
 from bcid.vision.track import Frame, Tracker
@@ -72,13 +73,9 @@ class Tracking:
     def measurement(self, recording: Recording) -> Measurement:
         """The measurement, with standard deviations of every position and the error of its frame."""
         sigma = np.sqrt(np.einsum("fnii->fni", self.covariance))
-        frames = [(action.name, int(step)) for action in self.actions for step in action.steps]
         times = [float(time) for action in self.actions for time in action.clock]
-        data = frames_dataset(frames, times, self.names, self.positions)
+        data = motions_dataset(self.actions, times, self.names, self.positions)
         data["sigma"] = (("frame", "fiducial", "axis"), sigma)
-        data["grasp"] = ("frame", [action.grasp for action in self.actions for _ in action.steps])
-        data["translation"] = (("frame", "axis"), np.vstack([action.translation for action in self.actions]))
-        data["rotation"] = (("frame", "quaternion"), np.vstack([action.rotation for action in self.actions]))
         return Measurement(
             data,
             float(np.sqrt(np.nanmean(sigma**2))),
@@ -141,7 +138,7 @@ def track(
         tracker = Tracker(
             recording.cameras, layout, recording.diameter, recording.dark, recording.tolerance, recording.distance
         )
-        registration, first = _begun(tracker, recording, images, numbers, actions, layout)
+        registration = _begun(tracker, recording, images, numbers, actions)
         if started:
             started()
         frames: list[Frame] = []
@@ -155,11 +152,10 @@ def track(
                 frames.append(tracker.follow(*pair, moved=step))
                 if watch:
                     watch(int(place), pair, frames[-1])
-        rest = [frames[action.frames[0]] for action in actions]
-        settled = register(
-            _mean([frame.points for frame in (*rest, first)]), tracker.rest, recording.layout_sigma, recording.scale
-        )
-        return Tracking(list(layout), actions, numbers, frames, settled, _troubles(images, numbers))
+        rest = _mean([frames[action.frames[0]].points for action in actions])
+        if spans(tracker.rest[np.isfinite(rest.positions).all(axis=1)]):
+            registration = register(rest, tracker.rest, recording.layout_sigma, recording.scale)
+        return Tracking(list(layout), actions, numbers, frames, registration, _troubles(images, numbers))
     finally:
         for one in images:
             one.close()
@@ -205,8 +201,7 @@ def _begun(
     images: Sequence[Images],
     numbers: Sequence[int],
     actions: Sequence[Action],
-    layout: Mapping[str, object],
-) -> tuple[Registration, Frame]:
+) -> Registration:
     """Find the layout in the first images of the body at rest in which it can be found."""
     reason: InputError | None = None
     for place in [int(action.frames[0]) for action in actions]:
@@ -222,7 +217,7 @@ def _begun(
         except InputError as error:
             reason = reason or InputError(f"images {numbers[place]}: {error}")
             continue
-        return register(frame.points, tracker.rest, recording.layout_sigma, recording.scale), frame
+        return register(frame.points, tracker.rest, recording.layout_sigma, recording.scale)
     assert reason is not None
     raise reason
 

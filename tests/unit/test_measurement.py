@@ -83,12 +83,12 @@ def test_the_error_of_the_frame_round_trips(folder: Path, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("[50, 10, 50]", "[50, 10]", "centre: expected 3 numbers"),
+        ("[50, 10, 50]", "[50, 10]", "centre: expected 3 finite numbers"),
         ("bcid-frame/1", "bcid-scene/1", 'expected "bcid-frame/1"'),
         ("2e-5, 0, 0, 0], [0, 0, 1e-6", "9e-5, 0, 0, 0], [0, 0, 1e-6", "symmetric matrix"),
         ("[1e-6,", "[-1e-6,", "without negative eigenvalues"),
         ("centre", "center", "did you mean 'centre'"),
-        ("[50, 10, 50]", "[50, nan, 50]", "must be finite numbers"),
+        ("[50, 10, 50]", "[50, nan, 50]", "centre: expected 3 finite numbers"),
         ("[50, 10, 50]", "[50,", "not a TOML file"),
     ],
 )
@@ -97,6 +97,17 @@ def test_a_bad_error_of_the_frame_is_refused(folder: Path, old: str, new: str, w
     (folder / "frame.toml").write_text(FRAME.replace(old, new), encoding="utf-8")
     with pytest.raises(InputError, match=words):
         Measurement.read(folder)
+
+
+def test_a_bad_error_of_the_frame_in_netcdf_is_refused(folder: Path, tmp_path: Path) -> None:
+    (folder / "frame.toml").write_text(FRAME, encoding="utf-8")
+    Measurement.read(folder).to_netcdf(tmp_path / "good.nc")
+    with xr.open_dataset(tmp_path / "good.nc", engine="scipy") as opened:
+        data = opened.load()
+    data.attrs["frame_covariance"] = -data.attrs["frame_covariance"]
+    data.to_netcdf(tmp_path / "bad.nc", engine="scipy")
+    with pytest.raises(InputError, match="without negative eigenvalues"):
+        Measurement.read(tmp_path / "bad.nc")
 
 
 def test_own_sigma_and_spreadsheet_habits(folder: Path) -> None:

@@ -16,11 +16,15 @@ from drawn import DIAMETER, LAYOUT, REST, SHIFT, TO_CAMERA, cameras, draw, in_ca
 from bcid import Measurement
 from bcid.cli import main
 from bcid.errors import InputError
+from bcid.measurement import Units
+from bcid.measurement_folder import read_grasps
 from bcid.run import Run
 from bcid.vision.camera import Camera, Cameras
+from bcid.vision.layout import find
+from bcid.vision.neighbours import neighbours
 from bcid.vision.recording import Recording
-from bcid.vision.register import find, register, rigid
-from bcid.vision.track import Tracker, neighbours, working_distance
+from bcid.vision.register import register, rigid
+from bcid.vision.track import Tracker, working_distance
 from bcid.vision.tracking import track
 from bcid.vision.triangulate import Points, epipolar_distance, triangulate
 
@@ -481,6 +485,41 @@ def test_too_few_beads_are_refused() -> None:
 
 # -- the command
 # ------------------------------------------------------------------------------------------------------------------
+
+
+def test_beads_in_a_row_are_refused() -> None:
+    row = {str(i): (0.01 * i, 0.01, 0.05) for i in range(8)}
+    with pytest.raises(InputError, match="stand in a row"):
+        Tracker(cameras(), row, DIAMETER)
+    # Nor is a layout laid onto points of which those that fit stand in one.
+    assert find(in_camera(REST)[:4], REST, 1e-3) == []
+
+
+def test_the_registration_counts_an_image_once(recorded: Path) -> None:
+    """Its error is that of one pair of images at rest, not of the same pair twice."""
+    found = track(Recording.read(recorded / "recording.toml"), LAYOUT)
+    again = register(found.frames[0].points, REST)
+    assert np.allclose(found.registration.error.covariance, again.error.covariance, rtol=1e-6, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        (
+            "1,0,0,II,0,0,0,1,0,0,0\n2,0,0,II,0,0,0,1,0,0,0\n1,1,1,II,1,0,0,1,0,0,0\n",
+            "the rows of action 1 do not stand together",
+        ),
+        ("1,1,0,II,0,0,0,1,0,0,0\n", "action 1 starts at step 1"),
+        ("1,0,5,II,0,0,0,1,0,0,0\n1,1,4,II,0,0,0,1,0,0,0\n", "time: goes back at step 1"),
+        ("1,0,0,II,3,0,0,1,0,0,0\n", "step 0 of action 1 must be the rest pose"),
+        ("", "holds no pose"),
+    ],
+)
+def test_bad_motions_are_refused(tmp_path: Path, rows: str, words: str) -> None:
+    file = tmp_path / "robot.csv"
+    file.write_text("action,step,time,grasp,x,y,z,qw,qx,qy,qz\n" + rows, encoding="utf-8")
+    with pytest.raises(InputError, match=f"robot.csv.*{words}"):
+        read_grasps(file, Units())
 
 
 def test_track_writes_a_run_folder(

@@ -10,9 +10,7 @@ import pytest
 from bcid.report.calibration import calibration_figure
 from bcid.vision.calibrate import calibrate
 from bcid.vision.calibration_job import numbers, summary
-from bcid.vision.camera import Camera, Cameras
 from bcid.vision.corners import read_corners
-from bcid.vision.triangulate import triangulate
 
 SIZE = (2448, 2048)
 
@@ -40,35 +38,6 @@ def test_the_published_calibration_is_found(corners: Path) -> None:
     np.testing.assert_allclose(cameras.translation * 1e3, published["t_cam1_to_cam2_mm"], atol=5e-3)
     assert cameras.baseline * 1e3 == pytest.approx(160.426, abs=1e-3)
     assert found.error == pytest.approx(0.587, abs=5e-4)
-
-
-def test_the_steps_of_a_stage_are_measured(real_data: Callable[[str], Path]) -> None:
-    """A speckled cylinder at 15 places, 0.2 mm apart. Published: 1.3 ± 1.1 µm for 3475 points, of which every fourth is here."""
-    folder = real_data("duodic_rubber")
-    table = np.genfromtxt(folder / "rbm_points.csv.gz", delimiter=",", names=True)
-    left, right = (np.column_stack([table[f"{axis}{n}_px"] for axis in "uv"]) - 1 for n in (1, 2))
-    places = triangulate(published_cameras(folder), left, right).positions
-    states, points = (table[name].astype(int) for name in ("state", "point"))
-    everywhere = np.flatnonzero(np.bincount(points) == states.max() + 1)
-    assert len(everywhere) == 869
-    kept = np.isin(points, everywhere)
-    order = np.lexsort((points[kept], states[kept]))
-    track = places[kept][order].reshape(states.max() + 1, len(everywhere), 3)
-    stage = np.unique(table["stage_mm"]) * 1e-3
-    error = np.abs(np.linalg.norm(track - track[0], axis=2) - stage[:, None])[1:]
-    assert error.mean() == pytest.approx(1.72e-6, abs=0.02e-6)
-    assert error.std() == pytest.approx(1.10e-6, abs=0.02e-6)
-
-
-def published_cameras(folder: Path) -> Cameras:
-    """The published calibration, with pixels counted from 0."""
-    values = json.loads((folder / "stereo_calibration.json").read_text())
-    sides = []
-    for name in ("cam1", "cam2"):
-        matrix = np.array(values[name]["K"])
-        matrix[:2, 2] -= 1
-        sides.append(Camera(matrix, np.array([*values[name]["radial"], 0.0, 0.0]), SIZE))
-    return Cameras(*sides, np.array(values["R_cam1_to_cam2"]), np.array(values["t_cam1_to_cam2_mm"]) * 1e-3)
 
 
 def test_what_is_stated_covers_another_model_of_the_lens(corners: Path) -> None:
