@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from bcid import __version__
+from bcid.collective import launched
 from bcid.commands import (
     bench,
     calibrate,
@@ -76,7 +77,7 @@ def main(argv: list[str] | None = None) -> int:
         from bcid import doctor
 
         return doctor.main()
-    if arguments.command in _WITHOUT_MPI and getattr(arguments, "study", None) != "exploration":
+    if arguments.command in _WITHOUT_MPI and not (arguments.command == "study" and launched()):
         return _run_without_mpi(arguments)
     comm = _communicator()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -478,22 +479,35 @@ def _add_study(commands: Any) -> None:
         commands,
         "study",
         study,
-        "find out on many made-up bodies what a diagnosis is worth",
-        "hidden: measurements with effects hidden in them are made and diagnosed blindly, and the answers scored.\n"
-        "exploration: how many pulls does it take to know the anchors? Also under mpirun.\n"
-        "A study that was stopped goes on where it was when the same command is given again. See docs/study.md.",
+        "find out with many made-up bodies what an answer is worth",
+        "paper        the tables and figures of the paper; FILE.toml one of them, or one of your own (see studies/)\n"
+        "hidden       measurements with effects hidden in them are made and diagnosed blindly, and the answers scored\n"
+        "exploration  how many pulls does it take to know the anchors?\n\n"
+        "Under mpirun the ranks make the trials, rank 0 hands them out; else child processes do. A study that was stopped,\n"
+        "in whatever way, goes on where it was when the same command is given again. See docs/study.md.",
     )
-    parser.add_argument("study", choices=["hidden", "exploration"], metavar="STUDY", help="hidden, exploration")
+    parser.add_argument("study", metavar="STUDY", help="paper, hidden, exploration, or a study file (TOML)")
     _add_run(parser)
-    parser.add_argument("--cases", type=int, default=100, metavar="N", help="number of cases of hidden (100)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the cases (0)")
-    parser.add_argument("--trials", type=int, default=30, metavar="N", help="of each setting of exploration (30)")
-    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes at a time (2)")
+    parser.add_argument("--quick", action="store_true", help="paper and files: the reduced study")
+    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes at a time without mpirun (2)")
     parser.add_argument(
-        "--limit", type=float, default=900.0, metavar="SECONDS", help="CPU seconds that a case may take (900)"
+        "--part",
+        metavar="I/N",
+        help="files: every N-th trial from the I-th, as one of N jobs that share the run folder",
+    )
+    parser.add_argument("--predict-only", action="store_true", help="files: only what all trials share")
+    parser.add_argument("--cases", type=int, default=100, metavar="N", help="number of cases of hidden (100)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of what is random (0)")
+    parser.add_argument("--trials", type=int, default=30, metavar="N", help="of each setting of exploration (30)")
+    parser.add_argument(
+        "--limit",
+        type=float,
+        default=900.0,
+        metavar="SECONDS",
+        help="CPU seconds that a trial may take, without mpirun (900)",
     )
     parser.add_argument(
-        "--least", type=float, default=0.5, metavar="SIZE", help="of an effect, in units of noise (0.5)"
+        "--least", type=float, default=0.5, metavar="SIZE", help="of an effect of hidden, in units of noise (0.5)"
     )
     _add_output(parser, picture=False)
 

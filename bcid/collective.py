@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 from bcid.errors import BcidError
 
 T = TypeVar("T")
+# Set by the launchers of Open MPI, MPICH and Slurm.
+_SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MPI_LOCALNRANKS", "PMIX_SIZE")
 
 
 def on_root(comm: Any, work: Callable[[], T]) -> T:
@@ -51,3 +54,8 @@ def agree(comm: Any, error: BcidError | None) -> None:
     found = [e for e in comm.allgather(error) if e is not None]
     if found:
         raise found[0]
+
+
+def launched() -> bool:
+    """Whether this process is one of several that an MPI launcher has started."""
+    return any(os.environ.get(name, "").isdigit() and int(os.environ[name]) > 1 for name in _SIZES)

@@ -5,12 +5,16 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bcid.errors import InputError
 from bcid.progress import Lines, Progress, Silent
+
+if TYPE_CHECKING:
+    from bcid.studies.deal import How
 
 DEMO_SCENE = "examples/scenes/slab_explain.toml"
 DEMO_MEASUREMENT = "examples/measurements/slab-34-heavy"
@@ -330,20 +334,63 @@ def bench(arguments: argparse.Namespace) -> None:
 
 def study(arguments: argparse.Namespace, comm: Any = None) -> None:
     """`bcid study`."""
-    if arguments.study == "exploration":
-        from bcid.studies.exploration import run_study
-        from bcid.studies.exploration_trials import Extent
+    from bcid.studies.deal import How
 
-        progress = _progress(arguments, comm.rank)
-        folder = run_study(
-            arguments.output, Extent(arguments.trials), arguments.seed, comm, progress, arguments.overwrite
-        )
-        if comm.rank == 0:
-            _print_result(folder, "table.txt")
-        return
+    if arguments.jobs < 1:
+        raise InputError(f"--jobs {arguments.jobs}: must be at least 1")
+    if not arguments.limit > 0:
+        raise InputError(f"--limit {arguments.limit:g}: must be a positive number of seconds")
+    rank = comm.rank if comm else 0
+    folder = _studies(arguments)(arguments, How(comm, arguments.jobs, arguments.limit), _progress(arguments, rank))
+    if rank == 0 and (folder / "table.txt").is_file():
+        _print_result(folder, "table.txt")
+
+
+def _studies(arguments: argparse.Namespace) -> Callable[..., Path]:
+    """The function that runs the study that is asked for."""
+    named = {"paper": _study_paper, "hidden": _study_hidden, "exploration": _study_exploration}
+    if arguments.study in named:
+        return named[arguments.study]
+    if not Path(arguments.study).is_file():
+        raise InputError(f"study '{arguments.study}': neither a file nor one of {', '.join(named)}")
+    return _study_file
+
+
+def _study_hidden(arguments: argparse.Namespace, how: How, progress: Progress) -> Path:
     from bcid.studies.hidden import Options, run_hidden
 
-    options = Options(arguments.cases, arguments.seed, arguments.jobs, arguments.limit, arguments.least)
-    progress = _progress(arguments, 0)
-    folder = run_hidden(arguments.output, options, progress=progress, overwrite=arguments.overwrite)
-    _print_result(folder, "table.txt")
+    options = Options(arguments.cases, arguments.seed, how.jobs, how.limit, arguments.least)
+    return run_hidden(arguments.output, options, progress=progress, overwrite=arguments.overwrite, comm=how.comm)
+
+
+def _study_exploration(arguments: argparse.Namespace, how: How, progress: Progress) -> Path:
+    from bcid.studies.exploration import run_study
+    from bcid.studies.exploration_trials import Extent
+
+    return run_study(arguments.output, Extent(arguments.trials), arguments.seed, how, progress, arguments.overwrite)
+
+
+def _study_file(arguments: argparse.Namespace, how: How, progress: Progress) -> Path:
+    from bcid.studies.study import Extent, run_study
+
+    extent = Extent(arguments.quick, _part(arguments.part), arguments.predict_only, arguments.seed)
+    folder = run_study(Path(arguments.study), arguments.output, extent, how, progress, arguments.overwrite)
+    if extent.part or extent.only_predict:
+        progress.say("this part is done; the command without --part and --predict-only makes the tables")
+    return folder
+
+
+def _study_paper(arguments: argparse.Namespace, how: How, progress: Progress) -> Path:
+    from bcid.studies.paper import run_paper
+
+    return run_paper(arguments.output, arguments.quick, arguments.seed, how, progress, arguments.overwrite)
+
+
+def _part(text: str | None) -> tuple[int, int] | None:
+    """(i, n) of "i/n"."""
+    if text is None:
+        return None
+    numbers = text.split("/")
+    if len(numbers) == 2 and all(n.isdecimal() for n in numbers) and 1 <= int(numbers[0]) <= int(numbers[1]):
+        return int(numbers[0]), int(numbers[1])
+    raise InputError(f"--part '{text}': expected I/N with I from 1 to N, as 3/16")

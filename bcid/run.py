@@ -34,11 +34,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
-from typing import Any, TextIO
-
-import xarray as xr
+from typing import TYPE_CHECKING, Any, TextIO
 
 from bcid.errors import BcidError, InputError, MachineError
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 FORMAT = "bcid-run/1"
 _FILES = (
@@ -55,6 +56,9 @@ _FILES = (
     "ladder.png",
     "hidden.json",
     "table.txt",
+    "table.csv",
+    "study.json",
+    "trials.parquet",
     "degradation.png",
     "exploration.json",
     "belief.png",
@@ -67,8 +71,23 @@ _FILES = (
     "rest.png",
     "tracking.png",
 )
-_FOLDERS = ("outcomes", "paraview", "cases", "results", "steps", "predictions", "measurement")
+_FOLDERS = (
+    "outcomes",
+    "paraview",
+    "cases",
+    "results",
+    "foretold",
+    "shared",
+    "logs",
+    "steps",
+    "predictions",
+    "measurement",
+)
 _PACKAGES = ("fenics-dolfinx", "fenics-ufl", "petsc4py", "mpi4py", "numpy", "scipy", "xarray")
+
+
+class Busy(InputError):
+    """Another process writes the run folder."""
 
 
 class Run:
@@ -215,6 +234,8 @@ class Run:
 
     def read_dataset(self, name: str) -> xr.Dataset:
         """Arrays of a NetCDF file, loaded; `InputError` when it is missing or damaged."""
+        import xarray as xr
+
         target = self.path / name
         if not target.is_file():
             raise InputError(f"{target}: is missing from the run")
@@ -284,7 +305,7 @@ def _locked(path: Path) -> TextIO:
         lock.seek(0)
         holder = lock.read().strip() or "another process"
         lock.close()
-        raise InputError(f"{path}: is being written by {holder}; wait for it, or choose another folder") from None
+        raise Busy(f"{path}: is being written by {holder}; wait for it, or choose another folder") from None
     lock.truncate(0)
     lock.write(f"process {os.getpid()} on {socket.gethostname()} since {_now()}\n")
     lock.flush()

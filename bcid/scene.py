@@ -105,6 +105,7 @@ class Scene:
 
     Attributes:
         geometry: the `.geo` or mesh file; `length_unit` is the unit (m) of its coordinates.
+        parameters: numbers that a `.geo` asks for besides its element size, by name.
         levels: the mesh ladder, coarsest first.
         patches: candidate anchors by name.
         divide: patches that stand for pieces of about this size (m); `bcid.forms.patches.divided` makes them.
@@ -135,6 +136,7 @@ class Scene:
     attach_within: float | None = None
     effects: dict[str, Values] = field(default_factory=dict)
     limits: Limits | None = None
+    parameters: dict[str, float] = field(default_factory=dict)
     description: str = ""
     source: str = "scene"
 

@@ -140,7 +140,7 @@ class _Reader:
         if table.get("format") != FORMAT:
             self.bad("format", f'expected "{FORMAT}", found {table.get("format")!r}')
         optional = {key: self.length(table[key], key) for key in ("noise_sigma", "attach_within") if key in table}
-        geometry, unit = self.geometry(self.table(table, "geometry"))
+        geometry, unit, parameters = self.geometry(self.table(table, "geometry"))
         patches = self.table(table, "patches")
         grasps = self.table(table, "grasps")
         places = self.table(table, "places")
@@ -157,6 +157,7 @@ class _Reader:
         return Scene(
             name=self.text(table, "name", self.path.stem),
             geometry=geometry,
+            parameters=parameters,
             length_unit=unit,
             levels=self.levels(table.get("levels"), geometry),
             material=self.material(self.table(table, "material")),
@@ -234,8 +235,8 @@ class _Reader:
         self.bad(key, f"expected a whole number from {least} to {most}, found {value!r}")
         return default
 
-    def geometry(self, table: Mapping[str, Any]) -> tuple[Path, float]:
-        self.unknown(table, ("file", "length_unit"), "geometry.")
+    def geometry(self, table: Mapping[str, Any]) -> tuple[Path, float, dict[str, float]]:
+        self.unknown(table, ("file", "length_unit", "parameters"), "geometry.")
         name = self.text(table, "file", where="geometry.")
         unit_text = self.text(table, "length_unit", where="geometry.")
         unit = 1.0
@@ -247,7 +248,25 @@ class _Reader:
         path = self.path.parent / name if name else self.path
         if name and not path.is_file():
             self.bad("geometry.file", f"'{name}': no such file (looked at {path})")
-        return path, unit
+        return path, unit, self.parameters(table, path.suffix == ".geo")
+
+    def parameters(self, table: Mapping[str, Any], geo: bool) -> dict[str, float]:
+        """Numbers that a `.geo` asks for, in its own units; names are those of gmsh."""
+        entries = table.get("parameters", {})
+        if not isinstance(entries, dict) or (entries and not geo):
+            self.bad("geometry.parameters", "expected a table of the numbers that a .geo asks for, as { shift = 5 }")
+            return {}
+        found = {}
+        for name, value in entries.items():
+            number = type(value) in (int, float) and math.isfinite(value)
+            if number and name.isidentifier() and name != "h":
+                found[name] = float(value)
+            else:
+                rule = (
+                    "the element size is that of the levels" if name == "h" else f"expected a number, found {value!r}"
+                )
+                self.bad(f"geometry.parameters.{name}", rule)
+        return found
 
     def levels(self, value: object, geometry: Path) -> tuple[Level, ...]:
         if not isinstance(value, list) or not value or not all(isinstance(entry, dict) for entry in value):

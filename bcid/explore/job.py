@@ -127,8 +127,8 @@ def _robot_kind(text: str, scene: Scene) -> tuple[str, str]:
     return kind, about
 
 
-def with_effects(scene: Scene, hidden: Sequence[str]) -> Scene:
-    """The scene with more effects, written as "fibres: k1 = 5 kPa, angle = 30 deg".
+def with_effects(scene: Scene, hidden: Sequence[str], where: str = "--hide") -> Scene:
+    """The scene with more effects, written as "fibres: k1 = 5 kPa, angle = 30 deg"; `where` they stand is told in errors.
 
     Raises:
         InputError: an effect or its numbers cannot be used.
@@ -137,14 +137,14 @@ def with_effects(scene: Scene, hidden: Sequence[str]) -> Scene:
         name, colon, rest = (part.strip() for part in text.partition(":"))
         pairs = [pair.partition("=") for pair in rest.split(",")] if colon else []
         if not name or not pairs or not all(key.strip() and value.strip() for key, _, value in pairs):
-            raise InputError(f"--hide '{text}': expected as in \"fibres: k1 = 5 kPa, angle = 30 deg\"")
+            raise InputError(f"{where} '{text}': expected as in \"fibres: k1 = 5 kPa, angle = 30 deg\"")
         if name in scene.effects:
-            raise InputError(f"--hide '{text}': the scene's model has {name} already")
+            raise InputError(f"{where} '{text}': the scene's model has {name} already")
         values = {key.strip(): _number(value.strip()) for key, _, value in pairs}
         scene = replace(scene, effects={**scene.effects, name: values})
         problems = check_physics(scene)
         if problems:
-            raise InputError("\n".join([f"--hide '{text}':", *(f"  {problem}" for problem in problems)]))
+            raise InputError("\n".join([f"{where} '{text}':", *(f"  {problem}" for problem in problems)]))
     return scene
 
 

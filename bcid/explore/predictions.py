@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import socket
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -206,7 +207,8 @@ class Predictor:
             with writing(folder):
                 folder.mkdir(parents=True, exist_ok=True)
                 count = len(list(folder.glob("*.npz")))
-                begun = folder / f".{count:06d}-{os.getpid()}.partial"
+                name = f"{count:06d}-{socket.gethostname()}-{os.getpid()}"
+                begun = folder / f".{name}.partial"
                 with begun.open("wb") as stream:
                     np.savez(
                         stream,
@@ -214,7 +216,7 @@ class Predictor:
                         positions=np.array([f.positions for f in group.values()]),
                         numbers=np.array([[f.force, f.strain, f.softness] for f in group.values()]),
                     )
-                begun.replace(folder / f"{count:06d}-{os.getpid()}.npz")
+                begun.replace(folder / f"{name}.npz")
 
     def _load(self, key: str) -> None:
         """Read what is stored of an action, on rank 0 for all; collective."""

@@ -188,7 +188,9 @@ def level_mesh(scene: Scene, level: Level, comm: Any = None) -> BodyMesh:
 
 def _level_mesh(scene: Scene, level: Level) -> BodyMesh:
     size = level.element_size and level.element_size / scene.length_unit
-    points, cells, groups = _load(scene.geometry, size, file_fingerprint(scene.geometry))
+    points, cells, groups = _load(
+        scene.geometry, size, tuple(scene.parameters.items()), file_fingerprint(scene.geometry)
+    )
     mesh = checked(BodyMesh(points * scene.length_unit, cells, groups), scene.geometry)
     for _ in range(level.refinements):
         mesh = mesh.refined()
@@ -230,7 +232,9 @@ def _check_places(scene: Scene, level: Level, mesh: BodyMesh) -> None:
 
 
 @lru_cache(maxsize=8)
-def _load(path: Path, element_size: float | None, _content: str) -> tuple[Points, Cells, dict[str, Cells]]:
+def _load(
+    path: Path, element_size: float | None, parameters: tuple[tuple[str, float], ...], _content: str
+) -> tuple[Points, Cells, dict[str, Cells]]:
     """Run the loader in a child process: a damaged file may make gmsh abort, and must not take this process along.
 
     The last results are kept for as long as the content of the file is the same: patches are made and looked for on the
@@ -250,6 +254,7 @@ def _load(path: Path, element_size: float | None, _content: str) -> tuple[Points
             str(path.resolve()),
             str(out),
             repr(element_size or 0.0),
+            *(f"{name}={value!r}" for name, value in parameters),
         ]
         try:
             child = subprocess.run(

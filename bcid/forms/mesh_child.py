@@ -1,4 +1,4 @@
-"""Child process that makes or reads a mesh: ``python -m bcid.forms.mesh_child FILE OUT.npz ELEMENT_SIZE``.
+"""Child process that makes or reads a mesh: ``python -m bcid.forms.mesh_child FILE OUT.npz ELEMENT_SIZE [NAME=NUMBER ...]``.
 
 It runs apart because gmsh may abort on damaged files. Prints one line and exits with 1 when the file cannot be used.
 """
@@ -20,8 +20,10 @@ _MESHIO_TYPES = {3: "triangle", 2: "line", 1: "vertex"}
 def main() -> int:
     """Read the arguments, write the arrays."""
     source, out, size = Path(sys.argv[1]), sys.argv[2], float(sys.argv[3])
+    numbers = {"h": repr(size)} if size else {}
+    numbers |= dict(entry.split("=", 1) for entry in sys.argv[4:])
     try:
-        arrays = with_gmsh(source, size) if source.suffix in (".geo", ".msh") else with_meshio(source)
+        arrays = with_gmsh(source, numbers) if source.suffix in (".geo", ".msh") else with_meshio(source)
     except Exception as error:
         print(str(error).strip().replace("\n", " ") or type(error).__name__)
         return 1
@@ -29,11 +31,13 @@ def main() -> int:
     return 0
 
 
-def with_gmsh(source: Path, size: float) -> Arrays:
-    """Mesh a `.geo` with element size `size` (set as its parameter h), or read a `.msh`."""
+def with_gmsh(source: Path, numbers: dict[str, str]) -> Arrays:
+    """Mesh a `.geo` with these numbers set (the element size is its parameter h), or read a `.msh`."""
     import gmsh
 
-    arguments = ["bcid", "-nopopup", "-v", "1"] + (["-setnumber", "h", repr(size)] if size else [])
+    arguments = ["bcid", "-nopopup", "-v", "1"]
+    for name, number in numbers.items():
+        arguments += ["-setnumber", name, number]
     gmsh.initialize(arguments, readConfigFiles=False, run=False, interruptible=False)
     gmsh.option.setNumber("General.Terminal", 0)
     gmsh.logger.start()

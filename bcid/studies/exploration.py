@@ -7,7 +7,7 @@ entropy compete with random ones and with the best single pull, repeated, in the
 Two more parts go beyond the paper: with {3 4}, nothing or one of three effects is hidden, and exploring must tell which; and
 patches that others enclose make no difference, which must be said instead of guessed.
 
-RUN/predictions/         what every set predicts for every pull, computed first, by all ranks together
+RUN/predictions/         what every set predicts for every pull, computed first;  foretold/ one file for each part of that
 RUN/results/NAME.json    one trial
 RUN/exploration.json  table.txt
 """
@@ -17,14 +17,14 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from bcid.collective import agree, on_root
-from bcid.errors import BcidError, InputError, SolveError
+from bcid.collective import on_root
+from bcid.errors import InputError, SolveError
 from bcid.explore.belief import Hypothesis
 from bcid.explore.choice import Choice, Chooser
 from bcid.explore.inference import Inference
@@ -36,14 +36,16 @@ from bcid.explore.robots import Simulated
 from bcid.fingerprint import file_fingerprint
 from bcid.forms.model import check_physics
 from bcid.progress import Progress, Silent
-from bcid.run import Run, write_whole
+from bcid.run import Run
 from bcid.scene import Level, Scene
-from bcid.search.schedule import counter, share
 from bcid.search.seeds import all_candidates
+from bcid.studies.deal import How, Work, deal
 from bcid.studies.exploration_scores import scores, table
 from bcid.studies.exploration_trials import BUDGET, HIDDEN, RIVALS, Extent, Trial, trials
 
 SCENE = Path(__file__).resolve().parents[2] / "examples/scenes/slab_explain.toml"
+# Sets that are predicted together.
+_SETS = 64
 # The truth is computed with other elements than any level of the scene has.
 TRUE = Level(degree=3, element_size=0.014)
 
@@ -52,12 +54,12 @@ def run_study(
     folder: Path,
     extent: Extent,
     seed: int,
-    comm: Any,
+    how: How,
     progress: Progress | None = None,
     overwrite: bool = False,
     scene_file: Path = SCENE,
 ) -> Path:
-    """Run the study into a run folder; collective on `comm`. One that was interrupted goes on with the trials that have no result.
+    """Run the study into a run folder; collective on `how.comm`. One that was interrupted goes on.
 
     Raises:
         InputError: the numbers, or a folder that cannot be used (see `Run.start`).
@@ -66,10 +68,6 @@ def run_study(
     for name, value, lowest in (("trials", extent.count, 1), ("seed", seed, 0)):
         if value < lowest:
             raise InputError(f"--{name} {value}: must be at least {lowest}")
-    scene = on_root(comm, lambda: Scene.read(scene_file, physics=check_physics))
-    scene = (
-        replace(scene, limits=replace(scene.limits, amplitudes=scene.limits.amplitudes[:1])) if scene.limits else scene
-    )
     run: Run | None = None
 
     def begin() -> Path:
@@ -78,49 +76,64 @@ def run_study(
         run = Run.start(folder, "study exploration", inputs, overwrite)
         return run.path.resolve()
 
-    path = on_root(comm, begin)
+    path = on_root(how.comm, begin)
     with run.watched() if run else nullcontext():
-        _predict(scene, path / "predictions", comm, progress)
-        todo = on_root(comm, lambda: [t for t in trials(extent) if not _result(path, t).is_file()])
-        progress.say(f"{len(todo)} trials to go")
-        _work(scene, path, seed, todo, comm, progress)
-        on_root(comm, lambda: _conclude(run, list(trials(extent))))
+        job = {"scene": str(scene_file.resolve()), "predictions": str(path / "predictions"), "seed": seed}
+        made = list(trials(extent))
+        pulls = on_root(how.comm, lambda: _pulls(_scene(scene_file), made))
+        progress.say(f"exploration: {len(pulls)} predictions that all trials share")
+        deal(Work("bcid.studies.exploration:foreteller", job, path / "foretold"), pulls, how, progress)
+        progress.say(f"exploration: {len(made)} trials")
+        tasks = {trial.name: asdict(trial) for trial in made}
+        deal(Work("bcid.studies.exploration:maker", job, path / "results"), tasks, how, progress)
+        on_root(how.comm, lambda: _conclude(run, made))
     return folder
 
 
-def _result(path: Path, trial: Trial) -> Path:
-    return path / "results" / f"{trial.name}.json"
+def _scene(file: Path) -> Scene:
+    """The scene with one amplitude, as in the paper."""
+    scene = Scene.read(file, physics=check_physics)
+    limits = scene.limits and replace(scene.limits, amplitudes=scene.limits.amplitudes[:1])
+    return replace(scene, limits=limits)
 
 
-def _predict(scene: Scene, store: Path, comm: Any, progress: Progress) -> None:
-    """Predict every pull with every set, once, on all ranks together."""
+def _pulls(scene: Scene, made: Sequence[Trial]) -> dict[str, dict[str, Any]]:
+    """What every set predicts for every pull that a trial may choose, in parts."""
+    grasps = {grasp for trial in made for grasp in trial.grasps}
+    every = [sorted(anchors) for anchors in all_candidates(list(scene.patches))]
+    return {
+        f"{i:03d}-{k:04d}": {"move": i, "sets": every[k : k + _SETS]}
+        for i, move in enumerate(moves(scene))
+        if move.grasp in grasps
+        for k in range(0, len(every), _SETS)
+    }
+
+
+def foreteller(job: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
+    """The function that predicts, for `bcid.studies.deal`; `job` holds the `scene` file and the folder `predictions`."""
+    from mpi4py import MPI
+
+    scene = _scene(Path(job["scene"]))
+    predictor = Predictor(paired(scene, None, MPI.COMM_SELF), 0, MPI.COMM_SELF, Path(job["predictions"]))
     limits = limits_of(scene)
-    predictor = Predictor(paired(scene, None, comm), 0, comm, store)
-    every = all_candidates(list(scene.patches))
-    for i, move in enumerate(moves(scene), start=1):
-        progress.step(f"predicting pull {i} of {len(moves(scene))} with {len(every)} sets")
-        action = move.action(limits)
-        predictor.foresee([(anchors, action) for anchors in every], detailed=True)
-    predictor.destroy()
+
+    def foretell(task: Mapping[str, Any]) -> dict[str, Any]:
+        action = moves(scene)[task["move"]].action(limits)
+        found = predictor.foresee([(frozenset(anchors), action) for anchors in task["sets"]], detailed=True)
+        return {"failed": sum(foreseen.failed for foreseen in found)}
+
+    return foretell
 
 
-def _work(scene: Scene, path: Path, seed: int, todo: Sequence[Trial], comm: Any, progress: Progress) -> None:
-    """Make the trials: every rank takes the next one when it is free."""
-    tickets = counter(comm)
-    bench = Bench.of(scene, path / "predictions", seed) if todo else None
-    error = None
-    for done, trial in enumerate(share(todo, tickets), start=1):
-        assert bench is not None
-        try:
-            write_whole(_result(path, trial), json.dumps(attempted(bench, trial), indent=1) + "\n")
-        except BcidError as caught:
-            error = caught
-            break
-        progress.step(f"{done} trials done by this rank, {len(todo)} in all")
-    tickets.close()
-    if bench is not None:
-        bench.destroy()
-    agree(comm, error)
+def maker(job: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
+    """The function that makes a trial, for `bcid.studies.deal`; `job` holds also the `seed`."""
+    bench = Bench.of(_scene(Path(job["scene"])), Path(job["predictions"]), job["seed"])
+
+    def trial(task: Mapping[str, Any]) -> dict[str, Any]:
+        names = {name: tuple(task[name]) for name in ("anchors", "grasps")}
+        return attempted(bench, Trial(**{**task, **names}))
+
+    return trial
 
 
 def attempted(bench: Bench, trial: Trial) -> dict[str, Any]:
@@ -128,20 +141,25 @@ def attempted(bench: Bench, trial: Trial) -> dict[str, Any]:
     try:
         return bench.make(trial)
     except SolveError as error:
-        nothing = {
-            "found": [],
-            "effect": "",
-            "effects": {},
-            "right": False,
-            "named": [],
-            "told_by": None,
-            "probability": 0.0,
-            "pulls": 0,
-            "moves": [],
-            "gained": [],
-            "expected": [],
-        }
-        return asdict(trial) | {"reason": f"failed: {error}", "calls": 0, "seconds": 0.0} | nothing
+        return unmade(trial, str(error))
+
+
+def unmade(trial: Trial, reason: str) -> dict[str, Any]:
+    """The result of a trial that came to nothing."""
+    nothing = {
+        "found": [],
+        "effect": "",
+        "effects": {},
+        "right": False,
+        "named": [],
+        "told_by": None,
+        "probability": 0.0,
+        "pulls": 0,
+        "moves": [],
+        "gained": [],
+        "expected": [],
+    }
+    return asdict(trial) | {"reason": f"failed: {reason}", "calls": 0, "seconds": 0.0} | nothing
 
 
 class Bench:
@@ -235,10 +253,16 @@ class Bench:
                 predictor.destroy()
 
 
+def _result(path: Path, trial: Trial) -> dict[str, Any]:
+    """What became of a trial; one that was not made for another reason than a pull that cannot be followed ended as well."""
+    content = json.loads((path / "results" / f"{trial.name}.json").read_text(encoding="utf-8"))
+    result: dict[str, Any] = content["result"] or unmade(trial, content["reason"])
+    return result
+
+
 def _conclude(run: Run | None, made: Sequence[Trial]) -> None:
     assert run is not None
-    results = [json.loads(_result(run.path, t).read_text(encoding="utf-8")) for t in made]
-    found = scores(results)
+    found = scores([_result(run.path, trial) for trial in made])
     run.write_json("exploration.json", found)
     run.write_text("table.txt", table(found))
     run.finish({"calibration": found["calibration"]})

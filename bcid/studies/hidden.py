@@ -3,25 +3,26 @@
 RUN/cases/0007/measurement/   what the diagnosis gets, besides the scene file
 RUN/cases/0007/truth.json     what is hidden: effects, parameters, anchors, sizes
 RUN/cases/0007/diagnosis/     its run folder
-RUN/cases/0007/log.txt        what the process of the case said
-RUN/results/0007.json         truth and diagnosis of a case that is done, or why there is none
+RUN/logs/0007.txt             what the process of the case said
+RUN/results/0007.json         the diagnosis of a case that is done, or why there is none
 RUN/hidden.json  table.txt  degradation.png
 """
 
 from __future__ import annotations
 
 import json
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from bcid.collective import on_root
 from bcid.errors import InputError
 from bcid.fingerprint import file_fingerprint
 from bcid.progress import Progress, Silent
 from bcid.run import Run
-from bcid.studies.case_child import write_result
 from bcid.studies.cases import SIZES
-from bcid.studies.children import Ended, Task, supervise
+from bcid.studies.deal import How, Work, deal
 from bcid.studies.score import scores, table
 
 SCENE = Path(__file__).resolve().parents[2] / "examples/scenes/slab_hidden.toml"
@@ -36,8 +37,8 @@ class Options:
     Attributes:
         cases: how many.
         seed: of the cases; case i is the same whatever their number.
-        jobs: processes at a time.
-        limit: CPU seconds that a case may take.
+        jobs: child processes at a time.
+        limit: CPU seconds that a case may take in a child process.
         least: size that effects are drawn from, in units of noise; the largest is 10.
         make, diagnose: functions as "module:name": `bcid.studies.truth.make` and the diagnosis.
     """
@@ -67,8 +68,11 @@ def run_hidden(
     scene: Path = SCENE,
     progress: Progress | None = None,
     overwrite: bool = False,
+    comm: Any = None,
 ) -> Path:
     """Run the study into a run folder; one that was interrupted goes on with the cases that have no result yet.
+
+    Collective on `comm`, over which the cases are spread; without one they go to child processes.
 
     Raises:
         InputError: options, or a folder that cannot be used (see `Run.start`).
@@ -77,60 +81,42 @@ def run_hidden(
     options.check()
     if not scene.is_file():
         raise InputError(f"{scene}: is missing; `bcid study` needs the project's folder with its examples")
-    inputs = {name: getattr(options, name) for name in ("cases", "seed", "limit", "least", "make", "diagnose")}
-    run = Run.start(folder, "study hidden", inputs | {"scene": file_fingerprint(scene)}, overwrite)
-    path = run.path.resolve()
-    tasks = [_task(path, i, options, scene) for i in range(options.cases) if not _result(path, i).is_file()]
-    if len(tasks) < options.cases:
-        progress.say(f"going on with an interrupted study: {options.cases - len(tasks)} cases are done already")
-    left = len(tasks)
+    run: Run | None = None
 
-    def ended(task: Task, outcome: Ended) -> None:
-        nonlocal left
-        left -= 1
-        file = _result(path, int(task.name))
-        if not file.is_file():
-            reason = outcome.reason or "the process ended without a result"
-            state = outcome.state if outcome.state != "done" else "failed"
-            write_result(file, int(task.name), task.log.parent, state, reason, None, outcome.seconds)
-        progress.say(f"case {task.name}: {_read(file)['state']} after {outcome.seconds:.0f} s; {left} left")
+    def begin() -> Path:
+        nonlocal run
+        inputs = {name: getattr(options, name) for name in ("cases", "seed", "limit", "least", "make", "diagnose")}
+        run = Run.start(folder, "study hidden", inputs | {"scene": file_fingerprint(scene)}, overwrite)
+        return run.path.resolve()
 
-    try:
-        supervise(tasks, options.jobs, options.limit, ended)
-        _conclude(run, options)
-    except BaseException as error:
-        run.fail("interrupted" if isinstance(error, KeyboardInterrupt) else f"{type(error).__name__}: {error}")
-        raise
+    path = on_root(comm, begin)
+    with run.watched() if run else nullcontext():
+        work = Work("bcid.studies.case:maker", _job(path, options, scene), path / "results")
+        tasks = {f"{index:04d}": {"index": index} for index in range(options.cases)}
+        deal(work, tasks, How(comm, options.jobs, options.limit, tries=3, fresh=True), progress)
+        on_root(comm, lambda: _conclude(run, options))
     return folder
 
 
-def _task(path: Path, index: int, options: Options, scene: Path) -> Task:
-    folder = path / "cases" / f"{index:04d}"
-    job = {
-        "folder": str(folder),
-        "result": str(_result(path, index)),
-        "scene": str(scene.resolve()),
-        "seed": options.seed,
-        "index": index,
-        "least": options.least,
-        "make": options.make,
-        "diagnose": options.diagnose,
-    }
-    return Task(f"{index:04d}", ("-m", "bcid.studies.case_child", json.dumps(job)), folder / "log.txt")
+def _job(path: Path, options: Options, scene: Path) -> dict[str, Any]:
+    plain = {name: getattr(options, name) for name in ("seed", "least", "make", "diagnose")}
+    return plain | {"cases": str(path / "cases"), "scene": str(scene.resolve())}
 
 
-def _result(path: Path, index: int) -> Path:
-    return path / "results" / f"{index:04d}.json"
+def _read(path: Path, index: int) -> dict[str, Any]:
+    """The result of a case with its truth, which is also known where there is no diagnosis."""
+    found = json.loads((path / "results" / f"{index:04d}.json").read_text(encoding="utf-8"))
+    truth = path / "cases" / f"{index:04d}" / "truth.json"
+    nothing = {"diagnosis": None, "seconds": found["seconds"], "cpu_seconds": 0.0}
+    content: dict[str, Any] = {"index": index, "state": found["state"], "reason": found["reason"]}
+    content["truth"] = json.loads(truth.read_text(encoding="utf-8")) if truth.is_file() else None
+    return content | (found["result"] or nothing)
 
 
-def _read(file: Path) -> dict[str, Any]:
-    content: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    return content
-
-
-def _conclude(run: Run, options: Options) -> None:
+def _conclude(run: Run | None, options: Options) -> None:
     """Score all results and write what is made of them."""
-    results = [_read(_result(run.path, i)) for i in range(options.cases)]
+    assert run is not None
+    results = [_read(run.path, i) for i in range(options.cases)]
     found = scores(results)
     run.write_json("hidden.json", found)
     run.write_text("table.txt", table(found))

@@ -1,4 +1,4 @@
-"""The picture of a study: how its rates fall with the size of what is hidden and with the noise."""
+"""The pictures of studies: how rates fall with the size of what is hidden, with noise, and with what is varied."""
 
 from __future__ import annotations
 
@@ -7,9 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+import numpy as np
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+
+from bcid.studies.condition import written
+from bcid.studies.results import Cell
+from bcid.studies.study_file import StudyFile
 
 # Okabe & Ito's colours; markers and dashes tell the lines apart in black and white.
 _LINES = {
@@ -53,3 +58,50 @@ def _rates(axes: Any, bins: Sequence[Mapping[str, Any]], label: str) -> None:
         )
     axes.set_xticks(range(len(bins)), [f"{b['from']:g} to {b['to']:g}" for b in bins])
     axes.set_xlabel(label)
+
+
+# Okabe & Ito's colours again, one for each row of a table.
+_ROWS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
+_MARKERS = "osD^vPX"
+
+
+def success(file: Path, study: StudyFile, found: Sequence[Cell]) -> None:
+    """Rates of a study file over its columns, a line for each row: what the search finds, and what the best of all sets is."""
+    others = [name for name in study.vary if name not in (study.rows, study.columns)]
+    keys = list(dict.fromkeys(tuple(cell.values[name] for name in others) for cell in found))
+    count = min(len(keys), 6)
+    with plt.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
+        figure, axes = plt.subplots(
+            1, count, figsize=(max(4.8, 3.4 * count), 3.8), dpi=150, layout="constrained", sharey=True, squeeze=False
+        )
+        for axis, key in zip(axes[0], keys, strict=False):
+            mine = [cell for cell in found if tuple(cell.values[name] for name in others) == key]
+            _success(axis, study, mine)
+            axis.set_title(", ".join(f"{n} {written(n, v)}" for n, v in zip(others, key, strict=True)), fontsize=9)
+        axes[0][0].set_ylabel("right answers, %")
+        axes[0][0].set_ylim(-3, 103)
+        handles, labels = axes[0][0].get_legend_handles_labels()
+        figure.legend(handles, labels, frameon=False, ncols=min(len(labels), 4), loc="outside lower center")
+        figure.savefig(file)
+        plt.close(figure)
+
+
+def _success(axis: Any, study: StudyFile, cells: Sequence[Cell]) -> None:
+    columns = study.vary.get(study.columns, (None,))
+    for k, row in enumerate(study.vary.get(study.rows, (None,))):
+        mine = [cell for cell in cells if cell.values.get(study.rows) == row]
+        colour, marker = _ROWS[k % len(_ROWS)], _MARKERS[k % len(_MARKERS)]
+        name = f"{study.rows} {written(study.rows, row)}" if study.rows else "search"
+        # Lines that lie on each other stay visible.
+        x = np.arange(len(columns)) + 0.04 * (k - len(study.vary.get(study.rows, (None,))) / 2)
+        rates = [100 * cell.right for cell in mine]
+        low = [max(0.0, 100 * (cell.right - cell.interval[0])) for cell in mine]
+        high = [max(0.0, 100 * (cell.interval[1] - cell.right)) for cell in mine]
+        axis.errorbar(
+            x, rates, yerr=[low, high], color=colour, marker=marker, ms=4.5, lw=1.3, elinewidth=0.6, label=name
+        )
+        best = [np.nan if cell.best_right is None else 100 * cell.best_right for cell in mine]
+        if np.isfinite(best).any():
+            axis.plot(x, best, color=colour, lw=1.0, ls=":", label="best of all sets" if k == 0 else None)
+    axis.set_xticks(range(len(columns)), [written(study.columns, c) if study.columns else "" for c in columns])
+    axis.set_xlabel(study.columns)

@@ -1,8 +1,8 @@
 // The benchmark slab: 100 x 10 x 100 mm; x along the pull, y up (thickness), z across. Lengths in mm.
 // Physical surfaces patch_1 ... patch_8 are the candidate anchors, grasp_I, grasp_II, grasp_III the 20 x 20 mm grasp areas.
-// h is the element size. Above 25 mm the grasp areas keep only their strip of the edge face, so that few elements suffice.
+// h is the element size; shift moves the grasp areas along the edge, up to 10 mm either way. Above 25 mm the grasp areas keep only their strip of the edge face, so that few elements suffice.
 SetFactory("OpenCASCADE");
-DefineConstant[ h = {14, Name "element size in mm"} ];
+DefineConstant[ h = {14, Name "element size in mm"}, shift = {0, Name "shift of the grasps along z in mm"} ];
 eps = 1e-3;
 coarse = h > 25;
 
@@ -18,7 +18,7 @@ Translate {0, 0, 50} { Surface{104}; }
 Rectangle(105) = {0, 0, 0, 50, 10};
 Rotate {{0, 1, 0}, {0, 0, 0}, -Pi/2} { Surface{105}; }
 tools() = {101, 102, 103, 104, 105};
-centre() = {20, 50, 80};
+centre() = {20 + shift, 50 + shift, 80 + shift};
 For k In {0:2}
   edge = 110 + 10*k;
   Rectangle(edge) = {0, 0, 0, 20, 10};
@@ -46,9 +46,9 @@ Physical Surface("patch_5") = Surface In BoundingBox{-eps, -eps, -eps, 50+eps, 1
 Physical Surface("patch_6") = Surface In BoundingBox{50-eps, -eps, -eps, 100+eps, 10+eps, eps};
 Physical Surface("patch_7") = Surface In BoundingBox{-eps, -eps, 50-eps, 50+eps, eps, 100+eps};
 Physical Surface("patch_8") = Surface In BoundingBox{-eps, -eps, -eps, 50+eps, eps, 50+eps};
-Physical Surface("grasp_I") = Surface In BoundingBox{80-eps, -eps, 10-eps, 100+eps, 10+eps, 30+eps};
-Physical Surface("grasp_II") = Surface In BoundingBox{80-eps, -eps, 40-eps, 100+eps, 10+eps, 60+eps};
-Physical Surface("grasp_III") = Surface In BoundingBox{80-eps, -eps, 70-eps, 100+eps, 10+eps, 90+eps};
+Physical Surface("grasp_I") = Surface In BoundingBox{80-eps, -eps, 10+shift-eps, 100+eps, 10+eps, 30+shift+eps};
+Physical Surface("grasp_II") = Surface In BoundingBox{80-eps, -eps, 40+shift-eps, 100+eps, 10+eps, 60+shift+eps};
+Physical Surface("grasp_III") = Surface In BoundingBox{80-eps, -eps, 70+shift-eps, 100+eps, 10+eps, 90+shift+eps};
 
 Mesh.MeshSizeFromPoints = 0;
 Mesh.MeshSizeExtendFromBoundary = 0;

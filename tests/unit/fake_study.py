@@ -1,4 +1,4 @@
-"""Stand-ins for making and diagnosing a case, as `bcid.studies.case_child` calls them: quick, and faulty on demand."""
+"""Stand-ins for making and diagnosing a case, as `bcid.studies.case` calls them: quick, and faulty on demand."""
 
 import json
 import os

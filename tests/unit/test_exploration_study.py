@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mpi4py import MPI
 from test_explore import AXES, LIMITS, MadeUp, by_count, scene
 
+from bcid.studies.deal import How
 from bcid.studies.exploration import Bench, attempted, run_study
 from bcid.studies.exploration_scores import scores, table
 from bcid.studies.exploration_trials import ANCHORS, STRATEGIES, Extent, Trial, trials
@@ -67,7 +67,7 @@ def test_a_study_that_was_stopped_goes_on(tmp_path: Path, coarse_scene: Path) ->
     extent = Extent(1, (3e-3,), ("gravity",), ())
 
     def run() -> dict[str, Any]:
-        run_study(tmp_path / "study", extent, 0, MPI.COMM_SELF, scene_file=coarse_scene)
+        run_study(tmp_path / "study", extent, 0, How(), scene_file=coarse_scene)
         found: dict[str, Any] = json.loads((tmp_path / "study/exploration.json").read_text(encoding="utf-8"))
         return found
 
@@ -91,7 +91,7 @@ def test_a_study_that_was_stopped_goes_on(tmp_path: Path, coarse_scene: Path) ->
 
 def without_time(made: dict[str, Any]) -> dict[str, Any]:
     """A trial without what differs from run to run."""
-    return {key: value for key, value in made.items() if key != "seconds"}
+    return {key: value for key, value in made["result"].items() if key != "seconds"}
 
 
 def result(strategy: str, pulls: int, right: bool = True, reason: str = "decided") -> dict[str, Any]:

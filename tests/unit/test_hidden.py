@@ -18,7 +18,7 @@ import pytest
 from bcid.errors import InputError
 from bcid.measurement import Measurement
 from bcid.studies import cases
-from bcid.studies.hidden import Options, run_hidden
+from bcid.studies.hidden import Options, _read, run_hidden
 from bcid.studies.score import judge, scores, table, wilson
 
 HERE = Path(__file__).resolve().parent
@@ -210,21 +210,17 @@ def options(count: int, limit: float = 100.0) -> Options:
     return Options(count, limit=limit, make="fake_study:make", diagnose="fake_study:diagnose")
 
 
-def read(run: Path, index: int) -> dict[str, Any]:
-    content: dict[str, Any] = json.loads((run / f"results/{index:04d}.json").read_text())
-    return content
-
-
 @pytest.mark.timeout(120)
 def test_what_fails_is_recorded_and_stops_nothing(tmp_path: Path, calls: Path) -> None:
     run = run_hidden(tmp_path / "run", options(7, limit=3.0))
-    states = [read(run, i)["state"] for i in range(7)]
+    states = [_read(run, i)["state"] for i in range(7)]
     assert states == ["done", "failed", "done", "failed", "done", "timeout", "timeout"]
-    assert read(run, 1)["reason"] == "diagnosis: ValueError: no such thing"
-    assert "signal 6" in read(run, 3)["reason"]
-    assert read(run, 5)["reason"] == "was not done after 12 s"
-    assert read(run, 6)["reason"] == "took more than 3 CPU s"
-    assert read(run, 5)["truth"]["anchored"] == ["1"]
+    assert _read(run, 1)["reason"] == "diagnosis: ValueError: no such thing"
+    assert "signal 6, 3 times" in _read(run, 3)["reason"]
+    assert [int(line.split()[0]) for line in calls.read_text().splitlines()].count(3) == 3
+    assert _read(run, 5)["reason"] == "was not done after 12 s"
+    assert _read(run, 6)["reason"] == "took more than 3 CPU s"
+    assert _read(run, 5)["truth"]["anchored"] == ["1"]
     found = json.loads((run / "hidden.json").read_text())
     assert found["states"] == {"done": 3, "failed": 2, "timeout": 2}
     assert found["rates"]["adequate"]["met"] == 3
@@ -268,9 +264,9 @@ def test_a_study_that_was_killed_goes_on(
     began = len(calls.read_text().splitlines())
     monkeypatch.setenv("FAKE_STUDY_SLEEP", "0")
     run_hidden(run, options(5))
-    again = [int(line.split()[0]) for line in calls.read_text().splitlines()[began:]]
+    again = {int(line.split()[0]) for line in calls.read_text().splitlines()[began:]}
     assert sorted(f"{i:04d}.json" for i in again) == sorted({f"{i:04d}.json" for i in range(5)} - before)
-    assert [read(run, i)["state"] for i in range(5)] == ["done", "failed", "done", "failed", "done"]
+    assert [_read(run, i)["state"] for i in range(5)] == ["done", "failed", "done", "failed", "done"]
 
 
 def _alive(process: int) -> bool:

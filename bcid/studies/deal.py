@@ -1,0 +1,159 @@
+"""Deals out the trials of a study: under mpirun to the ranks, by mpi4py.futures; else to child processes under supervision.
+
+A trial is a name and a task, a JSON object. Its result is one file, `results/NAME.json`, written whole and renamed: what is
+there is not made again, so a study that was killed, in whatever way, goes on with the rest. A trial that goes wrong is
+recorded with its reason and stops nothing; only a machine that cannot write ends the study.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from bcid.collective import agree, on_root
+from bcid.errors import BcidError, MachineError
+from bcid.progress import Progress
+from bcid.run import write_whole
+
+Task = Mapping[str, Any]
+Make = Callable[[Task], dict[str, Any]]
+# Ranks are handed so many trials at once that each comes back this often, and never more than the most.
+_RETURNS, _MOST = 200, 8
+
+
+@dataclass(frozen=True)
+class Work:
+    """What whoever makes trials must know; it can be sent.
+
+    Attributes:
+        maker: function as "module:name"; called once in each process with `job`, it gives the function that makes a trial:
+            from its task to its result, a JSON object.
+        job: what all trials share, a JSON object.
+        results: folder of the results.
+    """
+
+    maker: str
+    job: Mapping[str, Any]
+    results: Path
+
+    def file(self, name: str) -> Path:
+        """Where the result of a trial is."""
+        return self.results / f"{name}.json"
+
+    def record(
+        self, name: str, task: Task, state: str, reason: str, seconds: float, result: Task | None = None
+    ) -> None:
+        """Write the result of a trial whole: what the maker gave, or why there is nothing."""
+        about = {"name": name, "state": state, "reason": reason, "seconds": round(seconds, 4), "task": dict(task)}
+        text = json.dumps(about | {"result": None if result is None else dict(result)}, allow_nan=False)
+        write_whole(self.file(name), text + "\n")
+
+
+@dataclass(frozen=True)
+class How:
+    """Who makes the trials.
+
+    Attributes:
+        comm: MPI communicator of more than one rank, over which they are spread; None for child processes.
+        jobs: child processes at a time.
+        limit: CPU seconds that a trial may take in a child process.
+        tries: how often a trial whose process dies is made: what killed it may have been meant for another.
+        fresh: every trial gets a process of its own.
+    """
+
+    comm: Any = None
+    jobs: int = 2
+    limit: float = 900.0
+    tries: int = 6
+    fresh: bool = False
+
+
+def deal(work: Work, tasks: Mapping[str, Task], how: How, progress: Progress) -> int:
+    """Make all trials that have no result yet; collective on `how.comm`. Returns how many were made.
+
+    Raises:
+        MachineError: a result could not be written.
+        KeyboardInterrupt: SIGINT or SIGTERM; the children are gone then.
+    """
+    todo = on_root(
+        how.comm, lambda: {name: dict(task) for name, task in tasks.items() if not work.file(name).is_file()}
+    )
+    if len(todo) < len(tasks):
+        progress.say(f"{len(tasks) - len(todo)} of {len(tasks)} trials are done already")
+    if how.comm is not None:
+        _among_ranks(work, todo, how.comm, progress)
+    elif todo:
+        from bcid.studies.workers import supervise
+
+        supervise(work, todo, how, partial(_tell, progress, len(todo)))
+    return len(todo)
+
+
+def _tell(progress: Progress, count: int, done: int) -> None:
+    progress.step(f"{done} of {count} trials done")
+
+
+def _among_ranks(work: Work, todo: Mapping[str, Task], comm: Any, progress: Progress) -> None:
+    """Rank 0 hands out, the others make; they ask for the next when they are done. Collective on `comm`."""
+    from mpi4py.futures import MPICommExecutor
+
+    error: BcidError | None = None
+    with MPICommExecutor(comm, root=0) as pool:
+        executor: Any = pool
+        if executor is not None:
+            chunk = max(1, min(_MOST, len(todo) // (_RETURNS * (comm.size - 1))))
+            made = executor.map(partial(attempt, work), todo, todo.values(), chunksize=chunk, unordered=True)
+            try:
+                for done, _ in enumerate(made, start=1):
+                    _tell(progress, len(todo), done)
+            except BcidError as caught:
+                error = caught
+                executor.shutdown(wait=False, cancel_futures=True)
+    agree(comm, error)
+
+
+def attempt(work: Work, name: str, task: Task) -> None:
+    """Make a trial and write its result; what goes wrong with it is a result too.
+
+    Raises:
+        MachineError: the result cannot be written.
+    """
+    if work.file(name).is_file():
+        return
+    start = time.perf_counter()
+    result, state, reason = None, "done", ""
+    try:
+        result = _make(work.maker, json.dumps(work.job, sort_keys=True))(task)
+        # A number that is not finite is not JSON.
+        json.dumps(result, allow_nan=False)
+    except MachineError:
+        raise
+    except Exception as error:
+        result, state, reason = None, "failed", str(error)
+        if not isinstance(error, BcidError):
+            traceback.print_exc()
+            reason = f"{type(error).__name__}: {error}"
+    work.record(name, task, state, reason, time.perf_counter() - start, result)
+
+
+@lru_cache(maxsize=1)
+def _make(maker: str, job: str) -> Make:
+    """The function that makes trials, made once per process."""
+    module, _, name = maker.partition(":")
+    made: Make = getattr(import_module(module), name)(json.loads(job))
+    return made
+
+
+def part_of(tasks: Mapping[str, Task], part: tuple[int, int] | None) -> dict[str, Task]:
+    """The tasks of part (i, n), i from 1 to n: every n-th, so that the parts take about as long."""
+    if part is None:
+        return dict(tasks)
+    i, n = part
+    return {name: task for k, (name, task) in enumerate(tasks.items()) if k % n == i - 1}

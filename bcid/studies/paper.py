@@ -1,0 +1,93 @@
+"""Every table and figure of Boonvisut & Cavusoglu (2014) in one run: the study files of `studies/`, and the exploration study.
+
+RUN/NAME/         the run folder of each study
+RUN/shared/       what they share
+RUN/table.txt     all their tables
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import nullcontext
+from pathlib import Path
+
+from bcid.collective import on_root
+from bcid.errors import InputError
+from bcid.fingerprint import file_fingerprint
+from bcid.progress import Progress, Silent
+from bcid.run import Run
+from bcid.studies import exploration
+from bcid.studies.deal import How
+from bcid.studies.exploration_trials import Extent as Explored
+from bcid.studies.study import Extent, run_study
+
+STUDIES = Path(__file__).resolve().parents[2] / "studies"
+_EXPLORATION = "exploration"
+# Sections 7 and 8 in short: one trial of each setting, with the noise of a good camera, nothing hidden or enclosed.
+_FEW = Explored(1, (0.3e-3, 1e-3), (), ())
+
+
+def run_paper(
+    folder: Path,
+    quick: bool,
+    seed: int,
+    how: How,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+    studies: Path = STUDIES,
+    explored: bool = True,
+) -> Path:
+    """Run all studies of the paper into a run folder; collective on `how.comm`. One that was interrupted goes on.
+
+    Args:
+        folder, seed, how, progress, overwrite: as for `run_study`.
+        quick: each study reduced.
+        studies: folder of study files.
+        explored: with the exploration study.
+
+    Raises:
+        InputError: a file, or a folder that cannot be used (see `Run.start`).
+    """
+    progress = progress or Silent()
+    files = on_root(how.comm, lambda: sorted(studies.glob("*.toml")))
+    if not files:
+        raise InputError(f"{studies}: holds no study files; `bcid study paper` needs the project's folder")
+    run: Run | None = None
+
+    def begin() -> Path:
+        nonlocal run
+        inputs = {"quick": quick, "seed": seed, "studies": {file.stem: file_fingerprint(file) for file in files}}
+        run = Run.start(folder, "study paper", inputs | {"explored": explored}, overwrite)
+        return run.path.resolve()
+
+    path = on_root(how.comm, begin)
+
+    def one(file: Path) -> Callable[[Path], Path]:
+        extent = Extent(quick, seed=seed)
+        return lambda target: run_study(file, target, extent, how, progress, overwrite, path / "shared")
+
+    def explore(target: Path) -> Path:
+        return exploration.run_study(target, _FEW if quick else Explored(30), seed, how, progress, overwrite)
+
+    with run.watched() if run else nullcontext():
+        parts = {file.stem: one(file) for file in files} | ({_EXPLORATION: explore} if explored else {})
+        for i, (name, make) in enumerate(parts.items(), start=1):
+            if on_root(how.comm, lambda name=name: _finished(path / name)):  # type: ignore[misc]
+                continue
+            progress.say(f"study {i} of {len(parts)}: {name}")
+            make(path / name)
+        on_root(how.comm, lambda: _conclude(run, list(parts)))
+    return folder
+
+
+def _finished(folder: Path) -> bool:
+    return (folder / "run.json").is_file() and Run.open(folder).record["state"] == "finished"
+
+
+def _conclude(run: Run | None, names: list[str]) -> None:
+    assert run is not None
+    tables = [(run.path / name / "table.txt").read_text(encoding="utf-8").rstrip() for name in names]
+    rule = "\n\n" + "-" * 100 + "\n\n"
+    run.write_text("table.txt", rule.join(tables) + "\n")
+    seconds = {name: Run.open(run.path / name).record["seconds"] for name in names}
+    run.finish({"studies": names, "seconds": seconds})
