@@ -44,6 +44,13 @@ def interpolation_points(space: Any) -> NDArray[np.float64]:
     return np.asarray(points() if callable(points) else points)
 
 
+def collapsed(part: Any) -> tuple[Any, NDArray[np.int32]]:
+    """A part of a mixed space as a space of its own, and where its dofs stand in the whole, shape (dofs,)."""
+    space, into = part.collapse()
+    # From 0.11 on the map comes as a list of one array.
+    return space, np.asarray(into, dtype=np.int32).ravel()
+
+
 def snes_not_finite() -> int:
     """PETSc's reason for a residual that is not a number; its name changed in PETSc 3.25."""
     from petsc4py import PETSc

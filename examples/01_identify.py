@@ -1,6 +1,12 @@
-"""Find the anchored patches of a slab from a shipped measurement, with the Python API.
+"""
+How is a slab held?
+===================
 
-./dev python examples/01_identify.py
+Find the anchored patches of a slab from a shipped measurement, with the Python API.
+
+::
+
+    ./dev python examples/01_identify.py
 """
 
 from pathlib import Path

@@ -1,6 +1,12 @@
-"""Find what a slab's model lacks from a shipped measurement, with the Python API.
+"""
+What does its model lack?
+=========================
 
-./dev python examples/02_explain.py
+Find what a slab's model lacks from a shipped measurement, with the Python API.
+
+::
+
+    ./dev python examples/02_explain.py
 """
 
 from pathlib import Path

@@ -1,11 +1,17 @@
-"""Find out that a real silicone beam has a weight, how large it is, and what the model lacks besides.
+"""
+A silicone beam and its weight
+==============================
+
+Find out that a real silicone beam has a weight, how large it is, and what the model lacks besides.
 
 The measurement was published by Dubied, Michelis, Spielberg & Katzschmann, "Sim-to-real for soft robots using
 differentiable FEM" (RA-L 2022; github.com/srl-ethz/diffPD_sim2real, MIT): a beam of Dragon Skin 10, clamped at one end, is
 released from its support and comes to rest, alone or with 0.51012 N on its upper edge. Only the states of rest under
 gravity are used, so that each load case is an action of a single step.
 
-./dev python examples/03_beam.py
+::
+
+    ./dev python examples/03_beam.py
 """
 
 import math

@@ -1,11 +1,17 @@
-"""Find out from a tensile test of silicone rubber that it stiffens as it is stretched.
+"""
+Rubber that stiffens
+====================
+
+Find out from a tensile test of silicone rubber that it stiffens as it is stretched.
 
 The measurement was published by Marechal et al., "Toward a common framework and database of materials for soft robotics"
 (Soft Robotics 2020; github.com/LucMarechal/Soft-Robotics-Materials-Database, ODbL 1.0): Ecoflex 00-30, pulled to failure at
 450 mm/min, engineering strain from the crosshead over 33 mm, engineering stress over 6 x 3 mm. Here a bar of that size is
 pulled by the known forces, and its end is the fiducial.
 
-./dev python examples/04_tension.py
+::
+
+    ./dev python examples/04_tension.py
 """
 
 from collections.abc import Sequence

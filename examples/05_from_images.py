@@ -1,11 +1,17 @@
-"""From the images of two cameras to the patches that hold a slab.
+"""
+From images to anchors
+======================
+
+From the images of two cameras to the patches that hold a slab.
 
 A slab that is held at {1 2} is pulled around three half circles, and filmed by two cameras of 1.3 megapixels at 30 cm, as in the
 experiments of Boonvisut & Cavusoglu (IJRR 2014): sixteen beads of 1 mm, shaded tissue, noise, lens distortion, false beads,
 and instruments that hide a tenth of the beads. From there on only the images, the calibration, the motion of the gripper and the
 scene are used.
 
-./dev python examples/05_from_images.py FOLDER
+::
+
+    ./dev python examples/05_from_images.py FOLDER
 """
 
 import sys

@@ -1,6 +1,12 @@
-"""Explore how a slab is held through a folder, as with a real robot: bcid asks for pulls, a lab in a process of its own makes them.
+"""
+Explore through a folder
+========================
 
-./dev python examples/06_explore.py
+Explore how a slab is held through a folder, as with a real robot: bcid asks for pulls, a lab in a process of its own makes them.
+
+::
+
+    ./dev python examples/06_explore.py
 """
 
 import csv

@@ -1,11 +1,17 @@
-"""From two real cameras to what a model of rubber gets wrong: a strip that is narrower in the model than in the images.
+"""
+A strip of rubber before two cameras
+====================================
+
+From two real cameras to what a model of rubber gets wrong: a strip that is narrower in the model than in the images.
 
 The measurement was published with DuoDIC (Solav et al., JOSS 2022, 10.21105/joss.04279; github.com/SolavLab/DuoDIC, Apache-2.0):
 two cameras, calibrated with 37 pairs of images of a chessboard, watch 435 speckles on a strip of rubber whose left end is fixed
 and whose right end is moved by 1 mm in each of 19 steps. Here the speckles are triangulated, some of them become the
 fiducials of a measurement folder, and the model is driven by what the ends of the strip do.
 
-./dev python examples/07_strip.py FOLDER -o strip
+::
+
+    ./dev python examples/07_strip.py FOLDER -o strip
 
 FOLDER holds stereo_calibration.json and uniaxial_points.csv.gz: calibration and tracked pixels, which are counted from 1.
 """

@@ -53,8 +53,8 @@ class Body:
         if mixed:
             pressure = basix.ufl.element("Lagrange", "tetrahedron", degree - 1)
             self.space = fem.functionspace(self.domain, basix.ufl.mixed_element([displacement, pressure]))
-            self.displacement_space, into = self.space.sub(0).collapse()
-            self.displacement_dofs = np.asarray(into, dtype=np.int32)
+            self.displacement_space, into = compat.collapsed(self.space.sub(0))
+            self.displacement_dofs = into
         else:
             self.space = self.displacement_space = fem.functionspace(self.domain, displacement)
             self.displacement_dofs = np.arange(3 * len(self.nodes), dtype=np.int32)

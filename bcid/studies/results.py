@@ -153,7 +153,7 @@ def text(study: StudyFile, rows: Sequence[Row], costs: Mapping[str, float]) -> s
     )
     for heading, group in _groups(study, found):
         lines += ["", *([heading] if heading else []), *_grid(study, group)]
-    lines += ["", *_costs(study, found, costs), *_paper(study, found, rows)]
+    lines += ["", *_costs(study, found, costs), *_paper(study, found, rows, costs)]
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -212,14 +212,24 @@ def _costs(study: StudyFile, found: Sequence[Cell], costs: Mapping[str, float]) 
         line = f"{search}: {told} calls of the model on levels {', '.join(levels)} (mean)"
         if all(cell.seconds is not None for cell in mine):
             line += f", {np.mean([cell.seconds for cell in mine if cell.seconds is not None]):.1f} CPU s"
-        elif all(level in costs for level in levels):
-            spent = sum(calls[level] * costs[level] for level in levels)
-            line += f", {spent:.1f} CPU s at what a call takes"
+        else:
+            each = [spent(cell, costs) for cell in mine]
+            told_seconds = [seconds for seconds in each if seconds is not None]
+            line += f", {np.mean(told_seconds):.1f} CPU s at what a call takes" if told_seconds else ""
         lines.append(line)
     return lines
 
 
-def _paper(study: StudyFile, found: Sequence[Cell], rows: Sequence[Row]) -> list[str]:
+def spent(cell: Cell, costs: Mapping[str, float]) -> float | None:
+    """CPU seconds of a search: its own, or what its calls take; None where that is not known."""
+    if cell.seconds is not None:
+        return cell.seconds
+    if not cell.calls or not all(level in costs for level in cell.calls):
+        return None
+    return float(sum(count * costs[level] for level, count in cell.calls.items()))
+
+
+def _paper(study: StudyFile, found: Sequence[Cell], rows: Sequence[Row], costs: Mapping[str, float]) -> list[str]:
     """What the paper says, and what was found here."""
     lines = []
     for entry in study.paper:
@@ -235,8 +245,10 @@ def _paper(study: StudyFile, found: Sequence[Cell], rows: Sequence[Row]) -> list
             here_calls = " + ".join(f"{np.mean([c.calls.get(level, 0.0) for c in mine]):.1f}" for level in levels)
             told.append(f"{' + '.join(f'{c:g}' for c in entry['calls'])} calls; here {here_calls}")
         if "seconds" in entry and mine:
-            spent = [cell.seconds for cell in mine if cell.seconds is not None]
-            told.append(f"{entry['seconds']:g} s on average" + (f"; here {np.mean(spent):.1f} CPU s" if spent else ""))
+            seconds = [s for s in (spent(cell, costs) for cell in mine) if s is not None]
+            told.append(
+                f"{entry['seconds']:g} s on average" + (f"; here {np.mean(seconds):.1f} CPU s" if seconds else "")
+            )
         if "right_of_18" in entry:
             each = together(rows)
             told.append(

@@ -214,7 +214,7 @@ def test_too_little_space_is_said_before_anything_is_done(dev: Dev) -> None:
     dev.fake("df", "echo head; echo disk 1000 900 100 90% /")
     code, _, err = dev("true")
     assert code == 3
-    assert "3600 MB are needed" in err
+    assert "4300 MB are needed" in err
     assert "100 MB are free" in err
     assert not dev.builds
 

@@ -1,0 +1,31 @@
+"""The reference of all commands, from the parser itself."""
+
+import argparse
+import os
+from pathlib import Path
+
+from bcid.cli import build_parser
+
+
+def write_commands(target: Path) -> None:
+    """Write the help of every command as Markdown."""
+    # Help is wrapped to the width of the terminal.
+    os.environ["COLUMNS"], os.environ["NO_COLOR"] = "110", "1"
+    parser = build_parser()
+    parts = ["# Commands", "", "Any of them runs under `mpirun -n N`.", "", *block(parser)]
+    for name, command in subcommands(parser).items():
+        parts += [f"## bcid {name}", "", *block(command)]
+    text = "\n".join(parts)
+    if not target.is_file() or target.read_text(encoding="utf-8") != text:
+        target.write_text(text, encoding="utf-8")
+
+
+def block(parser: argparse.ArgumentParser) -> list[str]:
+    """The help of a parser as a block of text."""
+    return ["```text", parser.format_help().rstrip(), "```", ""]
+
+
+def subcommands(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    """The parsers of the commands, by name."""
+    found = next(a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
+    return dict(found.choices)
