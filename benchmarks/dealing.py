@@ -1,6 +1,6 @@
 """What it costs to deal out the trials of a study: ``python benchmarks/dealing.py``.
 
-10,000 trials that sleep for 0.2 to 0.4 s are dealt to 48 ranks and, in another run, to 48 child processes; asleep, they leave the cores to
+10,000 trials that sleep for 0.2 to 0.4 s are dealt to 48 ranks, and then to 48 child processes; asleep, they leave the cores to
 the dealing. Overhead is what the whole takes beyond the work divided by those who do it. Then trials of no length tell what one
 costs who hands them out, and a replay with that cost tells what 1024 ranks would feel.
 """

@@ -72,7 +72,7 @@ def success(file: Path, study: StudyFile, found: Sequence[Cell]) -> None:
     count = min(len(keys), 6)
     with plt.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
         figure, axes = plt.subplots(
-            1, count, figsize=(max(4.8, 3.4 * count), 3.8), dpi=150, layout="constrained", sharey=True, squeeze=False
+            1, count, figsize=(max(5.6, 3.4 * count), 4.0), dpi=150, layout="constrained", sharey=True, squeeze=False
         )
         for axis, key in zip(axes[0], keys, strict=False):
             mine = [cell for cell in found if tuple(cell.values[name] for name in others) == key]
@@ -81,7 +81,7 @@ def success(file: Path, study: StudyFile, found: Sequence[Cell]) -> None:
         axes[0][0].set_ylabel("right answers, %")
         axes[0][0].set_ylim(-3, 103)
         handles, labels = axes[0][0].get_legend_handles_labels()
-        figure.legend(handles, labels, frameon=False, ncols=min(len(labels), 4), loc="outside lower center")
+        figure.legend(handles, labels, frameon=False, ncols=min(len(labels), 3 * count), loc="outside lower center")
         figure.savefig(file)
         plt.close(figure)
 
