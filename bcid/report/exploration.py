@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bcid.report.figure import chart, open_frame, save, styled
+from bcid.report.figure import chart, legend_below, open_frame, save, short, styled
 from bcid.run import Run, writing
 from bcid.units import percent
 
@@ -51,8 +51,7 @@ def sets_chart(found: dict[str, Any]) -> Figure:
     legend = axes.get_legend()
     if legend is not None:
         legend.remove()
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, columnspacing=1.2)
+    legend_below(figure, axes)
     return figure
 
 
@@ -109,7 +108,7 @@ def _sets(axes: Axes, steps: list[dict[str, Any]]) -> None:
             color=_COLOURS[k],
             hatch=_HATCHES[k],
             edgecolor="white",
-            label=name,
+            label=short(name),
         )
     rest = []
     for step in steps:
@@ -132,7 +131,7 @@ def _width(steps: list[dict[str, Any]]) -> float:
 
 
 def _pull(step: dict[str, Any]) -> str:
-    return f"{step['grasp']} {step['direction']}\n{step['amplitude']:.3g} mm"
+    return f"{short(step['grasp'])} {short(step['direction'])}\n{step['amplitude']:.3g} mm"
 
 
 def _patches(axes: Axes, steps: list[dict[str, Any]]) -> None:
@@ -153,7 +152,7 @@ def _patches(axes: Axes, steps: list[dict[str, Any]]) -> None:
     if len(names) > patches:
         axes.axhline(patches - 0.5, color="#0072B2", lw=1.5)
     axes.set_xlim(0.4, len(steps) + 0.6)
-    axes.set_yticks(range(len(names)), names)
+    axes.set_yticks(range(len(names)), [short(name) for name in names])
     axes.set_xticks(range(1, len(steps) + 1))
     axes.set_xlabel("pull")
     axes.set_ylabel("patch anchored" if len(names) == patches else "patch anchored,\neffect acting")

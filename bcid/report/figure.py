@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 _MARGIN = 12
 # Names on an axis are cut to so many letters.
 _LETTERS = 22
+# Letters of a line of a small chart's legend.
+_LINE = 62
 # So many names fit below a small chart.
 _NAMES = 24
 # Colours of two series; the light one is hatched or dashed besides.
@@ -68,11 +70,19 @@ def chart(width: float = 4.6, height: float = 3.2) -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def legend_below(figure: Figure, axes: Axes, columns: int = 2) -> None:
-    """Say below a small figure what its marks are."""
+def legend_below(figure: Figure, axes: Axes, columns: int = 4) -> None:
+    """Say below a small figure what its marks are, in as many columns as there is room for."""
     handles, labels = axes.get_legend_handles_labels()
+    while columns > 1 and _broad(labels, columns) > _LINE:
+        columns -= 1
     if handles:
         figure.legend(handles, labels, loc="outside lower center", ncols=columns, columnspacing=1.4, handlelength=1.8)
+
+
+def _broad(labels: Sequence[str], columns: int) -> int:
+    """Letters of a legend's line, its marks counted as some; entries go down the columns."""
+    high = -(-len(labels) // columns)
+    return sum(max(len(label) for label in labels[at : at + high]) + 7 for at in range(0, len(labels), high))
 
 
 def short(name: object) -> str:

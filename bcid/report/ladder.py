@@ -65,7 +65,7 @@ def ladder_chart(found: dict[str, Any]) -> Figure:
     """The error of each model as bars."""
     figure, axes = chart(4.6, 1.7 + 0.62 * max(2, len(found["ladder"])))
     draw_ladder(axes, found)
-    legend_below(figure, axes, 3)
+    legend_below(figure, axes)
     return figure
 
 
@@ -73,7 +73,7 @@ def ranking_chart(found: dict[str, Any]) -> Figure:
     """What each effect alone would make of the error."""
     figure, axes = chart(4.6, 1.5 + 0.3 * max(4, len(found["ranking"][:_ROWS])))
     draw_ranking(axes, found)
-    legend_below(figure, axes, 4)
+    legend_below(figure, axes)
     return figure
 
 

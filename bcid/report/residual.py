@@ -183,5 +183,5 @@ def _finished(figure: Figure, axes: Axes, residual: Residual) -> Figure:
         axes.axhline(residual.noise, color="black", linewidth=1.2, linestyle="--", label="noise")
     axes.set_ylim(bottom=0)
     axes.set_ylabel(f"RMS residual ({residual.unit})")
-    legend_below(figure, axes, 3)
+    legend_below(figure, axes)
     return figure

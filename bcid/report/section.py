@@ -114,9 +114,10 @@ class Section:
         diagnosis = self.found.documents.get("diagnosis")
         if diagnosis is None:
             return Markup("")
-        charts = self._charts(self._of(gallery.LADDER))
+        charts = [figure for drawing in self._of(gallery.LADDER) if (figure := self._figure(drawing))]
         made = self.tried("ladder of models", lambda: [tables.ladder_table(diagnosis), tables.tests_table(diagnosis)])
-        return tag("section", tag("h3", "The ladder of models"), charts, [_table(table) for table in made or []])
+        beside, below = [_table(table) for table in made or []] or (None, None)
+        return tag("section", tag("h3", "The ladder of models"), tag("div", charts, beside, class_="charts"), below)
 
     def _belief(self) -> Markup:
         documents = self.found.documents
@@ -158,7 +159,8 @@ class Section:
 
     def _charts(self, drawings: list[Drawing]) -> list[Markup]:
         made = [self._figure(drawing) for drawing in drawings]
-        return [tag("div", made, class_="charts")] if any(made) else []
+        alone = " alone" if len(made) == 1 else ""
+        return [tag("div", made, class_=f"charts{alone}")] if any(made) else []
 
     def _figure(self, drawing: Drawing) -> Markup | None:
         content = self._image(drawing)

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from bcid.report.markup import Markup, tag
 
 TEXT, NUMBER = "text", "number"
+# A last column of longer cells gets more room.
+_LONG = 30
 _LATEX = {
     "\\": r"\textbackslash{}",
     **{c: f"\\{c}" for c in "&%$#_{}"},
@@ -68,7 +70,15 @@ class Table:
             )
             for i, row in enumerate(aligned)
         ]
-        return tag("div", tag("table", tag("thead", head), tag("tbody", body)), class_="table", tabindex="0")
+        last = (
+            len(self.columns) > 1
+            and self.columns[-1].kind == TEXT
+            and max(map(len, (r[-1] for r in self.rows)), default=0)
+        )
+        shape = "wide-last" if last and last > _LONG else None
+        return tag(
+            "div", tag("table", tag("thead", head), tag("tbody", body), class_=shape), class_="table", tabindex="0"
+        )
 
     def csv(self) -> str:
         """The table with full numbers; a cell that a spreadsheet would take for a formula begins with an apostrophe."""

@@ -79,7 +79,7 @@ def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
         lacks = "its plain model lacks" if len(ladder) > 1 else "its model lacks"
         sentence = f"{held}, and {lacks} {effects}: {after} (noise {noise:.3g} {unit})."
     numbers = [("error before", f"{first['rms']:.3g} {unit}")] if len(ladder) > 1 else []
-    numbers += [("error", f"{last['rms']:.3g} {unit}"), ("noise", f"{noise:.3g} {unit}")]
+    numbers += [("error after" if numbers else "error", f"{last['rms']:.3g} {unit}"), ("noise", f"{noise:.3g} {unit}")]
     if d.get("held_out_rms") is not None:
         numbers.append(("held out", f"{d['held_out_rms']:.3g} {unit}"))
     for one in d["adopted"]:

@@ -78,11 +78,11 @@ def significance(p: float) -> str:
 def uncertain(value: float, error: float | None = None) -> str:
     """A value with its standard error, to as many digits as that has meaning: "1257.6 ± 9.4"."""
     if error is None or not math.isfinite(error) or error <= 0:
-        return f"{value:.4g}"
+        return f"{value:.4g}".replace("-", "−")
     places = max(0, 1 - math.floor(math.log10(error)))
     if places > 6 or abs(value) >= 1e7:
-        return f"{value:.4g} ± {error:.2g}"
-    return f"{value:.{places}f} ± {error:.{places}f}"
+        return f"{value:.4g} ± {error:.2g}".replace("-", "−")
+    return f"{value:.{places}f} ± {error:.{places}f}".replace("-", "−")
 
 
 def amount(name: str, number: dict[str, Any]) -> str:

@@ -292,24 +292,30 @@ class Body {
       .addScaledVector(this.up, Math.sin(this.elevation));
     const tangent = Math.tan((FIELD * Math.PI) / 360), aspect = this.camera.aspect;
     const right = new T.Vector3().crossVectors(this.up, away).normalize(), high = new T.Vector3().crossVectors(away, right);
-    // As near as the whole body fits, at rest and as it is: first the middle of what is seen, then the distance.
-    const at = new T.Vector3(), low = [Infinity, Infinity], most = [-Infinity, -Infinity];
-    const each = (act) => {
-      for (const points of [this.points, this.moved.array])
-        for (let i = 0; i < points.length; i += 3) act(at.set(points[i], points[i + 1], points[i + 2]).sub(this.centre));
-    };
-    each((p) => [right, high].forEach((axis, k) => {
-      const along = p.dot(axis);
-      low[k] = Math.min(low[k], along);
-      most[k] = Math.max(most[k], along);
-    }));
-    const middle = [0, 1].map((k) => (low[k] + most[k]) / 2);
-    let distance = 0;
-    each((p) => {
-      const depth = p.dot(away), x = Math.abs(p.dot(right) - middle[0]), y = Math.abs(p.dot(high) - middle[1]);
-      distance = Math.max(distance, depth + x / (tangent * aspect), depth + y / tangent);
-    });
-    distance *= 1.1 * this.zoom;
+    // As near as the whole body fits, at rest and as it is. The nearer half looks larger: a few turns find middle and distance.
+    const seen = [], at = new T.Vector3();
+    for (const points of [this.points, this.moved.array])
+      for (let i = 0; i < points.length; i += 3) {
+        at.set(points[i], points[i + 1], points[i + 2]).sub(this.centre);
+        seen.push([at.dot(right), at.dot(high), at.dot(away)]);
+      }
+    let distance = 2 * this.diagonal;
+    const middle = [0, 0], half = [tangent * aspect, tangent];
+    for (let turn = 0; turn < 6; turn++) {
+      let next = 0;
+      for (const k of [0, 1]) {
+        let low = Infinity, most = -Infinity;
+        for (const point of seen) {
+          const slope = (point[k] - middle[k]) / (distance - point[2]);
+          low = Math.min(low, slope);
+          most = Math.max(most, slope);
+        }
+        middle[k] += ((low + most) / 2) * distance;
+        for (const point of seen) next = Math.max(next, point[2] + Math.abs(point[k] - middle[k]) / half[k]);
+      }
+      distance = Math.max(next, 0.6 * this.diagonal);
+    }
+    distance *= 1.08 * this.zoom;
     const target = this.centre.clone().addScaledVector(right, middle[0]).addScaledVector(high, middle[1]);
     this.camera.position.copy(target).addScaledVector(away, distance);
     this.camera.up.copy(this.up);
