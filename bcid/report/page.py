@@ -15,7 +15,6 @@ from bcid.errors import InputError
 from bcid.report.found import Found
 from bcid.report.markup import Markup, clean, json_text, tag, verbatim
 from bcid.report.section import Section
-from bcid.report.verdict import verdict
 from bcid.run import write_whole
 
 # What a report begins with: only such a file is overwritten.
@@ -102,9 +101,7 @@ def page(runs: Sequence[Found | tuple[Path, str]]) -> str:
 
 
 def _entry(section: Section) -> Markup:
-    said = section.tried("verdict", lambda: verdict(section.found))
-    sentence = said.sentence if said else "cannot be read"
-    return tag("li", tag("a", section.found.name, href=f"#{section.id}"), tag("span", sentence))
+    return tag("li", tag("a", section.found.name, href=f"#{section.id}"), tag("span", section.said.sentence))
 
 
 def _unreadable(path: Path, reason: str, number: int) -> Markup:

@@ -23,6 +23,8 @@ from bcid.report.view import view
 # What damaged content makes the code raise that shows it.
 DAMAGE = (BcidError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
 
+_UNREADABLE = Verdict("What this run found cannot be read.", [], [])
+
 
 class Section:
     """One run of a page.
@@ -30,12 +32,15 @@ class Section:
     Attributes:
         found: the run.
         number: of the section, from 1; ids begin with it.
+        said: the verdict.
+        data: of the turnable view, once the section is made; None where there is none.
     """
 
     def __init__(self, found: Found, number: int) -> None:
         self.found = found
         self.number = number
         self.data: dict[str, Any] | None = None
+        self.said: Verdict = self.tried("verdict", lambda: verdict(found)) or _UNREADABLE
         self._drawings = self.tried("figures", lambda: gallery.drawings(found)) or []
 
     @property
@@ -57,15 +62,12 @@ class Section:
 
     def html(self, heading: str) -> Markup:
         """The section; its verdict is an element `heading`."""
-        said = self.tried("verdict", lambda: verdict(self.found)) or Verdict(
-            "What this run found cannot be read.", [], []
-        )
         with styled():
             parts = [self._body(), self._residuals(), self._ranking(), self._ladder(), self._belief(), self._images()]
-        return tag("section", self._head(said, heading), parts, self._made(), class_="run", id=self.id)
+        return tag("section", self._head(heading), parts, self._made(), class_="run", id=self.id)
 
-    def _head(self, said: Verdict, heading: str) -> list[Markup]:
-        found = self.found
+    def _head(self, heading: str) -> list[Markup]:
+        found, said = self.found, self.said
         about = " · ".join(part for part in (found.name, found.scene, f"bcid {found.command}", found.state) if part)
         numbers = [tag("div", tag("dt", name), tag("dd", value)) for name, value in said.numbers]
         doubts = [tag("p", text, class_="doubt") for text in said.doubts]
