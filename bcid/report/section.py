@@ -116,10 +116,9 @@ class Section:
         diagnosis = self.found.documents.get("diagnosis")
         if diagnosis is None:
             return Markup("")
-        charts = [figure for drawing in self._of(gallery.LADDER) if (figure := self._figure(drawing))]
+        charts = self._charts(self._of(gallery.LADDER))
         made = self.tried("ladder of models", lambda: [tables.ladder_table(diagnosis), tables.tests_table(diagnosis)])
-        beside, below = [_table(table) for table in made or []] or (None, None)
-        return tag("section", tag("h3", "The ladder of models"), tag("div", charts, beside, class_="charts"), below)
+        return tag("section", tag("h3", "The ladder of models"), charts, [_table(table) for table in made or []])
 
     def _belief(self) -> Markup:
         documents = self.found.documents
