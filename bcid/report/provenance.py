@@ -81,5 +81,7 @@ def _flat(content: Any, name: str = "") -> Iterator[tuple[str, str]]:
 def _shown(value: Any) -> str:
     if isinstance(value, list):
         value = ", ".join(map(str, value))
+    if isinstance(value, bool):
+        value = "yes" if value else "no"
     text = f"{value:g}" if isinstance(value, float) else str(value)
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
