@@ -286,7 +286,8 @@ def test_made_without_the_solver(tmp_path: Path) -> None:
         "            raise ImportError(f'{name} must not be imported')\n"
         "sys.meta_path.insert(0, Refuse())\n"
         "from bcid.cli import main\n"
-        f"sys.exit(main(['report', {str(folder)!r}, '-o', 'r.html']) or main(['figure', {str(folder)!r}, '-o', 'f', '--format', 'svg']))"
+        f"run = {str(folder)!r}\n"
+        "sys.exit(main(['report', run, '-o', 'r.html']) or main(['figure', run, '-o', 'f', '--format', 'svg']))"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=False)
     assert result.returncode == 0, result.stderr

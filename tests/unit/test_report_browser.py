@@ -177,7 +177,11 @@ def test_turning_scale_and_colours(report: Path, visit: Callable[..., Visit]) ->
 def test_on_a_phone(report: Path, visit: Callable[..., Visit]) -> None:
     seen = visit(report, width=360)
     seen.live()
-    broad = "[...document.querySelectorAll('body *')].filter(e => !e.closest('.table, svg, .labels, script') && e.getBoundingClientRect().right > innerWidth + 0.5).map(e => e.outerHTML.slice(0, 80))"
+    inside = "!e.closest('.table, svg, .labels, script')"
+    beyond = "e.getBoundingClientRect().right > innerWidth + 0.5"
+    broad = (
+        f"[...document.querySelectorAll('body *')].filter(e => {inside} && {beyond}).map(e => e.outerHTML.slice(0, 80))"
+    )
     assert seen.page.evaluate(broad) == []
     assert seen.page.evaluate("document.documentElement.scrollWidth") == 360
 

@@ -16,10 +16,11 @@ from payloads import PAYLOADS, file_name, poisoned
 from bcid.report import gallery, page
 from bcid.report.markup import clean, json_text, tag, text, verbatim
 
-ELEMENTS = set(
+ELEMENTS = re.findall(
+    r"\w+",
     "html head meta title style body header main footer nav section figure figcaption div span p b h1 h2 h3 dl dt dd ul ol li a "
     "table thead tbody tr th td details summary pre canvas label select option input button output img script "
-    "svg g path text tspan rect circle defs clippath use image pattern".split()
+    "svg g path text tspan rect circle defs clippath use image pattern",
 )
 
 
@@ -68,7 +69,7 @@ def harmless(source: str) -> Parsed:
             assert not key.startswith("on"), (name, key)
             assert key not in ("style", "action", "formaction", "srcdoc", "srcset", "background"), (name, key)
             if key in ("href", "xlink:href"):
-                assert value.startswith("#") or value.startswith("data:image/png;base64,"), (name, value[:80])
+                assert value.startswith(("#", "data:image/png;base64,")), (name, value[:80])
             if key == "src":
                 assert re.fullmatch(r"data:image/png;base64,[A-Za-z0-9+/=]+", value), (name, value[:80])
             if "url(" in value:
@@ -107,8 +108,10 @@ def test_fifty_payloads() -> None:
 
 @pytest.mark.usefixtures("plain_pictures")
 @pytest.mark.parametrize("number", range(50))
-def test_a_payload_stays_text(tmp_path: Path, number: int) -> None:
-    payload = PAYLOADS[number]
+def test_a_payload_stays_text(tmp_path: Path, number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the tables and sentences of every payload, and in every figure; a figure is drawn with a third of the payloads."""
+    payload, every = PAYLOADS[number], gallery.drawings
+    monkeypatch.setattr(gallery, "drawings", lambda found: every(found)[number % 3 :: 3])
     folder = poisoned(tmp_path / file_name(payload), payload)
     report = page.write_report([folder], tmp_path / "report.html")
     source = report.path.read_text(encoding="utf-8")
