@@ -28,13 +28,24 @@ from bcid.report.words import amount, significance, uncertain
 from bcid.run import Run
 
 
+FEW = ("body", "ladder", "sets", "calibration")
+
+
+@pytest.fixture
+def every_figure() -> None:
+    """Asks for all figures of a run."""
+
+
 @pytest.fixture(autouse=True)
-def plain_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pictures without VTK, which takes seconds."""
+def plain_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures without VTK, which takes seconds, and few figures unless a test asks for all."""
     from matplotlib.figure import Figure
 
     for name in ("residual_figure", "body_figure", "where_figure"):
         monkeypatch.setattr(gallery, name, lambda *_: Figure(figsize=(2, 1)))
+    if "every_figure" not in request.fixturenames:
+        every = gallery.drawings
+        monkeypatch.setattr(gallery, "drawings", lambda found: [d for d in every(found) if d.name in FEW])
 
 
 def words(source: str) -> str:
@@ -47,6 +58,7 @@ def said(tmp_path: Path, *folders: Path) -> str:
     return words(write_report(folders, tmp_path / "report.html").path.read_text(encoding="utf-8"))
 
 
+@pytest.mark.usefixtures("every_figure")
 def test_explained(tmp_path: Path) -> None:
     """Everything, in the order in which a reader asks."""
     text = said(tmp_path, runs.explained(tmp_path / "run"))
@@ -162,6 +174,7 @@ def test_several_runs_have_contents(tmp_path: Path) -> None:
     ) <= set(ids)
 
 
+@pytest.mark.usefixtures("every_figure")
 def test_the_same_bytes(tmp_path: Path) -> None:
     folder = runs.explained(tmp_path / "run")
     one, two = (write_report([folder], tmp_path / name).path.read_bytes() for name in ("one.html", "two.html"))
@@ -234,6 +247,7 @@ DAMAGES = [
 ]  # fmt: skip
 
 
+@pytest.mark.usefixtures("every_figure")
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_damage_is_named_and_the_rest_is_shown(tmp_path: Path, damage: Callable[[Path], None]) -> None:
     """Beside a run that is whole, through the command line: no traceback, the file named, exit code 0."""
