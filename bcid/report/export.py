@@ -92,23 +92,18 @@ def _moved(source: Path, target: Path) -> Path:
 
 
 def _draw(found: Found, made: Path, formats: Sequence[str], say: Callable[[str], None]) -> None:
-    try:
+    with _told(found, "a figure"):
         chosen = drawings(found)
-    except DAMAGE as error:
-        raise _damaged(found, "its files", error) from None
     if not chosen:
         raise InputError(
             f"{found.path}: has nothing to draw (bcid {found.command}, {found.state}); give a finished run"
         )
     for drawing in chosen:
         say(f"drawing {drawing.name}")
-        try:
-            with styled():
-                figure = drawing.draw()
-                for kind in formats:
-                    _save(figure, made / f"{drawing.name}.{kind}")
-        except DAMAGE as error:
-            raise _damaged(found, f"figure '{drawing.name}'", error) from None
+        with _told(found, f"figure '{drawing.name}'"), styled():
+            figure = drawing.draw()
+            for kind in formats:
+                _save(figure, made / f"{drawing.name}.{kind}")
 
 
 def _save(figure: Figure, target: Path) -> None:
@@ -120,15 +115,13 @@ def _save(figure: Figure, target: Path) -> None:
 
 
 def _tabulate(found: Found, made: Path) -> None:
-    try:
+    with _told(found, "a table"):
         for table in tables(found):
             (made / f"{table.name}.csv").write_text(table.csv(), encoding="utf-8")
             (made / f"{table.name}.tex").write_text(table.latex(), encoding="utf-8")
         stream = io.StringIO()
         csv.writer(stream, lineterminator="\n").writerows([("what", "value"), *facts(found)])
         (made / "provenance.csv").write_text(stream.getvalue(), encoding="utf-8")
-    except DAMAGE as error:
-        raise _damaged(found, "a table", error) from None
 
 
 def _fields(found: Found, made: Path, say: Callable[[str], None]) -> None:
@@ -136,11 +129,18 @@ def _fields(found: Found, made: Path, say: Callable[[str], None]) -> None:
         return
     say("writing fields for ParaView")
     anchored = [str(name) for name in found.result.get("anchored", [])]
-    try:
+    with _told(found, "fields for ParaView"):
         write_paraview(made / "paraview", found.body, found.positions, anchored)
+
+
+@contextmanager
+def _told(found: Found, what: str) -> Iterator[None]:
+    """Says of damaged content what could not be made of it; a full disk is left to `_aside`."""
+    try:
+        yield
     except DAMAGE as error:
-        raise _damaged(found, "fields for ParaView", error) from None
-
-
-def _damaged(found: Found, what: str, error: BaseException) -> InputError:
-    return InputError(f"{found.path}: {what} cannot be made, its file is damaged or from another version ({error})")
+        if isinstance(error, OSError) and error.errno is not None:
+            raise
+        raise InputError(
+            f"{found.path}: {what} cannot be made, its file is damaged or from another version ({error})"
+        ) from None

@@ -61,7 +61,7 @@ class Found:
         found.tracks = found._dataset(run, "tracking.nc")
         for name in _TEXTS:
             if not found.summary and (run.path / name).is_file():
-                found.summary = clean((run.path / name).read_text(encoding="utf-8", errors="replace"))
+                found._summary(run.path / name)
         return found
 
     def _document(self, run: Run, name: str) -> None:
@@ -74,6 +74,12 @@ class Found:
             self.documents[name] = _cleaned(content)
         else:
             self.troubles.append(f"{run.path / name}.json: is damaged and cannot be read: it holds no table")
+
+    def _summary(self, file: Path) -> None:
+        try:
+            self.summary = clean(file.read_text(encoding="utf-8", errors="replace"))
+        except OSError as error:
+            self.troubles.append(f"{file}: cannot be read: {error.strerror}")
 
     def _dataset(self, run: Run, name: str) -> xr.Dataset | None:
         if not (run.path / name).is_file():

@@ -20,8 +20,18 @@ from bcid.report.table import Table
 from bcid.report.verdict import Verdict, verdict
 from bcid.report.view import view
 
-# What damaged content makes the code raise that shows it.
-DAMAGE = (BcidError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
+# What damaged content makes the code raise that shows it, images and the drawing libraries included.
+DAMAGE = (
+    BcidError,
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    OSError,
+    RuntimeError,
+    SyntaxError,
+    TypeError,
+    ValueError,
+)
 
 _UNREADABLE = Verdict("What this run found cannot be read.", [], [])
 

@@ -139,8 +139,9 @@ def _calibration(d: dict[str, Any]) -> Verdict:
 
 
 def _tracking(d: dict[str, Any]) -> Verdict:
+    share = f"{100 * d['seen']:.1f} %"
     sentence = (
-        f"{d['beads']} beads were followed through {d['frames']} pairs of images, and {d['seen']:.1%} of them seen."
+        f"{d['beads']} beads were followed through {d['frames']} pairs of images: {share} of their positions are known."
     )
-    numbers = [("standard deviation", f"{d['sigma'] * 1e3:.2g} mm"), ("seen", f"{d['seen']:.1%}")]
+    numbers = [("standard deviation", f"{d['sigma'] * 1e3:.2g} mm"), ("seen", share)]
     return Verdict(sentence, numbers, [str(warning) for warning in d["warnings"]])

@@ -27,7 +27,6 @@ from bcid.report.table import NUMBER, TEXT, Column, Table, aligned
 from bcid.report.words import amount, significance, uncertain
 from bcid.run import Run
 
-
 FEW = ("body", "ladder", "sets", "calibration")
 
 
@@ -139,7 +138,7 @@ def test_calibrated_tracked_and_other_runs(tmp_path: Path) -> None:
     text = said(tmp_path, calibrated.path, tracked.path, study.path)
     for sentence in (
         "Calibration of two cameras: good. error 0.100 px baseline 160.00 mm",
-        "16 beads were followed through 20 pairs of images, and 95.0% of them seen.",
+        "16 beads were followed through 20 pairs of images: 95.0 % of their positions are known.",
         "goal reached",
         "named 88 %",
         "a study is told by its table",
