@@ -215,7 +215,7 @@ def test_no_payload_runs(tmp_path: Path, visit: Callable[..., Visit], monkeypatc
         folders = [
             poisoned(tmp_path / f"{i}{file_name(PAYLOADS[i])}"[:60], PAYLOADS[i]) for i in range(begin, begin + 10)
         ]
-        seen = visit(write_report(folders, tmp_path / f"{begin}.html").path)
+        seen = visit(write_report(folders, tmp_path / f"{begin}.html").path, width=360)
         for i in range(10):
             view = seen.page.locator("figure[data-view]").nth(i)
             view.scroll_into_view_if_needed()
