@@ -1,5 +1,6 @@
 """The command line: ``bcid demo``, ``identify``, ``compare``, ``diagnose``, ``fit``, ``explain``, ``explore``,
-``simulate``, ``check-effect`` (also under ``mpirun -n N``), ``calibrate``, ``track``, ``doctor``, ``bench``, ``study``.
+``simulate``, ``check-effect`` (also under ``mpirun -n N``), ``report``, ``figure``, ``calibrate``, ``track``, ``doctor``,
+``bench``, ``study``.
 """
 
 from __future__ import annotations
@@ -26,8 +27,10 @@ from bcid.commands import (
     diagnose,
     explain,
     explore,
+    figure,
     fit,
     identify,
+    report,
     simulate,
     study,
     track,
@@ -40,6 +43,8 @@ _WITHOUT_MPI = {
     "study": "the same command goes on where it was",
     "calibrate": "nothing is lost but the time",
     "track": "give the same command again",
+    "report": "nothing was written",
+    "figure": "nothing was written",
 }
 
 _DESCRIPTION = """bcid finds out how a soft body is held, and what its model lacks, by watching it being pulled.
@@ -56,6 +61,8 @@ _EXAMPLES = """examples:
   bcid diagnose run                                             which effect is missing in it?
   bcid fit run --add gravity -o run2                            add the effect and watch the error fall
   bcid explore scene.toml --robot folder:lab -o run             which pull next? until the anchors are decided
+  bcid report run -o report.html                                one page of it that opens from disk
+  bcid figure run -o figures                                    its figures and tables for a paper, fields for ParaView
   bcid calibrate left right --board "chessboard 10x7 10 mm" -o cameras   two cameras, from images of a board
   bcid track scene.toml recording.toml -o tracked               from their images of beads to a measurement
   bcid simulate scene.toml --anchors 1,2 --motion pull -o made  a measurement made by the model
@@ -146,6 +153,8 @@ def build_parser() -> argparse.ArgumentParser:
     _add_fit(commands)
     _add_explain(commands)
     _add_explore(commands)
+    _add_report(commands)
+    _add_figure(commands)
     _add_calibrate(commands)
     _add_track(commands)
     _add_simulate(commands)
@@ -378,6 +387,37 @@ def _add_explore(commands: Any) -> None:
     )
     _add_level(parser)
     _add_output(parser)
+
+
+def _add_report(commands: Any) -> None:
+    parser = _add(
+        commands,
+        "report",
+        report,
+        "show runs on one page that opens from disk, without a network",
+        "Verdict, the body in 3-D, residuals, missing effects, the ladder of models, belief, what was run. Several runs become\n"
+        "sections. Made from the run folders alone. See docs/report.md.",
+    )
+    parser.add_argument("run_folders", type=Path, nargs="+", metavar="RUN", help="run folders of any command")
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("report.html"), metavar="FILE", help="page to write (report.html)"
+    )
+    _add_quiet(parser)
+
+
+def _add_figure(commands: Any) -> None:
+    parser = _add(
+        commands,
+        "figure",
+        figure,
+        "write the figures and tables of a run for a paper, and its fields for ParaView",
+        "The figures of `bcid report` as files, its tables as CSV and LaTeX. See docs/report.md.",
+    )
+    parser.add_argument("run_folder", type=Path, metavar="RUN", help="run folder of any command")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder to write into")
+    parser.add_argument("--format", default="png,svg,pdf", metavar="a,b", help="of the figures (png,svg,pdf)")
+    parser.add_argument("--overwrite", action="store_true", help="replace files of the same names")
+    _add_quiet(parser)
 
 
 def _add_calibrate(commands: Any) -> None:

@@ -47,11 +47,26 @@ def demo(arguments: argparse.Namespace, comm: Any) -> None:
         return
     if not arguments.no_picture:
         _draw(folder, progress)
-    from bcid.report.diagnosis import falling
+    from bcid.report.words import falling
 
     found = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
     print("\n" + (folder / "summary.txt").read_text(encoding="utf-8").split("\n\n")[0])
     print(f"{falling(found)}\n\nrun folder: {folder} (summary.txt tells more)", flush=True)
+    if not arguments.no_picture:
+        _demo_report(folder)
+
+
+def _demo_report(folder: Path) -> None:
+    """The page that the demo ends with; as pictures, it must not take the result along."""
+    try:
+        from bcid.report.page import write_report
+
+        made = write_report([folder], folder / "report.html")
+        print(f"report: {made.path} (open it in a browser)", flush=True)
+    except ImportError as error:
+        complain(f"no report: {error.name} is not installed (the extra 'report')")
+    except Exception as error:
+        complain(f"no report: {error}")
 
 
 def _progress(arguments: argparse.Namespace, rank: int) -> Progress:
@@ -92,6 +107,7 @@ def _finish(folder: Path, arguments: argparse.Namespace, comm: Any, progress: Pr
     _print_result(folder, "summary.txt")
     if not arguments.no_picture:
         _draw(folder, progress)
+    progress.say(f"a page of it: bcid report {folder} -o report.html")
 
 
 def _print_result(folder: Path, file: str) -> None:
@@ -240,6 +256,32 @@ def _random_state(number: int) -> int:
     if number < 0:
         raise InputError(f"--random-state {number}: must be at least 0")
     return number
+
+
+def report(arguments: argparse.Namespace) -> None:
+    """`bcid report`."""
+    from bcid.report.page import write_report
+
+    made = write_report(arguments.run_folders, arguments.output)
+    for folder, troubles in made.troubles.items():
+        for text in troubles:
+            complain(text if str(folder) in text else f"{folder}: {text}")
+    if not arguments.quiet:
+        runs = f"{len(made.shown)} run{'s' if len(made.shown) != 1 else ''}"
+        print(f"{made.path}: {runs}, {made.path.stat().st_size / 1e6:.1f} MB")
+
+
+def figure(arguments: argparse.Namespace) -> None:
+    """`bcid figure`."""
+    from bcid.report.export import write_figures
+
+    formats = _names(arguments.format)
+    if not formats:
+        raise InputError(f"--format '{arguments.format}': names no format; give some, as --format png,pdf")
+    progress = _progress(arguments, 0)
+    files = write_figures(arguments.run_folder, arguments.output, formats, arguments.overwrite, progress.say)
+    if not arguments.quiet:
+        print(f"{arguments.output}: {len(files)} files")
 
 
 def calibrate(arguments: argparse.Namespace) -> None:

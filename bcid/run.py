@@ -16,6 +16,7 @@
     picture.png           the body, its anchors, measured and predicted trajectories, or what a model misses
     where.png, ladder.png the missing force; the falling error
     belief.png            the belief after each pull
+    report.html           what `bcid demo` ends with; `bcid report` writes it for any run
     measurement/          what `bcid track` measured;  tracking.json, tracking.nc, film.mp4, rest.png, tracking.png how
 
 Every file is written whole under another name and then renamed: a reader never sees half of one.
@@ -70,6 +71,7 @@ _FILES = (
     "film.mp4",
     "rest.png",
     "tracking.png",
+    "report.html",
 )
 _FOLDERS = (
     "outcomes",

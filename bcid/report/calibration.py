@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.report.figure import open_frame, save
+from bcid.report.figure import open_frame, save, styled
 from bcid.run import Run, writing
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def draw(folder: str | Path) -> list[Path]:
     """Draw `calibration.png` into the folder of a finished calibration; returns what was written."""
     run = Run.open(folder)
     found = run.read_json("calibration.json")
-    with writing(run.path):
+    with styled(), writing(run.path):
         return [save(calibration_figure(found), run.path / "calibration.png")]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bcid.report.figure import open_frame, save
+from bcid.report.figure import chart, legend_below, open_frame, save, short, styled
 from bcid.run import Run, writing
 from bcid.units import percent
 
@@ -23,7 +23,7 @@ def draw(folder: str | Path) -> list[Path]:
     """Draw `belief.png` into the folder of a finished exploration; returns what was written."""
     run = Run.open(folder)
     found = run.read_json("exploration.json")
-    with writing(run.path):
+    with styled(), writing(run.path):
         return [save(belief_figure(found), run.path / "belief.png")]
 
 
@@ -37,14 +37,40 @@ def belief_figure(found: dict[str, Any]) -> Figure:
     # Names of effects need room.
     rivals = bool(steps) and len(steps[0]["effects"]) > 1
     grid.update(left=0.11 if rivals else 0.065, right=0.98, top=0.86, bottom=0.1)
-    figure.suptitle(_title(found), x=0.02, ha="left", fontsize=14, fontweight="bold")
+    figure.suptitle(title(found), x=0.02, ha="left", fontsize=14, fontweight="bold")
     _sets(figure.add_subplot(grid[0, 0]), steps)
     _patches(figure.add_subplot(grid[1, 0]), steps)
     _bits(figure.add_subplot(grid[:, 1]), steps)
     return figure
 
 
-def _title(found: dict[str, Any]) -> str:
+def sets_chart(found: dict[str, Any]) -> Figure:
+    """The belief over anchor sets after each pull."""
+    figure, axes = chart(4.6, 3.6)
+    _sets(axes, found["steps"])
+    legend = axes.get_legend()
+    if legend is not None:
+        legend.remove()
+    legend_below(figure, axes)
+    return figure
+
+
+def patches_chart(found: dict[str, Any]) -> Figure:
+    """The probability of each patch after each pull."""
+    figure, axes = chart(4.6, 3.6)
+    _patches(axes, found["steps"])
+    return figure
+
+
+def bits_chart(found: dict[str, Any]) -> Figure:
+    """Bits that each pull was expected to tell, and told."""
+    figure, axes = chart(4.6, 3.6)
+    _bits(axes, found["steps"])
+    return figure
+
+
+def title(found: dict[str, Any]) -> str:
+    """How the exploration ended."""
     count = len(found["steps"])
     pulls = f"{count} pull{'s' if count != 1 else ''}"
     if found["reason"] == "decided":
@@ -82,7 +108,7 @@ def _sets(axes: Axes, steps: list[dict[str, Any]]) -> None:
             color=_COLOURS[k],
             hatch=_HATCHES[k],
             edgecolor="white",
-            label=name,
+            label=short(name),
         )
     rest = []
     for step in steps:
@@ -105,7 +131,7 @@ def _width(steps: list[dict[str, Any]]) -> float:
 
 
 def _pull(step: dict[str, Any]) -> str:
-    return f"{step['grasp']} {step['direction']}\n{step['amplitude']:.3g} mm"
+    return f"{short(step['grasp'])} {short(step['direction'])}\n{step['amplitude']:.3g} mm"
 
 
 def _patches(axes: Axes, steps: list[dict[str, Any]]) -> None:
@@ -126,7 +152,7 @@ def _patches(axes: Axes, steps: list[dict[str, Any]]) -> None:
     if len(names) > patches:
         axes.axhline(patches - 0.5, color="#0072B2", lw=1.5)
     axes.set_xlim(0.4, len(steps) + 0.6)
-    axes.set_yticks(range(len(names)), names)
+    axes.set_yticks(range(len(names)), [short(name) for name in names])
     axes.set_xticks(range(1, len(steps) + 1))
     axes.set_xlabel("pull")
     axes.set_ylabel("patch anchored" if len(names) == patches else "patch anchored,\neffect acting")

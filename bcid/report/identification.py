@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from bcid.report.figure import body_entries, cropped, open_frame, save
+from bcid.report.figure import body_entries, chart, cropped, name_ticks, open_frame, save, styled
 from bcid.report.paraview import write_paraview
 from bcid.report.scene3d import COLOURS, picture
 from bcid.run import Run, writing
@@ -24,11 +24,10 @@ def draw(folder: str | Path) -> list[Path]:
     run = Run.open(folder)
     found = run.read_json("identification.json")
     body, prediction = run.read_dataset("body.nc"), run.read_dataset("prediction.nc")
-    figure = summary_figure(found, body, prediction)
-    with writing(run.path):
+    with styled(), writing(run.path):
         return [
-            save(figure, run.path / "picture.png"),
-            write_paraview(run.path / "paraview", body, prediction),
+            save(summary_figure(found, body, prediction), run.path / "picture.png"),
+            write_paraview(run.path / "paraview", body, prediction, found["anchored"]),
         ]
 
 
@@ -36,18 +35,40 @@ def summary_figure(found: dict[str, Any], body: xr.Dataset, prediction: xr.Datas
     """The body with its anchors and trajectories; probabilities; the residual against the noise."""
     from matplotlib.figure import Figure
 
-    frame = telling_frame(prediction)
-    image = picture(body, prediction, found["anchored"], frame, (1800, 1500))
     figure = Figure(figsize=(14, 7.6), facecolor="white")
     grid = figure.add_gridspec(2, 2, width_ratios=[2.15, 1], height_ratios=[1, 1], hspace=0.42, wspace=0.12)
     grid.update(left=0.015, right=0.975, top=0.875, bottom=0.1)
-    left = figure.add_subplot(grid[:, 0])
-    left.imshow(cropped([image])[0])
-    left.set_axis_off()
+    _body(figure.add_subplot(grid[:, 0]), found, body, prediction)
     _title(figure, found, body)
-    _legend(left, prediction, frame)
-    _probabilities(figure.add_subplot(grid[0, 1]), found)
+    right = figure.add_subplot(grid[0, 1])
+    draw_probabilities(right, found)
+    right.set_title("Probability that a patch is anchored", fontsize=12, loc="left")
     _residuals(figure.add_subplot(grid[1, 1]), found, prediction)
+    return figure
+
+
+def body_figure(found: dict[str, Any], body: xr.Dataset, prediction: xr.Dataset) -> Figure:
+    """The body with its anchors and trajectories alone."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.5, 7.4), facecolor="white")
+    _body(figure.add_axes((0.015, 0.12, 0.97, 0.84)), found, body, prediction)
+    return figure
+
+
+def _body(axes: Axes, found: dict[str, Any], body: xr.Dataset, prediction: xr.Dataset) -> None:
+    frame = telling_frame(prediction)
+    image = picture(body, prediction, found["anchored"], frame, (1800, 1500))
+    axes.imshow(cropped([image])[0])
+    axes.set_axis_off()
+    _legend(axes, prediction, frame)
+
+
+def probability_chart(found: dict[str, Any]) -> Figure:
+    """Probability of each patch, as bars."""
+    figure, axes = chart()
+    draw_probabilities(axes, found)
+    axes.set_ylabel("probability of being anchored")
     return figure
 
 
@@ -87,20 +108,21 @@ def _plain(axes: Axes) -> None:
     axes.tick_params(labelsize=10)
 
 
-def _probabilities(axes: Axes, found: dict[str, Any]) -> None:
+def draw_probabilities(axes: Axes, found: dict[str, Any]) -> None:
+    """Bars of the patches' probabilities; those of the reported set are dark, the others hatched."""
     names = list(found["patches"])
-    values = [found["patches"][name] for name in names]
-    colours = [COLOURS.anchored if name in found["anchored"] else COLOURS.free for name in names]
-    axes.bar(range(len(names)), np.maximum(values, 0.004), color=colours, width=0.72)
-    crowded = sum(len(name) + 1 for name in names) > 45
-    axes.set_xticks(range(len(names)), names, rotation=90 if crowded else 0)
+    values = np.array([found["patches"][name] for name in names], dtype=float)
+    held = np.array([name in found["anchored"] for name in names], dtype=bool)
+    places = np.arange(len(names))
+    styles: tuple[dict[str, Any], ...] = ({"color": COLOURS.anchored}, {"color": COLOURS.free, "hatch": "///"})
+    for chosen, style in zip((held, ~held), styles, strict=True):
+        axes.bar(places[chosen], np.maximum(values[chosen], 0.004), width=0.72, edgecolor="white", **style)
+    name_ticks(axes, names)
+    axes.set_xlim(-0.6, max(len(names), 3) - 0.4)
     axes.set_ylim(0, 1.03)
     axes.set_yticks([0, 0.5, 1])
-    axes.set_title("Probability that a patch is anchored", fontsize=12, loc="left")
-    axes.set_xlabel("patch", fontsize=10.5)
-    _plain(axes)
-    if crowded:
-        axes.tick_params(axis="x", labelsize=min(10, 260 // len(names)))
+    axes.set_xlabel("patch")
+    open_frame(axes)
 
 
 def _residuals(axes: Axes, found: dict[str, Any], prediction: xr.Dataset) -> None:

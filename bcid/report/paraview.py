@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,13 +13,15 @@ if TYPE_CHECKING:
     import pyvista as pv
 
 
-def write_paraview(folder: Path, body: xr.Dataset, prediction: xr.Dataset) -> Path:
-    """Write `body.pvd` (solid, displacement in mm), and `fiducials.pvd` (measured and predicted points); returns the first."""
+def write_paraview(folder: Path, body: xr.Dataset, prediction: xr.Dataset, anchored: Sequence[str] = ()) -> Path:
+    """Write `body.pvd` (solid, displacement in mm), `fiducials.pvd` (measured and predicted points) and `patches.vtp` (the
+    boundary at rest: which named place a triangle belongs to, and whether it is anchored); returns the first.
+    """
     import pyvista as pv
 
     folder.mkdir(parents=True, exist_ok=True)
     points, cells = body["points"].values * 1e3, body["cells"].values
-    grid = pv.UnstructuredGrid({pv.CellType.TETRA: cells}, points)
+    grid = pv.UnstructuredGrid({pv.CellType.TETRA: cells[:, :4]}, points)
     bodies, fiducials = [], []
     for frame in range(body.sizes["frame"]):
         grid.point_data["displacement"] = body["displacement"].values[frame] * 1e3
@@ -29,8 +32,20 @@ def write_paraview(folder: Path, body: xr.Dataset, prediction: xr.Dataset) -> Pa
         if seen.any():
             cloud.point_data["residual"] = (measured - predicted)[seen]
         fiducials.append(_save(cloud, folder / f"fiducials_{frame:04d}.vtu"))
+    _patches(body, anchored).save(folder / "patches.vtp", binary=True)
     _collection(folder / "fiducials.pvd", fiducials)
     return _collection(folder / "body.pvd", bodies)
+
+
+def _patches(body: xr.Dataset, anchored: Sequence[str]) -> pv.PolyData:
+    from bcid.report.scene3d import surface
+
+    mesh = surface(body)
+    names = [str(name) for name in body["place_name"].values]
+    held = np.array([name.startswith("patch ") and name.removeprefix("patch ") in anchored for name in names])
+    mesh.cell_data["anchored"] = held[body["place"].values].astype(np.uint8)
+    mesh.field_data["place_name"] = [name.encode("ascii", "replace").decode() or "none" for name in names]
+    return mesh
 
 
 def _save(grid: pv.UnstructuredGrid, target: Path) -> str:

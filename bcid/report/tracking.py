@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from bcid.report.figure import open_frame, save
+from bcid.report.figure import open_frame, save, styled
 from bcid.run import Run, writing
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ def draw(folder: str | Path) -> list[Path]:
     """Draw `tracking.png` into the folder of a finished tracking; returns what was written."""
     run = Run.open(folder)
     found, data = run.read_json("tracking.json"), run.read_dataset("tracking.nc")
-    with writing(run.path):
+    with styled(), writing(run.path):
         return [save(tracking_figure(found, data, run.path / "rest.png"), run.path / "tracking.png")]
 
 

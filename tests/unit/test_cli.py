@@ -36,9 +36,32 @@ def test_help_names_every_command(tmp_path: Path) -> None:
     assert result.returncode == 0
     assert all(
         word in result.stdout
-        for word in ("demo", "identify", "simulate", "doctor", "bench", "study", *ON_A_RUN, "explain", "exit codes")
+        for word in (
+            "demo",
+            "identify",
+            "simulate",
+            "doctor",
+            "bench",
+            "study",
+            *ON_A_RUN,
+            "explain",
+            "report",
+            "figure",
+            "exit codes",
+        )
     )
-    for command in ("demo", "identify", "simulate", "bench", "study", "explore", *ON_A_RUN, "explain"):
+    for command in (
+        "demo",
+        "identify",
+        "simulate",
+        "bench",
+        "study",
+        "explore",
+        "report",
+        "figure",
+        *ON_A_RUN,
+        "explain",
+    ):
         assert bcid(command, "--help", cwd=tmp_path).returncode == 0
     assert bcid(cwd=tmp_path).returncode == 2
     assert "invalid choice" in bcid("identfy", cwd=tmp_path).stderr

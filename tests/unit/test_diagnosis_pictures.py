@@ -8,7 +8,9 @@ import pytest
 import xarray as xr
 
 from bcid.errors import InputError
-from bcid.report.diagnosis import conclusion, draw, falling, ladder_figure, round_scale, worst_frame
+from bcid.report.diagnosis import draw, round_scale, worst_frame
+from bcid.report.ladder import ladder_figure
+from bcid.report.words import conclusion, falling
 from bcid.run import Run
 
 

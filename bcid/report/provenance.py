@@ -1,0 +1,87 @@
+"""What was run: command, inputs with fingerprints, options, effort, versions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from bcid.report.found import Found
+from bcid.report.markup import Markup, tag
+from bcid.report.words import duration
+
+_FINGERPRINTED = ("scene", "measurement", "recording", "layout", "corners", "expected")
+# A value that is longer is cut.
+_LONGEST = 400
+
+
+def provenance(found: Found) -> Markup:
+    """The record of a run as a table."""
+    record = found.record
+    groups = {
+        "run": dict(_about(record)),
+        "inputs": dict(_inputs(record)),
+        "options": dict(_flat({k: v for k, v in record["inputs"].items() if k not in _FINGERPRINTED})),
+        "effort": dict(_effort(record)),
+        "versions": dict(_flat(record["versions"])),
+    }
+    rows = []
+    for name, facts in groups.items():
+        if facts:
+            rows.append(tag("tr", tag("th", name, colspan="2", scope="rowgroup"), class_="group"))
+            rows += [tag("tr", tag("th", key, scope="row"), tag("td", value)) for key, value in facts.items()]
+    return tag("div", tag("table", tag("tbody", rows), class_="facts"), class_="table")
+
+
+def facts(found: Found) -> list[tuple[str, str]]:
+    """The same in pairs, for a file."""
+    return list(_flat({key: value for key, value in found.record.items() if key != "result"}))
+
+
+def _about(record: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    yield "command", f"bcid {record['command']}"
+    yield "state", str(record["state"])
+    for key in ("reason", "started", "ended"):
+        if record.get(key):
+            yield key, str(record[key])
+    yield (
+        "took",
+        duration(float(record["seconds"])) + (f" in {record['attempts']} attempts" if record["attempts"] != 1 else ""),
+    )
+    if "ranks" in record:
+        yield "ranks", str(record["ranks"])
+
+
+def _inputs(record: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    names = record.get("names", {})
+    for key in _FINGERPRINTED:
+        if key in names:
+            yield key, str(names[key])
+        if record["inputs"].get(key):
+            yield f"{key}, fingerprint", _shown(record["inputs"][key])
+    if "mesh" in record:
+        yield "mesh, fingerprint", str(record["mesh"])
+
+
+def _effort(record: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    for key in ("trajectories", "evaluations"):
+        for level, count in record.get(key, {}).items():
+            yield f"{key}, {'level ' if str(level).isdecimal() else ''}{level}", _shown(count)
+    if "search_seconds" in record:
+        yield "search", duration(float(record["search_seconds"]))
+
+
+def _flat(content: Any, name: str = "") -> Iterator[tuple[str, str]]:
+    if isinstance(content, dict) and content:
+        for key, value in content.items():
+            yield from _flat(value, f"{name}.{key}" if name else str(key))
+    elif content is not None and content != {} and content != []:
+        yield name, _shown(content)
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, list):
+        value = ", ".join(map(str, value))
+    if isinstance(value, bool):
+        value = "yes" if value else "no"
+    text = f"{value:g}" if isinstance(value, float) else str(value)
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."

@@ -1,0 +1,147 @@
+"""The verdict of a run: one sentence, and the few numbers that go with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from bcid.report import exploration
+from bcid.report.found import Found
+from bcid.report.words import amount, chance, listed, model_name, patches, plain
+
+# A residual of more noises than this is not explained.
+_EXPLAINED = 2.0
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What came out.
+
+    Attributes:
+        sentence: the whole in one sentence.
+        numbers: name and value of what a reader looks for first.
+        doubts: what must be known beside it.
+    """
+
+    sentence: str
+    numbers: list[tuple[str, str]]
+    doubts: list[str]
+
+
+def verdict(found: Found) -> Verdict:
+    """The verdict of a run of any kind and state; raises whatever damaged files make it raise."""
+    if found.state == "failed":
+        reason = str(found.record.get("reason", "no reason is noted"))
+        return Verdict(f"This run ended early: {reason.rstrip('.')}.", [], ["The same command goes on where it was."])
+    if found.state != "finished":
+        return Verdict("This run is not finished, or was killed.", [], ["The same command goes on where it was."])
+    documents = found.documents
+    if "diagnosis" in documents:
+        return _diagnosis(found, documents["diagnosis"])
+    if "identification" in documents:
+        return _identification(found, documents["identification"])
+    if "exploration" in documents:
+        return _exploration(documents["exploration"])
+    if "calibration" in documents:
+        return _calibration(documents["calibration"])
+    if "tracking" in documents:
+        return _tracking(documents["tracking"])
+    first = next((line for line in found.summary.splitlines() if line.strip()), "")
+    return Verdict(first or "The run holds no result that a report can show.", [], [])
+
+
+def _body(found: Found) -> str:
+    return f"The {found.scene}" if found.scene else "The body"
+
+
+def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
+    unit, noise, ladder = d["length_unit"], d["noise_rms"], d["ladder"]
+    held = f"{_body(found)} is held at {patches(d['anchored'])}"
+    first, last = ladder[0], ladder[-1]
+    left = f"{last['rms']:.3g} {unit}, where the noise is {noise:.3g} {unit}"
+    if d["verdict"] == "none":
+        sentence = (
+            f"{held}, and the {model_name(last['model'])} model is adequate: it misses the measurement by {left}."
+        )
+    elif d["verdict"] == "unknown" and d["ranking"]:
+        sentence = f"None of the known effects explains this measurement: the closest model misses it by {left}."
+    elif d["verdict"] == "unknown":
+        sentence = f"The {model_name(last['model'])} model is not adequate: it misses the measurement by {left}."
+    else:
+        effects = listed([plain(name) for name in d["verdict"].split("+")])
+        fitted = next((row["fitted_rms"] for row in d["ranking"] if row["effect"] == d["verdict"]), None)
+        if len(ladder) == 1 and fitted is not None:
+            after = f"with it the error falls from {first['rms']:.3g} to {fitted:.3g} {unit}"
+        elif len(ladder) > 1:
+            after = f"with it the error falls from {first['rms']:.3g} to {last['rms']:.3g} {unit}"
+        else:
+            after = f"the error is {last['rms']:.3g} {unit}"
+        lacks = "its plain model lacks" if len(ladder) > 1 else "its model lacks"
+        sentence = f"{held}, and {lacks} {effects}: {after} (noise {noise:.3g} {unit})."
+    numbers = [("error before", f"{first['rms']:.3g} {unit}")] if len(ladder) > 1 else []
+    numbers += [("error after" if numbers else "error", f"{last['rms']:.3g} {unit}"), ("noise", f"{noise:.3g} {unit}")]
+    if d.get("held_out_rms") is not None:
+        numbers.append(("held out", f"{d['held_out_rms']:.3g} {unit}"))
+    for one in d["adopted"]:
+        numbers += [_pair(one["effect"], name, p) for name, p in one["parameters"].items() if p["value"] is not None][
+            :3
+        ]
+    doubts = [f"Note: {warning}" for warning in d["warnings"]]
+    if d["cannot_be_told_from"]:
+        doubts.append(f"These data cannot tell it from {listed([plain(n) for n in d['cannot_be_told_from']])}.")
+    return Verdict(sentence, numbers, doubts)
+
+
+def _pair(effect: str, name: str, number: dict[str, Any]) -> tuple[str, str]:
+    key, _, value = amount(name, number).partition(" = ")
+    return f"{plain(effect)}: {key}", value
+
+
+def _identification(found: Found, d: dict[str, Any]) -> Verdict:
+    unit, noise = d["length_unit"], d["noise_rms"]
+    held = f"{_body(found)} is held at {patches(d['anchored'])}"
+    misses = f"the model misses the measurement by {d['rms']:.3g} {unit}"
+    beside = f", where the noise is {noise:.3g} {unit}" if noise else ""
+    sentence = f"{held}, with probability {chance(d['probability'])}; {misses}{beside}."
+    doubts = []
+    if noise and d["rms"] > _EXPLAINED * noise:
+        sentence = f"No set of anchors explains this measurement: the best, {patches(d['anchored'])}, misses it by "
+        sentence += f"{d['rms']:.3g} {unit}, where the noise is {noise:.3g} {unit}."
+        doubts.append("Probabilities compare the sets with each other only; see bcid explain for what may be missing.")
+    numbers = [("anchored", " ".join(d["anchored"]) or "none"), ("probability", chance(d["probability"]))]
+    numbers.append(("residual", f"{d['rms']:.3g} {unit}"))
+    numbers += [("noise", f"{noise:.3g} {unit}")] if noise else []
+    numbers.append(("certified", "yes" if d["certified"] else "no"))
+    return Verdict(sentence, numbers, doubts)
+
+
+def _exploration(d: dict[str, Any]) -> Verdict:
+    title = exploration.title(d)
+    numbers = [("anchored", " ".join(d["anchored"]) or "none"), ("probability", chance(d["probability"]))]
+    numbers += [("pulls", str(len(d["steps"]))), ("entropy", f"{d['entropy']:.2g} bits")]
+    if d["effect"]:
+        numbers.append(("effect", plain(d["effect"])))
+    return Verdict(f"{title[:1].upper()}{title[1:]}.", numbers, [])
+
+
+def _calibration(d: dict[str, Any]) -> Verdict:
+    sentence = f"Calibration of two cameras: {d['verdict']}."
+    return Verdict(
+        sentence,
+        [
+            ("error", f"{d['error']:.3f} px"),
+            ("baseline", f"{d['baseline']['value'] * 1e3:.2f} mm"),
+            ("angle", f"{d['angle']['value']:.2f} deg"),
+            ("pairs", str(len(d["pairs"]))),
+        ],
+        [],
+    )
+
+
+def _tracking(d: dict[str, Any]) -> Verdict:
+    share = f"{100 * d['seen']:.1f} %"
+    sentence = (
+        f"{d['beads']} beads were followed through {d['frames']} pairs of images: {share} of their positions are known."
+    )
+    numbers = [("standard deviation", f"{d['sigma'] * 1e3:.2g} mm"), ("seen", share)]
+    return Verdict(sentence, numbers, [str(warning) for warning in d["warnings"]])

@@ -1,0 +1,110 @@
+"""What was found, in the words of a report: names of models and effects, numbers, lists."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from bcid.units import percent
+
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+# Below this a probability is not worth its digits.
+_NEVER = 1e-300
+
+
+def plain(name: str) -> str:
+    """A name of a law or an effect as it is read: "neo-Hookean", "soft anchor (3)"."""
+    return {"neo_hooke": "neo-Hookean"}.get(name, name.replace("_", " ").replace("(", " ("))
+
+
+def model_name(model: str) -> str:
+    """The name of a model as it is read: "neo-Hookean + gravity"."""
+    return " + ".join(plain(part) for part in model.split(" + "))
+
+
+def rungs(found: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    """Each model of a diagnosis' ladder, named by what it has beyond the one before, else by all it has."""
+    steps, before = [], ""
+    for rung in found["ladder"]:
+        model = rung["model"]
+        more = model.removeprefix(f"{before} + ") if before and model.startswith(f"{before} + ") else ""
+        name = model_name(more or model)
+        steps.append((f"+ {name}" if more else name, rung))
+        before = model
+    return steps
+
+
+def falling(found: dict[str, Any]) -> str:
+    """The ladder in one line: "neo-Hookean 1.42 mm → + gravity 0.205 mm (noise 0.2)"."""
+    steps = [f"{name} {rung['rms']:.3g} {found['length_unit']}" for name, rung in rungs(found)]
+    return f"{' → '.join(steps)} (noise {found['noise_rms']:.3g})"
+
+
+def conclusion(found: dict[str, Any]) -> str:
+    """The verdict of a diagnosis in a few words, for a title."""
+    if found["verdict"] == "unknown":
+        return "none of the known effects explains it" if found["ranking"] else "the model is not adequate"
+    if found["verdict"] == "none":
+        return "the plain model is adequate"
+    effects = " and ".join(plain(name) for name in found["verdict"].split("+"))
+    return f"adequate with {effects}" if found["adequate"] else f"missing: {effects}"
+
+
+def patches(names: Sequence[str]) -> str:
+    """ "patch 3", "patches 3 and 4", "no patch"."""
+    if not names:
+        return "no patch"
+    return f"patch {names[0]}" if len(names) == 1 else f"patches {listed(names)}"
+
+
+def listed(names: Sequence[str]) -> str:
+    """ "1, 2 and 4"."""
+    return str(names[-1]) if len(names) == 1 else f"{', '.join(map(str, names[:-1]))} and {names[-1]}"
+
+
+def significance(p: float) -> str:
+    """A p-value: "0.58", "4 × 10⁻⁸", "< 10⁻³⁰⁰"."""
+    if not math.isfinite(p):
+        return ""
+    if p < _NEVER:
+        return "< 10⁻³⁰⁰"
+    if p >= 0.001:
+        return f"{p:.2g}"
+    power = math.floor(math.log10(p))
+    return f"{p / 10.0**power:.0f} × 10{str(power).translate(_SUPERSCRIPT)}" if power > -300 else "< 10⁻³⁰⁰"
+
+
+def uncertain(value: float, error: float | None = None) -> str:
+    """A value with its standard error, to as many digits as that has meaning: "1257.6 ± 9.4"."""
+    if error is None or not math.isfinite(error) or error <= 0:
+        return f"{value:.4g}".replace("-", "−")
+    places = max(0, 1 - math.floor(math.log10(error)))
+    if places > 6 or abs(value) >= 1e7:
+        return f"{value:.4g} ± {error:.2g}".replace("-", "−")
+    return f"{value:.{places}f} ± {error:.{places}f}".replace("-", "−")
+
+
+def amount(name: str, number: dict[str, Any]) -> str:
+    """A fitted number: "weight = 1257.6 ± 9.4 N/m³"; lengths in mm."""
+    value, error, unit = number["value"], number["stderr"], str(number["unit"])
+    if value is None:
+        return f"{plain(name)}: cannot be told"
+    if unit == "m":
+        value, error, unit = 1e3 * value, None if error is None else 1e3 * error, "mm"
+    shown = unit.replace("^3", "³").replace("^2", "²")
+    return f"{plain(name)} = {uncertain(value, error)}{'' if unit == '1' else f' {shown}'}"
+
+
+def duration(seconds: float) -> str:
+    """ "1 h 5 min", "3 min 20 s", "12 s"."""
+    whole = round(seconds)
+    hours, minutes = whole // 3600, whole % 3600 // 60
+    if hours:
+        return f"{hours} h {minutes} min"
+    return f"{minutes} min {whole % 60} s" if minutes else f"{seconds:.1f} s"
+
+
+def chance(probability: float) -> str:
+    """A probability for a sentence."""
+    return percent(float(probability))
