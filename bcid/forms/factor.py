@@ -53,13 +53,14 @@ class Factor:
         self._indefinite = False
         self._made: dict[str, PETSc.PC] = {}
         self._current: PETSc.PC | None = None
+        self._half = PETSc.Mat()
         self._krylov: PETSc.KSP | None = None
         if modes is not None:
             matrix.setNearNullSpace(modes)
             self._krylov = self._multigrid()
 
     def reset(self) -> None:
-        """Another state: the last factor is stale, and CHOLMOD is tried again if it has failed (each failure costs memory)."""
+        """Another state: the last factor is stale, and CHOLMOD is tried again if it has failed."""
         self.usable = False
         self._indefinite = False
 
@@ -81,7 +82,7 @@ class Factor:
             self._made[package] = self._create(package)
         inner = self._made[package]
         try:
-            inner.setOperators(self.matrix)
+            inner.setOperators(self._upper() if package == "cholmod" else self.matrix)
             inner.setUp()
             failed = inner.getFailedReason() != PETSc.PC.FailedReason.NOERROR
         except PETSc.Error:
@@ -98,6 +99,11 @@ class Factor:
             self.negative = abs(negative - self.saddle) + zero
         self._current = inner
         return True
+
+    def _upper(self) -> PETSc.Mat:
+        """The upper triangle of the matrix, in a format of which CHOLMOD needs no copy: PETSc never frees one when it fails."""
+        self.matrix.convert("sbaij", self._half)
+        return self._half
 
     def _create(self, package: str) -> PETSc.PC:
         inner = PETSc.PC().create(self.matrix.comm)
@@ -173,6 +179,7 @@ class Factor:
         for inner in self._made.values():
             inner.destroy()
         self._made.clear()
+        self._half.destroy()
         if self._krylov is not None:
             self._krylov.destroy()
 
