@@ -15,6 +15,9 @@ from benchmarks.reliability import Reached
 CHECKS = {
     "L1": ("solving", "convergence"),
     "L2": ("solving", "memory"),
+    "B1": ("meshes", "damage"),
+    "B2": ("configuration", "refusals"),
+    "C3D": ("recordings", "damage"),
     "B3": ("folders", "damage"),
 }
 
@@ -46,7 +49,7 @@ def main() -> int:
         missed += not found.met
         print(f"{row} {'met' if found.met else 'MISSED'} ({time.monotonic() - start:.0f} s)")
         print(f"   goal:    {found.goal}\n   reached: {found.reached}", flush=True)
-        for miss in found.misses[:20]:
+        for miss in found.misses[:60]:
             print(f"   {miss}", flush=True)
     return int(missed > 0)
 
