@@ -33,7 +33,7 @@ import shutil
 import socket
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import metadata
 from io import BytesIO
 from pathlib import Path
@@ -116,19 +116,27 @@ class Run:
                 raise InputError(f"{path}: holds files that are not a run; choose a new folder")
             path.mkdir(parents=True, exist_ok=True)
             lock = _locked(path)
-            if overwrite:
-                _empty(path)
-            elif (path / "run.json").exists():
-                return cls._continued(path, command, inputs, lock)
-            record = {
-                "format": FORMAT,
-                "command": command,
-                "state": "running",
-                "inputs": inputs,
-                "versions": versions(),
-            }
-            run = cls(path, record | {"started": _now(), "seconds": 0.0, "attempts": 1}, lock)
-            run._save()
+            try:
+                return cls._begun(path, command, inputs, lock, overwrite)
+            except BaseException:
+                lock.close()
+                raise
+
+    @classmethod
+    def _begun(cls, path: Path, command: str, inputs: dict[str, Any], lock: TextIO, overwrite: bool) -> Run:
+        if overwrite:
+            _empty(path)
+        elif (path / "run.json").exists():
+            return cls._continued(path, command, inputs, lock)
+        record = {
+            "format": FORMAT,
+            "command": command,
+            "state": "running",
+            "inputs": inputs,
+            "versions": versions(),
+        }
+        run = cls(path, record | {"started": _now(), "seconds": 0.0, "attempts": 1}, lock)
+        run._save()
         return run
 
     @classmethod
@@ -179,14 +187,18 @@ class Run:
         try:
             yield
         except BaseException as error:
-            self.fail(str(error) if isinstance(error, BcidError) else type(error).__name__)
+            # Where the disk is what failed, the record cannot be written either.
+            with suppress(MachineError):
+                self.fail(str(error) if isinstance(error, BcidError) else type(error).__name__)
             raise
 
     def _close(self, state: str, **more: Any) -> None:
         self.record |= {"state": state, "ended": _now(), **more}
         self.record["seconds"] = round(self.record["seconds"] + time.time() - self._began, 3)
-        self._save()
-        self.release()
+        try:
+            self._save()
+        finally:
+            self.release()
 
     def release(self) -> None:
         """Let others write the folder."""
@@ -316,14 +328,21 @@ def _locked(path: Path) -> TextIO:
         holder = lock.read().strip() or "another process"
         lock.close()
         raise InputError(f"{path}: is being written by {holder}; wait for it, or choose another folder") from None
-    lock.truncate(0)
-    lock.write(f"process {os.getpid()} on {socket.gethostname()} since {_now()}\n")
-    lock.flush()
+    try:
+        lock.truncate(0)
+        lock.write(f"process {os.getpid()} on {socket.gethostname()} since {_now()}\n")
+        lock.flush()
+    except OSError:
+        # What could not be written stays in the stream, which would try again when it is closed.
+        with suppress(OSError):
+            lock.close()
+        raise
     return lock
 
 
 def _only_lock(path: Path) -> bool:
-    return all(entry.name == ".lock" for entry in path.iterdir())
+    """Whether a run was begun there, and got no further than its lock."""
+    return all(entry.name in (".lock", ".run.json.partial") for entry in path.iterdir())
 
 
 def _empty(path: Path) -> None:

@@ -15,6 +15,11 @@ from benchmarks.reliability import Reached
 CHECKS = {
     "L1": ("solving", "convergence"),
     "L2": ("solving", "memory"),
+    "F3": ("disk", "failures"),
+    "F4": ("signals", "signals"),
+    "F4-memory": ("signals", "memory"),
+    "F4-hanging": ("signals", "hanging"),
+    "F5": ("solver", "faulty"),
     "B1": ("meshes", "damage"),
     "B2": ("configuration", "refusals"),
     "C3D": ("recordings", "damage"),

@@ -152,3 +152,14 @@ def refusal(read: Callable[[], Any]) -> str | None:
     except InputError as error:
         return str(error)
     return None
+
+
+def small_scene(folder: Path) -> Path:
+    """The slab with four patches and two coarse levels, in a folder; returns the scene file."""
+    lines = SLAB.read_text(encoding="utf-8").replace("../../", f"{ROOT}/").splitlines()
+    kept = [line for line in lines if not line.startswith(tuple(f'"{name}" = "patch_' for name in "5678"))]
+    text = "\n".join(kept)
+    for size in ("7.2 mm", "3.6 mm"):
+        text = text.replace(f'[[levels]]\nelement_size = "{size}"\ndegree = 2\n', "")
+    (folder / "scene.toml").write_text(text + "\n", encoding="utf-8")
+    return folder / "scene.toml"
