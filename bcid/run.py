@@ -126,7 +126,10 @@ class Run:
     def _begun(cls, path: Path, command: str, inputs: dict[str, Any], lock: TextIO, overwrite: bool) -> Run:
         if overwrite:
             _empty(path)
-        elif (path / "run.json").exists():
+        for name in _FOLDERS:
+            if (path / name).is_symlink():
+                raise InputError(f"{path / name}: is a link, which leads out of the run; remove it")
+        if (path / "run.json").exists():
             return cls._continued(path, command, inputs, lock)
         record = {
             "format": FORMAT,
@@ -353,6 +356,8 @@ def _empty(path: Path) -> None:
     for name in (*_FILES, *(entry.name for entry in path.glob(".*.partial*"))):
         (path / name).unlink(missing_ok=True)
     for name in _FOLDERS:
+        if (path / name).is_symlink():
+            (path / name).unlink()
         shutil.rmtree(path / name, ignore_errors=True)
     (path / "run.json").unlink()
 

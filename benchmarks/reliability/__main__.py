@@ -22,6 +22,8 @@ CHECKS = {
     "F5": ("solver", "faulty"),
     "B1": ("meshes", "damage"),
     "B2": ("configuration", "refusals"),
+    "S1": ("hostile", "hostile"),
+    "S2": ("hostile", "names"),
     "C3D": ("recordings", "damage"),
     "B3": ("folders", "damage"),
 }

@@ -65,10 +65,11 @@ def members(output: Path) -> list[int]:
     return found
 
 
-def stopped(words: list[str], output: Path, ranks: int, after: float, number: int, rank: bool) -> tuple[str, bool]:
-    """Send a signal after so many seconds, to the job or to one rank; what is wrong with its end, and whether it was in time."""
+def stopped(words: list[str], output: Path, ranks: int, after: int, number: int, rank: bool) -> tuple[str, bool]:
+    """Send a signal when so many batches are kept, to the job or to one rank; what is wrong with its end, and if it was in time."""
     job = started([*words, str(output)], ranks)
-    time.sleep(after)
+    while job.poll() is None and not _reached(output, after):
+        time.sleep(0.02)
     if job.poll() is not None:
         job.communicate()
         return "", False
@@ -92,6 +93,11 @@ def stopped(words: list[str], output: Path, ranks: int, after: float, number: in
     return ("" if job.returncode != 0 else "exit code 0"), True
 
 
+def _reached(output: Path, batches: int) -> bool:
+    kept = list((output / "outcomes").glob("*.json")) if (output / "outcomes").is_dir() else []
+    return (output / "run.json").exists() and len(kept) >= batches
+
+
 def answer(output: Path) -> dict[str, object]:
     """What a run has found."""
     content: dict[str, object] = json.loads((output / "identification.json").read_text(encoding="utf-8"))
@@ -107,28 +113,28 @@ def signals(count: int = 12, seed: int = 0, ranks: Iterable[int] = (1, 2)) -> Re
         folder = Path(name)
         words = prepared(folder)
         for size in ranks:
-            began = time.monotonic()
             right_folder = folder / f"right-{size}"
             job = started([*words, str(right_folder)], size)
             _, said = job.communicate(timeout=_LONG)
             assert job.returncode == 0, said
-            whole = time.monotonic() - began
             for number in range(count):
                 kind = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)[number % 3]
                 output = folder / f"{size}-{number}"
-                after = rng.uniform(0.3, 1.0) * whole
+                after = rng.randrange(5)
                 fault, in_time = stopped(words, output, size, after, kind, kind == signal.SIGKILL)
                 ended += in_time
                 if fault:
-                    misses.append(f"{size} ranks, {kind.name} after {after:.1f} s: {fault}")
+                    misses.append(f"{size} ranks, {kind.name} after {after} batches: {fault}")
                 if in_time and (output / "run.json").exists():
                     kept += len(list(Run.open(output).batches()))
                     job = started([*words, str(output)], size)
                     _, said = job.communicate(timeout=_LONG)
                     if job.returncode != 0:
-                        misses.append(f"{size} ranks, {kind.name} after {after:.1f} s: does not go on: {said[-300:]!r}")
+                        misses.append(
+                            f"{size} ranks, {kind.name} after {after} batches: does not go on: {said[-300:]!r}"
+                        )
                     elif answer(output) != answer(right_folder):
-                        misses.append(f"{size} ranks, {kind.name} after {after:.1f} s: goes on to another answer")
+                        misses.append(f"{size} ranks, {kind.name} after {after} batches: goes on to another answer")
                 shutil.rmtree(output, ignore_errors=True)
     text = f"{ended} jobs on {', '.join(map(str, ranks))} ranks stopped by SIGINT, SIGTERM, SIGKILL of a rank; {kept} batches kept"
     goal = "ends within 10 s, no orphan, resumable: the same answer to the last bit"
