@@ -21,6 +21,7 @@ from benchmarks.reliability import Reached
 from benchmarks.reliability.inputs import small_scene
 
 ERRORS = (errno.ENOSPC, errno.EIO, errno.EROFS)
+_FIRST = 5
 _CHANGES = ("os.mkdir", "os.rename", "os.remove", "os.rmdir")
 
 
@@ -123,7 +124,9 @@ def failures(count: int = 0, seed: int = 0, only: Sequence[int] = ERRORS) -> Rea
             total = _changes(words, out / "right", out)
             right = (out / "right" / result).read_bytes()
             shutil.rmtree(out / "right")
-            chosen = range(total) if not count else sorted({round(i * (total - 1) / (count - 1)) for i in range(count)})
+            # The first ones make the folder, its lock and its record.
+            few = {*range(_FIRST), *(round(i * (total - 1) / max(count - 1, 1)) for i in range(count))}
+            chosen = sorted(n for n in few if n < total) if count else range(total)
             for error in only:
                 for n in chosen:
                     tried += 1

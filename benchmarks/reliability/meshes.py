@@ -60,7 +60,7 @@ def good_files(folder: Path) -> list[bytes]:
 def mutated(good: bytes, rng: np.random.Generator) -> bytes:
     """One to three changes of bytes, words, lines or sections."""
     for _ in range(rng.integers(1, 4)):
-        kind = rng.integers(6)
+        kind = rng.integers(8)
         lines = good.split(b"\n")
         i, j = rng.integers(len(lines), size=2)
         if kind == 0:
@@ -76,6 +76,14 @@ def mutated(good: bytes, rng: np.random.Generator) -> bytes:
             words = lines[i].split(b" ")
             words[rng.integers(len(words))] = _NASTY[rng.integers(len(_NASTY))]
             lines[i] = b" ".join(words)
+        elif kind >= 6:
+            # A node goes to where another is, or to its height.
+            ends = [lines.index(word) if word in lines else 0 for word in (b"$Nodes", b"$EndNodes")]
+            nodes = [k for k in range(*ends) if len(lines[k].split()) in (3, 4)]
+            if len(nodes) > 1:
+                i, j = rng.choice(nodes, 2, replace=False)
+                kept = -3 if kind == 6 else -1
+                lines[i] = b" ".join([*lines[i].split()[:kept], *lines[j].split()[kept:]])
         elif kind == 3:
             del lines[i]
         elif kind == 4:

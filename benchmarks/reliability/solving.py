@@ -91,14 +91,14 @@ def resident() -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def memory(count: int = 5000, seed: int = 0, settled: int = _SETTLED) -> Reached:
-    """L2: growth of resident memory after the first `settled` trajectories, failed ones among them."""
+def memory(count: int = 5000, seed: int = 0, settled: int = _SETTLED, far: int = 10) -> Reached:
+    """L2: growth of resident memory after the first `settled` trajectories; every `far`-th goes to 30 mm, where many fail."""
     scene = Scene.read(SLAB)
     forward = Forward(scene, 1)
     rng = np.random.default_rng(seed)
     before, failed, marks = 0.0, 0, []
     for number, (anchors, action) in zip(range(1, count + 1), candidates(scene, seed), strict=False):
-        short = pull(action.translation[-1] / _FAR, _FAR if number % 10 == 0 else 0.004, 2, action.grasp)
+        short = pull(action.translation[-1] / _FAR, _FAR if number % far == 0 else 0.004, 2, action.grasp)
         prediction = forward.predict(anchors, [short], keep=bool(rng.random() < 0.5))
         failed += prediction.failure is not None
         if number == settled:

@@ -17,7 +17,7 @@ def met(found: Reached) -> None:
 
 @pytest.mark.filterwarnings("ignore:This process")
 def test_mutated_meshes() -> None:
-    met(meshes.damage(120))
+    met(meshes.damage(240))
 
 
 def test_bad_configuration_and_measurements() -> None:
