@@ -35,7 +35,7 @@ from bcid.commands import (
     study,
     track,
 )
-from bcid.errors import BcidError
+from bcid.errors import SHORT_OF_MEMORY, BcidError, MachineError
 
 # Commands without MPI in this process, for they start others that are jobs of their own; what becomes of an interrupted one.
 _WITHOUT_MPI = {
@@ -96,6 +96,9 @@ def main(argv: list[str] | None = None) -> int:
         if comm.rank == 0:
             complain(error)
         return error.exit_code
+    except MemoryError:
+        complain(SHORT_OF_MEMORY)
+        return _end_all(comm, MachineError.exit_code)
     except BaseException:
         traceback.print_exc()
         return _end_all(comm, 1)
@@ -109,6 +112,9 @@ def _run_without_mpi(arguments: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         complain(f"interrupted; {_WITHOUT_MPI[arguments.command]}")
         return 128 + signal.SIGINT
+    except MemoryError:
+        complain(SHORT_OF_MEMORY)
+        return MachineError.exit_code
     except BcidError as error:
         complain(error)
         return error.exit_code

@@ -3,10 +3,32 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from bcid.errors import MachineError
+
+# Where the exceptions of a C compiler that is missing or fails come from.
+_COMPILERS = ("cffi", "distutils", "setuptools")
+
+
+@contextmanager
+def compiling() -> Iterator[None]:
+    """Turns a failure to compile forms, or to store or load what was compiled, into a `MachineError`."""
+    try:
+        yield
+    except Exception as error:
+        if not isinstance(error, OSError | ImportError) and type(error).__module__.partition(".")[0] not in _COMPILERS:
+            raise
+        reason = str(error).strip().splitlines()[-1:] or [type(error).__name__]
+        raise MachineError(
+            f"the forms could not be compiled: {reason[0][:300]}; a C compiler and a cache folder that can be written "
+            "are needed: `bcid doctor` tells more"
+        ) from None
 
 
 def make_mesh(comm: Any, cells: NDArray[np.int64], points: NDArray[np.float64], element: Any) -> Any:

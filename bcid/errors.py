@@ -29,6 +29,12 @@ class MachineError(BcidError):
     exit_code = 3
 
 
+SHORT_OF_MEMORY = (
+    "out_of_memory: there is not enough memory; end other programs, use fewer ranks or a coarser level, "
+    "and give the same command again: it goes on where it was"
+)
+
+
 class SolveError(BcidError):
     """The forward model has no acceptable solution; the text carries PETSc's reason in words."""
 

@@ -62,7 +62,7 @@ class FrameError:
         found = []
         for name, value, shape in (("centre", centre, (3,)), ("covariance", covariance, (7, 7))):
             try:
-                array = np.asarray(value, dtype=float).reshape(shape)
+                array = plain_numbers(value).reshape(shape)
             except (TypeError, ValueError):
                 array = np.full(shape, np.nan)
             if not np.isfinite(array).all():
@@ -97,6 +97,18 @@ class FrameError:
     def rms(self, points: Array) -> float:
         """RMS displacement per coordinate of points (..., 3), m."""
         return float(np.sqrt(np.nanmean(np.sum(self.modes(points) ** 2, axis=-1))))
+
+
+def plain_numbers(value: Any) -> Array:
+    """Numbers of nested lists or of an array; `TypeError` or `ValueError` for anything else, as text and truth values."""
+    items = [value]
+    while items:
+        item = items.pop()
+        if isinstance(item, list | tuple):
+            items += item
+        elif not isinstance(item, int | float | np.ndarray | np.number) or isinstance(item, bool):
+            raise TypeError(f"{item!r} is not a number")
+    return np.asarray(value, dtype=float)
 
 
 def _scales(length: float) -> Array:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.c3d import read_points
 from bcid.errors import InputError, Problems, nearest
 from bcid.measurement import AXES, Measurement, Units
 from bcid.measurement_folder import frames_dataset
@@ -158,8 +159,16 @@ def _check_markers(path: Path, tables: dict[str, dict[str, Any]], c3d: bool, pro
             problems.add(
                 path, f"columns.{key}: expected the names of {count} columns, found {tables['columns'][key]!r}"
             )
+    for key in ("action", "step", "time", "fiducial", "grasp"):
+        name = tables["columns"].get(key, key)
+        if not isinstance(name, str) or not name:
+            problems.add(path, f"columns.{key}: expected the name of a column, found {name!r}")
     for name, place in tables["align"].items():
-        numbers = isinstance(place, list) and len(place) == 3 and all(type(v) in (int, float) for v in place)
+        numbers = (
+            isinstance(place, list)
+            and len(place) == 3
+            and all(type(v) in (int, float) and math.isfinite(v) for v in place)
+        )
         if not numbers:
             problems.add(path, f"align.{name}: expected three numbers in length_unit, found {place!r}")
         if not long and name not in tables["fiducials"] | tables["reference"]:
@@ -185,34 +194,26 @@ def _frames(path: Path, table: dict[str, Any], problems: Problems) -> tuple[int,
 
 
 def _read_c3d(mapping: _Mapping) -> _Recording:
-    try:
-        import ezc3d
-    except ImportError:
-        raise InputError(f"{mapping.file}: reading C3D needs the package ezc3d; install bcid[mocap]") from None
-    try:
-        content = ezc3d.c3d(str(mapping.file))
-    except Exception as error:
-        raise InputError(f"{mapping.file}: is not a readable C3D file: {error}") from None
-    points = content["data"]["points"]
-    labels = [str(label) for label in content["parameters"]["POINT"]["LABELS"]["value"]]
-    rate = float(content["parameters"]["POINT"]["RATE"]["value"][0])
+    points = read_points(mapping.file)
     problems = Problems(f"recording {mapping.file}")
-    stated = content["parameters"]["POINT"].get("UNITS", {}).get("value", [])
-    if stated and str(stated[0]) != mapping.units.length:
+    if points.unit not in ("", mapping.units.length):
         problems.add(
-            mapping.path, f"length_unit is '{mapping.units.length}', but {mapping.file.name} states '{stated[0]}'"
+            mapping.path, f"length_unit is '{mapping.units.length}', but {mapping.file.name} states '{points.unit}'"
         )
     positions = {}
     for name, label in mapping.markers.items():
-        if label not in labels:
-            problems.add(mapping.file, f"has no point '{label}' (fiducial {name}); {nearest(label, labels)}")
+        if label not in points.labels:
+            problems.add(mapping.file, f"has no point '{label}' (fiducial {name}); {nearest(label, points.labels)}")
             continue
-        xyz = points[:3, labels.index(label)].T.astype(float)
+        if points.labels.index(label) >= points.positions.shape[1]:
+            problems.add(mapping.file, f"holds no data for point '{label}' (fiducial {name})")
+            continue
+        xyz = points.positions[:, points.labels.index(label)].T
         positions[name] = np.where(np.isfinite(xyz).all(axis=1, keepdims=True), xyz, np.nan)
     problems.raise_if_any()
-    count = points.shape[2]
+    count = points.positions.shape[2]
     action = str(mapping.table.get("action", "1"))
-    times = [i / rate / mapping.time for i in range(count)]
+    times = [i / points.rate / mapping.time for i in range(count)]
     return _Recording([action] * count, list(range(count)), times, positions)
 
 
@@ -280,10 +281,17 @@ def _long(mapping: _Mapping, rows: list[tuple[int, dict[str, str]]]) -> _Recordi
         if label not in labels:
             problems.add(mapping.file, f"has no marker '{label}' (fiducial {fiducial}); {nearest(label, labels)}")
     problems.raise_if_any()
-    for i, (_, row) in enumerate(rows):
-        name = names.get(row[columns["fiducial"]])
-        if name:
-            positions[name][frames.index((actions[i], steps[i]))] = values[i]
+    number = {frame: i for i, frame in enumerate(frames)}
+    seen: dict[tuple[str, int, str], int] = {}
+    for i, (line, row) in enumerate(rows):
+        label = row[columns["fiducial"]]
+        earlier = seen.setdefault((actions[i], steps[i], label), line)
+        if earlier < line:
+            what = f"a second row for marker {label}, step {steps[i]} of action {actions[i]}"
+            problems.add(mapping.file, f"{what}; the first is in line {earlier}", line)
+        elif label in names:
+            positions[names[label]][number[actions[i], steps[i]]] = values[i]
+    problems.raise_if_any()
     grasps = [rows[i][1][columns["grasp"]] for i in chosen] if "grasp" in columns else []
     parts = [None if m is None else m[chosen] for m in moved]
     return _Recording(

@@ -328,6 +328,9 @@ class _FolderReader:
         """Forces (N) and torques (N m) of an optional file, by frame and place."""
         result = {}
         for line, row, frame in self.frames(self.table(name, ["action", "step", "time", *keys, *columns]), keys):
+            if any(not row[key] or not row[key].isprintable() for key in keys):
+                self.bad(line, f"{keys[0]}: expected the name of a place of the scene, found {row[keys[0]]!r}")
+                continue
             unit = [self.header.force * (self.header.length if column.startswith("t") else 1.0) for column in columns]
             values = [self.number(line, row, column) * u for column, u in zip(columns, unit, strict=True)]
             result[frame, row[keys[0]] if keys else ""] = values

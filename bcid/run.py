@@ -19,21 +19,24 @@
     report.html           what `bcid demo` ends with; `bcid report` writes it for any run
     measurement/          what `bcid track` measured;  tracking.json, tracking.nc, film.mp4, rest.png, tracking.png how
 
-Every file is written whole under another name and then renamed: a reader never sees half of one.
+Every file is written whole under another name and then renamed: a reader never sees half of one. What a disk or a hand
+changes later is noticed: `run.json` holds checksums of the files and of itself, and the name of a batch ends with its own.
 """
 
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import json
 import os
 import platform
 import shutil
 import socket
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from importlib import metadata
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -85,6 +88,8 @@ _FOLDERS = (
     "predictions",
     "measurement",
 )
+_KEYS = ("command", "state", "inputs", "versions", "attempts", "seconds", "checksum")
+_REMEDY = "repeat the run in another folder, or remove this one"
 _PACKAGES = ("fenics-dolfinx", "fenics-ufl", "petsc4py", "mpi4py", "numpy", "scipy", "xarray")
 
 
@@ -132,19 +137,30 @@ class Run:
                 raise InputError(f"{path}: holds files that are not a run; choose a new folder")
             path.mkdir(parents=True, exist_ok=True)
             lock = _locked(path)
-            if overwrite:
-                _empty(path)
-            elif (path / "run.json").exists():
-                return cls._continued(path, command, inputs, lock)
-            record = {
-                "format": FORMAT,
-                "command": command,
-                "state": "running",
-                "inputs": inputs,
-                "versions": versions(),
-            }
-            run = cls(path, record | {"started": _now(), "seconds": 0.0, "attempts": 1}, lock)
-            run._save()
+            try:
+                return cls._begun(path, command, inputs, lock, overwrite)
+            except BaseException:
+                lock.close()
+                raise
+
+    @classmethod
+    def _begun(cls, path: Path, command: str, inputs: dict[str, Any], lock: TextIO, overwrite: bool) -> Run:
+        if overwrite:
+            _empty(path)
+        for name in _FOLDERS:
+            if (path / name).is_symlink():
+                raise InputError(f"{path / name}: is a link, which leads out of the run; remove it")
+        if (path / "run.json").exists():
+            return cls._continued(path, command, inputs, lock)
+        record = {
+            "format": FORMAT,
+            "command": command,
+            "state": "running",
+            "inputs": inputs,
+            "versions": versions(),
+        }
+        run = cls(path, record | {"started": _now(), "seconds": 0.0, "attempts": 1}, lock)
+        run._save()
         return run
 
     @classmethod
@@ -195,14 +211,18 @@ class Run:
         try:
             yield
         except BaseException as error:
-            self.fail(str(error) if isinstance(error, BcidError) else type(error).__name__)
+            # Where the disk is what failed, the record cannot be written either.
+            with suppress(MachineError):
+                self.fail(str(error) if isinstance(error, BcidError) else type(error).__name__)
             raise
 
     def _close(self, state: str, **more: Any) -> None:
         self.record |= {"state": state, "ended": _now(), **more}
         self.record["seconds"] = round(self.record["seconds"] + time.time() - self._began, 3)
-        self._save()
-        self.release()
+        try:
+            self._save()
+        finally:
+            self.release()
 
     def release(self) -> None:
         """Let others write the folder."""
@@ -211,19 +231,36 @@ class Run:
             self._lock = None
 
     def _save(self) -> None:
-        self.write_json("run.json", self.record)
+        write_whole(self.path / "run.json", _json(sealed(self.record)))
 
     def write_text(self, name: str, text: str) -> Path:
         """Write a file whole; returns its path."""
+        self._note(name, text.encode())
         return write_whole(self.path / name, text)
+
+    def _note(self, name: str, content: bytes) -> None:
+        """Keep the checksum of a file; `run.json` gets it when the run ends, before which nobody reads its results."""
+        self.record["files"] = {**self.record.get("files", {}), name: _checksum(content)}
+
+    def _bytes(self, name: str) -> bytes:
+        """Content of a file, as it was written; `InputError` when it is missing or damaged."""
+        try:
+            content = (self.path / name).read_bytes()
+        except FileNotFoundError:
+            raise InputError(f"{self.path / name}: is missing from the run") from None
+        except OSError as error:
+            raise InputError(f"{self.path / name}: cannot be read: {error.strerror or error}") from None
+        if self.record.get("files", {}).get(name, _checksum(content)) != _checksum(content):
+            raise InputError(f"{self.path / name}: is damaged: it is not what the run wrote; repeat the run")
+        return content
 
     def write_json(self, name: str, content: Any) -> Path:
         """Write a JSON file; numbers that are not finite are refused, for they are not JSON."""
-        return self.write_text(name, json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + "\n")
+        return self.write_text(name, _json(content))
 
     def read_json(self, name: str) -> Any:
         """Content of a JSON file; `InputError` when it is missing or damaged."""
-        return _read_json(self.path / name)
+        return _parsed(self._bytes(name), self.path / name)
 
     def write_dataset(self, name: str, data: xr.Dataset) -> Path:
         """Write arrays as NetCDF."""
@@ -231,6 +268,7 @@ class Run:
         with writing(self.path):
             partial = target.with_name(f".{target.name}.partial")
             data.to_netcdf(partial, engine="scipy")
+            self._note(name, partial.read_bytes())
             partial.replace(target)
         return target
 
@@ -239,10 +277,9 @@ class Run:
         import xarray as xr
 
         target = self.path / name
-        if not target.is_file():
-            raise InputError(f"{target}: is missing from the run")
+        content = self._bytes(name)
         try:
-            with xr.open_dataset(target, engine="scipy") as opened:
+            with xr.open_dataset(BytesIO(content), engine="scipy") as opened:
                 data = opened.load()
         except Exception as error:
             raise InputError(f"{target}: is damaged and cannot be read: {error}") from None
@@ -253,13 +290,22 @@ class Run:
 
     def add_batch(self, batch: list[dict[str, Any]]) -> None:
         """Keep a batch of results, so that a killed run need not compute them again."""
-        count = len(list((self.path / "outcomes").glob("*.json"))) if (self.path / "outcomes").is_dir() else 0
-        self.write_json(f"outcomes/{count:06d}.json", batch)
+        numbers = [int(file.name[:6]) for file in self._batch_files()]
+        text = _json(batch)
+        write_whole(self.path / f"outcomes/{max(numbers, default=-1) + 1:06d}-{_checksum(text.encode())}.json", text)
 
-    def batches(self) -> Iterator[list[dict[str, Any]]]:
-        """What `add_batch` kept, in order."""
-        for file in sorted((self.path / "outcomes").glob("*.json")):
-            yield _read_json(file)
+    def batches(self, dropped: Callable[[str], None] = lambda _: None) -> Iterator[list[dict[str, Any]]]:
+        """What `add_batch` kept, in order; one that is damaged is removed, and `dropped` is told so in words."""
+        for file in self._batch_files():
+            content = file.read_bytes()
+            if file.name[7:] == f"{_checksum(content)}.json":
+                yield _parsed(content, file)
+            else:
+                file.unlink()
+                dropped(f"{file}: is damaged; what it held is computed again")
+
+    def _batch_files(self) -> list[Path]:
+        return sorted((self.path / "outcomes").glob("[0-9]" * 6 + "-*.json"))
 
 
 def write_whole(target: Path, text: str) -> Path:
@@ -308,14 +354,21 @@ def _locked(path: Path) -> TextIO:
         holder = lock.read().strip() or "another process"
         lock.close()
         raise Busy(f"{path}: is being written by {holder}; wait for it, or choose another folder") from None
-    lock.truncate(0)
-    lock.write(f"process {os.getpid()} on {socket.gethostname()} since {_now()}\n")
-    lock.flush()
+    try:
+        lock.truncate(0)
+        lock.write(f"process {os.getpid()} on {socket.gethostname()} since {_now()}\n")
+        lock.flush()
+    except OSError:
+        # What could not be written stays in the stream, which would try again when it is closed.
+        with suppress(OSError):
+            lock.close()
+        raise
     return lock
 
 
 def _only_lock(path: Path) -> bool:
-    return all(entry.name == ".lock" for entry in path.iterdir())
+    """Whether a run was begun there, and got no further than its lock."""
+    return all(entry.name in (".lock", ".run.json.partial") for entry in path.iterdir())
 
 
 def _empty(path: Path) -> None:
@@ -326,27 +379,47 @@ def _empty(path: Path) -> None:
     for name in (*_FILES, *(entry.name for entry in path.glob(".*.partial*"))):
         (path / name).unlink(missing_ok=True)
     for name in _FOLDERS:
+        if (path / name).is_symlink():
+            (path / name).unlink()
         shutil.rmtree(path / name, ignore_errors=True)
     (path / "run.json").unlink()
 
 
 def _read_record(path: Path) -> dict[str, Any]:
-    record = _read_json(path / "run.json")
+    file = path / "run.json"
+    try:
+        record = _parsed(file.read_bytes(), file)
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read: {error.strerror or error}") from None
     if not isinstance(record, dict) or record.get("format") != FORMAT:
-        raise InputError(f"{path / 'run.json'}: is not a run of this version (expected format '{FORMAT}')")
-    missing = [key for key in ("command", "state", "inputs", "versions", "attempts", "seconds") if key not in record]
+        raise InputError(f"{file}: is not a run of this version (expected format '{FORMAT}')")
+    missing = [key for key in _KEYS if key not in record]
     if missing:
-        raise InputError(f"{path / 'run.json'}: is damaged: {', '.join(missing)} missing")
+        raise InputError(f"{file}: is damaged: {', '.join(missing)} missing; {_REMEDY}")
+    if sealed(record) != record:
+        raise InputError(f"{file}: is damaged: its checksum is another; {_REMEDY}")
     return record
 
 
-def _read_json(path: Path) -> Any:
+def sealed(record: dict[str, Any]) -> dict[str, Any]:
+    """The content of a run.json with the checksum of all else in it."""
+    rest = {key: value for key, value in record.items() if key != "checksum"}
+    return rest | {"checksum": _checksum(json.dumps(rest, sort_keys=True).encode())}
+
+
+def _checksum(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:32]
+
+
+def _json(content: Any) -> str:
+    return json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def _parsed(content: bytes, path: Path) -> Any:
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: is missing from the run") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: is damaged and cannot be read: {error}") from None
+        return json.loads(content.decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: is damaged and cannot be read: {error}; {_REMEDY}") from None
 
 
 def _now() -> str:

@@ -22,7 +22,7 @@ _VALUES = ("format", "name", "description", "down", "support", "noise_sigma", "a
 _TABLES = ("geometry", "levels", "material", "patches", "grasps", "fiducials", "places", "effects", "explore")
 _EXPLORE = ("displacement", "force", "strain", "amplitudes", "directions", "steps", "cost", "regrasp")
 _AXES = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
-_NAME = re.compile(r"^[^\s,;\"'\\/\x00-\x1f\x7f]{1,64}$")
+_NAME = re.compile(r"^(?!\.{1,2}$)[^\s,;\"'\\/\x00-\x1f\x7f]{1,64}$")
 
 
 def read_scene(path: Path, physics: PhysicsCheck | None = None) -> Scene:
@@ -132,7 +132,8 @@ class _Reader:
     def names(self, table: Mapping[str, Any], what: str) -> list[str]:
         for name in table:
             if not _NAME.match(name):
-                self.bad(what, f"name {name!r} must have 1 to 64 characters without spaces, commas, slashes or quotes")
+                rule = "have 1 to 64 characters without spaces, commas, slashes or quotes, and not be . or .."
+                self.bad(what, f"name {name!r} must {rule}")
         return list(table)
 
     def scene(self, table: Mapping[str, Any]) -> Scene:

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 Array = NDArray[np.float64]
+# PETSc's number of the error.
+OUT_OF_MEMORY = 55
 # CHOLMOD must not print, and must factorise by supernodes: its simplicial LDL^T, which it prefers for small matrices,
 # does not stop at a negative pivot. MUMPS: PORD ordering suits these meshes, the root stays sequential and null pivots
 # are looked for, so that the signs are counted right; on several ranks the work space that it estimates may not do.
@@ -38,6 +40,7 @@ class Factor:
         count: factorisations so far.
         usable: whether the last one succeeded and nobody has declared it stale since.
         negative: how many pivots are negative beyond `saddle`; None when it is not known.
+        starved: whether the last one failed because memory was short.
     """
 
     def __init__(
@@ -49,17 +52,19 @@ class Factor:
         self.count = 0
         self.usable = False
         self.negative: int | None = None
+        self.starved = False
         self._definite = symmetric and not saddle and matrix.comm.size == 1
         self._indefinite = False
         self._made: dict[str, PETSc.PC] = {}
         self._current: PETSc.PC | None = None
+        self._half = PETSc.Mat()
         self._krylov: PETSc.KSP | None = None
         if modes is not None:
             matrix.setNearNullSpace(modes)
             self._krylov = self._multigrid()
 
     def reset(self) -> None:
-        """Another state: the last factor is stale, and CHOLMOD is tried again if it has failed (each failure costs memory)."""
+        """Another state: the last factor is stale, and CHOLMOD is tried again if it has failed."""
         self.usable = False
         self._indefinite = False
 
@@ -67,6 +72,7 @@ class Factor:
         """Factorise the matrix as it now is; False when that fails. Collective."""
         self.count += 1
         self.negative = None
+        self.starved = False
         if self._krylov is not None:
             self._krylov.setOperators(self.matrix)
             self._krylov.setUp()
@@ -81,11 +87,14 @@ class Factor:
             self._made[package] = self._create(package)
         inner = self._made[package]
         try:
-            inner.setOperators(self.matrix)
+            inner.setOperators(self._upper() if package == "cholmod" else self.matrix)
             inner.setUp()
-            failed = inner.getFailedReason() != PETSc.PC.FailedReason.NOERROR
-        except PETSc.Error:
+            reason = inner.getFailedReason()
+            failed = reason != PETSc.PC.FailedReason.NOERROR
+            self.starved |= reason == PETSc.PC.FailedReason.FACTOR_OUTMEMORY
+        except PETSc.Error as error:
             failed = True
+            self.starved |= error.ierr == OUT_OF_MEMORY
         if failed:
             # PETSc takes a factorisation that has failed for a finished one: it must not be asked again.
             self._made.pop(package).destroy()
@@ -98,6 +107,11 @@ class Factor:
             self.negative = abs(negative - self.saddle) + zero
         self._current = inner
         return True
+
+    def _upper(self) -> PETSc.Mat:
+        """The upper triangle of the matrix, in a format of which CHOLMOD needs no copy: PETSc never frees one when it fails."""
+        self.matrix.convert("sbaij", self._half)
+        return self._half
 
     def _create(self, package: str) -> PETSc.PC:
         inner = PETSc.PC().create(self.matrix.comm)
@@ -173,6 +187,7 @@ class Factor:
         for inner in self._made.values():
             inner.destroy()
         self._made.clear()
+        self._half.destroy()
         if self._krylov is not None:
             self._krylov.destroy()
 
@@ -195,8 +210,14 @@ class FactorShell:
         pc.setFailedReason(PETSc.PC.FailedReason.NOERROR if ready else failed)
 
     def apply(self, _pc: PETSc.PC, right: PETSc.Vec, solution: PETSc.Vec) -> None:
-        """Solve; PETSc asks although `setUp` failed, and NaN then ends its iteration without an exception."""
+        """Solve; PETSc asks although `setUp` failed, and NaN then ends its iteration without an exception.
+
+        An exception would leave its vectors locked for good.
+        """
         if self.factor.usable:
-            self.correct(right, solution)
-        else:
-            solution.set(float("nan"))
+            try:
+                self.correct(right, solution)
+                return
+            except PETSc.Error as error:
+                self.factor.usable, self.factor.starved = False, error.ierr == OUT_OF_MEMORY
+        solution.set(float("nan"))

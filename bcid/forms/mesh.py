@@ -240,11 +240,7 @@ def _load(
     The last results are kept for as long as the content of the file is the same: patches are made and looked for on the
     meshes of several levels before any is solved on.
     """
-    if path.suffix == ".msh" and not path.read_bytes().startswith(b"$MeshFormat"):
-        raise InputError(
-            f"{path}: does not start with $MeshFormat; gmsh would run it as a script, so it is refused; "
-            "save it as a gmsh mesh (format 4.1)"
-        )
+    refuse_scripts(path)
     with tempfile.TemporaryDirectory(prefix="bcid-mesh-") as folder:
         out = Path(folder) / "mesh.npz"
         command = [
@@ -269,6 +265,19 @@ def _load(
         with np.load(out, allow_pickle=False) as data:
             groups = {name[6:]: data[name] for name in data.files if name.startswith("group:")}
             return data["points"], data["cells"], groups
+
+
+def refuse_scripts(path: Path) -> None:
+    """Refuse a mesh file that gmsh would take for a script, and run."""
+    if path.suffix == ".geo":
+        return
+    with path.open("rb") as stream:
+        head = stream.read(11)
+    if path.suffix == ".msh" and head != b"$MeshFormat":
+        raise InputError(
+            f"{path}: does not start with $MeshFormat; gmsh would run it as a script, so it is refused; "
+            "save it as a gmsh mesh (format 4.1)"
+        )
 
 
 def child_environment() -> dict[str, str]:

@@ -5,6 +5,7 @@ It runs apart because gmsh may abort on damaged files. Prints one line and exits
 
 from __future__ import annotations
 
+import resource
 import sys
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,9 @@ from numpy.typing import NDArray
 
 Arrays = dict[str, Any]
 _GMSH_TYPES = {4: 4, 2: 3, 1: 2, 15: 1}
+# Address space of a loader, bytes, and how much more a byte of the file may take.
+_SPACE = 2_000_000_000
+_PER_BYTE = 100
 _MESHIO_TYPES = {3: "triangle", 2: "line", 1: "vertex"}
 
 
@@ -22,6 +26,7 @@ def main() -> int:
     source, out, size = Path(sys.argv[1]), sys.argv[2], float(sys.argv[3])
     numbers = {"h": repr(size)} if size else {}
     numbers |= dict(entry.split("=", 1) for entry in sys.argv[4:])
+    limit_memory(source)
     try:
         arrays = with_gmsh(source, numbers) if source.suffix in (".geo", ".msh") else with_meshio(source)
     except Exception as error:
@@ -29,6 +34,13 @@ def main() -> int:
         return 1
     np.savez(out, **arrays)
     return 0
+
+
+def limit_memory(source: Path) -> None:
+    """A damaged mesh file may ask for any amount of memory: it gets no more than a sound one of its length needs."""
+    if source.suffix != ".geo":
+        most = _SPACE + _PER_BYTE * source.stat().st_size
+        resource.setrlimit(resource.RLIMIT_AS, (most, resource.getrlimit(resource.RLIMIT_AS)[1]))
 
 
 def with_gmsh(source: Path, numbers: dict[str, str]) -> Arrays:

@@ -19,7 +19,7 @@ from ufl.algorithms import expand_derivatives
 from bcid import compat
 from bcid.errors import InputError, nearest
 from bcid.forms.body import Body
-from bcid.forms.factor import Factor, FactorShell
+from bcid.forms.factor import OUT_OF_MEMORY, Factor, FactorShell
 from bcid.forms.model import Model
 from bcid.forms.secant import Secant
 from bcid.forms.tangent import Tangent
@@ -157,12 +157,13 @@ class Equilibrium:
         body = self.body
         self.terms = Terms(body, self.model, self.scene, self.u)
         self._constants = self.terms.constants
-        self.energy_forms = [fem.form(energy) for energy in self.terms.energies]
-        self.residual_forms = [fem.form(residual) for residual in self.terms.residuals]
         tangents = [expand_derivatives(ufl.derivative(residual, self.u)) for residual in self.terms.residuals]
-        # A dead load has none.
-        self.tangent_forms = [fem.form(tangent) for tangent in tangents if not tangent.empty()]
-        self._jacobian = fem.Expression(self.terms.kin.J, _sample_points(body.degree))
+        with compat.compiling():
+            self.energy_forms = [fem.form(energy) for energy in self.terms.energies]
+            self.residual_forms = [fem.form(residual) for residual in self.terms.residuals]
+            # A dead load has none.
+            self.tangent_forms = [fem.form(tangent) for tangent in tangents if not tangent.empty()]
+            self._jacobian = fem.Expression(self.terms.kin.J, _sample_points(body.degree))
 
     @property
     def places(self) -> dict[str, Region]:
@@ -444,10 +445,13 @@ class Equilibrium:
             if not self.factor.usable:
                 self._assemble_tangent()
                 if not self.factor.refresh():
-                    return Status.LINEAR_SOLVER
+                    return self._unfactored()
             self.tangent.lift(gap, self.vector, self.u.x.petsc_vec)
             self.vector.array[self._held_owned] = gap[self._held_owned]
-            self.factor.solve(self.vector, self.correction)
+            try:
+                self.factor.solve(self.vector, self.correction)
+            except PETSc.Error as error:
+                return self._refused(error)
             state[: self._owned] += self.correction.array_r
             self.u.x.scatter_forward()
         state[self.prescribed] = wanted[self.prescribed]
@@ -461,16 +465,17 @@ class Equilibrium:
             self.snes.solve(None, self.iterate)
         except PETSc.Error as error:
             # An exception of a callback is not PETSc's: it must not pass for a failed solve.
-            if error.__cause__ is not None:
-                raise error.__cause__ from None
+            cause = error.__cause__ or error
+            if not isinstance(cause, PETSc.Error):
+                raise cause from None
             # The error has left the vector locked.
             self.iterate.destroy()
             self.iterate = self.vector.duplicate()
-            return Status.OUT_OF_MEMORY if error.ierr == 55 else Status.LINEAR_SOLVER
+            return self._refused(cause)
         self.iterations += self.snes.getIterationNumber()
         reason = self.snes.getConvergedReason()
-        if self.factor.count > factored and not self.factor.usable:
-            return Status.LINEAR_SOLVER
+        if self.factor.starved or (self.factor.count > factored and not self.factor.usable):
+            return self._unfactored()
         if reason <= 0:
             return _REASONS.get(reason, Status.DIVERGED)
         self._copy_in(self.iterate)
@@ -480,11 +485,17 @@ class Equilibrium:
             return Status.UNSTABLE
         return Status.CONVERGED if self.smallest_jacobian() > 0 else Status.INVERTED
 
+    def _refused(self, error: PETSc.Error) -> Status:
+        return Status.OUT_OF_MEMORY if error.ierr == OUT_OF_MEMORY else self._unfactored()
+
+    def _unfactored(self) -> Status:
+        return Status.OUT_OF_MEMORY if self.factor.starved else Status.LINEAR_SOLVER
+
     def verify(self) -> Status:
         """Factorise the tangent of the present state and look at its pivots: `CONVERGED` or `UNSTABLE`."""
         self._assemble_tangent()
         if not self.factor.refresh():
-            return Status.LINEAR_SOLVER
+            return self._unfactored()
         return Status.UNSTABLE if self.factor.negative else Status.CONVERGED
 
     def smallest_jacobian(self) -> float:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.collective import agree, in_turns
-from bcid.errors import BcidError, InputError
+from bcid.errors import SHORT_OF_MEMORY, BcidError, InputError, MachineError
 from bcid.forms.forward import Forward, Prediction, Watch
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
@@ -219,14 +219,14 @@ class Farm:
         team = forward.comm
         mine: list[Outcome] = []
         positions: dict[Candidate, Array] = {}
-        error = None
+        error: BcidError | None = None
         tickets = counter(leaders) if leaders is not None else None
         turns = share(list(bounds), tickets) if tickets is not None else iter(())
         while (candidate := team.bcast(next(turns, None)) if team.size > 1 else next(turns, None)) is not None:
             try:
                 outcome, predicted = self._evaluate(forward, candidate, bounds[candidate], rest)
-            except BcidError as caught:
-                error = caught
+            except (BcidError, MemoryError) as caught:
+                error = caught if isinstance(caught, BcidError) else MachineError(SHORT_OF_MEMORY)
                 break
             mine.append(outcome)
             if outcome.complete:
@@ -290,6 +290,9 @@ class Farm:
                 break
             sums[:], limit = rest, bound
         failure = prediction.failure
+        if failure and failure.status is Status.OUT_OF_MEMORY:
+            # This says nothing of the candidate: it must not pass for one that cannot be.
+            raise MachineError(SHORT_OF_MEMORY)
         complete = bool(reached.all()) and not failure
         if complete and chi2 < self._kept.get(forward.level, (math.inf,))[0]:
             self._kept[forward.level] = chi2, candidate, prediction

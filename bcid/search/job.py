@@ -57,7 +57,7 @@ def run_identification(
     def begin() -> list[Outcome]:
         nonlocal run
         run = Run.start(folder, "identify", inputs, overwrite)
-        return [Outcome.from_json(entry) for batch in run.batches() for entry in batch]
+        return [Outcome.from_json(entry) for batch in run.batches(progress.say) for entry in batch]
 
     known = on_root(comm, begin)
     if known:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.errors import InputError, MachineError, Problems, nearest
+from bcid.frame_error import plain_numbers
 from bcid.units import unit_factor
 
 Array = NDArray[np.float64]
@@ -167,15 +168,18 @@ class Cameras:
         unit = values.get("length_unit", length_unit)
         if not isinstance(unit, str):
             problems.add(path, 'length_unit: of the translation is not stated; give it, as "mm"')
+        error = values.get("reprojection_error")
+        if error is not None:
+            error = float(_array(error, (1,), "reprojection_error", path, problems)[0])
+        try:
+            scale = unit_factor(str(unit), "m")
+        except InputError as wrong:
+            problems.add(path, f"length_unit: {wrong}")
         problems.raise_if_any()
-        scale = unit_factor(str(unit), "m")
         left, right = (
             Camera(found[f"{side}.matrix"], found[f"{side}.distortion"], found[f"{side}.size"]) for side in SIDES
         )
-        error = values.get("reprojection_error")
-        cameras = cls(
-            left, right, found["rotation"], found["translation"] * scale, None if error is None else float(error)
-        )
+        cameras = cls(left, right, found["rotation"], found["translation"] * scale, error)
         cameras._check(path, problems)
         problems.raise_if_any()
         return cameras
@@ -303,7 +307,7 @@ def _array(value: Any, shape: tuple[int, ...] | None, name: str, path: Path, pro
     """Numbers of a shape (any length if None)."""
     wanted = "a list of numbers" if shape is None else " x ".join(map(str, shape)) + " numbers"
     try:
-        array = np.asarray(value, dtype=float)
+        array = plain_numbers(value)
     except (TypeError, ValueError):
         array = np.array(math.nan)
     if shape is None:

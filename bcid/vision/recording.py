@@ -5,18 +5,17 @@ Its TOML file is described in docs/vision.md.
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from bcid.errors import InputError, Problems, nearest
 from bcid.measurement import Action, Units
 from bcid.measurement_folder import read_grasps
-from bcid.units import quantity
+from bcid.units import quantity, unit_factor
 from bcid.vision.camera import SIDES, Cameras
 
 FORMAT = "bcid-recording/1"
@@ -120,7 +119,7 @@ class _Reader:
 
     def recording(self) -> Recording:
         self.keys()
-        units = Units(self.text("length_unit", "mm"), self.text("time_unit", "s"))
+        units = Units(self.unit("length_unit", "mm", "m"), self.unit("time_unit", "s", "s"))
         images = [self.path.parent / self.text(side) for side in SIDES]
         found: dict[str, Any] = {
             "diameter": self.length("beads", "diameter"),
@@ -135,14 +134,15 @@ class _Reader:
             "seen": self.seen(),
         }
         rate = self.table.get("rate", 1.0)
-        if isinstance(rate, bool) or not isinstance(rate, int | float) or not rate > 0:
+        if isinstance(rate, bool) or not isinstance(rate, int | float) or not 0 < rate < math.inf:
             self.bad(f"rate: expected a positive number of images per second, found {rate!r}")
         cameras = self.attempt(
-            lambda: Cameras.read(self.path.parent / self.text("cameras"), self.table.get("camera_length_unit"))
+            "cameras",
+            lambda: Cameras.read(self.path.parent / self.text("cameras"), self.table.get("camera_length_unit")),
         )
         actions = None
         if "grasps" in self.table:
-            actions = self.attempt(lambda: read_grasps(self.path.parent / self.text("grasps"), units))
+            actions = self.attempt("grasps", lambda: read_grasps(self.path.parent / self.text("grasps"), units))
         self.problems.raise_if_any()
         left, right = images
         return Recording(cameras, left, right, actions, float(rate), **found, units=units, source=str(self.path))
@@ -163,12 +163,12 @@ class _Reader:
             elif key not in _KEYS:
                 self.bad(f"{key}: unknown key; {nearest(key, [*_KEYS, *_TABLES])}")
 
-    def attempt(self, read: Any) -> Any:
-        """What another file holds; its problems join those of this one."""
+    def attempt(self, key: str, read: Any) -> Any:
+        """What another file, named by `key`, holds; its problems join those of this one."""
         try:
             return read()
         except InputError as error:
-            self.bad(str(error))
+            self.bad(f"{key}: {error}")
             return None
 
     def text(self, key: str, default: str | None = None) -> str:
@@ -177,6 +177,15 @@ class _Reader:
             self.bad(f"{key}: {'is missing' if value is None else f'expected text, found {value!r}'}")
             return ""
         return value
+
+    def unit(self, key: str, default: str, like: str) -> str:
+        unit = self.text(key, default)
+        try:
+            unit_factor(unit, like)
+        except InputError as error:
+            self.bad(f"{key}: {error}")
+            return default
+        return unit
 
     def value(self, table: str | None, key: str, default: Any = None) -> Any:
         return (self.table if table is None else self.table.get(table, {})).get(key, default)
@@ -223,12 +232,9 @@ class _Reader:
     def seen(self) -> dict[str, tuple[float, float]]:
         found = {}
         for name, value in self.table.get("seen", {}).items():
-            try:
-                pixel = np.asarray(value, dtype=float)
-            except (TypeError, ValueError):
-                pixel = np.zeros(0)
-            if pixel.shape != (2,) or not np.isfinite(pixel).all():
+            numbers = isinstance(value, list) and all(type(v) in (int, float) and math.isfinite(v) for v in value)
+            if not numbers or len(value) != 2:
                 self.bad(f"seen.{name}: expected a pixel [u, v], found {value!r}")
             else:
-                found[name] = (float(pixel[0]), float(pixel[1]))
+                found[name] = (float(value[0]), float(value[1]))
         return found

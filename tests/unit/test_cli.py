@@ -12,6 +12,7 @@ import pytest
 from bcid import cli, commands
 from bcid.errors import MachineError
 from bcid.progress import Lines
+from bcid.run import sealed
 
 ROOT = Path(__file__).resolve().parents[2]
 SLAB = ROOT / "examples/scenes/slab.toml"
@@ -133,7 +134,7 @@ def identified(folder: Path, scene: Path = SLAB, state: str = "finished", **reco
     run.record["names"] = {"scene": str(scene), "measurement": str(SEEN)}
     run.write_json("identification.json", {"anchored": ["1", "2"]})
     run.finish({})
-    run.write_json("run.json", run.record | {"state": state} | record)
+    run.write_json("run.json", sealed(run.record | {"state": state} | record))
     return folder
 
 
@@ -331,7 +332,7 @@ def test_simulate_then_identify_then_again(tmp_path: Path) -> None:
     refused(bcid(*call, cwd=tmp_path), "finished run", "--overwrite")
 
     record = json.loads((tmp_path / "run/run.json").read_text(encoding="utf-8"))
-    (tmp_path / "run/run.json").write_text(json.dumps(record | {"state": "running"}), encoding="utf-8")
+    (tmp_path / "run/run.json").write_text(json.dumps(sealed(record | {"state": "running"})), encoding="utf-8")
     for batch in sorted((tmp_path / "run/outcomes").glob("*.json"))[5:]:
         batch.unlink()
     again = bcid(*call, "--no-picture", cwd=tmp_path)

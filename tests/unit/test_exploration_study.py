@@ -9,6 +9,7 @@ import pytest
 from test_explore import AXES, LIMITS, MadeUp, by_count, scene
 
 from bcid.studies.deal import How
+from bcid.run import sealed
 from bcid.studies.exploration import Bench, attempted, run_study
 from bcid.studies.exploration_scores import scores, table
 from bcid.studies.exploration_trials import ANCHORS, STRATEGIES, Extent, Trial, trials
@@ -76,7 +77,7 @@ def test_a_study_that_was_stopped_goes_on(tmp_path: Path, coarse_scene: Path) ->
     assert len(files) == whole["trials"] == 25
     kept = [file.read_text(encoding="utf-8") for file in files]
     record = json.loads((tmp_path / "study/run.json").read_text(encoding="utf-8"))
-    (tmp_path / "study/run.json").write_text(json.dumps(record | {"state": "running"}), encoding="utf-8")
+    (tmp_path / "study/run.json").write_text(json.dumps(sealed(record | {"state": "running"})), encoding="utf-8")
     for file in files[:3]:
         file.unlink()
     again = run()

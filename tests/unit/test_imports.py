@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "bcid"
 HEAVY = ("dolfinx", "petsc4py", "vtk", "pyvista", "cv2", "gmsh", "matplotlib")
 
 BASE = {"errors", "units", "compat", "fingerprint", "frame_error", "progress", "collective", ""}
-DATA = BASE | {"scene", "scene_file", "measurement", "measurement_folder", "mapping", "motions", "run"}
+DATA = BASE | {"scene", "scene_file", "measurement", "measurement_folder", "mapping", "c3d", "motions", "run"}
 ALLOWED = {
     **dict.fromkeys(BASE, BASE),
     **dict.fromkeys(DATA - BASE, DATA),

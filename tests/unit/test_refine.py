@@ -20,6 +20,7 @@ from bcid.forms.simulate import simulate
 from bcid.measurement import Measurement
 from bcid.motions import about_x, actions
 from bcid.progress import Silent
+from bcid.run import sealed
 from bcid.scene import Level, Region, Scene
 from bcid.search.farm import Candidate, Outcome
 from bcid.search.identify import Options, identify
@@ -329,7 +330,7 @@ def test_a_run_folder_holds_the_refined_patches(tmp_path: Path) -> None:
 
     # Killed before it wrote its result: everything that was computed is taken, and the result is the same.
     record = json.loads((tmp_path / "run/run.json").read_text(encoding="utf-8"))
-    (tmp_path / "run/run.json").write_text(json.dumps(record | {"state": "running"}), encoding="utf-8")
+    (tmp_path / "run/run.json").write_text(json.dumps(sealed(record | {"state": "running"})), encoding="utf-8")
     batches = len(list((tmp_path / "run/outcomes").iterdir()))
     again = subprocess.run(
         [*command, "--no-picture"], capture_output=True, text=True, cwd=tmp_path, timeout=280, check=False

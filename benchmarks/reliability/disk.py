@@ -1,0 +1,190 @@
+"""F3: a disk that is full, read-only or broken from the n-th write on, for every n; and a real file system that is full."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import io
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from bcid import cli
+from bcid.run import Run
+from benchmarks.reliability import Reached
+from benchmarks.reliability.inputs import small_scene
+
+ERRORS = (errno.ENOSPC, errno.EIO, errno.EROFS)
+_FIRST = 5
+_CHANGES = ("os.mkdir", "os.rename", "os.remove", "os.rmdir")
+
+
+class Disk:
+    """Fails whatever changes files below a folder, from the n-th change on, in this process.
+
+    Attributes:
+        folder: where it fails; None: nowhere.
+        left: changes until it fails.
+        error: what it fails with (errno).
+    """
+
+    def __init__(self) -> None:
+        self.folder: Path | None = None
+        self.left, self.made, self.error = 0, 0, errno.ENOSPC
+        sys.addaudithook(self._seen)
+
+    def _seen(self, event: str, arguments: tuple[Any, ...]) -> None:
+        if self.folder is None or not (event == "open" or event in _CHANGES):
+            return
+        if event == "open":
+            flags = arguments[2] if isinstance(arguments[2], int) else 0
+            mode = str(arguments[1] or "r")
+            if not (flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT) or set(mode) & set("wax+")):
+                return
+        if not isinstance(arguments[0], str | os.PathLike) or self.folder not in Path(arguments[0]).resolve().parents:
+            return
+        self.made += 1
+        self.left -= 1
+        if self.left < 0:
+            raise OSError(self.error, os.strerror(self.error))
+
+    @contextlib.contextmanager
+    def failing(self, folder: Path, after: int, error: int) -> Iterator[None]:
+        """Let so many changes below `folder` pass, and fail all that follow."""
+        self.folder, self.left, self.made, self.error = folder.resolve(), after, 0, error
+        try:
+            yield
+        finally:
+            self.folder = None
+
+
+_disks: list[Disk] = []
+
+
+def disk() -> Disk:
+    """The one of this process: an audit hook cannot be taken away again."""
+    if not _disks:
+        _disks.append(Disk())
+    return _disks[0]
+
+
+def command(*arguments: object) -> tuple[int, str]:
+    """Exit code and standard error of a command of bcid, run in this process."""
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
+            code = cli.main([str(argument) for argument in arguments])
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    return code, said.getvalue()
+
+
+def sound(folder: Path) -> str:
+    """What is wrong with what a failed command has left in a run folder; "" if nothing is."""
+    if not (folder / "run.json").exists():
+        return ""
+    told: list[str] = []
+    run = Run.open(folder)
+    list(run.batches(told.append))
+    for file in folder.glob("*.json"):
+        run.read_json(file.name)
+    for file in folder.glob("*.nc"):
+        run.read_dataset(file.name)
+    return "; ".join(told)
+
+
+def wrong(code: int, said: str) -> str:
+    """What is wrong with how a command failed; "" if nothing is."""
+    lines = [line for line in said.splitlines() if line.strip()]
+    if code != 3 or "Traceback" in said:
+        return f"exit code {code}, {said[-300:]!r}"
+    return "" if len(lines) == 1 and "cannot be written" in said else f"not one message: {said!r}"
+
+
+def failures(count: int = 0, seed: int = 0, only: Sequence[int] = ERRORS) -> Reached:
+    """F3: identify and simulate on a disk that fails from the n-th change on: `count` values of n, or all (0), and each error."""
+    misses: list[str] = []
+    tried = 0
+    with tempfile.TemporaryDirectory(prefix="bcid-") as name:
+        folder = Path(name)
+        scene, seen, out = small_scene(folder), folder / "seen", folder / "out"
+        out.mkdir()
+        simulate = ("simulate", scene, "--anchors", "3,4", "--motion", "pull", "--level", "1", "--quiet", "-o")
+        assert command(*simulate, seen)[0] == 0
+        identify = ("identify", scene, seen, "--finest", "0", "--certify", "yes", "--quiet", "--no-picture", "-o")
+        for words, result in ((simulate, "fiducials.csv"), (identify, "identification.json")):
+            total = _changes(words, out / "right", out)
+            right = (out / "right" / result).read_bytes()
+            shutil.rmtree(out / "right")
+            # The first ones make the folder, its lock and its record.
+            few = {*range(_FIRST), *(round(i * (total - 1) / max(count - 1, 1)) for i in range(count))}
+            chosen = sorted(n for n in few if n < total) if count else range(total)
+            for error in only:
+                for n in chosen:
+                    tried += 1
+                    target = out / f"{words[0]}-{error}-{n}"
+                    fault = _one(words, target, out, n, error, lambda t=target, r=result: (t / r).read_bytes(), right)
+                    if fault:
+                        misses.append(f"{words[0]}, {errno.errorcode[error]} from change {n}: {fault}")
+        text = (
+            f"{tried} failures of identify and simulate, from the first change of a file to the last; {_tmpfs(folder)}"
+        )
+    goal = "disk full, read-only, I/O error: one message, exit code 3, what was stored opens, resume works"
+    return Reached(goal, text, not misses, tuple(misses))
+
+
+def _changes(words: Sequence[object], target: Path, out: Path) -> int:
+    """How many changes of files a command makes."""
+    with disk().failing(out, 10**9, 0):
+        code, said = command(*words, target)
+    assert code == 0, said
+    return disk().made
+
+
+def _one(
+    words: Sequence[object], target: Path, out: Path, n: int, error: int, read: Callable[[], bytes], right: bytes
+) -> str:
+    with disk().failing(out, n, error):
+        code, said = command(*words, target)
+    fault = wrong(code, said) or sound(target)
+    if fault:
+        return fault
+    code, said = command(*words, target)
+    if code != 0:
+        return f"does not go on: exit code {code}, {said[-300:]!r}"
+    return "" if read() == right else "goes on to another result"
+
+
+_MOUNTED = """
+import ctypes, subprocess, sys
+place, command, libc = sys.argv[1], sys.argv[2:], ctypes.CDLL(None)
+if libc.mount(b"small", place.encode(), b"tmpfs", 0, b"size=16k"):
+    sys.exit(77)
+print("code", subprocess.run(command).returncode, flush=True)
+libc.mount(b"small", place.encode(), b"tmpfs", 32, b"size=64m")
+print("code", subprocess.run(command).returncode, flush=True)
+"""
+
+
+def _tmpfs(folder: Path) -> str:
+    """Identify on a real file system of 16 KiB, where one can be mounted, then with more space."""
+    place = folder / "small"
+    place.mkdir()
+    words = [sys.executable, "-m", "bcid", "identify", str(folder / "scene.toml"), str(folder / "seen")]
+    words += ["--finest", "0", "--certify", "yes", "--quiet", "--no-picture", "-o", str(place / "run")]
+    unshared = ["unshare", "-rm", sys.executable, "-c", _MOUNTED, str(place), *words]
+    done = subprocess.run(unshared, capture_output=True, text=True, check=False)
+    if done.returncode == 77 or "unshare" in done.stderr:
+        return "no tmpfs can be mounted here"
+    codes = [line for line in done.stdout.splitlines() if line.startswith("code")]
+    if codes != ["code 3", "code 0"] or done.stderr.count("bcid:") != 1 or "Traceback" in done.stderr:
+        raise AssertionError(f"on a full tmpfs: {done.stdout[-500:]} {done.stderr[-500:]}")
+    return "on a full tmpfs exit code 3, with more space 0"

@@ -1,0 +1,57 @@
+"""Damaged and mutated files of every kind, reduced; docs/reliability.md has the full sizes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bcid.errors import InputError
+from bcid.run import Run
+from benchmarks.reliability import Reached, configuration, folders, meshes, recordings
+
+
+def met(found: Reached) -> None:
+    assert found.met, "\n".join([found.reached, *found.misses[:10]])
+
+
+@pytest.mark.filterwarnings("ignore:This process")
+def test_mutated_meshes() -> None:
+    met(meshes.damage(240))
+
+
+def test_bad_configuration_and_measurements() -> None:
+    met(configuration.refusals(800))
+
+
+def test_mutated_c3d_recordings() -> None:
+    pytest.importorskip("ezc3d")
+    met(recordings.damage(8, seed=3))
+
+
+def test_damaged_run_folders() -> None:
+    met(folders.damage(300))
+
+
+def test_a_damaged_batch_is_dropped_and_named_and_the_rest_kept(tmp_path: Path) -> None:
+    run = Run.start(tmp_path / "run", "identify", {})
+    for number in range(4):
+        run.add_batch([{"number": number}])
+    files = sorted((tmp_path / "run/outcomes").iterdir())
+    files[1].write_bytes(files[1].read_bytes()[:-9])
+    told: list[str] = []
+    assert [batch[0]["number"] for batch in run.batches(told.append)] == [0, 2, 3]
+    assert len(told) == 1
+    assert files[1].name in told[0]
+    run.add_batch([{"number": 4}])
+    assert [batch[0]["number"] for batch in run.batches()] == [0, 2, 3, 4]
+    run.release()
+
+
+def test_another_number_in_a_result_is_noticed(tmp_path: Path) -> None:
+    folder = folders.finished(tmp_path / "run")
+    file = folder / "identification.json"
+    file.write_text(file.read_text(encoding="utf-8").replace("0.98", "0.99"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"identification\.json: is damaged"):
+        Run.open(folder).read_json("identification.json")
+    assert Run.open(folder).read_dataset("body.nc")["measured"].size == 60

@@ -1,0 +1,56 @@
+"""Faults of disk, memory, solver and processes, reduced; docs/reliability.md has the full sizes."""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+
+import pytest
+
+from bcid import cli
+from bcid.errors import InputError
+from bcid.run import Run
+from benchmarks.reliability import Reached, disk, signals, solver
+
+
+def met(found: Reached) -> None:
+    assert found.met, "\n".join([found.reached, *found.misses[:10]])
+
+
+def test_a_disk_that_fails_at_any_write() -> None:
+    met(disk.failures(3, only=(errno.ENOSPC,)))
+
+
+def test_every_fault_of_the_solver_has_a_name() -> None:
+    met(solver.faulty(1))
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_an_interrupted_job_goes_on(ranks: int) -> None:
+    met(signals.signals(1, seed=ranks, ranks=(ranks,)))
+
+
+def test_a_hanging_trial_ends() -> None:
+    met(signals.hanging(1.0))
+
+
+def test_short_memory_is_told_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def short(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(cli, "identify", short)
+    words = ["identify", "scene.toml", "seen", "-o", str(tmp_path / "run")]
+    code, said = disk.command(*words)
+    assert code == 3
+    assert "out_of_memory" in said
+    assert len(said.splitlines()) == 1
+
+
+def test_a_run_whose_first_write_failed_can_be_begun_again(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run/.run.json.partial").write_text("{", encoding="utf-8")
+    (tmp_path / "run/.lock").write_text("process 1 on moon", encoding="utf-8")
+    run = Run.start(tmp_path / "run", "identify", {})
+    with pytest.raises(InputError, match="is being written by process"):
+        Run.start(tmp_path / "run", "identify", {})
+    run.finish({})

@@ -1,0 +1,15 @@
+"""Files that want to be run, and names that lead out of the run folder."""
+
+from __future__ import annotations
+
+from benchmarks.reliability import hostile
+
+
+def test_hostile_files() -> None:
+    found = hostile.hostile()
+    assert found.met, "\n".join([found.reached, *found.misses])
+
+
+def test_names_and_links() -> None:
+    found = hostile.names()
+    assert found.met, "\n".join([found.reached, *found.misses])
