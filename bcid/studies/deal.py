@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from bcid.collective import agree, on_root
-from bcid.errors import BcidError, MachineError
+from bcid.errors import BcidError, InputError, MachineError
 from bcid.progress import Progress
-from bcid.run import write_whole
+from bcid.run import sealed, write_whole
 
 Task = Mapping[str, Any]
 Make = Callable[[Task], dict[str, Any]]
@@ -52,8 +52,23 @@ class Work:
     ) -> None:
         """Write the result of a trial whole: what the maker gave, or why there is nothing."""
         about = {"name": name, "state": state, "reason": reason, "seconds": round(seconds, 4), "task": dict(task)}
-        text = json.dumps(about | {"result": None if result is None else dict(result)}, allow_nan=False)
-        write_whole(self.file(name), text + "\n")
+        content = sealed(about | {"result": None if result is None else dict(result)})
+        write_whole(self.file(name), json.dumps(content, allow_nan=False) + "\n")
+
+
+def read_result(file: Path) -> dict[str, Any]:
+    """What `Work.record` wrote.
+
+    Raises:
+        InputError: it is missing or damaged.
+    """
+    try:
+        content: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        if sealed(content)["checksum"] != content["checksum"]:
+            raise ValueError("its checksum is another")
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(f"{file}: is missing or damaged ({error}); remove it, it is made again") from None
+    return content
 
 
 @dataclass(frozen=True)

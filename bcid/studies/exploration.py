@@ -39,7 +39,7 @@ from bcid.progress import Progress, Silent
 from bcid.run import Run
 from bcid.scene import Level, Scene
 from bcid.search.seeds import all_candidates
-from bcid.studies.deal import How, Work, deal
+from bcid.studies.deal import How, Work, deal, read_result
 from bcid.studies.exploration_scores import scores, table
 from bcid.studies.exploration_trials import BUDGET, HIDDEN, RIVALS, Extent, Trial, trials
 
@@ -255,7 +255,7 @@ class Bench:
 
 def _result(path: Path, trial: Trial) -> dict[str, Any]:
     """What became of a trial; one that was not made for another reason than a pull that cannot be followed ended as well."""
-    content = json.loads((path / "results" / f"{trial.name}.json").read_text(encoding="utf-8"))
+    content = read_result(path / "results" / f"{trial.name}.json")
     result: dict[str, Any] = content["result"] or unmade(trial, content["reason"])
     return result
 

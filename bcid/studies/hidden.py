@@ -22,7 +22,7 @@ from bcid.fingerprint import file_fingerprint
 from bcid.progress import Progress, Silent
 from bcid.run import Run
 from bcid.studies.cases import SIZES
-from bcid.studies.deal import How, Work, deal
+from bcid.studies.deal import How, Work, deal, read_result
 from bcid.studies.score import scores, table
 
 SCENE = Path(__file__).resolve().parents[2] / "examples/scenes/slab_hidden.toml"
@@ -105,7 +105,7 @@ def _job(path: Path, options: Options, scene: Path) -> dict[str, Any]:
 
 def _read(path: Path, index: int) -> dict[str, Any]:
     """The result of a case with its truth, which is also known where there is no diagnosis."""
-    found = json.loads((path / "results" / f"{index:04d}.json").read_text(encoding="utf-8"))
+    found = read_result(path / "results" / f"{index:04d}.json")
     truth = path / "cases" / f"{index:04d}" / "truth.json"
     nothing = {"diagnosis": None, "seconds": found["seconds"], "cpu_seconds": 0.0}
     content: dict[str, Any] = {"index": index, "state": found["state"], "reason": found["reason"]}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bcid.errors import InputError, MachineError
+from bcid.errors import MachineError
 from bcid.run import writing
 from bcid.studies.condition import written
+from bcid.studies.deal import read_result
 from bcid.studies.score import wilson
 from bcid.studies.study_file import StudyFile, Trial
 
@@ -32,13 +32,10 @@ def read(study: StudyFile, folder: Path) -> list[Row]:
 
 
 def _row(trial: Trial, file: Path) -> Row:
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-        result = content["result"] or {}
-        about = {"cell": trial.cell, "number": trial.number, "state": content["state"], "reason": content["reason"]}
-        about["seconds"] = float(content["seconds"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{file}: is missing or damaged ({error}); remove it, it is made again") from None
+    content = read_result(file)
+    result = content["result"] or {}
+    about = {"cell": trial.cell, "number": trial.number, "state": content["state"], "reason": content["reason"]}
+    about["seconds"] = float(content["seconds"])
     condition = trial.condition.to_json() | {"anchors": sorted(trial.condition.held(trial.number))}
     found = {key: result.get(key) for key in ("found", "right", "best", "best_right", "rms", "cpu_seconds")}
     return about | condition | found | {"calls": result.get("calls", {})}

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import time
 from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
@@ -20,14 +19,13 @@ from typing import Any
 import numpy as np
 
 from bcid.collective import on_root
-from bcid.errors import InputError
 from bcid.fingerprint import file_fingerprint
 from bcid.progress import Progress, Silent
 from bcid.run import Busy, Run
 from bcid.scene import Scene
 from bcid.studies import foretell, results
 from bcid.studies.condition import written
-from bcid.studies.deal import How, Work, deal, part_of
+from bcid.studies.deal import How, Work, deal, part_of, read_result
 from bcid.studies.study_file import StudyFile
 
 # Between two looks whether another part has begun the run.
@@ -142,10 +140,7 @@ def call_costs(files: Iterable[Path]) -> dict[str, float]:
     for file in files:
         if not file.is_file():
             continue
-        try:
-            result = json.loads(file.read_text(encoding="utf-8"))["result"]
-        except (ValueError, KeyError) as error:
-            raise InputError(f"{file}: is damaged ({error}); remove it, it is made again") from None
+        result = read_result(file)["result"]
         if result and result["level"] is not None:
             spent.setdefault(str(result["level"]), []).append(result["seconds"])
     return {level: float(np.median(seconds)) for level, seconds in sorted(spent.items())}

@@ -14,8 +14,9 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
-from bcid.run import Run
 from bcid.studies.children import Ended, Task, supervise
+
+from bcid.run import Run
 from benchmarks.reliability import ROOT, Reached
 from benchmarks.reliability.inputs import small_scene
 

@@ -87,19 +87,19 @@ def poisoned(path: Path, payload: str) -> Path:
             runs.rung(f"{payload} + {payload}", 0.2, True) | {"anchored": [payload]},
         ],
     }
-    (path / "diagnosis.json").write_text(json.dumps(found), encoding="utf-8")
+    runs.rewrite(path, "diagnosis.json", json.dumps(found))
     identified: dict[str, Any] = runs.identification() | {
         "anchored": [payload],
         "patches": {payload: 0.9, "right": 0.1},
     }
     identified["alternatives"][0]["anchored"] = [payload]
-    (path / "identification.json").write_text(json.dumps(identified), encoding="utf-8")
+    runs.rewrite(path, "identification.json", json.dumps(identified))
     explored = json.loads(json.dumps(runs.exploration()))
     explored |= {"anchored": [payload], "effect": payload, "patches": {payload: 1.0}}
     for step in explored["steps"]:
         step |= {"grasp": payload, "direction": payload, "patches": {payload: 0.5}, "effects": {payload: 0.5, "": 0.5}}
         step["belief"][0] |= {"anchored": [payload], "effect": payload}
-    (path / "exploration.json").write_text(json.dumps(explored), encoding="utf-8")
+    runs.rewrite(path, "exploration.json", json.dumps(explored))
     run.write_dataset("body.nc", runs.body(("", f"patch {arrays}", "patch right", f"grasp {arrays}"), arrays))
     seen = runs.positions(arrays, (arrays, "2"), (arrays, "b", "c"))
     seen.attrs = {"model_first": arrays, "model": f"{arrays} + x"}
@@ -119,5 +119,6 @@ def poisoned(path: Path, payload: str) -> Path:
         "ranks": payload,
     }
     (path / "run.json").write_text(json.dumps(record), encoding="utf-8")
+    runs.seal(path, "body.nc", "residuals.nc")
     run.release()
     return path

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from bcid.run import Run
+from bcid.run import Run, sealed
 
 AXES = ["x", "y", "z"]
 STEPS = 4
@@ -197,3 +199,18 @@ def explored(path: Path) -> Path:
     run.write_json("exploration.json", exploration())
     run.finish({})
     return path
+
+
+def seal(folder: Path, *names: str) -> None:
+    """Let the checksums be those of files that were changed: what a run could have written, had it found such things."""
+    record = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    record.setdefault("files", {})
+    for name in names:
+        record["files"][name] = hashlib.sha256((folder / name).read_bytes()).hexdigest()[:32]
+    (folder / "run.json").write_text(json.dumps(sealed(record)), encoding="utf-8")
+
+
+def rewrite(folder: Path, name: str, content: str) -> None:
+    """Put something else into a file of a run, checksum and all."""
+    (folder / name).write_text(content, encoding="utf-8")
+    seal(folder, name)

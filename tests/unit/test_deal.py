@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
-from bcid.errors import MachineError
+from bcid.errors import InputError, MachineError
 from bcid.progress import Silent
-from bcid.studies.deal import How, Work, attempt, deal, part_of
+from bcid.studies.deal import How, Work, attempt, deal, part_of, read_result
 
 HERE = Path(__file__).resolve().parent
 
@@ -154,6 +154,18 @@ def test_what_cannot_be_written_ends_the_study(tmp_path: Path) -> None:
         attempt(made, "0000", {"index": 0})
     with pytest.raises(MachineError, match="cannot be written"):
         deal(made, tasks(3), How(jobs=1), Silent())
+
+
+def test_a_result_that_is_damaged_is_named(tmp_path: Path) -> None:
+    made = work(tmp_path)
+    attempt(made, "0003", {"index": 3, "fault": ""})
+    file = made.file("0003")
+    whole = file.read_bytes()
+    assert read_result(file)["result"] == {"value": 9}
+    for damaged in (whole[:-9], whole.replace(b'"value": 9', b'"value": 8'), b"", b"[]", b"\xff"):
+        file.write_bytes(damaged)
+        with pytest.raises(InputError, match=r"0003.json: is missing or damaged \(.*; remove it, it is made again"):
+            read_result(file)
 
 
 def test_parts_are_all_and_none_twice() -> None:

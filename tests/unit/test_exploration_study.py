@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from test_explore import AXES, LIMITS, MadeUp, by_count, scene
 
-from bcid.studies.deal import How
 from bcid.run import sealed
+from bcid.studies.deal import How
 from bcid.studies.exploration import Bench, attempted, run_study
 from bcid.studies.exploration_scores import scores, table
 from bcid.studies.exploration_trials import ANCHORS, STRATEGIES, Extent, Trial, trials

@@ -93,7 +93,7 @@ def test_identified(tmp_path: Path) -> None:
 
 def test_a_set_that_explains_nothing(tmp_path: Path) -> None:
     folder = runs.identified(tmp_path / "run")
-    (folder / "identification.json").write_text(json.dumps(runs.identification() | {"rms": 1.4}), encoding="utf-8")
+    runs.rewrite(folder, "identification.json", json.dumps(runs.identification() | {"rms": 1.4}))
     assert "No set of anchors explains this measurement" in said(tmp_path, folder)
 
 
@@ -112,7 +112,7 @@ def test_a_set_that_explains_nothing(tmp_path: Path) -> None:
 )
 def test_verdicts(tmp_path: Path, more: dict[str, Any], sentence: str) -> None:
     folder = runs.explained(tmp_path / "run")
-    (folder / "diagnosis.json").write_text(json.dumps(runs.diagnosis() | more), encoding="utf-8")
+    runs.rewrite(folder, "diagnosis.json", json.dumps(runs.diagnosis() | more))
     assert sentence in said(tmp_path, folder)
 
 
@@ -198,51 +198,60 @@ def test_only_reports_are_overwritten(tmp_path: Path) -> None:
 
 
 def damaged_json(folder: Path) -> None:
-    (folder / "diagnosis.json").write_text('{"adequate": tr', encoding="utf-8")
+    runs.rewrite(folder, "diagnosis.json", '{"adequate": tr')
 
 
 def not_a_table(folder: Path) -> None:
-    (folder / "diagnosis.json").write_text("[1, 2]", encoding="utf-8")
+    runs.rewrite(folder, "diagnosis.json", "[1, 2]")
 
 
 def deep_json(folder: Path) -> None:
-    (folder / "diagnosis.json").write_text("[" * 100_000, encoding="utf-8")
+    runs.rewrite(folder, "diagnosis.json", "[" * 100_000)
 
 
 def damaged_body(folder: Path) -> None:
     (folder / "body.nc").write_bytes((folder / "body.nc").read_bytes()[:400])
 
 
+def truncated_body(folder: Path) -> None:
+    damaged_body(folder)
+    runs.seal(folder, "body.nc")
+
+
 def other_frames(folder: Path) -> None:
     Run(folder, {}).write_dataset("residuals.nc", runs.positions().isel(frame=slice(0, 3)))
+    runs.seal(folder, "residuals.nc")
 
 
 def no_triangles(folder: Path) -> None:
     Run(folder, {}).write_dataset("body.nc", runs.body().drop_vars("triangles"))
+    runs.seal(folder, "body.nc")
 
 
 def far_nodes(folder: Path) -> None:
     data = runs.body()
     data["points"][:] = np.nan
     Run(folder, {}).write_dataset("body.nc", data)
+    runs.seal(folder, "body.nc")
 
 
 def lacking_keys(folder: Path) -> None:
-    (folder / "diagnosis.json").write_text(json.dumps({"verdict": "gravity", "ranking": [{}]}), encoding="utf-8")
+    runs.rewrite(folder, "diagnosis.json", json.dumps({"verdict": "gravity", "ranking": [{}]}))
 
 
 def other_types(folder: Path) -> None:
     found = runs.diagnosis() | {"rms": "1", "ladder": 3, "ranking": {"a": 1}, "anchored": None, "tests": None}
-    (folder / "diagnosis.json").write_text(json.dumps(found), encoding="utf-8")
+    runs.rewrite(folder, "diagnosis.json", json.dumps(found))
 
 
 def infinite(folder: Path) -> None:
     text = json.dumps(runs.diagnosis()).replace("1.42", "Infinity").replace("0.24", "NaN")
-    (folder / "diagnosis.json").write_text(text, encoding="utf-8")
+    runs.rewrite(folder, "diagnosis.json", text)
 
 
 DAMAGES = [
-    damaged_json, not_a_table, deep_json, damaged_body, other_frames, no_triangles, far_nodes, lacking_keys, other_types, infinite
+    damaged_json, not_a_table, deep_json, damaged_body, truncated_body, other_frames, no_triangles, far_nodes,
+    lacking_keys, other_types, infinite,
 ]  # fmt: skip
 
 

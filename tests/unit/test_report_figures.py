@@ -57,7 +57,7 @@ def test_files_are_not_replaced_unasked(tmp_path: Path) -> None:
 
 def test_an_error_leaves_nothing(tmp_path: Path) -> None:
     folder, target = runs.explored(tmp_path / "run"), tmp_path / "figures"
-    (folder / "exploration.json").write_text('{"steps": [{"number": 1}]}', encoding="utf-8")
+    runs.rewrite(folder, "exploration.json", '{"steps": [{"number": 1}]}')
     with pytest.raises(InputError, match="figure 'sets' cannot be made"):
         write_figures(folder, target, ["png"])
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run"]

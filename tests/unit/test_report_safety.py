@@ -136,9 +136,9 @@ def test_payloads_in_damaged_and_unfinished_runs(tmp_path: Path) -> None:
         folders.append(run.path)
     unit = runs.explained(tmp_path / "unit")
     found = runs.diagnosis() | {"length_unit": PAYLOADS[0], "rms": PAYLOADS[2], "noise_rms": PAYLOADS[3]}
-    (unit / "diagnosis.json").write_text(json.dumps(found), encoding="utf-8")
+    runs.rewrite(unit, "diagnosis.json", json.dumps(found))
     broken = runs.explained(tmp_path / file_name(PAYLOADS[2]))
-    (broken / "diagnosis.json").write_text(PAYLOADS[0], encoding="utf-8")
+    runs.rewrite(broken, "diagnosis.json", PAYLOADS[0])
     (broken / "body.nc").write_text(PAYLOADS[0], encoding="utf-8")
     gone = tmp_path / file_name(PAYLOADS[4])
     report = page.write_report([*folders, unit, broken, gone], tmp_path / "report.html")
