@@ -59,12 +59,14 @@ class Extent:
         noises: of the main part, m.
         hidden: what is hidden in the second part (see `HIDDEN`).
         enclosed: anchors of the third part; () to leave it out.
+        grasps: that may be used in the main part.
     """
 
     count: int
     noises: tuple[float, ...] = NOISES
     hidden: tuple[str, ...] = tuple(HIDDEN)
     enclosed: tuple[str, ...] = ENCLOSED
+    grasps: tuple[tuple[str, ...], ...] = GRASPS
 
 
 def trials(extent: Extent) -> Iterator[Trial]:
@@ -74,10 +76,10 @@ def trials(extent: Extent) -> Iterator[Trial]:
         yield Trial(BESIDE, SEEN, EVERY, "information", number, hidden)
     for number in range(few) if extent.enclosed else ():
         yield Trial(extent.enclosed, SEEN, EVERY, "information", number)
-    yield from _main(extent.count, extent.noises)
+    yield from _main(extent.count, extent.noises, extent.grasps)
 
 
-def _main(count: int, noises: Sequence[float]) -> Iterator[Trial]:
-    for strategy, grasps, noise, anchors in product(STRATEGIES, GRASPS, noises, ANCHORS):
+def _main(count: int, noises: Sequence[float], grasped: Sequence[tuple[str, ...]]) -> Iterator[Trial]:
+    for strategy, grasps, noise, anchors in product(STRATEGIES, grasped, noises, ANCHORS):
         for number in range(count if noise > 0 or strategy == "random" else 1):
             yield Trial(anchors, noise, grasps, strategy, number)

@@ -23,8 +23,8 @@ from bcid.studies.study import Extent, run_study
 
 STUDIES = Path(__file__).resolve().parents[2] / "studies"
 _EXPLORATION = "exploration"
-# Sections 7 and 8 in short: one trial of each setting, with the noise of a good camera, nothing hidden or enclosed.
-_FEW = Explored(1, (0.3e-3, 1e-3), (), ())
+# Sections 7 and 8 in short: one grasp, one trial of each setting, nothing hidden or enclosed.
+_FEW = Explored(1, (0.3e-3, 1e-3), (), (), (("II",),))
 
 
 def run_paper(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -148,10 +149,16 @@ def text(study: StudyFile, rows: Sequence[Row], costs: Mapping[str, float]) -> s
     lines.append(
         "In per cent: the search is right / the best of all sets is. They differ where the search misses what the data tell."
     )
+    lines += [f"  {count} failed: {reason}" for reason, count in reasons(rows)]
     for heading, group in _groups(study, found):
         lines += ["", *([heading] if heading else []), *_grid(study, group)]
     lines += ["", *_costs(study, found, costs), *_paper(study, found, rows, costs)]
     return "\n".join(lines).rstrip() + "\n"
+
+
+def reasons(rows: Sequence[Row], most: int = 3) -> list[tuple[str, int]]:
+    """Why trials have no answer, the commonest first, and how many."""
+    return Counter(row["reason"] for row in rows if row["right"] is None).most_common(most)
 
 
 def _groups(study: StudyFile, found: Sequence[Cell]) -> list[tuple[str, list[Cell]]]:
