@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from bcid.errors import InputError
 
 # Time of the reader, s, and how much more a byte of the file may take.
-_SECONDS = 10.0
+_SECONDS = 30.0
 _SECONDS_PER_BYTE = 1e-6
 # Address space of the reader, bytes, and how much more a byte of the file may take.
 _SPACE = 2_000_000_000
