@@ -166,7 +166,7 @@ def tables(found: Found) -> list[Table]:
 
 
 def _number(value: float | None) -> str:
-    return "" if value is None or not math.isfinite(value) else f"{value:.3g}"
+    return "" if value is None or not math.isfinite(value) else f"{value:#.3g}".rstrip(".")
 
 
 def _set(names: list[str]) -> str:

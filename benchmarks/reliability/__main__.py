@@ -15,10 +15,12 @@ from benchmarks.reliability import Reached
 CHECKS = {
     "L1": ("solving", "convergence"),
     "L2": ("solving", "memory"),
+    "F1": ("kills", "workers_die"),
+    "F2": ("kills", "all_die"),
     "F3": ("disk", "failures"),
     "F4": ("signals", "signals"),
     "F4-memory": ("signals", "memory"),
-    "F4-hanging": ("signals", "hanging"),
+    "F4-hanging": ("kills", "hanging"),
     "F5": ("solver", "faulty"),
     "B1": ("meshes", "damage"),
     "B2": ("configuration", "refusals"),

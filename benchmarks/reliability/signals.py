@@ -1,4 +1,4 @@
-"""F4: Ctrl-C, SIGTERM and the death of a rank at any time, memory limits, and solves that hang: on one rank and on two."""
+"""F4: Ctrl-C, SIGTERM and the death of a rank at any time, and memory limits: on one rank and on two."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ import tempfile
 import time
 from collections.abc import Iterable
 from pathlib import Path
-
-from bcid.studies.children import Ended, Task, supervise
 
 from bcid.run import Run
 from benchmarks.reliability import ROOT, Reached
@@ -181,18 +179,3 @@ def memory(count: int = 8) -> Reached:
                     misses.append(f"{more} kB more: does not go on: {again.stderr[-300:]!r}")
     goal = "memory limit: exit code 3, one message that says so, and a run that goes on"
     return Reached(goal, "exit codes by memory allowed: " + ", ".join(ends), not misses, tuple(misses))
-
-
-def hanging(limit: float = 2.0) -> Reached:
-    """F4: a solve that computes for ever in a trial is ended by the trial's limit, and by nothing else its neighbours."""
-    found: dict[str, Ended] = {}
-    with tempfile.TemporaryDirectory(prefix="bcid-") as name:
-        codes = {"hangs": "while True: pass", "sleeps": "import time; time.sleep(600)", "good": "print(1)"}
-        tasks = [Task(what, ("-c", code), Path(name) / what / "log.txt") for what, code in codes.items()]
-        start = time.monotonic()
-        supervise(tasks, 2, limit, lambda task, ended: found.__setitem__(task.name, ended))
-        seconds = time.monotonic() - start
-    text = ", ".join(f"{what}: {ended.state}" for what, ended in sorted(found.items())) + f", in {seconds:.0f} s"
-    states = {what: ended.state for what, ended in found.items()}
-    met = states == {"hangs": "timeout", "sleeps": "timeout", "good": "done"}
-    return Reached("a hanging trial ends at its limit, the others are done", text, met)

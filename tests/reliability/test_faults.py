@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import signal
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from bcid import cli
 from bcid.errors import InputError
 from bcid.run import Run
-from benchmarks.reliability import Reached, disk, signals, solver
+from benchmarks.reliability import Reached, disk, kills, signals, solver
 
 
 def met(found: Reached) -> None:
@@ -31,7 +32,16 @@ def test_an_interrupted_job_goes_on(ranks: int) -> None:
 
 
 def test_a_hanging_trial_ends() -> None:
-    met(signals.hanging(1.0))
+    met(kills.hanging(1.0))
+
+
+def test_workers_that_die_lose_nothing() -> None:
+    met(kills.workers_die(20))
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
+def test_when_everything_dies_the_rest_is_made(number: int) -> None:
+    met(kills.all_die(4, seed=int(number), number=number))
 
 
 def test_short_memory_is_told_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -277,14 +277,16 @@ _DEAL = """
 import sys
 from pathlib import Path
 from mpi4py import MPI
-from test_deal import How, Silent, deal, tasks, work
+from bcid.progress import Silent
+from bcid.studies.deal import How, deal
+from benchmarks.reliability.kills import tasks, work
 deal(work(Path(sys.argv[1]), sleep=0.05), tasks(60, t7="raise"), How(MPI.COMM_WORLD), Silent())
 """
 
 
 @pytest.mark.timeout(200)
 def test_a_rank_that_is_killed_ends_the_job_and_the_next_goes_on(tmp_path: Path) -> None:
-    from test_deal import begun, read, work
+    from benchmarks.reliability.kills import begun, values, work
 
     made = work(tmp_path)
     job = _mpirun(sys.executable, "-c", _DEAL, str(tmp_path))
@@ -292,13 +294,11 @@ def test_a_rank_that_is_killed_ends_the_job_and_the_next_goes_on(tmp_path: Path)
     while len(begun(made)) < 15:
         assert time.monotonic() < end
         time.sleep(0.02)
-    rank = int(Path(made.job["calls"]).read_text(encoding="utf-8").splitlines()[-1].split()[1])
-    os.kill(rank, signal.SIGKILL)
+    os.kill(begun(made)[-1][1], signal.SIGKILL)
     assert job.wait(timeout=20) != 0
     done = {file.stem for file in made.results.glob("0*.json")}
     assert 0 < len(done) < 60
     before = len(begun(made))
     assert _mpirun(sys.executable, "-c", _DEAL, str(tmp_path)).wait(timeout=100) == 0
     assert len(begun(made)) - before == 60 - len(done)
-    assert read(made, 7)["reason"] == "ValueError: no such thing"
-    assert [read(made, i)["result"]["value"] for i in range(60) if i != 7] == [i * i for i in range(60) if i != 7]
+    assert values(made, 60) == [None if i == 7 else i * i for i in range(60)]
