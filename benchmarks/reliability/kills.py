@@ -78,14 +78,15 @@ def no_one_left(made: Work, seconds: float = 10.0) -> bool:
     """Wait until no process that has ever begun a trial is alive."""
     end = time.monotonic() + seconds
     for _, process in begun(made):
-        while _alive(process):
+        while alive(process):
             if time.monotonic() > end:
                 return False
             time.sleep(0.05)
     return True
 
 
-def _alive(process: int) -> bool:
+def alive(process: int) -> bool:
+    """Whether a process is there."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:

@@ -20,6 +20,7 @@ from bcid.measurement import Measurement
 from bcid.studies import cases
 from bcid.studies.hidden import Options, _read, run_hidden
 from bcid.studies.score import judge, scores, table, wilson
+from benchmarks.reliability.kills import alive
 
 HERE = Path(__file__).resolve().parent
 
@@ -258,7 +259,7 @@ def test_a_study_that_was_killed_goes_on(
     parent.send_signal(number)
     parent.wait()
     # Orphans end themselves.
-    wait_for(lambda: not any(_alive(int(line.split()[1])) for line in calls.read_text().splitlines()), 20.0)
+    wait_for(lambda: not any(alive(int(line.split()[1])) for line in calls.read_text().splitlines()), 20.0)
     before = {file.name for file in (run / "results").glob("0*.json")}
     assert 0 < len(before) < 5
     began = len(calls.read_text().splitlines())
@@ -267,14 +268,6 @@ def test_a_study_that_was_killed_goes_on(
     again = {int(line.split()[0]) for line in calls.read_text().splitlines()[began:]}
     assert sorted(f"{i:04d}.json" for i in again) == sorted({f"{i:04d}.json" for i in range(5)} - before)
     assert [_read(run, i)["state"] for i in range(5)] == ["done", "failed", "done", "failed", "done"]
-
-
-def _alive(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    return True
 
 
 def test_options_are_checked(tmp_path: Path) -> None:
