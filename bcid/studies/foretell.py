@@ -51,7 +51,7 @@ class Store:
 
     def table(self, condition: Condition, level: int) -> dict[Candidate, Array]:
         """Positions (frames, fiducials, 3), m, that every set predicts on a level; NaN where it has no solution."""
-        return _table(self, replace(_plain(condition), anchors=()), level)
+        return _table(self, _plain(condition), level)
 
     def truth(self, condition: Condition, anchors: Candidate, actions: list[Action] | None = None) -> Array:
         """Positions (frames, fiducials, 3), m, that are true; `actions` where they are other than the condition's.
@@ -69,7 +69,7 @@ class Store:
 
 def _plain(condition: Condition) -> Condition:
     """What predictions depend on."""
-    return replace(Condition(), motion=condition.motion, grasp=condition.grasp, finest=condition.finest)
+    return replace(Condition(), anchors=(), motion=condition.motion, grasp=condition.grasp, finest=condition.finest)
 
 
 def _true(condition: Condition) -> Condition:
@@ -124,7 +124,7 @@ def tasks(trials: Iterable[Trial], scene: Scene) -> dict[str, dict[str, Any]]:
         if not condition.robot_turn:
             truths.setdefault(_true(condition), set()).add(condition.held(trial.number))
         if condition.search != "identify":
-            levels |= {(_plain(replace(condition, anchors=())), level): None for level in range(condition.finest + 1)}
+            levels |= {(_plain(condition), level): None for level in range(condition.finest + 1)}
     found: list[dict[str, Any]] = [
         {"condition": true.to_json(), "level": None, "sets": [sorted(anchors)]}
         for true, sets in truths.items()

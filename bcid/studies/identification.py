@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -95,7 +94,7 @@ def climbed(store: Store, condition: Condition, number: int, seen: Array) -> dic
     seeds = random_seeds(patches, condition.seeds, np.random.default_rng(number))
     search = in_stages if condition.search == "stages" else in_one_stage
     found = search(misfit, patches, seeds, condition.finest)
-    best = optimum(partial(misfit), tables[condition.finest], condition.finest)
+    best = optimum(misfit, tables[condition.finest], condition.finest)
     truth = condition.held(number)
     return {
         "found": sorted(found.anchors),

@@ -147,7 +147,7 @@ def text(study: StudyFile, rows: Sequence[Row], costs: Mapping[str, float]) -> s
         f"{len(rows)} trials, {study.trials} in each of {len(found)} cells" + (f"; {failed} failed" if failed else "")
     )
     lines.append(
-        "In per cent: the search is right / the best of all sets is. They differ where the search misses what the data tell."
+        "In per cent: the search is right / the best of all sets is. A lower first: the search misses what the data tell."
     )
     lines += [f"  {count} failed: {reason}" for reason, count in reasons(rows)]
     for heading, group in _groups(study, found):
