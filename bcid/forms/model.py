@@ -253,6 +253,11 @@ class Model:
         return self.symmetric and not self.mixed and not self.remembers
 
     @property
+    def conservative(self) -> bool:
+        """Whether all work of the gripper is stored: every effect has a potential, and none acts by the clock."""
+        return not self.remembers and not any(dose.effect.work or dose.effect.envelope for dose in self.doses)
+
+    @property
     def steady(self) -> bool:
         """Whether what is seen depends on the pose alone: not on time, nor on the frames before, nor on the picture's number."""
         return not self.remembers and not any(

@@ -48,6 +48,7 @@ class Status(StrEnum):
     LINEAR_SOLVER = "linear_solver"
     NOT_FINITE = "not_finite"
     OUT_OF_MEMORY = "out_of_memory"
+    JUMPED = "jumped"
     DIVERGED = "diverged"
 
 
@@ -60,6 +61,7 @@ WORDS = {
     Status.LINEAR_SOLVER: "the tangent could not be factorised",
     Status.NOT_FINITE: "the residual is not a number (an element was turned inside out)",
     Status.OUT_OF_MEMORY: "the factorisation ran out of memory",
+    Status.JUMPED: "the state found holds more energy than the gripper has put in: the motion does not lead there",
     Status.DIVERGED: "Newton's method diverged",
 }
 _REASONS = {
@@ -360,10 +362,17 @@ class Equilibrium:
     def _scale(self) -> float:
         """Norm of reactions and loads: what the out-of-balance force is measured against."""
         reactions = self.internal[self._held_owned]
-        squares = float(reactions @ reactions) + float(self.external @ self.external)
-        if self.body.comm.size > 1:
-            squares = self.body.comm.allreduce(squares)
-        return float(np.sqrt(squares))
+        return float(np.sqrt(self.total(float(reactions @ reactions) + float(self.external @ self.external))))
+
+    def applied(self) -> Array:
+        """Forces of gripper, anchors and dead loads at the last solve, shape (this rank's own unknowns,), N."""
+        forces = np.zeros(self._owned)
+        forces[self._held_owned] = self.internal[self._held_owned]
+        if self._loaded:
+            dofs = self.body.displacement_dofs
+            own = dofs < self._owned
+            forces[dofs[own]] += self.external[own]
+        return forces
 
     def _renew(self, _snes: PETSc.SNES, _x: PETSc.Vec, _J: PETSc.Mat, _P: PETSc.Mat) -> None:
         """What SNES calls for a Jacobian: the old one stays while the iteration converges well with it."""
@@ -503,6 +512,10 @@ class Equilibrium:
         cells = np.arange(self.body.domain.topology.index_map(3).size_local, dtype=np.int32)
         values = self._jacobian.eval(self.body.domain, cells)
         return -self._largest(-float(values.min(initial=np.inf)))
+
+    def total(self, value: float) -> float:
+        """Sum over the ranks."""
+        return float(self.body.comm.allreduce(value)) if self.body.comm.size > 1 else value
 
     def _largest(self, value: float) -> float:
         if self.body.comm.size == 1:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.forms.balance import Balance
 from bcid.forms.rotation import slerp
 from bcid.forms.solve import WORDS, Equilibrium, Pose, Status
 from bcid.measurement import Action
@@ -45,6 +46,7 @@ class _History:
     """Accepted states by time (steps of the action): what the next one is interpolated or extrapolated from."""
 
     comm: Any
+    balance: Balance | None = None
     times: list[float] = field(default_factory=list)
     poses: list[Array] = field(default_factory=list)
     states: list[Array] = field(default_factory=list)
@@ -131,15 +133,13 @@ def follow(
         Pose(loads={place: np.zeros(3) for place in action.loads}, dose=0.0, time=float(action.clock[0])),
         *poses(action),
     ]
-    history = _History(equilibrium.body.comm)
+    history = _History(equilibrium.body.comm, Balance.at_rest(equilibrium))
     safe = 0, replace(history)
     done, stopped = 0, False
     while done < len(action) and not stopped:
         status = Status.DIVERGED
         if known and done in known:
-            status = equilibrium.solve(path[done + 1], known[done])
-            if status is Status.CONVERGED:
-                history.add(done, path[done + 1], equilibrium.u.x.array)
+            status = _find(equilibrium, path[done + 1], done, history, known[done])
         if status is not Status.CONVERGED:
             status = _advance(equilibrium, path[done], path[done + 1], done, history, result)
         if status is Status.CONVERGED:
@@ -181,13 +181,12 @@ def _advance(eq: Equilibrium, last: Pose, pose: Pose, step: int, history: _Histo
     while done < 1.0:
         part = min(done + size, 1.0)
         target, time = between(last, pose, part), step - 1 + part
-        status = eq.solve(target, history.guess(time, target))
+        status = _find(eq, target, time, history, history.guess(time, target))
         if status is not Status.CONVERGED and len(history.times) > 1:
             # The extrapolation may be what failed: start once more from the last state itself.
-            status = eq.solve(target)
+            status = _find(eq, target, time, history)
         if status is Status.CONVERGED:
             done = part
-            history.add(time, target, eq.u.x.array)
             if 0 < part < 1 and step > 0:
                 eq.accept(target)
         elif halved == eq.settings.halvings:
@@ -196,6 +195,21 @@ def _advance(eq: Equilibrium, last: Pose, pose: Pose, step: int, history: _Histo
             size, halved = size / 2, halved + 1
             result.halvings += 1
     return Status.CONVERGED
+
+
+def _find(eq: Equilibrium, pose: Pose, time: float, history: _History, start: Array | None = None) -> Status:
+    """The equilibrium at a pose, added to the history, if the motion can lead there from the last one."""
+    before = eq.u.x.array.copy()
+    status = eq.solve(pose, start)
+    if status is Status.CONVERGED and eq.model.conservative:
+        balance = Balance.of(eq, pose)
+        if history.balance and not balance.follows(history.balance, eq):
+            eq.start_over(before)
+            return Status.JUMPED
+        history.balance = balance
+    if status is Status.CONVERGED:
+        history.add(time, pose, eq.u.x.array)
+    return status
 
 
 def between(a: Pose, b: Pose, fraction: float) -> Pose:
