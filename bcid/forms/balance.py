@@ -54,4 +54,4 @@ class Balance:
         work = equilibrium.total(0.5 * float((self.forces + last.forces) @ (self.state - last.state)))
         gained = self.energy - last.energy
         unsure = _OF_STEP * max(abs(gained), abs(work)) + _OF_ENERGY * max(abs(self.energy), abs(last.energy))
-        return gained - work <= unsure
+        return gained - work <= unsure + equilibrium.least_energy

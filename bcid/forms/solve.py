@@ -134,6 +134,7 @@ class Equilibrium:
         age: steps taken since the tangent was last factorised.
         rtol: accuracy asked for, at first that of the settings.
         careful: whether every iteration gets a tangent of its own.
+        least_energy: below it an energy cannot be told from round-off, J.
         prescribed: numbers of the unknowns that are prescribed, on this rank.
     """
 
@@ -311,6 +312,7 @@ class Equilibrium:
         # Below this force nothing can be told from round-off: a body that only moves rigidly has no reactions to
         # compare with.
         self._floor = 1e-13 * shear * self.body.mesh.size**2
+        self.least_energy = 1e-12 * shear * self.body.mesh.size**3
 
     def _rigid_modes(self) -> PETSc.NullSpace | None:
         """Rigid-body modes for multigrid, when the mesh is to be solved iteratively."""

@@ -112,6 +112,16 @@ def test_a_state_that_the_gripper_has_not_paid_for_is_refused(column: Equilibriu
     assert energy[1] == pytest.approx(straightened, rel=1e-6)
 
 
+def test_a_body_that_nothing_holds_moves_rigidly(column: Equilibrium) -> None:
+    """All its energy is round-off, of which nobody has to have paid."""
+    column.hold([], "x1")
+    turns = about_x(15.0 * np.arange(6))
+    moved = move(np.arange(6)[:, None] * [0.002, 0.001, 0], "x1", rotations=turns)
+    assert follow(column, moved, lambda _k, _pose: None).status is Status.CONVERGED
+    assert abs(column.energy()) < 1e-15
+    column.hold(["x0"], "x1")
+
+
 def test_linear_buckling_of_a_column(column: Equilibrium) -> None:
     """It is where the straight state becomes unstable (by LAPACK), later than Euler's 3.3 % on these coarse meshes."""
     rest, way = np.zeros_like(column.u.x.array), 0.008
