@@ -308,13 +308,13 @@ class Run:
         return sorted((self.path / "outcomes").glob("[0-9]" * 6 + "-*.json"))
 
 
-def write_whole(target: Path, text: str) -> Path:
+def write_whole(target: Path, content: str | bytes) -> Path:
     """Write a file whole under another name, then rename it; returns its path."""
     with writing(target.parent):
         target.parent.mkdir(parents=True, exist_ok=True)
         partial = target.with_name(f".{target.name}.partial")
-        with partial.open("w", encoding="utf-8") as stream:
-            stream.write(text)
+        with partial.open("wb") as stream:
+            stream.write(content.encode() if isinstance(content, str) else content)
             stream.flush()
             os.fsync(stream.fileno())
         partial.replace(target)

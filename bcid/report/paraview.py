@@ -1,40 +1,45 @@
-"""Fields for ParaView: one .vtu per frame and a .pvd that strings them together."""
+"""Fields for ParaView: VTKHDF files, each with all frames."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import io
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
+
+from bcid.run import write_whole
 
 if TYPE_CHECKING:
     import pyvista as pv
 
+# VTK's numbers for a vertex and a tetrahedron.
+_VERTEX, _TETRA = 1, 10
+
 
 def write_paraview(folder: Path, body: xr.Dataset, prediction: xr.Dataset, anchored: Sequence[str] = ()) -> Path:
-    """Write `body.pvd` (solid, displacement in mm), `fiducials.pvd` (measured and predicted points) and `patches.vtp` (the
-    boundary at rest: which named place a triangle belongs to, and whether it is anchored); returns the first.
-    """
-    import pyvista as pv
+    """Write `body.vtkhdf` (solid, displacement in mm), `fiducials.vtkhdf` (predicted points and their residuals, mm), both by
+    frame, and `patches.vtp` (the boundary at rest: which named place a triangle belongs to, and whether it is anchored);
+    returns the first.
 
-    folder.mkdir(parents=True, exist_ok=True)
-    points, cells = body["points"].values * 1e3, body["cells"].values
-    grid = pv.UnstructuredGrid({pv.CellType.TETRA: cells[:, :4]}, points)
-    bodies, fiducials = [], []
-    for frame in range(body.sizes["frame"]):
-        grid.point_data["displacement"] = body["displacement"].values[frame] * 1e3
-        bodies.append(_save(grid, folder / f"body_{frame:04d}.vtu"))
-        predicted, measured = (prediction[name].values[frame] * 1e3 for name in ("predicted", "measured"))
+    Raises:
+        MachineError: a file cannot be written.
+    """
+    solid = _Grids(_TETRA, "displacement")
+    solid.shape(body["points"].values * 1e3, body["cells"].values[:, :4])
+    for displacement in body["displacement"].values:
+        solid.frame(displacement * 1e3)
+    fiducials = _Grids(_VERTEX, "residual")
+    for predicted, measured in zip(prediction["predicted"].values, prediction["measured"].values, strict=True):
         seen = np.isfinite(predicted).all(axis=1) & np.isfinite(measured).all(axis=1)
-        cloud = pv.PolyData(predicted[seen]).cast_to_unstructured_grid() if seen.any() else pv.UnstructuredGrid()
-        if seen.any():
-            cloud.point_data["residual"] = (measured - predicted)[seen]
-        fiducials.append(_save(cloud, folder / f"fiducials_{frame:04d}.vtu"))
-    _patches(body, anchored).save(folder / "patches.vtp", binary=True)
-    _collection(folder / "fiducials.pvd", fiducials)
-    return _collection(folder / "body.pvd", bodies)
+        fiducials.shape(predicted[seen] * 1e3, np.arange(seen.sum())[:, None])
+        fiducials.frame((measured - predicted)[seen] * 1e3)
+    write_whole(folder / "patches.vtp", _polydata(_patches(body, anchored)))
+    write_whole(folder / "fiducials.vtkhdf", fiducials.file())
+    return write_whole(folder / "body.vtkhdf", solid.file())
 
 
 def _patches(body: xr.Dataset, anchored: Sequence[str]) -> pv.PolyData:
@@ -48,16 +53,96 @@ def _patches(body: xr.Dataset, anchored: Sequence[str]) -> pv.PolyData:
     return mesh
 
 
-def _save(grid: pv.UnstructuredGrid, target: Path) -> str:
-    grid.save(target, binary=True)
-    return target.name
+def _polydata(mesh: pv.PolyData) -> bytes:
+    from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter
+
+    writer = vtkXMLPolyDataWriter()
+    writer.SetInputData(mesh)
+    writer.SetDataModeToBinary()
+    writer.SetWriteToOutputString(True)
+    writer.Write()
+    return str(writer.GetOutputString()).encode()
 
 
-def _collection(target: Path, names: list[str]) -> Path:
-    entries = "\n".join(f'    <DataSet timestep="{i}" file="{name}"/>' for i, name in enumerate(names))
-    head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>'
-    text = f"{head}\n{entries}\n  </Collection>\n</VTKFile>\n"
-    partial = target.with_name(f".{target.name}.partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(target)
-    return target
+class _Grids:
+    """Unstructured grids of one kind of cell, one per frame, with a vector at every point.
+
+    What a frame has in common with the one before is kept once. The layout is that of VTK's file format documentation,
+    "VTKHDF File Format", version 2.0, temporal unstructured grid.
+
+    Args:
+        kind: VTK's number of the cells.
+        name: of the vector.
+    """
+
+    def __init__(self, kind: int, name: str) -> None:
+        self.kind, self.name = kind, name
+        self._parts: list[tuple[NDArray[Any], NDArray[Any]]] = []
+        self._values: list[NDArray[Any]] = []
+        self._part_of: list[int] = []
+
+    def shape(self, points: NDArray[Any], cells: NDArray[Any]) -> None:
+        """Points, shape (points, 3), and cells, shape (cells, nodes), of the frames that follow."""
+        self._parts.append((points, cells))
+
+    def frame(self, values: NDArray[Any]) -> None:
+        """One more frame: the vector at the points of the last shape, shape (points, 3)."""
+        self._values.append(values)
+        self._part_of.append(len(self._parts) - 1)
+
+    def file(self) -> bytes:
+        """The content of the file."""
+        import h5py
+
+        with io.BytesIO() as stream:
+            with h5py.File(stream, "w", libver=("earliest", "v110")) as made:
+                root = made.create_group("VTKHDF", track_order=True)
+                root.attrs["Version"] = np.array([2, 0])
+                root.attrs["Type"] = np.bytes_(b"UnstructuredGrid")
+                self._put(root, self._geometry())
+                self._put(root.create_group("PointData"), {self.name: np.concatenate(self._values)})
+                steps = root.create_group("Steps")
+                steps.attrs["NSteps"] = len(self._values)
+                self._put(steps, self._steps())
+                offsets = _starts([len(values) for values in self._values])
+                self._put(steps.create_group("PointDataOffsets"), {self.name: offsets})
+            return stream.getvalue()
+
+    @staticmethod
+    def _put(group: Any, arrays: Mapping[str, NDArray[Any]]) -> None:
+        for name, values in arrays.items():
+            packed = {"compression": "gzip", "shuffle": True} if values.size else {}
+            group.create_dataset(name, data=values, maxshape=(None, *values.shape[1:]), chunks=True, **packed)
+
+    def _geometry(self) -> dict[str, NDArray[Any]]:
+        """All parts one behind the other; each part has one more offset than cells."""
+        sizes = [(len(points), len(cells), cells.size) for points, cells in self._parts]
+        counts = np.array(sizes, dtype=np.int64).reshape(-1, 3)
+        return {
+            "NumberOfPoints": counts[:, 0],
+            "NumberOfCells": counts[:, 1],
+            "NumberOfConnectivityIds": counts[:, 2],
+            "Points": np.concatenate([points for points, _ in self._parts]),
+            "Connectivity": np.concatenate([cells.ravel() for _, cells in self._parts]).astype(np.int64),
+            "Offsets": np.concatenate([np.arange(len(c) + 1) * c.shape[1] for _, c in self._parts]).astype(np.int64),
+            "Types": np.full(counts[:, 1].sum(), self.kind, dtype=np.uint8),
+        }
+
+    def _steps(self) -> dict[str, NDArray[Any]]:
+        """Where in the arrays each frame begins."""
+        part = np.array(self._part_of, dtype=np.int64)
+        points = _starts([len(points) for points, _ in self._parts])[part]
+        cells = _starts([len(cells) for _, cells in self._parts])[part]
+        ids = _starts([cells.size for _, cells in self._parts])[part]
+        return {
+            "Values": np.arange(len(part), dtype=float),
+            "PartOffsets": part,
+            "NumberOfParts": np.ones_like(part),
+            "PointOffsets": points,
+            "CellOffsets": cells[:, None],
+            "ConnectivityIdOffsets": ids[:, None],
+        }
+
+
+def _starts(sizes: Sequence[int]) -> NDArray[np.int64]:
+    return np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)

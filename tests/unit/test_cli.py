@@ -328,7 +328,7 @@ def test_simulate_then_identify_then_again(tmp_path: Path) -> None:
     assert result["certified"] is True
     assert result["evaluations"]["0"] < 256
     assert (tmp_path / "run/picture.png").stat().st_size > 20_000
-    assert (tmp_path / "run/paraview/body.pvd").exists()
+    assert (tmp_path / "run/paraview/body.vtkhdf").exists()
     refused(bcid(*call, cwd=tmp_path), "finished run", "--overwrite")
 
     record = json.loads((tmp_path / "run/run.json").read_text(encoding="utf-8"))

@@ -100,7 +100,7 @@ def names(files: list[Path]) -> set[str]:
 def test_every_picture_is_drawn(tmp_path: Path) -> None:
     pytest.importorskip("pyvista")
     written = draw(folder(tmp_path / "run", diagnosis(), WHERE))
-    assert names(written) == {"picture.png", "where.png", "ladder.png", "body.pvd"}
+    assert names(written) == {"picture.png", "where.png", "ladder.png", "body.vtkhdf"}
     assert all(file.stat().st_size > (5000 if file.suffix == ".png" else 0) for file in written)
     assert not list((tmp_path / "run").glob(".*.partial*"))
 
@@ -109,7 +109,7 @@ def test_nothing_is_missing(tmp_path: Path) -> None:
     """An adequate plain model has neither a missing force nor a second model, and a force may be no force."""
     pytest.importorskip("pyvista")
     found = diagnosis(verdict="none", ladder=[rung("neo_hooke", 0.2, True)], ranking=[])
-    assert names(draw(folder(tmp_path / "run", found, None))) == {"picture.png", "ladder.png", "body.pvd"}
+    assert names(draw(folder(tmp_path / "run", found, None))) == {"picture.png", "ladder.png", "body.vtkhdf"}
     nothing = WHERE | {"growing": {}, "steady": [WHERE["steady"][0] | {"force": [0.0, 0.0, 0.0]}]}  # type: ignore[index]
     assert "where.png" in names(draw(folder(tmp_path / "other", found, nothing)))
 

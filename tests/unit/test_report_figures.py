@@ -4,13 +4,31 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 import runs
 
 from bcid import cli
 from bcid.errors import InputError
 from bcid.report.export import write_figures
+from bcid.report.found import Found
+from bcid.report.paraview import write_paraview
+
+
+def frame_of(path: Path, frame: int) -> Any:
+    """One frame of a VTKHDF file, by VTK's own reader."""
+    from pyvista import wrap
+    from vtkmodules.vtkIOHDF import vtkHDFReader
+
+    reader = vtkHDFReader()
+    reader.SetFileName(str(path))
+    reader.UpdateInformation()
+    assert frame < reader.GetNumberOfSteps()
+    reader.SetStep(frame)
+    reader.Update()
+    return wrap(reader.GetOutputDataObject(0))
 
 
 def test_everything_is_written(tmp_path: Path) -> None:
@@ -36,8 +54,8 @@ def test_everything_is_written(tmp_path: Path) -> None:
     assert [float(row["error (mm)"]) for row in rows] == [1.42, 0.21]
     surface = pv.read(target / "paraview" / "patches.vtp")
     assert surface.cell_data["anchored"].sum() == (surface.cell_data["place"] == 1).sum() == 8
-    moved = pv.read(target / "paraview" / "body_0003.vtu")
-    assert abs(moved.point_data["displacement"]).max() == pytest.approx(20.0)
+    assert abs(frame_of(target / "paraview/body.vtkhdf", 3).point_data["displacement"]).max() == pytest.approx(20.0)
+    assert np.isfinite(frame_of(target / "paraview/fiducials.vtkhdf", 0).point_data["residual"]).all()
 
 
 def test_files_are_not_replaced_unasked(tmp_path: Path) -> None:
@@ -81,3 +99,31 @@ def test_refusals(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert "Traceback" not in error
     running.release()
     assert not (tmp_path / "f").exists()
+
+
+def test_fields_for_paraview_by_frame(tmp_path: Path) -> None:
+    """VTK's reader gives back every frame, also where fiducials are hidden, one of them or all."""
+    pytest.importorskip("pyvista")
+    found = Found.read(runs.explained(tmp_path / "run"))
+    assert found.body is not None
+    assert found.positions is not None
+    hidden = found.positions.copy(deep=True)
+    hidden["measured"].values[1, 0] = np.nan
+    hidden["measured"].values[2] = np.nan
+    file = write_paraview(tmp_path / "fields", found.body, hidden, ["3"])
+    cells = found.body["cells"].values[:, :4]
+    for frame in range(found.body.sizes["frame"]):
+        solid = frame_of(file, frame)
+        np.testing.assert_allclose(solid.points, found.body["points"].values * 1e3)
+        np.testing.assert_array_equal(solid.cell_connectivity.reshape(-1, 4), cells)
+        moved = found.body["displacement"].values[frame] * 1e3
+        np.testing.assert_allclose(solid.point_data["displacement"], moved)
+        gone = {1: [0], 2: range(hidden.sizes["fiducial"])}.get(frame, [])
+        predicted = np.delete(hidden["predicted"].values[frame], gone, axis=0) * 1e3
+        points = frame_of(tmp_path / "fields/fiducials.vtkhdf", frame)
+        assert points.n_points == points.n_cells == len(predicted)
+        if len(predicted):
+            np.testing.assert_allclose(points.points, predicted)
+            residual = np.delete(hidden["measured"].values[frame], gone, axis=0) * 1e3 - predicted
+            np.testing.assert_allclose(points.point_data["residual"], residual)
+    assert sorted(p.name for p in (tmp_path / "fields").iterdir()) == ["body.vtkhdf", "fiducials.vtkhdf", "patches.vtp"]
