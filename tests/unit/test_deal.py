@@ -1,6 +1,9 @@
 """Dealing out trials: every one is accounted for, whatever dies."""
 
+import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -88,3 +91,42 @@ def test_parts_are_all_and_none_twice() -> None:
     assert sorted(name for part in parts for name in part) == sorted(every)
     assert {len(part) for part in parts} == {3, 4}
     assert part_of(every, None) == every
+
+
+SBATCH = """\
+import os, re, subprocess, sys
+options = [argument for argument in sys.argv[1:] if argument.startswith("--")]
+known = {"parsable", "ntasks", "cpus-per-task", "mem-per-cpu", "time", "requeue", "array", "job-name", "dependency", "wrap"}
+assert {re.match("--([a-z-]+)", option)[1] for option in options} <= known, options
+given = dict(option[2:].split("=", 1) for option in options if "=" in option)
+first, last = (int(n) for n in given["array"].split("-")) if "array" in given else (0, 0)
+with open("jobs", "a") as jobs:
+    print(given["job-name"], given.get("dependency", ""), file=jobs)
+for index in range(first, last + 1):
+    environment = os.environ | {"SLURM_ARRAY_TASK_ID": str(index)}
+    subprocess.run(["sh", "-c", sys.argv[sys.argv.index("--wrap") + 1]], env=environment, check=True, stdout=sys.stderr)
+print({"predict": 41, "trials": 42, "tables": 43}[given["job-name"]])
+"""
+
+
+def test_the_slurm_script_submits_every_part_of_a_study(tmp_path: Path) -> None:
+    """With a stand-in for sbatch, which runs each task of an array at once, and one for bcid, which notes what it is given."""
+    script = Path(__file__).resolve().parents[2] / "examples/cluster/study.sh"
+    for name, text in (
+        ("sbatch", f"#!{sys.executable}\n{SBATCH}"),
+        ("bcid", '#!/bin/sh\nfor a; do printf "%s|" "$a"; done >>calls\necho >>calls\n'),
+    ):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        (tmp_path / name).chmod(0o755)
+    environment = os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    command = ["sh", str(script), "my study.toml", "my run", "3"]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    study = "study|my study.toml|-o|my run|"
+    assert (tmp_path / "calls").read_text(encoding="utf-8").splitlines() == [
+        *(f"{study}--part|{i}/3|--predict-only|--jobs|2|" for i in (1, 2, 3)),
+        *(f"{study}--part|{i}/3|--jobs|2|" for i in (1, 2, 3)),
+        study,
+    ]
+    jobs = (tmp_path / "jobs").read_text(encoding="utf-8").split("\n")
+    assert jobs[:3] == ["predict ", "trials afterok:41", "tables afterok:42"]
