@@ -10,7 +10,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bcid.errors import InputError
+from bcid.errors import InputError, MachineError
 from bcid.progress import Lines, Progress, Silent
 
 if TYPE_CHECKING:
@@ -279,7 +279,10 @@ def figure(arguments: argparse.Namespace) -> None:
     if not formats:
         raise InputError(f"--format '{arguments.format}': names no format; give some, as --format png,pdf")
     progress = _progress(arguments, 0)
-    files = write_figures(arguments.run_folder, arguments.output, formats, arguments.overwrite, progress.say)
+    try:
+        files = write_figures(arguments.run_folder, arguments.output, formats, arguments.overwrite, progress.say)
+    except ImportError as error:
+        raise MachineError(f"{error.name} is not installed: pip install 'bcid[report]'") from None
     if not arguments.quiet:
         print(f"{arguments.output}: {len(files)} files")
 

@@ -270,6 +270,7 @@ def check_wheels() -> Iterator[Check]:
         ("xarray", True, "install it: measurements and results are kept with it"),
         ("pyvista", False, "no 3-D pictures in reports"),
         ("matplotlib", False, "no diagrams in reports"),
+        ("h5py", False, "no fields for ParaView"),
         ("meshio", False, "only meshes that gmsh reads"),
         ("ezc3d", False, "no C3D files of motion capture systems"),
         ("cv2", False, "no tracking in images (pip install opencv-python-headless)"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -127,3 +128,14 @@ def test_fields_for_paraview_by_frame(tmp_path: Path) -> None:
             residual = np.delete(hidden["measured"].values[frame], gone, axis=0) * 1e3 - predicted
             np.testing.assert_allclose(points.point_data["residual"], residual)
     assert sorted(p.name for p in (tmp_path / "fields").iterdir()) == ["body.vtkhdf", "fiducials.vtkhdf", "patches.vtp"]
+
+
+def test_what_is_not_installed_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("pyvista")
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    run, target = runs.explained(tmp_path / "run"), tmp_path / "figures"
+    assert cli.main(["figure", str(run), "-o", str(target), "--format", "svg", "--quiet"]) == 3
+    assert "h5py is not installed: pip install 'bcid[report]'" in capsys.readouterr().err
+    assert not target.exists()
