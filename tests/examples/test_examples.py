@@ -200,11 +200,9 @@ def test_every_example_has_a_test() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "anchored"), [("slab-12-semicircle", "12"), ("slab-1234-semicircle", "1234"), ("slab-27-five", "27")]
-)
+@pytest.mark.parametrize(("name", "anchored"), [("slab-1234-semicircle", "1234"), ("slab-27-five", "27")])
 def test_the_lab_measurements_are_identified(name: str, anchored: str) -> None:
-    """Made by an independent code; the fourth is the example's."""
+    """Made by an independent code; of the two others one is the example's, one the benchmark's."""
     from bcid import Measurement, Scene, identify
 
     scene = Scene.read(EXAMPLES / "scenes/slab.toml")
