@@ -96,13 +96,17 @@ class _Pool:
 
     def run(self) -> None:
         """Until nothing is left."""
+        looked = time.monotonic()
         while self.waiting or self.workers:
             while self.waiting and len(self.workers) < self.how.jobs:
                 self.start()
             for key, _ in self.selector.select(_POLL):
                 self.hear(key.data)
-            for worker in list(self.workers):
-                self.look(worker)
+            # Not after each answer: with many workers the looks would cost more than the dealing.
+            if time.monotonic() - looked >= _POLL:
+                looked = time.monotonic()
+                for worker in list(self.workers):
+                    self.look(worker)
 
     def start(self) -> None:
         """Start a worker with the first trial that waits."""
