@@ -1,7 +1,8 @@
 """What it costs to deal out the trials of a study: ``python benchmarks/dealing.py``.
 
-10,000 trials that sleep for 0.5 to 1 s are dealt to 48 ranks, and then to 48 child processes; asleep, they leave the cores to
-the dealing. Overhead is what the whole takes beyond the work divided by those who do it. Then trials of no length tell what one
+10,000 trials that sleep for 0.2 to 0.4 s are dealt to 48 ranks, and then to 48 child processes; asleep, they leave the cores to
+the dealing. Overhead is what the whole takes beyond a replay of the trials, each as long as it was (a machine may wake a process
+late), that costs nothing. Then trials of no length tell what one
 costs who hands them out, and a replay with that cost tells what 1024 ranks would feel.
 """
 
@@ -21,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from bcid.progress import Silent
-from bcid.studies.deal import How, Work, deal
+from bcid.studies.deal import How, Work, deal, read_result
 
 PROJECT = Path(__file__).resolve().parents[1]
 GOAL = 0.01
@@ -43,8 +44,10 @@ def tasks(count: int, shortest: float, longest: float) -> dict[str, dict[str, fl
     return {f"{i:05d}": {"seconds": draw.uniform(shortest, longest)} for i in range(count)}
 
 
-def timed(folder: Path, count: int, lengths: tuple[float, float], how: How) -> float:
-    """Seconds that dealing out takes, without the start of those who work: Python and its packages, once for each."""
+def timed(folder: Path, count: int, lengths: tuple[float, float], how: How) -> tuple[float, float]:
+    """Seconds that dealing out takes, without the start of those who work (Python and its packages, once for each), and that it
+    would take if it cost nothing.
+    """
     work = Work("benchmarks.dealing:maker", {}, folder / "results")
     workers = how.comm.size - 1 if how.comm else how.jobs
     began = time.perf_counter()
@@ -52,18 +55,23 @@ def timed(folder: Path, count: int, lengths: tuple[float, float], how: How) -> f
     deal(work, {f"start{i}": {"seconds": 0.5} for i in range(workers)}, how, Silent())
     started = 0.0 if how.comm else time.perf_counter() - began - 0.5
     began = time.perf_counter()
-    deal(work, tasks(count, *lengths), how, Silent())
-    return time.perf_counter() - began - started
+    todo = tasks(count, *lengths)
+    deal(work, todo, how, Silent())
+    taken = time.perf_counter() - began - started
+    if how.comm and how.comm.rank > 0:
+        return taken, taken
+    return taken, replay([float(read_result(work.file(name))["seconds"]) for name in todo], workers, 0.0)
 
 
-def on_ranks(folder: Path, workers: int, count: int, lengths: tuple[float, float]) -> float:
+def on_ranks(folder: Path, workers: int, count: int, lengths: tuple[float, float]) -> tuple[float, float]:
     """The same under mpirun."""
     command = ["mpirun", "-n", str(workers + 1), sys.executable, "-m", "benchmarks.dealing", "--ranks", str(folder)]
     environment = os.environ | {"PYTHONPATH": str(PROJECT)}
     said = subprocess.run(
         [*command, json.dumps([count, *lengths])], env=environment, check=True, capture_output=True, text=True
     )
-    return float(said.stdout.split()[-1])
+    taken, ideal = map(float, said.stdout.split()[-2:])
+    return taken, ideal
 
 
 def replay(durations: Sequence[float], workers: int, cost: float) -> float:
@@ -89,28 +97,26 @@ def main() -> int:
         from mpi4py import MPI
 
         count, *lengths = json.loads(given.ranks[1])
-        seconds = timed(Path(given.ranks[0]), count, (lengths[0], lengths[1]), How(MPI.COMM_WORLD))
+        taken, ideal = timed(Path(given.ranks[0]), count, (lengths[0], lengths[1]), How(MPI.COMM_WORLD))
         if MPI.COMM_WORLD.rank == 0:
-            print(seconds, flush=True)
+            print(taken, ideal, flush=True)
         return 0
-    lengths = 0.5, 1.0
-    each = [task["seconds"] for task in tasks(given.count, *lengths).values()]
-    ideal = replay(each, given.workers, 0.0)
+    lengths = 0.2, 0.4
     worst = 0.0
-    print(
-        f"{given.count} trials of {lengths[0]:g} to {lengths[1]:g} s, {given.workers} workers: {ideal:.2f} s if it cost nothing"
-    )
+    print(f"{given.count} trials of {lengths[0]:g} to {lengths[1]:g} s, {given.workers} workers")
     with tempfile.TemporaryDirectory() as folder:
-        for name, seconds in (
+        for name, (taken, ideal) in (
             ("ranks", on_ranks(Path(folder) / "ranks", given.workers, given.count, lengths)),
             ("children", timed(Path(folder) / "children", given.count, lengths, How(jobs=given.workers))),
         ):
-            worst = max(worst, seconds / ideal - 1)
-            print(f"  {name:9} {seconds:8.2f} s, overhead {100 * (seconds / ideal - 1):5.2f} %")
-        none = on_ranks(Path(folder) / "none", 1, 2000, (0.0, 0.0)) / 2000
+            worst = max(worst, taken / ideal - 1)
+            print(
+                f"  {name:9} {taken:8.2f} s, {ideal:.2f} s if it cost nothing: overhead {100 * (taken / ideal - 1):5.2f} %"
+            )
+        none = on_ranks(Path(folder) / "none", 1, 2000, (0.0, 0.0))[0] / 2000
     print(f"a trial of no length takes one rank {1e3 * none:.2f} ms, its result included")
     for length in (1.0, 10.0, 60.0):
-        durations = [length * task["seconds"] / 0.75 for task in tasks(given.count, *lengths).values()]
+        durations = [length * task["seconds"] / 0.3 for task in tasks(given.count, *lengths).values()]
         slower = replay(durations, 1023, none) / replay(durations, 1023, 0.0) - 1
         print(f"  replayed to 1024 ranks, trials of {length:3.0f} s: overhead {100 * slower:5.2f} %")
     print(f"goal 1 %: {'met' if worst < GOAL else 'missed'}")

@@ -87,7 +87,7 @@ class Settings:
     """
 
     rtol: float = 1e-8
-    max_iterations: int = 20
+    max_iterations: int = 50
     halvings: int = 5
     linear: str = "auto"
     direct_up_to: int = 200_000
