@@ -1,6 +1,6 @@
 """What it costs to deal out the trials of a study: ``python benchmarks/dealing.py``.
 
-10,000 trials that sleep for 0.2 to 0.4 s are dealt to 48 ranks, and then to 48 child processes; asleep, they leave the cores to
+10,000 trials that sleep for about 0.3 s are dealt to 48 ranks, and then to 48 child processes; asleep, they leave the cores to
 the dealing. Overhead is what the whole takes beyond a replay of the trials, each as long as it was (a machine may wake a process
 late), that costs nothing. Then trials of no length tell what one
 costs who hands them out, and a replay with that cost tells what 1024 ranks would feel.
@@ -91,6 +91,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=10_000, help="trials")
     parser.add_argument("--workers", type=int, default=48, help="ranks that work, and child processes")
+    parser.add_argument("--mean", type=float, default=0.3, help="mean length of a trial, s; they vary by a third")
     parser.add_argument("--ranks", nargs=2, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.ranks:
@@ -101,9 +102,9 @@ def main() -> int:
         if MPI.COMM_WORLD.rank == 0:
             print(taken, ideal, flush=True)
         return 0
-    lengths = 0.2, 0.4
+    lengths = given.mean * 2 / 3, given.mean * 4 / 3
     worst = 0.0
-    print(f"{given.count} trials of {lengths[0]:g} to {lengths[1]:g} s, {given.workers} workers")
+    print(f"{given.count} trials of {lengths[0]:.2g} to {lengths[1]:.2g} s, {given.workers} workers")
     with tempfile.TemporaryDirectory() as folder:
         for name, (taken, ideal) in (
             ("ranks", on_ranks(Path(folder) / "ranks", given.workers, given.count, lengths)),
@@ -116,7 +117,7 @@ def main() -> int:
         none = on_ranks(Path(folder) / "none", 1, 2000, (0.0, 0.0))[0] / 2000
     print(f"a trial of no length takes one rank {1e3 * none:.2f} ms, its result included")
     for length in (1.0, 10.0, 60.0):
-        durations = [length * task["seconds"] / 0.3 for task in tasks(given.count, *lengths).values()]
+        durations = [length * task["seconds"] / given.mean for task in tasks(given.count, *lengths).values()]
         slower = replay(durations, 1023, none) / replay(durations, 1023, 0.0) - 1
         print(f"  replayed to 1024 ranks, trials of {length:3.0f} s: overhead {100 * slower:5.2f} %")
     print(f"goal 1 %: {'met' if worst < GOAL else 'missed'}")
