@@ -11,6 +11,7 @@ import json
 import time
 import traceback
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from importlib import import_module
@@ -119,6 +120,9 @@ def _among_ranks(work: Work, todo: Mapping[str, Task], comm: Any, progress: Prog
     """Rank 0 hands out, the others make; they ask for the next when they are done. Collective on `comm`."""
     from mpi4py.futures import MPICommExecutor
 
+    # PETSc starts on all ranks of the job together: a trial that were the first to need it would wait for rank 0, which makes none.
+    with suppress(ImportError):
+        import_module("petsc4py.PETSc")
     error: BcidError | None = None
     with MPICommExecutor(comm, root=0) as pool:
         executor: Any = pool

@@ -303,3 +303,34 @@ def test_a_rank_that_is_killed_ends_the_job_and_the_next_goes_on(tmp_path: Path)
     assert _mpirun(sys.executable, "-c", _DEAL, str(tmp_path)).wait(timeout=100) == 0
     assert len(begun(made)) - before == 60 - len(done)
     assert values(made, 60) == [None if i == 7 else i * i for i in range(60)]
+
+
+_LATE = """
+import json
+import sys
+from pathlib import Path
+from mpi4py import MPI
+from bcid.progress import Silent
+from bcid.studies.deal import How, Work, deal
+
+def maker(job):
+    from petsc4py import PETSc
+
+    return lambda task: {"ranks": PETSc.COMM_WORLD.size}
+
+if __name__ == "__main__":
+    folder = Path(sys.argv[1])
+    deal(Work("late:maker", {}, folder), {name: {} for name in "abcd"}, How(MPI.COMM_WORLD), Silent())
+"""
+
+
+@pytest.mark.timeout(100)
+def test_ranks_that_need_petsc_first_in_a_trial_do_not_wait_for_each_other(tmp_path: Path) -> None:
+    (tmp_path / "late.py").write_text(_LATE, encoding="utf-8")
+    job = _mpirun(sys.executable, str(tmp_path / "late.py"), str(tmp_path / "results"))
+    try:
+        assert job.wait(timeout=40) == 0
+    finally:
+        job.kill()
+    for name in "abcd":
+        assert json.loads((tmp_path / f"results/{name}.json").read_text(encoding="utf-8"))["result"] == {"ranks": 3}
