@@ -43,7 +43,7 @@ class Balance:
 
     @classmethod
     def at_rest(cls, equilibrium: Equilibrium) -> Balance | None:
-        """Of the undeformed state; None where effects or loads are to be applied first."""
+        """Of the undeformed state; None where effects are to be applied first."""
         own = np.zeros(len(equilibrium.internal))
         return None if equilibrium.model.doses else cls(0.0, own, own, 1.0)
 

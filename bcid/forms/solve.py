@@ -535,8 +535,7 @@ class Equilibrium:
 
     def energy(self) -> float:
         """Energy of the present state (strain energy and potential of the effects that have one), J."""
-        energy = sum(fem.assemble_scalar(form) for form in self.energy_forms)
-        return float(self.body.comm.allreduce(energy))
+        return self.total(float(sum(fem.assemble_scalar(form) for form in self.energy_forms)))
 
     def displacement(self) -> Array:
         """Displacement of this rank's nodes, ghosts included, shape (nodes, 3), m."""

@@ -203,7 +203,7 @@ def _find(eq: Equilibrium, pose: Pose, time: float, history: _History, start: Ar
     status = eq.solve(pose, start)
     if status is Status.CONVERGED and eq.model.conservative:
         balance = Balance.of(eq, pose)
-        if history.balance and not balance.follows(history.balance, eq):
+        if history.balance is not None and not balance.follows(history.balance, eq):
             eq.start_over(before)
             return Status.JUMPED
         history.balance = balance

@@ -18,7 +18,7 @@ def test_random_pulls_converge_where_they_can() -> None:
 
 
 def test_a_pull_through_an_anchor_is_told_from_one_away_from_it() -> None:
-    """On a grasp beside patch 1, or wherever the slab's are: along the way to the anchor, and back."""
+    """Along the way from the gripper to the nearest patch, and the other way."""
     scene = Scene.read(SLAB)
     forward = Forward(scene, 1)
     points = forward.mesh.points
