@@ -19,7 +19,8 @@ from petsc4py import PETSc
 
 import bcid
 from bcid.forms.mesh import BodyMesh
-from bcid.forms.solve import Equilibrium, Settings, Status
+from bcid.forms.solve import Equilibrium, Settings
+from bcid.forms.status import Status
 from bcid.forms.trajectory import follow
 from benchmarks.bcid_trajectory import MM, equilibrium, motion, residual, seconds
 

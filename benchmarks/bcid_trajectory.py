@@ -18,7 +18,8 @@ import bcid
 from bcid.forms.body import Body
 from bcid.forms.mesh import BodyMesh
 from bcid.forms.model import Anchors, Held, Model
-from bcid.forms.solve import Equilibrium, Settings, Status
+from bcid.forms.solve import Equilibrium, Settings
+from bcid.forms.status import Status
 from bcid.forms.trajectory import follow
 from bcid.measurement import Action
 from bcid.scene import Grasp, Level, Material, Region, Scene

@@ -18,7 +18,7 @@ from bcid.compare.twin import Reply, Twin
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model
 from bcid.forms.softness import APART, SOFT, softest, stable_state
-from bcid.forms.solve import Pose
+from bcid.forms.supports import Pose
 from bcid.forms.trajectory import poses
 from bcid.measurement import Action, Measurement
 

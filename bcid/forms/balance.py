@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.forms.solve import Equilibrium, Pose
+from bcid.forms.solve import Equilibrium
+from bcid.forms.supports import Pose
 
 Array = NDArray[np.float64]
 # The trapezoidal rule may miss this part of the work of one step, and this part of the energy; above, the step is halved.

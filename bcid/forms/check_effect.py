@@ -252,7 +252,7 @@ def _signature(trial: Trial, p: Parameter) -> Array:
     rows = []
     for pose, frame in zip(poses(action), action.frames, strict=True):
         equilibrium.set_state(pose, states[int(frame)])
-        free = np.setdiff1d(np.arange(equilibrium.body.unknowns), equilibrium.prescribed)
+        free = np.setdiff1d(np.arange(equilibrium.body.unknowns), equilibrium.supports.prescribed)
         tangent, before = trial.tangent(), trial.forces(part)
         equilibrium.set_constants(dosed.acting(1.0, pose.time))
         slope = (trial.forces(part) - before) / step

@@ -14,7 +14,9 @@ from bcid.forms.effects.effect import Frame
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
 from bcid.forms.observe import Observer, attach
-from bcid.forms.solve import Equilibrium, Pose, Settings, Status
+from bcid.forms.solve import Equilibrium, Settings
+from bcid.forms.status import Status
+from bcid.forms.supports import Pose
 from bcid.forms.trajectory import Trajectory, follow, poses
 from bcid.measurement import Action
 from bcid.scene import Scene

@@ -25,7 +25,8 @@ from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.model import Dose, Model
 from bcid.forms.parameter import Parameter
-from bcid.forms.solve import Pose, Status
+from bcid.forms.status import Status
+from bcid.forms.supports import Pose
 from bcid.forms.terms import LONG, Terms
 from bcid.forms.trajectory import poses
 from bcid.measurement import Action
@@ -145,7 +146,7 @@ class Sensitivity:
         """G = K^-1 C^T at the present state, zero where something is held, shape (unknowns, 3 * fiducials)."""
         equilibrium = self.equilibrium
         right = self.observe.T.toarray()
-        right[equilibrium.prescribed] = 0.0
+        right[equilibrium.supports.prescribed] = 0.0
         return equilibrium.factor.solve_block(right, transpose=not equilibrium.model.symmetric)
 
     def _assemble(self, form: Any) -> Array:
@@ -378,7 +379,7 @@ class Sensitivity:
             if cause.gap is not None:
                 columns[:, j] += equilibrium.tangent.times(cause.gap)
                 direct[:, j] = self.observe @ cause.gap
-        columns[equilibrium.prescribed] = 0.0
+        columns[equilibrium.supports.prescribed] = 0.0
         responses = self._responses() if fields or len(causes) > 3 * fiducials else None
         if responses is None:
             moved = direct - self.observe @ equilibrium.factor.solve_block(columns)
@@ -390,7 +391,7 @@ class Sensitivity:
             return
         if result.stiffness is not None:
             free = np.ones(len(responses), dtype=bool)
-            free[equilibrium.prescribed] = False
+            free[equilibrium.supports.prescribed] = False
             softened = -(responses.T @ (self._stiffness_matrix().multiply(free[:, None]).tocsc()))
             result.stiffness[frame] = self._all_seen(seen, np.asarray(softened))
         if result.forces is not None and wanted.forces is not None:
@@ -408,7 +409,7 @@ class Sensitivity:
         value = probe.dose.values[name]
         if parameter.reciprocal and not math.isfinite(value):
             forces = equilibrium.forces()
-            forces[self.forward.body.displacement_dofs] -= equilibrium.external
+            forces[self.forward.body.displacement_dofs] -= equilibrium.supports.external
             found.append((0.0, self._yielding(probe.dose.place, anchors, np.asarray(forces))))
         elif probe.effect.mechanical:
             scale = -(value**2) if parameter.reciprocal else 1.0
@@ -455,23 +456,18 @@ class Sensitivity:
         """Difference of the dead loads of two poses."""
         equilibrium = self.equilibrium
         forces = np.zeros(len(equilibrium.u.x.array))
-        for place in more.loads:
-            across = np.tile(more.loads[place] - less.loads[place], len(equilibrium.external) // 3)
-            forces[equilibrium.body.displacement_dofs] += equilibrium._weight(place) * across
+        load = equilibrium.supports.load
+        forces[equilibrium.body.displacement_dofs] = load(more.loads) - load(less.loads)
         return forces
 
     def _gripped(self, more: Pose, less: Pose) -> Array:
         """Difference of the prescribed displacements of two poses, zero elsewhere."""
         equilibrium = self.equilibrium
-        gap = np.zeros(len(equilibrium.u.x.array))
-        places = []
-        for pose in (more, less):
-            equilibrium._move_gripper(pose)
-            values = np.zeros_like(gap)
-            values[equilibrium.body.displacement_dofs] = equilibrium._gripper.x.array
-            places.append(values)
-        gripped = equilibrium._gripped
-        gap[gripped] = (places[0] - places[1])[gripped]
+        gap, moved = np.zeros(len(equilibrium.u.x.array)), np.zeros(len(equilibrium.u.x.array))
+        supports = equilibrium.supports
+        if supports.grasp:
+            moved[equilibrium.body.displacement_dofs] = supports.moved(more) - supports.moved(less)
+            gap[supports.gripped] = moved[supports.gripped]
         return gap
 
     def destroy(self) -> None:

@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
 from bcid.forms.rotation import slerp
-from bcid.forms.solve import Equilibrium, Pose, Status
+from bcid.forms.solve import Equilibrium
+from bcid.forms.status import Status
+from bcid.forms.supports import Pose
 
 Array = NDArray[np.float64]
 # Below this part of its value at rest another state may exist: which one is taken is for imperfections to choose.
@@ -33,7 +35,7 @@ APART = 1e-3
 def softest(equilibrium: Equilibrium) -> tuple[float, Array]:
     """Smallest eigenvalue of the tangent at the present state, N/m, and its eigenvector, by inverse iteration; collective."""
     vector = np.random.default_rng(0).normal(size=len(equilibrium.u.x.array))
-    vector[equilibrium.prescribed] = 0.0
+    vector[equilibrium.supports.prescribed] = 0.0
     size = np.inf
     if equilibrium.verify() is Status.LINEAR_SOLVER:
         return 0.0, vector / np.linalg.norm(vector)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
-from enum import StrEnum
+from dataclasses import dataclass
 from itertools import count
 from typing import Any
 
@@ -17,14 +16,15 @@ from petsc4py import PETSc
 from ufl.algorithms import expand_derivatives
 
 from bcid import compat
-from bcid.errors import InputError, nearest
+from bcid.errors import InputError
 from bcid.forms.body import Body
 from bcid.forms.factor import OUT_OF_MEMORY, Factor, FactorShell
 from bcid.forms.model import Model
 from bcid.forms.secant import Secant
+from bcid.forms.status import REASONS, Status
+from bcid.forms.supports import Pose, Supports
 from bcid.forms.tangent import Tangent
 from bcid.forms.terms import LONG, Terms
-from bcid.measurement import quaternion_rotate
 from bcid.scene import Region, Scene
 
 Array = NDArray[np.float64]
@@ -35,42 +35,6 @@ _PATIENCE = 20
 _HOPELESS = 1e3
 # Prescribed changes smaller than this part of the body's size need not be spread by a solve of their own.
 _FAR = 1e-4
-
-
-class Status(StrEnum):
-    """How a solve ended. Only `CONVERGED` may be used as a prediction."""
-
-    CONVERGED = "converged"
-    UNSTABLE = "unstable"
-    INVERTED = "inverted"
-    LINE_SEARCH = "line_search"
-    MAX_ITERATIONS = "max_iterations"
-    LINEAR_SOLVER = "linear_solver"
-    NOT_FINITE = "not_finite"
-    OUT_OF_MEMORY = "out_of_memory"
-    JUMPED = "jumped"
-    DIVERGED = "diverged"
-
-
-WORDS = {
-    Status.CONVERGED: "the equilibrium was found",
-    Status.UNSTABLE: "no stable equilibrium was found (a pivot of the tangent is not positive): it buckles, or nothing holds it",
-    Status.INVERTED: "an element is turned inside out (det F <= 0)",
-    Status.LINE_SEARCH: "PETSc's line search found no smaller residual",
-    Status.MAX_ITERATIONS: "Newton's method needed too many iterations",
-    Status.LINEAR_SOLVER: "the tangent could not be factorised",
-    Status.NOT_FINITE: "the residual is not a number (an element was turned inside out)",
-    Status.OUT_OF_MEMORY: "the factorisation ran out of memory",
-    Status.JUMPED: "the state found holds more energy than the gripper has put in: the motion does not lead there",
-    Status.DIVERGED: "Newton's method diverged",
-}
-_REASONS = {
-    PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH: Status.LINE_SEARCH,
-    PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT: Status.MAX_ITERATIONS,
-    PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE: Status.LINEAR_SOLVER,
-    compat.snes_not_finite(): Status.NOT_FINITE,
-    PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN: Status.NOT_FINITE,
-}
 
 
 @dataclass(frozen=True)
@@ -93,29 +57,6 @@ class Settings:
     direct_up_to: int = 200_000
 
 
-@dataclass(frozen=True)
-class Pose:
-    """Where the gripper is, and the dead loads: what a step prescribes.
-
-    Attributes:
-        translation: from the rest pose, m.
-        rotation: unit quaternion (w, x, y, z) about the rest centre of the grasp.
-        loads: force on each loaded place, N.
-        dose: fraction of the effects that acts, 0 to 1 (below 1 only while they are being applied).
-        time: s.
-    """
-
-    translation: Array = field(default_factory=lambda: np.zeros(3))
-    rotation: Array = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
-    loads: Mapping[str, Array] = field(default_factory=dict)
-    dose: float = 1.0
-    time: float = 0.0
-
-    def vector(self) -> Array:
-        """All numbers in one row, the rotation scaled to about the size of a grasp (0.02 m)."""
-        return np.concatenate([self.translation, 0.02 * self.rotation, *(self.loads[k] for k in sorted(self.loads))])
-
-
 class Equilibrium:
     """Finds where the body rests, given what is held and how it is loaded.
 
@@ -135,7 +76,7 @@ class Equilibrium:
         rtol: accuracy asked for, at first that of the settings.
         careful: whether every iteration gets a tangent of its own.
         least_energy: below it an energy cannot be told from round-off, J.
-        prescribed: numbers of the unknowns that are prescribed, on this rank.
+        supports: what is prescribed.
     """
 
     def __init__(self, body: Body, model: Model, scene: Scene, settings: Settings | None = None) -> None:
@@ -144,13 +85,11 @@ class Equilibrium:
         self.rtol = self.settings.rtol
         self.iterations = 0
         self.u = fem.Function(body.space)
-        self._gripper = fem.Function(body.displacement_space)
         self._compile()
         self._prepare_solver()
-        self._lagging = self._stale = self._loaded = False
+        self.supports = Supports(body, scene, self.places, model.rollers, self._owned)
+        self._lagging = self._stale = False
         self._iteration = self._slow = 0
-        self._conditions: dict[str, Any] = {}
-        self._weights: dict[str, Array] = {}
         self.hold(model.anchors, model.grasp)
 
     # -- forms
@@ -189,37 +128,9 @@ class Equilibrium:
         freed = self.model.freed(anchors)
         for name, constant in self.terms.anchored.items():
             constant.value = float(name in freed)
-        scene, anchors = self.scene, sorted(set(anchors) - freed)
-        regions: list[tuple[str, Region | None, int | None]] = [
-            (f"patch {name}", scene.patches.get(name), None) for name in anchors
-        ]
-        regions += (
-            [(f"grasp {grasp}", scene.grasps[grasp].region if grasp in scene.grasps else None, None)] if grasp else []
-        )
-        regions += [(f"place {place}", self.places.get(place), axis) for place, axis in self.model.rollers]
-        self._bcs = [self._condition(what, region, axis) for what, region, axis in regions]
-        self._grasp = grasp
-        owned = self._owned
-        self.prescribed = np.unique(
-            np.concatenate([bc.dof_indices()[0] for bc in self._bcs] or [np.zeros(0, np.int32)])
-        )
-        self._held_owned = self.prescribed[self.prescribed < owned]
-        self.tangent.hold(self.prescribed, self._bcs)
-        self._gripped = self._bcs[len(anchors)].dof_indices()[0] if grasp else np.zeros(0, np.int32)
+        self.supports.hold(set(anchors) - freed, grasp)
+        self.tangent.hold(self.supports.prescribed, self.supports.conditions)
         self.reset()
-
-    def _condition(self, what: str, region: Region | None, axis: int | None) -> Any:
-        key = f"{what}/{axis}"
-        if key not in self._conditions:
-            if region is None:
-                kind, name = what.split(" ", 1)
-                known = {"patch": list(self.scene.patches), "grasp": list(self.scene.grasps)}.get(
-                    kind, list(self.places)
-                )
-                raise InputError(f"{kind} '{name}' is not in scene {self.scene.source}; {nearest(name, known)}")
-            value = self._gripper if what.startswith("grasp ") else None
-            self._conditions[key] = self.body.dirichlet(region, what, value, axis)
-        return self._conditions[key]
 
     def reset(self) -> None:
         """Back to the undeformed state; the factor is no longer trusted."""
@@ -240,7 +151,7 @@ class Equilibrium:
         self.u.x.array[:] = 0.0 if state is None else state
         self.factor.reset()
         self.secant.clear()
-        self.external[:] = 0.0
+        self.supports.unload()
         self.age = 0
         self.careful = True
 
@@ -249,33 +160,12 @@ class Equilibrium:
         self.start_over(state)
         self._prescribe(pose)
 
-    def _move_gripper(self, pose: Pose) -> None:
-        if not self._grasp:
-            return
-        arm = self.body.nodes - np.array(self.scene.grasps[self._grasp].centre)
-        moved = pose.translation + quaternion_rotate(pose.rotation, arm) - arm
-        self._gripper.x.array[:] = moved.ravel()
-
     def _prescribe(self, pose: Pose) -> None:
         """Gripper, dead loads and the fraction of the effects of a pose."""
-        self._move_gripper(pose)
-        self.external[:] = 0.0
-        self._loaded = bool(pose.loads)
-        for place, force in pose.loads.items():
-            self.external += self._weight(place) * np.tile(force, len(self.external) // 3)
+        self.supports.put(pose)
         self.set_constants(self.model.acting(pose.dose, pose.time))
         for memory in self.terms.memories.values():
             memory.dt.value = max(pose.time - self._time, 1e-9) if memory.moving.value else LONG
-
-    def _weight(self, place: str) -> Array:
-        """Share of a dead force on `place` that each displacement component carries, shape (3 * nodes,)."""
-        if place not in self._weights:
-            from bcid.forms.loads import nodal_weights
-
-            if place not in self.places:
-                raise InputError(f"loads: place '{place}' is not in the scene; {nearest(place, self.places)}")
-            self._weights[place] = np.repeat(nodal_weights(self.body, self.places[place], f"place {place}"), 3)
-        return self._weights[place]
 
     # -- solver
     # --------------------------------------------------------------------------------------------------------------
@@ -287,7 +177,6 @@ class Equilibrium:
         self.iterate = self.vector.duplicate()
         self.correction = self.vector.duplicate()
         self._owned = self.vector.getLocalSize()
-        self.external = np.zeros(3 * len(self.body.nodes))
         self.internal = np.zeros(self._owned)
         modes = self._rigid_modes()
         self.factor = Factor(self.tangent.matrix, self.model.symmetric, self.body.pressures, modes)
@@ -341,7 +230,7 @@ class Equilibrium:
     def _residual(self, _snes: PETSc.SNES, x: PETSc.Vec, F: PETSc.Vec) -> None:
         self._copy_in(x)
         self._assemble_forces(F)
-        F.array[self._held_owned] = 0.0
+        F.array[self.supports.reacting] = 0.0
 
     def _copy_in(self, x: PETSc.Vec) -> None:
         self.u.x.array[: self._owned] = x.array_r
@@ -354,27 +243,18 @@ class Equilibrium:
         for form in self.residual_forms:
             fp.assemble_vector(F, form)
         F.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-        forces = F.array
-        if self._loaded:
-            dofs = self.body.displacement_dofs
-            own = dofs < self._owned
-            forces[dofs[own]] -= self.external[own]
-        self.internal[:] = forces
+        if self.supports.loaded:
+            F.array[:] -= self.supports.dead()
+        self.internal[:] = F.array
 
     def _scale(self) -> float:
         """Norm of reactions and loads: what the out-of-balance force is measured against."""
-        reactions = self.internal[self._held_owned]
-        return float(np.sqrt(self.total(float(reactions @ reactions) + float(self.external @ self.external))))
+        reactions, dead = self.internal[self.supports.reacting], self.supports.dead()
+        return float(np.sqrt(self.total(float(reactions @ reactions) + float(dead @ dead))))
 
     def applied(self) -> Array:
         """Forces of gripper, anchors and dead loads at the last solve, shape (this rank's own unknowns,), N."""
-        forces = np.zeros(self._owned)
-        forces[self._held_owned] = self.internal[self._held_owned]
-        if self._loaded:
-            dofs = self.body.displacement_dofs
-            own = dofs < self._owned
-            forces[dofs[own]] += self.external[own]
-        return forces
+        return self.supports.applied(self.internal)
 
     def _renew(self, _snes: PETSc.SNES, _x: PETSc.Vec, _J: PETSc.Mat, _P: PETSc.Mat) -> None:
         """What SNES calls for a Jacobian: the old one stays while the iteration converges well with it."""
@@ -447,25 +327,23 @@ class Equilibrium:
     def _lift(self) -> Status:
         """Bring the held nodes to their prescribed places, the others following by the tangent where it is far."""
         state = self.u.x.array
-        wanted = state.copy()
-        for bc in self._bcs:
-            bc.set(wanted)
-        gap = np.zeros_like(state)
-        gap[self.prescribed] = wanted[self.prescribed] - state[self.prescribed]
+        wanted = self.supports.met(state)
+        gap = wanted - state
         if self._largest(np.abs(gap).max(initial=0.0)) > _FAR * self.body.mesh.size:
             if not self.factor.usable:
                 self._assemble_tangent()
                 if not self.factor.refresh():
                     return self._unfactored()
             self.tangent.lift(gap, self.vector, self.u.x.petsc_vec)
-            self.vector.array[self._held_owned] = gap[self._held_owned]
+            self.vector.array[self.supports.reacting] = gap[self.supports.reacting]
             try:
                 self.factor.solve(self.vector, self.correction)
             except PETSc.Error as error:
                 return self._refused(error)
             state[: self._owned] += self.correction.array_r
             self.u.x.scatter_forward()
-        state[self.prescribed] = wanted[self.prescribed]
+        prescribed = self.supports.prescribed
+        state[prescribed] = wanted[prescribed]
         return Status.CONVERGED
 
     def _newton(self) -> Status:
@@ -488,7 +366,7 @@ class Equilibrium:
         if self.factor.starved or (self.factor.count > factored and not self.factor.usable):
             return self._unfactored()
         if reason <= 0:
-            return _REASONS.get(reason, Status.DIVERGED)
+            return REASONS.get(reason, Status.DIVERGED)
         self._copy_in(self.iterate)
         if self._lagging:
             self.secant.observe(self.vector.array_r)
@@ -544,14 +422,14 @@ class Equilibrium:
     def wrench(self, pose: Pose) -> Array:
         """Force (N) and torque (N m) of the gripper on the body, about the moved centre of the grasp, shape (6,)."""
         result = np.zeros(6)
-        if self._grasp:
+        if self.supports.grasp:
             self._assemble_forces(self.vector)
             dofs = self.body.displacement_dofs
-            mine = np.isin(dofs, self._gripped) & (dofs < self._owned)
+            mine = np.isin(dofs, self.supports.gripped) & (dofs < self._owned)
             components = np.zeros(len(dofs))
             components[mine] = self.internal[dofs[mine]]
             forces = components.reshape(-1, 3)
-            centre = np.array(self.scene.grasps[self._grasp].centre) + pose.translation
+            centre = self.supports.centre + pose.translation
             arms = self.body.nodes + self.displacement() - centre
             result = np.concatenate([forces.sum(axis=0), np.cross(arms, forces).sum(axis=0)])
         return np.asarray(self.body.comm.allreduce(result)) if self.body.comm.size > 1 else result

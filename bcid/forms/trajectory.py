@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from bcid.forms.balance import Balance
 from bcid.forms.rotation import slerp
-from bcid.forms.solve import WORDS, Equilibrium, Pose, Status
+from bcid.forms.solve import Equilibrium
+from bcid.forms.status import WORDS, Status
+from bcid.forms.supports import Pose
 from bcid.measurement import Action
 
 Array = NDArray[np.float64]

@@ -21,7 +21,8 @@ from bcid.errors import SHORT_OF_MEMORY, BcidError, InputError, MachineError
 from bcid.forms.forward import Forward, Prediction, Watch
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
-from bcid.forms.solve import Settings, Status
+from bcid.forms.solve import Settings
+from bcid.forms.status import Status
 from bcid.measurement import Measurement
 from bcid.progress import Progress, Silent
 from bcid.scene import Scene

@@ -23,7 +23,8 @@ from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import Forward
 from bcid.forms.model import Dose, Model, check_physics
 from bcid.forms.simulate import recorded
-from bcid.forms.solve import Settings, Status
+from bcid.forms.solve import Settings
+from bcid.forms.status import Status
 from bcid.forms.trajectory import between, poses
 from bcid.measurement import Action
 from bcid.run import write_whole

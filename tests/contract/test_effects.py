@@ -25,7 +25,9 @@ from bcid.forms.forward import Forward
 from bcid.forms.loads import nodal_weights
 from bcid.forms.model import Anchors, Dose, Held, Model
 from bcid.forms.parameter import Parameter
-from bcid.forms.solve import Equilibrium, Pose, Settings, Status
+from bcid.forms.solve import Equilibrium, Settings
+from bcid.forms.status import Status
+from bcid.forms.supports import Pose
 from bcid.forms.trajectory import follow
 from bcid.forms.trial import Trial
 from bcid.measurement import Action, Measurement

@@ -35,7 +35,8 @@ from bcid.forms.model import Dose, Held, Model, check_physics
 from bcid.forms.patches import halves
 from bcid.forms.sensitivity import Probe, Wanted
 from bcid.forms.simulate import simulate
-from bcid.forms.solve import Settings, Status
+from bcid.forms.solve import Settings
+from bcid.forms.status import Status
 from bcid.forms.trajectory import follow
 from bcid.motions import about_x, motion
 from bcid.scene import Level, Limits, Region, Scene

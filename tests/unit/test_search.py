@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bcid.errors import InputError, SolveError
-from bcid.forms.solve import Status
+from bcid.forms.status import Status
 from bcid.progress import Silent
 from bcid.search.belief import Belief, classes, finest, interest, log_likelihood, model_errors
 from bcid.search.climb import ODDS, climb, neighbours

@@ -16,7 +16,9 @@ from scipy.sparse import csr_matrix
 from bcid.forms.body import Body
 from bcid.forms.mesh import BodyMesh
 from bcid.forms.model import Model
-from bcid.forms.solve import Equilibrium, Pose, Settings, Status
+from bcid.forms.solve import Equilibrium, Settings
+from bcid.forms.status import Status
+from bcid.forms.supports import Pose
 from bcid.measurement import Action
 from bcid.scene import Grasp, Level, Material, Region, Scene
 
@@ -131,8 +133,9 @@ class Prescribed(Equilibrium):
 
     field: Field = staticmethod(np.zeros_like)
 
-    def _move_gripper(self, pose: Pose) -> None:
-        self._gripper.x.array[:] = (pose.dose * self.field(self.body.nodes)).ravel()
+    def _prescribe(self, pose: Pose) -> None:
+        super()._prescribe(pose)
+        self.supports.gripper.x.array[:] = (pose.dose * self.field(self.body.nodes)).ravel()
 
     @classmethod
     def on(
@@ -165,7 +168,7 @@ def tangent(equilibrium: Equilibrium) -> csr_matrix:
 
 def free(equilibrium: Equilibrium) -> NDArray[np.int64]:
     """Unknowns that nothing holds (one rank)."""
-    held = np.unique(np.concatenate([bc.dof_indices()[0] for bc in equilibrium._bcs]))
+    held = np.unique(np.concatenate([bc.dof_indices()[0] for bc in equilibrium.supports.conditions]))
     return np.setdiff1d(np.arange(equilibrium.body.unknowns), held)
 
 
@@ -178,7 +181,7 @@ def lowest_eigenvalue(equilibrium: Equilibrium) -> float:
 def out_of_balance(equilibrium: Equilibrium) -> float:
     """Largest force on a free node against the largest on a held one (one rank)."""
     all_forces = forces(equilibrium)
-    all_forces[equilibrium.body.displacement_dofs] -= equilibrium.external
+    all_forces[equilibrium.body.displacement_dofs] -= equilibrium.supports.external
     loose = free(equilibrium)
     held = np.setdiff1d(np.arange(len(all_forces)), loose)
     return float(np.abs(all_forces[loose]).max() / np.abs(all_forces[held]).max())

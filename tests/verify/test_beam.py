@@ -57,5 +57,6 @@ def _reaction(forward: Forward) -> NDArray[np.float64]:
     equilibrium = forward.equilibrium
     equilibrium._assemble_forces(equilibrium.vector)
     held = np.zeros(len(equilibrium.internal))
-    held[equilibrium._held_owned] = equilibrium.internal[equilibrium._held_owned]
+    reacting = equilibrium.supports.reacting
+    held[reacting] = equilibrium.internal[reacting]
     return np.asarray(held[equilibrium.body.displacement_dofs].reshape(-1, 3).sum(axis=0))

@@ -12,7 +12,8 @@ from verify.problems import box, gradually, scene_of
 from bcid.forms import materials
 from bcid.forms.body import Body
 from bcid.forms.model import Anchors, Model, pressure, traction
-from bcid.forms.solve import Equilibrium, Settings, Status
+from bcid.forms.solve import Equilibrium, Settings
+from bcid.forms.status import Status
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,9 @@ from bcid.forms.body import Body
 from bcid.forms.forward import Forward
 from bcid.forms.model import Anchors, Held, Model
 from bcid.forms.softness import linear_buckling
-from bcid.forms.solve import Equilibrium, Pose, Status
+from bcid.forms.solve import Equilibrium
+from bcid.forms.status import Status
+from bcid.forms.supports import Pose
 from bcid.forms.trajectory import follow
 from bcid.motions import about_x
 from bcid.scene import Scene

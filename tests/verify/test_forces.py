@@ -17,7 +17,9 @@ from bcid.forms.body import Body
 from bcid.forms.loads import nodal_weights
 from bcid.forms.mesh import BodyMesh
 from bcid.forms.model import Anchors, Dose, Held, Model
-from bcid.forms.solve import Equilibrium, Pose, Settings, Status
+from bcid.forms.solve import Equilibrium, Settings
+from bcid.forms.status import Status
+from bcid.forms.supports import Pose
 from bcid.measurement import quaternion_rotate
 from bcid.scene import Region
 
@@ -70,11 +72,11 @@ def test_gripper_anchors_weight_and_load_are_in_balance(loaded: Equilibrium) -> 
     assert loaded.solve(pose()) is Status.CONVERGED
     body, now = loaded.body, pose()
     placed = body.nodes + loaded.displacement()
-    reactions = (forces(loaded)[body.displacement_dofs] - loaded.external).reshape(-1, 3)
+    reactions = (forces(loaded)[body.displacement_dofs] - loaded.supports.external).reshape(-1, 3)
     anchored = np.isclose(body.nodes[:, 0], 0.0, atol=1e-9)
     v = ufl.TestFunction(body.displacement_space)
     weight = fem.assemble_vector(fem.form(WEIGHT * ufl.inner(ufl.as_vector(DOWN), v) * ufl.dx(body.domain))).array
-    applied = weight.reshape(-1, 3) + loaded.external.reshape(-1, 3)
+    applied = weight.reshape(-1, 3) + loaded.supports.external.reshape(-1, 3)
     wrench = loaded.wrench(now)
     assert applied.sum(axis=0) == pytest.approx(LOAD + WEIGHT * SIZE**3 * np.array(DOWN), rel=1e-9)
     balance = wrench[:3] + reactions[anchored].sum(axis=0) + applied.sum(axis=0)
@@ -87,7 +89,7 @@ def test_gripper_anchors_weight_and_load_are_in_balance(loaded: Equilibrium) -> 
 def test_the_wrench_is_the_slope_of_the_energy(loaded: Equilibrium) -> None:
     def potential(at: Pose) -> float:
         assert loaded.solve(at) is Status.CONVERGED
-        return loaded.energy() - float(loaded.external @ loaded.displacement().ravel())
+        return loaded.energy() - float(loaded.supports.external @ loaded.displacement().ravel())
 
     potential(pose())
     wrench = loaded.wrench(pose())

@@ -19,7 +19,8 @@ from bcid.forms import materials
 from bcid.forms.effects.effect import Effect, Point
 from bcid.forms.model import Dose, Held, Model
 from bcid.forms.parameter import Parameter
-from bcid.forms.solve import Pose, Status
+from bcid.forms.status import Status
+from bcid.forms.supports import Pose
 
 Array = NDArray[np.float64]
 YOUNG, POISSON = 15e3, 0.3

@@ -10,7 +10,8 @@ from verify.problems import Prescribed, box, crumpled, out_of_balance
 
 from bcid.forms import materials
 from bcid.forms.model import Held, Model
-from bcid.forms.solve import Pose, Status
+from bcid.forms.status import Status
+from bcid.forms.supports import Pose
 
 SIZE = 0.03
 DEFORMATIONS = 50
@@ -37,7 +38,7 @@ def test_affine_boundary_gives_the_affine_field(cube: Prescribed, seed: int) -> 
     # Newton starts from the affine field with its inside shaken, so that it has something to do.
     start = np.zeros_like(cube.u.x.array)
     start[cube.body.displacement_dofs] = exact.ravel()
-    inside = np.isin(cube.body.displacement_dofs, cube.prescribed, invert=True)
+    inside = np.isin(cube.body.displacement_dofs, cube.supports.prescribed, invert=True)
     start[cube.body.displacement_dofs[inside]] += rng.uniform(-0.01, 0.01, inside.sum()) * SIZE
     before = cube.iterations
     assert cube.solve(Pose(), start) is Status.CONVERGED

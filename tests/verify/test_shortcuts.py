@@ -16,7 +16,8 @@ from bcid.forms.factor import Factor
 from bcid.forms.forward import Forward
 from bcid.forms.model import Dose, Model, check_physics
 from bcid.forms.simulate import simulate
-from bcid.forms.solve import Equilibrium, Settings, Status
+from bcid.forms.solve import Equilibrium, Settings
+from bcid.forms.status import Status
 from bcid.motions import motion
 from bcid.progress import Silent
 from bcid.scene import Scene

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from verify.problems import out_of_balance, pull_and_lift
 
-from bcid.forms.solve import Status
+from bcid.forms.status import Status
 from bcid.forms.trajectory import follow
 
 
