@@ -38,5 +38,5 @@ def test_a_pull_through_an_anchor_is_told_from_one_away_from_it() -> None:
 
 
 def test_memory_does_not_grow() -> None:
-    found = solving.memory(600, settled=100, far=2)
+    found = solving.memory(300, settled=100, far=2)
     assert found.met, found.reached

@@ -233,7 +233,7 @@ def test_no_payload_runs(tmp_path: Path, visit: Callable[..., Visit], monkeypatc
 
 def _few(found: Any) -> list[gallery.Drawing]:
     """One chart with names is enough here: `test_report_safety` looks at all of them."""
-    return [drawing for drawing in gallery_drawings(found) if drawing.name in ("ladder", "residual-action")]
+    return [drawing for drawing in gallery_drawings(found) if drawing.name == "ladder"]
 
 
 gallery_drawings = gallery.drawings

@@ -162,7 +162,7 @@ def test_effects_that_do_the_same_are_not_told_apart(slab: Scene) -> None:
     weight = Dose(effects.effect("gravity"), {"weight": 800.0})
     model = Model.of(slab) + weight
     anchored = frozenset({"3", "4"})
-    twin = Twin(slab, simulate(slab, anchored, pulls(), level=2, model=model), MPI.COMM_SELF, level=2)
+    twin = Twin(slab, simulate(slab, anchored, pulls(), level=1, model=model), MPI.COMM_SELF, level=1)
     other = replace(weight.effect, name="heaviness")
     both = ("gravity", "heaviness")
     ranking = rank(at(twin, anchored), effects.catalogue(both, [other]))
@@ -189,7 +189,7 @@ def test_a_marker_that_jumped_is_named(slab: Scene, plain: Measurement) -> None:
     jumped = plain.data.copy(deep=True)
     onset = 8
     jumped["position"][{"frame": slice(onset, None), "fiducial": slab.fiducial_names.index("6"), "axis": 2}] += 2e-3
-    twin = Twin(slab, replace(plain, data=jumped), MPI.COMM_SELF, level=2)
+    twin = Twin(slab, replace(plain, data=jumped), MPI.COMM_SELF, level=1)
     found = explain(twin, Plan(level=1, only=FEW))
     assert found.verdict == "marker_fault"
     assert found.last.state.anchors == ANCHORED
