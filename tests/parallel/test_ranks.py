@@ -330,7 +330,8 @@ def test_the_grasp_may_be_held_without_anchors(slab: Scene) -> None:
 
 def test_an_exploration_does_not_depend_on_the_number_of_ranks(slab: Scene) -> None:
     directions = {"+x": (1.0, 0.0, 0.0), "+y": (0.0, 1.0, 0.0)}
-    scene = replace(slab, limits=Limits(0.008, amplitudes=(0.008,), directions=directions))
+    limits = Limits(0.008, amplitudes=(0.008,), directions=directions)
+    scene = replace(slab, patches={name: slab.patches[name] for name in "12345"}, limits=limits)
     found = []
     for comm in (MPI.COMM_SELF, WORLD):
         predictor, body = Predictor(scene, 0, comm), Predictor(scene, 0, MPI.COMM_SELF)
@@ -346,7 +347,8 @@ def test_an_exploration_does_not_depend_on_the_number_of_ranks(slab: Scene) -> N
 
 def test_rival_effects_do_not_depend_on_the_ranks(coarse_scene: Path) -> None:
     """A weight that the scene does not know of: the same hypotheses and numbers on all ranks as on one."""
-    scene = Scene.read(coarse_scene)
+    whole = Scene.read(coarse_scene)
+    scene = replace(whole, patches={name: whole.patches[name] for name in "34"})
     heavy = replace(scene, effects={"gravity": {"weight": "1500 N/m^3"}})
     found = []
     for comm in (MPI.COMM_SELF, WORLD):
