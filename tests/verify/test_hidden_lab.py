@@ -17,7 +17,6 @@ from bcid import Measurement, Scene
 from bcid.compare.explain import Explanation, explain
 from bcid.compare.twin import Twin
 
-
 # Of two grasps, in two directions.
 PULLS = "14"
 
