@@ -15,6 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from importlib import import_module
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +26,9 @@ from bcid.run import sealed, write_whole
 
 Task = Mapping[str, Any]
 Make = Callable[[Task], dict[str, Any]]
-# Ranks are handed so many trials at once that each comes back this often, and never more than the most.
-_RETURNS, _MOST = 200, 8
+# Ranks are handed so many trials at once that each comes back about this often, and never more than the most; at the end,
+# lest some wait for the others, so many times as many one by one.
+_RETURNS, _MOST, _LAST = 20, 8, 2
 
 
 @dataclass(frozen=True)
@@ -127,15 +129,24 @@ def _among_ranks(work: Work, todo: Mapping[str, Task], comm: Any, progress: Prog
     with MPICommExecutor(comm, root=0) as pool:
         executor: Any = pool
         if executor is not None:
-            chunk = max(1, min(_MOST, len(todo) // (_RETURNS * (comm.size - 1))))
-            made = executor.map(partial(attempt, work), todo, todo.values(), chunksize=chunk, unordered=True)
+            made = [
+                executor.map(partial(attempt, work), *zip(*part, strict=True), chunksize=size, unordered=True)
+                for part, size in portions(list(todo.items()), comm.size - 1)
+            ]
             try:
-                for done, _ in enumerate(made, start=1):
+                for done, _ in enumerate(chain.from_iterable(made), start=1):
                     _tell(progress, len(todo), done)
             except BcidError as caught:
                 error = caught
                 executor.shutdown(wait=False, cancel_futures=True)
     agree(comm, error)
+
+
+def portions(todo: list[Any], workers: int) -> list[tuple[list[Any], int]]:
+    """What is handed out in which order, and how much of it at once."""
+    size = max(1, min(_MOST, len(todo) // (_RETURNS * workers)))
+    many = len(todo) - _LAST * size * workers if size > 1 else 0
+    return [(part, at_once) for part, at_once in ((todo[:many], size), (todo[many:], 1)) if part]
 
 
 def attempt(work: Work, name: str, task: Task) -> None:

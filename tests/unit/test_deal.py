@@ -11,7 +11,7 @@ import pytest
 
 from bcid.errors import InputError, MachineError
 from bcid.progress import Silent
-from bcid.studies.deal import How, Task, Work, attempt, deal, part_of, read_result
+from bcid.studies.deal import How, Task, Work, attempt, deal, part_of, portions, read_result
 from bcid.studies.workers import _Worker
 from benchmarks.reliability.kills import begun, tasks, work
 
@@ -42,6 +42,22 @@ def test_every_trial_ends_with_a_result_or_a_reason(tmp_path: Path) -> None:
     assert [trials.count(i) for i in (0, 1, 3, 4, 5, 8, 9)] == [1, 1, 3, 3, 3, 1, 1]
     # Workers are kept: a new one only for each that was lost.
     assert len({process for _, process in begun(made)}) <= 2 + 9 + 2
+
+
+@pytest.mark.parametrize(
+    ("count", "workers"), [(0, 2), (1, 5), (39, 1), (40, 1), (333, 2), (10_000, 48), (10_000, 1023)]
+)
+def test_ranks_get_many_short_trials_at_once_and_the_last_one_by_one(count: int, workers: int) -> None:
+    handed = portions(list(range(count)), workers)
+    assert [one for part, _ in handed for one in part] == list(range(count))
+    sizes = [size for _, size in handed]
+    assert sizes == sorted(sizes, reverse=True)
+    if count:
+        part, size = handed[-1]
+        # Who has just got many has them done before the last are gone.
+        assert size == 1
+        assert len(part) == count or len(part) == 2 * sizes[0] * workers
+        assert sizes[0] * 20 * workers <= max(count, 20 * workers)
 
 
 def test_what_cannot_be_written_ends_the_study(tmp_path: Path) -> None:
