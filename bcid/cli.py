@@ -550,7 +550,7 @@ def _add_study(commands: Any) -> None:
         type=float,
         default=900.0,
         metavar="SECONDS",
-        help="CPU seconds that a trial may take, without mpirun (900)",
+        help="CPU seconds that a trial may take (900)",
     )
     parser.add_argument(
         "--least", type=float, default=0.5, metavar="SIZE", help="of an effect of hidden, in units of noise (0.5)"

@@ -23,6 +23,7 @@ from bcid.collective import agree, on_root
 from bcid.errors import BcidError, InputError, MachineError
 from bcid.progress import Progress
 from bcid.run import sealed, write_whole
+from bcid.studies.time_limit import OutOfTime, limited
 
 Task = Mapping[str, Any]
 Make = Callable[[Task], dict[str, Any]]
@@ -81,7 +82,7 @@ class How:
     Attributes:
         comm: MPI communicator of more than one rank, over which they are spread; None for child processes.
         jobs: child processes at a time.
-        limit: CPU seconds that a trial may take in a child process.
+        limit: CPU seconds that a trial may take.
         tries: how often a trial whose process dies is made: what killed it may have been meant for another.
         fresh: every trial gets a process of its own.
     """
@@ -106,7 +107,7 @@ def deal(work: Work, tasks: Mapping[str, Task], how: How, progress: Progress) ->
     if len(todo) < len(tasks):
         progress.say(f"{len(tasks) - len(todo)} of {len(tasks)} trials are done already")
     if how.comm is not None:
-        _among_ranks(work, todo, how.comm, progress)
+        _among_ranks(work, todo, how, progress)
     elif todo:
         from bcid.studies.workers import supervise
 
@@ -118,10 +119,11 @@ def _tell(progress: Progress, count: int, done: int) -> None:
     progress.step(f"{done} of {count} trials done")
 
 
-def _among_ranks(work: Work, todo: Mapping[str, Task], comm: Any, progress: Progress) -> None:
-    """Rank 0 hands out, the others make; they ask for the next when they are done. Collective on `comm`."""
+def _among_ranks(work: Work, todo: Mapping[str, Task], how: How, progress: Progress) -> None:
+    """Rank 0 hands out, the others make; they ask for the next when they are done. Collective on `how.comm`."""
     from mpi4py.futures import MPICommExecutor
 
+    comm = how.comm
     # PETSc starts on all ranks of the job together: a trial that were the first to need it would wait for rank 0, which makes none.
     with suppress(ImportError):
         import_module("petsc4py.PETSc")
@@ -130,7 +132,9 @@ def _among_ranks(work: Work, todo: Mapping[str, Task], comm: Any, progress: Prog
         executor: Any = pool
         if executor is not None:
             made = [
-                executor.map(partial(attempt, work), *zip(*part, strict=True), chunksize=size, unordered=True)
+                executor.map(
+                    partial(attempt, work, limit=how.limit), *zip(*part, strict=True), chunksize=size, unordered=True
+                )
                 for part, size in portions(list(todo.items()), comm.size - 1)
             ]
             try:
@@ -149,8 +153,14 @@ def portions(todo: list[Any], workers: int) -> list[tuple[list[Any], int]]:
     return [(part, at_once) for part, at_once in ((todo[:many], size), (todo[many:], 1)) if part]
 
 
-def attempt(work: Work, name: str, task: Task) -> None:
+def attempt(work: Work, name: str, task: Task, limit: float | None = None) -> None:
     """Make a trial and write its result; what goes wrong with it is a result too.
+
+    Args:
+        work: what makes trials.
+        name: of the trial.
+        task: what is to be made.
+        limit: CPU seconds that it may take; None where someone else looks at them.
 
     Raises:
         MachineError: the result cannot be written.
@@ -160,11 +170,16 @@ def attempt(work: Work, name: str, task: Task) -> None:
     start = time.perf_counter()
     result, state, reason = None, "done", ""
     try:
-        result = _make(work.maker, json.dumps(work.job, sort_keys=True))(task)
+        with limited(limit):
+            result = _make(work.maker, json.dumps(work.job, sort_keys=True))(task)
         # A number that is not finite is not JSON.
         json.dumps(result, allow_nan=False)
     except MachineError:
         raise
+    except OutOfTime as error:
+        result, state, reason = None, "timeout", str(error)
+        # It ended anywhere: what it shares with other trials is made anew for them.
+        _make.cache_clear()
     except Exception as error:
         result, state, reason = None, "failed", str(error)
         if not isinstance(error, BcidError):

@@ -38,7 +38,7 @@ class Options:
         cases: how many.
         seed: of the cases; case i is the same whatever their number.
         jobs: child processes at a time.
-        limit: CPU seconds that a case may take in a child process.
+        limit: CPU seconds that a case may take.
         least: size that effects are drawn from, in units of noise; the largest is 10.
         make, diagnose: functions as "module:name": `bcid.studies.truth.make` and the diagnosis.
     """

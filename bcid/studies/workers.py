@@ -23,13 +23,12 @@ from typing import Any
 from bcid.errors import MachineError
 from bcid.forms.mesh import child_environment
 from bcid.studies.deal import How, Task, Work
+from bcid.studies.time_limit import PATIENCE
 
 # What a worker said last is told when it died.
 _LAST_LINES = 3
 # Seconds between two looks at the time limits.
 _POLL = 0.25
-# A worker that does not use its CPU seconds is waited for so many times the limit.
-_PATIENCE = 4.0
 
 
 @dataclass
@@ -63,7 +62,7 @@ def supervise(work: Work, tasks: Mapping[str, Task], how: How, told: Callable[[i
     """Make every trial in `how.jobs` child processes; `told` is called with the number done, as each ends.
 
     A trial that uses more than `how.limit` CPU seconds is ended, so that what else runs on the machine changes no outcome; so
-    is one that takes `_PATIENCE` times as long without. One whose worker dies is tried again. SIGINT and SIGTERM end all
+    is one that takes `PATIENCE` times as long without. One whose worker dies is tried again. SIGINT and SIGTERM end all
     and raise `KeyboardInterrupt`.
 
     Raises:
@@ -164,8 +163,8 @@ class _Pool:
             return
         limit, passed = self.how.limit, time.monotonic() - worker.began
         over = _cpu_seconds(worker.process.pid) - worker.cpu > limit
-        if over or passed > _PATIENCE * limit:
-            text = f"took more than {limit:.0f} CPU s" if over else f"was not done after {_PATIENCE * limit:.0f} s"
+        if over or passed > PATIENCE * limit:
+            text = f"took more than {limit:.0f} CPU s" if over else f"was not done after {PATIENCE * limit:.0f} s"
             self.end(worker)
             self.give_up(worker.name, "timeout", text, passed)
 

@@ -17,7 +17,7 @@ from bcid.cli import main
 from bcid.errors import InputError
 from bcid.studies.algorithm1 import in_one_stage, in_stages, optimum
 from bcid.studies.condition import Condition
-from bcid.studies.deal import How
+from bcid.studies.deal import How, read_result
 from bcid.studies.identification import see, turned
 from bcid.studies.study import Extent, run_study
 from bcid.studies.study_file import StudyFile
@@ -303,6 +303,30 @@ def test_a_rank_that_is_killed_ends_the_job_and_the_next_goes_on(tmp_path: Path)
     assert _mpirun(sys.executable, "-c", _DEAL, str(tmp_path)).wait(timeout=100) == 0
     assert len(begun(made)) - before == 60 - len(done)
     assert values(made, 60) == [None if i == 7 else i * i for i in range(60)]
+
+
+_SLOW = """
+import sys
+from pathlib import Path
+from mpi4py import MPI
+from bcid.progress import Silent
+from bcid.studies.deal import How, deal
+from benchmarks.reliability.kills import tasks, work
+deal(work(Path(sys.argv[1])), tasks(8, t1="spin", t3="hang"), How(MPI.COMM_WORLD, limit=1.0), Silent())
+"""
+
+
+@pytest.mark.timeout(100)
+def test_a_trial_that_takes_too_long_ends_on_ranks_too(tmp_path: Path) -> None:
+    from benchmarks.reliability.kills import begun, values, work
+
+    made = work(tmp_path)
+    assert _mpirun(sys.executable, "-c", _SLOW, str(tmp_path)).wait(timeout=60) == 0
+    assert values(made, 8) == [None if i in (1, 3) else i * i for i in range(8)]
+    for index, reason in {1: "took more than 1 CPU s", 3: "was not done after 4 s"}.items():
+        result = read_result(made.file(f"{index:04d}"))
+        assert (result["state"], result["reason"]) == ("timeout", reason)
+    assert len(begun(made)) == 8
 
 
 _LATE = """
