@@ -25,7 +25,7 @@ from bcid.forms.model import check_physics
 from bcid.forms.patches import divided
 from bcid.measurement import Measurement
 from bcid.progress import Progress, Silent
-from bcid.run import Run
+from bcid.run import Run, sealed
 from bcid.scene import Scene
 from bcid.search.job import scene_fingerprint
 from bcid.units import percent
@@ -182,7 +182,8 @@ def _keep(folder: Path, move: Move, seen: Measurement) -> None:
     step = place / f"{number:04d}"
     shutil.rmtree(step, ignore_errors=True)
     seen.write(step / "measurement")
-    Run.open(folder).write_json(f"steps/{number:04d}/move.json", asdict(move))
+    about = {"move": asdict(move), "measurement": Measurement.read(step / "measurement").fingerprint()}
+    Run.open(folder).write_json(f"steps/{number:04d}/move.json", sealed(about))
 
 
 def _made(folder: Path) -> list[tuple[Move, Measurement]]:
@@ -190,10 +191,16 @@ def _made(folder: Path) -> list[tuple[Move, Measurement]]:
     found = []
     for file in sorted((folder / "steps").glob("*/move.json")):
         try:
-            move = Move(**json.loads(file.read_text(encoding="utf-8")))
-        except (TypeError, ValueError) as error:
+            about = json.loads(file.read_text(encoding="utf-8"))
+            if sealed(about)["checksum"] != about["checksum"]:
+                raise ValueError("its checksum is another")
+            move = Move(**about["move"])
+            seen = Measurement.read(file.parent / "measurement")
+            if seen.fingerprint() != about["measurement"]:
+                raise ValueError("the measurement beside it is not the one that was made")
+        except (TypeError, ValueError, KeyError, AttributeError, RecursionError) as error:
             raise InputError(f"{file}: is damaged ({error}); start the exploration anew with --overwrite") from None
-        found.append((move, Measurement.read(file.parent / "measurement")))
+        found.append((move, seen))
     return found
 
 

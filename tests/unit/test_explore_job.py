@@ -10,11 +10,12 @@ import pytest
 from mpi4py import MPI
 
 from bcid.errors import InputError, MachineError
-from bcid.explore.job import run_exploration
+from bcid.explore.job import _keep, _made, run_exploration
 from bcid.explore.loop import Plan
 from bcid.explore.moves import Move, moves
 from bcid.explore.predictions import Predictor, predicted
 from bcid.explore.robots import Simulated
+from bcid.run import Run
 from bcid.scene import Scene
 
 # With so much noise three pulls never decide.
@@ -50,6 +51,28 @@ def test_a_stopped_exploration_goes_on_with_the_pulls_it_has_made(coarse_scene: 
     whole = explored(coarse_scene, "simulated:1,2", tmp_path / "whole")
     assert [s["patches"] for s in whole["steps"]] == [pytest.approx(s["patches"], abs=1e-6) for s in found["steps"]]
     body.predictor.destroy()
+
+
+@pytest.mark.parametrize("file", ["move.json", "measurement/fiducials.csv", "measurement/grasps.csv"])
+def test_a_pull_that_was_changed_is_not_gone_on_with(coarse_scene: Path, tmp_path: Path, file: str) -> None:
+    scene, run = Scene.read(coarse_scene), tmp_path / "run"
+    body = Simulated(Predictor(scene, 0, MPI.COMM_SELF), "12", NOISE, 0)
+    move = moves(scene)[0]
+    assert scene.limits is not None
+    body.move(move.action(scene.limits, "1"))
+    Run.start(run, "explore", {}).release()
+    _keep(run, move, body.observe())
+    body.predictor.destroy()
+    ((kept, seen),) = _made(run)
+    assert kept == move
+    assert len(seen.positions) == 9
+    changed = run / "steps/0001" / file
+    text = changed.read_text(encoding="utf-8")
+    # The last digit of a position, of the path, or of the checksum.
+    at = max(i for i, letter in enumerate(text) if letter.isdigit())
+    changed.write_text(text[:at] + str((int(text[at]) + 1) % 10) + text[at + 1 :], encoding="utf-8")
+    with pytest.raises(InputError, match=r"move\.json: is damaged|grasps\.csv"):
+        _made(run)
 
 
 def test_predictions_are_shared_and_what_is_damaged_is_told(coarse_scene: Path, tmp_path: Path) -> None:
