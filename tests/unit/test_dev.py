@@ -328,6 +328,9 @@ def test_usage(dev: Dev) -> None:
     code, _, err = dev("--nonsense", "true")
     assert code == 2
     assert "unknown option --nonsense" in err
+    code, _, err = dev("coverage", "--help")
+    assert code == 2
+    assert "coverage takes no arguments, found '--help'" in err
     assert not dev.builds
 
 
