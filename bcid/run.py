@@ -402,9 +402,28 @@ def _read_record(path: Path) -> dict[str, Any]:
 
 
 def sealed(record: dict[str, Any]) -> dict[str, Any]:
-    """The content of a run.json with the checksum of all else in it."""
+    """The content of a run.json, or of another file that stands for itself, with the checksum of all else in it."""
     rest = {key: value for key, value in record.items() if key != "checksum"}
     return rest | {"checksum": _checksum(json.dumps(rest, sort_keys=True).encode())}
+
+
+def unsealed(file: Path, remedy: str) -> dict[str, Any]:
+    """What a file holds that was `sealed`.
+
+    Args:
+        file: the JSON file.
+        remedy: what is to be done when it is damaged.
+
+    Raises:
+        InputError: it is missing or damaged.
+    """
+    try:
+        content: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        if sealed(content)["checksum"] != content["checksum"]:
+            raise ValueError("its checksum is another")
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(f"{file}: is missing or damaged ({error}); {remedy}") from None
+    return content
 
 
 def _checksum(content: bytes) -> str:

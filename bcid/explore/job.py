@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import math
 import shutil
 from collections.abc import Sequence
@@ -25,7 +24,7 @@ from bcid.forms.model import check_physics
 from bcid.forms.patches import divided
 from bcid.measurement import Measurement
 from bcid.progress import Progress, Silent
-from bcid.run import Run, sealed
+from bcid.run import Run, sealed, unsealed
 from bcid.scene import Scene
 from bcid.search.job import scene_fingerprint
 from bcid.units import percent
@@ -188,19 +187,13 @@ def _keep(folder: Path, move: Move, seen: Measurement) -> None:
 
 def _made(folder: Path) -> list[tuple[Move, Measurement]]:
     """The pulls that an interrupted exploration has made, as far as they are complete."""
-    found = []
+    found, remedy = [], "start the exploration anew with --overwrite"
     for file in sorted((folder / "steps").glob("*/move.json")):
-        try:
-            about = json.loads(file.read_text(encoding="utf-8"))
-            if sealed(about)["checksum"] != about["checksum"]:
-                raise ValueError("its checksum is another")
-            move = Move(**about["move"])
-            seen = Measurement.read(file.parent / "measurement")
-            if seen.fingerprint() != about["measurement"]:
-                raise ValueError("the measurement beside it is not the one that was made")
-        except (TypeError, ValueError, KeyError, AttributeError, RecursionError) as error:
-            raise InputError(f"{file}: is damaged ({error}); start the exploration anew with --overwrite") from None
-        found.append((move, seen))
+        about = unsealed(file, remedy)
+        seen = Measurement.read(file.parent / "measurement")
+        if seen.fingerprint() != about["measurement"]:
+            raise InputError(f"{file.parent / 'measurement'}: is damaged: it is not what was seen; {remedy}")
+        found.append((Move(**about["move"]), seen))
     return found
 
 

@@ -57,6 +57,7 @@ class Supports:
         conditions: the DOLFINx conditions in force.
         prescribed: numbers of the unknowns that are prescribed, on this rank, ghosts included.
         reacting: those that this rank owns.
+        grasp: where the gripper holds, or "".
         gripper: displacement of every node if it moved with the gripper, a DOLFINx Function.
         gripped: numbers of the unknowns that the gripper holds.
         external: dead forces on this rank's nodes, ghosts included, shape (3 * nodes,), N.
@@ -118,6 +119,7 @@ class Supports:
 
     def unload(self) -> None:
         """No dead loads."""
+        self.loaded = False
         self.external[:] = 0.0
 
     def moved(self, pose: Pose) -> Array:

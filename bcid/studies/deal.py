@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import Any
 
 from bcid.collective import agree, on_root
-from bcid.errors import BcidError, InputError, MachineError
+from bcid.errors import BcidError, MachineError
 from bcid.progress import Progress
-from bcid.run import sealed, write_whole
+from bcid.run import sealed, unsealed, write_whole
 from bcid.studies.time_limit import OutOfTime, limited
 
 Task = Mapping[str, Any]
@@ -66,13 +66,7 @@ def read_result(file: Path) -> dict[str, Any]:
     Raises:
         InputError: it is missing or damaged.
     """
-    try:
-        content: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        if sealed(content)["checksum"] != content["checksum"]:
-            raise ValueError("its checksum is another")
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError(f"{file}: is missing or damaged ({error}); remove it, it is made again") from None
-    return content
+    return unsealed(file, "remove it, it is made again")
 
 
 @dataclass(frozen=True)

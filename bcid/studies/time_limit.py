@@ -12,6 +12,16 @@ PATIENCE = 4
 _AGAIN = 5.0
 
 
+def used_up(limit: float) -> str:
+    """Why a trial was ended that has used so many CPU seconds."""
+    return f"took more than {limit:.0f} CPU s"
+
+
+def never_done(limit: float) -> str:
+    """Why a trial was ended that has not, and was waited for."""
+    return f"was not done after {PATIENCE * limit:.0f} s"
+
+
 class OutOfTime(BaseException):
     """A trial has used up its time. No `Exception`: whatever a trial forgives, it does not forgive this."""
 
@@ -27,10 +37,10 @@ def limited(seconds: float | None) -> Iterator[None]:
         return
 
     def cpu(*_: object) -> None:
-        raise OutOfTime(f"took more than {seconds:.0f} CPU s")
+        raise OutOfTime(used_up(seconds))
 
     def clock(*_: object) -> None:
-        raise OutOfTime(f"was not done after {PATIENCE * seconds:.0f} s")
+        raise OutOfTime(never_done(seconds))
 
     before = signal.signal(signal.SIGPROF, cpu), signal.signal(signal.SIGALRM, clock)
     signal.setitimer(signal.ITIMER_PROF, seconds, _AGAIN)

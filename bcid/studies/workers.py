@@ -23,7 +23,7 @@ from typing import Any
 from bcid.errors import MachineError
 from bcid.forms.mesh import child_environment
 from bcid.studies.deal import How, Task, Work
-from bcid.studies.time_limit import PATIENCE
+from bcid.studies.time_limit import PATIENCE, never_done, used_up
 
 # What a worker said last is told when it died.
 _LAST_LINES = 3
@@ -164,7 +164,7 @@ class _Pool:
         limit, passed = self.how.limit, time.monotonic() - worker.began
         over = _cpu_seconds(worker.process.pid) - worker.cpu > limit
         if over or passed > PATIENCE * limit:
-            text = f"took more than {limit:.0f} CPU s" if over else f"was not done after {PATIENCE * limit:.0f} s"
+            text = used_up(limit) if over else never_done(limit)
             self.end(worker)
             self.give_up(worker.name, "timeout", text, passed)
 

@@ -1,6 +1,6 @@
 """What must not be taken for a missing effect: wrong anchors, a coarse mesh, unfitted numbers, a marker that jumped.
 
-A slab is measured on a mesh of 12.5 mm and compared on one of 50 mm, which 25 mm say the error of.
+A slab is measured on a mesh of 8 or 25 mm and compared on one of 75 mm, which 25 mm say the error of.
 """
 
 from __future__ import annotations
