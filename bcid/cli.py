@@ -261,12 +261,11 @@ def _add_identify(commands: Any) -> None:
     )
 
 
-def _add_source(parser: argparse.ArgumentParser, files: bool = True) -> None:
+def _add_source(parser: argparse.ArgumentParser) -> None:
     """A run to start from, and what all jobs on one have in common."""
     parser.add_argument("run_folder", type=Path, metavar="RUN", help="run folder of identify, diagnose, fit or explain")
     _add_level(parser)
-    if files:
-        _add_effect_files(parser)
+    _add_effect_files(parser)
     _add_output(parser)
 
 
@@ -301,7 +300,7 @@ def _add_compare(commands: Any) -> None:
         "Writes diagnosis.json, where.json, summary.txt, residuals.nc and pictures.",
     )
     parser.add_argument("-o", "--output", type=Path, metavar="RUN2", help="run folder to write (RUN-compare)")
-    _add_source(parser, files=False)
+    _add_source(parser)
 
 
 def _add_diagnose(commands: Any) -> None:

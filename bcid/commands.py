@@ -144,7 +144,7 @@ def diagnose(arguments: argparse.Namespace, comm: Any) -> None:
     from bcid.compare.job import run_diagnose
 
     progress = _progress(arguments, comm.rank)
-    common = _common(arguments, comm, progress) | {"files": arguments.effects, "only": _listed(arguments.only)}
+    common = _common(arguments, comm, progress) | {"only": _listed(arguments.only)}
     folder = run_diagnose(arguments.run_folder, _beside(arguments, "diagnose"), **common)
     _finish(folder, arguments, comm, progress)
 
@@ -157,7 +157,7 @@ def fit(arguments: argparse.Namespace, comm: Any) -> None:
         raise InputError("fit: nothing to do; name an effect with --add (as --add gravity) or a number with --free")
     chosen = {name: getattr(arguments, name) for name in ("add", "free", "fixed")}
     progress = _progress(arguments, comm.rank)
-    common = _common(arguments, comm, progress) | {"files": arguments.effects}
+    common = _common(arguments, comm, progress)
     folder = run_fit(arguments.run_folder, arguments.output, **common, **chosen)
     _finish(folder, arguments, comm, progress)
 
@@ -204,7 +204,8 @@ def _beside(arguments: argparse.Namespace, command: str) -> Path:
 
 def _common(arguments: argparse.Namespace, comm: Any, progress: Progress) -> dict[str, Any]:
     """What all jobs on a run take."""
-    return {"comm": comm, "progress": progress, "overwrite": arguments.overwrite, "level": arguments.level}
+    common = {"comm": comm, "progress": progress, "overwrite": arguments.overwrite}
+    return common | {"level": arguments.level, "files": arguments.effects}
 
 
 def explore(arguments: argparse.Namespace, comm: Any) -> None:

@@ -42,9 +42,10 @@ def run_compare(
     progress: Progress | None = None,
     overwrite: bool = False,
     level: int | None = None,
+    files: Sequence[Path] = (),
 ) -> Path:
     """Is the model of a run adequate, and where does it fail? Collective; returns the folder written."""
-    source = from_run(folder, (), comm)
+    source = from_run(folder, files, comm)
 
     def work(twin: Twin) -> Outcome:
         fitted = _present(twin, source, progress)

@@ -90,10 +90,8 @@ def from_run(folder: Path, files: Sequence[Path], comm: Any) -> Source:
     if not {"scene", "measurement"} <= set(names):
         raise InputError(f"{folder}: holds a run of '{run.record['command']}', which names no scene and measurement")
     stored = on_root(comm, lambda: run.read_json("model.json") if (folder / "model.json").is_file() else None)
-    own = tuple(Path(name) for name in (stored or {}).get("files", []))
-    source = from_files(
-        Path(names["scene"]), Path(names["measurement"]), (*own, *(f for f in files if f not in own)), comm
-    )
+    on_root(comm, lambda: _refuse_unnamed(run, stored, files))
+    source = from_files(Path(names["scene"]), Path(names["measurement"]), files, comm)
     for what, present in fingerprints(source.scene, source.measurement).items():
         if present != run.record["inputs"].get(what):
             raise InputError(f"{folder}: the {what} {names[what]} has changed since; repeat the run")
@@ -101,6 +99,21 @@ def from_run(folder: Path, files: Sequence[Path], comm: Any) -> Source:
         anchored = on_root(comm, lambda: run.read_json("identification.json"))["anchored"]
         return replace(source, anchors=frozenset(str(name) for name in anchored))
     return replace(source, **_stored_model(source, stored, folder))
+
+
+def _refuse_unnamed(run: Run, stored: Any, files: Sequence[Path]) -> None:
+    """Refuse a model with effects of files that the user has not named: a file of effects is run, and a run folder is data.
+
+    Files are known by their content, so that they may have been moved.
+    """
+    needed = [str(name) for name in (stored or {}).get("files", [])]
+    known = run.record["inputs"].get("effects") or []
+    given = {file_fingerprint(path) for path in files if path.is_file()}
+    if len(needed) != len(known) or not given.issuperset(known):
+        named = " ".join(f"--effects {name}" for name in needed)
+        raise InputError(
+            f"{run.path}: was made with files of effects, which are run only when you name them, as they were then: add {named}"
+        )
 
 
 def _stored_model(source: Source, stored: Any, folder: Path) -> dict[str, Any]:
