@@ -6,25 +6,21 @@
 from __future__ import annotations
 
 import math
-import os
-import resource
-import subprocess
 import sys
-import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.confined import read_in_child, serve
 from bcid.errors import InputError
 
 # Time of the reader, s, and how much more a byte of the file may take.
 _SECONDS = 30.0
 _SECONDS_PER_BYTE = 1e-6
-# Address space of the reader, bytes, and how much more a byte of the file may take.
-_SPACE = 2_000_000_000
-_PER_BYTE = 100
 
 
 @dataclass(frozen=True)
@@ -51,48 +47,28 @@ def read_points(path: Path) -> Points:
         InputError: the file is damaged, or ezc3d is missing.
     """
     limit = _SECONDS + _SECONDS_PER_BYTE * path.stat().st_size
-    with tempfile.TemporaryDirectory(prefix="bcid-c3d-") as folder:
-        out = Path(folder) / "points.npz"
-        root = str(Path(__file__).resolve().parents[1])
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))}
-        command = [sys.executable, "-m", "bcid.c3d", str(path.resolve()), str(out)]
-        try:
-            child = subprocess.run(command, env=environment, capture_output=True, timeout=limit, check=False)
-        except subprocess.TimeoutExpired:
-            raise InputError(f"{path}: is not a readable C3D file: reading took more than {limit:.0f} s") from None
-        if child.returncode != 0 or not out.exists():
-            said = (child.stdout + child.stderr).decode("utf-8", "replace").strip().splitlines()
-            reason = said[-1][:300] if said else f"the reader died with code {child.returncode}"
-            raise InputError(f"{path}: is not a readable C3D file: {reason}")
-        with np.load(out, allow_pickle=False) as data:
-            return Points(data["positions"], [str(x) for x in data["labels"]], float(data["rate"]), str(data["unit"]))
+    try:
+        data = read_in_child("bcid.c3d", path, seconds=limit)
+    except (InputError, TimeoutError) as error:
+        raise InputError(f"{path}: is not a readable C3D file: {error}") from None
+    return Points(data["positions"], [str(x) for x in data["labels"]], float(data["rate"]), str(data["unit"]))
 
 
-def main() -> int:
-    """Read the arguments, write the arrays."""
-    source, out = Path(sys.argv[1]), sys.argv[2]
-    most = _SPACE + _PER_BYTE * source.stat().st_size
-    resource.setrlimit(resource.RLIMIT_AS, (most, resource.getrlimit(resource.RLIMIT_AS)[1]))
+def _points(source: Path, _arguments: Sequence[str]) -> dict[str, Any]:
     try:
         import ezc3d
     except ImportError:
-        print("reading C3D needs the package ezc3d; install bcid[mocap]")
-        return 1
-    try:
-        content = ezc3d.c3d(str(source))
-        about = content["parameters"]["POINT"]
-        labels = [str(label) for label in about["LABELS"]["value"]]
-        rate = float(about["RATE"]["value"][0])
-        unit = next((str(unit) for unit in about.get("UNITS", {}).get("value", [])), "")
-        positions = np.asarray(content["data"]["points"], dtype=float)[:3]
-        if positions.ndim != 3 or len(labels) < positions.shape[1] or not (math.isfinite(rate) and rate > 0):
-            raise ValueError(f"it states {len(labels)} labels, {positions.shape[1]} points and a rate of {rate:g}")
-    except Exception as error:
-        print(str(error).strip().replace("\n", " ") or type(error).__name__)
-        return 1
-    np.savez(out, positions=positions, labels=labels or np.zeros(0, str), rate=rate, unit=unit)
-    return 0
+        raise InputError("reading C3D needs the package ezc3d; install bcid[mocap]") from None
+    content = ezc3d.c3d(str(source))
+    about = content["parameters"]["POINT"]
+    labels = [str(label) for label in about["LABELS"]["value"]]
+    rate = float(about["RATE"]["value"][0])
+    unit = next((str(unit) for unit in about.get("UNITS", {}).get("value", [])), "")
+    positions = np.asarray(content["data"]["points"], dtype=float)[:3]
+    if positions.ndim != 3 or len(labels) < positions.shape[1] or not (math.isfinite(rate) and rate > 0):
+        raise ValueError(f"it states {len(labels)} labels, {positions.shape[1]} points and a rate of {rate:g}")
+    return {"positions": positions, "labels": labels or np.zeros(0, str), "rate": rate, "unit": unit}
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(serve(_points, ["ezc3d"]))

@@ -5,10 +5,6 @@ The arrays are the same on every rank, so that numbers never depend on how a mes
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-import tempfile
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -18,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.collective import on_root
+from bcid.confined import read_in_child
 from bcid.errors import InputError, Problems, nearest
 from bcid.fingerprint import file_fingerprint, fingerprint
+from bcid.forms.mesh_references import beside
 from bcid.scene import Level, Region, Scene
 
 Points = NDArray[np.float64]
@@ -240,53 +238,39 @@ def _load(
     The last results are kept for as long as the content of the file is the same: patches are made and looked for on the
     meshes of several levels before any is solved on.
     """
-    refuse_scripts(path)
-    with tempfile.TemporaryDirectory(prefix="bcid-mesh-") as folder:
-        out = Path(folder) / "mesh.npz"
-        command = [
-            sys.executable,
-            "-m",
+    program = path.suffix == ".geo"
+    if program and path.with_name(path.name + ".opt").exists():
+        raise InputError(
+            f"{path}.opt: gmsh would run it with {path.name}; take what it sets into {path.name}, and remove it"
+        )
+    arguments = [repr(element_size or 0.0), *(f"{name}={value!r}" for name, value in parameters)]
+    try:
+        arrays = read_in_child(
             "bcid.forms.mesh_child",
-            str(path.resolve()),
-            str(out),
-            repr(element_size or 0.0),
-            *(f"{name}={value!r}" for name, value in parameters),
-        ]
-        try:
-            child = subprocess.run(
-                command, env=child_environment(), capture_output=True, text=True, timeout=TIME_LIMIT, check=False
-            )
-        except subprocess.TimeoutExpired:
-            raise InputError(f"{path}: meshing took more than {TIME_LIMIT:.0f} s; choose larger elements") from None
-        if child.returncode != 0 or not out.exists():
-            said = (child.stdout + child.stderr).strip().splitlines()
-            reason = said[-1] if said else f"the loader died with code {child.returncode}"
-            raise InputError(f"{path}: cannot be meshed: {reason}")
-        with np.load(out, allow_pickle=False) as data:
-            groups = {name[6:]: data[name] for name in data.files if name.startswith("group:")}
-            return data["points"], data["cells"], groups
+            path,
+            arguments,
+            seconds=TIME_LIMIT,
+            beside=beside(path),
+            in_place=program,
+            check=None if program else refuse_scripts,
+        )
+    except TimeoutError:
+        raise InputError(f"{path}: meshing took more than {TIME_LIMIT:.0f} s; choose larger elements") from None
+    except InputError as error:
+        raise InputError(f"{path}: cannot be meshed: {error}") from None
+    groups = {name[6:]: part for name, part in arrays.items() if name.startswith("group:")}
+    return arrays["points"], arrays["cells"], groups
 
 
 def refuse_scripts(path: Path) -> None:
     """Refuse a mesh file that gmsh would take for a script, and run."""
-    if path.suffix == ".geo":
-        return
     with path.open("rb") as stream:
         head = stream.read(11)
     if path.suffix == ".msh" and head != b"$MeshFormat":
         raise InputError(
-            f"{path}: does not start with $MeshFormat; gmsh would run it as a script, so it is refused; "
+            "does not start with $MeshFormat; gmsh would run it as a script, so it is refused; "
             "save it as a gmsh mesh (format 4.1)"
         )
-
-
-def child_environment() -> dict[str, str]:
-    """Without the variables that would make the child a member of this MPI job."""
-    mpi = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "MPIR_")
-    kept = {name: value for name, value in os.environ.items() if not name.startswith(mpi)}
-    root = str(Path(__file__).resolve().parents[2])
-    kept["PYTHONPATH"] = os.pathsep.join(filter(None, [root, kept.get("PYTHONPATH", "")]))
-    return kept
 
 
 def checked(mesh: BodyMesh, path: Path) -> BodyMesh:

@@ -1,54 +1,60 @@
 """Child process that makes or reads a mesh: ``python -m bcid.forms.mesh_child FILE OUT.npz ELEMENT_SIZE [NAME=NUMBER ...]``.
 
-It runs apart because gmsh may abort on damaged files. Prints one line and exits with 1 when the file cannot be used.
+It runs apart because gmsh may abort on damaged files, and runs scripts. Says in one line why a file cannot be used; exits with 1.
 """
 
 from __future__ import annotations
 
-import resource
+import math
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.confined import serve
+from bcid.errors import InputError
+from bcid.forms.mesh_references import refuse_references
+
 Arrays = dict[str, Any]
+_GMSH = (".geo", ".msh")
 _GMSH_TYPES = {4: 4, 2: 3, 1: 2, 15: 1}
-# Address space of a loader, bytes, and how much more a byte of the file may take.
-_SPACE = 2_000_000_000
-_PER_BYTE = 100
 _MESHIO_TYPES = {3: "triangle", 2: "line", 1: "vertex"}
+# A mesh of more tetrahedra is not made: solving on it takes more than 100 GB.
+MOST_CELLS = 5_000_000
+# Address space, bytes, of a child that meshes so many.
+_MESHING_SPACE = 2_000_000_000 + 2_000 * MOST_CELLS
 
 
 def main() -> int:
     """Read the arguments, write the arrays."""
-    source, out, size = Path(sys.argv[1]), sys.argv[2], float(sys.argv[3])
-    numbers = {"h": repr(size)} if size else {}
-    numbers |= dict(entry.split("=", 1) for entry in sys.argv[4:])
-    limit_memory(source)
-    try:
-        arrays = with_gmsh(source, numbers) if source.suffix in (".geo", ".msh") else with_meshio(source)
-    except Exception as error:
-        print(str(error).strip().replace("\n", " ") or type(error).__name__)
-        return 1
-    np.savez(out, **arrays)
-    return 0
+    suffix = Path(sys.argv[1]).suffix
+    libraries = ["gmsh"] if suffix in _GMSH else ["meshio", "h5py"]
+    return serve(_read, libraries, _MESHING_SPACE if suffix == ".geo" else None)
 
 
-def limit_memory(source: Path) -> None:
-    """A damaged mesh file may ask for any amount of memory: it gets no more than a sound one of its length needs."""
-    if source.suffix != ".geo":
-        most = _SPACE + _PER_BYTE * source.stat().st_size
-        resource.setrlimit(resource.RLIMIT_AS, (most, resource.getrlimit(resource.RLIMIT_AS)[1]))
+def _read(source: Path, arguments: Sequence[str]) -> Arrays:
+    size = float(arguments[0])
+    if source.suffix in _GMSH:
+        numbers = dict(entry.split("=", 1) for entry in arguments[1:])
+        return with_gmsh(source, size, numbers)
+    refuse_references(source)
+    return with_meshio(source)
 
 
-def with_gmsh(source: Path, numbers: dict[str, str]) -> Arrays:
-    """Mesh a `.geo` with these numbers set (the element size is its parameter h), or read a `.msh`."""
+def expected_cells(volume: float, size: float) -> float:
+    """Number of regular tetrahedra with edges of a size that fill a volume."""
+    return 6 * math.sqrt(2) * volume / size**3
+
+
+def with_gmsh(source: Path, size: float = 0.0, numbers: dict[str, str] | None = None) -> Arrays:
+    """Mesh a `.geo` with these numbers set and the element size, in its unit, as its parameter h; or read a `.msh`."""
     import gmsh
 
     arguments = ["bcid", "-nopopup", "-v", "1"]
-    for name, number in numbers.items():
+    for name, number in ((numbers or {}) | ({"h": repr(size)} if size else {})).items():
         arguments += ["-setnumber", name, number]
     gmsh.initialize(arguments, readConfigFiles=False, run=False, interruptible=False)
     gmsh.option.setNumber("General.Terminal", 0)
@@ -56,13 +62,29 @@ def with_gmsh(source: Path, numbers: dict[str, str]) -> Arrays:
     try:
         gmsh.open(str(source))
         if source.suffix == ".geo":
+            _refuse_too_many(gmsh, size)
             gmsh.model.mesh.generate(3)
         return _gmsh_arrays(gmsh)
+    except InputError:
+        raise
     except Exception as error:
         said = [line for line in gmsh.logger.get() if line.startswith("Error")]
         raise RuntimeError(said[0] if said else str(error)) from None
     finally:
         gmsh.finalize()
+
+
+def _refuse_too_many(gmsh, size: float) -> None:  # type: ignore[no-untyped-def]
+    """Refuse to fill the box around a geometry with far more elements than can be solved on."""
+    box = gmsh.model.getBoundingBox(-1, -1)
+    spans = [high - low for low, high in zip(box[:3], box[3:], strict=True)]
+    cells = expected_cells(math.prod(spans), size) if size else 0.0
+    if cells > MOST_CELLS:
+        shown = " x ".join(f"{span:.4g}" for span in spans)
+        raise InputError(
+            f"elements of {size:.4g} in a geometry of {shown} (in its own unit) are about {cells:.1g} tetrahedra, "
+            f"more than {MOST_CELLS:,}"
+        )
 
 
 def _gmsh_arrays(gmsh) -> Arrays:  # type: ignore[no-untyped-def]

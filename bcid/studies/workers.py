@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 from bcid.errors import MachineError
-from bcid.forms.mesh import child_environment
 from bcid.studies.deal import How, Task, Work
 from bcid.studies.time_limit import PATIENCE, never_done, used_up
 
@@ -113,7 +112,7 @@ class _Pool:
         log = self.work.results.parent / "logs" / f"{name}.txt"
         log.parent.mkdir(parents=True, exist_ok=True)
         answers, end = os.pipe()
-        environment = child_environment() | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        environment = _environment() | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         with log.open("ab") as stream:
             # A session of its own, so that its own children can be killed with it.
             process = subprocess.Popen(
@@ -209,6 +208,14 @@ class _Pool:
         """End every worker."""
         for worker in list(self.workers):
             self.end(worker)
+
+
+def _environment() -> dict[str, str]:
+    """Without the variables that would make the child a member of this MPI job."""
+    mpi = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "MPIR_")
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(mpi)}
+    root = str(Path(__file__).resolve().parents[2])
+    return kept | {"PYTHONPATH": os.pathsep.join(filter(None, [root, kept.get("PYTHONPATH", "")]))}
 
 
 def _cpu_seconds(process: int) -> float:

@@ -234,7 +234,7 @@ def _values(path: Path) -> dict[str, Any]:
         elif path.suffix == ".json" and "opencv-matrix" not in text:
             values = json.loads(text)
         else:
-            values = _storage(path)
+            values = _storage(path, text)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: not a calibration file: {error}") from None
     if not isinstance(values, dict):
@@ -242,12 +242,12 @@ def _values(path: Path) -> dict[str, Any]:
     return values
 
 
-def _storage(path: Path) -> dict[str, Any]:
-    """The content of a file that OpenCV's FileStorage wrote."""
+def _storage(path: Path, text: str) -> dict[str, Any]:
+    """The content of a file that OpenCV's FileStorage wrote: its text is handed over, so that no other file is opened."""
     import cv2
 
     try:
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         root = storage.root()
         return {name: _node(root.getNode(name)) for name in root.keys()}  # noqa: SIM118 (a FileNode is no dict)
     except (cv2.error, SystemError) as error:

@@ -27,6 +27,11 @@ _GAP = 100
 # A file may carry zeros behind its end.
 _PADDING = 64
 _PNG = b"\x89PNG\r\n\x1a\n"
+# How files of SUFFIXES begin. OpenCV goes by what a file holds, and knows formats that are seldom tried.
+_IMAGES = (_PNG, b"\xff\xd8\xff", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"BM")
+# How files of VIDEOS begin: AVI, Matroska, and the first box of MP4 and MOV. What begins otherwise may be a list of other files
+# or addresses, which FFmpeg would open.
+_VIDEO = re.compile(rb"RIFF....AVI |\x1aE\xdf\xa3|....(?:ftyp|moov|mdat|wide|free|skip|pnot)", re.DOTALL)
 
 
 class _Source(Protocol):
@@ -158,6 +163,8 @@ class _Folder:
             raise InputError(f"{file.name} cannot be read: {error.strerror}") from None
         if not content:
             raise InputError(f"{file.name} is empty")
+        if not content.startswith(_IMAGES):
+            raise InputError(f"{file.name} is no image of a format that is read ({_listed(SUFFIXES)}), or is damaged")
         if not _whole(content):
             raise InputError(f"{file.name} is cut short or damaged; copy it again")
         flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
@@ -208,10 +215,20 @@ class _Video:
     def _opened(self) -> Any:
         import cv2
 
+        try:
+            with self._file.open("rb") as stream:
+                head = stream.read(12)
+        except OSError as error:
+            raise InputError(f"{self._file}: cannot be read: {error.strerror}") from None
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-        with _silent():
-            capture = cv2.VideoCapture(str(self._file))
-        if not capture.isOpened():
+        os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "protocol_whitelist;file")
+        # The other ways in which OpenCV opens a name take it for a pattern of images, an address or a pipeline.
+        for backend in (cv2.CAP_FFMPEG, cv2.CAP_OPENCV_MJPEG) if _VIDEO.match(head) else ():
+            with _silent():
+                capture = cv2.VideoCapture(str(self._file.absolute()), backend)
+            if capture.isOpened():
+                break
+        else:
             raise InputError(f"{self._file}: is not a video that OpenCV can read, or is damaged")
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
         return capture

@@ -25,7 +25,7 @@ CHECKS = {
     "B1": ("meshes", "damage"),
     "B2": ("configuration", "refusals"),
     "S1": ("hostile", "hostile"),
-    "S2": ("hostile", "names"),
+    "S2": ("names", "names"),
     "C3D": ("recordings", "damage"),
     "B3": ("folders", "damage"),
 }

@@ -1,29 +1,28 @@
-"""S1: hostile files: nothing in them is run, nothing else is read or written; S2: names that lead out of the run folder."""
+"""S1, S4: hostile files, and files beside and behind others: nothing is run, nothing else is opened, as a tracer sees it.
+
+``python -m benchmarks.reliability.hostile FOLDER`` is the process that is traced: it reads the corpus and prints how cases ended.
+"""
 
 from __future__ import annotations
 
-import contextlib
-import io
+import json
 import os
 import pickle
+import shutil
 import sys
 import tempfile
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bcid import Measurement, Scene
 from bcid.errors import BcidError
-from bcid.forms.mesh import level_mesh
-from bcid.forms.model import check_physics
-from bcid.run import Run
-from bcid.vision.camera import Cameras
-from bcid.vision.recording import Recording
-from benchmarks.reliability import Reached
+from benchmarks.reliability import ROOT, Reached
 from benchmarks.reliability.inputs import small_scene, write_inputs
+from benchmarks.reliability.tracer import Event, traced
 
 _SCRIPTS = (
     'SystemCall "touch {canary}";',
@@ -38,6 +37,315 @@ _SCRIPTS = (
     '// $MeshFormat\nSystemCall "touch {canary}";',
 )
 _HEADS = ("", "\n", " ", "\ufeff", "/* */", "$meshformat\n", "$Mesh\n")
+_ENDINGS = (".pos", ".stl", ".step", ".brep", ".med", ".cgns", ".unv", ".py", ".opt", ".geo_unrolled", ".MSH")
+# A file of this name may be opened in no case.
+_SECRET = "secret"
+# Where the interpreter, packages, libraries and devices are, and bcid itself.
+_SYSTEM = ("/usr", "/lib", "/lib64", "/bin", "/sbin", "/etc", "/proc", "/sys", "/dev", "/run/bcid/venv", "/opt")
+# What a child of bcid begins with, after the interpreter.
+_CHILDREN = (("-P", "-m", "bcid.forms.mesh_child"), ("-P", "-m", "bcid.c3d"))
+# Asked by ctypes where a library is, before a child has given up its rights.
+_FINDERS = ("/sbin/ldconfig", "/usr/sbin/ldconfig")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A file, or several, and what reads it as a user would.
+
+    Attributes:
+        name: for messages.
+        read: reads it; raises `BcidError` where it is refused.
+        refused: whether it must be; None where both will do.
+        named: files that it may open in its own folder, by name; None for all.
+        program: it is a program: what it tries and may not do is no fault.
+    """
+
+    name: str
+    read: Callable[[], Any]
+    refused: bool | None = True
+    named: tuple[str, ...] | None = None
+    program: bool = False
+
+
+class Corpus:
+    """Makes the cases in a folder; each has a folder of its own.
+
+    Attributes:
+        folder: of them all.
+        canary: exists when something was run or written.
+        secret: a mesh that nobody has named.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.canary = folder / "canary"
+        self.secret = folder / _SECRET
+        self.words = {"canary": str(self.canary), "secret": str(self.secret)}
+        self.secret.write_text(f'SystemCall "touch {self.canary}-secret";\n', encoding="utf-8")
+        self.made = 0
+
+    def place(self) -> Path:
+        """The folder of the next case."""
+        self.made += 1
+        made = self.folder / f"case-{self.made}"
+        made.mkdir()
+        return made
+
+    def body(self, place: Path, file: str, refused: bool | None = True, what: str = "", **more: Any) -> Case:
+        """Mesh a file of a folder, as a scene names it."""
+        from bcid import Scene
+        from bcid.forms.mesh import level_mesh
+        from bcid.forms.model import check_physics
+
+        scene_file = small_scene(place)
+        text = scene_file.read_text(encoding="utf-8")
+        if not file.endswith(".geo"):
+            text = text.replace('element_size = "50 mm"', "refinements = 0")
+            text = text.replace('element_size = "20 mm"', "refinements = 1")
+        line = next(line for line in text.splitlines() if line.startswith("file = "))
+        scene_file.write_text(text.replace(line, f'file = "{file}"'), encoding="utf-8")
+
+        def read() -> Any:
+            scene = Scene.read(scene_file, physics=check_physics)
+            return level_mesh(scene, scene.levels[0])
+
+        named = more.pop("named", (file,))
+        return Case(what or file, read, refused, ("scene.toml", *named), **more)
+
+    def content(self, content: str | bytes, ending: str, refused: bool | None = True, what: str = "") -> Case:
+        """A mesh file with this content."""
+        place = self.place()
+        data = content if isinstance(content, bytes) else content.format(**self.words).encode()
+        (place / f"m{ending}").write_bytes(data)
+        return self.body(place, f"m{ending}", refused, what or f"{ending}: {data[:50]!r}")
+
+    def cases(self) -> Iterator[Case]:
+        """All of them."""
+        yield from self.scripts()
+        yield from self.side_files()
+        yield from self.links()
+        yield from self.references()
+        yield from self.hdf5()
+        yield from self.others()
+        yield from self.recordings()
+        yield from self.runs()
+
+    def scripts(self) -> Iterator[Case]:
+        """What gmsh would run, under the names of data; XML with entities; counts without end."""
+        for script in _SCRIPTS:
+            for head in _HEADS[: 3 if script is not _SCRIPTS[0] else None]:
+                yield self.content(head + script, ".msh")
+        sections = "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n"
+        for script in _SCRIPTS[:4]:
+            yield self.content(sections + script, ".msh")
+            yield self.content(sections + "$Comments\n" + script + "\n$EndComments\n", ".msh")
+        for ending in _ENDINGS:
+            yield self.content(_SCRIPTS[0], ending)
+        entity = f'<?xml version="1.0"?><!DOCTYPE a [<!ENTITY x SYSTEM "file://{self.secret}">]>'
+        for ending in (".vtu", ".xdmf", ".xml"):
+            yield self.content(f"{entity}<VTKFile type='UnstructuredGrid'>&x;</VTKFile>", ending)
+        laughs = '<?xml version="1.0"?><!DOCTYPE a [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;">]><a>&b;</a>'
+        yield self.content(laughs, ".vtu")
+        yield self.content(b"$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 999999999999 1 999999999999\n", ".msh")
+        for script in _SCRIPTS:
+            place = self.place()
+            (place / "m.geo").write_text(script.format(**self.words), encoding="utf-8")
+            yield self.body(place, "m.geo", True, f"program {script[:40]}", program=True)
+
+    def side_files(self) -> Iterator[Case]:
+        """Sound meshes beside files that readers open of their own accord."""
+        run = _SCRIPTS[0].format(**self.words)
+        for ending in (".msh", ".vtk"):
+            place = self.place()
+            _sound(place / f"m{ending}")
+            for other in (f"m{ending}.opt", ".gmshrc", ".gmsh-options", "m.opt", "m.geo", "m.pos", "gmshrc"):
+                (place / other).write_text(run, encoding="utf-8")
+            for other in ("numpy.py", "gmsh.py", "meshio.py", "sitecustomize.py", "usercustomize.py"):
+                (place / other).write_text(f"open({str(self.canary)!r}, 'w')", encoding="utf-8")
+            yield self.body(
+                place, f"m{ending}", False if ending == ".msh" else None, f"{ending} beside side files and modules"
+            )
+        place = self.place()
+        (place / "m.geo").write_text((ROOT / "meshes/geo/slab.geo").read_text(encoding="utf-8"), encoding="utf-8")
+        (place / "m.geo.opt").write_text(run, encoding="utf-8")
+        yield self.body(place, "m.geo", True, ".geo beside an options file")
+        place = self.place()
+        _sound(place / "m.xml")
+        (place / "m_facet_region.xml").write_text("<mesh_function/>", encoding="utf-8")
+        yield self.body(place, "m.xml", None, "DOLFIN's XML beside a mesh function")
+        for ending in (".node", ".ele"):
+            place = self.place()
+            for other in (".node", ".ele"):
+                (place / f"m{other}").write_text("1 3 0 0\n1 0 0 0\n", encoding="utf-8")
+            yield self.body(place, f"m{ending}", True, f"TetGen's {ending} with its other half")
+
+    def links(self) -> Iterator[Case]:
+        """Links whose own names are harmless."""
+        run = _SCRIPTS[0].format(**self.words)
+        for ending, target in ((".vtk", "evil.msh"), (".vtk", "evil.geo"), (".msh", "evil.geo"), (".inp", "evil.geo")):
+            place = self.place()
+            (place / target).write_text(run, encoding="utf-8")
+            (place / f"m{ending}").symlink_to(place / target)
+            yield self.body(place, f"m{ending}", True, f"{ending} linked to {target}", named=(f"m{ending}", target))
+        place = self.place()
+        _sound(place / "elsewhere.msh")
+        (place / "elsewhere.msh.opt").write_text(run, encoding="utf-8")
+        (place / "m.msh").symlink_to(place / "elsewhere.msh")
+        yield self.body(place, "m.msh", False, "linked to a sound mesh", named=("m.msh", "elsewhere.msh"))
+
+    def references(self) -> Iterator[Case]:
+        """Text that names other files."""
+        place = self.place()
+        _sound(place / "other.inp")
+        other = str(place / "other.inp")
+        for number, line in enumerate(
+            (
+                f"*INCLUDE, INPUT={other}",
+                f"*include,input={other}",
+                "*INCLUDE, INPUT=other.inp",
+                f"INCLUDE, INPUT={other}",
+                f"*NODE, INPUT={other}",
+                f"*ELEMENT, TYPE=C3D4, FILE={other}",
+            )
+        ):
+            (place / f"m{number}.inp").write_text(f"*HEADING\nx\n{line}\n", encoding="utf-8")
+            yield self.body(place, f"m{number}.inp", True, line[:40])
+        for line in (f"INCLUDE '{other}'", f"include {other}"):
+            yield self.content(f"CEND\nBEGIN BULK\n{line}\nENDDATA\n", ".bdf")
+        place = self.place()
+        (place / "values.bin").write_bytes(np.zeros(12).tobytes())
+        for what, item in (
+            ("Binary", f'<DataItem Format="Binary" Dimensions="4 3" DataType="Float">{place}/values.bin</DataItem>'),
+            ("XInclude", f'<xi:include xmlns:xi="http://www.w3.org/2001/XInclude" href="{self.secret}"/>'),
+        ):
+            (place / f"{what}.xdmf").write_text(_xdmf(item, item), encoding="utf-8")
+            yield self.body(place, f"{what}.xdmf", True, f"XDMF: {what}")
+
+    def hdf5(self) -> Iterator[Case]:
+        """HDF5 files that name others, beside an XDMF and alone; a filter that is a plugin."""
+        import h5py
+
+        place = self.place()
+        elsewhere = self.place()
+        _heavy(elsewhere / "far.h5")
+        _heavy(place / "near.h5")
+        (place / "link.h5").symlink_to(elsewhere / "far.h5")
+        with h5py.File(place / "external.h5", "w") as made:
+            for name in ("points", "cells"):
+                made[name] = h5py.ExternalLink(str(elsewhere / "far.h5"), name)
+        with h5py.File(place / "soft.h5", "w") as made:
+            made["hidden"] = h5py.ExternalLink(str(elsewhere / "far.h5"), "/")
+            for name in ("points", "cells"):
+                made[name] = h5py.SoftLink(f"/hidden/{name}")
+        with h5py.File(elsewhere / "far.h5") as far, h5py.File(place / "virtual.h5", "w") as made:
+            for name in ("points", "cells"):
+                layout = h5py.VirtualLayout(far[name].shape, far[name].dtype)
+                layout[...] = h5py.VirtualSource(far[name])
+                made.create_virtual_dataset(name, layout)
+        (elsewhere / "raw").write_bytes(np.zeros(12).tobytes())
+        with h5py.File(place / "raw.h5", "w") as made:
+            made.create_dataset("points", (4, 3), "f8", external=[(str(elsewhere / "raw"), 0, 96)])
+            made["cells"] = [[0, 1, 2, 3]]
+        _filtered(place / "filter.h5")
+        for name, refused in (
+            ("near.h5", False),
+            (f"{elsewhere}/far.h5", True),
+            (f"../{elsewhere.name}/far.h5", True),
+            *((f"{name}.h5", True) for name in ("link", "external", "soft", "virtual", "raw", "filter")),
+        ):
+            file = f"{Path(name).stem}-{self.made}-{len(name)}.xdmf"
+            items = [
+                f'<DataItem Format="HDF" Dimensions="4 3" DataType="Float" Precision="8">{name}:/points</DataItem>'
+            ]
+            items += [f'<DataItem Format="HDF" Dimensions="1 4" DataType="Int" Precision="8">{name}:/cells</DataItem>']
+            (place / file).write_text(_xdmf(*items), encoding="utf-8")
+            named = (file, Path(name).name) if "/" not in name and name != "link.h5" else (file,)
+            yield self.body(place, file, None if name == "near.h5" else refused, f"XDMF with {name}", named=named)
+        for ending in (".h5m", ".cgns", ".hmf", ".med", ".e"):
+            target = place / f"m{ending}"
+            target.write_bytes((place / "external.h5").read_bytes())
+            yield self.body(place, target.name, True, f"{ending} with an external link")
+
+    def others(self) -> Iterator[Case]:
+        """Measurements, calibrations and prediction stores."""
+        from bcid import Measurement
+        from bcid.explore.predictions import _entries
+        from bcid.vision.camera import Cameras
+        from bcid.vision.recording import Recording
+
+        place = self.place()
+        write_inputs(place)
+        # HDF5 begins like this; whatever its links lead to, it is not opened as such.
+        (place / "link.nc").write_bytes(b"\x89HDF\r\n\x1a\n" + str(self.secret).encode())
+        (place / "pickle.nc").write_bytes(pickle.dumps(_Bomb(str(self.canary))))
+        (place / "huge.nc").write_bytes(b"CDF\x01\x00\x00\x00\x00\x00\x00\x00\x0a\x7f\xff\xff\xff" + b"\x7f" * 64)
+        for name in ("link", "pickle", "huge"):
+            yield Case(f"netCDF: {name}", lambda n=name: Measurement.read(place / f"{n}.nc"))
+        entity = f'<?xml version="1.0"?><!DOCTYPE a [<!ENTITY x SYSTEM "file://{self.secret}">]><opencv_storage>&x;</opencv_storage>'
+        for ending, text in (
+            (".xml", entity),
+            (".yml", f"%YAML:1.0\n--- !!python/object/apply:os.system ['touch {self.canary}']\n"),
+            (".json", "[" * 100_000),
+        ):
+            (place / f"hostile{ending}").write_text(text, encoding="utf-8")
+            yield Case(f"calibration {ending}", lambda e=ending: Cameras.read(place / f"hostile{e}"))
+        np.savez(place / "object.npz", sets=np.array([_Bomb(str(self.canary))], dtype=object), positions=1, numbers=1)
+        with zipfile.ZipFile(place / "outside.npz", "w") as archive:
+            archive.writestr("../../canary", "x")
+        for name in ("object.npz", "outside.npz"):
+            yield Case(f"predictions: {name}", lambda n=name: _entries(place / n), None)
+        (place / "not-a-table").write_text("root:x:0:0", encoding="utf-8")
+        for name in ("seen/fiducials.csv", "recording.toml"):
+            (place / name).unlink()
+            (place / name).symlink_to(place / "not-a-table")
+        yield Case("a link in place of fiducials.csv", lambda: Measurement.read(place / "seen"))
+        yield Case("a link in place of a recording", lambda: Recording.read(place / "recording.toml"))
+
+    def recordings(self) -> Iterator[Case]:
+        """Videos that are lists of other files, images of formats that nobody has asked for, C3D files that are none."""
+        from bcid import Measurement
+        from bcid.vision.images import Images
+
+        place = self.place()
+        lists = (
+            f"ffconcat version 1.0\nfile '{self.secret}'\n",
+            f"#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\n{self.secret}\n#EXT-X-ENDLIST\n",
+            f"<?xml version='1.0'?><MPD><BaseURL>{self.secret}</BaseURL></MPD>",
+        )
+        for ending in (".avi", ".mp4", ".mkv"):
+            for number, text in enumerate(lists):
+                file = place / f"list{number}{ending}"
+                file.write_text(text, encoding="utf-8")
+                yield Case(f"video: {text[:20]!r} as {ending}", lambda f=file: Images.open(f), named=(file.name,))
+        for number, head in enumerate(
+            (b"v/1\x01", b"#?RADIANCE\n", b"P6 1 1 255\n", b"RIFF\0\0\0\0WEBPVP8 ", b"GIF89a")
+        ):
+            folder = place / f"images{number}"
+            folder.mkdir()
+            (folder / "1.png").write_bytes(head + b"\0" * 64)
+            yield Case(f"image: {head!r}", lambda f=folder: Images.open(f), named=("1.png",))
+        (place / "junk.c3d").write_bytes(b"\x02\x50" + str(self.secret).encode() * 40)
+        mapping = place / "mapping.toml"
+        units = 'length_unit = "mm"\ntime_unit = "s"\nforce_unit = "N"\n'
+        mapping.write_text(
+            f'format = "bcid-mapping/1"\nfile = "junk.c3d"\n{units}[fiducials]\na = "A"\n', encoding="utf-8"
+        )
+        yield Case("C3D: junk", lambda: Measurement.read(mapping), named=("mapping.toml", "junk.c3d"))
+
+    def runs(self) -> Iterator[Case]:
+        """Run folders of others, whose model names a program."""
+        from bcid.compare.source import from_run
+        from bcid.run import Run
+
+        place = self.place()
+        write_inputs(place)
+        (place / "effect.py").write_text(f"open({str(self.canary)!r}, 'w')\n", encoding="utf-8")
+        run = Run.start(place / "run", "explain", {"scene": "a", "measurement": "b", "effects": ["c"]})
+        run.record["names"] = {"scene": str(place / "scene.toml"), "measurement": str(place / "seen")}
+        model = {"files": [str(place / "effect.py")], "law": {}, "effects": [], "anchored": ["1"], "free": []}
+        run.write_json("model.json", model)
+        run.finish({})
+        yield Case("a run whose model names a file of effects", lambda: from_run(place / "run", (), None))
 
 
 class _Bomb:
@@ -50,236 +358,183 @@ class _Bomb:
         return os.system, (f"touch {self.canary}",)
 
 
-def corpus(folder: Path, canary: Path, secret: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
-    """Hostile files by name, each with what reads it as a user would."""
-    words = {"canary": str(canary), "secret": str(secret)}
-    number = 0
-
-    def mesh(content: bytes, ending: str) -> tuple[str, Callable[[], Any]]:
-        nonlocal number
-        number += 1
-        place = folder / f"mesh-{number}"
-        place.mkdir()
-        scene_file = small_scene(place)
-        (place / f"body{ending}").write_bytes(content)
-        text = scene_file.read_text(encoding="utf-8").replace('element_size = "50 mm"', "refinements = 0")
-        text = text.replace('element_size = "20 mm"', "refinements = 1")
-        name = next(line for line in text.splitlines() if line.startswith("file = "))
-        scene_file.write_text(text.replace(name, f'file = "body{ending}"'), encoding="utf-8")
-
-        def read() -> Any:
-            scene = Scene.read(scene_file, physics=check_physics)
-            return level_mesh(scene, scene.levels[0])
-
-        return f"mesh {number}{ending}: {content[:50]!r}", read
-
-    for script in _SCRIPTS:
-        for head in _HEADS[: 3 if script is not _SCRIPTS[0] else None]:
-            yield mesh((head + script.format(**words)).encode(), ".msh")
-    sections = "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n"
-    for script in _SCRIPTS[:4]:
-        yield mesh((sections + script.format(**words)).encode(), ".msh")
-        yield mesh((sections + "$Comments\n" + script.format(**words) + "\n$EndComments\n").encode(), ".msh")
-    for ending in (".pos", ".stl", ".step", ".brep", ".med", ".cgns", ".unv", ".py", ".opt", ".geo_unrolled", ".MSH"):
-        yield mesh(_SCRIPTS[0].format(**words).encode(), ending)
-    entity = f'<?xml version="1.0"?><!DOCTYPE a [<!ENTITY x SYSTEM "file://{secret}">]>'
-    for ending in (".vtu", ".xdmf", ".xml"):
-        yield mesh(f"{entity}<VTKFile type='UnstructuredGrid'>&x;</VTKFile>".encode(), ending)
-    laughs = '<?xml version="1.0"?><!DOCTYPE a [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;">]><a>&b;</a>'
-    yield mesh(laughs.encode(), ".vtu")
-    yield mesh(b"$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 999999999999 1 999999999999\n", ".msh")
-    yield from _others(folder, words)
+_POINTS = np.array([[0.0, 0, 0], [100, 0, 0], [0, 10, 0], [0, 0, 100]])
 
 
-def _others(folder: Path, words: dict[str, str]) -> Iterator[tuple[str, Callable[[], Any]]]:
-    """Measurements, recordings, calibrations and run folders."""
-    place = folder / "others"
-    place.mkdir()
-    files = write_inputs(place)
-    # HDF5 begins like this; whatever its links lead to, it is not opened as such.
-    (place / "link.nc").write_bytes(b"\x89HDF\r\n\x1a\n" + words["secret"].encode())
-    yield "netCDF: an external link", lambda: Measurement.read(place / "link.nc")
-    (place / "pickle.nc").write_bytes(pickle.dumps(_Bomb(words["canary"])))
-    yield "netCDF: a pickle", lambda: Measurement.read(place / "pickle.nc")
-    (place / "huge.nc").write_bytes(b"CDF\x01\x00\x00\x00\x00\x00\x00\x00\x0a\x7f\xff\xff\xff" + b"\x7f" * 64)
-    yield "netCDF: a huge count", lambda: Measurement.read(place / "huge.nc")
-    entity = f'<?xml version="1.0"?><!DOCTYPE a [<!ENTITY x SYSTEM "file://{words["secret"]}">]><opencv_storage>&x;</opencv_storage>'
-    for ending, text in (
-        (".xml", entity),
-        (".yml", "%YAML:1.0\n--- !!python/object/apply:os.system ['touch x']\n"),
-        (".json", "[" * 100_000),
-    ):
-        (place / f"cameras{ending}").write_text(text.replace("touch x", f"touch {words['canary']}"), encoding="utf-8")
-        yield f"calibration {ending}", lambda e=ending: Cameras.read(place / f"cameras{e}")
-    run = Run.start(place / "run", "identify", {})
-    run.finish({})
-    np.savez(place / "object.npz", sets=np.array([_Bomb(words["canary"])], dtype=object), positions=1, numbers=1)
-    with zipfile.ZipFile(place / "outside.npz", "w") as archive:
-        archive.writestr("../../canary", "x")
-    from bcid.explore.predictions import _entries
+def _sound(file: Path) -> None:
+    """A tetrahedron with all groups of the small scene, as its first triangles; other formats than .msh have none."""
+    import meshio
 
-    for name in ("object.npz", "outside.npz"):
-        yield f"predictions: {name}", lambda n=name: _entries(place / n)
-    for name in ("seen/fiducials.csv", "wide.csv", "recording.toml"):
-        target = place / name
-
-        def linked(target: Path = target, name: str = name) -> Any:
-            target.unlink()
-            target.symlink_to("/dev/zero" if name == "wide.csv" else words["secret"])
-            try:
-                reads = {"seen/fiducials.csv": place / "seen", "wide.csv": place / "wide.toml"}
-                return Recording.read(target) if name == "recording.toml" else Measurement.read(reads[name])
-            finally:
-                target.unlink()
-                target.write_text(files[name], encoding="utf-8")
-
-        if name != "wide.csv":
-            yield f"a link in place of {name}", linked
+    if file.suffix != ".msh":
+        format_name = {".xml": "dolfin-xml", ".vtk": "vtk", ".inp": "abaqus"}[file.suffix]
+        meshio.write_points_cells(file, _POINTS, [("tetra", [[0, 1, 2, 3]])], file_format=format_name)
+        return
+    file.write_bytes((file.parents[1] / "sound.msh").read_bytes())
 
 
-class Watch:
-    """Notes what this process opens for writing, and what it starts, while it is on."""
+def _heavy(file: Path) -> None:
+    import h5py
 
-    def __init__(self) -> None:
-        self.on = False
-        self.written: list[str] = []
-        self.begun: list[str] = []
-        sys.addaudithook(self._seen)
-
-    def _seen(self, event: str, arguments: tuple[Any, ...]) -> None:
-        if not self.on:
-            return
-        if event == "open" and isinstance(arguments[0], str | bytes | os.PathLike):
-            if (arguments[2] or 0) & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):
-                self.written.append(os.fsdecode(arguments[0]))
-        elif event in ("subprocess.Popen", "os.posix_spawn", "os.exec"):
-            words = [os.fsdecode(word) for word in arguments[1]]
-            if not (words[1:2] == ["-m"] and words[2].startswith("bcid.")):
-                self.begun.append(" ".join(words))
-        elif event in ("os.system", "pty.spawn"):
-            self.begun.append(str(arguments))
+    with h5py.File(file, "w") as made:
+        made["points"], made["cells"] = _POINTS, [[0, 1, 2, 3]]
 
 
-_watches: list[Watch] = []
+def _filtered(file: Path) -> None:
+    """Values that only a filter of a plugin (number 305) could read."""
+    import h5py
+
+    with h5py.File(file, "w") as made:
+        create = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        create.set_chunk((4, 3))
+        create.set_filter(305, h5py.h5z.FLAG_OPTIONAL, ())
+        space = h5py.h5s.create_simple((4, 3))
+        made_id = h5py.h5d.create(made.id, b"points", h5py.h5t.IEEE_F64LE, space, create)
+        made_id.write_direct_chunk((0, 0), np.zeros(12).tobytes(), 0)
+        made["cells"] = [[0, 1, 2, 3]]
+
+
+def _xdmf(points: str, cells: str) -> str:
+    return (
+        '<Xdmf Version="3.0"><Domain><Grid Name="Grid">'
+        f'<Geometry GeometryType="XYZ">{points}</Geometry>'
+        f'<Topology TopologyType="Tetrahedron" NumberOfElements="1">{cells}</Topology></Grid></Domain></Xdmf>'
+    )
+
+
+def _read_all(folder: Path) -> None:
+    """Read every case, with a mark before and after each, and print how each ended as lines of JSON."""
+    corpus = Corpus(folder)
+    os.chdir(folder)
+    # Tries the folder by writing to it.
+    tempfile.gettempdir()
+    for number, case in enumerate(corpus.cases()):
+        _mark(folder, number)
+        try:
+            case.read()
+            end = "read"
+        except BcidError as error:
+            end = f"refused: {error}"
+        except Exception as error:
+            end = f"EXCEPTION {error!r}"
+        _mark(folder, -1)
+        touched = sorted(path.name for path in folder.rglob("canary*"))
+        for path in list(folder.rglob("canary*")):
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        told = {"name": case.name, "refused": case.refused, "named": case.named, "program": case.program}
+        print(json.dumps(told | {"end": end, "touched": touched, "folder": f"case-{corpus.made}"}), flush=True)
+
+
+def _mark(folder: Path, number: int) -> None:
+    """Leaves a line in the trace: a file that is not there is opened."""
+    try:
+        (folder / f"mark{number}").open()
+    except OSError:
+        return
+
+
+def _environment(folder: Path) -> dict[str, str]:
+    """A home and plugin folders that are full of traps."""
+    home = folder / "home"
+    home.mkdir()
+    for name in (".gmshrc", ".gmsh-options", ".gmshsock"):
+        (home / name).write_text(_SCRIPTS[0].format(canary=folder / "canary", secret=""), encoding="utf-8")
+    for name in ("libH5Zevil.so", "gmshevil.so"):
+        (home / name).write_bytes(b"\x7fELF")
+    plugins = dict.fromkeys(("HDF5_PLUGIN_PATH", "GMSHPLUGINSHOME", "GMSH_HOME"), str(home))
+    return {
+        **os.environ,
+        **plugins,
+        "HOME": str(home),
+        "TMPDIR": str(folder),
+        "OMP_NUM_THREADS": "1",
+        "XDG_CONFIG_HOME": str(home),
+    }
 
 
 def hostile() -> Reached:
-    """S1: read each file; the canary must not appear, no process but bcid's loaders start, nothing else be written."""
-    if not _watches:
-        _watches.append(Watch())
-    watch, misses = _watches[0], list[str]()
-    count, refused = 0, 0
+    """S1, S4: read each file in a process that is traced; nothing is run, nothing else is opened, the canary is not there."""
+    goal = "hostile files, side files and references: nothing is run, nothing else is opened or written"
     with tempfile.TemporaryDirectory(prefix="bcid-hostile-") as name:
         folder = Path(name)
-        canary, secret = folder / "canary", folder / "secret"
-        secret.write_text('SystemCall "touch ' + str(canary) + '-secret";\n', encoding="utf-8")
-        for what, read in corpus(folder, canary, secret):
-            count += 1
-            watch.written, watch.begun, watch.on = [], [], True
-            try:
-                with contextlib.redirect_stderr(io.StringIO()):
-                    read()
-            except BcidError:
-                refused += 1
-            except Exception as error:
-                misses.append(f"{what}: {error!r}")
-            finally:
-                watch.on = False
-            outside = [p for p in watch.written if "bcid-" not in p and p != os.devnull and "/dev/" not in p]
-            touched = [p.name for p in folder.parent.rglob("canary*")]
-            if watch.begun or outside or touched:
-                misses.append(f"{what}: started {watch.begun}, wrote {outside}, canary {touched}")
-            for item in folder.parent.rglob("canary*"):
-                item.unlink()
-    text = f"{count} files, {refused} refused; no process but bcid's loaders, no file outside, canary untouched"
-    return Reached(
-        "60 hostile files: nothing is run, nothing else is read", text, not misses and count >= 60, tuple(misses)
+        # The folder of a sound mesh of the slab, made before anything is watched.
+        _sound_slab(folder / "sound.msh")
+        command = [sys.executable, "-m", "benchmarks.reliability.hostile", str(folder)]
+        done = traced(command, folder / "trace", _environment(folder) | {"PYTHONPATH": str(ROOT)})
+        if done is None:
+            return Reached(goal, "strace is not installed: nothing was looked at", False)
+        seen, said = done
+        cases = [json.loads(line) for line in said.splitlines() if line.startswith("{")]
+        misses = list(_judged(cases, _by_case(seen, folder), folder))
+    refused = sum(case["end"].startswith("refused") for case in cases)
+    text = f"{len(cases)} files, {refused} refused; with every system call that opens, writes, executes or connects looked at"
+    return Reached(goal, text, not misses and len(cases) >= 100, tuple(misses))
+
+
+def _sound_slab(file: Path) -> None:
+    """The coarse slab as a .msh, made by gmsh in a process of its own."""
+    import subprocess
+
+    code = (
+        "import gmsh, sys; gmsh.initialize(['x', '-v', '1', '-setnumber', 'h', '50'], interruptible=False); "
+        "gmsh.open(sys.argv[1]); gmsh.model.mesh.generate(3); gmsh.write(sys.argv[2])"
+    )
+    subprocess.run(
+        [sys.executable, "-c", code, str(ROOT / "meshes/geo/slab.geo"), str(file)], check=True, capture_output=True
     )
 
 
-NAMES = (
-    "../out",
-    "/tmp/out",
-    "a/../../out",
-    "..",
-    ".",
-    "a\x00b",
-    "a" * 300,
-    "a/b",
-    "a\\b",
-    "",
-    " ",
-    "a\nb",
-    "~/out",
-    "$(touch out)",
-)
+def _by_case(seen: Sequence[Event], folder: Path) -> dict[int, list[Event]]:
+    """Events between the marks, by the number of the case."""
+    found: dict[int, list[Event]] = {}
+    now = -1
+    for event in seen:
+        if event.call == "open" and event.path.startswith(f"{folder}/mark"):
+            now = int(event.path.removeprefix(f"{folder}/mark"))
+        elif now >= 0:
+            found.setdefault(now, []).append(event)
+    return found
 
 
-def names() -> Reached:
-    """S2: names in scenes and measurements, and links in a run folder, that would lead a file out of the run folder."""
-    misses: list[str] = []
-    count = 0
-    with tempfile.TemporaryDirectory(prefix="bcid-") as outer:
-        folder = Path(outer) / "inner"
-        folder.mkdir()
-        files = write_inputs(folder)
-        before = _tree(Path(outer))
-        for bad in NAMES:
-            quoted = '"' + bad.replace("\\", "\\\\").replace("\x00", "\\u0000").replace("\n", "\\n") + '"'
-            for what, text in _renamed(files["scene.toml"], quoted):
-                count += 1
-                (folder / "scene.toml").write_text(text, encoding="utf-8")
-                with contextlib.suppress(BcidError):
-                    scene = Scene.read(folder / "scene.toml")
-                    if what != "name":
-                        misses.append(f"{what} {bad!r}: accepted")
-                    run = Run.start(folder / "run", "identify", {"scene": scene.name})
-                    run.write_json("identification.json", {"scene": scene.name})
-                    run.finish({})
-                    Run.start(folder / "run", "identify", {}, overwrite=True).finish({})
-            (folder / "scene.toml").write_text(files["scene.toml"], encoding="utf-8")
-        new = [p for p in _tree(Path(outer)) - before if not p.startswith("inner/run")]
-        misses += [f"made {p}" for p in new]
-        count, found = count + 3, _links(folder)
-        misses += found
-    text = f"{count} names and links: nothing outside the run folder"
-    return Reached(
-        "names with ../, absolute, NUL, links, 300 characters: nothing outside the run folder",
-        text,
-        not misses,
-        tuple(misses),
-    )
+def _judged(cases: Sequence[dict[str, Any]], events: dict[int, list[Event]], folder: Path) -> Iterator[str]:
+    for number, case in enumerate(cases):
+        refused = case["end"].startswith("refused")
+        wrong = [] if case["refused"] in (None, refused) and not case["end"].startswith("EXCEPTION") else [case["end"]]
+        wrong += [f"touched {', '.join(case['touched'])}"] if case["touched"] else []
+        wrong += [text for event in events.get(number, []) if (text := _fault(event, case, folder))]
+        if wrong:
+            yield f"{case['name']}: {'; '.join(dict.fromkeys(wrong))[:600]}"
 
 
-def _renamed(text: str, quoted: str) -> Iterator[tuple[str, str]]:
-    for what, old in (
-        ("name", 'name = "slab"'),
-        ("patches", '"1" = "patch_1"'),
-        ("grasps", "I = {"),
-        ("fiducials", '"16" ='),
-    ):
-        assert old in text
-        key = f"name = {quoted}" if what == "name" else old.replace(old.split(" =")[0], quoted, 1)
-        yield what, text.replace(old, key, 1)
+def _fault(event: Event, case: dict[str, Any], folder: Path) -> str:
+    """What is wrong with a system call; "" if nothing is."""
+    if case["program"] and not event.done:
+        return ""
+    if event.call == "connect":
+        return f"connects to {event.path[:80]}"
+    if event.call == "execute":
+        child = any(event.words[1 : 1 + len(words)] == words for words in _CHILDREN)
+        return "" if child or event.path in _FINDERS or not event.done else f"executes {' '.join(event.words)[:120]}"
+    path = Path(event.path)
+    inside = folder in path.parents
+    if inside and path.relative_to(folder).parts[0].startswith("bcid-"):
+        return ""
+    if inside and event.call == "open":
+        parts = path.relative_to(folder).parts
+        named = case["named"]
+        allowed = parts[0] == case["folder"] and (named is None or len(parts) < 2 or path.name in named)
+        known = len(parts) >= 2 and named is not None and path.name in named
+        return "" if allowed or known or path.is_dir() else f"opens {'/'.join(parts)}"
+    if event.call == "write":
+        return (
+            ""
+            if str(path).startswith("/dev/") or "__pycache__" in path.parts
+            else f"writes {path}"
+            if event.done
+            else ""
+        )
+    system = str(path).startswith((*_SYSTEM, sys.prefix, sys.base_prefix, str(ROOT)))
+    return "" if system or path in folder.parents or path == folder else f"opens {path}"
 
 
-def _tree(folder: Path) -> set[str]:
-    return {str(p.relative_to(folder)) for p in folder.rglob("*")}
-
-
-def _links(folder: Path) -> list[str]:
-    """Links inside a run folder: what is overwritten, or discarded, is the link and not where it leads."""
-    precious, misses = folder / "precious", []
-    precious.mkdir()
-    (precious / "kept.txt").write_text("kept", encoding="utf-8")
-    run = Run.start(folder / "linked", "identify", {})
-    run.finish({})
-    (folder / "linked/outcomes").symlink_to(precious)
-    (folder / "linked/identification.json").symlink_to(precious / "kept.txt")
-    again = Run.start(folder / "linked", "identify", {}, overwrite=True)
-    again.write_json("identification.json", {"a": 1})
-    again.add_batch([{"a": 1}])
-    again.finish({})
-    if [p.name for p in precious.iterdir()] != ["kept.txt"] or (precious / "kept.txt").read_text() != "kept":
-        misses.append(f"through a link: {[p.name for p in precious.iterdir()]}")
-    return misses
+if __name__ == "__main__":
+    _read_all(Path(sys.argv[1]))

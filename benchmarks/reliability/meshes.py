@@ -15,9 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
+from bcid.confined import limit_memory
 from bcid.errors import InputError
 from bcid.forms.mesh import BodyMesh, checked, refuse_scripts
-from bcid.forms.mesh_child import limit_memory, with_gmsh
+from bcid.forms.mesh_child import with_gmsh
 from benchmarks.reliability import ROOT, Reached
 
 _LIMIT = 10
@@ -188,7 +189,7 @@ def _load(path: Path) -> int:
     limit_memory(path)
     try:
         refuse_scripts(path)
-        arrays = with_gmsh(path, 0.0)
+        arrays = with_gmsh(path)
     except Exception:
         # The child of bcid says the same in one line.
         return _REFUSED

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks.reliability import hostile
+from benchmarks.reliability import hostile, names
 
 
 def test_hostile_files() -> None:
@@ -11,5 +11,5 @@ def test_hostile_files() -> None:
 
 
 def test_names_and_links() -> None:
-    found = hostile.names()
+    found = names.names()
     assert found.met, "\n".join([found.reached, *found.misses])
