@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from bcid.forms.body import Body
 from bcid.forms.effects.effect import Frame
+from bcid.forms.length_unit import check_length_unit
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
 from bcid.forms.observe import Observer, attach
@@ -72,7 +73,9 @@ def check_geometry(scene: Scene, level: int = 0, comm: Any = None) -> None:
         InputError: with every problem.
     """
     mesh = level_mesh(scene, scene.levels[level], comm)
-    attach(mesh, scene.fiducials, fiducial_limit(scene, mesh), scene.source)
+    limit = fiducial_limit(scene, mesh)
+    check_length_unit(scene, mesh, limit)
+    attach(mesh, scene.fiducials, limit, scene.source)
 
 
 class Forward:

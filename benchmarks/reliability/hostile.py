@@ -43,7 +43,7 @@ _SECRET = "secret"
 # Where the interpreter, packages, libraries and devices are, and bcid itself.
 _SYSTEM = ("/usr", "/lib", "/lib64", "/bin", "/sbin", "/etc", "/proc", "/sys", "/dev", "/run/bcid/venv", "/opt")
 # What a child of bcid begins with, after the interpreter.
-_CHILDREN = (("-P", "-m", "bcid.forms.mesh_child"), ("-P", "-m", "bcid.c3d"))
+_CHILDREN = (("-P", "-m", "bcid.forms.mesh.child"), ("-P", "-m", "bcid.c3d"))
 # Asked by ctypes where a library is, before a child has given up its rights.
 _FINDERS = ("/sbin/ldconfig", "/usr/sbin/ldconfig")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import resource
 import signal
@@ -11,14 +12,17 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from bcid.confined import limit_memory
 from bcid.errors import InputError
-from bcid.forms.mesh import BodyMesh, checked, refuse_scripts
-from bcid.forms.mesh_child import with_gmsh
+from bcid.forms.mesh import BodyMesh, checked
+from bcid.forms.mesh.check import place_faults
+from bcid.forms.mesh.child import with_gmsh
+from bcid.forms.mesh.loading import refuse_scripts
 from benchmarks.reliability import ROOT, Reached
 
 _LIMIT = 10
@@ -37,7 +41,9 @@ _NASTY = [
     b"1e-300",
 ]
 # How a child ended: its exit code.
-_READ, _REFUSED, _DAMAGED, _OTHER = range(4)
+_READ, _REFUSED, _DAMAGED, _OTHER, _CHANGED = range(5)
+# A volume or an area that differs by less from that of the sound file is the same.
+_SAME = 1e-9
 
 
 def good_files(folder: Path) -> list[bytes]:
@@ -71,7 +77,7 @@ def mutated(good: bytes, rng: np.random.Generator) -> bytes:
             good = bytes(changed)
             continue
         if kind == 1:
-            good = good[: rng.integers(1, len(good))]
+            good = good[: rng.integers(1, max(2, len(good)))]
             continue
         if kind == 2:
             words = lines[i].split(b" ")
@@ -121,6 +127,7 @@ def damage(count: int = 10_000, seed: int = 0) -> Reached:
     """B1: load mutated files, each in a child forked from one process that has gmsh loaded."""
     rng = np.random.default_rng(seed)
     names = {_READ: "read right", _REFUSED: "refused", _DAMAGED: "ACCEPTED DAMAGED", _OTHER: "ANOTHER EXCEPTION"}
+    names[_CHANGED] = "read with another volume, area or set of groups, as the summary shows"
     ends: Counter[str] = Counter()
     misses: list[str] = []
     longest, largest = 0.0, 0.0
@@ -128,8 +135,8 @@ def damage(count: int = 10_000, seed: int = 0) -> Reached:
         files = _good_in_child(Path(name))
         path = Path(name) / "some.msh"
         for number in range(count):
-            path.write_bytes(mutated(files[number % len(files)], rng))
-            code, seconds, peak = _loaded(path)
+            path.write_bytes(mutated(files[number % len(files)].content, rng))
+            code, seconds, peak = _loaded(path, files[number % len(files)].sizes)
             longest, largest = max(longest, seconds), max(largest, peak)
             end = names.get(code, "gmsh died" if code > -1000 else "HUNG")
             ends[end] += 1
@@ -143,13 +150,40 @@ def damage(count: int = 10_000, seed: int = 0) -> Reached:
     return Reached(goal, text, not misses, tuple(misses))
 
 
-def _good_in_child(folder: Path) -> list[bytes]:
+@dataclass(frozen=True)
+class _Good:
+    """A sound file, and the volume of its body and the areas of its groups by name ("" is the body), m^3 and m^2."""
+
+    content: bytes
+    sizes: dict[str, float]
+
+
+def _good_in_child(folder: Path) -> list[_Good]:
     """gmsh is never initialised in the process that forks."""
     with _forked() as child:
         if child:
             for number, content in enumerate(good_files(folder)):
-                (folder / f"{number}.good").write_bytes(content)
-    return [(folder / f"{number}.good").read_bytes() for number in range(4)]
+                path = folder / f"{number}.msh"
+                path.write_bytes(content)
+                path.with_suffix(".json").write_text(json.dumps(_sizes(_mesh(path))), encoding="utf-8")
+    paths = [folder / f"{number}.msh" for number in range(4)]
+    return [_Good(path.read_bytes(), json.loads(path.with_suffix(".json").read_text())) for path in paths]
+
+
+def _mesh(path: Path) -> BodyMesh:
+    """As bcid loads it, with every group taken for a patch."""
+    refuse_scripts(path)
+    arrays = with_gmsh(path)
+    groups = {name[6:]: part for name, part in arrays.items() if name.startswith("group:")}
+    mesh = checked(BodyMesh(arrays["points"] * 1e-3, arrays["cells"], groups), path)
+    faults = [text for part in mesh.groups.values() for text in place_faults(mesh, part)]
+    if faults:
+        raise InputError(faults[0])
+    return mesh
+
+
+def _sizes(mesh: BodyMesh) -> dict[str, float]:
+    return {"": mesh.volume} | {name: mesh.area(part) for name, part in mesh.groups.items()}
 
 
 @contextlib.contextmanager
@@ -166,21 +200,21 @@ def _forked() -> Iterator[bool]:
         os._exit(0)
 
 
-def _loaded(path: Path) -> tuple[int, float, float]:
+def _loaded(path: Path, right: dict[str, float]) -> tuple[int, float, float]:
     """Exit code of a child that loads a file (-1000: it hung), its seconds, and its peak memory, bytes."""
     import gmsh  # noqa: F401 (loaded once, for all children)
 
     start = time.monotonic()
     child = os.fork()
     if child == 0:
-        os._exit(_load(path))
+        os._exit(_load(path, right))
     _, status, usage = os.wait4(child, 0)
     seconds, code = time.monotonic() - start, os.waitstatus_to_exitcode(status)
     hung = code == -signal.SIGALRM or seconds > _LIMIT
     return -1000 if hung else code, seconds, usage.ru_maxrss * 1024.0
 
 
-def _load(path: Path) -> int:
+def _load(path: Path, right: dict[str, float]) -> int:
     signal.alarm(_LIMIT)
     quiet = os.open(os.devnull, os.O_WRONLY)
     os.dup2(quiet, 1)
@@ -188,17 +222,18 @@ def _load(path: Path) -> int:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     limit_memory(path)
     try:
-        refuse_scripts(path)
-        arrays = with_gmsh(path)
-    except Exception:
+        mesh = _mesh(path)
+    except (InputError, RuntimeError, ValueError, MemoryError):
         # The child of bcid says the same in one line.
-        return _REFUSED
-    groups = {name[6:]: part for name, part in arrays.items() if name.startswith("group:")}
-    try:
-        mesh = checked(BodyMesh(arrays["points"] * 1e-3, arrays["cells"], groups), path)
-    except InputError:
         return _REFUSED
     except BaseException as error:
         print(repr(error), file=sys.__stderr__)
         return _OTHER
-    return _DAMAGED if unsound(mesh) else _READ
+    if unsound(mesh):
+        return _DAMAGED
+    found = _sizes(mesh)
+    if right.keys() - found.keys():
+        # The scene names what is missing.
+        return _REFUSED
+    same = all(abs(found[name] - size) <= _SAME * abs(right[""]) ** (2 / 3) for name, size in right.items())
+    return _READ if same else _CHANGED

@@ -85,12 +85,12 @@ def test_an_hdf5_file_beside_its_xdmf_is_read(tmp_path: Path) -> None:
     assert (tmp_path / "m.h5").is_file()
     assert groups
     arrays = read_in_child(
-        "bcid.forms.mesh_child", tmp_path / "m.xdmf", ["0.0"], seconds=60, beside=[tmp_path / "m.h5"]
+        "bcid.forms.mesh.child", tmp_path / "m.xdmf", ["0.0", "0.0"], seconds=60, beside=[tmp_path / "m.h5"]
     )
     np.testing.assert_array_equal(arrays["points"], points)
     np.testing.assert_array_equal(arrays["cells"], cells)
     with pytest.raises(InputError, match=r"only an HDF5 file beside it"):
-        read_in_child("bcid.forms.mesh_child", tmp_path / "m.xdmf", ["0.0"], seconds=60)
+        read_in_child("bcid.forms.mesh.child", tmp_path / "m.xdmf", ["0.0", "0.0"], seconds=60)
 
 
 def test_effects_of_a_run_are_run_only_when_named_again(tmp_path: Path) -> None:

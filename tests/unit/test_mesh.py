@@ -1,13 +1,18 @@
 """Meshes as arrays: what is refused, refinement, selection, and where fiducials are attached."""
 
 import dataclasses
+from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from bcid.errors import InputError
+from bcid.forms.forward import check_geometry
 from bcid.forms.mesh import BodyMesh, checked, level_mesh
+from bcid.forms.mesh.check import measures
 from bcid.forms.observe import attach, closest_on_triangles
 from bcid.scene import Box, Level, Plane, Region, Scene
 
@@ -166,3 +171,140 @@ def _gmsh_text(points: np.ndarray, cells: np.ndarray) -> str:
     elements = "\n".join(f"{i} 4 2 1 1 {' '.join(str(n + 1) for n in cell)}" for i, cell in enumerate(cells, 1))
     head = "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n"
     return f"{head}$Nodes\n{len(points)}\n{nodes}\n$EndNodes\n$Elements\n{len(cells)}\n{elements}\n$EndElements\n"
+
+
+def bound(folder: Path, mesh: BodyMesh, edit: Callable[[BodyMesh], BodyMesh] = lambda mesh: mesh, **more: Any) -> Scene:
+    """A scene of the slab on a gmsh file (format 2.2, mm) that this mesh, edited, is written into."""
+    mesh = edit(mesh)
+    names = list(mesh.groups)
+    lines = ["$MeshFormat", "2.2 0 8", "$EndMeshFormat", "$PhysicalNames", str(len(names) + 1), '3 99 "body"']
+    lines += [f'2 {i} "{name}"' for i, name in enumerate(names, start=1)] + ["$EndPhysicalNames", "$Nodes"]
+    lines += [str(len(mesh.points)), *(f"{i} {x} {y} {z}" for i, (x, y, z) in enumerate(mesh.points * 1e3, start=1))]
+    entities = [(4, 99, row) for row in mesh.cells]
+    entities += [(2, i, row) for i, name in enumerate(names, start=1) for row in mesh.groups[name]]
+    lines += ["$EndNodes", "$Elements", str(len(entities))]
+    for number, (kind, tag, row) in enumerate(entities, start=1):
+        lines.append(" ".join(map(str, [number, kind, 2, tag, tag, *(row + 1)])))
+    (folder / "m.msh").write_text("\n".join([*lines, "$EndElements"]) + "\n", encoding="utf-8")
+    scene = Scene.read(ROOT / "examples/scenes/slab.toml")
+    levels = (Level(1, None, 0),)
+    return dataclasses.replace(scene, geometry=folder / "m.msh", levels=levels, source="scene.toml", **more)
+
+
+@pytest.fixture(scope="module")
+def finer() -> BodyMesh:
+    scene = Scene.read(ROOT / "examples/scenes/slab.toml")
+    return level_mesh(scene, Level(1, 0.01))
+
+
+def inner(mesh: BodyMesh) -> np.ndarray:
+    """Which cells have no node on the boundary."""
+    return ~np.isin(mesh.cells, mesh.boundary).any(axis=1)
+
+
+def without_cell(mesh: BodyMesh, number: int) -> BodyMesh:
+    return dataclasses.replace(mesh, cells=np.delete(mesh.cells, number, axis=0))
+
+
+def facing(mesh: BodyMesh, name: str) -> int:
+    """A cell with a face in a group."""
+    rows = {tuple(row) for row in np.sort(mesh.groups[name], axis=1)}
+    return next(
+        i
+        for i, cell in enumerate(np.sort(mesh.cells, axis=1))
+        if any(tuple(np.delete(cell, k)) in rows for k in range(4))
+    )
+
+
+def middle_of(mesh: BodyMesh, name: str) -> int:
+    """A triangle of a group all of whose neighbours are in it."""
+    group = np.sort(mesh.groups[name], axis=1)
+    count = Counter(pair for row in group for pair in ((row[0], row[1]), (row[1], row[2]), (row[0], row[2])))
+    return next(i for i, (a, b, c) in enumerate(group) if min(count[a, b], count[b, c], count[a, c]) == 2)
+
+
+def turned_inward(mesh: BodyMesh) -> BodyMesh:
+    """With a triangle of a patch replaced by a face inside the body."""
+    boundary = {tuple(row) for row in np.sort(mesh.boundary, axis=1)}
+    face = next(cell[:3] for cell in mesh.cells if tuple(np.sort(cell[:3])) not in boundary)
+    return dataclasses.replace(mesh, groups=mesh.groups | {"patch_7": np.vstack([mesh.groups["patch_7"][1:], face])})
+
+
+def with_hole(mesh: BodyMesh) -> BodyMesh:
+    part = np.delete(mesh.groups["patch_7"], middle_of(mesh, "patch_7"), axis=0)
+    return dataclasses.replace(mesh, groups=mesh.groups | {"patch_7": part})
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        (turned_inward, r"patch 7: 1 of its \d+ triangles are not on the boundary of the body"),
+        (with_hole, r"patch 7: a triangle is missing in it at \("),
+        (lambda m: without_cell(m, facing(m, "patch_7")), r"patch 7: 1 of its|touches itself|belong to no tetrahedron"),
+    ],
+)
+def test_damage_to_places_is_seen(
+    tmp_path: Path, finer: BodyMesh, edit: Callable[[BodyMesh], BodyMesh], said: str
+) -> None:
+    sound = bound(tmp_path, finer)
+    assert level_mesh(sound, sound.levels[0]).volume == pytest.approx(1e-4)
+    scene = bound(tmp_path, finer, edit)
+    with pytest.raises(InputError, match=said):
+        level_mesh(scene, scene.levels[0])
+
+
+def test_a_missing_tetrahedron_is_seen(finer: BodyMesh) -> None:
+    mesh = finer.refined()
+    number = int(np.flatnonzero(inner(mesh))[0])
+    with pytest.raises(
+        InputError, match=r"a tetrahedron is missing inside the body, at \(|touches itself along an edge"
+    ):
+        checked(without_cell(mesh, number), HERE)
+    # A cavity that is larger is meant.
+    far = np.linalg.norm(mesh.points[mesh.cells].mean(axis=1) - mesh.points[mesh.cells[number]].mean(axis=0), axis=1)
+    one = mesh.cells[number]
+    around = np.isin(mesh.cells, one).sum(axis=1) >= 3
+    assert far[around].max() < 0.02
+    if inner(mesh)[around].all():
+        checked(dataclasses.replace(mesh, cells=mesh.cells[~around]), HERE)
+
+
+@pytest.mark.parametrize("size", ["0.01 mm", "0.3 mm"])
+def test_elements_without_number_are_refused_at_once(tmp_path: Path, size: str) -> None:
+    """By the volume of the body, for a .geo before it is meshed; also where only a finer level asks for them."""
+    scene = Scene.read(ROOT / "examples/scenes/slab.toml")
+    fine = Level(1, float(size.split()[0]) * 1e-3)
+    for levels in ((fine,), (Level(1, 0.05), fine)):
+        with pytest.raises(InputError, match=r"tetrahedra, more than 5,000,000; choose larger elements"):
+            level_mesh(dataclasses.replace(scene, levels=levels), levels[0])
+
+
+def test_refinements_without_number_are_refused(tmp_path: Path, finer: BodyMesh) -> None:
+    scene = dataclasses.replace(bound(tmp_path, finer.refined()), levels=(Level(1, None, 0), Level(1, None, 4)))
+    with pytest.raises(InputError, match=r"levels\[1\]: 4 refinements in a body of 100 cm\^3 are about"):
+        level_mesh(scene, scene.levels[0])
+
+
+@pytest.mark.parametrize("scene", ["slab", "gallbladder"])
+@pytest.mark.parametrize("factor", [1e3, 1e-3, 10.0, 0.1, 25.4])
+def test_another_unit_of_length_is_seen(scene: str, factor: float) -> None:
+    right = Scene.read(ROOT / f"examples/scenes/{scene}.toml")
+    wrong = dataclasses.replace(right, length_unit=right.length_unit * factor)
+    with pytest.raises(InputError, match=r"length_unit") as error:
+        check_geometry(wrong)
+    looks = f"{factor:.4g} times too large" if factor > 1 else f"{1 / factor:.4g} times too small"
+    assert looks in str(error.value) or "tetrahedra" in str(error.value)
+
+
+def test_the_centre_of_a_grasp_is_near_its_facets() -> None:
+    scene = Scene.read(ROOT / "examples/scenes/slab.toml")
+    grasp = dataclasses.replace(scene.grasps["I"], centre=(0.09, 0.01, 0.92))
+    with pytest.raises(InputError, match=r"grasps\.I\.centre: lies \d+(\.\d+)? mm from the facets"):
+        check_geometry(dataclasses.replace(scene, grasps=scene.grasps | {"I": grasp}))
+
+
+def test_volume_and_areas_in_words(slab: BodyMesh) -> None:
+    lines = measures(Scene.read(ROOT / "examples/scenes/slab.toml"), slab)
+    assert lines[0] == "Body: volume 100 cm^3, boundary 240 cm^2."
+    assert "7 25 cm^2" in lines[1]
+    assert lines[2] == "  grasps: I 2 cm^2, II 2 cm^2, III 2 cm^2"

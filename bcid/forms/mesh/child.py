@@ -1,4 +1,4 @@
-"""Child process that makes or reads a mesh: ``python -m bcid.forms.mesh_child FILE OUT.npz ELEMENT_SIZE [NAME=NUMBER ...]``.
+"""Child process that makes or reads a mesh: ``python -m bcid.forms.mesh.child FILE OUT.npz SIZE FINEST [NAME=NUMBER ...]``.
 
 It runs apart because gmsh may abort on damaged files, and runs scripts. Says in one line why a file cannot be used; exits with 1.
 """
@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -16,14 +18,13 @@ from numpy.typing import NDArray
 
 from bcid.confined import serve
 from bcid.errors import InputError
-from bcid.forms.mesh_references import refuse_references
+from bcid.forms.mesh.check import MOST_CELLS, expected_cells
+from bcid.forms.mesh.references import refuse_references
 
 Arrays = dict[str, Any]
 _GMSH = (".geo", ".msh")
 _GMSH_TYPES = {4: 4, 2: 3, 1: 2, 15: 1}
 _MESHIO_TYPES = {3: "triangle", 2: "line", 1: "vertex"}
-# A mesh of more tetrahedra is not made: solving on it takes more than 100 GB.
-MOST_CELLS = 5_000_000
 # Address space, bytes, of a child that meshes so many.
 _MESHING_SPACE = 2_000_000_000 + 2_000 * MOST_CELLS
 
@@ -36,35 +37,47 @@ def main() -> int:
 
 
 def _read(source: Path, arguments: Sequence[str]) -> Arrays:
-    size = float(arguments[0])
     if source.suffix in _GMSH:
-        numbers = dict(entry.split("=", 1) for entry in arguments[1:])
-        return with_gmsh(source, size, numbers)
+        numbers = dict(entry.split("=", 1) for entry in arguments[2:])
+        return with_gmsh(source, float(arguments[0]), float(arguments[1]), numbers)
     refuse_references(source)
     return with_meshio(source)
 
 
-def expected_cells(volume: float, size: float) -> float:
-    """Number of regular tetrahedra with edges of a size that fill a volume."""
-    return 6 * math.sqrt(2) * volume / size**3
+def with_gmsh(
+    source: Path, size: float = 0.0, finest: float = 0.0, numbers: Mapping[str, str] = MappingProxyType({})
+) -> Arrays:
+    """Mesh a `.geo`, or read a `.msh`.
 
-
-def with_gmsh(source: Path, size: float = 0.0, numbers: dict[str, str] | None = None) -> Arrays:
-    """Mesh a `.geo` with these numbers set and the element size, in its unit, as its parameter h; or read a `.msh`."""
+    Args:
+        source: the file.
+        size: of the elements of a `.geo`, in its own unit: its parameter h.
+        finest: the smallest size that will be asked for; refused when it makes more elements than can be solved on.
+        numbers: other parameters of the `.geo`.
+    """
     import gmsh
 
+    program = source.suffix == ".geo"
+    if program and finest:
+        _refuse_too_many(gmsh, source, finest, numbers)
+    with _opened(gmsh, source, size, numbers):
+        if program:
+            gmsh.model.mesh.generate(3)
+        return _gmsh_arrays(gmsh)
+
+
+@contextmanager
+def _opened(gmsh: Any, source: Path, size: float, numbers: Mapping[str, str]) -> Iterator[None]:
+    """Have gmsh open a file; its errors are told in its own words."""
     arguments = ["bcid", "-nopopup", "-v", "1"]
-    for name, number in ((numbers or {}) | ({"h": repr(size)} if size else {})).items():
+    for name, number in {**numbers, **({"h": repr(size)} if size else {})}.items():
         arguments += ["-setnumber", name, number]
     gmsh.initialize(arguments, readConfigFiles=False, run=False, interruptible=False)
     gmsh.option.setNumber("General.Terminal", 0)
     gmsh.logger.start()
     try:
         gmsh.open(str(source))
-        if source.suffix == ".geo":
-            _refuse_too_many(gmsh, size)
-            gmsh.model.mesh.generate(3)
-        return _gmsh_arrays(gmsh)
+        yield
     except InputError:
         raise
     except Exception as error:
@@ -74,16 +87,24 @@ def with_gmsh(source: Path, size: float = 0.0, numbers: dict[str, str] | None = 
         gmsh.finalize()
 
 
-def _refuse_too_many(gmsh, size: float) -> None:  # type: ignore[no-untyped-def]
-    """Refuse to fill the box around a geometry with far more elements than can be solved on."""
-    box = gmsh.model.getBoundingBox(-1, -1)
+def _refuse_too_many(gmsh: Any, source: Path, size: float, numbers: Mapping[str, str]) -> None:
+    """Refuse far more elements than can be solved on, by the volume of a coarse mesh where the box around it is large enough."""
+    with _opened(gmsh, source, size, numbers):
+        box = gmsh.model.getBoundingBox(-1, -1)
     spans = [high - low for low, high in zip(box[:3], box[3:], strict=True)]
-    cells = expected_cells(math.prod(spans), size) if size else 0.0
+    volume = math.prod(spans)
+    if expected_cells(volume, size) <= MOST_CELLS:
+        return
+    coarse = max(spans) / 10
+    with suppress(RuntimeError), _opened(gmsh, source, coarse, numbers):
+        gmsh.model.mesh.generate(3)
+        volume = sum(gmsh.model.mesh.getElementQualities(gmsh.model.mesh.getElementsByType(4)[0], "volume")) or volume
+    cells = expected_cells(volume, size)
     if cells > MOST_CELLS:
         shown = " x ".join(f"{span:.4g}" for span in spans)
         raise InputError(
-            f"elements of {size:.4g} in a geometry of {shown} (in its own unit) are about {cells:.1g} tetrahedra, "
-            f"more than {MOST_CELLS:,}"
+            f"elements of {size:.4g} in a body of {shown} (in the unit of the file) are about {cells:.1g} tetrahedra, "
+            f"more than {MOST_CELLS:,}; choose larger elements, or mend geometry.length_unit"
         )
 
 

@@ -1,0 +1,184 @@
+"""A mesh as plain arrays: tetrahedra and named parts of their boundary.
+
+The arrays are the same on every rank, so that numbers never depend on how a mesh was distributed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.errors import InputError, nearest
+from bcid.fingerprint import fingerprint
+from bcid.scene import Region
+
+Points = NDArray[np.float64]
+Cells = NDArray[np.int64]
+
+EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
+# Seen from outside, each face runs against the clock.
+FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+
+
+@dataclass(frozen=True)
+class BodyMesh:
+    """Linear tetrahedra with named parts of the boundary.
+
+    Attributes:
+        points: nodes, shape (nodes, 3), m.
+        cells: node numbers of tetrahedra, shape (cells, 4), positively oriented.
+        groups: node numbers of named triangles (k, 3), lines (k, 2) or points (k, 1).
+    """
+
+    points: Points
+    cells: Cells
+    groups: dict[str, Cells] = field(default_factory=dict)
+
+    @cached_property
+    def boundary(self) -> Cells:
+        """Triangles that belong to one tetrahedron only, with outward normals, shape (k, 3)."""
+        faces = self.cells[:, FACES].reshape(-1, 3)
+        _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+        return faces[first[count == 1]]
+
+    @cached_property
+    def size(self) -> float:
+        """Diagonal of the bounding box, m."""
+        return float(np.linalg.norm(np.ptp(self.points, axis=0)))
+
+    def area(self, triangles: Cells) -> float:
+        """Area of triangles, shape (k, 3), m^2; of lines and points it is zero."""
+        if triangles.shape[1] != 3:
+            return 0.0
+        a, b, c = (self.points[triangles[:, i]] for i in range(3))
+        return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+    @cached_property
+    def volume(self) -> float:
+        """Volume, m^3."""
+        return float(volumes(self.points, self.cells).sum())
+
+    def unknowns(self, degree: int, mixed: bool = False) -> int:
+        """Number of unknowns that a displacement of this degree has on the mesh (with pressures one degree lower if mixed)."""
+        nodes = len(self.points)
+        edges = len(np.unique(np.sort(self.cells[:, EDGES].reshape(-1, 2), axis=1), axis=0)) if degree > 1 else 0
+        faces = (4 * len(self.cells) + len(self.boundary)) // 2 if degree == 3 else 0
+        pressures = nodes + (edges if degree == 3 else 0)
+        return 3 * (nodes + (degree - 1) * edges + faces) + (pressures if mixed else 0)
+
+    def fingerprint(self) -> str:
+        """Short hash of nodes, cells and groups."""
+        return fingerprint({"points": self.points, "cells": self.cells, "groups": self.groups})
+
+    def select(self, region: Region, what: str) -> Cells:
+        """Entities of a region: triangles (k, 3), or lines or points when its groups are such.
+
+        Raises:
+            InputError: a group the mesh does not have, or a box, plane or piece without any facet.
+        """
+        if region.groups:
+            parts = [self._group(name, what) for name in region.groups]
+            if len({part.shape[1] for part in parts}) > 1:
+                raise InputError(f"{what}: groups {', '.join(region.groups)} mix surfaces, lines and points")
+            entities = np.vstack(parts)
+        else:
+            entities = self.boundary
+        tolerance = 1e-6 * self.size
+        inside = np.ones(len(entities), dtype=bool)
+        corners = self.points[entities]
+        if region.box:
+            low, high = np.array(region.box.lower) - tolerance, np.array(region.box.upper) + tolerance
+            inside &= ((corners >= low) & (corners <= high)).all(axis=(1, 2))
+        if region.plane:
+            distance = (corners - np.array(region.plane.point)) @ np.array(region.plane.normal)
+            inside &= (np.abs(distance) <= tolerance).all(axis=1)
+        if region.within and inside.any():
+            # Both bounds are moved alike, so that neighbours still meet: a middle on the cut belongs to the upper one
+            # whatever its round-off.
+            low, high = np.array(region.within.lower) - tolerance, np.array(region.within.upper) - tolerance
+            middle = corners.mean(axis=1)
+            inside &= ((middle >= low) & (middle < high)).all(axis=1)
+            if not inside.any():
+                raise InputError(
+                    f"{what}: no facet has its middle in this piece of the surface; "
+                    "make larger pieces, or start at a finer level (--coarsest)"
+                )
+        if not inside.any():
+            low, high = self.points.min(axis=0) * 1e3, self.points.max(axis=0) * 1e3
+            raise InputError(
+                f"{what}: no facet of the boundary lies wholly in the box or on the plane; the body spans "
+                f"{triple(low)} to {triple(high)} mm; enlarge the box or use a finer mesh"
+            )
+        return entities[inside]
+
+    def _group(self, name: str, what: str) -> Cells:
+        if name not in self.groups:
+            raise InputError(f"{what}: the mesh has no physical group '{name}'; {nearest(name, self.groups)}")
+        return self.groups[name]
+
+    def refined(self) -> BodyMesh:
+        """Every tetrahedron cut into eight, every named triangle into four, every line into two."""
+        edges = np.unique(np.sort(self.cells[:, EDGES].reshape(-1, 2), axis=1), axis=0)
+        code = edges[:, 0] * len(self.points) + edges[:, 1]
+        points = np.vstack([self.points, self.points[edges].mean(axis=1)])
+
+        def middle(a: Cells, b: Cells) -> Cells:
+            wanted = np.minimum(a, b) * len(self.points) + np.maximum(a, b)
+            return len(self.points) + np.searchsorted(code, wanted)
+
+        cells = _cut_tetrahedra(self.cells, middle, points)
+        groups = {name: _cut(entities, middle) for name, entities in self.groups.items()}
+        return BodyMesh(points, cells, groups)
+
+
+def _cut(entities: Cells, middle: Any) -> Cells:
+    if entities.shape[1] == 1:
+        return entities
+    if entities.shape[1] == 2:
+        a, b = entities.T
+        m = middle(a, b)
+        return np.vstack([np.c_[a, m], np.c_[m, b]])
+    a, b, c = entities.T
+    ab, bc, ca = middle(a, b), middle(b, c), middle(a, c)
+    return np.vstack([np.c_[a, ab, ca], np.c_[ab, b, bc], np.c_[ca, bc, c], np.c_[ab, bc, ca]])
+
+
+def _cut_tetrahedra(cells: Cells, middle: Any, points: Points) -> Cells:
+    """Red refinement; the inner octahedron is cut along its shortest diagonal, which keeps the shapes good."""
+    a, b, c, d = cells.T
+    ab, bc, ca = middle(a, b), middle(b, c), middle(a, c)
+    ad, bd, cd = middle(a, d), middle(b, d), middle(c, d)
+    corners = [np.c_[a, ab, ca, ad], np.c_[ab, b, bc, bd], np.c_[ca, bc, c, cd], np.c_[ad, bd, cd, d]]
+    # Each diagonal with the ring of the four other middles around it.
+    rings = [(ab, cd, (bc, ca, ad, bd)), (bc, ad, (ab, ca, cd, bd)), (ca, bd, (ab, bc, cd, ad))]
+    lengths = np.array([np.linalg.norm(points[p] - points[q], axis=1) for p, q, _ in rings])
+    best = lengths.argmin(axis=0)
+    inner = []
+    for k, (p, q, ring) in enumerate(rings):
+        for i in range(4):
+            tet = np.c_[p, q, ring[i], ring[(i + 1) % 4]]
+            inner.append(tet[best == k])
+    return oriented(points, np.vstack(corners + inner))
+
+
+def volumes(points: Points, cells: Cells) -> Points:
+    """Volumes of tetrahedra, shape (cells,); negative for those turned inside out."""
+    a, b, c, d = (points[cells[:, i]] for i in range(4))
+    return np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6
+
+
+def oriented(points: Points, cells: Cells) -> Cells:
+    """The cells with those of negative volume turned the right way round."""
+    cells = cells.copy()
+    turned = volumes(points, cells) < 0
+    cells[turned, 2], cells[turned, 3] = cells[turned, 3], cells[turned, 2].copy()
+    return cells
+
+
+def triple(values: Points) -> str:
+    """Three numbers for a message: "(1, 2.5, 3)"."""
+    return "(" + ", ".join(f"{v:.4g}" for v in values) + ")"

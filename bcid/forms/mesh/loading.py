@@ -1,0 +1,97 @@
+"""The mesh of a level: made by gmsh or read from a file, in a child process, then checked and refined."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from bcid.collective import on_root
+from bcid.confined import read_in_child
+from bcid.errors import InputError
+from bcid.fingerprint import file_fingerprint
+from bcid.forms.mesh.body_mesh import BodyMesh, Cells, Points
+from bcid.forms.mesh.check import check_fineness, check_places, checked
+from bcid.forms.mesh.references import beside
+from bcid.scene import Level, Scene
+
+TIME_LIMIT = 600.0
+
+
+def level_mesh(scene: Scene, level: Level, comm: Any = None) -> BodyMesh:
+    """Mesh of one level of a scene; collective on `comm` (rank 0 makes it, all get it).
+
+    Raises:
+        InputError: gmsh or meshio cannot make sense of the geometry, or the mesh is damaged.
+    """
+    return on_root(comm, lambda: _level_mesh(scene, level))
+
+
+def _level_mesh(scene: Scene, level: Level) -> BodyMesh:
+    size = level.element_size and level.element_size / scene.length_unit
+    finest = min((other.element_size for other in (*scene.levels, level) if other.element_size), default=0.0)
+    sizes = (size or 0.0, finest / scene.length_unit)
+    points, cells, groups = _load(
+        scene.geometry, sizes, tuple(scene.parameters.items()), file_fingerprint(scene.geometry)
+    )
+    mesh = checked(BodyMesh(points * scene.length_unit, cells, groups), scene.geometry)
+    check_fineness(scene, mesh)
+    for _ in range(level.refinements):
+        mesh = mesh.refined()
+    check_places(scene, level_name(scene, level), mesh)
+    return mesh
+
+
+def level_name(scene: Scene, level: Level) -> str:
+    """A level in words: "level 0 (elements of 50 mm)"."""
+    number = f"level {scene.levels.index(level)}" if level in scene.levels else "a level"
+    size = (
+        f"{level.refinements} refinements"
+        if level.element_size is None
+        else f"elements of {level.element_size * 1e3:.4g} mm"
+    )
+    return f"{number} ({size})"
+
+
+@lru_cache(maxsize=8)
+def _load(
+    path: Path, sizes: tuple[float, float], parameters: tuple[tuple[str, float], ...], _content: str
+) -> tuple[Points, Cells, dict[str, Cells]]:
+    """Run the loader in a child process: a damaged file may make gmsh abort, and must not take this process along.
+
+    The last results are kept for as long as the content of the file is the same: patches are made and looked for on the
+    meshes of several levels before any is solved on.
+    """
+    program = path.suffix == ".geo"
+    if program and path.with_name(path.name + ".opt").exists():
+        raise InputError(
+            f"{path}.opt: gmsh would run it with {path.name}; take what it sets into {path.name}, and remove it"
+        )
+    arguments = [*map(repr, sizes), *(f"{name}={value!r}" for name, value in parameters)]
+    try:
+        arrays = read_in_child(
+            "bcid.forms.mesh.child",
+            path,
+            arguments,
+            seconds=TIME_LIMIT,
+            beside=beside(path),
+            in_place=program,
+            check=None if program else refuse_scripts,
+        )
+    except TimeoutError:
+        raise InputError(f"{path}: meshing took more than {TIME_LIMIT:.0f} s; choose larger elements") from None
+    except InputError as error:
+        raise InputError(f"{path}: cannot be meshed: {error}") from None
+    groups = {name[6:]: part for name, part in arrays.items() if name.startswith("group:")}
+    return arrays["points"], arrays["cells"], groups
+
+
+def refuse_scripts(path: Path) -> None:
+    """Refuse a mesh file that gmsh would take for a script, and run."""
+    with path.open("rb") as stream:
+        head = stream.read(11)
+    if path.suffix == ".msh" and head != b"$MeshFormat":
+        raise InputError(
+            "does not start with $MeshFormat; gmsh would run it as a script, so it is refused; "
+            "save it as a gmsh mesh (format 4.1)"
+        )
