@@ -25,6 +25,7 @@ changes later is noticed: `run.json` holds checksums of the files and of itself,
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import hashlib
 import json
@@ -41,6 +42,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from bcid.errors import BcidError, InputError, MachineError
+from bcid.text_file import as_text, parse_json
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -90,6 +92,12 @@ _FOLDERS = (
 )
 _KEYS = ("command", "state", "inputs", "versions", "attempts", "seconds", "checksum")
 _REMEDY = "repeat the run in another folder, or remove this one"
+# What is to be done where a folder cannot be written.
+_REMEDIES = {
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "free some space or choose another folder"),
+    errno.EROFS: "choose a folder of a file system that is not mounted read-only",
+    **dict.fromkeys((errno.EACCES, errno.EPERM), "choose a folder that you may write to"),
+}
 _PACKAGES = ("fenics-dolfinx", "fenics-ufl", "petsc4py", "mpi4py", "numpy", "scipy", "xarray")
 
 
@@ -328,7 +336,8 @@ def writing(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         reason = error.strerror or str(error)
-        raise MachineError(f"{path}: cannot be written: {reason}; free some space or choose another folder") from None
+        remedy = _REMEDIES.get(error.errno or 0, "choose another folder")
+        raise MachineError(f"{path}: cannot be written: {reason}; {remedy}") from None
 
 
 def versions() -> dict[str, str]:
@@ -418,10 +427,10 @@ def unsealed(file: Path, remedy: str) -> dict[str, Any]:
         InputError: it is missing or damaged.
     """
     try:
-        content: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        content: dict[str, Any] = parse_json(as_text(file.read_bytes(), file), file)
         if sealed(content)["checksum"] != content["checksum"]:
             raise ValueError("its checksum is another")
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, InputError) as error:
         raise InputError(f"{file}: is missing or damaged ({error}); {remedy}") from None
     return content
 
@@ -436,9 +445,10 @@ def _json(content: Any) -> str:
 
 def _parsed(content: bytes, path: Path) -> Any:
     try:
-        return json.loads(content.decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is damaged and cannot be read: {error}; {_REMEDY}") from None
+        return parse_json(as_text(content, path), path)
+    except InputError as error:
+        reason = str(error).removeprefix(f"{path}: ")
+        raise InputError(f"{path}: is damaged and cannot be read: {reason}; {_REMEDY}") from None
 
 
 def _now() -> str:

@@ -24,6 +24,7 @@ CHECKS = {
     "F5": ("solver", "faulty"),
     "B1": ("meshes", "damage"),
     "B2": ("configuration", "refusals"),
+    "B5": ("absurd", "absurd"),
     "S1": ("hostile", "hostile"),
     "S2": ("hostile", "names"),
     "C3D": ("recordings", "damage"),
