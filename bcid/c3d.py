@@ -10,7 +10,6 @@ import os
 import resource
 import subprocess
 import sys
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.errors import InputError
+from bcid.scratch import require, temporary_folder
 
 # Time of the reader, s, and how much more a byte of the file may take.
 _SECONDS = 30.0
@@ -51,8 +51,8 @@ def read_points(path: Path) -> Points:
         InputError: the file is damaged, or ezc3d is missing.
     """
     limit = _SECONDS + _SECONDS_PER_BYTE * path.stat().st_size
-    with tempfile.TemporaryDirectory(prefix="bcid-c3d-") as folder:
-        out = Path(folder) / "points.npz"
+    with temporary_folder("bcid-c3d-") as folder:
+        out = folder / "points.npz"
         root = str(Path(__file__).resolve().parents[1])
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))}
         command = [sys.executable, "-m", "bcid.c3d", str(path.resolve()), str(out)]
@@ -61,6 +61,7 @@ def read_points(path: Path) -> Points:
         except subprocess.TimeoutExpired:
             raise InputError(f"{path}: is not a readable C3D file: reading took more than {limit:.0f} s") from None
         if child.returncode != 0 or not out.exists():
+            require()
             said = (child.stdout + child.stderr).decode("utf-8", "replace").strip().splitlines()
             reason = said[-1][:300] if said else f"the reader died with code {child.returncode}"
             raise InputError(f"{path}: is not a readable C3D file: {reason}")

@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import tempfile
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -21,6 +20,7 @@ from bcid.collective import on_root
 from bcid.errors import InputError, Problems, nearest
 from bcid.fingerprint import file_fingerprint, fingerprint
 from bcid.scene import Level, Region, Scene
+from bcid.scratch import require, temporary_folder
 
 Points = NDArray[np.float64]
 Cells = NDArray[np.int64]
@@ -241,8 +241,8 @@ def _load(
     meshes of several levels before any is solved on.
     """
     refuse_scripts(path)
-    with tempfile.TemporaryDirectory(prefix="bcid-mesh-") as folder:
-        out = Path(folder) / "mesh.npz"
+    with temporary_folder("bcid-mesh-") as folder:
+        out = folder / "mesh.npz"
         command = [
             sys.executable,
             "-m",
@@ -259,6 +259,7 @@ def _load(
         except subprocess.TimeoutExpired:
             raise InputError(f"{path}: meshing took more than {TIME_LIMIT:.0f} s; choose larger elements") from None
         if child.returncode != 0 or not out.exists():
+            require()
             said = (child.stdout + child.stderr).strip().splitlines()
             reason = said[-1] if said else f"the loader died with code {child.returncode}"
             raise InputError(f"{path}: cannot be meshed: {reason}")

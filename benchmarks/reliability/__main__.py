@@ -18,6 +18,7 @@ CHECKS = {
     "F1": ("kills", "workers_die"),
     "F2": ("kills", "all_die"),
     "F3": ("disk", "failures"),
+    "F7": ("temporary", "full"),
     "F4": ("signals", "signals"),
     "F4-memory": ("signals", "memory"),
     "F4-hanging": ("kills", "hanging"),
