@@ -9,6 +9,7 @@ import argparse
 import os
 import signal
 import sys
+import time
 import traceback
 from collections.abc import Callable
 from functools import partial
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from bcid import __version__
-from bcid.collective import launched
+from bcid.collective import first, launched
 from bcid.commands import (
     bench,
     calibrate,
@@ -36,6 +37,7 @@ from bcid.commands import (
     track,
 )
 from bcid.errors import SHORT_OF_MEMORY, BcidError, MachineError
+from bcid.scratch import require
 
 # Commands without MPI in this process, for they start others that are jobs of their own; what becomes of an interrupted one.
 _WITHOUT_MPI = {
@@ -46,6 +48,11 @@ _WITHOUT_MPI = {
     "report": "nothing was written",
     "figure": "nothing was written",
 }
+
+# How long the ranks that are not the first wait for it to end the job, s.
+_PATIENCE = 3.0
+# Those of them that start jobs with MPI.
+_STARTING = ("bench", "study")
 
 _DESCRIPTION = """bcid finds out how a soft body is held, and what its model lacks, by watching it being pulled.
 
@@ -86,6 +93,10 @@ def main(argv: list[str] | None = None) -> int:
         return doctor.main()
     if arguments.command in _WITHOUT_MPI and not (arguments.command == "study" and launched()):
         return _run_without_mpi(arguments)
+    trouble = _of_the_machine()
+    if trouble:
+        complain(trouble)
+        return trouble.exit_code
     comm = _communicator()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, partial(_interrupted, comm))
@@ -107,6 +118,8 @@ def main(argv: list[str] | None = None) -> int:
 def _run_without_mpi(arguments: argparse.Namespace) -> int:
     """Run one of `_WITHOUT_MPI`; returns its exit code."""
     try:
+        if arguments.command in _STARTING:
+            require()
         arguments.run(arguments)
         return 0
     except KeyboardInterrupt:
@@ -118,6 +131,18 @@ def _run_without_mpi(arguments: argparse.Namespace) -> int:
     except BcidError as error:
         complain(error)
         return error.exit_code
+
+
+def _of_the_machine() -> MachineError | None:
+    """What is missing before MPI can be begun: Open MPI dies of a temporary folder that is full or cannot be written."""
+    try:
+        require()
+    except MachineError as error:
+        if not first():
+            # The first rank has the same to say, unless it is another machine, and ends all of them.
+            time.sleep(_PATIENCE)
+        return error
+    return None
 
 
 def _communicator() -> Any:

@@ -10,6 +10,7 @@ from bcid.errors import BcidError
 
 T = TypeVar("T")
 # Set by the launchers of Open MPI, MPICH and Slurm.
+_RANKS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK", "SLURM_PROCID")
 _SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MPI_LOCALNRANKS", "PMIX_SIZE")
 
 
@@ -59,3 +60,8 @@ def agree(comm: Any, error: BcidError | None) -> None:
 def launched() -> bool:
     """Whether this process is one of several that an MPI launcher has started."""
     return any(os.environ.get(name, "").isdigit() and int(os.environ[name]) > 1 for name in _SIZES)
+
+
+def first() -> bool:
+    """Whether this process is the first that an MPI launcher has started, or the only one; known before MPI is begun."""
+    return all(os.environ.get(name, "0") == "0" for name in _RANKS)

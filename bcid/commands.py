@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Callable
 from importlib import import_module
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from bcid.errors import InputError, MachineError
 from bcid.progress import Lines, Progress, Silent
+from bcid.text_file import read_json
 
 if TYPE_CHECKING:
     from bcid.studies.deal import How
@@ -49,7 +49,7 @@ def demo(arguments: argparse.Namespace, comm: Any) -> None:
         _draw(folder, progress)
     from bcid.report.words import falling
 
-    found = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
+    found = read_json(folder / "diagnosis.json")
     print("\n" + (folder / "summary.txt").read_text(encoding="utf-8").split("\n\n")[0])
     print(f"{falling(found)}\n\nrun folder: {folder} (summary.txt tells more)", flush=True)
     if not arguments.no_picture:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.errors import MachineError
+from bcid.scratch import require
 
 # Where the exceptions of a C compiler that is missing or fails come from.
 _COMPILERS = ("cffi", "distutils", "setuptools")
@@ -24,6 +25,7 @@ def compiling() -> Iterator[None]:
     except Exception as error:
         if not isinstance(error, OSError | ImportError) and type(error).__module__.partition(".")[0] not in _COMPILERS:
             raise
+        require()
         reason = str(error).strip().splitlines()[-1:] or [type(error).__name__]
         raise MachineError(
             f"the forms could not be compiled: {reason[0][:300]}; a C compiler and a cache folder that can be written "

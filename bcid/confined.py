@@ -17,7 +17,6 @@ import struct
 import subprocess
 import sys
 import sysconfig
-import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from importlib import import_module
@@ -27,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from bcid.errors import InputError
+from bcid.scratch import require, temporary_folder
 
 # The folder that holds the package.
 _ROOT = Path(__file__).resolve().parents[1]
@@ -72,17 +72,11 @@ def read_in_child(
     Raises:
         InputError: the reader refuses the file or dies; the text is the reader's last line.
         TimeoutError: it takes too long.
+        MachineError: the temporary folder is full, or cannot be written.
     """
-    with tempfile.TemporaryDirectory(prefix="bcid-read-") as name:
-        folder = Path(name)
+    with temporary_folder("bcid-read-") as folder:
         out = folder / "out.npz"
-        file = source.resolve()
-        if not in_place:
-            (folder / "in").mkdir()
-            file = folder / "in" / f"body{source.suffix}"
-            shutil.copyfile(source, file)
-            for other in beside:
-                shutil.copyfile(other, folder / "in" / other.name)
+        file = source.resolve() if in_place else _copied(source, beside, folder / "in")
         if check is not None:
             check(file)
         command = [sys.executable, "-P", "-m", module, str(file), str(out), *arguments]
@@ -99,11 +93,24 @@ def read_in_child(
         except subprocess.TimeoutExpired:
             raise TimeoutError(f"reading took more than {seconds:.0f} s") from None
         if child.returncode != 0:
+            require()
             said = (child.stdout + child.stderr).decode("utf-8", "replace").strip().splitlines()
             reason = said[-1] if said else f"the reader died with code {child.returncode}"
             raise InputError(reason.replace(str(file), source.name)[:_LONGEST])
         with np.load(out, allow_pickle=False) as data:
             return {key: data[key] for key in data.files}
+
+
+def _copied(source: Path, beside: Iterable[Path], folder: Path) -> Path:
+    """Copies of files in a folder of their own; returns that of the source."""
+    try:
+        folder.mkdir()
+        for other in beside:
+            shutil.copyfile(other, folder / other.name)
+        return shutil.copyfile(source, folder / f"body{source.suffix}")
+    except OSError as error:
+        require()
+        raise InputError(f"cannot be read: {error.strerror or error}") from None
 
 
 def _environment(folder: Path) -> dict[str, str]:

@@ -22,6 +22,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from bcid.scratch import trouble
+
 GET_DOLFINX = "use ./dev, which makes an environment; or conda (environment.yml), or a container (Dockerfile)"
 
 # BLAS libraries that are fast, by a part of the name of their file or of its folder.
@@ -253,6 +255,11 @@ def check_compiler() -> Iterator[Check]:
     yield Check("compiling forms", ok, "works" if ok else said, "is there Python.h (Debian: python3-dev)? " + advice)
 
 
+def check_scratch() -> Check:
+    found = trouble()
+    return Check("temporary folder", not found, found or tempfile.gettempdir(), "MPI and the compiler write there")
+
+
 def check_form_cache() -> Iterator[Check]:
     if not importlib.util.find_spec("dolfinx"):
         return
@@ -323,6 +330,7 @@ def available_memory() -> int | None:
 
 CHECKS: list[Callable[[], Check | Iterable[Check]]] = [
     check_python,
+    check_scratch,
     check_dolfinx,
     check_petsc,
     check_blas,

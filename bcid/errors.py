@@ -6,15 +6,31 @@ Exit codes: 2 bad input, 3 the machine (disk, memory, a missing program), 4 the 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+import errno
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
+
+# What is to be done where a folder cannot be written.
+_REMEDIES = {
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "free some space or choose another folder"),
+    errno.EROFS: "choose a folder of a file system that is not mounted read-only",
+    **dict.fromkeys((errno.EACCES, errno.EPERM), "choose a folder that you may write to"),
+}
+# What a message quotes of the input is cut to so many characters in a line, and so many lines.
+_WIDEST, _MOST_LINES = 700, 60
+# A name that is longer is nobody's misspelling, and so many names are looked through for the one that was meant.
+_LONGEST_NAME, _LOOKED_THROUGH = 64, 1000
 
 
 class BcidError(Exception):
     """Base of every error that is the user's business: the command line prints its text, never a traceback."""
 
     exit_code = 1
+
+    def __init__(self, text: object = "") -> None:
+        super().__init__(bounded(str(text)))
 
 
 class InputError(BcidError):
@@ -35,18 +51,41 @@ SHORT_OF_MEMORY = (
 )
 
 
+def unwritable(path: Path, error: OSError) -> MachineError:
+    """That a file or folder cannot be written, why, and what to do about it."""
+    remedy = _REMEDIES.get(error.errno or 0, "choose another folder")
+    return MachineError(f"{path}: cannot be written: {error.strerror or error}; {remedy}")
+
+
 class SolveError(BcidError):
     """The forward model has no acceptable solution; the text carries PETSc's reason in words."""
 
     exit_code = 4
 
 
+def bounded(text: str) -> str:
+    """A message in which nothing that was quoted is too long to be read: middles of lines, and last lines, are left out."""
+    lines = text.split("\n", _MOST_LINES)
+    if len(lines) > _MOST_LINES:
+        lines[-1] = f"... and {lines[-1].count(chr(10)) + 1} more lines"
+    return "\n".join(shortened(line, _WIDEST) for line in lines)
+
+
+def shortened(text: str, most: int) -> str:
+    """Text of at most about `most` characters: of a longer one the middle is left out."""
+    if len(text) <= most:
+        return text
+    # The rule and the remedy stand behind the value.
+    return f"{text[: most // 2]} ... ({len(text) - most} characters) ... {text[len(text) - most + most // 2 :]}"
+
+
 def nearest(word: str, allowed: Iterable[str]) -> str:
     """A hint such as ``did you mean 'x'? known: a, b`` for a misspelt name."""
-    known = [str(name) for name in allowed]
-    close = difflib.get_close_matches(str(word), known, n=1)
+    known = [str(name) for name in islice(allowed, _LOOKED_THROUGH)]
+    similar = [name for name in known if len(name) <= _LONGEST_NAME]
+    close = difflib.get_close_matches(str(word), similar, n=1) if len(str(word)) <= _LONGEST_NAME else []
     hint = f"did you mean '{close[0]}'? " if close else ""
-    shown = ", ".join(known[:24]) + (", ..." if len(known) > 24 else "")
+    shown = ", ".join(shortened(name, _LONGEST_NAME) for name in known[:24]) + (", ..." if len(known) > 24 else "")
     return f"{hint}known: {shown}" if known else "none is defined"
 
 
@@ -77,6 +116,25 @@ class Problems:
     def add(self, file: str | Path, text: str, line: int | None = None) -> None:
         """Note a problem of `file` (at `line`, counted from 1)."""
         self.found.append(Problem(str(file), line, text))
+
+    @property
+    def counted(self) -> bool:
+        """Whether what is found from here on is counted, and not listed: its text need not be made with care."""
+        return len(self.found) >= self.shown
+
+    def add_unknown(
+        self,
+        file: str | Path,
+        names: Iterable[str],
+        allowed: Iterable[str],
+        text: Callable[[str, str], str] = "{}: unknown key; {}".format,
+        line: int | None = None,
+    ) -> None:
+        """Note every name that is not `allowed`; `text` makes a sentence of it and of the hint what was meant."""
+        known = set(allowed := list(allowed))
+        for name in names:
+            if name not in known:
+                self.add(file, "" if self.counted else text(name, nearest(name, allowed)), line)
 
     def raise_if_any(self) -> None:
         """Raise one `InputError` with every problem found so far."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import InputError, Problems, nearest
+from bcid.errors import Problems
+from bcid.text_file import read_toml
+from bcid.units import MOST
 
 Array = NDArray[np.float64]
 
@@ -42,13 +43,8 @@ class FrameError:
             InputError: with every problem of the file.
         """
         problems = Problems(f"error of the frame {path}")
-        try:
-            table = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
-            raise InputError(f"{path}: not a TOML file: {error}") from None
-        for key in table:
-            if key not in _KEYS:
-                problems.add(path, f"{key}: unknown key; {nearest(key, _KEYS)}")
+        table = read_toml(path)
+        problems.add_unknown(path, table, _KEYS)
         if table.get("format") != FORMAT:
             problems.add(path, f'format: expected "{FORMAT}", found {table.get("format")!r}')
         found = cls.checked(table.get("centre"), table.get("covariance"), path, problems)
@@ -63,11 +59,13 @@ class FrameError:
         for name, value, shape in (("centre", centre, (3,)), ("covariance", covariance, (7, 7))):
             try:
                 array = plain_numbers(value).reshape(shape)
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, OverflowError):
                 array = np.full(shape, np.nan)
-            if not np.isfinite(array).all():
+            if not (np.abs(array) <= MOST).all():
                 wanted = " x ".join(map(str, shape))
-                problems.add(path, f"{name}: expected {wanted} finite numbers, found {str(value)[:60]!r}")
+                problems.add(
+                    path, f"{name}: expected {wanted} finite numbers up to {MOST:g}, found {str(value)[:60]!r}"
+                )
                 array = np.zeros(shape)
             found.append(array)
         most = _ROUNDING * np.abs(found[1]).max()

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import math
-import tomllib
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -20,7 +19,8 @@ from bcid.c3d import read_points
 from bcid.errors import InputError, Problems, nearest
 from bcid.measurement import AXES, Measurement, Units
 from bcid.measurement_folder import frames_dataset
-from bcid.units import unit_factor
+from bcid.text_file import read_lines, read_toml
+from bcid.units import FURTHEST, unit_factor, usable
 
 FORMAT = "bcid-mapping/1"
 _UNITS = {"length_unit": "m", "time_unit": "s", "force_unit": "N"}
@@ -82,23 +82,16 @@ def read_mapped(path: Path) -> Measurement:
 
 
 def _read_mapping(path: Path) -> _Mapping:
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path}: not a TOML file: {error}") from None
+    table = read_toml(path)
     problems = Problems(f"mapping {path}")
     if table.get("format") != FORMAT:
         problems.add(path, f'format: expected "{FORMAT}", found {table.get("format")!r}')
-    for key in table:
-        if key not in _KEYS:
-            problems.add(path, f"{key}: unknown key; {nearest(key, _KEYS)}")
+    problems.add_unknown(path, table, _KEYS)
     tables = {
         key: _table(path, table, key, problems) for key in ("columns", "fiducials", "reference", "align", "frames")
     }
     for key, allowed in (("columns", _COLUMNS), ("frames", _FRAMES)):
-        for name in tables[key]:
-            if name not in allowed:
-                problems.add(path, f"{key}.{name}: unknown key; {nearest(name, allowed)}")
+        problems.add_unknown(path, tables[key], allowed, f"{key}.{{}}: unknown key; {{}}".format)
     factors = {key: _factor(path, table, key, like, problems) for key, like in _UNITS.items()}
     file = table.get("file")
     if not isinstance(file, str) or not (path.parent / file).is_file():
@@ -110,10 +103,10 @@ def _read_mapping(path: Path) -> _Mapping:
         problems.add(path, f"delimiter: expected one character, found {table.get('delimiter')!r}")
     sigma = table.get("noise_sigma")
     if sigma is not None and (
-        isinstance(sigma, bool) or not isinstance(sigma, int | float) or not 0 < sigma < math.inf
+        isinstance(sigma, bool) or not isinstance(sigma, int | float) or not usable(sigma) or sigma <= 0
     ):
-        problems.add(path, f"noise_sigma: expected a positive number, found {sigma!r}")
-    _check_markers(path, tables, str(file).lower().endswith(".c3d"), problems)
+        problems.add(path, f"noise_sigma: expected a positive number up to 1e30, found {sigma!r}")
+    _check_markers(path, tables, factors["length_unit"], str(file).lower().endswith(".c3d"), problems)
     frames = _frames(path, tables["frames"], problems)
     problems.raise_if_any()
     units = Units(*(str(table[key]) for key in _UNITS))
@@ -144,7 +137,7 @@ def _factor(path: Path, table: dict[str, Any], key: str, like: str, problems: Pr
         return 1.0
 
 
-def _check_markers(path: Path, tables: dict[str, dict[str, Any]], c3d: bool, problems: Problems) -> None:
+def _check_markers(path: Path, tables: dict[str, dict[str, Any]], length: float, c3d: bool, problems: Problems) -> None:
     long = "fiducial" in tables["columns"]
     if not tables["fiducials"] and not long:
         problems.add(path, "fiducials: name at least one, or give columns.fiducial and columns.position")
@@ -167,10 +160,12 @@ def _check_markers(path: Path, tables: dict[str, dict[str, Any]], c3d: bool, pro
         numbers = (
             isinstance(place, list)
             and len(place) == 3
-            and all(type(v) in (int, float) and math.isfinite(v) for v in place)
+            and all(type(v) in (int, float) and abs(v) * length <= FURTHEST for v in place)
         )
         if not numbers:
-            problems.add(path, f"align.{name}: expected three numbers in length_unit, found {place!r}")
+            problems.add(
+                path, f"align.{name}: expected three numbers in length_unit, none beyond 1000 km, found {place!r}"
+            )
         if not long and name not in tables["fiducials"] | tables["reference"]:
             problems.add(path, f"align.{name}: is neither in fiducials nor in reference")
     if 0 < len(tables["align"]) < 3:
@@ -276,7 +271,7 @@ def _long(mapping: _Mapping, rows: list[tuple[int, dict[str, str]]]) -> _Recordi
         mapping.fiducials = [name for name in given if name]
     positions: dict[str, Array] = {name: np.full((len(frames), 3), np.nan) for name in given}
     names = {label: name for name, label in given.items()}
-    labels = list(dict.fromkeys(row[columns["fiducial"]] for _, row in rows))
+    labels = dict.fromkeys(row[columns["fiducial"]] for _, row in rows)
     for label, fiducial in names.items():
         if label not in labels:
             problems.add(mapping.file, f"has no marker '{label}' (fiducial {fiducial}); {nearest(label, labels)}")
@@ -300,11 +295,7 @@ def _long(mapping: _Mapping, rows: list[tuple[int, dict[str, str]]]) -> _Recordi
 
 
 def _rows(mapping: _Mapping) -> list[tuple[int, dict[str, str]]]:
-    try:
-        text = mapping.file.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{mapping.file}: cannot be read as text: {error}") from None
-    reader = csv.reader(text.replace("\0", "").splitlines(), delimiter=str(mapping.table.get("delimiter", ",")))
+    reader = csv.reader(read_lines(mapping.file), delimiter=str(mapping.table.get("delimiter", ",")))
     problems = Problems(f"recording {mapping.file}")
     try:
         header = [name.strip() for name in next(reader, [])]
@@ -332,7 +323,7 @@ def _listed(value: Any) -> list[str]:
 
 
 def _require(mapping: _Mapping, rows: list[tuple[int, dict[str, str]]], columns: list[str], problems: Problems) -> None:
-    known = list(rows[0][1])
+    known = rows[0][1]
     for column in dict.fromkeys(columns):
         if column not in known:
             problems.add(mapping.file, f"has no column '{column}'; {nearest(column, known)}", 1)
@@ -383,8 +374,10 @@ def _select(recording: _Recording, frames: tuple[int, int | None, int], source: 
     first, last, every = frames
     chosen: list[int] = []
     steps: list[int] = []
-    for action in dict.fromkeys(recording.actions):
-        mine = [i for i, a in enumerate(recording.actions) if a == action]
+    places: dict[str, list[int]] = {}
+    for i, action in enumerate(recording.actions):
+        places.setdefault(action, []).append(i)
+    for action, mine in places.items():
         if any(recording.steps[b] <= recording.steps[a] for a, b in pairwise(mine)):
             raise InputError(f"{source}: the steps of action {action} do not rise: sort the rows, one for each step")
         kept = mine[first : None if last is None else last + 1 : every]

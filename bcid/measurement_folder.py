@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import shutil
-import tomllib
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bcid.errors import InputError, MachineError, Problems, nearest
+from bcid.errors import InputError, Problems, unwritable
 from bcid.frame_error import FrameError
 from bcid.measurement import AXES, FORMAT, QUATERNION, WRENCH, Action, Measurement, Units
-from bcid.units import unit_factor
+from bcid.text_file import read_lines, read_toml
+from bcid.units import unit_factor, usable
 
 _UNIT_KEYS = {"length_unit": "m", "time_unit": "s", "force_unit": "N"}
 _KEYS = ("format", *_UNIT_KEYS, "noise_sigma", "wrench_sigma", "description")
@@ -84,8 +85,10 @@ def read_grasps(path: Path, units: Units) -> list[Action]:
     if not poses and not problems.found:
         reader.bad(None, "holds no pose")
     frames, actions = list(poses), []
-    for name in dict.fromkeys(action for action, _ in frames):
-        here = [number for number, (action, _) in enumerate(frames) if action == name]
+    rows: dict[str, list[int]] = {}
+    for number, (action, _) in enumerate(frames):
+        rows.setdefault(action, []).append(number)
+    for name, here in rows.items():
         if here[-1] - here[0] >= len(here):
             reader.bad(None, f"the rows of action {name} do not stand together")
         steps = [frames[number][1] for number in here]
@@ -100,15 +103,8 @@ def read_grasps(path: Path, units: Units) -> list[Action]:
 
 
 def _read_header(path: Path, problems: Problems) -> _Header:
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
-        problems.add(path, f"not a TOML file: {error}")
-        problems.raise_if_any()
-        raise AssertionError from error
-    for key in table:
-        if key not in _KEYS:
-            problems.add(path, f"{key}: unknown key; {nearest(key, _KEYS)}")
+    table = read_toml(path)
+    problems.add_unknown(path, table, _KEYS)
     if table.get("format") != FORMAT:
         problems.add(path, f'format: expected "{FORMAT}", found {table.get("format")!r}')
     factors = [_unit(path, table, key, like, problems) for key, like in _UNIT_KEYS.items()]
@@ -144,8 +140,8 @@ def _sigma(path: Path, table: dict[str, Any], key: str, problems: Problems) -> f
     value = table.get(key)
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or value <= 0:
-        problems.add(path, f"{key}: expected a positive number (its unit is the folder's), found {value!r}")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not usable(value) or value <= 0:
+        problems.add(path, f"{key}: expected a positive number up to 1e30 (its unit is the folder's), found {value!r}")
         return None
     return float(value)
 
@@ -181,15 +177,7 @@ class _FolderReader:
         path = self.folder / name
         if not path.exists():
             return _Table()
-        try:
-            text = path.read_text(encoding="utf-8-sig")
-        except (OSError, UnicodeDecodeError) as error:
-            self.bad(None, f"cannot be read as text: {error}")
-            return _Table()
-        if "\0" in text:
-            self.bad(None, "holds NUL characters: this is not a text file")
-            return _Table()
-        return self.rows(csv.reader(text.splitlines()), required, optional or [])
+        return self.rows(csv.reader(read_lines(path)), required, optional or [])
 
     def rows(self, lines: Any, required: list[str], optional: list[str]) -> _Table:
         try:
@@ -209,13 +197,14 @@ class _FolderReader:
         return table
 
     def columns(self, columns: list[str], required: list[str], optional: list[str]) -> _Table:
-        missing = [name for name in required if name not in columns]
+        counts = Counter(columns)
+        missing = [name for name in required if name not in counts]
         unknown = [name for name in columns if name not in required + optional]
-        double = sorted({name for name in columns if columns.count(name) > 1})
+        double = sorted(name for name, count in counts.items() if count > 1)
         if missing:
             self.bad(1, f"column {', '.join(missing)} is missing; expected {','.join(required)}")
-        for name in unknown:
-            self.bad(1, f"unknown column '{name}'; {nearest(name, required + optional)}")
+        text = "unknown column '{}'; {}".format
+        self.problems.add_unknown(self.folder / self.file, unknown, required + optional, text, 1)
         if double:
             self.bad(1, f"column {', '.join(double)} stands twice")
         return _Table() if missing or unknown or double else _Table(columns=columns)
@@ -337,12 +326,15 @@ class _FolderReader:
         return result
 
     def check_frames(self, seen: dict[tuple[Frame, str], Any], poses: dict[Frame, Any]) -> None:
-        frames = {frame for frame, _ in seen}
-        for action in dict.fromkeys(action for action, _ in self.times):
+        recorded = {action for (action, _), _ in seen}
+        actions: dict[str, list[int]] = {}
+        for action, step in self.times:
+            actions.setdefault(action, []).append(step)
+        for action, unsorted in actions.items():
             self.file = "fiducials.csv"
-            steps = sorted(step for a, step in self.times if a == action)
+            steps = sorted(unsorted)
             self.check_steps(action, steps)
-            if not any(a == action for a, _ in frames):
+            if action not in recorded:
                 self.bad(None, f"action {action} has a motion but no fiducial was recorded")
             self.file = self.motions
             self.check_motion(action, steps, poses)
@@ -379,7 +371,8 @@ class _FolderReader:
         loads: dict[tuple[Frame, str], list[float]],
     ) -> xr.Dataset:
         actions = list(dict.fromkeys(action for action, _ in self.times))
-        frames = sorted(self.times, key=lambda frame: (actions.index(frame[0]), frame[1]))
+        order = {action: number for number, action in enumerate(actions)}
+        frames = sorted(self.times, key=lambda frame: (order[frame[0]], frame[1]))
         names = list(dict.fromkeys(name for _, name in seen))
         identity = (0, "", [0.0] * 3, [1.0, 0.0, 0.0, 0.0])
         held = [poses.get(frame, identity) for frame in frames]
@@ -457,7 +450,7 @@ def write_folder(measurement: Measurement, folder: Path) -> None:
         partial.rename(folder)
     except OSError as error:
         shutil.rmtree(partial, ignore_errors=True)
-        raise MachineError(f"{folder}: cannot be written: {error.strerror or error}") from None
+        raise unwritable(folder, error) from None
 
 
 def _texts(measurement: Measurement) -> dict[str, list[str]]:

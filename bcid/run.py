@@ -40,7 +40,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from bcid.errors import BcidError, InputError, MachineError
+from bcid.errors import BcidError, InputError, MachineError, unwritable
+from bcid.text_file import as_text, parse_json
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -327,8 +328,7 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise MachineError(f"{path}: cannot be written: {reason}; free some space or choose another folder") from None
+        raise unwritable(path, error) from None
 
 
 def versions() -> dict[str, str]:
@@ -418,10 +418,10 @@ def unsealed(file: Path, remedy: str) -> dict[str, Any]:
         InputError: it is missing or damaged.
     """
     try:
-        content: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        content: dict[str, Any] = parse_json(as_text(file.read_bytes(), file), file)
         if sealed(content)["checksum"] != content["checksum"]:
             raise ValueError("its checksum is another")
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, InputError) as error:
         raise InputError(f"{file}: is missing or damaged ({error}); {remedy}") from None
     return content
 
@@ -436,9 +436,10 @@ def _json(content: Any) -> str:
 
 def _parsed(content: bytes, path: Path) -> Any:
     try:
-        return json.loads(content.decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is damaged and cannot be read: {error}; {_REMEDY}") from None
+        return parse_json(as_text(content, path), path)
+    except InputError as error:
+        reason = str(error).removeprefix(f"{path}: ")
+        raise InputError(f"{path}: is damaged and cannot be read: {reason}; {_REMEDY}") from None
 
 
 def _now() -> str:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
+from bisect import bisect_left
 from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ import numpy as np
 
 from bcid.errors import InputError, Problems, nearest
 from bcid.scene import Box, Grasp, Level, Limits, Material, PhysicsCheck, Plane, Region, Scene, Values
-from bcid.units import quantities, quantity, unit_factor
+from bcid.text_file import parse_toml, read_text
+from bcid.units import quantities, quantity, unit_factor, usable
 
 FORMAT = "bcid-scene/1"
 DEGREES = (1, 2)
@@ -22,16 +24,16 @@ _VALUES = ("format", "name", "description", "down", "support", "noise_sigma", "a
 _TABLES = ("geometry", "levels", "material", "patches", "grasps", "fiducials", "places", "effects", "explore")
 _EXPLORE = ("displacement", "force", "strain", "amplitudes", "directions", "steps", "cost", "regrasp")
 _AXES = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
+# Keys that are longer are not looked for by their parts.
+_LONGEST_KEY = 300
 _NAME = re.compile(r"^(?!\.{1,2}$)[^\s,;\"'\\/\x00-\x1f\x7f]{1,64}$")
 
 
 def read_scene(path: Path, physics: PhysicsCheck | None = None) -> Scene:
     """See `Scene.read`."""
-    text = _text(path)
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not a TOML file: {error}") from None
+    absent = "no such scene file; examples are in examples/scenes"
+    text = read_text(path, absent)
+    table = parse_toml(text, path)
     reader = _Reader(path, text)
     scene = reader.scene(table)
     if physics is not None and not reader.problems.found:
@@ -39,17 +41,6 @@ def read_scene(path: Path, physics: PhysicsCheck | None = None) -> Scene:
             reader.problems.add(path, problem)
     reader.problems.raise_if_any()
     return scene
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such scene file; examples are in examples/scenes") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a folder; expected a scene file (TOML)") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as text: {error}") from None
 
 
 class _Reader:
@@ -60,22 +51,43 @@ class _Reader:
         self.lines = text.splitlines()
         self.problems = Problems(f"scene {path}")
 
+    @cached_property
+    def headers(self) -> dict[str, int]:
+        """First line, from 0, of each table."""
+        found: dict[str, int] = {}
+        for number, line in enumerate(self.lines):
+            if line.lstrip().startswith("["):
+                found.setdefault(line.lstrip(" \t[").partition("]")[0].strip(' \t"'), number)
+        return found
+
+    @cached_property
+    def keys(self) -> dict[str, list[int]]:
+        """Lines, from 0, that begin with each key."""
+        found: dict[str, list[int]] = {}
+        for number, line in enumerate(self.lines):
+            name, equals, _ = line.partition("=")
+            if equals:
+                found.setdefault(name.strip().strip("\"'"), []).append(number)
+        return found
+
     def line_of(self, key: str) -> int | None:
         """Line of the last part of a dotted key, as near as a text search gets."""
-        section, _, last = key.rpartition(".")
-        start = 0
-        if section:
-            header = re.compile(rf"^\s*\[+\s*\"?{re.escape(section)}\"?\s*\]+")
-            start = next((i for i, line in enumerate(self.lines) if header.match(line)), 0)
-        name = re.compile(rf"^\s*[\"']?{re.escape(last)}[\"']?\s*=")
-        for i in range(start, len(self.lines)):
-            if name.match(self.lines[i]):
-                return i + 1
-        # What stands in an inline table is found by the line of the table.
-        return start + 1 if start else self.line_of(section) if section else None
+        while key:
+            section, _, last = key.rpartition(".")
+            start = self.headers.get(section, 0)
+            lines = self.keys.get(last, [])
+            place = bisect_left(lines, start)
+            if place < len(lines):
+                return lines[place] + 1
+            if start:
+                return start + 1
+            # What stands in an inline table is found by the line of the table.
+            key = section if len(section) < _LONGEST_KEY else ""
+        return None
 
     def bad(self, key: str, text: str) -> None:
-        self.problems.add(self.path, f"{key}: {text}", self.line_of(key))
+        line = None if self.problems.counted else self.line_of(key)
+        self.problems.add(self.path, f"{key}: {text}", line)
 
     def table(self, parent: Mapping[str, Any], key: str, where: str = "") -> dict[str, Any]:
         value = parent.get(key, {})
@@ -87,7 +99,7 @@ class _Reader:
     def unknown(self, table: Mapping[str, Any], allowed: tuple[str, ...], where: str = "") -> None:
         for key in table:
             if key not in allowed:
-                self.bad(where + key, f"unknown key; {nearest(key, allowed)}")
+                self.bad(where + key, "" if self.problems.counted else f"unknown key; {nearest(key, allowed)}")
 
     def text(self, table: Mapping[str, Any], key: str, default: str | None = None, where: str = "") -> str:
         value = table.get(key, default)
@@ -121,10 +133,10 @@ class _Reader:
 
     def direction(self, value: object, key: str) -> tuple[float, float, float]:
         numbers = isinstance(value, list) and all(
-            isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in value
+            isinstance(v, int | float) and not isinstance(v, bool) and usable(v) for v in value
         )
         if not numbers or len(value) != 3 or not any(value):  # type: ignore[arg-type]
-            self.bad(key, f"expected three numbers, not all zero, as [0, -1, 0]; found {value!r}")
+            self.bad(key, f"expected three numbers, not all zero and none beyond 1e30, as [0, -1, 0]; found {value!r}")
             return 0.0, -1.0, 0.0
         x, y, z = np.asarray(value, float) / np.linalg.norm(np.asarray(value, float))
         return float(x), float(y), float(z)
@@ -223,8 +235,8 @@ class _Reader:
         except InputError as error:
             self.bad(key, str(error))
             return None
-        if not (math.isfinite(number) and (number > 0 or (zero and number == 0))):
-            self.bad(key, f"{value!r} must be {'zero or ' if zero else ''}positive")
+        if not (usable(number) and (number > 0 or (zero and number == 0))):
+            self.bad(key, f"{value!r} must be {'zero or ' if zero else ''}positive, and not beyond 1e30")
             return None
         return number
 
@@ -259,12 +271,14 @@ class _Reader:
             return {}
         found = {}
         for name, value in entries.items():
-            number = type(value) in (int, float) and math.isfinite(value)
+            number = type(value) in (int, float) and usable(value)
             if number and name.isidentifier() and name != "h":
                 found[name] = float(value)
             else:
                 rule = (
-                    "the element size is that of the levels" if name == "h" else f"expected a number, found {value!r}"
+                    "the element size is that of the levels"
+                    if name == "h"
+                    else f"expected a number not beyond 1e30, found {value!r}"
                 )
                 self.bad(f"geometry.parameters.{name}", rule)
         return found
@@ -308,6 +322,8 @@ class _Reader:
                 self.bad(where + key, f"expected a number or text with a unit, found {value!r}")
             elif isinstance(value, float) and not math.isfinite(value):
                 self.bad(where + key, f"{value!r} is not a finite number")
+            elif isinstance(value, float) and not usable(value):
+                self.bad(where + key, f"{value!r} is too large or too small; expected a number from 1e-30 to 1e30")
 
     def effect(self, value: object, name: str) -> Values:
         if not isinstance(value, dict):

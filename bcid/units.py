@@ -39,7 +39,14 @@ _UNITS: dict[str, tuple[float, tuple[int, int, int, int]]] = {
 }
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _QUANTITY = re.compile(rf"^\s*((?:{_NUMBER}[\s,]+)*{_NUMBER})\s*([^\d\s.,+-].*)?$")
-_FACTOR = re.compile(r"^([A-Za-zµ%1]+)(?:\^(-?\d+))?$")
+_FACTOR = re.compile(r"^([A-Za-zµ%1]+)(?:\^(-?\d))?$")
+# Quantities and units that are longer are none.
+_LONGEST = 1000
+_LONGEST_UNIT = 64
+# Magnitudes that can be squared, cubed and divided by without leaving the range of a double, and the largest length, m.
+LEAST, MOST = 1e-30, 1e30
+FURTHEST = 1e6
+_METRE = (1, 0, 0, 0)
 
 Dimension = tuple[int, int, int, int]
 
@@ -49,6 +56,8 @@ def parse_unit(text: str) -> tuple[float, Dimension]:
 
     Raises `InputError` for a unit that is not known.
     """
+    if len(text) > _LONGEST_UNIT:
+        raise InputError(f"unit '{text}' is not known; units are products of {', '.join(_UNITS)}")
     factor, exponents = 1.0, [0, 0, 0, 0]
     for position, part in enumerate(re.split(r"([*/])", text.replace(" ", "").replace("²", "^2").replace("³", "^3"))):
         if position % 2:
@@ -90,7 +99,7 @@ def quantities(text: object, like: str, count: int) -> list[float]:
     example = f'"{" ".join(["1"] * count)} {"mm" if like == "m" else like}"'
     if not isinstance(text, str):
         raise InputError(f"{text!r} has no unit: write text with a number and a unit, as {example}")
-    match = _QUANTITY.match(text)
+    match = _QUANTITY.match(text) if len(text) <= _LONGEST else None
     if not match:
         raise InputError(f"'{text}' is not a quantity: write {count} number(s) and a unit, as {example}")
     numbers = [float(word) for word in re.split(r"[\s,]+", match.group(1).strip())]
@@ -102,7 +111,15 @@ def quantities(text: object, like: str, count: int) -> list[float]:
     values = [number * factor for number in numbers]
     if not all(math.isfinite(value) for value in values):
         raise InputError(f"'{text}' is not finite")
+    most = FURTHEST if parse_unit(like)[1] == _METRE else MOST
+    if not all(usable(value, most) for value in values):
+        raise InputError(f"'{text}' is too large or too small: expected a magnitude from 1e-30 to {most:g} {like}")
     return values
+
+
+def usable(value: float, most: float = MOST) -> bool:
+    """Whether a number is zero, or of a magnitude that can be computed with."""
+    return value == 0 or LEAST <= abs(value) <= most
 
 
 def quantity(text: object, like: str) -> float:

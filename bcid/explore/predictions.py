@@ -32,6 +32,7 @@ from bcid.run import writing
 from bcid.scene import Scene
 from bcid.search.job import scene_fingerprint
 from bcid.search.schedule import counter, share
+from bcid.text_file import parse_json
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
@@ -243,7 +244,7 @@ def _entries(file: Path) -> list[tuple[Anchored, Foreseen]]:
     """What a stored file holds; it must be removed when it is damaged."""
     try:
         with np.load(file, allow_pickle=False) as content:
-            sets = [frozenset(json.loads(str(text))) for text in content["sets"]]
+            sets = [frozenset(parse_json(str(text), file)) for text in content["sets"]]
             positions, numbers = content["positions"], content["numbers"]
         if not (len(sets) == len(positions) == len(numbers) and numbers.shape[1:] == (3,) and positions.ndim == 4):
             raise ValueError(f"{len(sets)} sets, positions {positions.shape}, numbers {numbers.shape}")

@@ -107,7 +107,7 @@ class Folder:
         text = "\n".join(grasp_lines([action], length, seconds)) + "\n"
         file = self._place / "wanted.csv"
         if file.is_file():
-            if file.read_text(encoding="utf-8") != text:
+            if file.read_bytes() != text.encode():
                 raise InputError(f"{file}: asks for another pull already; give this exploration a folder of its own")
             return
         furthest = float(np.linalg.norm(action.translation, axis=1).max()) / length

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -67,5 +66,5 @@ def diagnosed(run_explain: Callable[..., Path], folder: Path, scene: Path) -> di
     run = folder / "diagnosis"
     if not ((run / "run.json").is_file() and Run.open(run).record["state"] == "finished"):
         run = run_explain(scene, folder / "measurement", run, None, MPI.COMM_SELF, Silent(), False)
-    result: dict[str, Any] = json.loads((run / "diagnosis.json").read_text(encoding="utf-8"))
+    result: dict[str, Any] = Run.open(run).read_json("diagnosis.json")
     return result

@@ -10,7 +10,6 @@ RUN/hidden.json  table.txt  degradation.png
 
 from __future__ import annotations
 
-import json
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +23,7 @@ from bcid.run import Run
 from bcid.studies.cases import SIZES
 from bcid.studies.deal import How, Work, deal, read_result
 from bcid.studies.score import scores, table
+from bcid.text_file import read_json
 
 SCENE = Path(__file__).resolve().parents[2] / "examples/scenes/slab_hidden.toml"
 MAKE = "bcid.studies.truth:make"
@@ -109,7 +109,7 @@ def _read(path: Path, index: int) -> dict[str, Any]:
     truth = path / "cases" / f"{index:04d}" / "truth.json"
     nothing = {"diagnosis": None, "seconds": found["seconds"], "cpu_seconds": 0.0}
     content: dict[str, Any] = {"index": index, "state": found["state"], "reason": found["reason"]}
-    content["truth"] = json.loads(truth.read_text(encoding="utf-8")) if truth.is_file() else None
+    content["truth"] = read_json(truth) if truth.is_file() else None
     return content | (found["result"] or nothing)
 
 

@@ -26,7 +26,6 @@ right = 1.0                     # its number, to stand beside ours
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import product
@@ -37,6 +36,7 @@ from bcid.errors import InputError, Problems, nearest
 from bcid.forms.model import check_physics
 from bcid.scene import Scene
 from bcid.studies.condition import NAMES, Condition, parsed
+from bcid.text_file import read_toml
 
 FORMAT = "bcid-study/1"
 _KEYS = ("format", "name", "title", "section", "scene", "trials", "setting", "vary", "table", "quick", "paper", "about")
@@ -94,12 +94,7 @@ class StudyFile:
         Raises:
             InputError: with every problem of the file.
         """
-        try:
-            content = tomllib.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise InputError(f"{path}: no such file") from None
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise InputError(f"{path}: cannot be read: {error}") from None
+        content = read_toml(path)
         reader = _Reader(path)
         study = reader.study(content)
         study = reader.reduced(study, content.get("quick")) if quick else study
@@ -232,9 +227,7 @@ class _Reader:
         return {name: entry for name, entry in value.items() if name in allowed}
 
     def unknown(self, content: Mapping[str, Any], allowed: tuple[str, ...], where: str) -> None:
-        for key in content:
-            if key not in allowed:
-                self.bad(f"{where}{key}", f"is not known; {nearest(key, allowed)}")
+        self.problems.add_unknown(self.path, content, allowed, f"{where}{{}}: is not known; {{}}".format)
 
     def text(self, content: Mapping[str, Any], key: str, optional: bool = False) -> str:
         value = content.get(key, "" if optional else None)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,9 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import InputError, MachineError, Problems, nearest
+from bcid.errors import InputError, Problems, nearest, unwritable
 from bcid.frame_error import plain_numbers
-from bcid.units import unit_factor
+from bcid.text_file import parse_json, parse_toml, read_text
+from bcid.units import FURTHEST, MOST, unit_factor
 
 Array = NDArray[np.float64]
 
@@ -30,6 +30,8 @@ _COEFFICIENTS = (0, 4, 5, 8, 12, 14)
 _STEPS, _EXACT = 200, 1e-14
 # A lens whose distortion cannot be undone leaves more than this, pixels.
 _UNDONE = 1e-6
+# No image is wider, px.
+_WIDEST = 1_000_000
 # Names that files of OpenCV and of others use; {side} is 1 or 2.
 _MATRIX = ("K{n}", "M{n}", "camera_matrix_{n}", "cameraMatrix{n}", "camera_matrix_{s}", "{s}_camera_matrix", "K_{s}")
 _DISTORTION = (
@@ -198,7 +200,7 @@ class Cameras:
             partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
             partial.replace(path)
         except OSError as error:
-            raise MachineError(f"{path}: cannot be written: {error.strerror}") from None
+            raise unwritable(path, error) from None
 
     def _check(self, path: Path, problems: Problems) -> None:
         for side, camera in zip(SIDES, (self.left, self.right), strict=True):
@@ -217,22 +219,21 @@ class Cameras:
                 )
         if np.abs(self.rotation @ self.rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(self.rotation) < 0:
             problems.add(path, "the rotation between the cameras is not a rotation matrix")
+        if self.baseline > FURTHEST:
+            problems.add(path, f"the cameras are {self.baseline:g} m apart; is length_unit right?")
         if self.baseline == 0:
             problems.add(path, "the translation between the cameras is zero: one camera cannot measure a depth")
 
 
 def _values(path: Path) -> dict[str, Any]:
     """What a calibration file holds, by name."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as text: {error}") from None
+    text = read_text(path)
     values: Any = None
     try:
         if path.suffix == ".toml":
-            values = tomllib.loads(text)
+            values = parse_toml(text, path)
         elif path.suffix == ".json" and "opencv-matrix" not in text:
-            values = json.loads(text)
+            values = parse_json(text, path)
         else:
             values = _storage(path, text)
     except (ValueError, RecursionError) as error:
@@ -314,7 +315,7 @@ def _array(value: Any, shape: tuple[int, ...] | None, name: str, path: Path, pro
         array = array.ravel()
     elif array.size == math.prod(shape):
         array = array.reshape(shape)
-    if not np.isfinite(array).all() or (shape is not None and array.shape != shape):
+    if not (np.abs(array) <= MOST).all() or (shape is not None and array.shape != shape):
         found = "is missing" if value is None else f"found {str(value)[:60]!r}"
         problems.add(path, f"{name}: expected {wanted}, {found}")
         return np.zeros(shape or (0,))
@@ -323,4 +324,7 @@ def _array(value: Any, shape: tuple[int, ...] | None, name: str, path: Path, pro
 
 def _size(value: Any, name: str, path: Path, problems: Problems) -> tuple[int, int]:
     size = _array(value, (2,), name, path, problems)
+    if not ((size >= 0) & (size <= _WIDEST)).all():
+        problems.add(path, f"{name}: expected width and height up to {_WIDEST} px, found {str(value)[:60]!r}")
+        return 0, 0
     return int(size[0]), int(size[1])

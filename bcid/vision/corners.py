@@ -6,7 +6,7 @@ import csv
 import gzip
 import math
 import re
-from collections.abc import Iterator
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bcid.errors import InputError, Problems
 from bcid.progress import Progress
+from bcid.text_file import LONGEST_TABLE, as_lines, read_lines
 from bcid.units import unit_factor
 from bcid.vision.board import CHESSBOARD, Board
 from bcid.vision.camera import SIDES
@@ -28,6 +29,8 @@ CORNERS = 6
 _MOST = 100
 # Columns of a table that hold lengths and pixels.
 _SIX = ("x", "y", "u1", "v1", "u2", "v2")
+# No corner is further from the first, in pixels or in units of length.
+_FURTHEST = 1e6
 
 
 @dataclass(frozen=True)
@@ -182,10 +185,11 @@ def read_corners(path: Path, first: float = 0.0) -> list[Corners]:
     """
     problems = Problems(f"corners {path}")
     rows = _rows(path)
-    columns, scale = _columns([name.strip() for name in next(rows, [])], path, problems)
+    header = [name.strip() for name in rows[0][1]] if rows else []
+    columns, scale = _columns(header, path, problems)
     problems.raise_if_any()
     table: dict[int, dict[str, list[float]]] = {}
-    for line, row in enumerate(rows, start=2):
+    for line, row in rows[1:]:
         if not any(cell.strip() for cell in row):
             continue
         read = _row(path, line, row, columns, problems)
@@ -205,19 +209,26 @@ def read_corners(path: Path, first: float = 0.0) -> list[Corners]:
     return corners
 
 
-def _rows(path: Path) -> Iterator[list[str]]:
+def _rows(path: Path) -> list[tuple[int, list[str]]]:
+    """Rows with the number of their line."""
+    reader = csv.reader(_lines(path))
     try:
-        if path.suffix == ".gz":
-            text = gzip.decompress(path.read_bytes()).decode("utf-8-sig")
-        else:
-            text = path.read_text(encoding="utf-8-sig")
+        return [(reader.line_num, row) for row in reader]
+    except csv.Error as error:
+        raise InputError(f"{path}:{reader.line_num}: is not a table: {error}") from None
+
+
+def _lines(path: Path) -> list[str]:
+    absent = "no such file of corners"
+    if path.suffix != ".gz":
+        return read_lines(path, absent)
+    try:
+        with gzip.open(path, "rb") as stream:
+            return as_lines(stream.read(LONGEST_TABLE + 1), path)
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file of corners") from None
-    except (OSError, EOFError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: {absent}") from None
+    except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"{path}: cannot be read as text: {error}") from None
-    if "\0" in text:
-        raise InputError(f"{path}: holds NUL characters: this is not a text file")
-    return csv.reader(text.splitlines())
 
 
 def _columns(header: list[str], path: Path, problems: Problems) -> tuple[dict[str, int], float]:
@@ -248,8 +259,9 @@ def _columns(header: list[str], path: Path, problems: Problems) -> tuple[dict[st
 def _row(
     path: Path, line: int, row: list[str], names: dict[str, int], problems: Problems
 ) -> tuple[int, str, list[float]] | None:
-    if len(row) <= max(names.values()):
-        problems.add(path, f"has {len(row)} values, expected {max(names.values()) + 1}", line)
+    columns = max(names.values()) + 1
+    if len(row) != columns:
+        problems.add(path, f"has {len(row)} values, the header names {columns} columns", line)
         return None
     numbers = []
     for name in _SIX:
@@ -259,11 +271,13 @@ def _row(
         except ValueError:
             problems.add(path, f"{name}: expected a number, found '{text}'", line)
             number = math.nan
+        if abs(number) > _FURTHEST:
+            problems.add(path, f"{name}: expected a number up to {_FURTHEST:g}, found '{text}'", line)
         numbers.append(number)
     if not all(map(math.isfinite, numbers[:2])):
         problems.add(path, "x, y: the place of the corner on the board is missing", line)
     pair = row[names["pair"]].strip()
-    if not re.fullmatch(r"[0-9]+", pair, re.ASCII):
+    if not re.fullmatch(r"[0-9]{1,9}", pair, re.ASCII):
         problems.add(path, f"pair: expected a whole number, found '{pair}'", line)
         return None
     return int(pair), row[names["corner"]].strip(), numbers

@@ -5,17 +5,16 @@ Its TOML file is described in docs/vision.md.
 
 from __future__ import annotations
 
-import math
-import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bcid.errors import InputError, Problems, nearest
+from bcid.errors import InputError, Problems
 from bcid.measurement import Action, Units
 from bcid.measurement_folder import read_grasps
-from bcid.units import quantity, unit_factor
+from bcid.text_file import read_toml
+from bcid.units import quantity, unit_factor, usable
 from bcid.vision.camera import SIDES, Cameras
 
 FORMAT = "bcid-recording/1"
@@ -27,6 +26,8 @@ _TABLES = {
     "seen": None,
 }
 _COLOURS = ("dark", "bright")
+# No image is wider.
+_PIXELS = 1e6
 
 
 @dataclass(frozen=True)
@@ -75,13 +76,7 @@ class Recording:
             InputError: with every problem of the file.
         """
         path = Path(path)
-        try:
-            table = tomllib.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise InputError(f"{path}: no such recording file") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
-            raise InputError(f"{path}: not a TOML file: {error}") from None
-        return _Reader(path, table).recording()
+        return _Reader(path, read_toml(path, "no such recording file")).recording()
 
     def numbers(self, present: Iterable[int]) -> list[int]:
         """Numbers of the images that are used, one for each step.
@@ -134,8 +129,8 @@ class _Reader:
             "seen": self.seen(),
         }
         rate = self.table.get("rate", 1.0)
-        if isinstance(rate, bool) or not isinstance(rate, int | float) or not 0 < rate < math.inf:
-            self.bad(f"rate: expected a positive number of images per second, found {rate!r}")
+        if isinstance(rate, bool) or not isinstance(rate, int | float) or not usable(rate) or rate <= 0:
+            self.bad(f"rate: expected a positive number (up to 1e30) of images per second, found {rate!r}")
         cameras = self.attempt(
             "cameras",
             lambda: Cameras.read(self.path.parent / self.text("cameras"), self.table.get("camera_length_unit")),
@@ -157,11 +152,8 @@ class _Reader:
                     self.bad(f"{key}: expected a table [{key}], found {value!r}")
                     self.table[key] = {}
                 elif allowed is not None:
-                    for name in value:
-                        if name not in allowed:
-                            self.bad(f"{key}.{name}: unknown key; {nearest(name, allowed)}")
-            elif key not in _KEYS:
-                self.bad(f"{key}: unknown key; {nearest(key, [*_KEYS, *_TABLES])}")
+                    self.problems.add_unknown(self.path, value, allowed, f"{key}.{{}}: unknown key; {{}}".format)
+        self.problems.add_unknown(self.path, self.table, [*_KEYS, *_TABLES])
 
     def attempt(self, key: str, read: Any) -> Any:
         """What another file, named by `key`, holds; its problems join those of this one."""
@@ -232,9 +224,9 @@ class _Reader:
     def seen(self) -> dict[str, tuple[float, float]]:
         found = {}
         for name, value in self.table.get("seen", {}).items():
-            numbers = isinstance(value, list) and all(type(v) in (int, float) and math.isfinite(v) for v in value)
+            numbers = isinstance(value, list) and all(type(v) in (int, float) and abs(v) <= _PIXELS for v in value)
             if not numbers or len(value) != 2:
-                self.bad(f"seen.{name}: expected a pixel [u, v], found {value!r}")
+                self.bad(f"seen.{name}: expected a pixel [u, v] of an image, found {value!r}")
             else:
                 found[name] = (float(value[0]), float(value[1]))
         return found

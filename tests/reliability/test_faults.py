@@ -11,7 +11,7 @@ import pytest
 from bcid import cli
 from bcid.errors import InputError
 from bcid.run import Run
-from benchmarks.reliability import Reached, disk, kills, signals, solver
+from benchmarks.reliability import Reached, disk, kills, signals, solver, temporary
 
 
 def met(found: Reached) -> None:
@@ -20,6 +20,10 @@ def met(found: Reached) -> None:
 
 def test_a_disk_that_fails_at_any_write() -> None:
     met(disk.failures(3, only=(errno.ENOSPC,)))
+
+
+def test_a_temporary_folder_that_cannot_be_used() -> None:
+    met(temporary.full((1, 2), [case for case in temporary.CASES if case[0] == "16k" or case[1] != "small"]))
 
 
 def test_every_fault_of_the_solver_has_a_name() -> None:

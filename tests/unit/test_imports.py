@@ -12,7 +12,19 @@ PACKAGE = Path(__file__).resolve().parents[2] / "bcid"
 # Each part may import itself and those to its left; "report" reads run folders and must not see what solves.
 HEAVY = ("dolfinx", "petsc4py", "vtk", "pyvista", "cv2", "gmsh", "matplotlib")
 
-BASE = {"errors", "units", "compat", "fingerprint", "frame_error", "progress", "collective", "confined", ""}
+BASE = {
+    "errors",
+    "units",
+    "compat",
+    "fingerprint",
+    "frame_error",
+    "progress",
+    "collective",
+    "confined",
+    "scratch",
+    "text_file",
+    "",
+}
 DATA = BASE | {"scene", "scene_file", "measurement", "measurement_folder", "mapping", "c3d", "motions", "run"}
 ALLOWED = {
     **dict.fromkeys(BASE, BASE),

@@ -93,7 +93,7 @@ def test_every_study_of_the_paper_can_be_read(file: Path) -> None:
         ("finest = 1", "finest = 4", "finest = 4: the scene has levels 0 to 3"),
         ("finest = 1", 'effects = ["gravitas: weight = 1 N/m^3"]', "gravitas"),
         ("right = 1.0", "wrong = 1.0", "paper.wrong: is not known"),
-        ("[vary]", "[vary", "cannot be read"),
+        ("[vary]", "[vary", "not a TOML file"),
     ],
 )
 def test_a_bad_file_is_refused_with_the_reason(

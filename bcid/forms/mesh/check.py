@@ -152,7 +152,7 @@ def check_places(scene: Scene, name: str, mesh: BodyMesh) -> None:
 def place_faults(mesh: BodyMesh, triangles: Cells, named: Container[tuple[int, ...]] = ()) -> list[str]:
     """What is wrong with the triangles (k, 3) of a place: not on the boundary, or one of them missing amid the others.
 
-    A facet of the boundary in no patch or grasp (`named` are the facets of all) whose neighbours are all in this one is a hole in it.
+    A facet in no patch or grasp (`named` are the facets of all) whose neighbours are all in this place is a hole in it.
     """
     if triangles.shape[1] != 3:
         return []
