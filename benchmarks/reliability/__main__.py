@@ -26,6 +26,7 @@ CHECKS = {
     "B2": ("configuration", "refusals"),
     "S1": ("hostile", "hostile"),
     "S2": ("hostile", "names"),
+    "B4": ("slips", "seen_first"),
     "C3D": ("recordings", "damage"),
     "B3": ("folders", "damage"),
 }
