@@ -129,12 +129,18 @@ def _evidence(pulls: Sequence[_Pull], undo: Array, size: float, noise: float) ->
     left, parts, moves, furthest = [], [], [], 0.0
     for pull in pulls:
         driven = _driven(pull, undo)
-        follow = float(np.sum(driven * pull.moved)) / max(float(np.sum(driven**2)), 1e-300)
+        spread = max(noise, _roughness(pull.moved))
+        most = max(float(np.sum(driven**2)), 1e-300)
+        follow = float(np.sum(driven * pull.moved)) / most
+        # An error of the first step is in all others.
+        unsure = spread * float(np.sum(np.abs(driven))) / most
+        low, high = (min(max(follow + way * unsure, 1e-4), 1e4) for way in (-1, 1))
         part = min(max(follow, 1e-4), _MOST)
-        scale = max(float(np.mean(pull.moved**2)), noise**2)
-        left.append((float(np.mean((pull.moved - part * driven) ** 2)) + noise**2) / (scale + noise**2) + _ACROSS**2)
-        parts.append(math.log(part))
-        moves.append(math.sqrt(float(np.mean(pull.moved**2)) / max(float(np.mean(driven**2)), 1e-300)))
+        scale = float(np.mean(pull.moved**2))
+        missed = float(np.mean((pull.moved - part * driven) ** 2))
+        left.append((missed + spread**2) / (scale + spread**2) + _ACROSS**2)
+        parts.append(math.log(min(max(_FOLLOW, low), high)))
+        moves.append(math.sqrt(max(scale - 2 * spread**2, 0.0) * driven.size / most))
         furthest = max(furthest, float(np.abs(pull.translation @ undo.T).max()))
     count = min(3 * (len(pulls) + 1), _MOST_NUMBERS)
     misfit = -0.5 * count * float(np.mean(np.log(left)))
@@ -145,6 +151,13 @@ def _evidence(pulls: Sequence[_Pull], undo: Array, size: float, noise: float) ->
     usual = float(np.logaddexp(-0.5 * follow**2, loose))
     usual += float(np.logaddexp(-0.5 * max(reach, 0.0) ** 2, math.log(_UNUSUAL)))
     return misfit + usual
+
+
+def _roughness(moved: Array) -> float:
+    """Noise of a coordinate as its second differences over the steps tell, m; a path with corners has a little more."""
+    if len(moved) < 3:
+        return 0.0
+    return float(np.sqrt(np.mean(np.diff(moved, n=2, axis=0) ** 2) / 6.0))
 
 
 def _driven(pull: _Pull, undo: Array) -> Array:

@@ -19,7 +19,7 @@ from scipy.special import logsumexp
 from bcid.errors import Problems
 from bcid.gripper_motion import gripper_slips, whole_file
 from bcid.jumps import Jump, jumps
-from bcid.slips import Slip, slips
+from bcid.slips import FAULT, Slip, slips
 from bcid.units import show, unit_factor
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ class _View:
         self.size = float(np.linalg.norm(np.ptp(places, axis=0))) or float(np.abs(places).max()) or 1.0
         self.middle = places.mean(axis=0)
         sigma = measurement.noise_sigma or scene.noise_sigma or 0.0
-        self.noise = min(sigma, 0.1 * self.size)
+        self.sigma, self.noise = sigma, min(sigma, 0.1 * self.size)
         self.floor = float(np.hypot(PLACED * self.size, self.noise))
         self.positions = measurement.positions.copy()
         self.unit = measurement.units.length
@@ -166,7 +166,7 @@ class _View:
         """Fiducials that are on the whole further from their places than the body is large."""
         first = np.array([action.frames[0] for action in self.actions])
         away = np.linalg.norm(np.clip(self.positions[first] - self.rest, -1e9, 1e9), axis=-1)
-        if not np.isfinite(away).any() or np.nanmedian(away) <= self.size:
+        if not np.isfinite(away).any() or np.nanmedian(away) <= self.size + 3 * self.sigma:
             return []
         text = (
             f"at step 0 the fiducials are {show(float(np.nanmedian(away)), 'mm')} (median) from their rest positions in the scene, "
@@ -236,7 +236,8 @@ def _first_step(view: _View, seen: Array, fields: dict[bytes, Sag]) -> Finding |
     likely = sorted(zip(shares[1:], tried, strict=True), key=lambda pair: -pair[0])
     best = likely[0][1]
     remedy = f"{best.remedy} (it is '{view.unit}')" if best.kind == "units" else best.remedy
-    return Finding(float(shares[1:].sum()), f"{_either(likely)}: {remedy}", best)
+    sure = sum(share for share, slip in likely if slip.kind != FAULT)
+    return Finding(float(sure), f"{_either(likely)}: {remedy}", best)
 
 
 def weights(evidence: Array, tried: Sequence[Slip]) -> Array:

@@ -24,6 +24,8 @@ DECIMALS = tuple(10.0**k for k in range(-6, 7) if k)
 # Fiducials whose displacement is unlike that of their neighbours the most: only these are tried for swaps and decimals.
 _SUSPECTS = 16
 _AXES = "xyz"
+# The kind of what is no slip of writing, but a marker that is elsewhere: a body has such, and it is never refused.
+FAULT = "fault"
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class Slip:
         kind: what the slips that share a prior probability have in common.
         text: what it looks like.
         remedy: what to do about it.
-        left: displacements of the fiducials from rest once it is undone, shape (n, 3), in the unit of the positions.
+        left: displacements of the fiducials from rest once it is undone, shape (n, 3), m.
         cost: logarithm of the prior probability within the kind, and of the density that positions have which were stretched so.
         undo: what positions are multiplied by to undo it, shape (3, 3); None where it concerns single fiducials.
     """
@@ -51,11 +53,12 @@ def slips(seen: Array, rest: Array, names: Sequence[str], size: float, floor: fl
     """Every slip of the list, for fiducials at `seen` (n, 3) that should be near `rest` (n, 3).
 
     Args:
-        size: of the body; `floor`: how well positions are known, both in the unit of the positions.
+        size: of the body; `floor`: how well positions are known, both in m, as the positions are.
     """
     suspects = _suspects(seen - rest, rest)
     kinds = [_axes(seen, rest), _factors(seen, rest), _swaps(seen, rest, names, suspects)]
     kinds += [_renamed(seen, rest, names), _turned(seen, rest, size, floor), _decimals(seen, rest, names, suspects)]
+    kinds += [_faults(seen, rest, names, suspects, size, floor)]
     return [slip for kind in kinds for slip in kind]
 
 
@@ -154,10 +157,30 @@ def _decimals(seen: Array, rest: Array, names: Sequence[str], suspects: Sequence
         yield Slip("decimals", text, "check its decimal point", left, same + min(0.0, math.log(factor)))
 
 
+def _faults(
+    seen: Array, rest: Array, names: Sequence[str], suspects: Sequence[int], size: float, floor: float
+) -> Iterator[Slip]:
+    """One fiducial that is anywhere else: no slip of the list, but what competes with those of single fiducials."""
+    cost = -math.log(len(rest)) - 3 * math.log(2 * size / floor)
+    near = _near(rest)
+    for i in suspects:
+        left = seen - rest
+        expected = np.nanmedian(np.where(np.isfinite(left[near[i]]), left[near[i]], 0.0), axis=0)
+        away = float(np.linalg.norm(np.nan_to_num(left[i]) - expected))
+        left[i] = expected
+        text = f"fiducial {names[i]} is {away * 1e3:.3g} mm from where its neighbours let expect it"
+        yield Slip(FAULT, text, "check its place in the scene and its name", left, cost)
+
+
+def _near(rest: Array) -> NDArray[np.intp]:
+    """Of each fiducial, itself and its nearest neighbours, shape (n, k)."""
+    count = min(7, len(rest))
+    return np.asarray(cKDTree(rest).query(rest, k=count)[1]).reshape(len(rest), count)
+
+
 def _suspects(moved: Array, rest: Array) -> list[int]:
     """Fiducials whose displacement is unlike their neighbours', the worst first."""
-    count = min(7, len(rest))
-    near = cKDTree(rest).query(rest, k=count)[1].reshape(len(rest), count)
+    near = _near(rest)
     rough = np.linalg.norm(np.nan_to_num(moved - np.median(moved[near], axis=1)), axis=1)
     return [int(i) for i in np.argsort(-rough, kind="stable")[:_SUSPECTS]]
 

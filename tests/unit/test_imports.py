@@ -14,7 +14,7 @@ HEAVY = ("dolfinx", "petsc4py", "vtk", "pyvista", "cv2", "gmsh", "matplotlib")
 
 BASE = {"errors", "units", "compat", "fingerprint", "frame_error", "progress", "collective", ""}
 DATA = BASE | {"scene", "scene_file", "measurement", "measurement_folder", "mapping", "c3d", "motions", "run"}
-DATA |= {"plausibility", "slips", "jumps", "gripper_motion"}
+DATA |= {"alignment", "plausibility", "slips", "jumps", "gripper_motion"}
 ALLOWED = {
     **dict.fromkeys(BASE, BASE),
     **dict.fromkeys(DATA - BASE, DATA),

@@ -91,6 +91,14 @@ def test_a_marker_that_is_off_and_a_body_that_sags_or_moves_as_a_whole_pass() ->
     assert slips.changed(sound(), sound().positions + np.array([0.004, -0.01, 0.003])).check(slab()) == []
 
 
+def test_a_marker_that_is_far_off_is_said_and_not_refused() -> None:
+    positions = sound().positions.copy()
+    positions[:, 5] += [0.03, 0.0, 0.023]
+    said = " ".join(slips.changed(sound(), positions).check(slab()))
+    assert "fiducial 6 is 37" in said
+    assert "mm from where its neighbours let expect it: check its place in the scene" in said
+
+
 def test_fiducials_that_do_not_follow_the_gripper_are_no_slip() -> None:
     still = np.tile(slab().rest, (len(sound().positions), 1, 1))
     noise = np.random.default_rng(0).normal(0.0, 1e-4, still.shape)
