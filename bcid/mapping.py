@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.alignment import align
 from bcid.c3d import read_points
 from bcid.errors import InputError, Problems, nearest
 from bcid.measurement import AXES, Measurement, Units
@@ -28,6 +29,8 @@ _KEYS = ("format", "file", *_UNITS, "noise_sigma", "description", "delimiter", "
 _KEYS += ("fiducials", "reference", "align")
 _COLUMNS = ("action", "step", "time", "fiducial", "position", "grasp", "translation", "rotation")
 _FRAMES = ("first", "last", "every")
+# Coordinates above this, in length_unit, are taken for it, so that they can be turned.
+_FAR = 1e100
 
 Array = NDArray[np.float64]
 
@@ -60,6 +63,7 @@ class _Recording:
     translation: Array | None = None
     rotation: Array | None = None
     grasps: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
 
 
 def read_mapped(path: Path) -> Measurement:
@@ -393,7 +397,7 @@ def _select(recording: _Recording, frames: tuple[int, int | None, int], source: 
 
 
 def _to_body_frame(recording: _Recording, mapping: _Mapping) -> None:
-    """Rigid motion that takes the markers of `align`, in the first frame, to where they are said to be (Kabsch 1976)."""
+    """Rigid motion that takes the markers of `align`, in the first frame, to where they are said to be."""
     if not mapping.align:
         return
     names = [name for name in mapping.align if name in recording.positions]
@@ -401,12 +405,13 @@ def _to_body_frame(recording: _Recording, mapping: _Mapping) -> None:
     there = np.array([mapping.align[name] for name in names]).reshape(-1, 3)
     if len(names) < 3 or not np.isfinite(here).all():
         raise InputError(f"{mapping.path}: align: its markers must all be seen in the first frame")
-    left, sizes, right = np.linalg.svd((here - here.mean(axis=0)).T @ (there - there.mean(axis=0)))
-    if sizes[1] < 1e-9 * sizes[0]:
-        raise InputError(f"{mapping.path}: align: its markers stand on one line; choose others")
-    turn = (right.T * [1.0, 1.0, np.sign(np.linalg.det(right.T @ left.T))]) @ left.T
+    try:
+        fit = align(here, there, names)
+    except InputError as error:
+        raise InputError(f"{mapping.path}: align: {error}") from None
+    recording.remarks += fit.remarks
     for name, values in recording.positions.items():
-        recording.positions[name] = (values - here.mean(axis=0)) @ turn.T + there.mean(axis=0)
+        recording.positions[name] = np.clip(values, -_FAR, _FAR) @ fit.turn.T + fit.shift
 
 
 def _measurement(recording: _Recording, mapping: _Mapping) -> Measurement:
@@ -431,4 +436,5 @@ def _measurement(recording: _Recording, mapping: _Mapping) -> Measurement:
     sigma = mapping.table.get("noise_sigma")
     description = str(mapping.table.get("description", ""))
     noise = None if sigma is None else sigma * mapping.length
-    return Measurement(data.assign_coords(axis=AXES), noise, None, mapping.units, description, str(mapping.path))
+    known = Measurement(data.assign_coords(axis=AXES), noise, None, mapping.units, description, str(mapping.path))
+    return replace(known, remarks=tuple(recording.remarks))

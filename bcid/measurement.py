@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from bcid.errors import InputError, Problems, nearest
 from bcid.fingerprint import fingerprint
 from bcid.frame_error import FrameError
+from bcid.plausibility import examine
 from bcid.units import unit_factor
 
 if TYPE_CHECKING:
@@ -85,6 +86,7 @@ class Measurement:
         noise_sigma: per-axis standard deviation of a fiducial, m; None when not stated.
         wrench_sigma: standard deviation of a force, N; None when not stated.
         frame_error: what is not known of the frame of the positions; None when nothing is stated.
+        remarks: what looks odd, to be said before any result.
     """
 
     data: xr.Dataset
@@ -94,6 +96,7 @@ class Measurement:
     description: str = ""
     source: str = "measurement"
     frame_error: FrameError | None = None
+    remarks: tuple[str, ...] = ()
 
     @classmethod
     def read(cls, path: str | Path) -> Measurement:
@@ -264,11 +267,11 @@ class Measurement:
             arrays |= {"frame_centre": self.frame_error.centre, "frame_covariance": self.frame_error.covariance}
         return fingerprint({"noise": self.noise_sigma, "wrench": self.wrench_sigma, **arrays})
 
-    def check(self, scene: Scene) -> None:
-        """Refuse names that the scene does not have, and positions that cannot be in its frame or units.
+    def check(self, scene: Scene) -> list[str]:
+        """Refuse names that the scene does not have, and what cannot be a measurement of it; says what is odd.
 
         Raises:
-            InputError: with every problem.
+            InputError: with every problem; see `bcid.plausibility`.
         """
         problems = Problems(f"measurement {self.source} does not fit scene {scene.source}")
         known = {"fiducial": list(scene.fiducials), "grasp": list(scene.grasps), "place": list(scene.places)}
@@ -277,21 +280,10 @@ class Measurement:
             for name in used:
                 if name and name not in names:
                     problems.add(self.source, f"{what} '{name}' is not in the scene; {nearest(name, names)}")
-        if not problems.found:
-            self._check_frame(scene, problems)
         problems.raise_if_any()
-
-    def _check_frame(self, scene: Scene, problems: Problems) -> None:
-        rest = np.array([scene.fiducials[name] for name in self.fiducial_names])
-        size = np.linalg.norm(np.ptp(scene.rest, axis=0)) or 1.0
-        first = self.data["step"].values == 0
-        away = np.linalg.norm(self.positions[first] - rest, axis=-1)
-        if np.isfinite(away).any() and np.nanmedian(away) > size:
-            problems.add(
-                self.source,
-                f"at step 0 the fiducials are {np.nanmedian(away) * 1e3:.4g} mm (median) from their rest positions in the scene, "
-                f"which span {size * 1e3:.4g} mm: check length_unit ('{self.units.length}') and the frame of the positions",
-            )
+        odd = examine(scene, self, problems)
+        problems.raise_if_any()
+        return list(dict.fromkeys([*self.remarks, *odd]))
 
 
 _DIMENSIONS = {

@@ -132,6 +132,26 @@ def show(value: float, unit: str, digits: int = 3) -> str:
     return f"{value / parse_unit(unit)[0]:.{digits}g} {unit}"
 
 
+def significance(p: float) -> str:
+    """A p-value for people: "0.58", "< 0.0001"; "" where there is none."""
+    if not math.isfinite(p):
+        return ""
+    return "< 0.0001" if p < 0.0001 else f"{p:.2g}"
+
+
+def p_value(p: float) -> str:
+    """The same in a sentence: "p = 0.58", "p < 0.0001"."""
+    shown = significance(p)
+    return f"p {shown}" if shown.startswith("<") else f"p = {shown or 'not known'}"
+
+
+def for_people(value: float, error: float | None, unit: str) -> tuple[float, float | None, str]:
+    """A number, its standard error and their unit as they are shown: lengths in mm."""
+    if unit != "m":
+        return value, error, unit
+    return 1e3 * value, None if error is None else 1e3 * error, "mm"
+
+
 def percent(probability: float) -> str:
     """A probability for people: never 100 % or 0 % when it is not."""
     if probability >= 0.9999:

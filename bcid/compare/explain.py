@@ -28,6 +28,7 @@ from bcid.forms.solve import Settings
 from bcid.progress import Progress, Silent
 from bcid.search.farm import label
 from bcid.search.identify import Identification, Options, identify
+from bcid.units import p_value
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
@@ -254,7 +255,7 @@ class _Loop:
         adequacy = judge(fitted.state)
         apart = held_out(fitted)
         state = fitted.state
-        verdict = "adequate" if adequacy.adequate else f"not adequate (p = {adequacy.p_value:.2g})"
+        verdict = "adequate" if adequacy.adequate else f"not adequate ({p_value(adequacy.p_value)})"
         self.say(
             f"{state.model.name}, anchors {self.name(state.anchors)}: residual {state.rms * 1e3:.3g} mm, "
             f"noise {state.noise * 1e3:.3g} mm, mesh {state.errors.mesh.rms * 1e3:.2g} mm: {verdict}"

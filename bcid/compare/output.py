@@ -23,7 +23,7 @@ from bcid.compare.where import MissingForce
 from bcid.forms.model import Dose
 from bcid.measurement import AXES
 from bcid.run import Run
-from bcid.search.job import body_parts
+from bcid.search.job import body_parts, odd
 from bcid.units import unit_factor
 
 MODEL_FORMAT = "bcid-model/1"
@@ -63,7 +63,8 @@ def write(run: Run | None, source: Source, twin: Twin, done: Outcome, content: d
     name = source.measurement.units.length
     unit = unit_factor(name, "m")
     shares = {label: float(np.sqrt(np.nanmean(part**2))) for label, part in content["parts"].items()}
-    diagnosis = diagnosis_json(done, unit) | {"length_unit": name}
+    remarks = source.measurement.remarks
+    diagnosis = diagnosis_json(done, unit) | {"length_unit": name, "remarks": list(remarks)}
     diagnosis["contributions"] = {label: share / unit for label, share in shares.items()}
     run.write_json("diagnosis.json", diagnosis)
     run.write_json("model.json", model_json(done.rungs[-1], source))
@@ -73,7 +74,7 @@ def write(run: Run | None, source: Source, twin: Twin, done: Outcome, content: d
     run.write_dataset("body.nc", body_parts(source.scene, content["mesh"], content["displacement"]))
     if done.where is not None:
         run.write_json("where.json", where_json(done.where, unit) | {"length_unit": name})
-    run.write_text("summary.txt", "\n".join(summary(done, unit, name, shares)) + "\n")
+    run.write_text("summary.txt", "\n".join(summary(done, shares, remarks)) + "\n")
     run.record |= {
         "names": {"scene": str(source.scene_file), "measurement": str(source.measurement_file)},
         "ranks": ranks,
@@ -125,6 +126,7 @@ def diagnosis_json(done: Outcome, unit: float) -> dict[str, Any]:
         "false_alarm_rate": FALSE_ALARMS,
         "rms": state.rms / unit,
         "noise_rms": state.noise / unit,
+        "noise_stated": state.twin.data.stated,
         "discretisation_rms": state.errors.mesh.rms / unit if state.errors.mesh.known else None,
         "held_out_rms": None if last.held_out is None else last.held_out / unit,
         "anchored": sorted(state.anchors, key=order.index),
@@ -262,9 +264,15 @@ def residual_dataset(done: Outcome, parts: dict[str, Any]) -> xr.Dataset:
     return xr.Dataset(content, coords, attrs)
 
 
-def summary(done: Outcome, unit: float, name: str, shares: Mapping[str, float]) -> list[str]:
-    """The result in plain sentences; `shares` is how much each effect moves the fiducials (RMS, m)."""
-    lines: list[str] = []
+def summary(done: Outcome, shares: Mapping[str, float], remarks: Sequence[str] = ()) -> list[str]:
+    """The result in plain sentences, lengths in mm.
+
+    Args:
+        shares: how much each effect moves the fiducials (RMS, m).
+        remarks: what is odd about the measurement, to be said first.
+    """
+    unit, name = 1e-3, "mm"
+    lines = [*odd(remarks), *words.warning(done.rungs[-1].state)]
     if done.explanation is not None:
         lines += [*words.conclusion(done.explanation, unit, name, done.pulls), ""]
     lines += ["The ladder of models:", *words.ladder(done.rungs, unit, name), ""]

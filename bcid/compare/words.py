@@ -16,7 +16,8 @@ from bcid.compare.state import State
 from bcid.compare.where import MissingForce
 from bcid.forms.model import Dose
 from bcid.search.farm import label
-from bcid.units import percent
+from bcid.search.job import FAR
+from bcid.units import for_people, p_value, percent, significance
 
 # A force that explains a smaller share of what is beyond noise is none.
 _NOTHING = 0.1
@@ -43,9 +44,25 @@ def dose(one: Dose, errors: dict[str, float]) -> str:
     """An effect with its numbers: "gravity: weight = 305 ± 4 N/m^3"."""
     parts = []
     for p in one.effect.parameters:
-        unit = "" if p.unit == "1" else f" {p.unit}"
-        parts.append(f"{p.name} = {number(one.values[p.name], errors.get(p.name))}{unit}")
+        value, error, unit = for_people(one.values[p.name], errors.get(p.name), p.unit)
+        parts.append(f"{p.name} = {number(value, error)}{'' if unit == '1' else f' {unit}'}")
     return f"{one.label}: {', '.join(parts)}"
+
+
+def warning(state: State) -> list[str]:
+    """What must stand above the result: that the model leaves far more than noise, or that this cannot be told."""
+    lines = []
+    if not state.twin.data.stated:
+        lines.append(
+            f"WARNING: no noise is known: {1e3 * state.noise:.3g} mm is only estimated from the measurement itself, "
+            "and no model can be called adequate by it. State noise_sigma."
+        )
+    if state.rms > FAR * state.noise:
+        lines.append(
+            f"WARNING: the model misses the measurement by {state.rms / state.noise:.1f} times the noise "
+            f"({1e3 * state.rms:.3g} mm where it is {1e3 * state.noise:.3g} mm)."
+        )
+    return lines
 
 
 def verdict(state: State, adequacy: Adequacy, unit: float, name: str) -> list[str]:
@@ -55,13 +72,13 @@ def verdict(state: State, adequacy: Adequacy, unit: float, name: str) -> list[st
     stated = "stated" if state.twin.data.stated else "estimated from the measurement"
     word = "ADEQUATE" if adequacy.adequate else "NOT ADEQUATE"
     lines = [
-        f"{state.model.name} with anchors {anchors(state)} is {word} (p = {adequacy.p_value:.2g}).",
+        f"{state.model.name} with anchors {anchors(state)} is {word} ({p_value(adequacy.p_value)}).",
         f"  It misses the measurement by {state.rms / unit:.3g} {name} per coordinate (RMS); noise {state.noise / unit:.3g} {name} "
         f"({stated}), error of the mesh {known}.",
     ]
     for finding in adequacy.findings:
         mark = "decides" if finding.decides else "       "
-        lines.append(f"  {mark}  {finding.name:22s} p = {finding.p_value:<8.2g} {finding.text}")
+        lines.append(f"  {mark}  {finding.name:22s} {p_value(finding.p_value):12s} {finding.text}")
     return lines
 
 
@@ -111,7 +128,7 @@ def table(ranking: Ranking, rivals: Sequence[Rival], now: float, unit: float, na
         reached = f"{own.fitted.state.rms / unit:.3g}" if own else ""
         lines.append(
             f"  {row.effect:20s} {now / unit:9.3g} → {row.expected_rms / unit:8.3g} → {reached:>7s} {'':{len(name)}s}   "
-            f"{row.score:8.0f} {row.p_value:8.1g} {row.power:6.2f}  {_what(row, own)}"
+            f"{row.score:8.0f} {significance(row.p_value):>8s} {row.power:6.2f}  {_what(row, own)}"
         )
     if ranking.excluded:
         lines.append("  not applicable: " + "; ".join(f"{n} ({why})" for n, why in ranking.excluded.items()))

@@ -26,8 +26,8 @@ from bcid.measurement import Measurement
 from bcid.progress import Progress, Silent
 from bcid.run import Run, sealed, unsealed
 from bcid.scene import Scene
-from bcid.search.job import scene_fingerprint
-from bcid.units import percent
+from bcid.search.job import odd, scene_fingerprint
+from bcid.units import for_people, percent
 
 SIMULATED, FOLDER = "simulated", "folder"
 # So many sets are named in a sentence.
@@ -224,6 +224,7 @@ def exploration_json(scene: Scene, found: Exploration) -> dict[str, Any]:
         "rms": _finite(view.rms * 1e3),
         "missed": view.missed,
         "length_unit": "mm",
+        "remarks": list(found.remarks),
         "not_allowed": [{"pull": str(o.move), "reason": o.forbidden} for o in found.options if o.forbidden],
         "not_separated": [_named(h, scene) for h in found.rivals],
         "steps": [_step_json(scene, step) for step in found.steps],
@@ -331,10 +332,11 @@ def summary(scene: Scene, plan: Plan, found: Exploration) -> str:
         UNEXPLAINED: f"Not decided after {pulls}: no hypothesis explains what was seen; the likeliest is {best}",
         BUDGET: f"Not decided: the budget is used ({pulls}); the likeliest is {best} (probability {percent(view.certainty)})",
     }
-    lines = [words[found.reason]]
+    lines = [*odd(found.remarks), words[found.reason]]
     for name, number in amounts(view).items():
         if number["value"] is not None and number["stderr"] is not None:
-            lines.append(f"  {name} = {number['value']:.4g} +- {number['stderr']:.2g} {number['unit']}")
+            value, error, unit = for_people(number["value"], number["stderr"], number["unit"])
+            lines.append(f"  {name} = {value:.4g} +- {error:.2g} {unit}")
     if plan.effects:
         lines += ["", *_about_effects(plan, found)]
     if view.missed > MISSED:

@@ -126,6 +126,7 @@ class Exploration:
         steps: the pulls.
         rivals: for "inseparable", the hypotheses that no allowed pull separates.
         options: for "inseparable", the pulls that were considered in vain.
+        remarks: what is odd about what was seen.
     """
 
     reason: str
@@ -133,6 +134,7 @@ class Exploration:
     steps: tuple[Step, ...]
     rivals: tuple[Hypothesis, ...] = ()
     options: tuple[Option, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 def paired(scene: Scene, level: int | None, comm: Any) -> Scene:
@@ -174,7 +176,7 @@ def explore(
     plan.check(scene)
     loop = _Loop(scene, robot, plan, predictor, fine, progress or Silent(), list(made), keep, first)
     try:
-        return loop.run()
+        return replace(loop.run(), remarks=tuple(loop.remarks))
     finally:
         if loop.rivals is not None:
             loop.rivals.destroy()
@@ -194,6 +196,7 @@ class _Loop:
         first: Choice | None,
     ) -> None:
         self.first = first
+        self.remarks: list[str] = []
         self.scene, self.robot, self.plan, self.progress = scene, robot, plan, progress
         self.predictors = [p for p in (predictor, fine) if p is not None]
         self.comm, self.made, self.keep = predictor.comm, made, keep
@@ -232,6 +235,7 @@ class _Loop:
             waiting = time.perf_counter()
             measurement = self._pull(number, choice.move)
             waiting = time.perf_counter() - waiting
+            self._examine(number, measurement)
             self.inference.add(measurement)
             before, view = view, self.inference.view()
             self.spent += price
@@ -250,6 +254,12 @@ class _Loop:
                 )
             )
             self._report(self.steps[-1])
+
+    def _examine(self, number: int, measurement: Measurement) -> None:
+        """Note what is odd about what was seen."""
+        for text in measurement.check(self.scene):
+            self.remarks.append(f"pull {number}: {text}")
+            self.progress.say(f"look at this first: {self.remarks[-1]}")
 
     def _choose(self, view: View, last: Move | None) -> Choice:
         """The next pull; what was made before by an exploration that was interrupted comes again."""

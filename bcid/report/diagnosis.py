@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from bcid.report.figure import body_entries, cropped, save, styled
 from bcid.report.ladder import head, ladder_figure
+from bcid.report.lengths import in_mm
 from bcid.report.paraview import write_paraview
 from bcid.report.scene3d import COLOURS, Image, arrows_picture
 from bcid.report.words import conclusion, model_name
@@ -39,12 +40,12 @@ def draw(folder: str | Path) -> list[Path]:
     `where.png` needs `where.json`, which is not there when nothing is missing.
     """
     run = Run.open(folder)
-    found = run.read_json("diagnosis.json")
+    found = in_mm(run.read_json("diagnosis.json"))
     body, residuals = run.read_dataset("body.nc"), run.read_dataset("residuals.nc")
     with styled(), writing(run.path):
         figures = {"picture.png": residual_figure(found, body, residuals), "ladder.png": ladder_figure(found)}
         if (run.path / "where.json").is_file():
-            figures["where.png"] = where_figure(found, run.read_json("where.json"), body, residuals)
+            figures["where.png"] = where_figure(found, in_mm(run.read_json("where.json")), body, residuals)
         written = [save(figure, run.path / name) for name, figure in figures.items()]
         return [*written, write_paraview(run.path / "paraview", body, residuals, found["anchored"])]
 

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from bcid.errors import BcidError
+from bcid.report.lengths import in_mm
 from bcid.report.markup import clean
 from bcid.run import Run
 
@@ -71,7 +72,7 @@ class Found:
             self.troubles.append(str(error))
             return
         if isinstance(content, dict):
-            self.documents[name] = _cleaned(content)
+            self.documents[name] = in_mm(_cleaned(content))
         else:
             self.troubles.append(f"{run.path / name}.json: is damaged and cannot be read: it holds no table")
 

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from bcid.report.figure import body_entries, chart, cropped, name_ticks, open_frame, save, styled
+from bcid.report.lengths import in_mm
 from bcid.report.paraview import write_paraview
 from bcid.report.scene3d import COLOURS, picture
 from bcid.run import Run, writing
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 def draw(folder: str | Path) -> list[Path]:
     """Draw `picture.png` and write `paraview/` into the folder of a finished identification; returns what was written."""
     run = Run.open(folder)
-    found = run.read_json("identification.json")
+    found = in_mm(run.read_json("identification.json"))
     body, prediction = run.read_dataset("body.nc"), run.read_dataset("prediction.nc")
     with styled(), writing(run.path):
         return [

@@ -10,7 +10,8 @@ from bcid.report.gallery import residuals_of
 from bcid.report.ladder import asked_rung, place_name
 from bcid.report.residual import Residual
 from bcid.report.table import TEXT, Column, Table
-from bcid.report.words import amount, chance, listed, model_name, plain, significance
+from bcid.report.words import amount, chance, listed, model_name, plain
+from bcid.units import p_value, significance
 
 # Numbers of an effect that a cell holds.
 _AMOUNTS = 3
@@ -88,7 +89,7 @@ def tests_table(d: dict[str, Any]) -> Table:
     columns = [Column("test", TEXT), Column("p"), Column("decides", TEXT, less=True), Column("finding", TEXT)]
     rows = [[t["name"], significance(t["p_value"]), "yes" if t["decides"] else "", t["text"]] for t in d["tests"]]
     exact = [[t["name"], t["p_value"], "yes" if t["decides"] else "no", t["text"]] for t in d["tests"]]
-    caption = f"Is {model_name(d['model'])} adequate? Together p = {significance(d['p_value'])}."
+    caption = f"Is {model_name(d['model'])} adequate? Together {p_value(d['p_value'])}."
     return Table("tests", caption, columns, rows, exact)
 
 

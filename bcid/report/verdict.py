@@ -86,10 +86,20 @@ def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
         numbers += [_pair(one["effect"], name, p) for name, p in one["parameters"].items() if p["value"] is not None][
             :3
         ]
-    doubts = [f"Note: {warning}" for warning in d["warnings"]]
+    doubts = [*_remarks(d), *(f"Note: {warning}" for warning in d["warnings"])]
+    if not d.get("noise_stated", True):
+        doubts.insert(
+            0,
+            "No noise is stated: it was estimated from the measurement itself, which calls no model adequate.",
+        )
     if d["cannot_be_told_from"]:
         doubts.append(f"These data cannot tell it from {listed([plain(n) for n in d['cannot_be_told_from']])}.")
     return Verdict(sentence, numbers, doubts)
+
+
+def _remarks(d: dict[str, Any]) -> list[str]:
+    """What is odd about the measurement."""
+    return [f"Look at this first: {text}." for text in d.get("remarks", ())]
 
 
 def _pair(effect: str, name: str, number: dict[str, Any]) -> tuple[str, str]:
@@ -103,7 +113,9 @@ def _identification(found: Found, d: dict[str, Any]) -> Verdict:
     misses = f"the model misses the measurement by {d['rms']:.3g} {unit}"
     beside = f", where the noise is {noise:.3g} {unit}" if noise else ""
     sentence = f"{held}, with probability {chance(d['probability'])}; {misses}{beside}."
-    doubts = []
+    doubts = _remarks(d)
+    if not noise:
+        doubts.append("No noise is stated: whether this set explains the measurement cannot be told.")
     if noise and d["rms"] > _EXPLAINED * noise:
         sentence = f"No set of anchors explains this measurement: the best, {patches(d['anchored'])}, misses it by "
         sentence += f"{d['rms']:.3g} {unit}, where the noise is {noise:.3g} {unit}."

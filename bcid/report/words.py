@@ -6,11 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from bcid.units import percent
-
-_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-# Below this a probability is not worth its digits.
-_NEVER = 1e-300
+from bcid.units import for_people, percent
 
 
 def plain(name: str) -> str:
@@ -63,18 +59,6 @@ def listed(names: Sequence[str]) -> str:
     return str(names[-1]) if len(names) == 1 else f"{', '.join(map(str, names[:-1]))} and {names[-1]}"
 
 
-def significance(p: float) -> str:
-    """A p-value: "0.58", "4 × 10⁻⁸", "< 10⁻³⁰⁰"."""
-    if not math.isfinite(p):
-        return ""
-    if p < _NEVER:
-        return "< 10⁻³⁰⁰"
-    if p >= 0.001:
-        return f"{p:.2g}"
-    power = math.floor(math.log10(p))
-    return f"{p / 10.0**power:.0f} × 10{str(power).translate(_SUPERSCRIPT)}" if power > -300 else "< 10⁻³⁰⁰"
-
-
 def uncertain(value: float, error: float | None = None) -> str:
     """A value with its standard error, to as many digits as that has meaning: "1257.6 ± 9.4"."""
     if error is None or not math.isfinite(error) or error <= 0:
@@ -90,8 +74,7 @@ def amount(name: str, number: dict[str, Any]) -> str:
     value, error, unit = number["value"], number["stderr"], str(number["unit"])
     if value is None:
         return f"{plain(name)}: cannot be told"
-    if unit == "m":
-        value, error, unit = 1e3 * value, None if error is None else 1e3 * error, "mm"
+    value, error, unit = for_people(value, error, unit)
     shown = unit.replace("^3", "³").replace("^2", "²")
     return f"{plain(name)} = {uncertain(value, error)}{'' if unit == '1' else f' {shown}'}"
 

@@ -128,11 +128,13 @@ class Farm:
         known: Iterable[Outcome] = (),
         per_rank: int = 150_000,
     ) -> None:
-        measurement.check(scene)
+        measurement = replace(measurement, remarks=tuple(measurement.check(scene)))
         self.scene, self.measurement, self.comm = scene, measurement, comm
         self.model = model or Model.of(scene)
         self.settings = settings or Settings()
         self.progress = progress or Silent()
+        for text in measurement.remarks:
+            self.progress.say(f"look at this first: {text}")
         self.keep = keep
         self._stored: dict[tuple[int, Candidate], list[Outcome]] = {}
         for outcome in known:

@@ -132,6 +132,7 @@ class Identification:
         prediction: of the reported set on the finest level used.
         failures: sets for which the forward model found no acceptable equilibrium, with the reason.
         seconds: time spent.
+        remarks: what is odd about the measurement.
     """
 
     anchored: tuple[str, ...]
@@ -150,6 +151,7 @@ class Identification:
     prediction: Prediction
     failures: dict[str, str]
     seconds: float
+    remarks: tuple[str, ...] = ()
 
     def to_json(self, length: float = 1e-3) -> dict[str, Any]:
         """The content of `identification.json`; lengths are given in units of `length` (m)."""
@@ -172,6 +174,7 @@ class Identification:
             "levels": list(self.levels),
             "stages": list(self.stages),
             "failures": self.failures,
+            "remarks": list(self.remarks),
         }
 
 
@@ -234,7 +237,7 @@ def identify(
         search = _Search(farm, replace(options, coarsest=level, climbed=climbed), progress or Silent(), start)
         for reason in passed:
             search.say(f"not used: {reason}")
-        return search.run()
+        return replace(search.run(), remarks=farm.measurement.remarks)
     finally:
         farm.destroy()
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,9 @@ from bcid.search.farm import Outcome, label
 from bcid.search.identify import Identification, Options
 from bcid.search.refine import Refinement, check_rounds, identify_refined
 from bcid.units import percent, unit_factor
+
+# A residual that is so many times the noise is not explained by it.
+FAR = 2.0
 
 
 def run_identification(
@@ -71,15 +74,16 @@ def run_identification(
 
 
 def read_inputs(scene_file: Path, measurement_file: Path, comm: Any) -> tuple[Scene, Measurement]:
-    """A scene, with its divided patches replaced by their pieces, and a measurement that fits it; collective on `comm`.
+    """A scene, with its divided patches replaced by their pieces, and a measurement that fits it, with what is odd about it.
+
+    Collective on `comm`.
 
     Raises:
         InputError: one of them cannot be read, or they do not belong together; see also `bcid.forms.patches.divided`.
     """
     scene = on_root(comm, lambda: Scene.read(scene_file, physics=check_physics))
     measurement = on_root(comm, lambda: Measurement.read(measurement_file))
-    measurement.check(scene)
-    return divided(scene, comm), measurement
+    return divided(scene, comm), replace(measurement, remarks=tuple(measurement.check(scene)))
 
 
 def fingerprints(scene: Scene, measurement: Measurement) -> dict[str, Any]:
@@ -113,7 +117,7 @@ def _write(
     assert run is not None
     length = unit_factor(measurement.units.length, "m")
     scene, found = done.scene, done.found
-    result = done.to_json(length) | {"length_unit": measurement.units.length}
+    result = done.to_json(length) | {"length_unit": measurement.units.length, "remarks": list(measurement.remarks)}
     run.write_json("identification.json", result)
     run.write_dataset("prediction.nc", prediction_dataset(scene, measurement, found))
     run.write_dataset("body.nc", body_dataset(scene, mesh, found))
@@ -172,9 +176,8 @@ def _rows_in(rows: np.ndarray, wanted: np.ndarray) -> np.ndarray:
 
 
 def summary(scene: Scene, measurement: Measurement, found: Identification, rounds: Sequence[str] = ()) -> str:
-    """The result in plain sentences; `rounds` says how the patches were refined."""
-    length = measurement.units.length
-    unit = unit_factor(length, "m")
+    """The result in plain sentences, what is doubtful first; lengths in mm. `rounds` says how the patches were refined."""
+    length, unit = "mm", 1e-3
     names = label(found.anchored, scene.patches)
     frames, fiducials = measurement.positions.shape[:2]
     noise = f"the stated noise is {found.noise / unit:.3g} {length}" if found.noise else "no noise is stated"
@@ -182,8 +185,9 @@ def summary(scene: Scene, measurement: Measurement, found: Identification, round
     if found.discretisation is not None:
         mesh = f"The error of the model on the last mesh level is taken as {found.discretisation / unit:.2g} {length}."
     lines = [
-        f"Anchored patches of {scene.name}: {names}  (probability {percent(found.probability)})",
+        *odd(measurement.remarks),
         *_warning(found),
+        f"Anchored patches of {scene.name}: {names}  (probability {percent(found.probability)})",
         "",
         f"The model misses the measurement by {found.rms / unit:.3g} {length} per coordinate (RMS); {noise}.",
         mesh,
@@ -229,12 +233,21 @@ def _confused(scene: Scene, found: Identification) -> list[str]:
     return [f"  These data cannot tell it from: {', '.join(label(names, scene.patches) for names in others)}."]
 
 
+def odd(remarks: Iterable[str]) -> list[str]:
+    """What is odd about a measurement, as a summary says it before anything else."""
+    return [f"LOOK AT THIS FIRST: {text}." for text in remarks]
+
+
 def _warning(found: Identification) -> list[str]:
-    """What must stand above everything else: that the model does not explain the data."""
-    if found.noise is None or found.rms <= 2 * found.noise:
+    """What must stand above the result: that the model does not explain the data, or that this cannot be told."""
+    if found.noise is None:
+        return [
+            "WARNING: no noise is known: whether a set explains this measurement cannot be told; the best misses it by "
+            f"{found.rms * 1e3:.3g} mm. State noise_sigma.",
+        ]
+    if found.rms <= FAR * found.noise:
         return []
     return [
-        "",
         f"WARNING: no set explains this measurement: the best misses it by {found.rms / found.noise:.1f} times the noise.",
         "Probabilities compare the sets with each other only. The mesh is too coarse, a physical effect is missing, or units,",
         "frames, grasp or material are not what the scene says.",

@@ -28,6 +28,7 @@ CHECKS = {
     "B5": ("absurd", "absurd"),
     "S1": ("hostile", "hostile"),
     "S2": ("names", "names"),
+    "B4": ("slips", "seen_first"),
     "C3D": ("recordings", "damage"),
     "B3": ("folders", "damage"),
 }

@@ -7,12 +7,13 @@ import shutil
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from bcid import cli, commands
+from bcid import Measurement, cli, commands
 from bcid.errors import MachineError
 from bcid.progress import Lines
 from bcid.run import sealed
@@ -405,3 +406,13 @@ def test_two_ranks_say_a_mistake_once(tmp_path: Path) -> None:
     result = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=60, check=False)
     assert result.returncode == 2
     assert result.stderr.count("no such measurement folder") == 1
+
+
+def test_a_slip_is_refused_before_anything_is_computed(tmp_path: Path) -> None:
+    seen = Measurement.read(SEEN)
+    data = seen.data.copy()
+    data["position"] = (seen.data["position"].dims, seen.positions[:, :, [1, 0, 2]])
+    replace(seen, data=data).write(tmp_path / "swapped")
+    for command in ("identify", "explain"):
+        refused(bcid(command, SLAB, "swapped", "-o", "run", cwd=tmp_path), "x and y look swapped", "axes of the scene")
+    assert not (tmp_path / "run").exists()

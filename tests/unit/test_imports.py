@@ -26,6 +26,7 @@ BASE = {
     "",
 }
 DATA = BASE | {"scene", "scene_file", "measurement", "measurement_folder", "mapping", "c3d", "motions", "run"}
+DATA |= {"alignment", "plausibility", "slips", "jumps", "gripper_motion"}
 ALLOWED = {
     **dict.fromkeys(BASE, BASE),
     **dict.fromkeys(DATA - BASE, DATA),

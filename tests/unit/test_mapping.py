@@ -144,3 +144,47 @@ def test_mistakes_are_named(tmp_path: Path, old: str, new: str, said: str) -> No
 def test_text_in_a_number(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"wide\.csv:3: ax: expected a finite number, found 'far'"):
         Measurement.read(write(tmp_path, WIDE, ROWS.replace("1;10;1;", "1;10;far;")))
+
+
+PLACES = {
+    "a": (0.0, 0.0, 0.0),
+    "b": (60.0, 5.0, 0.0),
+    "c": (10.0, 50.0, 3.0),
+    "d": (40.0, 30.0, 45.0),
+    "e": (5.0, 20.0, 70.0),
+}
+
+
+def aligned(tmp_path: Path, seen: dict[str, tuple[float, float, float]], scale: float = 1.0) -> Measurement:
+    """Read markers that are seen at some places, `scale` times as long as they should, in a turned frame."""
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    rows = [
+        f"0,{name},{','.join(str(v) for v in scale * (turn @ place) + [5.0, 6.0, 7.0])}" for name, place in seen.items()
+    ]
+    mapping = HEAD + 'file = "cam.csv"\n[columns]\nfiducial = "m"\nstep = "k"\nposition = ["x", "y", "z"]\n[align]\n'
+    mapping += "".join(f"{name} = {list(place)}\n" for name, place in PLACES.items())
+    return Measurement.read(write(tmp_path, mapping, "k,m,x,y,z\n" + "\n".join(rows) + "\n", "cam.csv"))
+
+
+def test_what_cannot_be_aligned_is_refused_by_its_cause(tmp_path: Path) -> None:
+    assert aligned(tmp_path, PLACES).remarks == ()
+    off = PLACES | {"e": (8.0, 22.0, 66.0), "b": (58.0, 6.0, 2.0)}
+    assert aligned(tmp_path, off).remarks == ()
+    with pytest.raises(InputError, match="markers b and d look swapped"):
+        aligned(tmp_path, PLACES | {"b": PLACES["d"], "d": PLACES["b"]})
+    with pytest.raises(InputError, match=r"places of \[align\] look 1000 times too large: they are in length_unit"):
+        aligned(tmp_path, PLACES, 1e-3)
+    with pytest.raises(InputError, match="another handedness"):
+        aligned(tmp_path, {name: (x, y, -z) for name, (x, y, z) in PLACES.items()})
+    with pytest.raises(InputError, match="marker c is absurdly far away"):
+        aligned(tmp_path, PLACES | {"c": (1e200, 0.0, 0.0)})
+    rng = np.random.default_rng(0)
+    with pytest.raises(InputError, match="the rigid motion misses its markers by"):
+        aligned(tmp_path, {name: tuple(map(float, 60 * rng.random(3))) for name in PLACES})
+
+
+def test_a_poor_alignment_is_said(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    seen = {name: tuple(float(v) for v in np.array(place) + rng.normal(0, 9, 3)) for name, place in PLACES.items()}
+    (remark,) = aligned(tmp_path, seen).remarks
+    assert remark.startswith("align: the rigid motion misses its markers by")

@@ -21,11 +21,13 @@ from bcid.errors import InputError
 from bcid.report import gallery
 from bcid.report.body_view import view_data
 from bcid.report.found import Found
+from bcid.report.lengths import in_mm
 from bcid.report.page import MARK, write_report
 from bcid.report.residual import Residual, rms
 from bcid.report.table import NUMBER, TEXT, Column, Table, aligned
-from bcid.report.words import amount, significance, uncertain
+from bcid.report.words import amount, uncertain
 from bcid.run import Run
+from bcid.units import significance
 
 FEW = ("body", "ladder", "sets", "calibration")
 
@@ -95,6 +97,37 @@ def test_a_set_that_explains_nothing(tmp_path: Path) -> None:
     folder = runs.identified(tmp_path / "run")
     runs.rewrite(folder, "identification.json", json.dumps(runs.identification() | {"rms": 1.4}))
     assert "No set of anchors explains this measurement" in said(tmp_path, folder)
+
+
+def test_lengths_of_a_measurement_in_metres_are_shown_in_mm(tmp_path: Path) -> None:
+    folder = runs.explained(tmp_path / "run")
+    factor = 1e-3
+    written = runs.diagnosis() | {"length_unit": "m"}
+    for key in ("rms", "noise_rms", "held_out_rms"):
+        written[key] *= factor
+    written["ladder"] = [r | {k: r[k] * factor for k in ("rms", "held_out_rms")} for r in written["ladder"]]
+    keys = ("expected_rms", "fitted_rms", "held_out_rms")
+    written["ranking"] = [r | {k: r[k] and r[k] * factor for k in keys} for r in written["ranking"]]
+    shown = said(tmp_path, runs.explained(tmp_path / "other"))
+    runs.rewrite(folder, "diagnosis.json", json.dumps(written))
+    text = said(tmp_path, folder)
+    assert "falls from 1.42 to 0.21 mm (noise 0.2 mm)" in text
+    assert "falls from 1.42 to 0.21 mm (noise 0.2 mm)" in shown
+    assert in_mm({"length_unit": "furlong", "rms": 1}) == {"length_unit": "furlong", "rms": 1}
+    where = in_mm({"length_unit": "cm", "steady": [{"position": [1, 2.0, 3], "force": [1.0], "stderr": None}]})
+    assert where["steady"][0] == {"position": pytest.approx([10, 20, 30]), "force": [1.0], "stderr": None}
+
+
+def test_what_is_odd_and_an_unknown_noise_stand_in_the_report(tmp_path: Path) -> None:
+    folder = runs.explained(tmp_path / "run")
+    more = {"remarks": ["markers 3 and 7 look swapped"], "noise_stated": False}
+    runs.rewrite(folder, "diagnosis.json", json.dumps(runs.diagnosis() | more))
+    text = said(tmp_path, folder)
+    assert "Look at this first: markers 3 and 7 look swapped." in text
+    assert "No noise is stated" in text
+    folder = runs.identified(tmp_path / "identified")
+    runs.rewrite(folder, "identification.json", json.dumps(runs.identification() | {"noise_rms": None}))
+    assert "No noise is stated: whether this set explains the measurement cannot be told." in said(tmp_path, folder)
 
 
 @pytest.mark.parametrize(
@@ -377,7 +410,7 @@ def test_tables() -> None:
 
 
 def test_numbers() -> None:
-    assert [significance(p) for p in (0, 4.2e-8, 0.58, 1.0, float("nan"))] == ["< 10⁻³⁰⁰", "4 × 10⁻⁸", "0.58", "1", ""]
+    assert [significance(p) for p in (0, 4.2e-8, 0.58, 1.0, float("nan"))] == ["< 0.0001", "< 0.0001", "0.58", "1", ""]
     assert uncertain(1257.588, 9.41) == "1257.6 ± 9.4"
     assert uncertain(-0.0016636, 1.9e-5) == "−0.001664 ± 0.000019"
     assert uncertain(3.0) == "3"

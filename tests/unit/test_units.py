@@ -5,7 +5,7 @@ import math
 import pytest
 
 from bcid.errors import InputError
-from bcid.units import parse_unit, quantities, quantity, show, unit_factor
+from bcid.units import for_people, p_value, parse_unit, quantities, quantity, show, significance, unit_factor
 
 
 @pytest.mark.parametrize(
@@ -62,3 +62,21 @@ def test_factor_needs_the_right_dimension() -> None:
         unit_factor("s", "m")
     assert parse_unit("N") == (1.0, (1, 1, -2, 0))
     assert show(15e3, "kPa") == "15 kPa"
+
+
+def test_p_values_are_shown_as_people_read_them() -> None:
+    assert [p_value(p) for p in (4.2e-217, 0.0, 0.00012, 0.034, 1.0)] == [
+        "p < 0.0001",
+        "p < 0.0001",
+        "p = 0.00012",
+        "p = 0.034",
+        "p = 1",
+    ]
+    assert p_value(float("nan")) == "p = not known"
+    assert significance(float("inf")) == ""
+
+
+def test_lengths_are_shown_in_mm() -> None:
+    assert for_people(0.0012, 1e-4, "m") == pytest.approx((1.2, 0.1, "mm"))
+    assert for_people(5.0, None, "kPa") == (5.0, None, "kPa")
+    assert for_people(2e-3, None, "m")[1] is None

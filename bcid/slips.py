@@ -1,0 +1,193 @@
+"""The slips that are made when a measurement is written down, and what each would have done to the fiducials at rest.
+
+A slip is weighed by what is left of the displacement from the scene's rest positions once it is undone.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.float64]
+
+# Units that are taken for one another: mm and m, cm and mm, cm and m, inch and mm; decimal points that were lost.
+FACTORS = (1000.0, 100.0, 10.0, 25.4, 1e-3, 1e-2, 0.1, 1 / 25.4)
+DECIMALS = tuple(10.0**k for k in range(-6, 7) if k)
+# Fiducials whose displacement is unlike that of their neighbours the most: only these are tried for swaps and decimals.
+_SUSPECTS = 16
+_AXES = "xyz"
+# The kind of what is no slip of writing, but a marker that is elsewhere: a body has such, and it is never refused.
+FAULT = "fault"
+
+
+@dataclass(frozen=True)
+class Slip:
+    """A slip, and what is left when it is undone.
+
+    Attributes:
+        kind: what the slips that share a prior probability have in common.
+        text: what it looks like.
+        remedy: what to do about it.
+        left: displacements of the fiducials from rest once it is undone, shape (n, 3), m.
+        cost: logarithm of the prior probability within the kind, and of the density that positions have which were stretched so.
+        undo: what positions are multiplied by to undo it, shape (3, 3); None where it concerns single fiducials.
+    """
+
+    kind: str
+    text: str
+    remedy: str
+    left: Array
+    cost: float
+    undo: Array | None = None
+
+
+def slips(seen: Array, rest: Array, names: Sequence[str], size: float, floor: float) -> list[Slip]:
+    """Every slip of the list, for fiducials at `seen` (n, 3) that should be near `rest` (n, 3).
+
+    Args:
+        size: of the body; `floor`: how well positions are known, both in m, as the positions are.
+    """
+    suspects = _suspects(seen - rest, rest)
+    kinds = [_axes(seen, rest), _factors(seen, rest), _swaps(seen, rest, names, suspects)]
+    kinds += [_renamed(seen, rest, names), _turned(seen, rest, size, floor), _decimals(seen, rest, names, suspects)]
+    kinds += [_faults(seen, rest, names, suspects, size, floor)]
+    return [slip for kind in kinds for slip in kind]
+
+
+def permutations() -> list[tuple[str, Array]]:
+    """The 47 ways to mix up or reverse the axes: in words, and the matrix that undoes it."""
+    found: list[tuple[str, Array]] = []
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            matrix = np.zeros((3, 3))
+            matrix[range(3), order] = signs
+            if not np.array_equal(matrix, np.eye(3)):
+                found.append((_axis_text(order, signs), matrix.T))
+    return found
+
+
+def _axis_text(order: Sequence[int], signs: Sequence[float]) -> str:
+    moved = [i for i in range(3) if order[i] != i]
+    reversed_ = [i for i in range(3) if signs[i] < 0]
+    if len(moved) == 2 and not reversed_:
+        return f"{_AXES[moved[0]]} and {_AXES[moved[1]]} look swapped"
+    if not moved:
+        return f"{' and '.join(_AXES[i] for i in reversed_)} look{'s' if len(reversed_) == 1 else ''} reversed"
+    held = ", ".join(f"{'-' if s < 0 else ''}{_AXES[i]}" for i, s in zip(order, signs, strict=True))
+    return f"axes look mixed up: columns x, y, z hold {held} of the scene"
+
+
+def _axes(seen: Array, rest: Array) -> Iterator[Slip]:
+    if not np.isfinite(seen).all():
+        return
+    remedy = "write the positions in the axes of the scene"
+    for text, undo in permutations():
+        yield Slip("axes", text, remedy, seen @ undo.T - rest, -math.log(47), undo)
+
+
+def _factors(seen: Array, rest: Array) -> Iterator[Slip]:
+    """All lengths, or those of one axis, times a factor."""
+    for factor in FACTORS:
+        many = f"{factor:g} times too large" if factor > 1 else f"{1 / factor:g} times too small"
+        undo: Array = np.diag(np.full(3, 1.0 / factor))
+        # What is stretched fills more room: without this any field would look smaller, and likelier, when it is shrunk.
+        # The other way round there is nothing to gain: a coordinate that is zero stays so whatever it is multiplied by.
+        dense = -max(0.0, math.log(factor)) * len(rest)
+        cost = 3 * dense - math.log(16)
+        yield Slip("units", f"all positions look {many}", "check length_unit", seen / factor - rest, cost, undo)
+        for axis in np.flatnonzero(np.isfinite(seen).any(axis=0)):
+            part = np.ones(3)
+            part[axis] /= factor
+            text = f"every {_AXES[axis]} looks {many}"
+            remedy = "check length_unit and the decimal points of that column"
+            yield Slip("units", text, remedy, seen * part - rest, dense - math.log(16 * 3), np.diag(part))
+
+
+def _swaps(seen: Array, rest: Array, names: Sequence[str], suspects: Sequence[int]) -> Iterator[Slip]:
+    pairs = len(rest) * (len(rest) - 1) / 2
+    for i, j in itertools.combinations(sorted(suspects), 2):
+        left = seen - rest
+        left[[i, j]] = seen[[j, i]] - rest[[i, j]]
+        text = f"fiducials {names[i]} and {names[j]} look swapped"
+        yield Slip("swaps", text, "give each its own name", left, -math.log(pairs))
+
+
+def _renamed(seen: Array, rest: Array, names: Sequence[str]) -> Iterator[Slip]:
+    """The fiducials in another order, each nearest to where the scene has it."""
+    if len(rest) < 3 or not np.isfinite(seen).all():
+        return
+    distance = np.linalg.norm(rest[:, None] - seen[None], axis=2)
+    order = linear_sum_assignment(distance)[1]
+    moved = [i for i in range(len(rest)) if order[i] != i]
+    if len(moved) > 2:
+        shown = ", ".join(f"{names[order[i]]} stands where {names[i]} should" for i in moved[:4])
+        text = f"{len(moved)} fiducials look as if they had each other's names ({shown}{', ...' if moved[4:] else ''})"
+        cost = -len(moved) * math.log(len(rest))
+        yield Slip("order", text, "number them as the scene does", seen[order] - rest, cost)
+
+
+def _turned(seen: Array, rest: Array, size: float, floor: float) -> Iterator[Slip]:
+    """Another frame: what a rigid motion leaves. Its six numbers pay for how finely they must be chosen."""
+    if len(rest) < 4 or not np.isfinite(seen).all():
+        return
+    turn, shift = rigid_motion(seen, rest)
+    angle = np.degrees(np.linalg.norm(Rotation.from_matrix(turn).as_rotvec()))
+    moved = np.linalg.norm((seen - rest).mean(axis=0)) / size
+    text = f"the axes are not those of the scene: a frame that is turned by {angle:.0f} degrees, {moved:.2g} body sizes away"
+    remedy = "bring the positions into the frame of the scene (a mapping file with [align] does it)"
+    yield Slip("frame", text, remedy, seen @ turn.T + shift - rest, -6 * math.log(size / floor))
+
+
+def _decimals(seen: Array, rest: Array, names: Sequence[str], suspects: Sequence[int]) -> Iterator[Slip]:
+    same = -math.log(len(rest) * 3 * len(DECIMALS))
+    for i, axis, factor in itertools.product(suspects, range(3), DECIMALS):
+        if not np.isfinite(seen[i, axis]):
+            continue
+        left = seen - rest
+        left[i, axis] = seen[i, axis] * factor - rest[i, axis]
+        text = f"{_AXES[axis]} of fiducial {names[i]} looks as if its decimal point were lost or misplaced"
+        yield Slip("decimals", text, "check its decimal point", left, same + min(0.0, math.log(factor)))
+
+
+def _faults(
+    seen: Array, rest: Array, names: Sequence[str], suspects: Sequence[int], size: float, floor: float
+) -> Iterator[Slip]:
+    """One fiducial that is anywhere else: no slip of the list, but what competes with those of single fiducials."""
+    cost = -math.log(len(rest)) - 3 * math.log(2 * size / floor)
+    near = _near(rest)
+    for i in suspects:
+        left = seen - rest
+        expected = np.nanmedian(np.where(np.isfinite(left[near[i]]), left[near[i]], 0.0), axis=0)
+        away = float(np.linalg.norm(np.nan_to_num(left[i]) - expected))
+        left[i] = expected
+        text = f"fiducial {names[i]} is {away * 1e3:.3g} mm from where its neighbours let expect it"
+        yield Slip(FAULT, text, "check its place in the scene and its name", left, cost)
+
+
+def _near(rest: Array) -> NDArray[np.intp]:
+    """Of each fiducial, itself and its nearest neighbours, shape (n, k)."""
+    count = min(7, len(rest))
+    return np.asarray(cKDTree(rest).query(rest, k=count)[1]).reshape(len(rest), count)
+
+
+def _suspects(moved: Array, rest: Array) -> list[int]:
+    """Fiducials whose displacement is unlike their neighbours', the worst first."""
+    near = _near(rest)
+    rough = np.linalg.norm(np.nan_to_num(moved - np.median(moved[near], axis=1)), axis=1)
+    return [int(i) for i in np.argsort(-rough, kind="stable")[:_SUSPECTS]]
+
+
+def rigid_motion(here: Array, there: Array) -> tuple[Array, Array]:
+    """Rotation (3, 3) and shift (3) that take points `here` (n, 3) to `there` (n, 3) best: least squares (Kabsch 1976)."""
+    middle, wanted = here.mean(axis=0), there.mean(axis=0)
+    left, _, right = np.linalg.svd((here - middle).T @ (there - wanted))
+    turn = (right.T * [1.0, 1.0, np.sign(np.linalg.det(right.T @ left.T))]) @ left.T
+    return turn, wanted - turn @ middle

@@ -1,0 +1,87 @@
+"""The first line of a summary: what is odd, what is not explained, and what cannot be told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from bcid import Measurement, Scene
+from bcid.compare import words
+from bcid.measurement import Units
+from bcid.search.identify import Identification
+from bcid.search.job import summary
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def found(**more: Any) -> Identification:
+    counts = {"in full": 3, "stopped": 0, "failed": 0, "not": 253}
+    known: dict[str, Any] = {
+        "anchored": ("3", "4"),
+        "probability": 0.98,
+        "patches": {str(i): 0.5 for i in range(1, 9)},
+        "rms": 3.1e-4,
+        "noise": 3e-4,
+        "discretisation": 2e-5,
+        "certified": False,
+        "evaluations": {0: 3.0},
+        "looked_at": counts,
+        "alternatives": (),
+        "classes": (),
+        "levels": (0,),
+        "stages": (),
+        "prediction": None,
+        "failures": {},
+        "seconds": 1.0,
+    }
+    return Identification(**(known | more))
+
+
+def told(remarks: tuple[str, ...] = (), **more: Any) -> list[str]:
+    seen = Measurement.read(ROOT / "examples/measurements/hidden-d")
+    scene = Scene.read(ROOT / "examples/scenes/slab.toml")
+    return summary(scene, replace(seen, remarks=remarks, units=Units(length="m")), found(**more)).splitlines()
+
+
+def test_a_result_that_explains_stands_first_in_mm() -> None:
+    lines = told()
+    assert lines[0] == "Anchored patches of slab: {3 4}  (probability 98.00 %)"
+    assert "The model misses the measurement by 0.31 mm per coordinate (RMS); the stated noise is 0.3 mm." in lines
+    assert not any(" m " in line for line in lines)
+
+
+def test_a_residual_far_above_the_noise_stands_first() -> None:
+    lines = told(rms=14e-3, noise=1e-4)
+    assert lines[0] == "WARNING: no set explains this measurement: the best misses it by 140.0 times the noise."
+    assert any(line.startswith("Anchored patches") for line in lines)
+
+
+def test_an_unknown_noise_stands_first() -> None:
+    assert told(noise=None)[0].startswith(
+        "WARNING: no noise is known: whether a set explains this measurement cannot be told"
+    )
+
+
+def test_what_is_odd_stands_before_all() -> None:
+    lines = told(("markers 3 and 7 look swapped",), noise=None)
+    assert lines[0] == "LOOK AT THIS FIRST: markers 3 and 7 look swapped."
+    assert lines[1].startswith("WARNING: no noise")
+    assert "" not in lines[:3]
+
+
+@pytest.mark.parametrize(
+    ("rms", "stated", "first"),
+    [
+        (3.1e-4, True, ""),
+        (14e-3, True, "WARNING: the model misses the measurement by 46.7 times the noise (14 mm where it is 0.3 mm)."),
+        (3.1e-4, False, "WARNING: no noise is known: 0.3 mm is only estimated from the measurement itself"),
+    ],
+)
+def test_models_that_explain_too_little(rms: float, stated: bool, first: str) -> None:
+    state: Any = SimpleNamespace(rms=rms, noise=3e-4, twin=SimpleNamespace(data=SimpleNamespace(stated=stated)))
+    lines = words.warning(state)
+    assert lines[0].startswith(first) if first else lines == []
