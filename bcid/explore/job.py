@@ -20,6 +20,8 @@ from bcid.explore.moves import Move
 from bcid.explore.predictions import Predictor
 from bcid.explore.robots import Folder, Robot, Simulated
 from bcid.forms.forward import check_geometry
+from bcid.forms.mesh import level_mesh
+from bcid.forms.mesh.check import measures
 from bcid.forms.model import check_physics
 from bcid.forms.patches import divided
 from bcid.measurement import Measurement
@@ -203,7 +205,8 @@ def _write(
     assert run is not None
     result = exploration_json(scene, found)
     run.write_json("exploration.json", result)
-    run.write_text("summary.txt", summary(scene, plan, found))
+    body = measures(scene, level_mesh(scene, scene.levels[predictors[0].level]))
+    run.write_text("summary.txt", "\n".join([summary(scene, plan, found), *body]) + "\n")
     evaluations = {str(p.level): p.evaluations for p in predictors}
     run.record |= {"names": {"scene": source}, "ranks": ranks, "evaluations": evaluations}
     run.finish({key: result[key] for key in ("reason", "anchored", "effect", "probability")})

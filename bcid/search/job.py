@@ -15,6 +15,7 @@ from bcid.collective import on_root
 from bcid.fingerprint import file_fingerprint, fingerprint
 from bcid.forms.forward import check_geometry
 from bcid.forms.mesh import BodyMesh, level_mesh
+from bcid.forms.mesh.check import measures
 from bcid.forms.model import check_physics
 from bcid.forms.patches import divided, first_level
 from bcid.measurement import AXES, WRENCH, Measurement
@@ -121,7 +122,8 @@ def _write(
     run.write_json("identification.json", result)
     run.write_dataset("prediction.nc", prediction_dataset(scene, measurement, found))
     run.write_dataset("body.nc", body_dataset(scene, mesh, found))
-    run.write_text("summary.txt", summary(scene, measurement, found, done.log))
+    text = summary(scene, measurement, found, done.log)
+    run.write_text("summary.txt", "\n".join([text, *measures(scene, mesh)]) + "\n")
     run.record |= {"names": names, "ranks": ranks, "random_state": run.record["inputs"]["options"]["random_state"]}
     run.record |= {
         "evaluations": result["evaluations"],
