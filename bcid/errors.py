@@ -6,11 +6,18 @@ Exit codes: 2 bad input, 3 the machine (disk, memory, a missing program), 4 the 
 from __future__ import annotations
 
 import difflib
+import errno
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
+# What is to be done where a folder cannot be written.
+_REMEDIES = {
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "free some space or choose another folder"),
+    errno.EROFS: "choose a folder of a file system that is not mounted read-only",
+    **dict.fromkeys((errno.EACCES, errno.EPERM), "choose a folder that you may write to"),
+}
 # What a message quotes of the input is cut to so many characters in a line, and so many lines.
 _WIDEST, _MOST_LINES = 700, 60
 # A name that is longer is nobody's misspelling, and so many names are looked through for the one that was meant.
@@ -42,6 +49,12 @@ SHORT_OF_MEMORY = (
     "out_of_memory: there is not enough memory; end other programs, use fewer ranks or a coarser level, "
     "and give the same command again: it goes on where it was"
 )
+
+
+def unwritable(path: Path, error: OSError) -> MachineError:
+    """That a file or folder cannot be written, why, and what to do about it."""
+    remedy = _REMEDIES.get(error.errno or 0, "choose another folder")
+    return MachineError(f"{path}: cannot be written: {error.strerror or error}; {remedy}")
 
 
 class SolveError(BcidError):

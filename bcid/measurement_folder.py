@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bcid.errors import InputError, MachineError, Problems
+from bcid.errors import InputError, Problems, unwritable
 from bcid.frame_error import FrameError
 from bcid.measurement import AXES, FORMAT, QUATERNION, WRENCH, Action, Measurement, Units
 from bcid.text_file import read_lines, read_toml
@@ -450,7 +450,7 @@ def write_folder(measurement: Measurement, folder: Path) -> None:
         partial.rename(folder)
     except OSError as error:
         shutil.rmtree(partial, ignore_errors=True)
-        raise MachineError(f"{folder}: cannot be written: {error.strerror or error}") from None
+        raise unwritable(folder, error) from None
 
 
 def _texts(measurement: Measurement) -> dict[str, list[str]]:

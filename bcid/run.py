@@ -25,7 +25,6 @@ changes later is noticed: `run.json` holds checksums of the files and of itself,
 
 from __future__ import annotations
 
-import errno
 import fcntl
 import hashlib
 import json
@@ -41,7 +40,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from bcid.errors import BcidError, InputError, MachineError
+from bcid.errors import BcidError, InputError, MachineError, unwritable
 from bcid.text_file import as_text, parse_json
 
 if TYPE_CHECKING:
@@ -92,12 +91,6 @@ _FOLDERS = (
 )
 _KEYS = ("command", "state", "inputs", "versions", "attempts", "seconds", "checksum")
 _REMEDY = "repeat the run in another folder, or remove this one"
-# What is to be done where a folder cannot be written.
-_REMEDIES = {
-    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "free some space or choose another folder"),
-    errno.EROFS: "choose a folder of a file system that is not mounted read-only",
-    **dict.fromkeys((errno.EACCES, errno.EPERM), "choose a folder that you may write to"),
-}
 _PACKAGES = ("fenics-dolfinx", "fenics-ufl", "petsc4py", "mpi4py", "numpy", "scipy", "xarray")
 
 
@@ -335,9 +328,7 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        reason = error.strerror or str(error)
-        remedy = _REMEDIES.get(error.errno or 0, "choose another folder")
-        raise MachineError(f"{path}: cannot be written: {reason}; {remedy}") from None
+        raise unwritable(path, error) from None
 
 
 def versions() -> dict[str, str]:

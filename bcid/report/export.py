@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bcid.errors import InputError, MachineError
+from bcid.errors import InputError, unwritable
 from bcid.report.figure import styled
 from bcid.report.found import Found
 from bcid.report.gallery import drawings
@@ -81,7 +81,7 @@ def _aside(target: Path) -> Iterator[Path]:
     try:
         yield made
     except OSError as error:
-        raise MachineError(f"{target}: cannot be written: {error.strerror or error}; choose another folder") from None
+        raise unwritable(target, error) from None
     finally:
         shutil.rmtree(made, ignore_errors=True)
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import InputError, MachineError, Problems, nearest
+from bcid.errors import InputError, Problems, nearest, unwritable
 from bcid.frame_error import plain_numbers
 from bcid.text_file import parse_json, parse_toml, read_text
 from bcid.units import FURTHEST, MOST, unit_factor
@@ -200,7 +200,7 @@ class Cameras:
             partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
             partial.replace(path)
         except OSError as error:
-            raise MachineError(f"{path}: cannot be written: {error.strerror}") from None
+            raise unwritable(path, error) from None
 
     def _check(self, path: Path, problems: Problems) -> None:
         for side, camera in zip(SIDES, (self.left, self.right), strict=True):

@@ -40,6 +40,7 @@ case $* in *--mode=unshare*) tar -C "$root" -c . && rm -r "$root" ;; esac
 """
 
 BWRAP = r"""
+printf '%s\n' "$@" >"$FAKES/bwrap.words"
 case $* in
 *wheels_venv*)
     [ "${FAKE:-}" = pip ] || exit 0
@@ -320,6 +321,18 @@ def test_clean_keeps_what_is_used(dev: Dev) -> None:
     assert dev("clean", "--all")[0] == 0
     assert not dev.made("tree")
     assert not dev.made("venv")
+
+
+def test_commands_write_where_the_user_may_and_not_into_the_environment(dev: Dev) -> None:
+    assert dev("true", BCID_WRITE="/nowhere/at/all")[0] == 0
+    words = (dev.folder / "bwrap.words").read_text().splitlines()
+    bound = {words[i + 1]: word for i, word in enumerate(words) if word in ("--bind", "--bind-try", "--ro-bind")}
+    for folder in ("/tmp", "/home", "/root", "/var/tmp", "/srv", str(dev.clone)):
+        if Path(folder).is_dir() and not Path(folder).is_symlink():
+            assert bound[folder] in ("--bind", "--bind-try"), folder
+    for folder in (*dev.cache.glob("tree-*"), *dev.cache.glob("venv-*")):
+        assert bound[str(folder)] == "--ro-bind", folder
+    assert not {"/usr", "/etc", "/var/lib/dpkg", "/usr/local/lib", "/nowhere/at/all"} & set(bound)
 
 
 def test_usage(dev: Dev) -> None:

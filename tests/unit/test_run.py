@@ -1,5 +1,6 @@
 """Run folders: whole files, no silent overwriting, one writer, resuming."""
 
+import errno
 import json
 import os
 import subprocess
@@ -11,7 +12,7 @@ import pytest
 import xarray as xr
 
 from bcid.errors import InputError, MachineError
-from bcid.run import Run
+from bcid.run import Run, writing
 
 INPUTS = {"scene": "abc", "options": {"seeds": 3}}
 
@@ -142,3 +143,13 @@ def test_a_full_disk_leaves_no_half_file(tmp_path: Path, monkeypatch: pytest.Mon
         run.write_json("result.json", {"good": 2})
     assert json.loads((tmp_path / "run/result.json").read_text(encoding="utf-8")) == {"good": 1}
     run.release()
+
+
+@pytest.mark.parametrize(
+    ("number", "remedy"),
+    [(errno.ENOSPC, "free some space"), (errno.EROFS, "not mounted read-only"), (errno.EACCES, "you may write to")],
+)
+def test_the_remedy_fits_the_reason(tmp_path: Path, number: int, remedy: str) -> None:
+    with pytest.raises(MachineError, match=f"run: cannot be written: .*{remedy}") as found, writing(tmp_path / "run"):
+        raise OSError(number, os.strerror(number))
+    assert ("free some space" in str(found.value)) == (number == errno.ENOSPC)
