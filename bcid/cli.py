@@ -36,7 +36,7 @@ from bcid.commands import (
     study,
     track,
 )
-from bcid.errors import SHORT_OF_MEMORY, BcidError, MachineError
+from bcid.errors import SHORT_OF_MEMORY, BcidError, MachineError, shortened
 from bcid.scratch import require
 
 # Commands without MPI in this process, for they start others that are jobs of their own; what becomes of an interrupted one.
@@ -171,6 +171,13 @@ def _end_all(comm: Any, code: int) -> int:
     return code
 
 
+def _seed(text: str) -> int:
+    """A seed: a run keeps it as a number of 64 bits."""
+    if text.isascii() and text.isdigit() and len(text) < 20 and int(text) < 2**63:
+        return int(text)
+    raise argparse.ArgumentTypeError(f"'{shortened(text, 60)}': expected a whole number from 0 to 2^63 - 1")
+
+
 def build_parser() -> argparse.ArgumentParser:
     """The parser of all commands."""
     raw = argparse.RawDescriptionHelpFormatter
@@ -261,7 +268,7 @@ def _add_identify(commands: Any) -> None:
         "--certify", default="auto", help="look at every set of patches in the end: yes, no, or auto (up to 10 patches)"
     )
     search.add_argument("--seeds", type=int, metavar="N", help="random seeds of the first stage (24; 4 if certified)")
-    search.add_argument("--random-state", type=int, default=0, metavar="N", help="of the seeds (0)")
+    search.add_argument("--random-state", type=_seed, default=0, metavar="N", help="of the seeds (0)")
     search.add_argument("--coarsest", type=int, default=0, metavar="LEVEL", help="first mesh level (0)")
     search.add_argument(
         "--finest", type=int, metavar="LEVEL", help="last mesh level (default: when the residual has settled)"
@@ -410,7 +417,7 @@ def _add_explore(commands: Any) -> None:
     parser.add_argument("--no-look-ahead", action="store_true", help="do not look at pairs of pulls")
     parser.add_argument("--noise", metavar='"0.3 mm"', help="of pulls to come (the scene's)")
     parser.add_argument("--samples", type=int, default=1000, metavar="N", help="of the estimate of information (1000)")
-    parser.add_argument("--random-state", type=int, default=0, metavar="N", help="of all that is drawn (0)")
+    parser.add_argument("--random-state", type=_seed, default=0, metavar="N", help="of all that is drawn (0)")
     parser.add_argument("--wait", type=float, default=3600.0, metavar="SECONDS", help="for a measurement (3600)")
     parser.add_argument(
         "--store", type=Path, metavar="FOLDER", help="for predictions, shared by runs (in the run folder)"
@@ -513,7 +520,7 @@ def _add_simulate(commands: Any) -> None:
     parser.add_argument(
         "--noise", metavar='"0.3 mm"', help='standard deviation of every coordinate (the scene\'s); "0 mm" for none'
     )
-    parser.add_argument("--random-state", type=int, default=0, metavar="N", help="of the noise (0)")
+    parser.add_argument("--random-state", type=_seed, default=0, metavar="N", help="of the noise (0)")
     parser.add_argument("--wrench", action="store_true", help="also record force and torque of the gripper")
     _add_quiet(parser)
 
@@ -567,7 +574,7 @@ def _add_study(commands: Any) -> None:
     )
     parser.add_argument("--predict-only", action="store_true", help="files: only what all trials share")
     parser.add_argument("--cases", type=int, default=100, metavar="N", help="number of cases of hidden (100)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of what is random (0)")
+    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of what is random (0)")
     parser.add_argument("--trials", type=int, default=30, metavar="N", help="of each setting of exploration (30)")
     parser.add_argument(
         "--limit",

@@ -15,7 +15,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from bcid.errors import InputError, Problems, nearest
+from bcid.errors import InputError, Problems
 from bcid.fingerprint import fingerprint
 from bcid.frame_error import FrameError
 from bcid.plausibility import examine
@@ -277,9 +277,8 @@ class Measurement:
         known = {"fiducial": list(scene.fiducials), "grasp": list(scene.grasps), "place": list(scene.places)}
         for what, names in known.items():
             used = [str(n) for n in np.unique(self.data[what].values.astype(str))] if what in self.data else []
-            for name in used:
-                if name and name not in names:
-                    problems.add(self.source, f"{what} '{name}' is not in the scene; {nearest(name, names)}")
+            text = f"{what} '{{}}' is not in the scene; {{}}".format
+            problems.add_unknown(self.source, filter(None, used), names, text)
         problems.raise_if_any()
         odd = examine(scene, self, problems)
         problems.raise_if_any()

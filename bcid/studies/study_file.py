@@ -39,6 +39,8 @@ from bcid.studies.condition import NAMES, Condition, parsed
 from bcid.text_file import read_toml
 
 FORMAT = "bcid-study/1"
+# Values of one attribute: each is a row or a column of a table.
+_MOST_VALUES = 1000
 _KEYS = ("format", "name", "title", "section", "scene", "trials", "setting", "vary", "table", "quick", "paper", "about")
 # Numbers of the paper that can stand beside ours.
 PAPER = ("right", "calls", "seconds", "right_of_18")
@@ -191,6 +193,9 @@ class _Reader:
         for key, values in self.table(content, "vary", NAMES, where).items():
             if not isinstance(values, list) or not values:
                 self.bad(f"{where}vary.{key}", f"expected a list of values, found {values!r}")
+                continue
+            if len(values) > _MOST_VALUES:
+                self.bad(f"{where}vary.{key}", f"expected at most {_MOST_VALUES} values, found {len(values)}")
                 continue
             found[key] = tuple(self.value(f"{where}vary.{key}", key, value) for value in values)
         return found

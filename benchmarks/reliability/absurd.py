@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from bcid import Measurement, Scene
 from bcid.run import Run, unsealed
 from bcid.studies.study_file import StudyFile
 from bcid.vision.camera import Cameras
@@ -87,6 +88,12 @@ TABLES: dict[str, Callable[[str, str], str]] = {
     "5,000 digits": lambda text, comma: _last_row(text, comma, "1" * 5000),
     "NUL characters": lambda text, comma: text + "\0" * _MANY,
 }
+# Rows of a table of fiducials.
+NAMES = {
+    "100,000 fiducials": "1,0,0,f{i},1,2,3",
+    "100,000 fiducials, each in a step of its own": "1,{i},{i},f{i},1,2,3",
+    "100,000 actions": "a{i},0,0,f,1,2,3",
+}
 # By file: the key whose value is replaced. Others than these take any text.
 KEYS = {
     "scene.toml": ("format", "noise_sigma", "down", "length_unit", "young", "poisson", "I", "weight", "displacement"),
@@ -140,6 +147,10 @@ def cases(files: dict[str, str]) -> Iterator[tuple[str, str, str]]:
     for file in ("seen/fiducials.csv", "seen/grasps.csv", "seen/wrench.csv", "wide.csv", "long.csv", "corners.csv"):
         for what, made in TABLES.items():
             yield file, what, made(files[file], ";" if file == "wide.csv" else ",")
+    head = files["seen/fiducials.csv"].partition("\n")[0]
+    for what, row in NAMES.items():
+        rows = "".join(row.format(i=i) + ("," * 3 if "sigma" in head else "") + "\n" for i in range(_MANY))
+        yield "seen/fiducials.csv", what, f"{head}\n{rows}"
 
 
 def write_all(folder: Path) -> dict[str, str]:
@@ -162,6 +173,9 @@ def _reader(folder: Path, file: str) -> Callable[[], Any]:
         "run/run.json": lambda: Run.open(folder / "run"),
         "sealed.json": lambda: unsealed(folder / "sealed.json", "remove it"),
     }
+    if file.startswith("seen/"):
+        scene = Scene.read(folder / "scene.toml")
+        return lambda: Measurement.read(folder / "seen").check(scene)
     return readers.get(file) or reader(folder, file)
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from bcid import cli
 from bcid.errors import InputError, Problems, bounded, nearest
 from bcid.text_file import parse_json, parse_toml
 from bcid.units import parse_unit, quantity
@@ -87,3 +88,13 @@ def test_absurd_quantities_are_refused(text: str) -> None:
 def test_absurd_units_are_refused(unit: str) -> None:
     with pytest.raises(InputError, match="is not known"):
         parse_unit(unit)
+
+
+@pytest.mark.parametrize("seed", ["-1", "9223372036854775808", "1" * 5000, "1.5", "١"])
+def test_a_seed_that_no_run_could_keep_is_refused(seed: str, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["simulate", "scene.toml", "--anchors", "1", "--motion", "pull", "-o", "out", f"--random-state={seed}"]
+    with pytest.raises(SystemExit, match="2"):
+        cli.build_parser().parse_args(words)
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert "expected a whole number from 0 to 2^63 - 1" in said
+    assert len(said) < 300
