@@ -19,7 +19,7 @@ from scipy.special import logsumexp
 from bcid.errors import Problems
 from bcid.gripper_motion import gripper_slips, whole_file
 from bcid.jumps import Jump, jumps
-from bcid.slips import FAULT, Slip, slips
+from bcid.slips import FAULT, Slip, slips, suspects
 from bcid.units import show, unit_factor
 
 if TYPE_CHECKING:
@@ -40,8 +40,8 @@ PLACED = 0.01
 _TAIL = 4.0
 # A body bends by as much as it moves as a whole, or by these parts of it.
 _BENT = (1.0, 0.2, 0.04)
-# With more fiducials every so many is looked at, so that the check stays below a second.
-_MOST = 300
+# With more fiducials every so many is looked at, and those unlike their neighbours, so that the check stays below two seconds.
+_MOST = 150
 
 
 class Sag:
@@ -222,9 +222,11 @@ def _first_step(view: _View, seen: Array, fields: dict[bytes, Sag]) -> Finding |
     if not used.any():
         used = np.isfinite(seen).any(axis=1)
     which = np.flatnonzero(used)
-    which = which[:: max(1, math.ceil(len(which) / _MOST))]
     if not len(which):
         return None
+    if len(which) > _MOST:
+        odd = which[suspects(seen[which] - view.rest[which], view.rest[which])]
+        which = np.union1d(which[:: math.ceil(len(which) / _MOST)], odd)
     rest, names = view.rest[which], [view.names[i] for i in which]
     seen = np.clip(seen[which], -1e9, 1e9)
     sag = fields.setdefault(which.tobytes(), Sag(rest, view.size, view.floor))

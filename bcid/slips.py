@@ -55,10 +55,10 @@ def slips(seen: Array, rest: Array, names: Sequence[str], size: float, floor: fl
     Args:
         size: of the body; `floor`: how well positions are known, both in m, as the positions are.
     """
-    suspects = _suspects(seen - rest, rest)
-    kinds = [_axes(seen, rest), _factors(seen, rest), _swaps(seen, rest, names, suspects)]
-    kinds += [_renamed(seen, rest, names), _turned(seen, rest, size, floor), _decimals(seen, rest, names, suspects)]
-    kinds += [_faults(seen, rest, names, suspects, size, floor)]
+    odd = suspects(seen - rest, rest)
+    kinds = [_axes(seen, rest), _factors(seen, rest), _swaps(seen, rest, names, odd)]
+    kinds += [_renamed(seen, rest, names), _turned(seen, rest, size, floor), _decimals(seen, rest, names, odd)]
+    kinds += [_faults(seen, rest, names, odd, size, floor)]
     return [slip for kind in kinds for slip in kind]
 
 
@@ -111,9 +111,9 @@ def _factors(seen: Array, rest: Array) -> Iterator[Slip]:
             yield Slip("units", text, remedy, seen * part - rest, dense - math.log(16 * 3), np.diag(part))
 
 
-def _swaps(seen: Array, rest: Array, names: Sequence[str], suspects: Sequence[int]) -> Iterator[Slip]:
+def _swaps(seen: Array, rest: Array, names: Sequence[str], odd: Sequence[int]) -> Iterator[Slip]:
     pairs = len(rest) * (len(rest) - 1) / 2
-    for i, j in itertools.combinations(sorted(suspects), 2):
+    for i, j in itertools.combinations(sorted(odd), 2):
         left = seen - rest
         left[[i, j]] = seen[[j, i]] - rest[[i, j]]
         text = f"fiducials {names[i]} and {names[j]} look swapped"
@@ -146,9 +146,9 @@ def _turned(seen: Array, rest: Array, size: float, floor: float) -> Iterator[Sli
     yield Slip("frame", text, remedy, seen @ turn.T + shift - rest, -6 * math.log(size / floor))
 
 
-def _decimals(seen: Array, rest: Array, names: Sequence[str], suspects: Sequence[int]) -> Iterator[Slip]:
+def _decimals(seen: Array, rest: Array, names: Sequence[str], odd: Sequence[int]) -> Iterator[Slip]:
     same = -math.log(len(rest) * 3 * len(DECIMALS))
-    for i, axis, factor in itertools.product(suspects, range(3), DECIMALS):
+    for i, axis, factor in itertools.product(odd, range(3), DECIMALS):
         if not np.isfinite(seen[i, axis]):
             continue
         left = seen - rest
@@ -158,12 +158,12 @@ def _decimals(seen: Array, rest: Array, names: Sequence[str], suspects: Sequence
 
 
 def _faults(
-    seen: Array, rest: Array, names: Sequence[str], suspects: Sequence[int], size: float, floor: float
+    seen: Array, rest: Array, names: Sequence[str], odd: Sequence[int], size: float, floor: float
 ) -> Iterator[Slip]:
     """One fiducial that is anywhere else: no slip of the list, but what competes with those of single fiducials."""
     cost = -math.log(len(rest)) - 3 * math.log(2 * size / floor)
     near = _near(rest)
-    for i in suspects:
+    for i in odd:
         left = seen - rest
         expected = np.nanmedian(np.where(np.isfinite(left[near[i]]), left[near[i]], 0.0), axis=0)
         away = float(np.linalg.norm(np.nan_to_num(left[i]) - expected))
@@ -178,8 +178,8 @@ def _near(rest: Array) -> NDArray[np.intp]:
     return np.asarray(cKDTree(rest).query(rest, k=count)[1]).reshape(len(rest), count)
 
 
-def _suspects(moved: Array, rest: Array) -> list[int]:
-    """Fiducials whose displacement is unlike their neighbours', the worst first."""
+def suspects(moved: Array, rest: Array) -> list[int]:
+    """Fiducials whose displacement (n, 3) is unlike their neighbours', the worst first; few of them."""
     near = _near(rest)
     rough = np.linalg.norm(np.nan_to_num(moved - np.median(moved[near], axis=1)), axis=1)
     return [int(i) for i in np.argsort(-rough, kind="stable")[:_SUSPECTS]]

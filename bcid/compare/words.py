@@ -55,7 +55,7 @@ def warning(state: State) -> list[str]:
     if not state.twin.data.stated:
         lines.append(
             f"WARNING: no noise is known: {1e3 * state.noise:.3g} mm is only estimated from the measurement itself, "
-            "and no model can be called adequate by it. State noise_sigma."
+            "and whether a model is adequate rests on that. State noise_sigma."
         )
     if state.rms > FAR * state.noise:
         lines.append(

@@ -90,7 +90,7 @@ def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
     if not d.get("noise_stated", True):
         doubts.insert(
             0,
-            "No noise is stated: it was estimated from the measurement itself, which calls no model adequate.",
+            "No noise is stated: it was estimated from the measurement itself, and whether a model is adequate rests on that.",
         )
     if d["cannot_be_told_from"]:
         doubts.append(f"These data cannot tell it from {listed([plain(n) for n in d['cannot_be_told_from']])}.")

@@ -11,7 +11,9 @@ import pytest
 
 from bcid import Measurement, Scene
 from bcid.errors import InputError
+from bcid.forms.simulate import recorded
 from bcid.jumps import jumps
+from bcid.measurement import Action
 from bcid.slips import permutations, rigid_motion
 from benchmarks.reliability import slips
 
@@ -119,6 +121,17 @@ def test_coordinates_that_are_zero_do_not_look_too_small() -> None:
     flat = replace(slab(), fiducials={name: (x, 0.0, z) for name, (x, _, z) in slab().fiducials.items()})
     seen = sound().positions * [1.0, 0.0, 1.0]
     assert slips.changed(sound(), seen).check(flat) == []
+
+
+def test_two_of_many_markers_are_found() -> None:
+    rng = np.random.default_rng(0)
+    places = rng.random((400, 3)) * [0.08, 0.0, 0.1] + [0.0, 0.01, 0.0]
+    many = replace(slab(), fiducials={str(i): (float(x), float(y), float(z)) for i, (x, y, z) in enumerate(places)})
+    still = Action("1", np.arange(2), np.arange(2), "", np.zeros((2, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)))
+    seen = recorded(many, [still], np.tile(places, (2, 1, 1)), 2e-4, rng)
+    assert seen.check(many) == []
+    with pytest.raises(InputError, match="fiducials 3 and 9 look swapped"):
+        slips.swapped((3, 9))(seen).check(many)
 
 
 def test_remarks_of_the_reader_stand_first() -> None:
