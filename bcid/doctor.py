@@ -22,6 +22,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from bcid.confined import landlock
 from bcid.scratch import trouble
 
 GET_DOLFINX = "use ./dev, which makes an environment; or conda (environment.yml), or a container (Dockerfile)"
@@ -255,6 +256,15 @@ def check_compiler() -> Iterator[Check]:
     yield Check("compiling forms", ok, "works" if ok else said, "is there Python.h (Debian: python3-dev)? " + advice)
 
 
+def check_landlock() -> Check:
+    """Mesh files and recordings are read by children that have no rights, where the kernel knows how to take them."""
+    version = landlock()
+    advice = "files of others are read from copies, in children with limits, but a .geo runs with your rights"
+    return Check(
+        "Landlock", version > 0, f"version {version}" if version else "not in this kernel", advice, essential=False
+    )
+
+
 def check_scratch() -> Check:
     found = trouble()
     return Check("temporary folder", not found, found or tempfile.gettempdir(), "MPI and the compiler write there")
@@ -331,6 +341,7 @@ def available_memory() -> int | None:
 CHECKS: list[Callable[[], Check | Iterable[Check]]] = [
     check_python,
     check_scratch,
+    check_landlock,
     check_dolfinx,
     check_petsc,
     check_blas,

@@ -31,8 +31,8 @@ _UNUSUAL = 0.01
 _PULL, _PULL_SPREAD = 0.15, 0.9
 # What the body does across the pull, part of the motion: no rigid following is better than that.
 _ACROSS = 0.08
-# Of a smooth motion three numbers tell something new in each action, up to so many in all; one action has a bend besides.
-_MOST_NUMBERS = 15
+# Of a smooth motion three numbers tell something for each direction that the gripper goes in, and for a bend; so many at most.
+_MOST_NUMBERS = 15.0
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def _evidence(pulls: Sequence[_Pull], undo: Array, size: float, noise: float) ->
         parts.append(math.log(min(max(_FOLLOW, low), high)))
         moves.append(math.sqrt(max(scale - 2 * spread**2, 0.0) * driven.size / most))
         furthest = max(furthest, float(np.abs(pull.translation @ undo.T).max()))
-    count = min(3 * (len(pulls) + 1), _MOST_NUMBERS)
+    count = min(3 * (1.0 + sum(_ways(pull.translation) for pull in pulls)), _MOST_NUMBERS)
     misfit = -0.5 * count * float(np.mean(np.log(left)))
     follow = (float(np.mean(parts)) - math.log(_FOLLOW)) / _FOLLOW_SPREAD
     reach = (math.log(furthest / size) - math.log(_PULL)) / _PULL_SPREAD if furthest > 0 else 0.0
@@ -151,6 +151,12 @@ def _evidence(pulls: Sequence[_Pull], undo: Array, size: float, noise: float) ->
     usual = float(np.logaddexp(-0.5 * follow**2, loose))
     usual += float(np.logaddexp(-0.5 * max(reach, 0.0) ** 2, math.log(_UNUSUAL)))
     return misfit + usual
+
+
+def _ways(translation: Array) -> float:
+    """In how many directions a path (steps, 3) goes: from 1, a straight one, to 3, the whole space (participation ratio)."""
+    sizes = np.linalg.svd(translation / np.abs(translation).max(), compute_uv=False)
+    return float(np.sum(sizes) ** 2 / np.sum(sizes**2))
 
 
 def _roughness(moved: Array) -> float:

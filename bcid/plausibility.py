@@ -236,9 +236,13 @@ def _first_step(view: _View, seen: Array, fields: dict[bytes, Sag]) -> Finding |
     if shares[0] >= 1 - SAID:
         return None
     likely = sorted(zip(shares[1:], tried, strict=True), key=lambda pair: -pair[0])
+    if likely[0][1].kind == "units":
+        # A body may stretch by another factor instead, which is as likely: that which leaves least is meant.
+        likely.sort(key=lambda pair: math.inf if pair[1].kind != "units" else float(np.nanmean(pair[1].left ** 2)))
+        likely = likely[:1]
     best = likely[0][1]
     remedy = f"{best.remedy} (it is '{view.unit}')" if best.kind == "units" else best.remedy
-    sure = sum(share for share, slip in likely if slip.kind != FAULT)
+    sure = sum(share for share, slip in zip(shares[1:], tried, strict=True) if slip.kind != FAULT)
     return Finding(float(sure), f"{_either(likely)}: {remedy}", best)
 
 

@@ -144,6 +144,9 @@ def run_explain(
     source = from_files(scene_file, measurement_file, files, comm)
     for name in plan.only or ():
         find_effect(name, source.own)
+    if progress is not None:
+        for text in source.measurement.remarks:
+            progress.say(f"look at this first: {text}")
 
     def work(twin: Twin) -> Outcome:
         found = explain(twin, plan, source.model, source.own, progress)

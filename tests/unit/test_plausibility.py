@@ -75,6 +75,22 @@ def test_which_files_are_concerned_is_said() -> None:
         assert ("the same holds for grasps.csv" if both else "grasps.csv looks right") in text
 
 
+@pytest.mark.parametrize("name", ["slab-34-complex", "slab-12-semicircle"])
+@pytest.mark.parametrize("factor", [1e3, 1e-3, 25.4, 10.0])
+def test_another_unit_is_told_by_its_factor(name: str, factor: float) -> None:
+    """Not by a smaller one, after which the body would be stretched by the rest."""
+    wrong = slips.scaled(factor)(Measurement.read(ROOT / "examples/measurements" / name))
+    looks = f"{factor:g} times too large" if factor > 1 else f"{1 / factor:g} times too small"
+    with pytest.raises(InputError, match=f"all positions look {looks}: check length_unit"):
+        wrong.check(slab())
+
+
+def test_one_motion_in_several_directions_tells_the_axes_of_the_gripper() -> None:
+    wrong = slips.gripper_turned((2, 1, 0))(Measurement.read(ROOT / "examples/measurements/slab-34-complex"))
+    [said] = wrong.check(slab())
+    assert "in the gripper's poses x and z look swapped" in said
+
+
 def test_a_point_that_was_taken_for_another_is_said_and_not_refused() -> None:
     said = slips.coordinate(20, 5, 2, float(sound().positions[20, 5, 2]) + 0.047)(sound()).check(slab())
     assert len(said) == 1
