@@ -54,7 +54,7 @@ class _Mapping:
 
 @dataclass
 class _Recording:
-    """What was read, in the file's units: one entry per frame."""
+    """What was read, in the file's units: one entry per frame; and by what the rigid motion of [align] misses its markers, m."""
 
     actions: list[str]
     steps: list[int]
@@ -64,6 +64,7 @@ class _Recording:
     rotation: Array | None = None
     grasps: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
+    aligned: float | None = None
 
 
 def read_mapped(path: Path) -> Measurement:
@@ -410,6 +411,7 @@ def _to_body_frame(recording: _Recording, mapping: _Mapping) -> None:
     except InputError as error:
         raise InputError(f"{mapping.path}: align: {error}") from None
     recording.remarks += fit.remarks
+    recording.aligned = fit.rms * mapping.length
     for name, values in recording.positions.items():
         recording.positions[name] = np.clip(values, -_FAR, _FAR) @ fit.turn.T + fit.shift
 
@@ -437,4 +439,4 @@ def _measurement(recording: _Recording, mapping: _Mapping) -> Measurement:
     description = str(mapping.table.get("description", ""))
     noise = None if sigma is None else sigma * mapping.length
     known = Measurement(data.assign_coords(axis=AXES), noise, None, mapping.units, description, str(mapping.path))
-    return replace(known, remarks=tuple(recording.remarks))
+    return replace(known, remarks=tuple(recording.remarks), aligned=recording.aligned)

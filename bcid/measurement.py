@@ -87,6 +87,7 @@ class Measurement:
         wrench_sigma: standard deviation of a force, N; None when not stated.
         frame_error: what is not known of the frame of the positions; None when nothing is stated.
         remarks: what looks odd, to be said before any result.
+        aligned: RMS distance, m, by which the rigid motion of a mapping's [align] misses its markers; None without one.
     """
 
     data: xr.Dataset
@@ -97,6 +98,7 @@ class Measurement:
     source: str = "measurement"
     frame_error: FrameError | None = None
     remarks: tuple[str, ...] = ()
+    aligned: float | None = None
 
     @classmethod
     def read(cls, path: str | Path) -> Measurement:

@@ -20,11 +20,10 @@ from bcid.compare.separate import Pull
 from bcid.compare.source import Source
 from bcid.compare.twin import Twin, joined
 from bcid.compare.where import MissingForce
-from bcid.forms.mesh.check import measures
 from bcid.forms.model import Dose
 from bcid.measurement import AXES
 from bcid.run import Run
-from bcid.search.job import body_parts, odd
+from bcid.search.job import body_parts, inputs_in_words, odd
 from bcid.units import unit_factor
 
 MODEL_FORMAT = "bcid-model/1"
@@ -75,7 +74,7 @@ def write(run: Run | None, source: Source, twin: Twin, done: Outcome, content: d
     run.write_dataset("body.nc", body_parts(source.scene, content["mesh"], content["displacement"]))
     if done.where is not None:
         run.write_json("where.json", where_json(done.where, unit) | {"length_unit": name})
-    lines = [*summary(done, shares, remarks), "", *measures(source.scene, content["mesh"])]
+    lines = [*summary(done, shares, remarks), "", *inputs_in_words(source.scene, source.measurement, content["mesh"])]
     run.write_text("summary.txt", "\n".join(lines) + "\n")
     run.record |= {
         "names": {"scene": str(source.scene_file), "measurement": str(source.measurement_file)},

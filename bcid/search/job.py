@@ -123,7 +123,7 @@ def _write(
     run.write_dataset("prediction.nc", prediction_dataset(scene, measurement, found))
     run.write_dataset("body.nc", body_dataset(scene, mesh, found))
     text = summary(scene, measurement, found, done.log)
-    run.write_text("summary.txt", "\n".join([text, *measures(scene, mesh)]) + "\n")
+    run.write_text("summary.txt", "\n".join([text, *inputs_in_words(scene, measurement, mesh)]) + "\n")
     run.record |= {"names": names, "ranks": ranks, "random_state": run.record["inputs"]["options"]["random_state"]}
     run.record |= {
         "evaluations": result["evaluations"],
@@ -233,6 +233,14 @@ def _confused(scene: Scene, found: Identification) -> list[str]:
     if not others:
         return []
     return [f"  These data cannot tell it from: {', '.join(label(names, scene.patches) for names in others)}."]
+
+
+def inputs_in_words(scene: Scene, measurement: Measurement, mesh: BodyMesh) -> list[str]:
+    """Sizes of the body and its places, and how well the measurement was brought into its frame, as summaries end."""
+    lines = measures(scene, mesh)
+    if measurement.aligned is not None:
+        lines.append(f"Frame: [align] misses its markers by {measurement.aligned * 1e3:.3g} mm (RMS distance).")
+    return lines
 
 
 def odd(remarks: Iterable[str]) -> list[str]:

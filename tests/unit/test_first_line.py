@@ -11,9 +11,10 @@ import pytest
 
 from bcid import Measurement, Scene
 from bcid.compare import words
+from bcid.forms.mesh import level_mesh
 from bcid.measurement import Units
 from bcid.search.identify import Identification
-from bcid.search.job import summary
+from bcid.search.job import inputs_in_words, summary
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -71,6 +72,15 @@ def test_what_is_odd_stands_before_all() -> None:
     assert lines[0] == "LOOK AT THIS FIRST: markers 3 and 7 look swapped."
     assert lines[1].startswith("WARNING: no noise")
     assert "" not in lines[:3]
+
+
+def test_a_summary_ends_with_sizes_and_the_fit_of_an_alignment() -> None:
+    scene = Scene.read(ROOT / "examples/scenes/slab.toml")
+    seen = Measurement.read(ROOT / "examples/measurements/hidden-d")
+    mesh = level_mesh(scene, scene.levels[0])
+    assert inputs_in_words(scene, seen, mesh)[0] == "Body: volume 100 cm^3, boundary 240 cm^2."
+    lines = inputs_in_words(scene, replace(seen, aligned=1.2e-4), mesh)
+    assert lines[-1] == "Frame: [align] misses its markers by 0.12 mm (RMS distance)."
 
 
 @pytest.mark.parametrize(

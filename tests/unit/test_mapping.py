@@ -186,5 +186,8 @@ def test_what_cannot_be_aligned_is_refused_by_its_cause(tmp_path: Path) -> None:
 def test_a_poor_alignment_is_said(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     seen = {name: tuple(float(v) for v in np.array(place) + rng.normal(0, 9, 3)) for name, place in PLACES.items()}
-    (remark,) = aligned(tmp_path, seen).remarks
+    found = aligned(tmp_path, seen)
+    (remark,) = found.remarks
     assert remark.startswith("align: the rigid motion misses its markers by")
+    assert found.aligned is not None
+    assert f"misses its markers by {found.aligned * 1e3:.3g} (RMS distance)" in remark
