@@ -20,7 +20,7 @@ import numpy as np
 from bcid.confined import limit_memory
 from bcid.errors import InputError
 from bcid.forms.mesh import BodyMesh, checked
-from bcid.forms.mesh.check import place_faults
+from bcid.forms.mesh.check import group_faults
 from bcid.forms.mesh.child import with_gmsh
 from bcid.forms.mesh.loading import refuse_scripts
 from benchmarks.reliability import ROOT, Reached
@@ -176,7 +176,7 @@ def _mesh(path: Path) -> BodyMesh:
     arrays = with_gmsh(path)
     groups = {name[6:]: part for name, part in arrays.items() if name.startswith("group:")}
     mesh = checked(BodyMesh(arrays["points"] * 1e-3, arrays["cells"], groups), path)
-    faults = [text for part in mesh.groups.values() for text in place_faults(mesh, part)]
+    faults = [text for part in mesh.groups.values() for text in group_faults(mesh, part)]
     if faults:
         raise InputError(faults[0])
     return mesh

@@ -235,12 +235,32 @@ def with_hole(mesh: BodyMesh) -> BodyMesh:
     return dataclasses.replace(mesh, groups=mesh.groups | {"patch_7": part})
 
 
+def with_gap(mesh: BodyMesh) -> BodyMesh:
+    """Without a triangle of patch 7 that has an edge in common with patch 8, and neighbours in both."""
+    groups = {name: np.sort(mesh.groups[name], axis=1) for name in ("patch_7", "patch_8")}
+
+    def edges(rows: np.ndarray) -> set[tuple[int, int]]:
+        return {(int(row[i]), int(row[j])) for row in rows for i, j in ((0, 1), (1, 2), (0, 2))}
+
+    shared = edges(groups["patch_7"]) & edges(groups["patch_8"])
+    for number, row in enumerate(groups["patch_7"]):
+        rest = np.delete(groups["patch_7"], number, axis=0)
+        own = edges(row[None])
+        if own & shared and own <= edges(rest) | edges(groups["patch_8"]):
+            return dataclasses.replace(mesh, groups=mesh.groups | {"patch_7": rest})
+    raise AssertionError("no such triangle")
+
+
 @pytest.mark.parametrize(
     ("edit", "said"),
     [
-        (turned_inward, r"patch 7: 1 of its \d+ triangles are not on the boundary of the body"),
-        (with_hole, r"patch 7: a triangle is missing in it at \("),
-        (lambda m: without_cell(m, facing(m, "patch_7")), r"patch 7: 1 of its|touches itself|belong to no tetrahedron"),
+        (with_gap, r"a triangle at \(.*\) mm is in no group of the scene, but all its neighbours are"),
+        (turned_inward, r"'patch_7': 1 of its \d+ triangles are not on the boundary of the body"),
+        (with_hole, r"'patch_7': a triangle is missing in it at \("),
+        (
+            lambda m: without_cell(m, facing(m, "patch_7")),
+            r"'patch_7': 1 of its|touches itself|belong to no tetrahedron",
+        ),
     ],
 )
 def test_damage_to_places_is_seen(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container
+from collections.abc import Container, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -134,10 +134,6 @@ def check_places(scene: Scene, name: str, mesh: BodyMesh) -> None:
                 problems.add(scene.source, str(error))
                 continue
             facets[kind, place] = found
-    named = {row for (kind, _), found in facets.items() if kind != "place" for row in _rows(found)}
-    for (kind, place), found in facets.items():
-        for text in place_faults(mesh, found, named):
-            problems.add(scene.geometry, f"{kind} {place}: {text}; remesh it")
     for (kind, place), mine in facets.items():
         for (other, held), theirs in facets.items():
             if kind == "patch" and other == "grasp" and mine.shape[1] == theirs.shape[1]:
@@ -149,10 +145,40 @@ def check_places(scene: Scene, name: str, mesh: BodyMesh) -> None:
     problems.raise_if_any()
 
 
-def place_faults(mesh: BodyMesh, triangles: Cells, named: Container[tuple[int, ...]] = ()) -> list[str]:
-    """What is wrong with the triangles (k, 3) of a place: not on the boundary, or one of them missing amid the others.
+def check_groups(scene: Scene, mesh: BodyMesh) -> None:
+    """The physical groups that places are made of lie on the boundary, and no triangle is missing in them.
 
-    A facet in no patch or grasp (`named` are the facets of all) whose neighbours are all in this place is a hole in it.
+    `mesh` is without refinement: what is missing in a file has the size of one triangle there.
+
+    Raises:
+        InputError: with every problem.
+    """
+    problems = Problems(f"scene {scene.source} and geometry {scene.geometry.name}")
+    regions = _regions(scene)
+    names = {name for kind in regions.values() for region in kind.values() for name in region.groups}
+    groups = {
+        name: mesh.groups[name] for name in sorted(names) if name in mesh.groups and mesh.groups[name].shape[1] == 3
+    }
+    named = {row for triangles in groups.values() for row in _rows(triangles)}
+    for name, triangles in groups.items():
+        for text in group_faults(mesh, triangles, named):
+            problems.add(scene.geometry, f"physical group '{name}': {text}; remesh it")
+    # The groups of a .geo are whole; a file may have lost a triangle between two of them.
+    if groups and not problems.found and scene.geometry.suffix != ".geo":
+        where = _gap(mesh, np.vstack(list(groups.values())), named)
+        if where:
+            problems.add(
+                scene.geometry,
+                f"a triangle at {_middle(mesh, where)} is in no group of the scene, but all its neighbours are: put it into "
+                "one of them, or make smaller elements there",
+            )
+    problems.raise_if_any()
+
+
+def group_faults(mesh: BodyMesh, triangles: Cells, named: Iterable[tuple[int, ...]] = ()) -> list[str]:
+    """What is wrong with the triangles (k, 3) of a group: not on the boundary, or one of them missing amid the others.
+
+    A facet that is not among the `named` ones (those of all groups) whose neighbours are all in this group is a hole in it.
     """
     if triangles.shape[1] != 3:
         return []
@@ -160,12 +186,21 @@ def place_faults(mesh: BodyMesh, triangles: Cells, named: Container[tuple[int, .
     faults = []
     if inner := len(mine - _rows(mesh.boundary)):
         faults.append(f"{inner} of its {len(mine)} triangles are not on the boundary of the body")
-    edges = {edge for row in mine for edge in _edges(row)}
-    among = mesh.boundary[np.isin(mesh.boundary, triangles).all(axis=1)]
-    holes = [row for row in _rows(among) - mine if row not in named and edges.issuperset(_edges(row))]
-    if holes:
-        faults.append(f"a triangle is missing in it at {triple(mesh.points[list(min(holes))].mean(axis=0) * 1e3)} mm")
+    where = _gap(mesh, triangles, {*mine, *named})
+    if where:
+        faults.append(f"a triangle is missing in it at {_middle(mesh, where)}")
     return faults
+
+
+def _middle(mesh: BodyMesh, nodes: tuple[int, ...]) -> str:
+    return f"{triple(mesh.points[list(nodes)].mean(axis=0) * 1e3)} mm"
+
+
+def _gap(mesh: BodyMesh, triangles: Cells, named: Container[tuple[int, ...]]) -> tuple[int, ...]:
+    """The first facet of the boundary that is not `named` and has one of `triangles` on every side; or ()."""
+    edges = {edge for row in _rows(triangles) for edge in _edges(row)}
+    among = mesh.boundary[np.isin(mesh.boundary, triangles).all(axis=1)]
+    return min((row for row in _rows(among) if row not in named and edges.issuperset(_edges(row))), default=())
 
 
 def _edges(row: tuple[int, ...]) -> set[tuple[int, ...]]:

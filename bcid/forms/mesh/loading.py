@@ -11,7 +11,7 @@ from bcid.confined import read_in_child
 from bcid.errors import InputError
 from bcid.fingerprint import file_fingerprint
 from bcid.forms.mesh.body_mesh import BodyMesh, Cells, Points
-from bcid.forms.mesh.check import check_fineness, check_places, checked
+from bcid.forms.mesh.check import check_fineness, check_groups, check_places, checked
 from bcid.forms.mesh.references import beside
 from bcid.scene import Level, Scene
 
@@ -36,6 +36,7 @@ def _level_mesh(scene: Scene, level: Level) -> BodyMesh:
     )
     mesh = checked(BodyMesh(points * scene.length_unit, cells, groups), scene.geometry)
     check_fineness(scene, mesh)
+    check_groups(scene, mesh)
     for _ in range(level.refinements):
         mesh = mesh.refined()
     check_places(scene, level_name(scene, level), mesh)
