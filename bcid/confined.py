@@ -23,8 +23,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from bcid.errors import InputError
 from bcid.scratch import require, temporary_folder
 
@@ -74,6 +72,9 @@ def read_in_child(
         TimeoutError: it takes too long.
         MachineError: the temporary folder is full, or cannot be written.
     """
+    # Not above: `bcid doctor` asks for Landlock, and works without numpy.
+    import numpy as np
+
     with temporary_folder("bcid-read-") as folder:
         out = folder / "out.npz"
         file = source.resolve() if in_place else _copied(source, beside, folder / "in")
@@ -138,6 +139,8 @@ def serve(
         libraries: imported before rights are given up, if they are there: some look for their parts with the help of programs.
         space: address space, bytes; by default what a sound file of this length needs.
     """
+    import numpy as np
+
     source, out = Path(sys.argv[1]), sys.argv[2]
     for name in libraries:
         with suppress(ImportError):

@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import itertools
 import json
 import shutil
 import signal
@@ -367,18 +368,16 @@ def test_foreign_mesh(tmp_path: Path) -> None:
     """A mesh that meshio reads, patches as boxes and planes, and the ladder by uniform refinement."""
     meshio = pytest.importorskip("meshio")
     import numpy as np
-    from scipy.spatial import Delaunay
 
     grid = np.array(np.meshgrid([0, 20, 40], [0, 10], [0, 20], indexing="ij")).reshape(3, -1).T.astype(float)
-    cells = Delaunay(grid + 1e-3 * np.random.default_rng(0).random(grid.shape)).simplices
-    volumes = np.abs(
-        np.einsum(
-            "ij,ij->i",
-            np.cross(*(np.swapaxes(grid[cells[:, 1:3]] - grid[cells[:, :1]], 0, 1))),
-            grid[cells[:, 3]] - grid[cells[:, 0]],
-        )
-    )
-    meshio.write(tmp_path / "bar.vtu", meshio.Mesh(grid, [("tetra", cells[volumes > 1])]))
+    corner = np.arange(12).reshape(3, 2, 2)
+    # Kuhn's division: six tetrahedra of a box, one for each order in which its axes are gone along.
+    cells = [
+        [corner[tuple(np.add([i, 0, 0], np.isin(np.arange(3), order[:k]).astype(int)))] for k in range(4)]
+        for i in range(2)
+        for order in itertools.permutations(range(3))
+    ]
+    meshio.write(tmp_path / "bar.vtu", meshio.Mesh(grid, [("tetra", np.array(cells))]))
     (tmp_path / "bar.toml").write_text(
         """format = "bcid-scene/1"
 geometry = { file = "bar.vtu", length_unit = "mm" }
