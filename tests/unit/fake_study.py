@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from bcid.run import write_whole
+from bcid.run import Run, write_whole
 
 # What the stand-ins have done, one line each.
 CALLS = "FAKE_STUDY_CALLS"
@@ -37,5 +37,7 @@ def diagnose(
         pass
     time.sleep(600.0 if index == 5 else float(os.environ.get(SLEEP, "0")))
     answer = {"adequate": True, "verdict": "none", "anchored": ["1"], "ranking": [], "noise_rms": 0.2}
-    write_whole(folder / "diagnosis.json", json.dumps(answer | {"held_out_rms": 0.2}))
+    run = Run.start(folder, "explain", {}, overwrite)
+    run.write_json("diagnosis.json", answer | {"held_out_rms": 0.2})
+    run.finish({})
     return folder
