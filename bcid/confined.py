@@ -34,6 +34,8 @@ _COVERAGE = "COVERAGE_"
 # Of a child that reads a file, bytes of address space, and how much more a byte of the file may take.
 _SPACE = 2_000_000_000
 _PER_BYTE = 100
+# Longest file that is copied, bytes: a mesh of as many elements as can be solved on is a quarter of it.
+_LONGEST_FILE = 2_000_000_000
 # Longest reason of a child that is passed on.
 _LONGEST = 300
 # System calls and constants of Landlock (Linux, uapi/linux/landlock.h); the numbers are the same on all architectures but Alpha.
@@ -105,6 +107,9 @@ def read_in_child(
 def _copied(source: Path, beside: Iterable[Path], folder: Path) -> Path:
     """Copies of files in a folder of their own; returns that of the source."""
     try:
+        for file in (source, *beside):
+            if not file.is_file() or file.stat().st_size > _LONGEST_FILE:
+                raise InputError(f"{file.name} is no file of at most {_LONGEST_FILE / 1e9:g} GB")
         folder.mkdir()
         for other in beside:
             shutil.copyfile(other, folder / other.name)
@@ -157,8 +162,9 @@ def serve(
 
 
 def limit_memory(source: Path, space: int | None = None) -> None:
-    """A damaged file may ask for any amount of memory: it gets no more than a sound one of its length needs."""
+    """A damaged file may ask for any memory: it gets what a sound one of its length needs, at most half of the machine's."""
     most = _SPACE + _PER_BYTE * source.stat().st_size if space is None else space
+    most = min(most, max(_SPACE, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2))
     resource.setrlimit(resource.RLIMIT_AS, (most, resource.getrlimit(resource.RLIMIT_AS)[1]))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 

@@ -81,6 +81,9 @@ def as_text(content: bytes, path: Path, longest: int = LONGEST_TABLE, encoding: 
 def _content(path: Path, longest: int, absent: str) -> bytes:
     """The content of a file, up to where it is known to be too long."""
     try:
+        # A pipe or a device would be waited for, or read without end.
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise InputError(f"{path}: is no regular file; expected a file")
         with path.open("rb") as stream:
             return stream.read(longest + 1)
     except FileNotFoundError:

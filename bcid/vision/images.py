@@ -76,7 +76,7 @@ class Images:
         path = Path(path)
         if path.is_dir():
             return cls(path, _Folder(path))
-        if not path.exists():
+        if not path.is_file():
             raise InputError(f"{path}: no such folder of images or video")
         if path.suffix.lower() not in VIDEOS:
             raise InputError(

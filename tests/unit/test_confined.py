@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -14,8 +16,10 @@ from bcid.compare.source import from_run
 from bcid.confined import landlock, read_in_child
 from bcid.errors import InputError
 from bcid.forms.mesh import level_mesh
+from bcid.measurement import Measurement
 from bcid.run import Run
 from bcid.scene import Scene
+from bcid.vision.images import Images
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -91,6 +95,29 @@ def test_an_hdf5_file_beside_its_xdmf_is_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(arrays["cells"], cells)
     with pytest.raises(InputError, match=r"only an HDF5 file beside it"):
         read_in_child("bcid.forms.mesh.child", tmp_path / "m.xdmf", ["0.0", "0.0"], seconds=60)
+
+
+def test_a_file_that_is_too_long_to_copy_is_refused(tmp_path: Path) -> None:
+    """A hole of a terabyte takes no space where it lies, and all of it where it is copied to."""
+    with (tmp_path / "a.c3d").open("wb") as stream:
+        stream.truncate(10**12)
+    with pytest.raises(InputError, match=r"a\.c3d is no file of at most 2 GB"):
+        read_in_child("bcid.c3d", tmp_path / "a.c3d", seconds=60)
+
+
+@pytest.mark.timeout(60)
+def test_pipes_are_not_waited_for(tmp_path: Path) -> None:
+    folder = tmp_path / "seen"
+    shutil.copytree(ROOT / "examples/measurements/slab-34-complex", folder)
+    os.mkfifo(folder / "wrench.csv")
+    with pytest.raises(InputError, match=r"wrench\.csv: is no regular file"):
+        Measurement.read(folder)
+    for name in ("scene.toml", "left.avi"):
+        os.mkfifo(tmp_path / name)
+    with pytest.raises(InputError, match=r"scene\.toml: is no regular file"):
+        Scene.read(tmp_path / "scene.toml")
+    with pytest.raises(InputError, match=r"left\.avi: no such"):
+        Images.open(tmp_path / "left.avi")
 
 
 def test_effects_of_a_run_are_run_only_when_named_again(tmp_path: Path) -> None:
