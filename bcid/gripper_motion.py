@@ -129,7 +129,9 @@ def _evidence(pulls: Sequence[_Pull], undo: Array, size: float, noise: float) ->
     left, parts, moves, furthest = [], [], [], 0.0
     for pull in pulls:
         driven = _driven(pull, undo)
-        spread = max(noise, _roughness(pull.moved))
+        # Of two steps no noise can be told: where none is known either, it may be as large as the motion.
+        known = noise > 0 or len(pull.moved) > 2
+        spread = max(noise, _roughness(pull.moved)) if known else float(np.abs(pull.moved).max())
         most = max(float(np.sum(driven**2)), 1e-300)
         follow = float(np.sum(driven * pull.moved)) / most
         # An error of the first step is in all others.

@@ -55,7 +55,7 @@ def jumps(positions: Array, gripper: Array, noise: float, size: float, slip: flo
     positions = np.clip(positions, -_FAR, _FAR)
     before, after = _beside(positions)
     low, high = np.fmin(before, after), np.fmax(before, after)
-    scale = _scale(positions, gripper, noise, size)[:, None, None]
+    scale = _scale(positions, gripper, max(noise, _roughness(positions)), size)[:, None, None]
     away = _outside(positions, low, high)
     prior = math.log(slip / positions.size)
     # What is within a few scales is looked at no further.
@@ -95,12 +95,21 @@ def _beside(positions: Array) -> tuple[Array, Array]:
     return before, after
 
 
+def _roughness(positions: Array) -> float:
+    """Noise of a coordinate as the median of its second differences over the steps tells, m: single jumps do not count."""
+    bends = np.abs(np.diff(positions, n=2, axis=0))
+    known = bends[np.isfinite(bends)]
+    # Of a normal distribution half is within 0.6745 deviations; a second difference has six variances.
+    return float(np.median(known)) / (0.6745 * math.sqrt(6.0)) if len(known) > 5 else 0.0
+
+
 def _scale(positions: Array, gripper: Array, noise: float, size: float) -> Array:
     """How far a coordinate may be from what its neighbours let expect, shape (steps,), m."""
     change = np.abs(np.diff(positions, axis=0))
     seen = np.isfinite(change).any(axis=(1, 2))
     typical = np.zeros(len(change))
-    typical[seen] = np.nanmedian(np.nanmax(np.where(np.isnan(change[seen]), 0.0, change[seen]), axis=2), axis=1)
+    # A point that was not seen in both steps says nothing.
+    typical[seen] = np.nanmedian(change[seen].max(axis=2), axis=1)
     if positions.shape[1] == 1:
         # A single point has no neighbours: what it does in all steps tells.
         typical[:] = np.median(typical)

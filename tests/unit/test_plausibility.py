@@ -123,6 +123,36 @@ def test_fiducials_that_do_not_follow_the_gripper_are_no_slip() -> None:
     assert slips.changed(sound(), still + noise).check(slab()) == []
 
 
+def without_noise(change: slips.Change) -> tuple[Scene, Measurement]:
+    return replace(slab(), noise_sigma=None), replace(change(sound()), noise_sigma=None)
+
+
+def test_noise_that_nobody_stated_is_no_slip() -> None:
+    """Points at rest that are off by 3 % of the body's size, a third of them not seen."""
+    rng = np.random.default_rng(2)
+    found = 0
+    for _ in range(150):
+        seen = rng.normal(0, 0.03, (30, 12, 3))
+        seen[rng.random((30, 12)) < 0.35] = np.nan
+        found += len(jumps(seen, np.full(29, 1e-3), 0.0, 1.0, 0.01))
+    assert found == 0
+
+
+def test_two_steps_without_a_stated_noise_tell_nothing_of_the_gripper() -> None:
+    """What the fiducials do between them may be noise alone."""
+    rng = np.random.default_rng(3)
+
+    def still(seen: Measurement) -> Measurement:
+        data = seen.data.isel(frame=[0, 1])
+        first = data["position"].values[:1]
+        data["position"] = (data["position"].dims, first + rng.normal(0, 3e-4, (2, *first.shape[1:])))
+        return replace(seen, data=data)
+
+    for _ in range(20):
+        scene, seen = without_noise(still)
+        assert seen.check(scene) == []
+
+
 def test_markers_that_were_not_seen_are_no_slip() -> None:
     positions = sound().positions.copy()
     positions[:, ::3] = np.nan
