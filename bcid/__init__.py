@@ -13,7 +13,7 @@ __version__ = "0.1.0"
 _PUBLIC = {
     "Scene": "bcid.scene",
     "Measurement": "bcid.measurement",
-    "Run": "bcid.run",
+    "Run": "bcid.base.run",
     "Forward": "bcid.forms.forward",
     "Model": "bcid.forms.model",
     "identify": "bcid.search.identify",

@@ -2,6 +2,6 @@
 
 import sys
 
-from bcid.cli import main
+from bcid.app.cli import main
 
 sys.exit(main())

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from bcid import __version__
-from bcid.errors import InputError, MachineError, nearest
-from bcid.progress import Lines, Progress
+from bcid.base.errors import InputError, MachineError, nearest
+from bcid.base.progress import Lines, Progress
 from benchmarks.measure import Session
 from benchmarks.table import Part, goals_table
 

@@ -22,7 +22,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bcid.progress import Silent
+from bcid.base.progress import Silent
 from bcid.studies.deal import How, Work, deal, read_result
 
 PROJECT = Path(__file__).resolve().parents[1]

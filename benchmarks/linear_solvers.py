@@ -19,8 +19,8 @@ import numpy as np
 from bcid import Forward, Scene
 from bcid.forms.mesh import level_mesh
 from bcid.forms.solve import Settings
-from bcid.motions import actions, pull
 from bcid.scene import Level
+from bcid.scene.motions import actions, pull
 
 SCENE = Path(__file__).resolve().parents[1] / "examples/scenes/slab.toml"
 REPEATS = 3

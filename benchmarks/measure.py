@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from bcid.errors import MachineError
-from bcid.progress import Progress
+from bcid.base.errors import MachineError
+from bcid.base.progress import Progress
 
 ROOT = Path(__file__).resolve().parents[1]
 PINS = ROOT / "environment" / "bench.txt"

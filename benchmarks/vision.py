@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid import Scene
-from bcid.motions import motion
+from bcid.scene.motions import motion
 from bcid.studies.filmed import Filmed, Motion, film, moved
 from bcid.vision.recording import Recording
 from bcid.vision.rendering.look import Look

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid import Identification, Measurement, Scene, identify
-from bcid.motions import motion
 from bcid.scene import Level
+from bcid.scene.motions import motion
 from bcid.search.identify import Options
 from bcid.studies.filmed import Filmed, film, moved
 from bcid.vision.job import run_tracking

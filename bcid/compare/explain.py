@@ -10,6 +10,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.base.errors import SolveError
+from bcid.base.progress import Progress, Silent
+from bcid.base.units import p_value
 from bcid.compare import anchors as anchor_search
 from bcid.compare.adequacy import Adequacy, judge
 from bcid.compare.buckling import leave_out
@@ -20,15 +23,12 @@ from bcid.compare.missing import Ranking, rank
 from bcid.compare.rivals import STEPS, Rival, at_a_glance, contest, criterion, explained, explains
 from bcid.compare.state import State
 from bcid.compare.twin import Twin
-from bcid.errors import SolveError
 from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
 from bcid.forms.solve import Settings
-from bcid.progress import Progress, Silent
 from bcid.search.farm import label
 from bcid.search.identify import Identification, Options, identify
-from bcid.units import p_value
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from bcid.base.errors import InputError, SolveError, nearest
 from bcid.compare.state import State
 from bcid.compare.twin import Reply, Twin
-from bcid.errors import InputError, SolveError, nearest
 from bcid.forms.model import Model
 from bcid.forms.parameter import Parameter
 from bcid.forms.sensitivity import Probe, Wanted

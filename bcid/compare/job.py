@@ -9,7 +9,10 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from bcid.collective import on_root
+from bcid.base.collective import on_root
+from bcid.base.errors import InputError, nearest
+from bcid.base.progress import Progress
+from bcid.base.run import Run
 from bcid.compare.adequacy import judge
 from bcid.compare.buckling import leave_out
 from bcid.compare.explain import Explanation, Plan, Rung, explain
@@ -24,11 +27,8 @@ from bcid.compare.state import State
 from bcid.compare.twin import Twin
 from bcid.compare.variants import neutral_values
 from bcid.compare.where import missing_force
-from bcid.errors import InputError, nearest
 from bcid.forms import effects
 from bcid.forms.model import Dose, Model
-from bcid.progress import Progress
-from bcid.run import Run
 from bcid.search.farm import label
 
 # -- the jobs

@@ -12,9 +12,9 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from bcid.base.errors import SolveError
 from bcid.compare.missing import SIGNIFICANT, Ranking, rank
 from bcid.compare.state import State
-from bcid.errors import SolveError
 from bcid.forms.effects.effect import Effect
 from bcid.search.climb import neighbours
 

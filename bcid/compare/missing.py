@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 from scipy.stats import chi2, ncx2
 
+from bcid.base.errors import InputError
 from bcid.compare.fit import columns, coordinates
 from bcid.compare.state import State
 from bcid.compare.variants import Variant, all_variants
-from bcid.errors import InputError
 from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Dose

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from bcid.base.run import Run
+from bcid.base.units import unit_factor
 from bcid.compare import words
 from bcid.compare.adequacy import FALSE_ALARMS, groups, judge
 from bcid.compare.explain import Explanation, Rung
@@ -22,9 +24,7 @@ from bcid.compare.twin import Twin, joined
 from bcid.compare.where import MissingForce
 from bcid.forms.model import Dose
 from bcid.measurement import AXES
-from bcid.run import Run
 from bcid.search.job import body_parts, inputs_in_words, odd
-from bcid.units import unit_factor
 
 MODEL_FORMAT = "bcid-model/1"
 

@@ -10,12 +10,12 @@ from typing import TypeVar
 
 import numpy as np
 
+from bcid.base.errors import InputError, SolveError
 from bcid.compare.anchors import search
 from bcid.compare.fit import Fit, fit, held_out
 from bcid.compare.joint import NEARLY, Proposal
 from bcid.compare.missing import Row, rank
 from bcid.compare.state import State
-from bcid.errors import InputError, SolveError
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Dose, Model
 from bcid.forms.solve import Settings

@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from bcid.collective import agree, on_root
-from bcid.errors import BcidError, InputError, nearest
-from bcid.fingerprint import file_fingerprint
+from bcid.base.collective import agree, on_root
+from bcid.base.errors import BcidError, InputError, nearest
+from bcid.base.fingerprint import file_fingerprint
+from bcid.base.run import Run
 from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import check_geometry
 from bcid.forms.model import Dose, Model
 from bcid.measurement import Measurement
-from bcid.run import Run
 from bcid.scene import Scene
 from bcid.search.job import fingerprints, read_inputs
 

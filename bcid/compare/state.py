@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.base.errors import SolveError
 from bcid.compare.data import Errors, MeshError
 from bcid.compare.twin import Reply, Twin
-from bcid.errors import SolveError
 from bcid.forms.model import Model
 from bcid.forms.solve import Settings
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.collective import agree, in_turns
+from bcid.base.collective import agree, in_turns
+from bcid.base.errors import BcidError, InputError
 from bcid.compare.data import Data, MeshError
-from bcid.errors import BcidError, InputError
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model

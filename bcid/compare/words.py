@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bcid.base.units import for_people, p_value, percent, significance
 from bcid.compare.adequacy import Adequacy, groups
 from bcid.compare.explain import Explanation, Rung
 from bcid.compare.missing import Ranking, Row
@@ -17,7 +18,6 @@ from bcid.compare.where import MissingForce
 from bcid.forms.model import Dose
 from bcid.search.farm import label
 from bcid.search.job import FAR
-from bcid.units import for_people, p_value, percent, significance
 
 # A force that explains a smaller share of what is beyond noise is none.
 _NOTHING = 0.1

@@ -11,8 +11,11 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from bcid.collective import on_root
-from bcid.errors import InputError
+from bcid.base.collective import on_root
+from bcid.base.errors import InputError
+from bcid.base.progress import Progress, Silent
+from bcid.base.run import Run, sealed, unsealed
+from bcid.base.units import for_people, percent
 from bcid.explore.belief import Hypothesis, entropy
 from bcid.explore.inference import MISSED, View, believed
 from bcid.explore.loop import BUDGET, DECIDED, INSEPARABLE, UNEXPLAINED, Exploration, Plan, Step, explore, paired
@@ -25,11 +28,8 @@ from bcid.forms.mesh.check import measures
 from bcid.forms.model import check_physics
 from bcid.forms.patches import divided
 from bcid.measurement import Measurement
-from bcid.progress import Progress, Silent
-from bcid.run import Run, sealed, unsealed
 from bcid.scene import Scene
 from bcid.search.job import odd, scene_fingerprint
-from bcid.units import for_people, percent
 
 SIMULATED, FOLDER = "simulated", "folder"
 # So many sets are named in a sentence.

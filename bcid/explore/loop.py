@@ -8,9 +8,11 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from bcid.collective import on_root
+from bcid.base.collective import on_root
+from bcid.base.errors import InputError, nearest
+from bcid.base.progress import Progress, Silent
+from bcid.base.units import percent
 from bcid.compare.twin import affordable, pair
-from bcid.errors import InputError, nearest
 from bcid.explore.belief import Hypothesis
 from bcid.explore.choice import CRITERIA, Choice, Chooser, Option
 from bcid.explore.inference import MISSED, Inference, View
@@ -20,9 +22,7 @@ from bcid.explore.rival_effects import RivalEffects
 from bcid.explore.robots import Robot
 from bcid.forms import effects
 from bcid.measurement import Measurement
-from bcid.progress import Progress, Silent
 from bcid.scene import Scene
-from bcid.units import percent
 
 DECIDED, INSEPARABLE, BUDGET, UNEXPLAINED = "decided", "inseparable", "budget", "unexplained"
 

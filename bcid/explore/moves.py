@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 from bcid.measurement import Action
 from bcid.scene import Limits, Scene
 

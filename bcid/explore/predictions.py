@@ -18,9 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.collective import agree, in_turns, on_root
-from bcid.errors import BcidError, InputError
-from bcid.fingerprint import fingerprint
+from bcid.base.collective import agree, in_turns, on_root
+from bcid.base.errors import BcidError, InputError
+from bcid.base.fingerprint import fingerprint
+from bcid.base.run import writing
+from bcid.base.text_file import parse_json
 from bcid.forms.forward import Forward
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
@@ -28,11 +30,9 @@ from bcid.forms.softness import SOFT, linear_buckling, softest, two_states
 from bcid.forms.solve import Settings
 from bcid.forms.trajectory import poses
 from bcid.measurement import Action
-from bcid.run import writing
 from bcid.scene import Scene
 from bcid.search.job import scene_fingerprint
 from bcid.search.schedule import counter, share
-from bcid.text_file import parse_json
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]

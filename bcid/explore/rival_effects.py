@@ -21,12 +21,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from bcid.base.errors import SolveError
 from bcid.compare.fit import Coordinate, Fit, fit
 from bcid.compare.joint import NEARLY, Proposal, propose
 from bcid.compare.rivals import Rival, at_a_glance, criterion, refit
 from bcid.compare.state import State
 from bcid.compare.twin import Twin
-from bcid.errors import SolveError
 from bcid.explore.belief import Anchored, Hypothesis
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model

@@ -10,14 +10,14 @@ from typing import Protocol
 
 import numpy as np
 
-from bcid.errors import InputError, MachineError, SolveError, nearest
+from bcid.base.errors import InputError, MachineError, SolveError, nearest
+from bcid.base.run import write_whole
+from bcid.base.units import unit_factor
 from bcid.explore.predictions import Predictor
 from bcid.forms.simulate import recorded
 from bcid.measurement import Action, Measurement
-from bcid.measurement_folder import grasp_lines
-from bcid.run import write_whole
+from bcid.measurement.folder import grasp_lines
 from bcid.scene import Scene
-from bcid.units import unit_factor
 
 # Between two looks into a folder, s.
 _POLL = 0.2

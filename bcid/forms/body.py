@@ -12,8 +12,8 @@ from dolfinx import default_scalar_type, fem
 from dolfinx import mesh as dmesh
 from numpy.typing import NDArray
 
-from bcid import compat
-from bcid.errors import InputError
+from bcid.base import compat
+from bcid.base.errors import InputError
 from bcid.forms.mesh import BodyMesh
 from bcid.scene import Region
 

@@ -21,14 +21,14 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from bcid.collective import on_root
-from bcid.errors import BcidError, InputError
+from bcid.base.collective import on_root
+from bcid.base.errors import BcidError, InputError
+from bcid.base.units import parse_unit
 from bcid.forms import effects
 from bcid.forms.effects.effect import ACTS_ON, Effect
 from bcid.forms.parameter import Parameter
 from bcid.forms.trajectory import poses
 from bcid.forms.trial import ANCHORS, OTHER, ROUND_OFF, Trial, box, scene
-from bcid.units import parse_unit
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import Problems
+from bcid.base.errors import Problems
 from bcid.forms.mesh import BodyMesh
 from bcid.forms.observe import closest_on_triangles
 from bcid.scene import Scene

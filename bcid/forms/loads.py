@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 from bcid.forms.body import Body
 from bcid.scene import Region
 

@@ -11,14 +11,14 @@ from typing import Any
 
 import ufl
 
-from bcid.errors import InputError, nearest
+from bcid.base.errors import InputError, nearest
+from bcid.base.units import quantity
 from bcid.forms import effects, materials
 from bcid.forms.effects.effect import Array, Effect, Frame, Point
 from bcid.forms.materials.law import Law, Volumetric
 from bcid.forms.parameter import Parameter
 from bcid.measurement import Action
 from bcid.scene import Scene, Values
-from bcid.units import quantity
 
 
 @dataclass(frozen=True)

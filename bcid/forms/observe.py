@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from bcid import compat
-from bcid.errors import Problems
+from bcid.base import compat
+from bcid.base.errors import Problems
 from bcid.forms.body import Body
 from bcid.forms.mesh import BodyMesh
 

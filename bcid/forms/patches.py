@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.collective import on_root
-from bcid.errors import InputError, Problems, nearest
+from bcid.base.collective import on_root
+from bcid.base.errors import InputError, Problems, nearest
 from bcid.forms.mesh import BodyMesh, level_mesh, level_name
 from bcid.scene import Box, Region, Scene
 

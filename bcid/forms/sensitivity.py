@@ -20,7 +20,7 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fp
 from numpy.typing import NDArray
 
-from bcid.errors import SolveError
+from bcid.base.errors import SolveError
 from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.model import Dose, Model

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import SolveError
+from bcid.base.errors import SolveError
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model
 from bcid.forms.patches import divided
 from bcid.forms.solve import Settings
 from bcid.measurement import WRENCH, Action, Measurement
-from bcid.measurement_folder import motions_dataset
+from bcid.measurement.folder import motions_dataset
 from bcid.scene import Scene
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ def simulate(
     Args:
         scene: the scene; divided patches are replaced by their pieces.
         anchors: names of the anchored patches.
-        actions: the motions, numbered along one frame axis (see `bcid.motions.actions`).
+        actions: the motions, numbered along one frame axis (see `bcid.scene.motions.actions`).
         level: mesh level; the finest by default.
         noise: standard deviation of the white noise added to every coordinate, m; by default the scene's, 0 for none.
         random_state: of the noise; the same number gives the same noise for any number of ranks.

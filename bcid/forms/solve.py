@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 from ufl.algorithms import expand_derivatives
 
-from bcid import compat
-from bcid.errors import InputError
+from bcid.base import compat
+from bcid.base.errors import InputError
 from bcid.forms.body import Body
 from bcid.forms.factor import OUT_OF_MEMORY, Factor, FactorShell
 from bcid.forms.model import Model

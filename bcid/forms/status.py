@@ -6,7 +6,7 @@ from enum import StrEnum
 
 from petsc4py import PETSc
 
-from bcid import compat
+from bcid.base import compat
 
 
 class Status(StrEnum):

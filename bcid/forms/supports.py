@@ -10,7 +10,7 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from bcid.errors import InputError, nearest
+from bcid.base.errors import InputError, nearest
 from bcid.forms.body import Body
 from bcid.forms.loads import nodal_weights
 from bcid.measurement import quaternion_rotate

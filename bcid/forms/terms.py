@@ -12,8 +12,8 @@ import ufl
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from bcid import compat
-from bcid.errors import InputError, nearest
+from bcid.base import compat
+from bcid.base.errors import InputError, nearest
 from bcid.forms.body import Body
 from bcid.forms.effects.effect import Past, Point
 from bcid.forms.kinematics import Kinematics

@@ -14,7 +14,8 @@ from dolfinx import fem
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from bcid.errors import SolveError
+from bcid.base.errors import SolveError
+from bcid.base.units import parse_unit
 from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.mesh import BodyMesh
@@ -24,7 +25,6 @@ from bcid.forms.rotation import from_vector
 from bcid.forms.solve import Settings
 from bcid.measurement import Action
 from bcid.scene import Grasp, Level, Material, Plane, Region, Scene
-from bcid.units import parse_unit
 
 Array = NDArray[np.float64]
 

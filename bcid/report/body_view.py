@@ -76,7 +76,7 @@ def view_data(found: Found) -> dict[str, Any] | None:
 
 
 def _metres(residual: Residual) -> float:
-    from bcid.units import unit_factor
+    from bcid.base.units import unit_factor
 
     return unit_factor(residual.unit, "m")
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.base.run import Run, writing
 from bcid.report.figure import open_frame, save, styled
-from bcid.run import Run, writing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

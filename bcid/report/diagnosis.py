@@ -11,14 +11,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from bcid.base.run import Run, writing
+from bcid.base.units import percent, unit_factor
 from bcid.report.figure import body_entries, cropped, save, styled
 from bcid.report.ladder import head, ladder_figure
 from bcid.report.lengths import in_mm
 from bcid.report.paraview import write_paraview
 from bcid.report.scene3d import COLOURS, Image, arrows_picture
 from bcid.report.words import conclusion, model_name
-from bcid.run import Run, writing
-from bcid.units import percent, unit_factor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

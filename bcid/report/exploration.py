@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bcid.base.run import Run, writing
+from bcid.base.units import percent
 from bcid.report.figure import chart, legend_below, open_frame, save, short, styled
-from bcid.run import Run, writing
-from bcid.units import percent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,7 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bcid.errors import InputError, unwritable
+from bcid.base.errors import InputError, unwritable
+from bcid.base.run import writing
 from bcid.report.figure import styled
 from bcid.report.found import Found
 from bcid.report.gallery import drawings
@@ -20,7 +21,6 @@ from bcid.report.provenance import facts
 from bcid.report.section import DAMAGE
 from bcid.report.svg import svg_bytes
 from bcid.report.tables import tables
-from bcid.run import writing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bcid.errors import BcidError
+from bcid.base.errors import BcidError
+from bcid.base.run import Run
 from bcid.report.lengths import in_mm
 from bcid.report.markup import clean
-from bcid.run import Run
 
 _DOCUMENTS = ("diagnosis", "identification", "exploration", "calibration", "tracking", "where", "model")
 _TEXTS = ("summary.txt", "table.txt")

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
+from bcid.base.run import Run, writing
+from bcid.base.units import percent, unit_factor
 from bcid.report.figure import body_entries, chart, cropped, name_ticks, open_frame, save, styled
 from bcid.report.lengths import in_mm
 from bcid.report.paraview import write_paraview
 from bcid.report.scene3d import COLOURS, picture
-from bcid.run import Run, writing
-from bcid.units import percent, unit_factor
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from bcid.errors import InputError
-from bcid.units import unit_factor
+from bcid.base.errors import InputError
+from bcid.base.units import unit_factor
 
 # What is a length in the documents of a run.
 _RMS = ("rms", "noise_rms", "discretisation_rms", "held_out_rms", "best_rms", "expected_rms", "fitted_rms")

@@ -11,11 +11,11 @@ from importlib import resources
 from pathlib import Path
 
 from bcid import __version__
-from bcid.errors import InputError
+from bcid.base.errors import InputError
+from bcid.base.run import write_whole
 from bcid.report.found import Found
 from bcid.report.markup import Markup, clean, json_text, tag, verbatim
 from bcid.report.section import Section
-from bcid.run import write_whole
 
 # What a report begins with: only such a file is overwritten.
 MARK = "<!-- bcid-report/1 -->"

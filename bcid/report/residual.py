@@ -9,9 +9,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from bcid.base.units import unit_factor
 from bcid.report.figure import DARK, GREY, LIGHT, chart, legend_below, name_ticks, short
 from bcid.report.words import model_name
-from bcid.units import unit_factor
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from bcid.errors import BcidError
+from bcid.base.errors import BcidError
 from bcid.report import gallery, tables
 from bcid.report.body_view import view_data
 from bcid.report.figure import styled

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from bcid.base.units import p_value, significance
 from bcid.report.found import Found
 from bcid.report.gallery import residuals_of
 from bcid.report.ladder import asked_rung, place_name
 from bcid.report.residual import Residual
 from bcid.report.table import TEXT, Column, Table
 from bcid.report.words import amount, chance, listed, model_name, plain
-from bcid.units import p_value, significance
 
 # Numbers of an effect that a cell holds.
 _AMOUNTS = 3

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from bcid.units import for_people, percent
+from bcid.base.units import for_people, percent
 
 
 def plain(name: str) -> str:

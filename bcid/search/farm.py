@@ -16,15 +16,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.collective import agree, in_turns
-from bcid.errors import SHORT_OF_MEMORY, BcidError, InputError, MachineError
+from bcid.base.collective import agree, in_turns
+from bcid.base.errors import SHORT_OF_MEMORY, BcidError, InputError, MachineError
+from bcid.base.progress import Progress, Silent
 from bcid.forms.forward import Forward, Prediction, Watch
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
 from bcid.forms.solve import Settings
 from bcid.forms.status import Status
 from bcid.measurement import Measurement
-from bcid.progress import Progress, Silent
 from bcid.scene import Scene
 from bcid.search.misfit import Misfit
 from bcid.search.schedule import counter, share

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from bcid.errors import InputError, SolveError
+from bcid.base.errors import InputError, SolveError
+from bcid.base.progress import Progress, Silent
 from bcid.forms.forward import Prediction
 from bcid.forms.model import Model
 from bcid.forms.patches import divided, first_level
 from bcid.forms.solve import Settings
 from bcid.measurement import Measurement
-from bcid.progress import Progress, Silent
 from bcid.scene import Scene
 from bcid.search.belief import Belief, classes, finest, interest, log_likelihood, model_errors
 from bcid.search.climb import ODDS, climb, neighbours, rank

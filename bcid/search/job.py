@@ -11,21 +11,21 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bcid.collective import on_root
-from bcid.fingerprint import file_fingerprint, fingerprint
+from bcid.base.collective import on_root
+from bcid.base.fingerprint import file_fingerprint, fingerprint
+from bcid.base.progress import Progress, Silent
+from bcid.base.run import Run
+from bcid.base.units import percent, unit_factor
 from bcid.forms.forward import check_geometry
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.mesh.check import measures
 from bcid.forms.model import check_physics
 from bcid.forms.patches import divided, first_level
 from bcid.measurement import AXES, WRENCH, Measurement
-from bcid.progress import Progress, Silent
-from bcid.run import Run
 from bcid.scene import Scene
 from bcid.search.farm import Outcome, label
 from bcid.search.identify import Identification, Options
 from bcid.search.refine import Refinement, check_rounds, identify_refined
-from bcid.units import percent, unit_factor
 
 # A residual that is so many times the noise is not explained by it.
 FAR = 2.0

@@ -9,12 +9,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
+from bcid.base.progress import Progress, Silent
 from bcid.forms.model import Model
 from bcid.forms.patches import divided, element_size, extents, first_level, half_names, halves, replaced, touching
 from bcid.forms.solve import Settings
 from bcid.measurement import Measurement
-from bcid.progress import Progress, Silent
 from bcid.scene import Region, Scene
 from bcid.search.belief import gain
 from bcid.search.farm import Candidate, Farm, Outcome, label

@@ -9,9 +9,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from bcid.errors import BcidError, MachineError
-from bcid.progress import Silent
-from bcid.run import Run
+from bcid.base.errors import BcidError, MachineError
+from bcid.base.progress import Silent
+from bcid.base.run import Run
 
 
 class CaseError(BcidError):

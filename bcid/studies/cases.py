@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.measurement import Action
-from bcid.motions import about_x, actions
+from bcid.scene.motions import about_x, actions
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator

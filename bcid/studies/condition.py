@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
+from bcid.base.units import quantity
 from bcid.measurement import Action
-from bcid.motions import MOTIONS, motion
 from bcid.scene import Level, Scene
-from bcid.units import quantity
+from bcid.scene.motions import MOTIONS, motion
 
 SEARCHES = ("stages", "single", "identify")
 

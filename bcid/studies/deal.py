@@ -19,10 +19,10 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from bcid.collective import agree, on_root
-from bcid.errors import BcidError, MachineError
-from bcid.progress import Progress
-from bcid.run import sealed, unsealed, write_whole
+from bcid.base.collective import agree, on_root
+from bcid.base.errors import BcidError, MachineError
+from bcid.base.progress import Progress
+from bcid.base.run import sealed, unsealed, write_whole
 from bcid.studies.time_limit import OutOfTime, limited
 
 Task = Mapping[str, Any]

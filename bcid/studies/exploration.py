@@ -23,8 +23,11 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from bcid.collective import on_root
-from bcid.errors import InputError, SolveError
+from bcid.base.collective import on_root
+from bcid.base.errors import InputError, SolveError
+from bcid.base.fingerprint import file_fingerprint
+from bcid.base.progress import Progress, Silent
+from bcid.base.run import Run
 from bcid.explore.belief import Hypothesis
 from bcid.explore.choice import Choice, Chooser
 from bcid.explore.inference import Inference
@@ -33,10 +36,7 @@ from bcid.explore.loop import Plan, explore, paired
 from bcid.explore.moves import limits_of, moves
 from bcid.explore.predictions import Predictor
 from bcid.explore.robots import Simulated
-from bcid.fingerprint import file_fingerprint
 from bcid.forms.model import check_physics
-from bcid.progress import Progress, Silent
-from bcid.run import Run
 from bcid.scene import Level, Scene
 from bcid.search.seeds import all_candidates
 from bcid.studies.deal import How, Work, deal, read_result

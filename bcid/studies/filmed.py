@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import SolveError
+from bcid.base.errors import SolveError
+from bcid.base.run import write_whole
 from bcid.forms.forward import Forward
 from bcid.forms.mesh import BodyMesh
 from bcid.forms.observe import closest_on_triangles
 from bcid.forms.patches import divided
 from bcid.measurement import Action
-from bcid.measurement_folder import grasp_lines
-from bcid.run import write_whole
+from bcid.measurement.folder import grasp_lines
 from bcid.scene import Scene
 from bcid.vision.camera import SIDES, Cameras
 from bcid.vision.rendering.instruments import instruments

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import SolveError
+from bcid.base.errors import SolveError
+from bcid.base.fingerprint import fingerprint
 from bcid.explore.predictions import Predictor
-from bcid.fingerprint import fingerprint
 from bcid.forms.model import check_physics
 from bcid.measurement import Action
 from bcid.scene import Scene

@@ -15,15 +15,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bcid.collective import on_root
-from bcid.errors import InputError
-from bcid.fingerprint import file_fingerprint
-from bcid.progress import Progress, Silent
-from bcid.run import Run
+from bcid.base.collective import on_root
+from bcid.base.errors import InputError
+from bcid.base.fingerprint import file_fingerprint
+from bcid.base.progress import Progress, Silent
+from bcid.base.run import Run
+from bcid.base.text_file import read_json
 from bcid.studies.cases import SIZES
 from bcid.studies.deal import How, Work, deal, read_result
 from bcid.studies.score import scores, table
-from bcid.text_file import read_json
 
 SCENE = Path(__file__).resolve().parents[2] / "examples/scenes/slab_hidden.toml"
 MAKE = "bcid.studies.truth:make"

@@ -11,11 +11,11 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 
-from bcid.collective import on_root
-from bcid.errors import InputError
-from bcid.fingerprint import file_fingerprint
-from bcid.progress import Progress, Silent
-from bcid.run import Run
+from bcid.base.collective import on_root
+from bcid.base.errors import InputError
+from bcid.base.fingerprint import file_fingerprint
+from bcid.base.progress import Progress, Silent
+from bcid.base.run import Run
 from bcid.studies import exploration
 from bcid.studies.deal import How
 from bcid.studies.exploration_trials import Extent as Explored

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bcid.errors import MachineError
-from bcid.run import writing
+from bcid.base.errors import MachineError
+from bcid.base.run import writing
 from bcid.studies.condition import written
 from bcid.studies.deal import read_result
 from bcid.studies.score import wilson

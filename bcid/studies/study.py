@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from bcid.collective import on_root
-from bcid.fingerprint import file_fingerprint
-from bcid.progress import Progress, Silent
-from bcid.run import Busy, Run
+from bcid.base.collective import on_root
+from bcid.base.fingerprint import file_fingerprint
+from bcid.base.progress import Progress, Silent
+from bcid.base.run import Busy, Run
 from bcid.scene import Scene
 from bcid.studies import foretell, results
 from bcid.studies.condition import written

@@ -32,11 +32,11 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from bcid.errors import InputError, Problems, nearest
+from bcid.base.errors import InputError, Problems, nearest
+from bcid.base.text_file import read_toml
 from bcid.forms.model import check_physics
 from bcid.scene import Scene
 from bcid.studies.condition import NAMES, Condition, parsed
-from bcid.text_file import read_toml
 
 FORMAT = "bcid-study/1"
 # Values of one attribute: each is a row or a column of a table.

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import SolveError
+from bcid.base.errors import SolveError
+from bcid.base.run import write_whole
 from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import Forward
@@ -27,7 +28,6 @@ from bcid.forms.solve import Settings
 from bcid.forms.status import Status
 from bcid.forms.trajectory import between, poses
 from bcid.measurement import Action
-from bcid.run import write_whole
 from bcid.scene import Level, Scene
 from bcid.studies import outside
 from bcid.studies.cases import NOISE, Case, Hidden, draw, generator

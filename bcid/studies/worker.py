@@ -14,7 +14,7 @@ import sys
 import threading
 from pathlib import Path
 
-from bcid.errors import MachineError
+from bcid.base.errors import MachineError
 from bcid.studies.deal import Work, attempt
 
 

@@ -20,7 +20,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bcid.errors import MachineError
+from bcid.base.errors import MachineError
 from bcid.studies.deal import How, Task, Work
 from bcid.studies.time_limit import PATIENCE, never_done, used_up
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import Problems
+from bcid.base.errors import Problems
 from bcid.vision.camera import Camera
 from bcid.vision.corners import Corners
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import InputError, Problems, nearest
-from bcid.units import quantity
+from bcid.base.errors import InputError, Problems, nearest
+from bcid.base.units import quantity
 
 Array = NDArray[np.float64]
 

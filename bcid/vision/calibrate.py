@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import Problems
+from bcid.base.errors import Problems
 from bcid.vision.adjustment import COEFFICIENTS, FEW, MATRIX, Adjustment, Size, State, check_lens
 from bcid.vision.calibration import GRID, Calibration
 from bcid.vision.camera import SIDES, Cameras

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from bcid.errors import InputError, Problems
-from bcid.fingerprint import fingerprint
-from bcid.progress import Progress, Silent
-from bcid.run import Run
+from bcid.base.errors import InputError, Problems
+from bcid.base.fingerprint import fingerprint
+from bcid.base.progress import Progress, Silent
+from bcid.base.run import Run
 from bcid.vision.adjustment import COEFFICIENTS, LENSES, MATRIX, check_lens
 from bcid.vision.board import CHESSBOARD, Board
 from bcid.vision.calibrate import DISTORTION, FEWEST, calibrate

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import InputError, Problems, nearest, unwritable
-from bcid.frame_error import plain_numbers
-from bcid.text_file import parse_json, parse_toml, read_text
-from bcid.units import FURTHEST, MOST, unit_factor
+from bcid.base.errors import InputError, Problems, nearest, unwritable
+from bcid.base.text_file import parse_json, parse_toml, read_text
+from bcid.base.units import FURTHEST, MOST, unit_factor
+from bcid.measurement.frame_error import plain_numbers
 
 Array = NDArray[np.float64]
 

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import InputError, Problems
-from bcid.progress import Progress
-from bcid.text_file import LONGEST_TABLE, as_lines, read_lines
-from bcid.units import unit_factor
+from bcid.base.errors import InputError, Problems
+from bcid.base.progress import Progress
+from bcid.base.text_file import LONGEST_TABLE, as_lines, read_lines
+from bcid.base.units import unit_factor
 from bcid.vision.board import CHESSBOARD, Board
 from bcid.vision.camera import SIDES
 from bcid.vision.images import Image, Images

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import MachineError
+from bcid.base.errors import MachineError
 from bcid.vision.camera import Cameras
 from bcid.vision.detect import Image
 from bcid.vision.track import Frame

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import InputError, Problems
+from bcid.base.errors import InputError, Problems
 
 Image = NDArray[np.uint8]
 

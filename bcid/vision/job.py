@@ -11,10 +11,10 @@ from time import perf_counter
 import numpy as np
 import xarray as xr
 
-from bcid.fingerprint import file_fingerprint, fingerprint
+from bcid.base.fingerprint import file_fingerprint, fingerprint
+from bcid.base.progress import Progress, Silent
+from bcid.base.run import Run, writing
 from bcid.measurement import AXES, Measurement
-from bcid.progress import Progress, Silent
-from bcid.run import Run, writing
 from bcid.vision.camera import SIDES
 from bcid.vision.film import Film, legend
 from bcid.vision.recording import Recording

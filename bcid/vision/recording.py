@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bcid.errors import InputError, Problems
+from bcid.base.errors import InputError, Problems
+from bcid.base.text_file import read_toml
+from bcid.base.units import quantity, unit_factor, usable
 from bcid.measurement import Action, Units
-from bcid.measurement_folder import read_grasps
-from bcid.text_file import read_toml
-from bcid.units import quantity, unit_factor, usable
+from bcid.measurement.folder import read_grasps
 from bcid.vision.camera import SIDES, Cameras
 
 FORMAT = "bcid-recording/1"

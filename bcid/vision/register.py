@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.frame_error import FrameError, slopes
+from bcid.measurement.frame_error import FrameError, slopes
 from bcid.vision.triangulate import Points
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 from bcid.vision.camera import SIDES, Cameras
 from bcid.vision.detect import Image, Spots, detect
 from bcid.vision.layout import LEAST, Assignment, Indices, axes, find, spans

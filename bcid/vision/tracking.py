@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 from bcid.measurement import Action, Measurement
-from bcid.measurement_folder import motions_dataset
+from bcid.measurement.folder import motions_dataset
 from bcid.vision.camera import SIDES
 from bcid.vision.images import Image, Images
 from bcid.vision.layout import spans

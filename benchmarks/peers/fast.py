@@ -16,7 +16,7 @@ from dolfinx.fem import petsc
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from bcid.compat import create_vector, make_mesh
+from bcid.base.compat import create_vector, make_mesh
 from benchmarks.peers.tutorial import held, neo_hooke
 
 EXTRAPOLATIONS = {1: (1.0,), 2: (2.0, -1.0), 3: (3.0, -3.0, 1.0)}

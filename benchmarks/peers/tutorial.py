@@ -20,7 +20,7 @@ from dolfinx.fem import petsc
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from bcid.compat import make_mesh
+from bcid.base.compat import make_mesh
 
 TANGENT_LU = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
 

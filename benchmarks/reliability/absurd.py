@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from bcid import Measurement, Scene
-from bcid.run import Run, unsealed
+from bcid.base.run import Run, unsealed
 from bcid.studies.study_file import StudyFile
 from bcid.vision.camera import Cameras
 from bcid.vision.corners import read_corners

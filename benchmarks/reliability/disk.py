@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from bcid import cli
-from bcid.run import Run
+from bcid.app import cli
+from bcid.base.run import Run
 from benchmarks.reliability import Reached
 from benchmarks.reliability.inputs import small_scene
 

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bcid.errors import InputError
-from bcid.run import Run
+from bcid.base.errors import InputError
+from bcid.base.run import Run
 from benchmarks.reliability import Reached
 
 _INPUTS = {"scene": "a", "measurement": "b", "options": {"seeds": 4}}

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from bcid.errors import BcidError
+from bcid.base.errors import BcidError
 from benchmarks.reliability import ROOT, Reached
 from benchmarks.reliability.inputs import small_scene, write_inputs
 from benchmarks.reliability.tracer import Event, traced
@@ -43,7 +43,7 @@ _SECRET = "secret"
 # Where the interpreter, packages, libraries and devices are, and bcid itself.
 _SYSTEM = ("/usr", "/lib", "/lib64", "/bin", "/sbin", "/etc", "/proc", "/sys", "/dev", "/run/bcid/venv", "/opt")
 # What a child of bcid begins with, after the interpreter.
-_CHILDREN = (("-P", "-m", "bcid.forms.mesh.child"), ("-P", "-m", "bcid.c3d"))
+_CHILDREN = (("-P", "-m", "bcid.forms.mesh.child"), ("-P", "-m", "bcid.measurement.c3d"))
 # Asked by ctypes where a library is, before a child has given up its rights.
 _FINDERS = ("/sbin/ldconfig", "/usr/sbin/ldconfig")
 
@@ -334,8 +334,8 @@ class Corpus:
 
     def runs(self) -> Iterator[Case]:
         """Run folders of others, whose model names a program."""
+        from bcid.base.run import Run
         from bcid.compare.source import from_run
-        from bcid.run import Run
 
         place = self.place()
         write_inputs(place)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bcid import Measurement, Scene
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 from bcid.forms.model import check_physics
 from bcid.vision.recording import Recording
 from benchmarks.reliability import MEASURED, ROOT, SLAB

@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from bcid.progress import Silent
+from bcid.base.progress import Silent
 from bcid.studies.deal import How, Work, deal, read_result
 from benchmarks.reliability import ROOT, Reached
 
@@ -39,7 +39,7 @@ _PARENT = """
 import sys
 from pathlib import Path
 from bcid.studies.deal import How, deal
-from bcid.progress import Silent
+from bcid.base.progress import Silent
 from benchmarks.reliability.kills import tasks, work
 deal(work(Path(sys.argv[1]), sleep=float(sys.argv[3])), tasks(int(sys.argv[2])), How(), Silent())
 """

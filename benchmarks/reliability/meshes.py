@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bcid.confined import limit_memory
-from bcid.errors import InputError
+from bcid.base.confined import limit_memory
+from bcid.base.errors import InputError
 from bcid.forms.mesh import BodyMesh, checked
 from bcid.forms.mesh.check import group_faults
 from bcid.forms.mesh.child import with_gmsh

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from bcid import Scene
-from bcid.errors import BcidError
-from bcid.run import Run
+from bcid.base.errors import BcidError
+from bcid.base.run import Run
 from benchmarks.reliability import Reached
 from benchmarks.reliability.inputs import write_inputs
 

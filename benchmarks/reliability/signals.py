@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
-from bcid.run import Run
+from bcid.base.run import Run
 from benchmarks.reliability import ROOT, Reached
 from benchmarks.reliability.inputs import small_scene
 
@@ -142,7 +142,7 @@ def signals(count: int = 12, seed: int = 0, ranks: Iterable[int] = (1, 2)) -> Re
 
 _MEMORY = """
 import resource, sys
-from bcid import cli
+from bcid.app import cli
 from bcid.forms import solve
 made = solve.Equilibrium.__init__
 def limited(self, *arguments, **named):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid import Measurement, Scene
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 from bcid.forms.simulate import recorded
 from bcid.measurement import Action
 from benchmarks.reliability import ROOT, Reached

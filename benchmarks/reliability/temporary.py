@@ -43,7 +43,7 @@ folder = place + "/nothing" if state == "missing" else place
 sys.exit(subprocess.run(command, env=os.environ | {"TMPDIR": folder}).returncode)
 """
 # As when it is filled by another program after the command has begun.
-_LATER = "import sys, bcid.cli; bcid.cli.require = lambda: None; sys.exit(bcid.cli.main(sys.argv[1:]))"
+_LATER = "import sys, bcid.app.cli; bcid.app.cli.require = lambda: None; sys.exit(bcid.app.cli.main(sys.argv[1:]))"
 
 
 def full(ranks: Sequence[int] = (1, 2), only: Sequence[tuple[str, str, int]] = CASES) -> Reached:

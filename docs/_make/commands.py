@@ -4,7 +4,7 @@ import argparse
 import os
 from pathlib import Path
 
-from bcid.cli import build_parser
+from bcid.app.cli import build_parser
 
 
 def write_commands(target: Path) -> None:

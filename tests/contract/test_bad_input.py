@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bcid import Measurement, Scene
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 from bcid.forms.model import check_physics
 
 ROOT = Path(__file__).resolve().parents[2]

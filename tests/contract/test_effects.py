@@ -17,8 +17,9 @@ from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 from verify.problems import Prescribed, box, forces, move, scene_of, straight
 
-from bcid import cli
-from bcid.errors import InputError
+from bcid.app import cli
+from bcid.base.errors import InputError
+from bcid.base.units import parse_unit
 from bcid.forms import check_effect, effects, materials
 from bcid.forms.effects.effect import Effect, Frame
 from bcid.forms.forward import Forward
@@ -32,7 +33,6 @@ from bcid.forms.trajectory import follow
 from bcid.forms.trial import Trial
 from bcid.measurement import Action, Measurement
 from bcid.scene import Level, Scene
-from bcid.units import parse_unit
 
 Array = NDArray[np.float64]
 

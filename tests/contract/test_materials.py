@@ -23,12 +23,12 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
+from bcid.base.units import parse_unit
 from bcid.forms import materials
 from bcid.forms.kinematics import Kinematics
 from bcid.forms.materials import neo_hooke
 from bcid.forms.parameter import Parameter
-from bcid.units import parse_unit
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]

@@ -18,11 +18,11 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from verify.problems import move, pull_and_lift
 
-from bcid.collective import on_root
+from bcid.base.collective import on_root
+from bcid.base.errors import BcidError, InputError
 from bcid.compare.source import from_files
 from bcid.compare.state import State
 from bcid.compare.twin import Twin
-from bcid.errors import BcidError, InputError
 from bcid.explore.loop import Plan, explore
 from bcid.explore.predictions import Predictor
 from bcid.explore.robots import Simulated
@@ -38,8 +38,8 @@ from bcid.forms.simulate import simulate
 from bcid.forms.solve import Settings
 from bcid.forms.status import Status
 from bcid.forms.trajectory import follow
-from bcid.motions import about_x, motion
 from bcid.scene import Level, Limits, Region, Scene
+from bcid.scene.motions import about_x, motion
 from bcid.search.farm import Farm
 from bcid.search.identify import Options, identify
 from bcid.search.refine import identify_refined

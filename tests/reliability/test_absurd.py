@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from bcid import cli
-from bcid.errors import InputError, Problems, bounded, nearest
-from bcid.text_file import parse_json, parse_toml
-from bcid.units import parse_unit, quantity
+from bcid.app import cli
+from bcid.base.errors import InputError, Problems, bounded, nearest
+from bcid.base.text_file import parse_json, parse_toml
+from bcid.base.units import parse_unit, quantity
 from benchmarks.reliability import Reached, absurd
 
 HERE = Path("file.toml")

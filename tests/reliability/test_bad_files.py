@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from bcid.errors import InputError
-from bcid.run import Run
+from bcid.base.errors import InputError
+from bcid.base.run import Run
 from benchmarks.reliability import Reached, configuration, folders, meshes, recordings
 
 

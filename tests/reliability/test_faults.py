@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from bcid import cli
-from bcid.errors import InputError
-from bcid.run import Run
+from bcid.app import cli
+from bcid.base.errors import InputError
+from bcid.base.run import Run
 from benchmarks.reliability import Reached, disk, kills, signals, solver, temporary
 
 

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from bcid.run import Run, write_whole
+from bcid.base.run import Run, write_whole
 
 # What the stand-ins have done, one line each.
 CALLS = "FAKE_STUDY_CALLS"

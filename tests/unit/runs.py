@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bcid.run import Run, sealed
+from bcid.base.run import Run, sealed
 
 AXES = ["x", "y", "z"]
 STEPS = 4

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 from bcid.report.calibration import draw
 from bcid.vision.board import Board
 from bcid.vision.calibrate import angle_by_turn, calibrate, coverage

@@ -14,10 +14,11 @@ from typing import Any
 
 import pytest
 
-from bcid import Measurement, cli, commands
-from bcid.errors import MachineError
-from bcid.progress import Lines
-from bcid.run import sealed
+from bcid import Measurement
+from bcid.app import cli, commands
+from bcid.base.errors import MachineError
+from bcid.base.progress import Lines
+from bcid.base.run import sealed
 
 ROOT = Path(__file__).resolve().parents[2]
 SLAB = ROOT / "examples/scenes/slab.toml"
@@ -147,8 +148,8 @@ def identified(folder: Path, scene: Path = SLAB, state: str = "finished", **reco
     """A run folder as `bcid identify` leaves it, without the search."""
     from mpi4py import MPI
 
+    from bcid.base.run import Run
     from bcid.compare.source import from_files
-    from bcid.run import Run
 
     source = from_files(scene, SEEN, (), MPI.COMM_SELF)
     run = Run.start(folder, "identify", source.inputs({}))

@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.linalg import sqrtm
 
+from bcid.base.progress import Silent
 from bcid.compare.adequacy import judge
 from bcid.compare.data import Data, Errors, MeshError, estimate_noise
 from bcid.compare.explain import Plan, Rung, _Loop
@@ -25,9 +26,8 @@ from bcid.forms import effects, trial
 from bcid.forms.model import Dose, Model
 from bcid.forms.sensitivity import Signatures, Wanted
 from bcid.forms.simulate import recorded
-from bcid.frame_error import FrameError
 from bcid.measurement import Action, Measurement
-from bcid.progress import Silent
+from bcid.measurement.frame_error import FrameError
 from bcid.scene import Scene
 
 Array = NDArray[np.float64]

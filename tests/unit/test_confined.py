@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bcid import confined
+from bcid.base import confined
+from bcid.base.confined import landlock, read_in_child
+from bcid.base.errors import InputError
+from bcid.base.run import Run
 from bcid.compare.source import from_run
-from bcid.confined import landlock, read_in_child
-from bcid.errors import InputError
 from bcid.forms.mesh import level_mesh
 from bcid.measurement import Measurement
-from bcid.run import Run
 from bcid.scene import Scene
 from bcid.vision.images import Images
 
@@ -26,7 +26,7 @@ ROOT = Path(__file__).resolve().parents[2]
 _TRIES = """
 import os, subprocess, sys
 from pathlib import Path
-from bcid.confined import confine
+from bcid.base.confined import confine
 
 inside, outside = Path(sys.argv[1]), Path(sys.argv[2])
 assert confine([inside])
@@ -77,7 +77,7 @@ def test_the_environment_of_a_child_holds_no_plugins(monkeypatch: pytest.MonkeyP
 def test_a_reader_that_takes_too_long_is_ended(tmp_path: Path) -> None:
     (tmp_path / "a.c3d").write_bytes(b"x")
     with pytest.raises(TimeoutError, match=r"more than 0 s"):
-        read_in_child("bcid.c3d", tmp_path / "a.c3d", seconds=0.01)
+        read_in_child("bcid.measurement.c3d", tmp_path / "a.c3d", seconds=0.01)
 
 
 def test_an_hdf5_file_beside_its_xdmf_is_read(tmp_path: Path) -> None:
@@ -102,7 +102,7 @@ def test_a_file_that_is_too_long_to_copy_is_refused(tmp_path: Path) -> None:
     with (tmp_path / "a.c3d").open("wb") as stream:
         stream.truncate(10**12)
     with pytest.raises(InputError, match=r"a\.c3d is no file of at most 2 GB"):
-        read_in_child("bcid.c3d", tmp_path / "a.c3d", seconds=60)
+        read_in_child("bcid.measurement.c3d", tmp_path / "a.c3d", seconds=60)
 
 
 @pytest.mark.timeout(60)

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from bcid.errors import InputError, MachineError
-from bcid.progress import Silent
+from bcid.base.errors import InputError, MachineError
+from bcid.base.progress import Silent
 from bcid.studies.deal import How, Task, Work, attempt, deal, part_of, portions, read_result
 from bcid.studies.workers import _Worker
 from benchmarks.reliability.kills import begun, tasks, work

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from bcid import doctor
+from bcid.app import doctor
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -379,7 +379,7 @@ def test_doctor_without_dolfinx() -> None:
     """In a Python without site packages: advice instead of a traceback."""
     python = shutil.which("python3") or "python3"
     run = subprocess.run(
-        [python, "-S", "-E", "-c", "from bcid.doctor import main; raise SystemExit(main())"],
+        [python, "-S", "-E", "-c", "from bcid.app.doctor import main; raise SystemExit(main())"],
         cwd=ROOT,
         capture_output=True,
         text=True,

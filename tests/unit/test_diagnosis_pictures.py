@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
+from bcid.base.run import Run
 from bcid.report.diagnosis import draw, round_scale, worst_frame
 from bcid.report.ladder import ladder_figure
 from bcid.report.words import conclusion, falling
-from bcid.run import Run
 
 
 def rung(model: str, rms: float, adequate: bool) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from test_explore import AXES, LIMITS, MadeUp, by_count, scene
 
-from bcid.run import sealed
+from bcid.base.run import sealed
 from bcid.studies.deal import How
 from bcid.studies.exploration import Bench, attempted, run_study
 from bcid.studies.exploration_scores import scores, table

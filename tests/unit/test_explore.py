@@ -14,7 +14,7 @@ from mpi4py import MPI
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from bcid.errors import InputError, MachineError
+from bcid.base.errors import InputError, MachineError
 from bcid.explore.belief import Belief, Hypothesis, Spread, effects, entropy, normalised, patches
 from bcid.explore.choice import Chooser, live
 from bcid.explore.inference import MISSED, Inference
@@ -476,9 +476,9 @@ def test_a_measurement_of_two_actions_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_belief_is_drawn(tmp_path: Path) -> None:
+    from bcid.base.run import Run
     from bcid.explore.job import exploration_json, summary
     from bcid.report.exploration import draw
-    from bcid.run import Run
 
     body = MadeUp(scene(), by_count)
     plan = Plan(noise=5e-3, budget=4)

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from bcid.errors import InputError, MachineError
+from bcid.base.errors import InputError, MachineError
+from bcid.base.run import Run
 from bcid.explore.job import _keep, _made, run_exploration
 from bcid.explore.loop import Plan
 from bcid.explore.moves import Move, moves
 from bcid.explore.predictions import Predictor, predicted
 from bcid.explore.robots import Simulated
-from bcid.run import Run
 from bcid.scene import Scene
 
 # With so much noise three pulls never decide.

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 from bcid.measurement import Measurement
 from bcid.studies import cases
 from bcid.studies.hidden import Options, _read, run_hidden
@@ -281,7 +281,7 @@ def test_options_are_checked(tmp_path: Path) -> None:
 
 
 def test_the_dose_is_found_that_has_the_wanted_size() -> None:
-    from bcid.errors import SolveError
+    from bcid.base.errors import SolveError
     from bcid.studies.truth import search
 
     assert search(lambda t: 0.3 * t, 5.0, 100.0) == pytest.approx(5 / 0.3, rel=0.11)

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 from bcid.vision.images import Image, Images, _whole
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bcid import Measurement
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 
 HEAD = 'format = "bcid-mapping/1"\nlength_unit = "mm"\ntime_unit = "ms"\nforce_unit = "N"\n'
 WIDE = (

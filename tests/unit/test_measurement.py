@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 from bcid import Measurement, Scene
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = sorted((ROOT / "examples/measurements").glob("slab-*"))

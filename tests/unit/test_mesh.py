@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 from bcid.forms.forward import check_geometry
 from bcid.forms.mesh import BodyMesh, checked, level_mesh
 from bcid.forms.mesh.check import measures

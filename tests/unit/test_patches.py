@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.patches import divided, element_size, extents, first_level, halves, touching
 from bcid.scene import Box, Level, Plane, Region, Scene

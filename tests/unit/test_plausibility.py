@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from bcid import Measurement, Scene
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 from bcid.forms.simulate import recorded
-from bcid.jumps import jumps
 from bcid.measurement import Action
-from bcid.slips import permutations, rigid_motion
+from bcid.measurement.jumps import jumps
+from bcid.measurement.slips import permutations, rigid_motion
 from benchmarks.reliability import slips
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
+from bcid.base.progress import Silent
+from bcid.base.run import sealed
 from bcid.forms.patches import halves
 from bcid.forms.simulate import simulate
 from bcid.measurement import Measurement
-from bcid.motions import about_x, actions
-from bcid.progress import Silent
-from bcid.run import sealed
 from bcid.scene import Level, Region, Scene
+from bcid.scene.motions import about_x, actions
 from bcid.search.farm import Candidate, Outcome
 from bcid.search.identify import Options, identify
 from bcid.search.refine import (

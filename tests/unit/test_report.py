@@ -16,8 +16,10 @@ import numpy as np
 import pytest
 import runs
 
-from bcid import cli
-from bcid.errors import InputError
+from bcid.app import cli
+from bcid.base.errors import InputError
+from bcid.base.run import Run
+from bcid.base.units import significance
 from bcid.report import gallery
 from bcid.report.body_view import view_data
 from bcid.report.found import Found
@@ -26,8 +28,6 @@ from bcid.report.page import MARK, write_report
 from bcid.report.residual import Residual, rms
 from bcid.report.table import NUMBER, TEXT, Column, Table, aligned
 from bcid.report.words import amount, uncertain
-from bcid.run import Run
-from bcid.units import significance
 
 FEW = ("body", "ladder", "sets", "calibration")
 
@@ -340,7 +340,7 @@ def test_made_without_the_solver(tmp_path: Path) -> None:
         "        if name.split('.')[0] in ('dolfinx', 'petsc4py', 'mpi4py', 'gmsh', 'ufl', 'basix'):\n"
         "            raise ImportError(f'{name} must not be imported')\n"
         "sys.meta_path.insert(0, Refuse())\n"
-        "from bcid.cli import main\n"
+        "from bcid.app.cli import main\n"
         f"run = {str(folder)!r}\n"
         "sys.exit(main(['report', run, '-o', 'r.html']) or main(['figure', run, '-o', 'f', '--format', 'svg']))"
     )

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import runs
 
-from bcid import cli
-from bcid.errors import InputError
+from bcid.app import cli
+from bcid.base.errors import InputError
 from bcid.report.export import write_figures
 from bcid.report.found import Found
 from bcid.report.paraview import write_paraview

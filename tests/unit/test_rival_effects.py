@@ -11,11 +11,11 @@ from mpi4py import MPI
 from scipy.integrate import quad, simpson
 from scipy.stats import norm
 
+from bcid.base.errors import InputError
 from bcid.compare.data import MeshError
 from bcid.compare.fit import fit
 from bcid.compare.state import State
 from bcid.compare.twin import Twin
-from bcid.errors import InputError
 from bcid.explore.belief import Hypothesis
 from bcid.explore.information import information
 from bcid.explore.job import run_exploration

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from bcid.errors import InputError, MachineError
-from bcid.run import Run, writing
+from bcid.base.errors import InputError, MachineError
+from bcid.base.run import Run, writing
 
 INPUTS = {"scene": "abc", "options": {"seeds": 3}}
 
@@ -84,7 +84,7 @@ def test_one_writer(tmp_path: Path) -> None:
 
 def test_the_lock_of_a_dead_process_is_taken_over(tmp_path: Path) -> None:
     code = (
-        "import os, sys; from bcid.run import Run; "
+        "import os, sys; from bcid.base.run import Run; "
         f"Run.start({str(tmp_path / 'run')!r}, 'identify', {INPUTS!r}); os.kill(os.getpid(), 9)"
     )
     subprocess.run([sys.executable, "-c", code], check=False)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 from bcid.forms.model import Model, check_physics
 from bcid.scene import Box, Scene
 

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bcid.errors import InputError, SolveError
+from bcid.base.errors import InputError, SolveError
+from bcid.base.progress import Silent
 from bcid.forms.status import Status
-from bcid.progress import Silent
 from bcid.search.belief import Belief, classes, finest, interest, log_likelihood, model_errors
 from bcid.search.climb import ODDS, climb, neighbours
 from bcid.search.farm import Candidate, Farm, Outcome, label

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bcid.cli import main
-from bcid.errors import InputError
+from bcid.app.cli import main
+from bcid.base.errors import InputError
 from bcid.studies.algorithm1 import in_one_stage, in_stages, optimum
 from bcid.studies.condition import Condition
 from bcid.studies.deal import How, read_result
@@ -278,7 +278,7 @@ _DEAL = """
 import sys
 from pathlib import Path
 from mpi4py import MPI
-from bcid.progress import Silent
+from bcid.base.progress import Silent
 from bcid.studies.deal import How, deal
 from benchmarks.reliability.kills import tasks, work
 deal(work(Path(sys.argv[1]), sleep=0.05), tasks(60, t7="raise"), How(MPI.COMM_WORLD), Silent())
@@ -309,7 +309,7 @@ _SLOW = """
 import sys
 from pathlib import Path
 from mpi4py import MPI
-from bcid.progress import Silent
+from bcid.base.progress import Silent
 from bcid.studies.deal import How, deal
 from benchmarks.reliability.kills import tasks, work
 deal(work(Path(sys.argv[1])), tasks(8, t1="spin", t3="hang"), How(MPI.COMM_WORLD, limit=1.0), Silent())
@@ -334,7 +334,7 @@ import json
 import sys
 from pathlib import Path
 from mpi4py import MPI
-from bcid.progress import Silent
+from bcid.base.progress import Silent
 from bcid.studies.deal import How, Work, deal
 
 def maker(job):

@@ -14,11 +14,11 @@ import pytest
 from drawn import DIAMETER, LAYOUT, REST, SHIFT, TO_CAMERA, cameras, draw, in_camera, pulled
 
 from bcid import Measurement
-from bcid.cli import main
-from bcid.errors import InputError
+from bcid.app.cli import main
+from bcid.base.errors import InputError
+from bcid.base.run import Run
 from bcid.measurement import Units
-from bcid.measurement_folder import read_grasps
-from bcid.run import Run
+from bcid.measurement.folder import read_grasps
 from bcid.vision.camera import Camera, Cameras
 from bcid.vision.layout import find
 from bcid.vision.neighbours import neighbours

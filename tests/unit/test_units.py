@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from bcid.errors import InputError
-from bcid.units import for_people, p_value, parse_unit, quantities, quantity, show, significance, unit_factor
+from bcid.base.errors import InputError
+from bcid.base.units import for_people, p_value, parse_unit, quantities, quantity, show, significance, unit_factor
 
 
 @pytest.mark.parametrize(

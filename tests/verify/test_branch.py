@@ -24,8 +24,8 @@ from bcid.forms.solve import Equilibrium
 from bcid.forms.status import Status
 from bcid.forms.supports import Pose
 from bcid.forms.trajectory import follow
-from bcid.motions import about_x
 from bcid.scene import Scene
+from bcid.scene.motions import about_x
 
 
 @pytest.fixture(scope="module")

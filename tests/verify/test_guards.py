@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from bcid.base.errors import InputError
 from bcid.compare import words
 from bcid.compare.adequacy import judge
 from bcid.compare.buckling import buckled, leave_out
@@ -25,7 +26,6 @@ from bcid.compare.rivals import refit_candidates
 from bcid.compare.separate import separating_pulls
 from bcid.compare.state import State
 from bcid.compare.twin import Twin
-from bcid.errors import InputError
 from bcid.forms import effects
 from bcid.forms.model import Dose, Model, check_physics
 from bcid.forms.simulate import simulate

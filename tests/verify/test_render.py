@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 from bcid.vision.camera import Camera, Cameras
 from bcid.vision.rendering.instruments import instruments
 from bcid.vision.rendering.look import Look

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from bcid.base.progress import Silent
 from bcid.forms.factor import Factor
 from bcid.forms.forward import Forward
 from bcid.forms.model import Dose, Model, check_physics
 from bcid.forms.simulate import simulate
 from bcid.forms.solve import Equilibrium, Settings
 from bcid.forms.status import Status
-from bcid.motions import motion
-from bcid.progress import Silent
 from bcid.scene import Scene
+from bcid.scene.motions import motion
 from bcid.search.belief import Belief, model_errors
 from bcid.search.farm import Candidate, Farm
 from bcid.search.identify import Identification, Options, _Search

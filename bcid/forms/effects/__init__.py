@@ -13,7 +13,7 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from pkgutil import iter_modules
 
-from bcid.errors import InputError, nearest
+from bcid.base.errors import InputError, nearest
 from bcid.forms.effects.effect import Effect
 
 __all__ = ["Effect", "catalogue", "effect", "load", "names"]

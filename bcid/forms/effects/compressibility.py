@@ -6,7 +6,7 @@ shear modulus young / (2 (1 + poisson)) changes a little too. Without influence 
 
 from __future__ import annotations
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 from bcid.forms import materials
 from bcid.forms.effects.effect import Effect
 from bcid.forms.parameter import Parameter

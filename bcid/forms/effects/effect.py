@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import nearest
+from bcid.base.errors import nearest
 from bcid.forms.parameter import Parameter
 from bcid.measurement import Action, Measurement
 from bcid.scene import Scene

@@ -14,7 +14,7 @@ from __future__ import annotations
 from importlib import import_module
 from pkgutil import iter_modules
 
-from bcid.errors import InputError, nearest
+from bcid.base.errors import InputError, nearest
 
 # imported here, before `law` is defined, so that the function and not the module is `materials.law`
 from bcid.forms.materials.law import Law

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-from bcid.errors import InputError, nearest
+from bcid.base.errors import InputError, nearest
 from bcid.forms.parameter import Parameter
 
 if TYPE_CHECKING:

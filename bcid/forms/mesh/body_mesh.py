@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import InputError, nearest
-from bcid.fingerprint import fingerprint
+from bcid.base.errors import InputError, nearest
+from bcid.base.fingerprint import fingerprint
 from bcid.scene import Region
 
 Points = NDArray[np.float64]

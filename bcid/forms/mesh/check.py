@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bcid.errors import InputError, Problems
+from bcid.base.errors import InputError, Problems
 from bcid.forms.mesh.body_mesh import EDGES, FACES, BodyMesh, Cells, oriented, triple, volumes
 from bcid.scene import Region, Scene
 

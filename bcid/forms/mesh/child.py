@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.confined import serve
-from bcid.errors import InputError
+from bcid.base.confined import serve
+from bcid.base.errors import InputError
 from bcid.forms.mesh.check import MOST_CELLS, expected_cells
 from bcid.forms.mesh.references import refuse_references
 

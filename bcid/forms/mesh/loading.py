@@ -6,10 +6,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from bcid.collective import on_root
-from bcid.confined import read_in_child
-from bcid.errors import InputError
-from bcid.fingerprint import file_fingerprint
+from bcid.base.collective import on_root
+from bcid.base.confined import read_in_child
+from bcid.base.errors import InputError
+from bcid.base.fingerprint import file_fingerprint
 from bcid.forms.mesh.body_mesh import BodyMesh, Cells, Points
 from bcid.forms.mesh.check import check_fineness, check_groups, check_places, checked
 from bcid.forms.mesh.references import beside

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 
 _XML = (".vtu", ".xdmf", ".xmf", ".xml")
 _CARDS = (".inp", ".bdf", ".fem", ".nas")

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 from bcid.vision.camera import Cameras
 from bcid.vision.rendering.blockers import SEEN
 from bcid.vision.rendering.rig import Pose, between, both_poses

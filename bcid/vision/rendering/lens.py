@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 from bcid.vision.camera import Camera
 from bcid.vision.images import Image
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import Problems
+from bcid.base.errors import Problems
 from bcid.vision.rendering.vectors import unit
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 from bcid.vision.camera import Camera, Cameras
 from bcid.vision.rendering.vectors import unit
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import Problems
+from bcid.base.errors import Problems
 from bcid.measurement import quaternion_rotate
 from bcid.vision.rendering.vectors import unit
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 from bcid.measurement import quaternion_rotate
 from bcid.vision.images import Image
 from bcid.vision.rendering.look import Look

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import InputError, nearest
-from bcid.measurement import Action
+from bcid.base.errors import InputError, nearest
+from bcid.scene.action import Action
 
 Array = NDArray[np.float64]
 Path = tuple[Array, Array]

@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from bcid import __version__
-from bcid.collective import first, launched
-from bcid.commands import (
+from bcid.app.commands import (
     bench,
     calibrate,
     check_effect,
@@ -36,8 +35,9 @@ from bcid.commands import (
     study,
     track,
 )
-from bcid.errors import SHORT_OF_MEMORY, BcidError, MachineError, shortened
-from bcid.scratch import require
+from bcid.base.collective import first, launched
+from bcid.base.errors import SHORT_OF_MEMORY, BcidError, MachineError, shortened
+from bcid.base.scratch import require
 
 # Commands without MPI in this process, for they start others that are jobs of their own; what becomes of an interrupted one.
 _WITHOUT_MPI = {
@@ -88,7 +88,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = build_parser()
     arguments = parser.parse_args(argv)
     if arguments.command == "doctor":
-        from bcid import doctor
+        from bcid.app import doctor
 
         return doctor.main()
     if arguments.command in _WITHOUT_MPI and not (arguments.command == "study" and launched()):
@@ -500,7 +500,7 @@ def _add_track(commands: Any) -> None:
 
 
 def _add_simulate(commands: Any) -> None:
-    from bcid.motions import MOTIONS
+    from bcid.scene.motions import MOTIONS
 
     parser = _add(
         commands,

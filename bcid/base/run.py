@@ -40,8 +40,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from bcid.errors import BcidError, InputError, MachineError, unwritable
-from bcid.text_file import as_text, parse_json
+from bcid.base.errors import BcidError, InputError, MachineError, unwritable
+from bcid.base.text_file import as_text, parse_json
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -23,11 +23,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from bcid.errors import InputError
-from bcid.scratch import require, temporary_folder
+from bcid.base.errors import InputError
+from bcid.base.scratch import require, temporary_folder
 
 # The folder that holds the package.
-_ROOT = Path(__file__).resolve().parents[1]
+_ROOT = Path(__file__).resolve().parents[2]
 # What a child is given of the environment: where its libraries are, and how it writes text. Nothing that loads plugins.
 _KEPT = ("LD_LIBRARY_PATH", "PYTHONHOME", "LANG", "LC_ALL", "LC_CTYPE")
 _COVERAGE = "COVERAGE_"

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from bcid.errors import InputError, Problems, nearest
-from bcid.scene import Box, Grasp, Level, Limits, Material, PhysicsCheck, Plane, Region, Scene, Values
-from bcid.text_file import parse_toml, read_text
-from bcid.units import quantities, quantity, unit_factor, usable
+from bcid.base.errors import InputError, Problems, nearest
+from bcid.base.text_file import parse_toml, read_text
+from bcid.base.units import quantities, quantity, unit_factor, usable
+from bcid.scene.scene import Box, Grasp, Level, Limits, Material, PhysicsCheck, Plane, Region, Scene, Values
 
 FORMAT = "bcid-scene/1"
 DEGREES = (1, 2)

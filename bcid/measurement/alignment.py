@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from bcid.errors import InputError
-from bcid.slips import FACTORS, rigid_motion
+from bcid.base.errors import InputError
+from bcid.measurement.slips import FACTORS, rigid_motion
 
 Array = NDArray[np.float64]
 

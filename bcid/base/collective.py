@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from bcid.errors import BcidError
+from bcid.base.errors import BcidError
 
 T = TypeVar("T")
 # Set by the launchers of Open MPI, MPICH and Slurm.

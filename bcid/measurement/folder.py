@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bcid.errors import InputError, Problems, unwritable
-from bcid.frame_error import FrameError
-from bcid.measurement import AXES, FORMAT, QUATERNION, WRENCH, Action, Measurement, Units
-from bcid.text_file import read_lines, read_toml
-from bcid.units import unit_factor, usable
+from bcid.base.errors import InputError, Problems, unwritable
+from bcid.base.text_file import read_lines, read_toml
+from bcid.base.units import unit_factor, usable
+from bcid.measurement.frame_error import FrameError
+from bcid.measurement.measurement import AXES, FORMAT, QUATERNION, WRENCH, Action, Measurement, Units
 
 _UNIT_KEYS = {"length_unit": "m", "time_unit": "s", "force_unit": "N"}
 _KEYS = ("format", *_UNIT_KEYS, "noise_sigma", "wrench_sigma", "description")

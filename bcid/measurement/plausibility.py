@@ -16,15 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from bcid.errors import Problems
-from bcid.gripper_motion import gripper_slips, whole_file
-from bcid.jumps import Jump, jumps
-from bcid.slips import FAULT, Slip, slips, suspects
-from bcid.units import show, unit_factor
+from bcid.base.errors import Problems
+from bcid.base.units import show, unit_factor
+from bcid.measurement.gripper_motion import gripper_slips, whole_file
+from bcid.measurement.jumps import Jump, jumps
+from bcid.measurement.slips import FAULT, Slip, slips, suspects
 
 if TYPE_CHECKING:
-    from bcid.measurement import Action, Measurement
+    from bcid.measurement.measurement import Measurement
     from bcid.scene import Scene
+    from bcid.scene.action import Action
 
 Array = NDArray[np.float64]
 

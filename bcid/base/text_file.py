@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 
 # Longest files, bytes: settings are written by hand or by a script, tables by a camera.
 LONGEST_SETTINGS = 500_000

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.alignment import align
-from bcid.c3d import read_points
-from bcid.errors import InputError, Problems, nearest
-from bcid.measurement import AXES, Measurement, Units
-from bcid.measurement_folder import frames_dataset
-from bcid.text_file import read_lines, read_toml
-from bcid.units import FURTHEST, unit_factor, usable
+from bcid.base.errors import InputError, Problems, nearest
+from bcid.base.text_file import read_lines, read_toml
+from bcid.base.units import FURTHEST, unit_factor, usable
+from bcid.measurement.alignment import align
+from bcid.measurement.c3d import read_points
+from bcid.measurement.folder import frames_dataset
+from bcid.measurement.measurement import AXES, Measurement, Units
 
 FORMAT = "bcid-mapping/1"
 _UNITS = {"length_unit": "m", "time_unit": "s", "force_unit": "N"}

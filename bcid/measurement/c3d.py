@@ -1,6 +1,6 @@
 """C3D recordings, read by ezc3d in a process of its own: a damaged file may make it die, hang, or ask for any amount of memory.
 
-``python -m bcid.c3d FILE OUT.npz`` is that process: it prints one line and exits with 1 when the file cannot be used.
+``python -m bcid.measurement.c3d FILE OUT.npz`` is that process: it prints one line and exits with 1 when the file cannot be used.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.confined import read_in_child, serve
-from bcid.errors import InputError
+from bcid.base.confined import read_in_child, serve
+from bcid.base.errors import InputError
 
 # Time of the reader, s, and how much more a byte of the file may take.
 _SECONDS = 30.0
@@ -48,7 +48,7 @@ def read_points(path: Path) -> Points:
     """
     limit = _SECONDS + _SECONDS_PER_BYTE * path.stat().st_size
     try:
-        data = read_in_child("bcid.c3d", path, seconds=limit)
+        data = read_in_child("bcid.measurement.c3d", path, seconds=limit)
     except (InputError, TimeoutError) as error:
         raise InputError(f"{path}: is not a readable C3D file: {error}") from None
     return Points(data["positions"], [str(x) for x in data["labels"]], float(data["rate"]), str(data["unit"]))

@@ -7,7 +7,7 @@ docs/measurement.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,11 +15,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from bcid.errors import InputError, Problems
-from bcid.fingerprint import fingerprint
-from bcid.frame_error import FrameError
-from bcid.plausibility import examine
-from bcid.units import unit_factor
+from bcid.base.errors import InputError, Problems
+from bcid.base.fingerprint import fingerprint
+from bcid.base.units import unit_factor
+from bcid.measurement.frame_error import FrameError
+from bcid.measurement.plausibility import examine
+from bcid.scene.action import Action
 
 if TYPE_CHECKING:
     from bcid.scene import Scene
@@ -39,39 +40,6 @@ class Units:
     length: str = "mm"
     time: str = "s"
     force: str = "N"
-
-
-@dataclass(frozen=True)
-class Action:
-    """One motion of the gripper, as the forward model needs it.
-
-    Attributes:
-        name: the action's name.
-        frames: positions in the measurement's frame axis, shape (steps,).
-        steps: step numbers, shape (steps,); the first is 0.
-        grasp: name of the grasp, or "" when nothing holds the body.
-        translation: of the gripper from its rest pose, shape (steps, 3), m.
-        rotation: unit quaternions (w, x, y, z) about the rest centre of the grasp, shape (steps, 4).
-        loads: known dead loads by place, each of shape (steps, 3), N.
-        times: of the steps, shape (steps,), s; None for one second per step.
-    """
-
-    name: str
-    frames: NDArray[np.int64]
-    steps: NDArray[np.int64]
-    grasp: str
-    translation: Array
-    rotation: Array
-    loads: dict[str, Array] = field(default_factory=dict)
-    times: Array | None = None
-
-    def __len__(self) -> int:
-        return len(self.frames)
-
-    @property
-    def clock(self) -> Array:
-        """Times of the steps, s."""
-        return self.steps.astype(float) if self.times is None else self.times
 
 
 @dataclass(frozen=True)
@@ -111,16 +79,16 @@ class Measurement:
         if path.suffix == ".nc":
             return cls.from_netcdf(path)
         if path.suffix == ".toml" and path.is_file():
-            from bcid.mapping import read_mapped
+            from bcid.measurement.mapping import read_mapped
 
             return read_mapped(path)
-        from bcid.measurement_folder import read_folder
+        from bcid.measurement.folder import read_folder
 
         return read_folder(path)
 
     def write(self, folder: str | Path) -> None:
         """Write the folder format in this measurement's units; an existing folder is refused."""
-        from bcid.measurement_folder import write_folder
+        from bcid.measurement.folder import write_folder
 
         write_folder(self, Path(folder))
 
@@ -273,7 +241,7 @@ class Measurement:
         """Refuse names that the scene does not have, and what cannot be a measurement of it; says what is odd.
 
         Raises:
-            InputError: with every problem; see `bcid.plausibility`.
+            InputError: with every problem; see `bcid.measurement.plausibility`.
         """
         problems = Problems(f"measurement {self.source} does not fit scene {scene.source}")
         known = {"fiducial": list(scene.fiducials), "grasp": list(scene.grasps), "place": list(scene.places)}

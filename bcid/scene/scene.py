@@ -161,6 +161,6 @@ class Scene:
         Raises:
             InputError: with every problem of the file.
         """
-        from bcid.scene_file import read_scene
+        from bcid.scene.reader import read_scene
 
         return read_scene(Path(path), physics)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from bcid.slips import DECIMALS
+from bcid.measurement.slips import DECIMALS
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from bcid.errors import MachineError
+from bcid.base.errors import MachineError
 
 # Bytes that must be free: what compiling the largest forms takes.
 NEEDED = 4_000_000

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import MachineError
-from bcid.scratch import require
+from bcid.base.errors import MachineError
+from bcid.base.scratch import require
 
 # Where the exceptions of a C compiler that is missing or fails come from.
 _COMPILERS = ("cffi", "distutils", "setuptools")

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.errors import Problems
-from bcid.text_file import read_toml
-from bcid.units import MOST
+from bcid.base.errors import Problems
+from bcid.base.text_file import read_toml
+from bcid.base.units import MOST
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""What the commands of `bcid.cli` do, once their arguments are parsed."""
+"""What the commands of `bcid.app.cli` do, once their arguments are parsed."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bcid.errors import InputError, MachineError
-from bcid.progress import Lines, Progress, Silent
-from bcid.text_file import read_json
+from bcid.base.errors import InputError, MachineError
+from bcid.base.progress import Lines, Progress, Silent
+from bcid.base.text_file import read_json
 
 if TYPE_CHECKING:
     from bcid.studies.deal import How
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 DEMO_SCENE = "examples/scenes/slab_explain.toml"
 DEMO_MEASUREMENT = "examples/measurements/slab-34-heavy"
 # The project's folder, where bcid runs from a checkout.
-_PROJECT = Path(__file__).resolve().parents[1]
+_PROJECT = Path(__file__).resolve().parents[2]
 # The module of `bcid.report` that draws what a command found.
 _PICTURES = dict.fromkeys(("compare", "diagnose", "fit", "explain"), "diagnosis") | {
     "identify": "identification",
@@ -118,7 +118,7 @@ def _print_result(folder: Path, file: str) -> None:
 def _draw(folder: Path, progress: Progress) -> None:
     """Pictures are a view of the run: what stops them must not take the result along."""
     try:
-        from bcid.run import Run
+        from bcid.base.run import Run
 
         kind = _PICTURES[Run.open(folder).record["command"]]
         for file in import_module(f"bcid.report.{kind}").draw(folder):
@@ -245,7 +245,7 @@ def explore(arguments: argparse.Namespace, comm: Any) -> None:
 
 def _noise(text: str | None) -> float | None:
     """A standard deviation, m; None where the option is not given."""
-    from bcid.units import quantity
+    from bcid.base.units import quantity
 
     noise = None if text is None else quantity(text, "m")
     if noise is not None and noise < 0:
@@ -328,12 +328,12 @@ def track(arguments: argparse.Namespace) -> None:
 
 def simulate(arguments: argparse.Namespace, comm: Any) -> None:
     """`bcid simulate`."""
-    from bcid.collective import on_root
+    from bcid.base.collective import on_root
     from bcid.forms.model import check_physics
     from bcid.forms.simulate import simulate as make
     from bcid.measurement import Measurement
-    from bcid.motions import motion
     from bcid.scene import Scene
+    from bcid.scene.motions import motion
 
     if arguments.output.exists():
         raise InputError(f"{arguments.output}: exists already; choose another folder or remove it")

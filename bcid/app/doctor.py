@@ -22,8 +22,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from bcid.confined import landlock
-from bcid.scratch import trouble
+from bcid.base.confined import landlock
+from bcid.base.scratch import trouble
 
 GET_DOLFINX = "use ./dev, which makes an environment; or conda (environment.yml), or a container (Dockerfile)"
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 
-from bcid.errors import InputError
+from bcid.base.errors import InputError
 
 # Each unit: factor to SI and exponents of (metre, kilogram, second, degree).
 _NEWTON = (1, 1, -2, 0)

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 
-from bcid.slips import FACTORS, permutations
+from bcid.measurement.slips import FACTORS, permutations
 
 if TYPE_CHECKING:
-    from bcid.measurement import Action
+    from bcid.scene.action import Action
 
 Array = NDArray[np.float64]
 

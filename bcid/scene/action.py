@@ -1,0 +1,43 @@
+"""An action: one motion of the gripper, with the loads and times that go with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Action:
+    """One motion of the gripper, as the forward model needs it.
+
+    Attributes:
+        name: the action's name.
+        frames: positions in the measurement's frame axis, shape (steps,).
+        steps: step numbers, shape (steps,); the first is 0.
+        grasp: name of the grasp, or "" when nothing holds the body.
+        translation: of the gripper from its rest pose, shape (steps, 3), m.
+        rotation: unit quaternions (w, x, y, z) about the rest centre of the grasp, shape (steps, 4).
+        loads: known dead loads by place, each of shape (steps, 3), N.
+        times: of the steps, shape (steps,), s; None for one second per step.
+    """
+
+    name: str
+    frames: NDArray[np.int64]
+    steps: NDArray[np.int64]
+    grasp: str
+    translation: Array
+    rotation: Array
+    loads: dict[str, Array] = field(default_factory=dict)
+    times: Array | None = None
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    @property
+    def clock(self) -> Array:
+        """Times of the steps, s."""
+        return self.steps.astype(float) if self.times is None else self.times
