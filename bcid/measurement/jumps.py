@@ -108,8 +108,9 @@ def _scale(positions: Array, gripper: Array, noise: float, size: float) -> Array
     change = np.abs(np.diff(positions, axis=0))
     seen = np.isfinite(change).any(axis=(1, 2))
     typical = np.zeros(len(change))
-    # A point that was not seen in both steps says nothing.
-    typical[seen] = np.nanmedian(change[seen].max(axis=2), axis=1)
+    # A point that was not seen in both steps says nothing; of one, some axes alone may be known.
+    furthest = np.where(np.isnan(change[seen]), -np.inf, change[seen]).max(axis=2)
+    typical[seen] = np.nanmedian(np.where(np.isfinite(furthest), furthest, np.nan), axis=1)
     if positions.shape[1] == 1:
         # A single point has no neighbours: what it does in all steps tells.
         typical[:] = np.median(typical)
