@@ -1,36 +1,78 @@
 """bcid: how a soft body is held, and what its model lacks, from watching it being pulled.
 
+    Scene, Measurement      the body and what was seen of it; both have `read`
+    identify                anchored patches, with probabilities
+    compare                 is a model adequate, and where does it fail?
+    diagnose                which effect does it lack?
+    fit                     add effects, fit numbers
+    explain                 anchors and missing effects, unattended
+    explore                 choose the next pull, and learn
+    simulate                a measurement of a body whose anchors are known
+    load                    the result that a finished run folder holds
+    motions                 motions of the gripper
+    IdentifyOptions, ExplainOptions, ExploreOptions, Model, Term    what the functions can be told
+
 Importing the package is light: no DOLFINx, VTK or OpenCV is loaded before something needs it.
 """
 
 from __future__ import annotations
 
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from bcid.base.version import VERSION as __version__
 
-_PUBLIC = {
-    "Scene": "bcid.scene",
-    "Measurement": "bcid.measurement",
-    "Run": "bcid.base.run",
-    "Forward": "bcid.forms.forward",
-    "Model": "bcid.forms.model",
-    "identify": "bcid.search.identify",
-    "Identification": "bcid.search.identify",
-    "Twin": "bcid.compare.twin",
-    "explain": "bcid.compare.explain",
-    "Explanation": "bcid.compare.explain",
-    "Plan": "bcid.compare.explain",
-    "simulate": "bcid.forms.simulate",
+if TYPE_CHECKING:
+    from bcid.api.functions import compare, diagnose, explain, explore, fit, identify
+    from bcid.api.results import load
+    from bcid.comparison.explain import ExplainOptions
+    from bcid.exploration.loop import ExploreOptions
+    from bcid.forms.model import Model, Term
+    from bcid.forms.simulate import simulate
+    from bcid.measurement import Measurement
+    from bcid.scene import Scene, motions
+    from bcid.search.identify import IdentifyOptions
+
+_MODULES = {
+    "bcid.scene": ("Scene",),
+    "bcid.measurement": ("Measurement",),
+    "bcid.api.functions": ("identify", "compare", "diagnose", "fit", "explain", "explore"),
+    "bcid.forms.simulate": ("simulate",),
+    "bcid.api.results": ("load",),
+    "bcid.search.identify": ("IdentifyOptions",),
+    "bcid.comparison.explain": ("ExplainOptions",),
+    "bcid.exploration.loop": ("ExploreOptions",),
+    "bcid.forms.model": ("Model", "Term"),
 }
-__all__ = [*_PUBLIC, "__version__"]
+_HOME = {name: module for module, names in _MODULES.items() for name in names} | {"motions": "bcid.scene.motions"}
+
+__all__ = [
+    "ExplainOptions",
+    "ExploreOptions",
+    "IdentifyOptions",
+    "Measurement",
+    "Model",
+    "Scene",
+    "Term",
+    "__version__",
+    "compare",
+    "diagnose",
+    "explain",
+    "explore",
+    "fit",
+    "identify",
+    "load",
+    "motions",
+    "simulate",
+]
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _PUBLIC:
+    if name not in _HOME:
         raise AttributeError(f"module 'bcid' has no attribute '{name}'")
-    return getattr(import_module(_PUBLIC[name]), name)
+    if name == "motions":
+        return import_module(_HOME[name])
+    return getattr(import_module(_HOME[name]), name)
 
 
 def __dir__() -> list[str]:

@@ -23,7 +23,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bcid.base.progress import Silent
-from bcid.studies.deal import How, Work, deal, read_result
+from bcid.studies.engine.dispatch import dispatch
+from bcid.studies.engine.work import Work, Workers, read_result
 
 PROJECT = Path(__file__).resolve().parents[1]
 GOAL = 0.01
@@ -67,15 +68,15 @@ class Spent(NamedTuple):
         return self.between / self.within
 
 
-def dealt(folder: Path, count: int, lengths: tuple[float, float], how: How) -> Spent:
+def dealt(folder: Path, count: int, lengths: tuple[float, float], how: Workers) -> Spent:
     """Deal out trials and read from their results who made which when; on ranks other than the first all numbers are zero."""
     work = Work("benchmarks.dealing:maker", {}, folder / "results")
     todo = tasks(count, *lengths)
     if how.comm:
         # One short trial for each wakes everyone up.
-        deal(work, {f"start{i}": {"seconds": 0.5} for i in range(how.comm.size - 1)}, how, Silent())
+        dispatch(work, {f"start{i}": {"seconds": 0.5} for i in range(how.comm.size - 1)}, how, Silent())
     began = time.monotonic()
-    deal(work, todo, how, Silent())
+    dispatch(work, todo, how, Silent())
     whole = time.monotonic() - began
     if how.comm and how.comm.rank > 0:
         return Spent(0.0, 0.0, 0.0, 0.0)
@@ -124,7 +125,7 @@ def main() -> int:
         from mpi4py import MPI
 
         count, *lengths = json.loads(given.ranks[1])
-        spent = dealt(Path(given.ranks[0]), count, (lengths[0], lengths[1]), How(MPI.COMM_WORLD))
+        spent = dealt(Path(given.ranks[0]), count, (lengths[0], lengths[1]), Workers(MPI.COMM_WORLD))
         if MPI.COMM_WORLD.rank == 0:
             print(json.dumps(spent), flush=True)
         return 0
@@ -134,7 +135,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         for name, spent in (
             ("ranks", on_ranks(Path(folder) / "ranks", given.workers, given.count, lengths)),
-            ("children", dealt(Path(folder) / "children", given.count, lengths, How(jobs=given.workers))),
+            ("children", dealt(Path(folder) / "children", given.count, lengths, Workers(jobs=given.workers))),
         ):
             worst = max(worst, spent.overhead)
             each = 1e3 * spent.between / given.count

@@ -14,12 +14,12 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from bcid import Measurement, Scene, identify
-from bcid.search.identify import Options
+from bcid import Measurement, Scene
+from bcid.search.identify import IdentifyOptions, identify
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 MEASUREMENTS = ("slab-12-semicircle", "slab-1234-semicircle", "slab-27-five", "slab-34-complex")
-OPTIONS = Options(certify="no" if "--no-certify" in sys.argv else "auto")
+OPTIONS = IdentifyOptions(certify="no" if "--no-certify" in sys.argv else "auto")
 
 
 def main() -> None:

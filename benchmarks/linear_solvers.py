@@ -16,9 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from bcid import Forward, Scene
+from bcid import Scene
+from bcid.forms.forward import Forward
 from bcid.forms.mesh import level_mesh
-from bcid.forms.solve import Settings
+from bcid.forms.solver.equilibrium import Settings
 from bcid.scene import Level
 from bcid.scene.motions import actions, pull
 

@@ -12,9 +12,9 @@ from pathlib import Path
 from mpi4py import MPI
 
 from bcid import Measurement, Scene
-from bcid.compare.missing import rank
-from bcid.compare.state import State
-from bcid.compare.twin import Twin
+from bcid.comparison.predictor import Predictor
+from bcid.comparison.ranking import rank
+from bcid.comparison.state import State
 from bcid.forms import effects
 from bcid.forms.model import Model
 
@@ -35,18 +35,18 @@ def seconds(work: Callable[[], object], repeats: int = 2) -> float:
 def main() -> None:
     """Print the ratios."""
     scene = Scene.read(EXAMPLES / "scenes/slab_explain.toml")
-    twin = Twin(scene, Measurement.read(EXAMPLES / "measurements/slab-34-heavy"), MPI.COMM_SELF)
+    predictor = Predictor(scene, Measurement.read(EXAMPLES / "measurements/slab-34-heavy"), MPI.COMM_SELF)
     model, anchors = Model.of(scene), frozenset("34")
-    state = State.of(twin, model, anchors)
-    forward = twin.forward(model)
-    trajectory = seconds(lambda: forward.predict(anchors, twin.actions, keep=True))
+    state = State.of(predictor, model, anchors)
+    forward = predictor.forward(model)
+    trajectory = seconds(lambda: forward.predict(anchors, predictor.actions, keep=True))
     plain = [
         name
         for name in effects.names()
         if not (effects.effect(name).memory or effects.effect(name).uses_past or effects.effect(name).places)
         and name != "inclusion"
     ]
-    print(f"working level: {forward.describe}; a trajectory of {len(twin.data.mask)} frames: {trajectory:.2f} s")
+    print(f"working level: {forward.describe}; a trajectory of {len(predictor.data.mask)} frames: {trajectory:.2f} s")
     for text, only in (("without history or place", plain), ("all", effects.names())):
         ranking = seconds(lambda only=only: rank(state, effects.catalogue(only)))
         print(f"ranking {text} ({len(only)} effects): {ranking:.2f} s, {ranking / trajectory:.1f} trajectories")

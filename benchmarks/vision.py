@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 from bcid import Scene
 from bcid.scene.motions import motion
-from bcid.studies.filmed import Filmed, Motion, film, moved
+from bcid.studies.rendering.appearance import Appearance
+from bcid.studies.rendering.scene_images import RenderedRecording, SurfaceMotion, moved, render_recording
 from bcid.vision.recording import Recording
-from bcid.vision.rendering.look import Look
 from bcid.vision.tracking import Tracking, track
 
 SCENE = Path(__file__).resolve().parents[1] / "examples/scenes/slab.toml"
@@ -55,29 +55,29 @@ class Score:
     rate: float
 
 
-def look(number: int) -> Look:
+def look(number: int) -> Appearance:
     """Beads and light of a sequence."""
     rng = np.random.default_rng(number)
     side = rng.uniform(0, 2 * np.pi)
     lamp = (0.2 * np.cos(side), 0.2 * np.sin(side), 0.02)
-    return Look(lamp=lamp, noise=2.0, blur=rng.uniform(0.5, 1.0), strength=rng.uniform(0.4, 0.7), decoys=DECOYS)
+    return Appearance(lamp=lamp, noise=2.0, blur=rng.uniform(0.5, 1.0), strength=rng.uniform(0.4, 0.7), decoys=DECOYS)
 
 
-def sequence(scene: Scene, surface: Motion, number: int, folder: Path) -> Score:
+def sequence(scene: Scene, surface: SurfaceMotion, number: int, folder: Path) -> Score:
     """Film, track and score one sequence."""
     actions = motion("semicircle", "II")
-    filmed = film(scene, surface, actions, folder, look(number), random_state=number, hidden=HIDDEN)
+    rendered = render_recording(scene, surface, actions, folder, look(number), random_state=number, hidden=HIDDEN)
     began = perf_counter()
-    found = track(Recording.read(filmed.recording), scene.fiducials)
-    return score(scene, filmed, found, len(filmed.beads) / (perf_counter() - began))
+    found = track(Recording.read(rendered.recording), scene.fiducials)
+    return score(scene, rendered, found, len(rendered.beads) / (perf_counter() - began))
 
 
-def score(scene: Scene, filmed: Filmed, found: Tracking, rate: float) -> Score:
+def score(scene: Scene, rendered: RenderedRecording, found: Tracking, rate: float) -> Score:
     """What was found against the truth: where the registration, which knows the layout at rest, has the beads."""
-    error = found.positions - (filmed.beads - (filmed.beads[0] - scene.rest))
+    error = found.positions - (rendered.beads - (rendered.beads[0] - scene.rest))
     right = found.seen & (np.linalg.norm(error, axis=2) < WRONG)
     chi2 = np.einsum("ni,nij,nj->n", error[right], np.linalg.inv(found.covariance[right]), error[right])
-    visible = int(filmed.visible.all(axis=1).sum())
+    visible = int(rendered.visible.all(axis=1).sum())
     return Score(visible, int(found.seen.sum()), int((found.seen & ~right).sum()), error[right], chi2, rate)
 
 

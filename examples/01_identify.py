@@ -11,21 +11,20 @@ Find the anchored patches of a slab from a shipped measurement, with the Python 
 
 from pathlib import Path
 
-from bcid import Identification, Measurement, Scene, identify
+from bcid import Measurement, Scene, identify
+from bcid.api.results import IdentifyResult
 
 HERE = Path(__file__).resolve().parent
 
 
-def main() -> Identification:
+def main() -> IdentifyResult:
     """The whole job."""
     scene = Scene.read(HERE / "scenes/slab.toml")
     measurement = Measurement.read(HERE / "measurements/slab-34-complex")
     found = identify(scene, measurement)
 
-    print("anchored:", " ".join(found.anchored))
-    print(f"probability {found.probability:.4f}, residual {found.rms * 1e3:.3f} mm, noise {found.noise * 1e3:.3f} mm")
-    for other in found.alternatives[:3]:
-        print("next best:", " ".join(other.anchored) or "none", f"probability {other.probability:.1e}")
+    print(found.headline)
+    print(found.to_dataframe().head(4).to_string(index=False))
     return found
 
 

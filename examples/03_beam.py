@@ -22,16 +22,16 @@ import numpy as np
 from mpi4py import MPI
 
 from bcid import Measurement, Scene
-from bcid.compare import words
-from bcid.compare.adequacy import Adequacy, judge
-from bcid.compare.fit import Fit, fit
-from bcid.compare.joint import promised
-from bcid.compare.missing import Ranking, Row, rank
-from bcid.compare.rivals import Rival, contest
-from bcid.compare.state import State
-from bcid.compare.twin import Twin
+from bcid.comparison import diagnosis_text as words
+from bcid.comparison.adequacy import Adequacy, judge
+from bcid.comparison.fit import Fit, fit
+from bcid.comparison.joint import promised
+from bcid.comparison.predictor import Predictor
+from bcid.comparison.ranking import Ranking, Row, rank
+from bcid.comparison.rivals import Rival, contest
+from bcid.comparison.state import State
 from bcid.forms import effects
-from bcid.forms.model import Dose, Model
+from bcid.forms.model import Model, Term
 from bcid.forms.simulate import recorded
 from bcid.measurement import Action
 
@@ -87,9 +87,9 @@ def main() -> Found:
     weighing = Scene.read(HERE / "scenes/beam.toml")
     scene = replace(weighing, effects={})
     measurement, repeatability = states_of_rest(scene)
-    twin = Twin(scene, measurement, MPI.COMM_SELF)
+    predictor = Predictor(scene, measurement, MPI.COMM_SELF)
 
-    plain = State.of(twin, Model.of(scene), CLAMPED)
+    plain = State.of(predictor, Model.of(scene), CLAMPED)
     verdict, ranking = judge(plain), rank(plain)
     rivals = contest(plain, promised(plain, ranking), 3)
     show(words.verdict(plain, verdict, 1e-3, "mm"))
@@ -101,9 +101,11 @@ def main() -> Found:
     # The error of the mesh is that of the plain model, in which the beam is straight, until it is asked again.
     weight = again(again(rivals[0].fitted))
     known = Model.of(weighing)
-    young = fit(State.of(twin, known, CLAMPED), ("young",))
-    soft = weight.state.model + Dose(effects.effect("soft_anchor"), {"stiffness": 1e8})
-    clamp = fit(State.of(twin, soft, CLAMPED, weight.state.errors.mesh), ("gravity.weight", "soft_anchor.stiffness"))
+    young = fit(State.of(predictor, known, CLAMPED), ("young",))
+    soft = weight.state.model + Term(effects.effect("soft_anchor"), {"stiffness": 1e8})
+    clamp = fit(
+        State.of(predictor, soft, CLAMPED, weight.state.errors.mesh), ("gravity.weight", "soft_anchor.stiffness")
+    )
     print()
     for name, fitted in (("weight", weight), ("stiffness", young), ("weight and clamp", clamp)):
         values = ", ".join(f"{n} = {words.number(v, fitted.stderr[n])}" for n, v in fitted.values.items())
@@ -131,14 +133,16 @@ def states_of_rest(scene: Scene) -> tuple[Measurement, float]:
 def again(fitted: Fit) -> Fit:
     """The fit once more with the error of the mesh of the fitted model."""
     state = fitted.state
-    return fit(State.of(state.twin, state.model, CLAMPED), state.free)
+    return fit(State.of(state.predictor, state.model, CLAMPED), state.free)
 
 
 def what_is_left(weight: Fit, repeatability: float) -> tuple[Adequacy, Row, Fit]:
     """The two runs agree better than the markers' places are known: judged by that, what is still missing?"""
     state = weight.state
-    twin = Twin(state.twin.whole, replace(state.twin.measurement, noise_sigma=repeatability), MPI.COMM_SELF)
-    strict = fit(State.of(twin, state.model, CLAMPED), state.free)
+    predictor = Predictor(
+        state.predictor.whole, replace(state.predictor.measurement, noise_sigma=repeatability), MPI.COMM_SELF
+    )
+    strict = fit(State.of(predictor, state.model, CLAMPED), state.free)
     verdict = judge(strict.state)
     print(f"\nJudged by the repeatability of {repeatability * 1e3:.2f} mm:")
     show(words.verdict(strict.state, verdict, 1e-3, "mm"))
@@ -148,18 +152,18 @@ def what_is_left(weight: Fit, repeatability: float) -> tuple[Adequacy, Row, Fit]
     ranking = rank(strict.state, effects.catalogue(own=[own]))
     show(words.table(ranking, [], strict.state.rms, 1e-3, "mm", 4))
     stand = next(row for row in ranking.rows if row.effect == own.name)
-    model = strict.state.model + stand.dose
-    free = (*state.free, stand.dose.full("height"))
-    stood = fit(State.of(twin, model, CLAMPED, strict.state.errors.mesh), free)
+    model = strict.state.model + stand.term
+    free = (*state.free, stand.term.full("height"))
+    stood = fit(State.of(predictor, model, CLAMPED, strict.state.errors.mesh), free)
     values = ", ".join(f"{n} = {words.number(v, stood.stderr[n])}" for n, v in stood.values.items())
-    print(f"with {stand.dose.label}: {stood.state.rms * 1e3:.2f} mm, {values}")
+    print(f"with {stand.term.label}: {stood.state.rms * 1e3:.2f} mm, {values}")
     show(residuals(stood.state))
     return verdict, stand, stood
 
 
 def residuals(state: State) -> list[str]:
     """Measured minus predicted, mm."""
-    data = state.twin.data
+    data = state.predictor.data
     table = 1e3 * data.spread(state.residual)
     lines = ["  left, mm:" + "".join(f"{name:>18s}" for name in data.scene.fiducial_names)]
     for action, row in zip(data.actions, table, strict=True):

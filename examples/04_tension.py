@@ -23,11 +23,11 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from bcid import Measurement, Scene
-from bcid.compare import words
-from bcid.compare.fit import Fit, fit
-from bcid.compare.missing import Ranking, rank
-from bcid.compare.state import State
-from bcid.compare.twin import Twin
+from bcid.comparison import diagnosis_text as words
+from bcid.comparison.fit import Fit, fit
+from bcid.comparison.predictor import Predictor
+from bcid.comparison.ranking import Ranking, rank
+from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.forms.simulate import recorded
 from bcid.measurement import Action
@@ -73,16 +73,16 @@ class Found:
 def main(curve: Sequence[tuple[float, float]] = CURVE) -> Found:
     """The whole job."""
     scene = Scene.read(HERE / "scenes/bar.toml")
-    twin = Twin(scene, pulled(scene, curve), MPI.COMM_SELF)
-    plain = fit(State.of(twin, on_rollers(scene), frozenset()), ("young",))
+    predictor = Predictor(scene, pulled(scene, curve), MPI.COMM_SELF)
+    plain = fit(State.of(predictor, on_rollers(scene), frozenset()), ("young",))
     ranking = rank(plain.state)
     show("the law alone", plain, curve)
     print("\n".join(words.table(ranking, [], plain.state.rms, 1e-3, "mm", 4)))
     # Fibres along the pull would do the same: one pull cannot tell them apart, but the rubber was cast and has none.
     row = next(row for row in ranking.rows if row.effect == "strain_stiffening")
     print(f"as good as {row.effect}: {', '.join(row.confounded_with) or 'nothing'}")
-    start = State.of(twin, plain.state.model + row.dose, frozenset(), plain.state.errors.mesh)
-    stiffening = fit(start, ("young", row.dose.full("c2")))
+    start = State.of(predictor, plain.state.model + row.term, frozenset(), plain.state.errors.mesh)
+    stiffening = fit(start, ("young", row.term.full("c2")))
     show(f"with {row.effect}", stiffening, curve)
 
     best = yeoh(curve)

@@ -22,13 +22,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid import Identification, Measurement, Scene, identify
+from bcid import IdentifyOptions, Measurement, Scene, identify
+from bcid.api.results import IdentifyResult
 from bcid.scene import Level
 from bcid.scene.motions import motion
-from bcid.search.identify import Options
-from bcid.studies.filmed import Filmed, film, moved
-from bcid.vision.job import run_tracking
-from bcid.vision.rendering.look import Look
+from bcid.studies.rendering.appearance import Appearance
+from bcid.studies.rendering.scene_images import RenderedRecording, moved, render_recording
+from bcid.vision.track_run import run_tracking
 
 HERE = Path(__file__).resolve().parent
 Array = NDArray[np.float64]
@@ -40,18 +40,18 @@ class Found:
     """What comes out.
 
     Attributes:
-        filmed: the recording and its truth.
+        rendered: the recording and its truth.
         measurement: what was tracked.
         rms: error of the tracked positions, m.
         honesty: mean of their normalised squared error, one if the covariances are right.
         identification: the anchors.
     """
 
-    filmed: Filmed
+    rendered: RenderedRecording
     measurement: Measurement
     rms: float
     honesty: float
-    identification: Identification
+    identification: IdentifyResult
 
 
 def main(folder: Path) -> Found:
@@ -60,28 +60,31 @@ def main(folder: Path) -> Found:
     actions = motion("semicircle", "II")
     # On another mesh than those that the anchors are looked for on.
     body = replace(scene, levels=(Level(2, 9e-3),))
-    filmed = film(scene, moved(body, HELD, actions), actions, folder / "filmed", Look(decoys=4), hidden=0.1)
+    rendered = render_recording(
+        scene, moved(body, HELD, actions), actions, folder / "filmed", Appearance(decoys=4), hidden=0.1
+    )
     print(
-        f"{len(filmed.beads)} pairs of images; {1 - filmed.visible.all(axis=1).mean():.0%} of the beads are hidden from a camera"
+        f"{len(rendered.beads)} pairs of images; "
+        f"{1 - rendered.visible.all(axis=1).mean():.0%} of the beads are hidden from a camera"
     )
 
-    run = run_tracking(filmed.recording, scene.fiducials, folder / "tracked")
+    run = run_tracking(rendered.recording, scene.fiducials, folder / "tracked")
     print((run / "summary.txt").read_text(encoding="utf-8"))
     measurement = Measurement.read(run / "measurement")
-    error = measurement.positions - on_surface(filmed, scene)
+    error = measurement.positions - on_surface(rendered, scene)
     rms = float(np.sqrt(np.nanmean(error**2)))
     honesty = float(np.nanmean((error / measurement.data["sigma"].values) ** 2))
     print(f"error of the positions: {rms * 1e3:.4f} mm (RMS of a coordinate), {honesty:.2f} times the stated variance")
 
     # More seeds, the finest mesh or a look at all 256 sets would not change the answer; they would take minutes.
-    found = identify(scene, measurement, options=Options(certify="no", seeds=4, finest=2))
+    found = identify(scene, measurement, options=IdentifyOptions(certify="no", seeds=4, finest=2))
     print(f"anchored: {' '.join(found.anchored)}, residual {found.rms * 1e3:.3f} mm")
-    return Found(filmed, measurement, rms, honesty, found)
+    return Found(rendered, measurement, rms, honesty, found)
 
 
-def on_surface(filmed: Filmed, scene: Scene) -> Array:
+def on_surface(rendered: RenderedRecording, scene: Scene) -> Array:
     """Where the registration has the beads, which stand on the surface: at rest, on the scene's layout."""
-    return np.asarray(filmed.beads - (filmed.beads[0] - scene.rest))
+    return np.asarray(rendered.beads - (rendered.beads[0] - scene.rest))
 
 
 if __name__ == "__main__":

@@ -20,42 +20,38 @@ from subprocess import Popen
 import numpy as np
 from mpi4py import MPI
 
-from bcid import Measurement, Scene
-from bcid.explore.loop import Exploration, Plan, explore, paired
-from bcid.explore.predictions import Predictor
-from bcid.explore.robots import Folder, Simulated
+from bcid import ExploreOptions, Measurement, Scene, explore
+from bcid.api.results import ExploreResult
+from bcid.exploration.predictions import PullPredictor
+from bcid.exploration.robots import Folder, Simulated
 from bcid.measurement import Action
 
 HERE = Path(__file__).resolve().parent
 NOISE = 1e-3
 
 
-def main(folder: Path, store: Path | None = None) -> Exploration:
+def main(folder: Path, store: Path | None = None) -> ExploreResult:
     """Explore, with a lab that works in `folder`."""
     scene = Scene.read(HERE / "scenes/slab_explain.toml")
     # What is known need not be asked: below the patches 5 to 8 there is a gap, and this robot pulls in three directions.
     assert scene.limits is not None
     limits = replace(scene.limits, directions={"+x": (1, 0, 0), "+y": (0, 1, 0), "+z": (0, 0, 1)})
     scene = replace(scene, patches={name: scene.patches[name] for name in "1234"}, limits=limits)
-    ladder = paired(scene, None, MPI.COMM_WORLD)
-    predictors = [Predictor(ladder, level, MPI.COMM_WORLD, store) for level in range(2)]
+    options = ExploreOptions(noise=NOISE, grasps=("II",))
     with Popen([sys.executable, __file__, "lab", folder]) as process:
         try:
-            found = explore(scene, Folder(folder, scene, wait=120.0), Plan(noise=NOISE, grasps=("II",)), *predictors)
+            found = explore(scene, Folder(folder, scene, wait=120.0), MPI.COMM_WORLD, options, store)
         finally:
             process.terminate()
-    for step in found.steps:
-        print(f"{step.move}: {step.expected[0]:.2f} bits expected, {step.gained:.2f} gained")
-    print(f"{found.reason}: {' '.join(sorted(found.view.best.anchors))}, probability {found.view.certainty:.4f}")
-    for predictor in predictors:
-        predictor.destroy()
+    print(found.to_dataframe().to_string(index=False))
+    print(found.headline)
     return found
 
 
 def lab(folder: Path) -> None:
     """What stands for robot and camera: make every pull that is asked for, and write what is seen."""
     scene = Scene.read(HERE / "scenes/slab_explain.toml")
-    body = Simulated(Predictor(scene, len(scene.levels) - 1, MPI.COMM_SELF), "34", NOISE)
+    body = Simulated(PullPredictor(scene, len(scene.levels) - 1, MPI.COMM_SELF), "34", NOISE)
     while True:
         for asked in sorted(folder.glob("*/wanted.csv")):
             place = asked.parent / "measurement"

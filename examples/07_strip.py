@@ -26,9 +26,9 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from bcid import Measurement, Scene
-from bcid.compare.fit import Fit, fit
-from bcid.compare.state import State
-from bcid.compare.twin import Twin
+from bcid.comparison.fit import Fit, fit
+from bcid.comparison.predictor import Predictor
+from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.forms.simulate import recorded
 from bcid.measurement import Action, Units
@@ -79,11 +79,11 @@ def main(folder: Path, output: Path | None = None) -> Found:
     if output is not None:
         measurement.write(output)
 
-    twin = Twin(scene, measurement, MPI.COMM_SELF)
-    rubber = State.of(twin, Model.of(scene), FIXED)
+    predictor = Predictor(scene, measurement, MPI.COMM_SELF)
+    rubber = State.of(predictor, Model.of(scene), FIXED)
     # Fitted as a law that can be compressed.
     soft = Material("neo_hooke", {"young": "1 MPa", "poisson": 0.45})
-    other = Twin(replace(scene, material=soft), measurement, MPI.COMM_SELF)
+    other = Predictor(replace(scene, material=soft), measurement, MPI.COMM_SELF)
     fitted = fit(State.of(other, Model.of(other.scene), FIXED), ("poisson",))
     rest = placed[0, chosen]
     measured = width_stretch(rest, measurement.positions[-1])

@@ -14,11 +14,11 @@ import numpy as np
 
 from bcid import Measurement, Model, Scene
 from bcid.forms.forward import Forward
-from bcid.forms.model import Dose
+from bcid.forms.model import Term
 from bcid.forms.simulate import recorded
-from bcid.forms.solve import Settings
+from bcid.forms.solver.equilibrium import Settings
 from bcid.scene import Level
-from bcid.studies.truth import halved
+from bcid.studies.hidden.truth import halved
 
 HERE = Path(__file__).resolve().parent
 ANCHORS = ("3", "4")
@@ -33,7 +33,7 @@ def main(folder: Path) -> Measurement:
     scene = replace(Scene.read(HERE / "scenes/slab.toml"), levels=(Level(degree=3, element_size=0.014),))
     like = Measurement.read(HERE / "measurements/slab-27-five")
     forward = Forward(
-        scene, 0, model=Model.of(scene) + Dose("gravity", {"weight": WEIGHT}), settings=Settings(rtol=1e-8)
+        scene, 0, model=Model.of(scene) + Term("gravity", {"weight": WEIGHT}), settings=Settings(rtol=1e-8)
     )
     count = sum(len(action) for action in like.actions)
     actions, extra = [], count

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from bcid.forms.solve import Equilibrium
+    from bcid.forms.solver.equilibrium import Equilibrium
 
 PROJECT = Path(__file__).resolve().parents[1]
 Array = NDArray[np.float64]
@@ -86,10 +86,10 @@ def slab40() -> Callable[..., Slab40]:
     def build(name: str, comm: Any = None, rtol: float = 1e-9) -> Slab40:
         from mpi4py import MPI
 
-        from bcid.forms.body import Body
         from bcid.forms.mesh import BodyMesh
+        from bcid.forms.mesh.body import Body
         from bcid.forms.model import Anchors, Held, Model
-        from bcid.forms.solve import Equilibrium, Settings
+        from bcid.forms.solver.equilibrium import Equilibrium, Settings
         from bcid.scene import Grasp, Level, Material, Region, Scene
 
         data = _slab40_arrays(name)

@@ -16,7 +16,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bcid import __version__
 from bcid.app.commands import (
     bench,
     calibrate,
@@ -35,9 +34,10 @@ from bcid.app.commands import (
     study,
     track,
 )
-from bcid.base.collective import first, launched
+from bcid.base.collective import Comm, first, launched
 from bcid.base.errors import SHORT_OF_MEMORY, BcidError, MachineError, shortened
 from bcid.base.scratch import require
+from bcid.base.version import VERSION
 
 # Commands without MPI in this process, for they start others that are jobs of their own; what becomes of an interrupted one.
 _WITHOUT_MPI = {
@@ -154,7 +154,7 @@ def _communicator() -> Any:
     return MPI.COMM_WORLD
 
 
-def _interrupted(comm: Any, number: int, _frame: object) -> None:
+def _interrupted(comm: Comm, number: int, _frame: object) -> None:
     """End at once: an exception inside a PETSc callback would be taken for a failed solve. Runs resume from what they kept."""
     if comm.rank == 0:
         complain("interrupted; the same command goes on where it was")
@@ -163,7 +163,7 @@ def _interrupted(comm: Any, number: int, _frame: object) -> None:
     os._exit(128 + number)
 
 
-def _end_all(comm: Any, code: int) -> int:
+def _end_all(comm: Comm, code: int) -> int:
     """An error on one rank must not leave the others waiting for it."""
     if comm.size > 1:
         sys.stderr.flush()
@@ -182,7 +182,7 @@ def build_parser() -> argparse.ArgumentParser:
     """The parser of all commands."""
     raw = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser("bcid", description=_DESCRIPTION, epilog=_EXAMPLES, formatter_class=raw)
-    parser.add_argument("--version", action="version", version=f"bcid {__version__}")
+    parser.add_argument("--version", action="version", version=f"bcid {VERSION}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _add_demo(commands)
     _add_identify(commands)

@@ -9,23 +9,23 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bcid.base.collective import Comm
 from bcid.base.errors import InputError, MachineError
 from bcid.base.progress import Lines, Progress, Silent
+from bcid.base.shipped import shipped
 from bcid.base.text_file import read_json
 
 if TYPE_CHECKING:
-    from bcid.studies.deal import How
+    from bcid.studies.engine.work import Workers
 
 DEMO_SCENE = "examples/scenes/slab_explain.toml"
 DEMO_MEASUREMENT = "examples/measurements/slab-34-heavy"
-# The project's folder, where bcid runs from a checkout.
-_PROJECT = Path(__file__).resolve().parents[2]
 # The module of `bcid.report` that draws what a command found.
-_PICTURES = dict.fromkeys(("compare", "diagnose", "fit", "explain"), "diagnosis") | {
-    "identify": "identification",
-    "explore": "exploration",
-    "calibrate": "calibration",
-    "track": "tracking",
+_PICTURES = dict.fromkeys(("compare", "diagnose", "fit", "explain"), "diagnosis_picture") | {
+    "identify": "identification_picture",
+    "explore": "exploration_picture",
+    "calibrate": "calibration_picture",
+    "track": "tracking_picture",
 }
 
 
@@ -34,11 +34,9 @@ def complain(text: object) -> None:
     print(f"bcid: {text}", file=sys.stderr, flush=True)
 
 
-def demo(arguments: argparse.Namespace, comm: Any) -> None:
+def demo(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid demo`."""
-    scene, measurement = _PROJECT / DEMO_SCENE, _PROJECT / DEMO_MEASUREMENT
-    if not scene.exists():
-        raise InputError(f"{scene}: is missing; `bcid demo` needs the project's folder with its examples")
+    scene, measurement = shipped(DEMO_SCENE), shipped(DEMO_MEASUREMENT)
     progress = _progress(arguments, comm.rank)
     progress.say("a soft slab was pulled five times; which patches hold it, and what does the plain model lack?")
     progress.say("searching the anchors with the plain model first")
@@ -47,7 +45,7 @@ def demo(arguments: argparse.Namespace, comm: Any) -> None:
         return
     if not arguments.no_picture:
         _draw(folder, progress)
-    from bcid.report.words import falling
+    from bcid.report.text import falling
 
     found = read_json(folder / "diagnosis.json")
     print("\n" + (folder / "summary.txt").read_text(encoding="utf-8").split("\n\n")[0])
@@ -74,13 +72,13 @@ def _progress(arguments: argparse.Namespace, rank: int) -> Progress:
     return Silent() if arguments.quiet or rank > 0 else Lines()
 
 
-def identify(arguments: argparse.Namespace, comm: Any) -> None:
+def identify(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid identify`."""
-    from bcid.search.identify import Options
-    from bcid.search.job import run_identification
+    from bcid.search.identify import IdentifyOptions
+    from bcid.search.identify_run import run_identification
     from bcid.search.termination import Termination
 
-    options = Options(
+    options = IdentifyOptions(
         certify=arguments.certify,
         seeds=arguments.seeds,
         random_state=arguments.random_state,
@@ -100,7 +98,7 @@ def identify(arguments: argparse.Namespace, comm: Any) -> None:
     _finish(folder, arguments, comm, progress)
 
 
-def _finish(folder: Path, arguments: argparse.Namespace, comm: Any, progress: Progress) -> None:
+def _finish(folder: Path, arguments: argparse.Namespace, comm: Comm | None, progress: Progress) -> None:
     """Print the result and draw it; `comm` is None for commands without MPI."""
     if comm is not None and comm.rank > 0:
         return
@@ -118,9 +116,9 @@ def _print_result(folder: Path, file: str) -> None:
 def _draw(folder: Path, progress: Progress) -> None:
     """Pictures are a view of the run: what stops them must not take the result along."""
     try:
-        from bcid.base.run import Run
+        from bcid.base.run_folder import RunFolder
 
-        kind = _PICTURES[Run.open(folder).record["command"]]
+        kind = _PICTURES[RunFolder.open(folder).record["command"]]
         for file in import_module(f"bcid.report.{kind}").draw(folder):
             progress.say(f"wrote {file}")
     except ImportError as error:
@@ -129,9 +127,9 @@ def _draw(folder: Path, progress: Progress) -> None:
         complain(f"no picture: {error}")
 
 
-def compare(arguments: argparse.Namespace, comm: Any) -> None:
+def compare(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid compare`."""
-    from bcid.compare.job import run_compare
+    from bcid.comparison.compare_runs import run_compare
 
     progress = _progress(arguments, comm.rank)
     common = _common(arguments, comm, progress)
@@ -139,9 +137,9 @@ def compare(arguments: argparse.Namespace, comm: Any) -> None:
     _finish(folder, arguments, comm, progress)
 
 
-def diagnose(arguments: argparse.Namespace, comm: Any) -> None:
+def diagnose(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid diagnose`."""
-    from bcid.compare.job import run_diagnose
+    from bcid.comparison.compare_runs import run_diagnose
 
     progress = _progress(arguments, comm.rank)
     common = _common(arguments, comm, progress) | {"only": _listed(arguments.only)}
@@ -149,9 +147,9 @@ def diagnose(arguments: argparse.Namespace, comm: Any) -> None:
     _finish(folder, arguments, comm, progress)
 
 
-def fit(arguments: argparse.Namespace, comm: Any) -> None:
+def fit(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid fit`."""
-    from bcid.compare.job import run_fit
+    from bcid.comparison.compare_runs import run_fit
 
     if not (arguments.add or arguments.free):
         raise InputError("fit: nothing to do; name an effect with --add (as --add gravity) or a number with --free")
@@ -162,7 +160,7 @@ def fit(arguments: argparse.Namespace, comm: Any) -> None:
     _finish(folder, arguments, comm, progress)
 
 
-def explain(arguments: argparse.Namespace, comm: Any) -> None:
+def explain(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid explain`."""
     if arguments.most < 1:
         raise InputError(f"--most {arguments.most}: must be at least 1")
@@ -171,15 +169,17 @@ def explain(arguments: argparse.Namespace, comm: Any) -> None:
     _finish(folder, arguments, comm, progress)
 
 
-def _explained(scene: Path, measurement: Path, arguments: argparse.Namespace, comm: Any, progress: Progress) -> Path:
+def _explained(scene: Path, measurement: Path, arguments: argparse.Namespace, comm: Comm, progress: Progress) -> Path:
     """Run the whole loop; returns the run folder."""
-    from bcid.compare.explain import Plan
-    from bcid.compare.job import run_explain
+    from bcid.comparison.compare_runs import run_explain
+    from bcid.comparison.explain import ExplainOptions
 
     only = _listed(getattr(arguments, "only", None))
-    plan = Plan(getattr(arguments, "level", None), getattr(arguments, "most", Plan.effects), only=only)
+    options = ExplainOptions(
+        getattr(arguments, "level", None), getattr(arguments, "most", ExplainOptions.effects), only=only
+    )
     files = getattr(arguments, "effects", [])
-    return run_explain(scene, measurement, arguments.output, plan, comm, progress, arguments.overwrite, files)
+    return run_explain(scene, measurement, arguments.output, options, comm, progress, arguments.overwrite, files)
 
 
 def _names(text: str) -> tuple[str, ...]:
@@ -202,20 +202,20 @@ def _beside(arguments: argparse.Namespace, command: str) -> Path:
     return output
 
 
-def _common(arguments: argparse.Namespace, comm: Any, progress: Progress) -> dict[str, Any]:
+def _common(arguments: argparse.Namespace, comm: Comm, progress: Progress) -> dict[str, Any]:
     """What all jobs on a run take."""
     common = {"comm": comm, "progress": progress, "overwrite": arguments.overwrite}
     return common | {"level": arguments.level, "files": arguments.effects}
 
 
-def explore(arguments: argparse.Namespace, comm: Any) -> None:
+def explore(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid explore`."""
-    from bcid.explore.job import run_exploration
-    from bcid.explore.loop import Plan
+    from bcid.exploration.explore_run import run_exploration
+    from bcid.exploration.loop import ExploreOptions
 
     if not arguments.wait > 0:
         raise InputError(f"--wait {arguments.wait:g}: must be a positive number of seconds")
-    plan = Plan(
+    options = ExploreOptions(
         confidence=arguments.confidence,
         budget=arguments.budget,
         criterion=arguments.criterion,
@@ -232,7 +232,7 @@ def explore(arguments: argparse.Namespace, comm: Any) -> None:
         arguments.scene,
         arguments.robot,
         arguments.output,
-        plan,
+        options,
         comm,
         progress,
         arguments.overwrite,
@@ -290,7 +290,7 @@ def figure(arguments: argparse.Namespace) -> None:
 
 def calibrate(arguments: argparse.Namespace) -> None:
     """`bcid calibrate`."""
-    from bcid.vision.calibration_job import run_calibration
+    from bcid.vision.calibrate_run import run_calibration
 
     progress = _progress(arguments, 0)
     folder = run_calibration(
@@ -309,7 +309,7 @@ def track(arguments: argparse.Namespace) -> None:
     """`bcid track`."""
     from bcid.measurement import Measurement
     from bcid.scene import Scene
-    from bcid.vision.job import run_tracking
+    from bcid.vision.track_run import run_tracking
 
     scene = Scene.read(arguments.scene)
     expected = None if arguments.expected is None else Measurement.read(arguments.expected)
@@ -326,7 +326,7 @@ def track(arguments: argparse.Namespace) -> None:
     _finish(folder, arguments, None, progress)
 
 
-def simulate(arguments: argparse.Namespace, comm: Any) -> None:
+def simulate(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid simulate`."""
     from bcid.base.collective import on_root
     from bcid.forms.model import check_physics
@@ -362,7 +362,7 @@ def simulate(arguments: argparse.Namespace, comm: Any) -> None:
         print(f"{arguments.output}: {len(made.positions)} frames of {len(made.fiducial_names)} fiducials")
 
 
-def check_effect(arguments: argparse.Namespace, comm: Any) -> None:
+def check_effect(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid check-effect`."""
     from bcid.forms.check_effect import check_effect as check
 
@@ -371,23 +371,21 @@ def check_effect(arguments: argparse.Namespace, comm: Any) -> None:
 
 def bench(arguments: argparse.Namespace) -> None:
     """`bcid bench`."""
-    if not (_PROJECT / "benchmarks" / "bench.py").exists():
-        raise InputError(f"{_PROJECT / 'benchmarks'}: is missing; `bcid bench` needs the project's folder (a checkout)")
-    if str(_PROJECT) not in sys.path:
-        sys.path.insert(0, str(_PROJECT))
-    import_module("benchmarks.bench").run(arguments.parts, arguments.output, arguments.quick)
+    from bcid.bench.bench_run import run
+
+    run(arguments.parts, arguments.output, arguments.quick)
 
 
-def study(arguments: argparse.Namespace, comm: Any = None) -> None:
+def study(arguments: argparse.Namespace, comm: Comm | None = None) -> None:
     """`bcid study`."""
-    from bcid.studies.deal import How
+    from bcid.studies.engine.work import Workers
 
     if arguments.jobs < 1:
         raise InputError(f"--jobs {arguments.jobs}: must be at least 1")
     if not arguments.limit > 0:
         raise InputError(f"--limit {arguments.limit:g}: must be a positive number of seconds")
     rank = comm.rank if comm else 0
-    folder = _studies(arguments)(arguments, How(comm, arguments.jobs, arguments.limit), _progress(arguments, rank))
+    folder = _studies(arguments)(arguments, Workers(comm, arguments.jobs, arguments.limit), _progress(arguments, rank))
     if rank == 0 and (folder / "table.txt").is_file():
         _print_result(folder, "table.txt")
 
@@ -402,22 +400,24 @@ def _studies(arguments: argparse.Namespace) -> Callable[..., Path]:
     return _study_file
 
 
-def _study_hidden(arguments: argparse.Namespace, how: How, progress: Progress) -> Path:
-    from bcid.studies.hidden import Options, run_hidden
+def _study_hidden(arguments: argparse.Namespace, how: Workers, progress: Progress) -> Path:
+    from bcid.studies.hidden.hidden_study import HiddenOptions, run_hidden
 
-    options = Options(arguments.cases, arguments.seed, how.jobs, how.limit, arguments.least)
+    options = HiddenOptions(arguments.cases, arguments.seed, how.jobs, how.limit, arguments.least)
     return run_hidden(arguments.output, options, progress=progress, overwrite=arguments.overwrite, comm=how.comm)
 
 
-def _study_exploration(arguments: argparse.Namespace, how: How, progress: Progress) -> Path:
-    from bcid.studies.exploration import run_study
-    from bcid.studies.exploration_trials import Extent
+def _study_exploration(arguments: argparse.Namespace, how: Workers, progress: Progress) -> Path:
+    from bcid.studies.exploration.exploration_study import run_study
+    from bcid.studies.exploration.exploration_trials import ExplorationExtent
 
-    return run_study(arguments.output, Extent(arguments.trials), arguments.seed, how, progress, arguments.overwrite)
+    return run_study(
+        arguments.output, ExplorationExtent(arguments.trials), arguments.seed, how, progress, arguments.overwrite
+    )
 
 
-def _study_file(arguments: argparse.Namespace, how: How, progress: Progress) -> Path:
-    from bcid.studies.study import Extent, run_study
+def _study_file(arguments: argparse.Namespace, how: Workers, progress: Progress) -> Path:
+    from bcid.studies.paper.study import Extent, run_study
 
     extent = Extent(arguments.quick, _part(arguments.part), arguments.predict_only, arguments.seed)
     folder = run_study(Path(arguments.study), arguments.output, extent, how, progress, arguments.overwrite)
@@ -426,8 +426,8 @@ def _study_file(arguments: argparse.Namespace, how: How, progress: Progress) -> 
     return folder
 
 
-def _study_paper(arguments: argparse.Namespace, how: How, progress: Progress) -> Path:
-    from bcid.studies.paper import run_paper
+def _study_paper(arguments: argparse.Namespace, how: Workers, progress: Progress) -> Path:
+    from bcid.studies.paper.paper_study import run_paper
 
     return run_paper(arguments.output, arguments.quick, arguments.seed, how, progress, arguments.overwrite)
 

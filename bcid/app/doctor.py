@@ -24,8 +24,9 @@ from typing import Any
 
 from bcid.base.confined import landlock
 from bcid.base.scratch import trouble
+from bcid.base.solver_wheel import prepare
 
-GET_DOLFINX = "use ./dev, which makes an environment; or conda (environment.yml), or a container (Dockerfile)"
+GET_DOLFINX = 'pip install "bcid[all]" (Python 3.12 or newer), or ./dev of the checkout, which makes an environment'
 
 # BLAS libraries that are fast, by a part of the name of their file or of its folder.
 FAST_BLAS = {
@@ -127,6 +128,7 @@ def check_python() -> Check:
 
 def check_dolfinx() -> Iterator[Check]:
     try:
+        prepare()
         version = str(importlib.import_module("dolfinx").__version__)
     except ImportError as error:
         yield Check("DOLFINx", False, first_line(error), GET_DOLFINX)
@@ -151,7 +153,6 @@ def check_petsc() -> Iterator[Check]:
     for name, kind, essential, advice in [
         ("MUMPS", "lu", True, "bcid's direct solver; install a PETSc that has it"),
         ("CHOLMOD", "cholesky", False, "factorisations are slower without it"),
-        ("hypre", "hypre", False, "large meshes need a multigrid preconditioner"),
     ]:
         try:
             factorise(petsc, kind, name.lower())

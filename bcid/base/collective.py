@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 from bcid.base.errors import BcidError
+
+if TYPE_CHECKING:
+    from mpi4py.MPI import Intracomm
+
+# An MPI communicator of mpi4py, which is loaded only by what needs it.
+Comm: TypeAlias = "Intracomm"
 
 T = TypeVar("T")
 # Set by the launchers of Open MPI, MPICH and Slurm.
@@ -14,7 +20,7 @@ _RANKS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK", "SLURM_PROCID")
 _SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "MPI_LOCALNRANKS", "PMIX_SIZE")
 
 
-def on_root(comm: Any, work: Callable[[], T]) -> T:
+def on_root(comm: Comm | None, work: Callable[[], T]) -> T:
     """Run `work` on rank 0 and give its result to every rank; collective on `comm`.
 
     A `BcidError` raised by `work` is raised on every rank. `comm` may be None: then `work` is just called.
@@ -33,7 +39,7 @@ def on_root(comm: Any, work: Callable[[], T]) -> T:
     return result
 
 
-def in_turns(comm: Any, first: bool, work: Callable[[], T]) -> T:
+def in_turns(comm: Comm, first: bool, work: Callable[[], T]) -> T:
     """Run `work` on the ranks that are `first`, then on the others, and raise on all ranks or none; collective on `comm`.
 
     So one rank compiles what the others then find in the cache: compiling at once would race for it.
@@ -50,7 +56,7 @@ def in_turns(comm: Any, first: bool, work: Callable[[], T]) -> T:
     return results[0]
 
 
-def agree(comm: Any, error: BcidError | None) -> None:
+def agree(comm: Comm, error: BcidError | None) -> None:
     """Raise the first error of any rank on every rank; collective on `comm`."""
     found = [e for e in comm.allgather(error) if e is not None]
     if found:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.base.collective import Comm
 from bcid.base.errors import MachineError
 from bcid.base.scratch import require
 
@@ -33,7 +34,7 @@ def compiling() -> Iterator[None]:
         ) from None
 
 
-def make_mesh(comm: Any, cells: NDArray[np.int64], points: NDArray[np.float64], element: Any) -> Any:
+def make_mesh(comm: Comm, cells: NDArray[np.int64], points: NDArray[np.float64], element: Any) -> Any:
     """Distributed mesh from `cells` (n, 4) and `points` (m, 3); collective, each rank gives its own share."""
     import ufl
     from dolfinx import mesh

@@ -25,9 +25,10 @@ from typing import Any
 
 from bcid.base.errors import InputError
 from bcid.base.scratch import require, temporary_folder
+from bcid.base.shipped import IMPORT_ROOT
 
 # The folder that holds the package.
-_ROOT = Path(__file__).resolve().parents[2]
+
 # What a child is given of the environment: where its libraries are, and how it writes text. Nothing that loads plugins.
 _KEPT = ("LD_LIBRARY_PATH", "PYTHONHOME", "LANG", "LC_ALL", "LC_CTYPE")
 _COVERAGE = "COVERAGE_"
@@ -126,7 +127,7 @@ def _environment(folder: Path) -> dict[str, str]:
         "PATH": "",
         "HOME": str(folder),
         "TMPDIR": str(folder),
-        "PYTHONPATH": os.pathsep.join(filter(None, [str(_ROOT), os.environ.get("PYTHONPATH", "")])),
+        "PYTHONPATH": os.pathsep.join(filter(None, [str(IMPORT_ROOT), os.environ.get("PYTHONPATH", "")])),
         "PYTHONUSERBASE": site.getuserbase(),
         "HDF5_PLUGIN_PRELOAD": "::",
         "HDF5_USE_FILE_LOCKING": "FALSE",
@@ -207,6 +208,6 @@ def landlock() -> int:
 def _libraries() -> set[Path]:
     """Where the interpreter, installed packages and the system's libraries are; not where bcid lies, which is loaded by then."""
     found = {"/usr", "/lib", "/lib64", "/etc/ld.so.cache", sys.prefix, sys.base_prefix, *sysconfig.get_paths().values()}
-    found |= {path for path in sys.path if Path(path) != _ROOT}
+    found |= {path for path in sys.path if Path(path) != IMPORT_ROOT}
     found |= set(os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep)) - {""}
     return {Path(path) for path in found if Path(path).exists()}

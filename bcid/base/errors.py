@@ -83,8 +83,11 @@ def nearest(word: str, allowed: Iterable[str]) -> str:
     """A hint such as ``did you mean 'x'? known: a, b`` for a misspelt name."""
     known = [str(name) for name in islice(allowed, _LOOKED_THROUGH)]
     similar = [name for name in known if len(name) <= _LONGEST_NAME]
-    close = difflib.get_close_matches(str(word), similar, n=1) if len(str(word)) <= _LONGEST_NAME else []
-    hint = f"did you mean '{close[0]}'? " if close else ""
+    # A name that differs in upper and lower case alone is the nearest of all.
+    by_case = {name.casefold(): name for name in reversed(similar)}
+    wanted = str(word).casefold() if len(str(word)) <= _LONGEST_NAME else ""
+    close = difflib.get_close_matches(wanted, by_case, n=1) if wanted else []
+    hint = f"did you mean '{by_case[close[0]]}'? " if close else ""
     shown = ", ".join(shortened(name, _LONGEST_NAME) for name in known[:24]) + (", ..." if len(known) > 24 else "")
     return f"{hint}known: {shown}" if known else "none is defined"
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+from typing import Any
 
 from bcid.base.errors import InputError
 
@@ -159,3 +160,29 @@ def percent(probability: float) -> str:
     if probability <= 0.0001:
         return "< 0.01 %"
     return f"{100 * probability:.2f} %"
+
+
+# Units of the arrays that bcid writes, by name of the variable.
+_METRES = ("position", "measured", "predicted", "predicted_first", "rest", "sigma", "mesh_error", "layout_residual")
+_ARRAYS = dict.fromkeys((*_METRES, "points", "displacement", "translation"), "m") | {
+    "time": "s",
+    "rotation": "1",
+    "load": "N",
+    "wrench": "N (fx fy fz), N m (tx ty tz)",
+    "covariance": "m^2",
+    "pixel": "px",
+    "misfit": "1",
+}
+
+
+def with_units(data: Any) -> Any:
+    """A copy of an xarray dataset whose variables carry their unit as the attribute `units`, as the CF conventions have it.
+
+    What an effect contributes to positions is called part_0, part_1 and so on.
+    """
+    data = data.copy()
+    for name in map(str, data.variables):
+        unit = "m" if name.startswith("part_") else _ARRAYS.get(name)
+        if unit is not None:
+            data[name].attrs["units"] = unit
+    return data

@@ -1,4 +1,4 @@
-"""Whether an effect keeps its contract, tried on a small box (see `bcid.forms.trial`).
+"""Whether an effect keeps its contract, tried on a small box (see `bcid.forms.effect_trial`).
 
 ``mpirun -n 2 python -m bcid.forms.check_effect NAME-OR-FILE...`` prints the predictions that two ranks make together; the
 comparison of ranks is made with it.
@@ -15,20 +15,19 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from bcid.base.collective import on_root
+from bcid.base.collective import Comm, on_root
 from bcid.base.errors import BcidError, InputError
 from bcid.base.units import parse_unit
 from bcid.forms import effects
+from bcid.forms.effect_trial import ANCHORS, OTHER, ROUND_OFF, EffectTrial, box, scene
 from bcid.forms.effects.effect import ACTS_ON, Effect
 from bcid.forms.parameter import Parameter
-from bcid.forms.trajectory import poses
-from bcid.forms.trial import ANCHORS, OTHER, ROUND_OFF, Trial, box, scene
+from bcid.forms.solver.trajectory import poses
 
 Array = NDArray[np.float64]
 
@@ -37,7 +36,7 @@ _FUNCTIONS = (
     "potential",
     "work",
     "stiffness",
-    "natural",
+    "growth",
     "constants",
     "drive",
     "observe",
@@ -45,7 +44,7 @@ _FUNCTIONS = (
 
 
 @dataclass(frozen=True)
-class Finding:
+class CheckResult:
     """Outcome of one check; `ok` is None when it could not be made."""
 
     check: str
@@ -94,15 +93,15 @@ def _declaration(p: Parameter) -> Iterator[str]:
             yield f"{p.name}: unit '{p.unit}' is not SI: inside, units are products of m, s, N, Pa, kg, deg"
     except InputError as error:
         yield f"{p.name}: {error}"
-    if not (np.isfinite(p.typical) and p.typical > 0):
-        yield f"{p.name}: typical = {p.typical}: give a positive size that is notable"
-    elif p.neutral is not None and not p.reciprocal and all(p.check(p.neutral + s * p.typical) for s in (1, -1)):
-        yield f"{p.name}: {p.typical} from its neutral value is outside the bounds on both sides: choose a smaller typical"
+    if not (np.isfinite(p.scale) and p.scale > 0):
+        yield f"{p.name}: scale = {p.scale}: give a positive size that is notable"
+    elif p.neutral is not None and not p.reciprocal and all(p.check(p.neutral + s * p.scale) for s in (1, -1)):
+        yield f"{p.name}: {p.scale} from its neutral value is outside the bounds on both sides: choose a smaller scale"
     if not p.about:
         yield f"{p.name}: about is empty: say what it means"
 
 
-def vanishes(trial: Trial) -> str:
+def vanishes(trial: EffectTrial) -> str:
     """At the neutral value nothing may be left of it."""
     none, size = trial.values(0.0), trial.mesh.size
     limit = [p for p in trial.effect.amounts if p.reciprocal]
@@ -119,31 +118,31 @@ def vanishes(trial: Trial) -> str:
     if limit:
         nearer = np.abs(trial.at(trial.values(1e-7)) - trial.plain).max()
         if not nearer < 0.2 * away + ROUND_OFF * size:
-            return f"a ten times smaller dose leaves {nearer / away:.2g} of the difference to the model without it"
+            return f"a ten times smaller term leaves {nearer / away:.2g} of the difference to the model without it"
     tolerance = 1e-4 * size if limit else ROUND_OFF * size
     if not away < tolerance:
         return f"at {none} a fiducial is {away * 1e3:.2g} mm from where it is without it: it must be the same"
     return ""
 
 
-def _bare_forces(trial: Trial) -> Array:
+def _bare_forces(trial: EffectTrial) -> Array:
     """Residual of the model without the effect at the state of the model with it."""
     forward = trial.forward(trial.bare)
-    forward.equilibrium.u.x.array[:] = trial.dosed.equilibrium.u.x.array
+    forward.equilibrium.u.x.array[:] = trial.with_effect.equilibrium.u.x.array
     return forward.equilibrium.forces()
 
 
-def acts(trial: Trial) -> str:
-    """Each amount must move something at its typical size."""
+def acts(trial: EffectTrial) -> str:
+    """Each amount must move something at its scale."""
     idle = []
     for p in trial.effect.amounts:
         moved = np.abs(trial.at(trial.values(1.0, p.name)) - trial.plain).max()
         if not moved > 10 * ROUND_OFF * trial.mesh.size:
             idle.append(p.name)
-    return f"nothing moves at the typical size of {', '.join(idle)}: raise typical, or look for a unit" if idle else ""
+    return f"nothing moves at the scale of {', '.join(idle)}: raise scale, or look for a unit" if idle else ""
 
 
-def follows_numbers(trial: Trial) -> str:
+def follows_numbers(trial: EffectTrial) -> str:
     """What it does depends on its numbers and the state alone: a change of numbers is all that a fit makes."""
     values = trial.values(0.6)
     changed, again = trial.at(values), trial.positions(trial.forward(trial.model(values)))
@@ -156,10 +155,10 @@ def follows_numbers(trial: Trial) -> str:
     )
 
 
-def seen_by_tangent(trial: Trial) -> str:
+def seen_by_tangent(trial: EffectTrial) -> str:
     """The tangent must be the derivative of the residual: what it misses falls with the square of the step."""
     trial.numbers(trial.values())
-    unknown = trial.dosed.equilibrium.u.x.array
+    unknown = trial.with_effect.equilibrium.u.x.array
     for amplitude, where in ((0.0, "at rest"), (1.0, "deformed")):
         trial.deform(amplitude)
         start = unknown.copy()
@@ -182,8 +181,8 @@ def seen_by_tangent(trial: Trial) -> str:
     return ""
 
 
-def agrees_with_differences(trial: Trial) -> str:
-    """Smooth in its amounts, the same by `Terms.part`, and predicted by one linear solve."""
+def agrees_with_differences(trial: EffectTrial) -> str:
+    """Smooth in its amounts, the same by `WeakForm.part`, and predicted by one linear solve."""
     for p in trial.effect.amounts:
         for check in (_smooth_forces, _smooth_positions):
             if text := check(trial, p):
@@ -192,37 +191,33 @@ def agrees_with_differences(trial: Trial) -> str:
 
 
 def _slopes(of: Callable[[float], Array]) -> tuple[Array, float, float]:
-    """Slope at 0 (extrapolated), its size, and how much the differences fail to settle as the step is halved."""
+    """Slope at 0 (Richardson, twice), its size, and how much the differences fail to settle as the step is halved."""
     start = of(0.0)
     first, second, third = (np.asarray((of(h) - start) / h) for h in (0.04, 0.02, 0.01))
     change, later = np.abs(first - second).max(), np.abs(second - third).max()
-    return 2 * third - second, float(np.abs(third).max()), float(later - 0.7 * change)
+    return (8 * third - 6 * second + first) / 3, float(np.abs(third).max()), float(later - 0.7 * change)
 
 
-def _smooth_forces(trial: Trial, p: Parameter) -> str:
+def _smooth_forces(trial: EffectTrial, p: Parameter) -> str:
     if p.reciprocal or not trial.effect.mechanical:
         return ""
-    trial.numbers(trial.values())
-    dose = trial.dosed.model.doses[0]
-    part = trial.dosed.equilibrium.terms.part(dose)
 
-    def forces(form: Any) -> Callable[[float], Array]:
-        def of(step: float) -> Array:
-            trial.numbers({**trial.values(0.0), p.name: trial.amount(p, step)})
-            trial.deform()
-            return trial.forces(form)
+    def forces(step: float) -> Array:
+        trial.numbers({**trial.values(0.0), p.name: trial.amount(p, step)})
+        trial.deform()
+        return trial.forces()
 
-        return of
-
-    slope, size, unsettled = _slopes(forces(part))
+    slope, size, unsettled = _slopes(forces)
     if unsettled > 1e-7 * size:
         return f"difference quotients of the residual do not settle as the step is halved (by {unsettled / size:.1e})"
-    whole, _, _ = _slopes(forces(None))
-    gap = np.abs(whole - slope).max()
-    return "" if gap < 1e-6 * size else f"the residual's derivative is not that of its own part (by {gap / size:.1e})"
+    trial.numbers(trial.values(0.0))
+    trial.deform()
+    derived = trial.slope(p)
+    gap = np.abs(derived - slope).max()
+    return "" if gap < 1e-6 * size else f"its derivative by {p.name} is not that of the residual (by {gap / size:.1e})"
 
 
-def _smooth_positions(trial: Trial, p: Parameter) -> str:
+def _smooth_positions(trial: EffectTrial, p: Parameter) -> str:
     def positions(step: float) -> Array:
         return trial.at({**trial.values(0.0), p.name: trial.amount(p, max(step, 1e-6) if p.reciprocal else step)})
 
@@ -233,36 +228,34 @@ def _smooth_positions(trial: Trial, p: Parameter) -> str:
     effect = trial.effect
     if not effect.mechanical or effect.drive or effect.observe or effect.frees or effect.memory or effect.uses_past:
         return ""
-    gap = np.abs(_signature(trial, p) - slope).max()
+    gap = np.abs(_sensitivity(trial, p) - slope).max()
     if gap < 0.02 * size + noise:
         return ""
     return f"K du = -dR/d{p.name} predicts positions that the whole model does not show (by {gap / size:.1e})"
 
 
-def _signature(trial: Trial, p: Parameter) -> Array:
-    """What a small dose does to the fiducials, by one linear solve per frame with the converged tangent."""
+def _sensitivity(trial: EffectTrial, p: Parameter) -> Array:
+    """What a small term does to the fiducials, by one linear solve per frame with the converged tangent."""
     trial.numbers(trial.values(0.0))
-    forward, equilibrium = trial.dosed, trial.dosed.equilibrium
+    forward, equilibrium = trial.with_effect, trial.with_effect.equilibrium
     states = trial.predicted(forward).states
     assert states is not None
-    action, step = trial.actions[0], 1e-3
+    action = trial.actions[0]
     equilibrium.hold(ANCHORS, action.grasp)
-    part = equilibrium.terms.part(forward.model.doses[0])
-    dosed = trial.model({**trial.values(0.0), p.name: trial.amount(p, step)})
     rows = []
     for pose, frame in zip(poses(action), action.frames, strict=True):
         equilibrium.set_state(pose, states[int(frame)])
         free = np.setdiff1d(np.arange(equilibrium.body.unknowns), equilibrium.supports.prescribed)
-        tangent, before = trial.tangent(), trial.forces(part)
-        equilibrium.set_constants(dosed.acting(1.0, pose.time))
-        slope = (trial.forces(part) - before) / step
+        envelope = trial.effect.envelope
+        share = envelope(pose.time, forward.model.terms[0].values) if envelope else 1.0
+        tangent, slope = trial.tangent(), share * trial.slope(p)
         moved = np.zeros(equilibrium.body.unknowns)
         moved[free] = np.linalg.solve(tangent[np.ix_(free, free)], -slope[free])
         rows.append(forward.observer.positions(moved.reshape(-1, 3)) - forward.observer.rest)
     return np.array(rows)
 
 
-def symmetry(trial: Trial) -> str:
+def symmetry(trial: EffectTrial) -> str:
     """The tangent must be symmetric where the effect says so: it is factorised as such."""
     if not trial.effect.symmetric or not trial.effect.mechanical:
         return ""
@@ -273,9 +266,9 @@ def symmetry(trial: Trial) -> str:
     return "" if gap < 1e-10 else f"its tangent is not symmetric (by {gap:.1e}): say symmetric=False, or give an energy"
 
 
-def units(trial: Trial) -> str:
+def units(trial: EffectTrial) -> str:
     """A similar body, in every way larger, heavier and slower, must do the same."""
-    other = Trial(trial.effect, trial.place, OTHER)
+    other = EffectTrial(trial.effect, trial.place, OTHER)
     for p in trial.effect.amounts:
         here = trial.at(trial.values(1.0, p.name)) - trial.plain
         there = (other.at(other.values(1.0, p.name)) - other.plain) / OTHER.metre
@@ -289,9 +282,9 @@ def units(trial: Trial) -> str:
     return ""
 
 
-CHECKS: dict[str, tuple[Callable[[Trial], str], str]] = {
+CHECKS: dict[str, tuple[Callable[[EffectTrial], str], str]] = {
     "vanishes": (vanishes, "at its neutral value nothing is left of it"),
-    "acts": (acts, "every amount moves the fiducials at its typical size"),
+    "acts": (acts, "every amount moves the fiducials at its scale"),
     "numbers": (follows_numbers, "it depends on its numbers and the state alone"),
     "tangent": (seen_by_tangent, "the tangent is the derivative of the residual"),
     "differences": (agrees_with_differences, "differences of the residual and of the positions agree with the tangent"),
@@ -300,7 +293,7 @@ CHECKS: dict[str, tuple[Callable[[Trial], str], str]] = {
 }
 
 
-def run(name: str, trial: Trial) -> Finding:
+def run(name: str, trial: EffectTrial) -> CheckResult:
     """One of `CHECKS`; an error inside the effect is a finding too."""
     check, good = CHECKS[name]
     try:
@@ -309,7 +302,7 @@ def run(name: str, trial: Trial) -> Finding:
         wrong = str(error)
     except Exception as error:
         wrong = f"{type(error).__name__}: {error} ({_place_of(error)})"
-    return Finding(name, not wrong, wrong or good)
+    return CheckResult(name, not wrong, wrong or good)
 
 
 def _place_of(error: BaseException) -> str:
@@ -317,14 +310,14 @@ def _place_of(error: BaseException) -> str:
     return f"{frame.filename}:{frame.lineno}"
 
 
-def findings(effect: Effect, file: str = "") -> Iterator[Finding]:
+def findings(effect: Effect, file: str = "") -> Iterator[CheckResult]:
     """All checks that one rank can make."""
     try:
         wrong = definition(effect, Path(file).stem if file else "")
-        trial = None if wrong else Trial(effect)
+        trial = None if wrong else EffectTrial(effect)
     except Exception as error:
         wrong = f"{type(error).__name__}: {error} ({_place_of(error)})"
-    yield Finding("definition", not wrong, wrong or "name, units, bounds and functions are complete")
+    yield CheckResult("definition", not wrong, wrong or "name, units, bounds and functions are complete")
     if wrong or trial is None:
         return
     for name in CHECKS:
@@ -335,9 +328,9 @@ def findings(effect: Effect, file: str = "") -> Iterator[Finding]:
 # ------------------------------------------------------------------------------------------------------------------
 
 
-def together(effect: Effect, comm: Any) -> Array:
-    """Positions at the typical dose, computed by all ranks of `comm` together."""
-    trial = Trial(effect)
+def together(effect: Effect, comm: Comm) -> Array:
+    """Positions at the scale, computed by all ranks of `comm` together."""
+    trial = EffectTrial(effect)
     return trial.positions(trial.forward(trial.model(trial.values()), comm))
 
 
@@ -360,7 +353,7 @@ def on_two_ranks(sources: Iterable[str]) -> dict[str, Array]:
     return {name: np.array(positions) for name, positions in json.loads(lines[-1]).items()}
 
 
-def ranks(effect: Effect, source: str, comm: Any, shared: Array | None = None) -> Finding:
+def ranks(effect: Effect, source: str, comm: Comm, shared: Array | None = None) -> CheckResult:
     """The same on one rank and on several; collective on `comm`. `shared`: what several ranks gave, if known."""
     name, count = "ranks", comm.size if comm.size > 1 else 2
     try:
@@ -368,15 +361,15 @@ def ranks(effect: Effect, source: str, comm: Any, shared: Array | None = None) -
             shared = together(effect, comm)
         elif shared is None:
             if not shutil.which("mpirun"):
-                return Finding(name, None, "not tried: there is no mpirun here")
+                return CheckResult(name, None, "not tried: there is no mpirun here")
             shared = on_two_ranks([source])[effect.name]
         gap = np.abs(shared - together(effect, MPI.COMM_SELF)).max() / box().size
     except (BcidError, subprocess.TimeoutExpired) as error:
-        return Finding(name, False, str(error))
+        return CheckResult(name, False, str(error))
     if gap < ROUND_OFF:
-        return Finding(name, True, f"the same on one and on {count} ranks")
+        return CheckResult(name, True, f"the same on one and on {count} ranks")
     text = f"positions on {count} ranks differ from those on one by {gap:.1e} of the size"
-    return Finding(name, False, f"{text}: what it does at a point must not depend on how the mesh is shared out")
+    return CheckResult(name, False, f"{text}: what it does at a point must not depend on how the mesh is shared out")
 
 
 def known(source: str) -> Effect:
@@ -388,7 +381,7 @@ def _is_file(source: str) -> bool:
     return source.endswith(".py") or os.sep in source
 
 
-def check_effect(source: str, comm: Any, say: Callable[[str], None]) -> None:
+def check_effect(source: str, comm: Comm, say: Callable[[str], None]) -> None:
     """Check an effect given by file or by name, one line per finding; collective on `comm`.
 
     Raises:

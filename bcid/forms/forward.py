@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.forms.body import Body
+from bcid.base.collective import Comm
 from bcid.forms.effects.effect import Frame
 from bcid.forms.length_unit import check_length_unit
 from bcid.forms.mesh import BodyMesh, level_mesh
+from bcid.forms.mesh.body import Body
 from bcid.forms.model import Model
 from bcid.forms.observe import Observer, attach
-from bcid.forms.solve import Equilibrium, Settings
-from bcid.forms.status import Status
-from bcid.forms.supports import Pose
-from bcid.forms.trajectory import Trajectory, follow, poses
+from bcid.forms.solver.equilibrium import Equilibrium, Settings
+from bcid.forms.solver.status import Status
+from bcid.forms.solver.supports import Pose
+from bcid.forms.solver.trajectory import Trajectory, follow, poses
 from bcid.measurement import Action
 from bcid.scene import Scene
 
@@ -66,7 +66,7 @@ def fiducial_limit(scene: Scene, mesh: BodyMesh) -> float:
     return 0.05 * mesh.size if scene.attach_within is None else scene.attach_within
 
 
-def check_geometry(scene: Scene, level: int = 0, comm: Any = None) -> None:
+def check_geometry(scene: Scene, level: int = 0, comm: Comm | None = None) -> None:
     """Mesh a level and refuse places that are not on it and fiducials that are off the body; collective on `comm`.
 
     Raises:
@@ -94,7 +94,7 @@ class Forward:
         self,
         scene: Scene,
         level: int = 0,
-        comm: Any = None,
+        comm: Comm | None = None,
         model: Model | None = None,
         settings: Settings | None = None,
         mesh: BodyMesh | None = None,
@@ -130,7 +130,7 @@ class Forward:
             anchors: names of the anchored patches.
             actions: the motions; each starts from the undeformed state.
             watch: called after each frame with its index and the predicted positions (fiducials, 3); when it returns
-                False the rest is not computed. See `bcid.forms.trajectory.follow` for frames that come twice.
+                False the rest is not computed. See `bcid.forms.solver.trajectory.follow` for frames that come twice.
             keep: also keep the state of every frame, for `detail`.
             rtol: accuracy, by default that of the settings.
             known: states that are nearly right by frame, as a rougher prediction has kept them: where to start from.

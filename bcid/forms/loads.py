@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import InputError
-from bcid.forms.body import Body
+from bcid.forms.mesh.body import Body
 from bcid.scene import Region
 
 Array = NDArray[np.float64]

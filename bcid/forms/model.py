@@ -1,6 +1,6 @@
 """The model: a law, plus effects, plus loads, plus what is held. Parts join with ``+``.
 
-model = Model.of(scene) + Dose("gravity", {"weight": 9810.0}) + Anchors({"1", "2"}) + Held("II")
+model = Model.of(scene) + Term("gravity", {"weight": 9810.0}) + Anchors({"1", "2"}) + Held("II")
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Held:
 
 
 @dataclass(frozen=True)
-class Dose:
+class Term:
     """An effect with its parameter values (SI), as a part of a model.
 
     `effect` is an `Effect` or the name of one of the catalogue; `place` is where it acts, for effects that have places.
@@ -64,9 +64,9 @@ class Dose:
         object.__setattr__(self, "place", place)
         object.__setattr__(self, "label", label or (f"{known.name}({place})" if place else known.name))
 
-    def with_values(self, values: Mapping[str, float]) -> Dose:
+    def with_values(self, values: Mapping[str, float]) -> Term:
         """The same effect at the same place with other values."""
-        return Dose(self.effect, {**self.values, **values}, self.label, self.place)
+        return Term(self.effect, {**self.values, **values}, self.label, self.place)
 
     def full(self, name: str) -> str:
         """Full name of one of its parameters, as in `Model.constants`."""
@@ -79,7 +79,7 @@ class Dose:
         return tuple(self.full(p.name) for p in moving)
 
 
-def pressure(place: str, value: float) -> Dose:
+def pressure(place: str, value: float) -> Term:
     """A pressure (Pa) that follows the surface of a place and pushes into the body.
 
     Virtual work: p J F^-T N . v per rest area (Bonet & Wood 2008, section 8.5.3).
@@ -96,10 +96,10 @@ def pressure(place: str, value: float) -> Dose:
         work=work,
         symmetric=False,
     )
-    return Dose(follower, {"pressure": value}, f"pressure on {place}")
+    return Term(follower, {"pressure": value}, f"pressure on {place}")
 
 
-def traction(place: str, vector: Iterable[float]) -> Dose:
+def traction(place: str, vector: Iterable[float]) -> Term:
     """A dead traction (Pa per rest area, three components) on a place."""
     names = ("tx", "ty", "tz")
     values = dict(zip(names, vector, strict=True))
@@ -110,7 +110,7 @@ def traction(place: str, vector: Iterable[float]) -> Dose:
     dead = Effect(
         "traction", tuple(Parameter(n, "Pa", "dead traction", neutral=0.0) for n in names), "dead traction", work=work
     )
-    return Dose(dead, values, f"traction on {place}")
+    return Term(dead, values, f"traction on {place}")
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class Model:
         values: its constants, SI.
         formulation: "displacement", or "mixed" (displacement and pressure).
         volumetric: form of the volumetric energy; None for the law's own.
-        doses: effects and surface loads with their values.
+        terms: effects and surface loads with their values.
         anchors: names of the fixed patches.
         grasp: name of the grasp, or "".
         down: unit vector of gravity.
@@ -133,7 +133,7 @@ class Model:
     values: Mapping[str, float]
     formulation: str = "displacement"
     volumetric: Volumetric | None = None
-    doses: tuple[Dose, ...] = ()
+    terms: tuple[Term, ...] = ()
     anchors: frozenset[str] = frozenset()
     grasp: str = ""
     down: tuple[float, float, float] = (0.0, -1.0, 0.0)
@@ -152,28 +152,28 @@ class Model:
     @property
     def symmetric(self) -> bool:
         """Whether the tangent is symmetric."""
-        return all(dose.effect.symmetric for dose in self.doses)
+        return all(term.effect.symmetric for term in self.terms)
 
     @property
     def name(self) -> str:
         """As in tables: "neo_hooke + gravity"."""
-        return " + ".join([self.law.name, *(dose.label for dose in self.doses)])
+        return " + ".join([self.law.name, *(term.label for term in self.terms)])
 
-    def __add__(self, part: Dose | Anchors | Held) -> Model:
+    def __add__(self, part: Term | Anchors | Held) -> Model:
         """The model with one more part; a second part of the same name is refused."""
         if isinstance(part, Anchors):
             return replace(self, anchors=part.patches)
         if isinstance(part, Held):
             return replace(self, grasp=part.grasp)
-        if any(part.label == dose.label for dose in self.doses):
+        if any(part.label == term.label for term in self.terms):
             raise InputError(f"the model has '{part.label}' already: {self.name}")
-        return replace(self, doses=(*self.doses, part))
+        return replace(self, terms=(*self.terms, part))
 
     def constants(self) -> dict[str, float]:
         """Every number of the model by its full name, as "young" or "gravity.weight"."""
         numbers = dict(self.law.complete(self.values))
-        for dose in self.doses:
-            numbers |= {dose.full(name): value for name, value in dose.values.items()}
+        for term in self.terms:
+            numbers |= {term.full(name): value for name, value in term.values.items()}
         return numbers
 
     def neutral(self, parameter: Parameter) -> float | None:
@@ -186,14 +186,14 @@ class Model:
         A spring that replaces a rigid hold acts in full from the start: at rest it does nothing.
         """
         result = {}
-        for dose in self.doses:
-            envelope = dose.effect.envelope
-            share = part * (envelope(time, dose.values) if envelope else 1.0)
-            for parameter in dose.effect.parameters:
-                own, neutral = dose.values[parameter.name], self.neutral(parameter)
+        for term in self.terms:
+            envelope = term.effect.envelope
+            share = part * (envelope(time, term.values) if envelope else 1.0)
+            for parameter in term.effect.parameters:
+                own, neutral = term.values[parameter.name], self.neutral(parameter)
                 if neutral is not None and not parameter.reciprocal:
                     own = neutral + share * (own - neutral)
-                result[dose.full(parameter.name)] = own
+                result[term.full(parameter.name)] = own
         return result
 
     def with_values(self, numbers: Mapping[str, float]) -> Model:
@@ -207,45 +207,45 @@ class Model:
             if name not in known:
                 raise InputError(f"the model has no number '{name}'; {nearest(name, known)}")
         law = {name: float(numbers.get(name, value)) for name, value in self.law.complete(self.values).items()}
-        doses = tuple(
-            dose.with_values({n: float(numbers[dose.full(n)]) for n in dose.values if dose.full(n) in numbers})
-            for dose in self.doses
+        terms = tuple(
+            term.with_values({n: float(numbers[term.full(n)]) for n in term.values if term.full(n) in numbers})
+            for term in self.terms
         )
-        return replace(self, values=law, doses=doses)
+        return replace(self, values=law, terms=terms)
 
     def without(self, label: str) -> Model:
         """The model without one of its effects."""
-        return replace(self, doses=tuple(dose for dose in self.doses if dose.label != label))
+        return replace(self, terms=tuple(term for term in self.terms if term.label != label))
 
-    def added(self, begun: Model) -> tuple[Dose, ...]:
+    def added(self, begun: Model) -> tuple[Term, ...]:
         """The effects that another model lacks."""
-        labels = {dose.label for dose in begun.doses}
-        return tuple(dose for dose in self.doses if dose.label not in labels)
+        labels = {term.label for term in begun.terms}
+        return tuple(term for term in self.terms if term.label not in labels)
 
     def freed(self, anchors: Iterable[str]) -> frozenset[str]:
         """The anchored patches that an effect holds instead of a rigid anchor."""
         anchors = frozenset(anchors)
-        freeing = [dose.place for dose in self.doses if dose.effect.frees]
+        freeing = [term.place for term in self.terms if term.effect.frees]
         return frozenset(p for p in anchors if any(place in ("", p) for place in freeing))
 
     def driven(self, action: Action) -> Action:
         """What the gripper really did when an action was commanded."""
-        for dose in self.doses:
-            if dose.effect.drive:
-                action = dose.effect.drive(action, dose.values)
+        for term in self.terms:
+            if term.effect.drive:
+                action = term.effect.drive(action, term.values)
         return action
 
     def observed(self, positions: Array, frame: Frame) -> Array:
         """Where the fiducials (fiducials, 3) appear in a frame when they are at given positions, m."""
-        for dose in self.doses:
-            if dose.effect.observe:
-                positions = dose.effect.observe(positions, dose.values, frame, dose.place)
+        for term in self.terms:
+            if term.effect.observe:
+                positions = term.effect.observe(positions, term.values, frame, term.place)
         return positions
 
     @property
     def remembers(self) -> bool:
         """Whether an equilibrium depends on the ones before it."""
-        return any(dose.effect.memory or dose.effect.uses_past for dose in self.doses)
+        return any(term.effect.memory or term.effect.uses_past for term in self.terms)
 
     @property
     def definite(self) -> bool:
@@ -255,13 +255,13 @@ class Model:
     @property
     def conservative(self) -> bool:
         """Whether all work of the gripper is stored: every effect has a potential, and none acts by the clock."""
-        return not self.remembers and not any(dose.effect.work or dose.effect.envelope for dose in self.doses)
+        return not self.remembers and not any(term.effect.work or term.effect.envelope for term in self.terms)
 
     @property
     def steady(self) -> bool:
         """Whether what is seen depends on the pose alone: not on time, nor on the frames before, nor on the picture's number."""
         return not self.remembers and not any(
-            dose.effect.envelope or dose.effect.drive or dose.effect.observe for dose in self.doses
+            term.effect.envelope or term.effect.drive or term.effect.observe for term in self.terms
         )
 
     @classmethod
@@ -298,13 +298,13 @@ def _model(scene: Scene, problems: list[str]) -> Model | None:
         problems += [f"material.{problem}" for problem in law.check(values, mixed)]
     if mixed and any(level.degree < 2 for level in scene.levels):
         problems.append("material.formulation: the mixed formulation needs degree = 2 on every level")
-    doses = [_dose(name, written, scene, problems) for name, written in scene.effects.items()]
+    terms = [_dose(name, written, scene, problems) for name, written in scene.effects.items()]
     if problems:
         return None
-    return Model(law, values, material.formulation, doses=tuple(d for d in doses if d), down=scene.down)
+    return Model(law, values, material.formulation, terms=tuple(d for d in terms if d), down=scene.down)
 
 
-def _dose(name: str, written: Values, scene: Scene, problems: list[str]) -> Dose | None:
+def _dose(name: str, written: Values, scene: Scene, problems: list[str]) -> Term | None:
     try:
         effect = effects.effect(name)
     except InputError as error:
@@ -321,7 +321,7 @@ def _dose(name: str, written: Values, scene: Scene, problems: list[str]) -> Dose
             named = "is missing" if place == "" else f"= {place!r}"
             found.append(f"{name}: place {named}; {nearest(str(place), [p for p in allowed if p])}")
     problems += [f"effects.{problem}" for problem in found]
-    return None if found else Dose(effect, values, place=place)
+    return None if found else Term(effect, values, place=place)
 
 
 def _numbers(written: Values, parameters: tuple[Parameter, ...], where: str, problems: list[str]) -> dict[str, Any]:

@@ -11,8 +11,8 @@ from scipy.sparse import csr_matrix
 
 from bcid.base import compat
 from bcid.base.errors import Problems
-from bcid.forms.body import Body
 from bcid.forms.mesh import BodyMesh
+from bcid.forms.mesh.body import Body
 
 Array = NDArray[np.float64]
 _INSIDE = 1e-9

@@ -21,7 +21,7 @@ class Parameter:
         neutral: value at which the parameter has no influence, None if there is none; infinite where only the reciprocal
             can be without influence (the stiffness of a spring that replaces a rigid hold).
         law: the neutral value is that of this constant of the material law (`neutral` then only stands for it).
-        typical: size of a notable change, in the unit: step of differences and scale of fits; for an infinite `neutral`
+        scale: size of a notable change, in the unit: step of differences and scale of fits; for an infinite `neutral`
             a value that is notable.
         prior: mean and standard deviation believed before any measurement, None if nothing is.
         scan: values at which a place or direction is tried before a fit.
@@ -44,7 +44,7 @@ class Parameter:
     open_upper: bool = False
     neutral: float | None = None
     law: str = ""
-    typical: float = 1.0
+    scale: float = 1.0
     prior: tuple[float, float] | None = None
     scan: tuple[float, ...] = ()
     period: float | None = None

@@ -3,14 +3,14 @@
 With K the tangent at a converged step, C the matrix that observes the fiducials and a change dR of the residual, the
 fiducials move by -C K^-1 dR; a change du_a of prescribed displacements moves them by C_a du_a - C K^-1 K_fa du_a. The
 products C K^-1 cost one factorisation and one block of triangular solves per step and serve every effect, place and
-direction: a further one costs an assembly of dR.
+direction: a further one costs an assembly of dR, which is a form that UFL derives from the residual.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,16 +23,16 @@ from numpy.typing import NDArray
 from bcid.base.errors import SolveError
 from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import Forward, Prediction
-from bcid.forms.model import Dose, Model
+from bcid.forms.model import Model, Term
 from bcid.forms.parameter import Parameter
-from bcid.forms.status import Status
-from bcid.forms.supports import Pose
-from bcid.forms.terms import LONG, Terms
-from bcid.forms.trajectory import poses
+from bcid.forms.solver.status import Status
+from bcid.forms.solver.supports import Pose
+from bcid.forms.solver.trajectory import poses
+from bcid.forms.weak_form import LONG
 from bcid.measurement import Action
 
 Array = NDArray[np.float64]
-# Step of a difference, in units of a parameter's typical size, for amounts and for shapes.
+# Step of a difference, in units of a parameter's scale, of what is a function and no form: motions, pictures, envelopes.
 _STEP = 1e-3
 
 
@@ -41,17 +41,17 @@ class Probe:
     """An effect at a place with its numbers, and those of them whose influence is asked for.
 
     Attributes:
-        dose: the effect; amounts at which it is to be differentiated (neutral, for one that is not in the model).
+        term: the effect; amounts at which it is to be differentiated (neutral, for one that is not in the model).
         wanted: names of its parameters.
     """
 
-    dose: Dose
+    term: Term
     wanted: tuple[str, ...]
 
     @property
     def effect(self) -> Effect:
         """The effect."""
-        return self.dose.effect
+        return self.term.effect
 
 
 @dataclass(frozen=True)
@@ -60,19 +60,19 @@ class Wanted:
 
     Attributes:
         probes: effects and their parameters.
-        law: constants of the law by name, with the step of a difference.
+        law: constants of the law, by name.
         stiffness: whether the influence of every cell's stiffness is wanted.
         forces: nodal weights of body forces, shape (nodes, forces), m^3; none by default.
     """
 
     probes: tuple[Probe, ...] = ()
-    law: Mapping[str, float] = field(default_factory=dict)
+    law: tuple[str, ...] = ()
     stiffness: bool = False
     forces: Array | None = None
 
 
 @dataclass(frozen=True)
-class Signatures:
+class Sensitivities:
     """Change of every fiducial's position per unit of a parameter, m; NaN in frames that were not asked for.
 
     Attributes:
@@ -89,14 +89,8 @@ class Signatures:
     forces: NDArray[np.float32] | None = None
 
 
-def _proportional(more: Array, less: Array) -> bool | None:
-    """Whether a force is proportional to an amount, so that one side of a difference tells the other; None: there is none."""
-    size = float(np.abs(more).max(initial=0.0))
-    return float(np.abs(more + less).max(initial=0.0)) < 1e-9 * size if size > 0 else None
-
-
-def _parameter(probe: Probe, name: str) -> Parameter:
-    return next(p for p in probe.effect.parameters if p.name == name)
+def _parameter(effect: Effect, name: str) -> Parameter:
+    return next(p for p in effect.parameters if p.name == name)
 
 
 @dataclass(frozen=True)
@@ -108,7 +102,7 @@ class Cause:
 
     target: Array
     force: Array | float
-    gap: Array | None = None
+    increment: Array | None = None
 
 
 class Sensitivity:
@@ -132,9 +126,8 @@ class Sensitivity:
         count = len(self.equilibrium.u.x.array)
         shape = (3 * len(forward.observer.rest), count)
         self.observe = sp.csr_matrix((np.repeat(columns.data, 3), (rows, where)), shape=shape)
-        self.terms = Terms(body, forward.model, forward.scene, self.equilibrium.u)
-        self._parts: dict[tuple[str, str], Any] = {}
-        self._proportional: dict[tuple[str, str], bool] = {}
+        self.weak_form = self.equilibrium.weak_form
+        self._derivatives: dict[str, Any] = {}
         self._cells: Any = None
         self._matrix: Any = None
         self._mass: dict[str, Any] = {}
@@ -153,54 +146,54 @@ class Sensitivity:
         vector = fem.assemble_vector(form)
         return np.asarray(vector.array)
 
-    def _part(self, dose: Dose) -> Any:
-        key = (dose.label, dose.place)
-        if key not in self._parts:
-            self._parts[key] = self.terms.part(dose)
-        return self._parts[key]
+    def _by_number(self, term: Term, name: str) -> Array | float:
+        """dR/dtheta at the present state and the numbers that are set."""
+        key = term.full(name)
+        if key not in self._derivatives:
+            self._derivatives[key] = self.weak_form.derivative(term, name)
+        form = self._derivatives[key]
+        return 0.0 if form is None else self._assemble(form)
 
-    def _change(self, probe: Probe, name: str, time: float) -> Array:
-        """dR/dtheta at the present state."""
-        dose, terms = probe.dose, self.terms
-        form = self._part(dose)
-        value = dose.values[name]
-        step = _STEP * _parameter(probe, name).typical
-
-        def force(change: float) -> Array:
-            # Beyond a bound there is nothing physical, but the forms are smooth there.
-            self._set(terms, dose, {**dose.values, name: value + change}, time)
-            return self._assemble(form)
-
-        key = dose.label, name
-        more = force(step)
-        if self._proportional.get(key):
-            result = more / step
-        else:
-            less = force(-step)
-            result = (more - less) / (2 * step)
-            if key not in self._proportional and (found := _proportional(more, less)) is not None:
-                self._proportional[key] = found
-        self._set(terms, dose, dose.values, time)
-        return np.asarray(result)
-
-    def _set(self, terms: Terms, dose: Dose, values: Mapping[str, float], time: float) -> None:
-        envelope = dose.effect.envelope
-        share = envelope(time, values) if envelope else 1.0
-        for parameter in dose.effect.parameters:
-            value, neutral = values[parameter.name], self.forward.model.neutral(parameter)
-            if envelope and neutral is not None and math.isfinite(neutral):
-                value = neutral + share * (value - neutral)
+    def _change(self, probe: Probe, name: str, time: float) -> Array | float:
+        """dR/dtheta at the present state, where the effect acts as it does at a time, s."""
+        term, constants = probe.term, self.weak_form.term_constants(probe.term)
+        before = {key: float(constant.value) for key, constant in constants.items()}
+        for key, value in self._acting(term.effect, term.values, time).items():
             if math.isfinite(value):
-                terms.dose_constants(dose)[parameter.name].value = value
-
-    def _change_of_law(self, name: str, step: float) -> Array:
-        constant = self.equilibrium._constants[name]
-        value, result = float(constant.value), np.zeros(len(self.equilibrium.u.x.array))
-        for sign in (1.0, -1.0):
-            constant.value = value + sign * step
-            result += sign * self.equilibrium.forces() / (2 * step)
-        constant.value = value
+                constants[key].value = value
+        result: Array | float = 0.0
+        for key, slope in self._slopes(term, name, time).items():
+            result = result + slope * self._by_number(term, key)
+        for key, value in before.items():
+            constants[key].value = value
         return result
+
+    def _acting(self, effect: Effect, values: Mapping[str, float], time: float) -> dict[str, float]:
+        """The numbers of an effect at a time, s: its envelope says how much of its amounts acts then."""
+        share = effect.envelope(time, values) if effect.envelope else 1.0
+        found = dict(values)
+        for p in effect.amounts:
+            neutral = self.forward.model.neutral(p)
+            if neutral is not None and math.isfinite(neutral):
+                found[p.name] = neutral + share * (values[p.name] - neutral)
+        return found
+
+    def _slopes(self, term: Term, name: str, time: float) -> dict[str, float]:
+        """How the numbers that act at a time change with a number of the effect; an envelope is a function without a form."""
+        effect = term.effect
+        if effect.envelope is None:
+            return {name: 1.0}
+        step = _STEP * _parameter(effect, name).scale
+        more, less = (self._acting(effect, {**term.values, name: term.values[name] + h}, time) for h in (step, -step))
+        slopes = {key: (more[key] - less[key]) / (2 * step) for key in more}
+        return {key: slope for key, slope in slopes.items() if slope}
+
+    def _change_of_law(self, name: str) -> Array | float:
+        """dR/dtheta for a constant of the law."""
+        if name not in self._derivatives:
+            self._derivatives[name] = self.weak_form.law_derivative(name)
+        form = self._derivatives[name]
+        return 0.0 if form is None else self._assemble(form)
 
     def _yielding(self, place: str, anchors: frozenset[str], loads: Array) -> Array:
         """Displacement of the anchored patches per unit of compliance (m/Pa): -M^-1 times the reactions.
@@ -220,7 +213,7 @@ class Sensitivity:
 
             body = self.forward.body
             u, v = ufl.TrialFunction(body.displacement_space), ufl.TestFunction(body.displacement_space)
-            mass = fem.assemble_matrix(fem.form(ufl.inner(u, v) * self.terms.surface(patch))).to_scipy().tocsc()
+            mass = fem.assemble_matrix(fem.form(ufl.inner(u, v) * self.weak_form.surface(patch))).to_scipy().tocsc()
             inside = np.flatnonzero(np.asarray(np.abs(mass).sum(axis=1)).ravel() > 0)
             solver = splu(mass[inside][:, inside])
             self._mass[patch] = body.displacement_dofs[inside], solver.solve
@@ -229,12 +222,12 @@ class Sensitivity:
     def _stiffness_matrix(self) -> Any:
         """dR/dm for the relative stiffness m of every cell: a matrix of shape (unknowns, cells)."""
         if self._cells is None:
-            body, terms = self.forward.body, self.terms
+            body, weak_form = self.forward.body, self.weak_form
             space = fem.functionspace(body.domain, ("DG", 0))
             weight = fem.Function(space)
-            stored = terms.stored([dose for dose in self.forward.model.doses if dose.effect.changes_law])
+            stored = weak_form.stored([term for term in self.forward.model.terms if term.effect.changes_law])
             scaled = ufl.Form([i.reconstruct(integrand=weight * i.integrand()) for i in stored.integrals()])
-            residual = ufl.derivative(scaled, terms.u, terms.test)
+            residual = ufl.derivative(scaled, weak_form.u, weak_form.test)
             self._cells = fem.form(ufl.derivative(residual, weight, ufl.TrialFunction(space)))
             self._matrix = fp.create_matrix(self._cells)
         # PETSc takes the blocks of displacement and cell, which differ in size; DOLFINx's own matrix does not.
@@ -255,8 +248,8 @@ class Sensitivity:
         wanted: Wanted,
         model: Model | None = None,
         seen: NDArray[np.bool_] | None = None,
-    ) -> Signatures:
-        """Signatures along the actions, from the states that the prediction kept.
+    ) -> Sensitivities:
+        """Sensitivities along the actions, from the states that the prediction kept.
 
         Args:
             anchors: the anchored patches of the prediction.
@@ -271,7 +264,7 @@ class Sensitivity:
             raise ValueError("Sensitivity: the states are needed; predict with keep=True")
         count, fiducials = prediction.positions.shape[:2]
         empty = np.full((count, fiducials, 3), np.nan)
-        result = Signatures(
+        result = Sensitivities(
             [{name: empty.copy() for name in probe.wanted} for probe in wanted.probes],
             {name: empty.copy() for name in wanted.law},
             np.full((*empty.shape, len(self.forward.mesh.cells)), np.nan, np.float32) if wanted.stiffness else None,
@@ -290,57 +283,48 @@ class Sensitivity:
         commanded: Action,
         states: Mapping[int, Array],
         wanted: Wanted,
-        result: Signatures,
+        result: Sensitivities,
         seen: NDArray[np.bool_],
     ) -> None:
-        equilibrium, terms = self.equilibrium, self.terms
+        equilibrium, weak_form = self.equilibrium, self.weak_form
         action = self.model.driven(commanded)
         equilibrium.hold(anchors, action.grasp)
-        for name, constant in terms.anchored.items():
-            constant.value = equilibrium.terms.anchored[name].value
         for probe in wanted.probes:
-            if probe.effect.mechanical and not probe.effect.frees:
-                self._part(probe.dose)
-        for memory in terms.memories.values():
+            if probe.effect.memory or probe.effect.uses_past:
+                weak_form.memory(probe.term)
+        for memory in weak_form.probed.values():
             memory.reset()
         moves = [self._moves(probe, name, commanded) for probe in wanted.probes for name in probe.wanted]
         for step, (pose, frame) in enumerate(zip(poses(action), action.frames, strict=True)):
             equilibrium.set_state(pose, states[int(frame)])
-            self._remember(pose)
+            for memory in weak_form.probed.values():
+                memory.dt.value = max(pose.time - equilibrium.time, 1e-9) if memory.moving.value else LONG
             if seen[frame]:
                 self._step(anchors, action, step, pose, int(frame), moves, wanted, result)
             equilibrium.accept(pose)
-            for memory in terms.memories.values():
+            for memory in weak_form.probed.values():
                 memory.advance()
-
-    def _remember(self, pose: Pose) -> None:
-        """The numbers of the model and the time since the last step, as the equilibrium has them."""
-        for name, constant in self.terms.constants.items():
-            if name in self.equilibrium._constants:
-                constant.value = self.equilibrium._constants[name].value
-        for memory in self.terms.memories.values():
-            memory.dt.value = max(pose.time - self.equilibrium._time, 1e-9) if memory.moving.value else LONG
 
     def _moves(self, probe: Probe, name: str, commanded: Action) -> list[tuple[Pose, Pose]] | None:
         """For an effect on the gripper: its poses for a slightly greater and smaller value, a unit step apart."""
         if not probe.effect.drive:
             return None
-        step = _STEP * _parameter(probe, name).typical
+        step = _STEP * _parameter(probe.effect, name).scale
 
         def driven(sign: float) -> list[Pose]:
             action = commanded
-            for dose, values in self._chain(probe, name, sign * step):
-                action = dose.effect.drive(action, values) if dose.effect.drive else action
+            for term, values in self._chain(probe, name, sign * step):
+                action = term.effect.drive(action, values) if term.effect.drive else action
             return poses(action)
 
         return list(zip(driven(1.0), driven(-1.0), strict=True))
 
-    def _chain(self, probe: Probe, name: str, change: float) -> list[tuple[Dose, Mapping[str, float]]]:
+    def _chain(self, probe: Probe, name: str, change: float) -> list[tuple[Term, Mapping[str, float]]]:
         """The model's effects, and the probe's if it is not among them, with one of the probe's numbers changed."""
-        doses = [probe.dose if dose.label == probe.dose.label else dose for dose in self.model.doses]
-        doses += [] if probe.dose in doses else [probe.dose]
-        changed = {**probe.dose.values, name: probe.dose.values[name] + change}
-        return [(dose, changed if dose is probe.dose else dose.values) for dose in doses]
+        terms = [probe.term if term.label == probe.term.label else term for term in self.model.terms]
+        terms += [] if probe.term in terms else [probe.term]
+        changed = {**probe.term.values, name: probe.term.values[name] + change}
+        return [(term, changed if term is probe.term else term.values) for term in terms]
 
     def _step(
         self,
@@ -351,9 +335,9 @@ class Sensitivity:
         frame: int,
         moves: list[list[tuple[Pose, Pose]] | None],
         wanted: Wanted,
-        result: Signatures,
+        result: Sensitivities,
     ) -> None:
-        """All signatures in one frame."""
+        """All sensitivities in one frame."""
         equilibrium, forward = self.equilibrium, self.forward
         fiducials = len(forward.observer.rest)
         places = forward.observer.positions(equilibrium.displacement())
@@ -364,9 +348,9 @@ class Sensitivity:
             out[frame] = self._pictured(probe, name, places, action, step) if probe.effect.observe else 0.0
             pair = pairs[step] if pairs else None
             causes += [Cause(out[frame], *c) for c in self._of_probe(probe, name, anchors, pose, pair)]
-        for name, size in wanted.law.items():
+        for name in wanted.law:
             result.law[name][frame] = 0.0
-            causes.append(Cause(result.law[name][frame], self._change_of_law(name, size)))
+            causes.append(Cause(result.law[name][frame], self._change_of_law(name)))
         fields = result.stiffness is not None or result.forces is not None
         if not causes and not fields:
             return
@@ -376,9 +360,9 @@ class Sensitivity:
         direct = np.zeros((3 * fiducials, len(causes)))
         for j, cause in enumerate(causes):
             columns[:, j] = cause.force
-            if cause.gap is not None:
-                columns[:, j] += equilibrium.tangent.times(cause.gap)
-                direct[:, j] = self.observe @ cause.gap
+            if cause.increment is not None:
+                columns[:, j] += equilibrium.tangent.times(cause.increment)
+                direct[:, j] = self.observe @ cause.increment
         columns[equilibrium.supports.prescribed] = 0.0
         responses = self._responses() if fields or len(causes) > 3 * fiducials else None
         if responses is None:
@@ -404,18 +388,18 @@ class Sensitivity:
         self, probe: Probe, name: str, anchors: frozenset[str], pose: Pose, pair: tuple[Pose, Pose] | None
     ) -> list[tuple[Array | float, Array | None]]:
         """What a unit of a parameter changes at the present state: residual, and prescribed displacements."""
-        equilibrium, parameter = self.equilibrium, _parameter(probe, name)
+        equilibrium, parameter = self.equilibrium, _parameter(probe.effect, name)
         found: list[tuple[Array | float, Array | None]] = []
-        value = probe.dose.values[name]
+        value = probe.term.values[name]
         if parameter.reciprocal and not math.isfinite(value):
             forces = equilibrium.forces()
             forces[self.forward.body.displacement_dofs] -= equilibrium.supports.external
-            found.append((0.0, self._yielding(probe.dose.place, anchors, np.asarray(forces))))
+            found.append((0.0, self._yielding(probe.term.place, anchors, np.asarray(forces))))
         elif probe.effect.mechanical:
             scale = -(value**2) if parameter.reciprocal else 1.0
             found.append((scale * self._change(probe, name, pose.time), None))
         if pair is not None:
-            width = 2 * _STEP * parameter.typical
+            width = 2 * _STEP * parameter.scale
             loads: Array | float = np.asarray(-self._loaded(*pair) / width) if pose.loads else 0.0
             found.append((loads, np.asarray(self._gripped(*pair) / width)))
         return found
@@ -428,7 +412,7 @@ class Sensitivity:
     def _seen(self, places: Array, action: Action, step: int) -> Any:
         """How a change of the fiducials' positions appears in the picture: through the model's observation effects."""
         model = self.model
-        if not any(dose.effect.observe for dose in model.doses):
+        if not any(term.effect.observe for term in model.terms):
             return lambda change: change
         frame = self.forward.frame(action, step)
         jacobian = np.zeros((len(places), 3, 3))
@@ -442,12 +426,12 @@ class Sensitivity:
 
     def _pictured(self, probe: Probe, name: str, places: Array, action: Action, step: int) -> Array:
         """Change of the picture by an observation effect."""
-        frame, size = self.forward.frame(action, step), _STEP * _parameter(probe, name).typical
+        frame, size = self.forward.frame(action, step), _STEP * _parameter(probe.effect, name).scale
 
         def picture(sign: float) -> Array:
             seen = places
-            for dose, values in self._chain(probe, name, sign * size):
-                seen = dose.effect.observe(seen, values, frame, dose.place) if dose.effect.observe else seen
+            for term, values in self._chain(probe, name, sign * size):
+                seen = term.effect.observe(seen, values, frame, term.place) if term.effect.observe else seen
             return seen
 
         return np.asarray((picture(1.0) - picture(-1.0)) / (2 * size))
@@ -463,12 +447,12 @@ class Sensitivity:
     def _gripped(self, more: Pose, less: Pose) -> Array:
         """Difference of the prescribed displacements of two poses, zero elsewhere."""
         equilibrium = self.equilibrium
-        gap, moved = np.zeros(len(equilibrium.u.x.array)), np.zeros(len(equilibrium.u.x.array))
+        increment, moved = np.zeros(len(equilibrium.u.x.array)), np.zeros(len(equilibrium.u.x.array))
         supports = equilibrium.supports
         if supports.grasp:
             moved[equilibrium.body.displacement_dofs] = supports.moved(more) - supports.moved(less)
-            gap[supports.gripped] = moved[supports.gripped]
-        return gap
+            increment[supports.gripped] = moved[supports.gripped]
+        return increment
 
     def destroy(self) -> None:
         """Free the PETSc matrix."""

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.base.collective import Comm
 from bcid.base.errors import SolveError
 from bcid.forms.forward import Forward
+from bcid.forms.mesh.patches import divided
 from bcid.forms.model import Model
-from bcid.forms.patches import divided
-from bcid.forms.solve import Settings
+from bcid.forms.solver.equilibrium import Settings
 from bcid.measurement import WRENCH, Action, Measurement
 from bcid.measurement.folder import motions_dataset
 from bcid.scene import Scene
@@ -28,7 +28,7 @@ def simulate(
     level: int | None = None,
     noise: float | None = None,
     random_state: int = 0,
-    comm: Any = None,
+    comm: Comm | None = None,
     model: Model | None = None,
     wrench: bool = False,
     times: Array | None = None,

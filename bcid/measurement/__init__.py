@@ -1,14 +1,7 @@
 """The measurement: what was seen, the files it is read from, and whether it can be believed."""
 
-from bcid.measurement.measurement import (
-    AXES,
-    FORMAT,
-    QUATERNION,
-    WRENCH,
-    Measurement,
-    Units,
-    quaternion_rotate,
-)
+from bcid.measurement.contents import AXES, FORMAT, QUATERNION, WRENCH, Units
+from bcid.measurement.measurement import Measurement
 from bcid.scene.action import Action
 
 __all__ = [
@@ -19,5 +12,4 @@ __all__ = [
     "Action",
     "Measurement",
     "Units",
-    "quaternion_rotate",
 ]

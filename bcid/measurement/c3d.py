@@ -24,7 +24,7 @@ _SECONDS_PER_BYTE = 1e-6
 
 
 @dataclass(frozen=True)
-class Points:
+class C3dPoints:
     """The points of a recording.
 
     Attributes:
@@ -40,7 +40,7 @@ class Points:
     unit: str
 
 
-def read_points(path: Path) -> Points:
+def read_points(path: Path) -> C3dPoints:
     """Read the points of a C3D file.
 
     Raises:
@@ -51,7 +51,7 @@ def read_points(path: Path) -> Points:
         data = read_in_child("bcid.measurement.c3d", path, seconds=limit)
     except (InputError, TimeoutError) as error:
         raise InputError(f"{path}: is not a readable C3D file: {error}") from None
-    return Points(data["positions"], [str(x) for x in data["labels"]], float(data["rate"]), str(data["unit"]))
+    return C3dPoints(data["positions"], [str(x) for x in data["labels"]], float(data["rate"]), str(data["unit"]))
 
 
 def _points(source: Path, _arguments: Sequence[str]) -> dict[str, Any]:

@@ -17,8 +17,9 @@ import xarray as xr
 from bcid.base.errors import InputError, Problems, unwritable
 from bcid.base.text_file import read_lines, read_toml
 from bcid.base.units import unit_factor, usable
+from bcid.measurement.contents import AXES, FORMAT, QUATERNION, WRENCH, Contents, Units
 from bcid.measurement.frame_error import FrameError
-from bcid.measurement.measurement import AXES, FORMAT, QUATERNION, WRENCH, Action, Measurement, Units
+from bcid.scene.action import Action
 
 _UNIT_KEYS = {"length_unit": "m", "time_unit": "s", "force_unit": "N"}
 _KEYS = ("format", *_UNIT_KEYS, "noise_sigma", "wrench_sigma", "description")
@@ -50,7 +51,7 @@ class _Header:
     description: str
 
 
-def read_folder(folder: Path) -> Measurement:
+def read_folder(folder: Path) -> Contents:
     """Read a measurement folder; see `bcid.measurement.Measurement.read`."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no such measurement folder; expected a folder with measurement.toml and CSV files")
@@ -67,9 +68,7 @@ def read_folder(folder: Path) -> Measurement:
     assert data is not None
     file = folder / "frame.toml"
     error = FrameError.read(file, header.length) if file.is_file() else None
-    return Measurement(
-        data, header.noise_sigma, header.wrench_sigma, header.units, header.description, str(folder), error
-    )
+    return Contents(data, header.noise_sigma, header.wrench_sigma, header.units, header.description, str(folder), error)
 
 
 def read_grasps(path: Path, units: Units) -> list[Action]:
@@ -449,7 +448,7 @@ def _stack(
     return stacked
 
 
-def write_folder(measurement: Measurement, folder: Path) -> None:
+def write_folder(measurement: Contents, folder: Path) -> None:
     """Write the folder format; the folder appears whole or not at all.
 
     Raises:
@@ -470,7 +469,7 @@ def write_folder(measurement: Measurement, folder: Path) -> None:
         raise unwritable(folder, error) from None
 
 
-def _texts(measurement: Measurement) -> dict[str, list[str]]:
+def _texts(measurement: Contents) -> dict[str, list[str]]:
     data, units = measurement.data, measurement.units
     length, time, force = (unit_factor(getattr(units, n), like) for n, like in zip(_UNIT_NAMES, "msN", strict=True))
     head = [
@@ -520,7 +519,7 @@ def grasp_lines(actions: Iterable[Action], length: float, time: float) -> list[s
 _UNIT_NAMES = ("length", "time", "force")
 
 
-def _header_lines(measurement: Measurement, length: float, force: float) -> list[str]:
+def _header_lines(measurement: Contents, length: float, force: float) -> list[str]:
     lines = [f'format = "{FORMAT}"']
     lines += [f'{name}_unit = "{getattr(measurement.units, name)}"' for name in _UNIT_NAMES]
     for name, scale in (("noise_sigma", length), ("wrench_sigma", force)):

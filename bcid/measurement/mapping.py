@@ -20,8 +20,8 @@ from bcid.base.text_file import read_lines, read_toml
 from bcid.base.units import FURTHEST, unit_factor, usable
 from bcid.measurement.alignment import align
 from bcid.measurement.c3d import read_points
+from bcid.measurement.contents import AXES, Contents, Units
 from bcid.measurement.folder import frames_dataset
-from bcid.measurement.measurement import AXES, Measurement, Units
 
 FORMAT = "bcid-mapping/1"
 _UNITS = {"length_unit": "m", "time_unit": "s", "force_unit": "N"}
@@ -67,7 +67,7 @@ class _Recording:
     aligned: float | None = None
 
 
-def read_mapped(path: Path) -> Measurement:
+def read_mapped(path: Path) -> Contents:
     """Measurement from a mapping file and the recording it names.
 
     Raises:
@@ -79,7 +79,7 @@ def read_mapped(path: Path) -> Measurement:
     if not recording.actions:
         raise InputError(f"{path}: frames: no frame of {mapping.file.name} is left; check first, last and every")
     _to_body_frame(recording, mapping)
-    return _measurement(recording, mapping).validated()
+    return _contents(recording, mapping)
 
 
 # -- the mapping file
@@ -416,7 +416,7 @@ def _to_body_frame(recording: _Recording, mapping: _Mapping) -> None:
         recording.positions[name] = np.clip(values, -_FAR, _FAR) @ fit.turn.T + fit.shift
 
 
-def _measurement(recording: _Recording, mapping: _Mapping) -> Measurement:
+def _contents(recording: _Recording, mapping: _Mapping) -> Contents:
     names = mapping.fiducials
     frames = list(zip(recording.actions, recording.steps, strict=True))
     starts = {action: time for (action, step), time in zip(frames, recording.times, strict=True) if step == 0}
@@ -438,5 +438,5 @@ def _measurement(recording: _Recording, mapping: _Mapping) -> Measurement:
     sigma = mapping.table.get("noise_sigma")
     description = str(mapping.table.get("description", ""))
     noise = None if sigma is None else sigma * mapping.length
-    known = Measurement(data.assign_coords(axis=AXES), noise, None, mapping.units, description, str(mapping.path))
+    known = Contents(data.assign_coords(axis=AXES), noise, None, mapping.units, description, str(mapping.path))
     return replace(known, remarks=tuple(recording.remarks), aligned=recording.aligned)

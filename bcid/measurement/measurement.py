@@ -17,56 +17,22 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, Problems
 from bcid.base.fingerprint import fingerprint
-from bcid.base.units import unit_factor
+from bcid.base.units import unit_factor, with_units
+from bcid.measurement.contents import FORMAT, Contents, Units
+from bcid.measurement.folder import read_folder, write_folder
 from bcid.measurement.frame_error import FrameError
+from bcid.measurement.mapping import read_mapped
 from bcid.measurement.plausibility import examine
-from bcid.scene.action import Action
 
 if TYPE_CHECKING:
     from bcid.scene import Scene
-
-FORMAT = "bcid-measurement/1"
-AXES = ["x", "y", "z"]
-WRENCH = ["fx", "fy", "fz", "tx", "ty", "tz"]
-QUATERNION = ["qw", "qx", "qy", "qz"]
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Units:
-    """Units of the files, by name; numbers in memory are SI."""
-
-    length: str = "mm"
-    time: str = "s"
-    force: str = "N"
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """Trajectories of fiducials, motions of the gripper, and what else was recorded.
-
-    `data` is an xarray Dataset with dimensions frame, fiducial, axis (and component, place): coordinates action, step,
-    time (s); variables position (m, NaN where a fiducial was not seen), grasp, translation (m), rotation (unit
-    quaternion), and optionally sigma (m), wrench (N, N m), load (N).
-
-    Attributes:
-        noise_sigma: per-axis standard deviation of a fiducial, m; None when not stated.
-        wrench_sigma: standard deviation of a force, N; None when not stated.
-        frame_error: what is not known of the frame of the positions; None when nothing is stated.
-        remarks: what looks odd, to be said before any result.
-        aligned: RMS distance, m, by which the rigid motion of a mapping's [align] misses its markers; None without one.
-    """
-
-    data: xr.Dataset
-    noise_sigma: float | None = None
-    wrench_sigma: float | None = None
-    units: Units = Units()
-    description: str = ""
-    source: str = "measurement"
-    frame_error: FrameError | None = None
-    remarks: tuple[str, ...] = ()
-    aligned: float | None = None
+class Measurement(Contents):
+    """Trajectories of fiducials, motions of the gripper, and what else was recorded; see `Contents` for what it holds."""
 
     @classmethod
     def read(cls, path: str | Path) -> Measurement:
@@ -79,21 +45,15 @@ class Measurement:
         if path.suffix == ".nc":
             return cls.from_netcdf(path)
         if path.suffix == ".toml" and path.is_file():
-            from bcid.measurement.mapping import read_mapped
-
-            return read_mapped(path)
-        from bcid.measurement.folder import read_folder
-
-        return read_folder(path)
+            return cls(**vars(read_mapped(path))).validated()
+        return cls(**vars(read_folder(path)))
 
     def write(self, folder: str | Path) -> None:
         """Write the folder format in this measurement's units; an existing folder is refused."""
-        from bcid.measurement.folder import write_folder
-
         write_folder(self, Path(folder))
 
     def to_netcdf(self, path: str | Path) -> None:
-        """Write everything into one NetCDF file (SI units)."""
+        """Write everything into one NetCDF file (SI units, which every variable states)."""
         data = self.data.copy()
         data.attrs = {"format": FORMAT, "description": self.description}
         data.attrs |= {f"{name}_unit": getattr(self.units, name) for name in ("length", "time", "force")}
@@ -103,7 +63,7 @@ class Measurement:
         if self.frame_error is not None:
             data.attrs["frame_centre"] = self.frame_error.centre
             data.attrs["frame_covariance"] = self.frame_error.covariance.ravel()
-        data.to_netcdf(path, engine="scipy")
+        with_units(data).to_netcdf(path, engine="scipy")
 
     @classmethod
     def from_netcdf(cls, path: str | Path) -> Measurement:
@@ -176,60 +136,6 @@ class Measurement:
             if found:
                 problems.add(self.source, f"action {name}: {text}")
 
-    @property
-    def fiducial_names(self) -> list[str]:
-        """Names in the order of the fiducial axis."""
-        return [str(name) for name in self.data["fiducial"].values]
-
-    @property
-    def positions(self) -> Array:
-        """Measured positions, shape (frames, fiducials, 3), m; NaN where a fiducial was not seen."""
-        return np.asarray(self.data["position"].values, dtype=float)
-
-    @property
-    def action_names(self) -> list[str]:
-        """Names in the order of the files."""
-        return list(dict.fromkeys(str(name) for name in self.data["action"].values))
-
-    @property
-    def actions(self) -> list[Action]:
-        """The motions, in the order of the files."""
-        return [self._action(name) for name in self.action_names]
-
-    def _action(self, name: str) -> Action:
-        frames = np.flatnonzero(self.data["action"].values.astype(str) == name)
-        rows = self.data.isel(frame=frames)
-        loads = {}
-        if "load" in rows:
-            for place in rows["place"].values:
-                load = rows["load"].sel(place=place).values
-                if np.any(load):
-                    loads[str(place)] = np.asarray(load, dtype=float)
-        return Action(
-            name,
-            frames,
-            rows["step"].values.astype(np.int64),
-            str(rows["grasp"].values[0]),
-            np.asarray(rows["translation"].values, dtype=float),
-            np.asarray(rows["rotation"].values, dtype=float),
-            loads,
-            np.asarray(rows["time"].values, dtype=float),
-        )
-
-    def sigma(self, default: float | None = None) -> Array | None:
-        """Standard deviation of every coordinate, shape (frames, fiducials, 3), m.
-
-        Rows with their own sigma keep it; the others have `noise_sigma`, else `default`; None when none of them is
-        known.
-        """
-        common = self.noise_sigma if self.noise_sigma is not None else default
-        if "sigma" in self.data:
-            own = np.asarray(self.data["sigma"].values, dtype=float)
-            if common is None and np.isnan(own[~np.isnan(self.positions)]).any():
-                return None
-            return np.where(np.isnan(own), np.nan if common is None else common, own)
-        return None if common is None else np.full(self.positions.shape, common)
-
     def fingerprint(self) -> str:
         """Short hash of the content; equal measurements have equal fingerprints whatever file they came from."""
         arrays = {name: self.data[name].values for name in sorted(map(str, self.data.variables))}
@@ -280,10 +186,3 @@ def _in_order(data: xr.Dataset, problems: Problems, source: str) -> xr.Dataset:
         problems.add(source, "expected at least one frame, three axes and four components of a quaternion")
         problems.raise_if_any()
     return data.transpose("frame", "fiducial", "axis", "quaternion", ...)
-
-
-def quaternion_rotate(rotation: Array, points: Array) -> Array:
-    """Turn `points` (n, 3) by a unit quaternion (w, x, y, z)."""
-    w, axis = rotation[0], rotation[1:]
-    across = np.cross(axis, points)
-    return points + 2 * (w * across + np.cross(axis, across))

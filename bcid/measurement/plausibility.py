@@ -23,7 +23,7 @@ from bcid.measurement.jumps import Jump, jumps
 from bcid.measurement.slips import FAULT, Slip, slips, suspects
 
 if TYPE_CHECKING:
-    from bcid.measurement.measurement import Measurement
+    from bcid.measurement.contents import Contents
     from bcid.scene import Scene
     from bcid.scene.action import Action
 
@@ -82,7 +82,7 @@ class Sag:
 
 
 @dataclass(frozen=True)
-class Finding:
+class Doubt:
     """What is wrong: with what probability, in words, and the slip that looks likeliest."""
 
     probability: float
@@ -90,7 +90,7 @@ class Finding:
     slip: Slip | None = None
 
 
-def examine(scene: Scene, measurement: Measurement, problems: Problems) -> list[str]:
+def examine(scene: Scene, measurement: Contents, problems: Problems) -> list[str]:
     """What is odd about a measurement of a scene; what is absurd is noted among the problems.
 
     The names of fiducials and grasps must be the scene's.
@@ -121,7 +121,7 @@ class _View:
         positions: shape (frames, fiducials, 3); NaN where a fiducial was not seen or cannot be.
     """
 
-    def __init__(self, scene: Scene, measurement: Measurement) -> None:
+    def __init__(self, scene: Scene, measurement: Contents) -> None:
         self.measurement, self.actions = measurement, measurement.actions
         self.names = measurement.fiducial_names
         self.rest = np.array([scene.fiducials[name] for name in self.names]).reshape(-1, 3)
@@ -139,7 +139,7 @@ class _View:
         """A length as the files have it."""
         return f"{value / unit_factor(self.unit, 'm'):.6g} {self.unit}"
 
-    def too_far(self) -> list[Finding]:
+    def too_far(self) -> list[Doubt]:
         """Single positions that nothing of the body can reach; they are left out of what follows.
 
         Where most are too far, the unit or the frame is wrong, which is looked at as a whole.
@@ -159,11 +159,11 @@ class _View:
                     f"{'xyz'[axis]} = {self.written(place[axis])} is further away than {REACH:g} times the size of the body "
                     f"({show(self.size, 'mm')}): check the number and its decimal point"
                 )
-                found.append(Finding(1.0, text))
+                found.append(Doubt(1.0, text))
         self.positions[far] = np.nan
         return found
 
-    def apart(self) -> list[Finding]:
+    def apart(self) -> list[Doubt]:
         """Fiducials that are on the whole further from their places than the body is large."""
         first = np.array([action.frames[0] for action in self.actions])
         away = np.linalg.norm(np.clip(self.positions[first] - self.rest, -1e9, 1e9), axis=-1)
@@ -173,11 +173,11 @@ class _View:
             f"at step 0 the fiducials are {show(float(np.nanmedian(away)), 'mm')} (median) from their rest positions in the scene, "
             f"which span {show(self.size, 'mm')}: check length_unit ('{self.unit}') and the frame of the positions"
         )
-        return [Finding(1.0, text)]
+        return [Doubt(1.0, text)]
 
-    def jumping(self) -> list[Finding]:
+    def jumping(self) -> list[Doubt]:
         """Coordinates of fiducials and of the gripper that jump away, between steps."""
-        found: list[Finding] = []
+        found: list[Doubt] = []
         for action in self.actions:
             moved = np.abs(np.diff(action.translation, axis=0)).max(axis=1) if len(action) > 1 else np.zeros(0)
             for jump in jumps(self.positions[action.frames], moved, self.noise, self.size, SLIP):
@@ -187,18 +187,18 @@ class _View:
                     found.append(self._jump(action, jump, f"gripper ({action.grasp})"))
         return found
 
-    def _jump(self, action: Action, jump: Jump, what: str) -> Finding:
+    def _jump(self, action: Action, jump: Jump, what: str) -> Doubt:
         where = f"action {action.name}, step {action.steps[jump.step]}, {what}: {'xyz'[jump.axis]} = {self.written(jump.value)}"
         between = f"where the steps beside it let expect about {self.written(jump.expected)}"
         if jump.factor is None:
-            return Finding(min(jump.probability, REFUSED), f"{where} {between}: check that step, or leave it empty")
+            return Doubt(min(jump.probability, REFUSED), f"{where} {between}: check that step, or leave it empty")
         mended = self.written(jump.value * jump.factor)
-        return Finding(jump.probability, f"{where} {between}: was {mended} meant? Check its decimal point")
+        return Doubt(jump.probability, f"{where} {between}: was {mended} meant? Check its decimal point")
 
 
-def _at_rest(view: _View) -> list[Finding]:
+def _at_rest(view: _View) -> list[Doubt]:
     """What the first steps of the actions say of slips, told once for all actions that agree."""
-    found: dict[str, tuple[Finding, list[str]]] = {}
+    found: dict[str, tuple[Doubt, list[str]]] = {}
     fields: dict[bytes, Sag] = {}
     for action in view.actions:
         seen = view.positions[action.frames[0]]
@@ -212,12 +212,12 @@ def _at_rest(view: _View) -> list[Finding]:
         which = "" if len(names) == len(view.actions) else f" of action{'s' if names[1:] else ''} {shown}"
         undo = None if one.slip is None else one.slip.undo
         told.append(
-            Finding(one.probability, f"at step 0{which}, {one.text}{'' if undo is None else _concerned(view, undo)}")
+            Doubt(one.probability, f"at step 0{which}, {one.text}{'' if undo is None else _concerned(view, undo)}")
         )
     return told
 
 
-def _first_step(view: _View, seen: Array, fields: dict[bytes, Sag]) -> Finding | None:
+def _first_step(view: _View, seen: Array, fields: dict[bytes, Sag]) -> Doubt | None:
     """The slip that positions (n, 3) at rest look like, if that is likelier than none."""
     used = np.isfinite(seen).all(axis=1)
     if not used.any():
@@ -244,7 +244,7 @@ def _first_step(view: _View, seen: Array, fields: dict[bytes, Sag]) -> Finding |
     best = likely[0][1]
     remedy = f"{best.remedy} (it is '{view.unit}')" if best.kind == "units" else best.remedy
     sure = sum(share for share, slip in zip(shares[1:], tried, strict=True) if slip.kind != FAULT)
-    return Finding(float(sure), f"{_either(likely)}: {remedy}", best)
+    return Doubt(float(sure), f"{_either(likely)}: {remedy}", best)
 
 
 def weights(evidence: Array, tried: Sequence[Slip]) -> Array:
@@ -276,7 +276,7 @@ def _concerned(view: _View, undo: Array) -> str:
     return " (the same holds for grasps.csv)" if whole else " (of fiducials.csv alone: grasps.csv looks right)"
 
 
-def _gripper(view: _View) -> list[Finding]:
+def _gripper(view: _View) -> list[Doubt]:
     """Whether the fiducials near a grasp go where the gripper goes."""
     found = [_far_pose(view, a) for a in view.actions if (np.abs(a.translation) > REACH * view.size).any()]
     if found:
@@ -288,10 +288,10 @@ def _gripper(view: _View) -> list[Finding]:
         f"the fiducials near the grasp do not go where the gripper goes: in the gripper's poses {one.text}; "
         f"write them in the frame and the length_unit ('{view.unit}') of the fiducials"
     )
-    return [Finding(one.probability, text)]
+    return [Doubt(one.probability, text)]
 
 
-def _far_pose(view: _View, action: Action) -> Finding:
+def _far_pose(view: _View, action: Action) -> Doubt:
     """The furthest pose of a gripper that goes where nothing can be."""
     step, axis = np.unravel_index(int(np.abs(action.translation).argmax()), action.translation.shape)
     text = (
@@ -299,4 +299,4 @@ def _far_pose(view: _View, action: Action) -> Finding:
         f"{view.written(float(action.translation[step, axis]))} is more than {REACH:g} times the size of the body "
         f"({show(view.size, 'mm')}): check the number, its decimal point and length_unit"
     )
-    return Finding(1.0, text)
+    return Doubt(1.0, text)

@@ -9,12 +9,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from bcid.report.diagnosis import LONGEST, diagonal, round_scale, worst_frame
+from bcid.report.diagnosis_picture import LONGEST, diagonal, round_scale, worst_frame
 from bcid.report.found import Found
 from bcid.report.gallery import residuals_of
-from bcid.report.identification import telling_frame
+from bcid.report.identification_picture import telling_frame
 from bcid.report.residual import Residual
-from bcid.report.words import chance
+from bcid.report.text import chance
 
 Array = NDArray[np.float64]
 

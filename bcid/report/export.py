@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bcid.base.errors import InputError, unwritable
-from bcid.base.run import writing
+from bcid.base.run_folder import writing
 from bcid.report.figure import styled
 from bcid.report.found import Found
 from bcid.report.gallery import drawings

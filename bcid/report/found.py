@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from bcid.base.errors import BcidError
-from bcid.base.run import Run
+from bcid.base.run_folder import RunFolder
 from bcid.report.lengths import in_mm
 from bcid.report.markup import clean
 
@@ -51,7 +51,7 @@ class Found:
         Raises:
             InputError: the folder is not a run, or its `run.json` is damaged.
         """
-        run = Run.open(path)
+        run = RunFolder.open(path)
         found = cls(run.path, _cleaned(run.record))
         for name in _DOCUMENTS:
             if (run.path / f"{name}.json").is_file():
@@ -65,7 +65,7 @@ class Found:
                 found._summary(run.path / name)
         return found
 
-    def _document(self, run: Run, name: str) -> None:
+    def _document(self, run: RunFolder, name: str) -> None:
         try:
             content = run.read_json(f"{name}.json")
         except (BcidError, RecursionError) as error:
@@ -82,7 +82,7 @@ class Found:
         except OSError as error:
             self.troubles.append(f"{file}: cannot be read: {error.strerror}")
 
-    def _dataset(self, run: Run, name: str) -> xr.Dataset | None:
+    def _dataset(self, run: RunFolder, name: str) -> xr.Dataset | None:
         if not (run.path / name).is_file():
             return None
         try:

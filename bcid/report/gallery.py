@@ -6,14 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from bcid.report import exploration, ladder, residual
-from bcid.report.calibration import calibration_figure
-from bcid.report.diagnosis import residual_figure, where_figure
+from bcid.report import exploration_picture as exploration
+from bcid.report import ladder, residual
+from bcid.report.calibration_picture import calibration_figure
+from bcid.report.diagnosis_picture import residual_figure, where_figure
 from bcid.report.found import Found
-from bcid.report.identification import body_figure, probability_chart
+from bcid.report.identification_picture import body_figure, probability_chart
 from bcid.report.residual import Residual
-from bcid.report.tracking import tracking_figure
-from bcid.report.words import model_name
+from bcid.report.text import model_name
+from bcid.report.tracking_picture import tracking_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

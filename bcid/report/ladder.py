@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from bcid.report.figure import DARK, GREY, LIGHT, chart, legend_below, open_frame, short
 from bcid.report.scene3d import COLOURS
-from bcid.report.words import conclusion, falling, model_name, plain, rungs
+from bcid.report.text import conclusion, falling, model_name, plain, rungs
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 
-from bcid import __version__
 from bcid.base.errors import InputError
-from bcid.base.run import write_whole
+from bcid.base.run_folder import write_whole
+from bcid.base.version import VERSION
 from bcid.report.found import Found
 from bcid.report.markup import Markup, clean, json_text, tag, verbatim
 from bcid.report.section import Section
@@ -126,16 +126,14 @@ def _document(title: str, content: list[Markup], data: list[Markup]) -> str:
         tag("meta", charset="utf-8"),
         tag("meta", http_equiv="Content-Security-Policy", content=policy),
         tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        tag("meta", name="generator", content=f"bcid {__version__}"),
+        tag("meta", name="generator", content=f"bcid {VERSION}"),
         tag("title", f"{title}: bcid report"),
         verbatim("style", style),
     )
     top = tag(
         "header", tag("b", "bcid report"), tag("span", "how a body is held, and what its model lacks"), class_="top"
     )
-    footer = tag(
-        "footer", f"Written by bcid {__version__} from run folders alone; the view is drawn by three.js (MIT)."
-    )
+    footer = tag("footer", f"Written by bcid {VERSION} from run folders alone; the view is drawn by three.js (MIT).")
     running = [verbatim("script", script, type="module") for script in scripts]
     body = tag("body", top, content, footer, data, running)
     return f"{MARK}\n<!doctype html>\n" + tag("html", head, body, lang="en") + "\n"

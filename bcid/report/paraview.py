@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from bcid.base.run import write_whole
+from bcid.base.run_folder import write_whole
 
 if TYPE_CHECKING:
     import pyvista as pv

@@ -7,7 +7,7 @@ from typing import Any
 
 from bcid.report.found import Found
 from bcid.report.markup import Markup, tag
-from bcid.report.words import duration
+from bcid.report.text import duration
 
 _FINGERPRINTED = ("scene", "measurement", "recording", "layout", "corners", "expected")
 # A value that is longer is cut.

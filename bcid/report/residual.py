@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bcid.base.units import unit_factor
 from bcid.report.figure import DARK, GREY, LIGHT, chart, legend_below, name_ticks, short
-from bcid.report.words import model_name
+from bcid.report.text import model_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -18,7 +18,7 @@ from bcid.report.raster import embedded
 from bcid.report.svg import inline
 from bcid.report.table import Table
 from bcid.report.verdict import Verdict, verdict
-from bcid.report.view import view
+from bcid.report.viewer import view
 
 # What damaged content makes the code raise that shows it, images and the drawing libraries included.
 DAMAGE = (

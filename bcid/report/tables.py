@@ -11,7 +11,7 @@ from bcid.report.gallery import residuals_of
 from bcid.report.ladder import asked_rung, place_name
 from bcid.report.residual import Residual
 from bcid.report.table import TEXT, Column, Table
-from bcid.report.words import amount, chance, listed, model_name, plain
+from bcid.report.text import amount, chance, listed, model_name, plain
 
 # Numbers of an effect that a cell holds.
 _AMOUNTS = 3

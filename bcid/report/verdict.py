@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from bcid.report import exploration
+from bcid.report import exploration_picture as exploration
 from bcid.report.found import Found
-from bcid.report.words import amount, chance, listed, model_name, patches, plain
+from bcid.report.text import amount, chance, listed, model_name, patches, plain
 
 # A residual of more noises than this is not explained.
 _EXPLAINED = 2.0

@@ -15,7 +15,7 @@ import numpy as np
 from bcid.base.errors import InputError, Problems, nearest
 from bcid.base.text_file import parse_toml, read_text
 from bcid.base.units import quantities, quantity, unit_factor, usable
-from bcid.scene.scene import Box, Grasp, Level, Limits, Material, PhysicsCheck, Plane, Region, Scene, Values
+from bcid.scene.parts import Box, Grasp, Level, Limits, Material, Plane, Region, Values
 
 FORMAT = "bcid-scene/1"
 DEGREES = (1, 2)
@@ -29,24 +29,22 @@ _LONGEST_KEY = 300
 _NAME = re.compile(r"^(?!\.{1,2}$)[^\s,;\"'\\/\x00-\x1f\x7f]{1,64}$")
 
 
-def read_scene(path: Path, physics: PhysicsCheck | None = None) -> Scene:
-    """See `Scene.read`."""
-    absent = "no such scene file; examples are in examples/scenes"
-    text = read_text(path, absent)
-    table = parse_toml(text, path)
-    reader = _Reader(path, text)
-    scene = reader.scene(table)
-    if physics is not None and not reader.problems.found:
-        for problem in physics(scene):
-            reader.problems.add(path, problem)
-    reader.problems.raise_if_any()
-    return scene
+class SceneFile:
+    """A scene file, parsed; turns its tables into the fields of a `Scene`, noting every problem on the way.
 
+    Args:
+        path: the TOML file; paths inside it are relative to it.
 
-class _Reader:
-    """Turns the parsed TOML into a `Scene`, noting every problem on the way."""
+    Attributes:
+        problems: what is wrong with the file.
 
-    def __init__(self, path: Path, text: str) -> None:
+    Raises:
+        InputError: it cannot be read, or is not TOML.
+    """
+
+    def __init__(self, path: Path) -> None:
+        text = read_text(path, "no such scene file; examples are in examples/scenes")
+        self._table = parse_toml(text, path)
         self.path = path
         self.lines = text.splitlines()
         self.problems = Problems(f"scene {path}")
@@ -148,7 +146,9 @@ class _Reader:
                 self.bad(what, f"name {name!r} must {rule}")
         return list(table)
 
-    def scene(self, table: Mapping[str, Any]) -> Scene:
+    def fields(self) -> dict[str, Any]:
+        """The fields of a `Scene` by name; worthless where problems were found."""
+        table = self._table
         self.unknown(table, (*_VALUES, *_TABLES))
         if table.get("format") != FORMAT:
             self.bad("format", f'expected "{FORMAT}", found {table.get("format")!r}')
@@ -167,27 +167,27 @@ class _Reader:
         support = self.text(table, "support", "")
         if support and support not in places:
             self.bad("support", f"place '{support}' is not defined; {nearest(support, places)}")
-        return Scene(
-            name=self.text(table, "name", self.path.stem),
-            geometry=geometry,
-            parameters=parameters,
-            length_unit=unit,
-            levels=self.levels(table.get("levels"), geometry),
-            material=self.material(self.table(table, "material")),
-            patches={name: self.region(value, f"patches.{name}", ("divide",)) for name, value in patches.items()},
-            grasps={name: self.grasp(value, f"grasps.{name}") for name, value in grasps.items()},
-            fiducials={name: self.vector(value, f"fiducials.{name}") for name, value in fiducials.items()},
-            places={name: self.region(value, f"places.{name}") for name, value in places.items()},
-            divide=self.divide(patches),
-            down=self.direction(table.get("down", [0, -1, 0]), "down"),
-            support=support,
-            noise_sigma=optional.get("noise_sigma"),
-            attach_within=optional.get("attach_within"),
-            effects={name: self.effect(value, name) for name, value in self.table(table, "effects").items()},
-            limits=self.limits(self.table(table, "explore")) if "explore" in table else None,
-            description=self.text(table, "description", ""),
-            source=str(self.path),
-        )
+        return {
+            "name": self.text(table, "name", self.path.stem),
+            "geometry": geometry,
+            "parameters": parameters,
+            "length_unit": unit,
+            "levels": self.levels(table.get("levels"), geometry),
+            "material": self.material(self.table(table, "material")),
+            "patches": {name: self.region(value, f"patches.{name}", ("divide",)) for name, value in patches.items()},
+            "grasps": {name: self.grasp(value, f"grasps.{name}") for name, value in grasps.items()},
+            "fiducials": {name: self.vector(value, f"fiducials.{name}") for name, value in fiducials.items()},
+            "places": {name: self.region(value, f"places.{name}") for name, value in places.items()},
+            "divide": self.divide(patches),
+            "down": self.direction(table.get("down", [0, -1, 0]), "down"),
+            "support": support,
+            "noise_sigma": optional.get("noise_sigma"),
+            "attach_within": optional.get("attach_within"),
+            "effects": {name: self.effect(value, name) for name, value in self.table(table, "effects").items()},
+            "limits": self.limits(self.table(table, "explore")) if "explore" in table else None,
+            "description": self.text(table, "description", ""),
+            "source": str(self.path),
+        }
 
     def limits(self, table: Mapping[str, Any]) -> Limits:
         """What exploring may do to the body."""

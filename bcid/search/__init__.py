@@ -1,1 +1,1 @@
-"""Finding the anchored patches: misfit, hill climbing over single toggles, stages over the ladder, belief, and the MPI farm."""
+"""Finding the anchored patches: hill climbing over single toggles, stages over the ladder, and the evaluator over MPI ranks."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from bcid.search.belief import interest
-from bcid.search.farm import Candidate, Farm, Outcome
+from bcid.inference.outcome import Candidate, Outcome
+from bcid.inference.posterior import interest
+from bcid.search.evaluator import Evaluator
 
 # A set this many times less likely than one that is known is of no interest.
 ODDS = 1e6
@@ -44,26 +45,26 @@ def rank(outcome: Outcome) -> tuple[float, int, list[str]]:
     return outcome.chi2, len(outcome.candidate), sorted(outcome.candidate)
 
 
-def climb(farm: Farm, level: int, seeds: Iterable[Candidate]) -> list[Climb]:
+def climb(evaluator: Evaluator, level: int, seeds: Iterable[Candidate]) -> list[Climb]:
     """Climb from every seed at once, each to its best neighbour until none is better; collective.
 
-    The neighbours of all climbers are one batch for the farm. A neighbour that is `ODDS` times less likely than its
+    The neighbours of all climbers are one batch for the evaluator. A neighbour that is `ODDS` times less likely than its
     parent stops early: it cannot be where the climber goes.
     """
     paths = [[seed] for seed in dict.fromkeys(seeds)]
-    farm.evaluate(level, {path[0]: float("inf") for path in paths})
+    evaluator.evaluate(level, {path[0]: float("inf") for path in paths})
     active = list(range(len(paths)))
     while active:
         bounds: dict[Candidate, float] = {}
         for i in active:
-            here = farm.outcomes[level, paths[i][-1]]
-            for candidate in neighbours(here.candidate, farm.patches):
-                bounds[candidate] = max(bounds.get(candidate, 0.0), interest(here, farm.misfit, ODDS))
-        found = farm.evaluate(level, bounds)
+            here = evaluator.outcomes[level, paths[i][-1]]
+            for candidate in neighbours(here.candidate, evaluator.patches):
+                bounds[candidate] = max(bounds.get(candidate, 0.0), interest(here, evaluator.misfit, ODDS))
+        found = evaluator.evaluate(level, bounds)
         moved = []
         for i in active:
-            here = farm.outcomes[level, paths[i][-1]]
-            best = min((found[c] for c in neighbours(here.candidate, farm.patches)), key=rank)
+            here = evaluator.outcomes[level, paths[i][-1]]
+            best = min((found[c] for c in neighbours(here.candidate, evaluator.patches)), key=rank)
             if better(best, here) and best.complete:
                 paths[i].append(best.candidate)
                 moved.append(i)

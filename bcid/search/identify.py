@@ -10,17 +10,19 @@ from typing import Any
 
 import numpy as np
 
+from bcid.base.collective import Comm
 from bcid.base.errors import InputError, SolveError
 from bcid.base.progress import Progress, Silent
 from bcid.forms.forward import Prediction
+from bcid.forms.mesh.patches import divided, first_level
 from bcid.forms.model import Model
-from bcid.forms.patches import divided, first_level
-from bcid.forms.solve import Settings
+from bcid.forms.solver.equilibrium import Settings
+from bcid.inference.outcome import Candidate, Outcome, label
+from bcid.inference.posterior import Posterior, classes, finest, interest, log_likelihood, model_errors
 from bcid.measurement import Measurement
 from bcid.scene import Scene
-from bcid.search.belief import Belief, classes, finest, interest, log_likelihood, model_errors
 from bcid.search.climb import ODDS, climb, neighbours, rank
-from bcid.search.farm import Candidate, Farm, Outcome, label
+from bcid.search.evaluator import Evaluator
 from bcid.search.seeds import above, all_candidates, maxima, perturbed, random_seeds
 from bcid.search.termination import Termination
 
@@ -36,7 +38,7 @@ _DECIDED = 0.99
 
 
 @dataclass(frozen=True)
-class Options:
+class IdentifyOptions:
     """How the search is done.
 
     Attributes:
@@ -126,7 +128,7 @@ class Identification:
             were not looked at.
         alternatives: the next best sets, best first.
         classes: the likely sets on the finest level used, in classes that these data cannot tell apart (see
-            `bcid.search.belief.classes`); the first holds the reported set.
+            `bcid.inference.posterior.classes`); the first holds the reported set.
         levels: the levels used.
         stages: what happened on each level, in words.
         prediction: of the reported set on the finest level used.
@@ -197,8 +199,8 @@ class Alternative:
 def identify(
     scene: Scene,
     measurement: Measurement,
-    comm: Any = None,
-    options: Options | None = None,
+    comm: Comm | None = None,
+    options: IdentifyOptions | None = None,
     model: Model | None = None,
     settings: Settings | None = None,
     progress: Progress | None = None,
@@ -226,27 +228,29 @@ def identify(
     """
     from mpi4py import MPI
 
-    options, comm = options or Options(), comm or MPI.COMM_SELF
+    options, comm = options or IdentifyOptions(), comm or MPI.COMM_SELF
     scene = divided(scene, comm)
     options.check(scene)
     level, passed = first_level(scene, options.coarsest, options.last(scene), comm)
-    farm = Farm(scene, measurement, comm, model, settings, progress, keep, known)
+    evaluator = Evaluator(scene, measurement, comm, model, settings, progress, keep, known)
     try:
         # A level that is passed over counts as climbed on: climbing on a finer one instead would cost many times as much.
         climbed = max(1, options.coarsest + options.climbed - level)
-        search = _Search(farm, replace(options, coarsest=level, climbed=climbed), progress or Silent(), start)
+        search = _Search(evaluator, replace(options, coarsest=level, climbed=climbed), progress or Silent(), start)
         for reason in passed:
             search.say(f"not used: {reason}")
-        return replace(search.run(), remarks=farm.measurement.remarks)
+        return replace(search.run(), remarks=evaluator.measurement.remarks)
     finally:
-        farm.destroy()
+        evaluator.destroy()
 
 
 class _Search:
     """The stages of one identification."""
 
-    def __init__(self, farm: Farm, options: Options, progress: Progress, start: Sequence[Candidate] = ()) -> None:
-        self.farm, self.options, self.progress, self.start = farm, options, progress, start
+    def __init__(
+        self, evaluator: Evaluator, options: IdentifyOptions, progress: Progress, start: Sequence[Candidate] = ()
+    ) -> None:
+        self.evaluator, self.options, self.progress, self.start = evaluator, options, progress, start
         self.rng = np.random.default_rng(options.random_state)
         self.stages: list[str] = []
         self.levels: list[int] = []
@@ -254,7 +258,7 @@ class _Search:
     def run(self) -> Identification:
         start = time.perf_counter()
         options = self.options
-        last = options.last(self.farm.scene)
+        last = options.last(self.evaluator.scene)
         seeds: list[Candidate] = list(self.start)
         best: list[Outcome] = []
         for level in range(options.coarsest, last + 1):
@@ -272,7 +276,7 @@ class _Search:
             self.note(level, best[-1])
             if options.finest is None and len(best) > 1 and self.settled(best):
                 break
-        if options.certifies(self.farm.scene):
+        if options.certifies(self.evaluator.scene):
             best[-1] = self.certify(best[-1])
         return self.result(best, time.perf_counter() - start)
 
@@ -288,71 +292,73 @@ class _Search:
         self.progress.say(text)
 
     def name(self, candidate: Candidate) -> str:
-        return label(candidate, self.farm.patches)
+        return label(candidate, self.evaluator.patches)
 
     def names(self, candidate: Candidate) -> tuple[str, ...]:
         """The patches of a set in the scene's order."""
-        return tuple(patch for patch in self.farm.patches if patch in candidate)
+        return tuple(patch for patch in self.evaluator.patches if patch in candidate)
 
     def best(self, level: int) -> Outcome:
-        found = [o for (at, _), o in self.farm.outcomes.items() if at == level and o.complete]
+        found = [o for (at, _), o in self.evaluator.outcomes.items() if at == level and o.complete]
         if not found:
-            reason = next(o.reason for (at, _), o in self.farm.outcomes.items() if at == level and o.failed)
+            reason = next(o.reason for (at, _), o in self.evaluator.outcomes.items() if at == level and o.failed)
             raise SolveError(f"level {level}: the forward model failed for every anchor set tried; the first: {reason}")
         return min(found, key=rank)
 
     def note(self, level: int, best: Outcome) -> None:
-        noise = self.farm.misfit.noise
+        noise = self.evaluator.misfit.noise
         known = f", noise {noise * 1e3:.3g} mm" if noise is not None else ""
-        count = self.farm.evaluations()[level]
+        count = self.evaluator.evaluations()[level]
         self.say(
             f"level {level}: best {self.name(best.candidate)}, residual {best.rms * 1e3:.3g} mm{known}; {count:.1f} trajectories"
         )
 
     def climb(self, level: int, seeds: Sequence[Candidate]) -> list[Candidate]:
         """Climb on a level, in groups of seeds; returns the seeds of the next level."""
-        options, farm = self.options, self.farm
+        options, evaluator = self.options, self.evaluator
         if not seeds:
-            seeds = random_seeds(farm.patches, options.count(farm.scene), self.rng)
+            seeds = random_seeds(evaluator.patches, options.count(evaluator.scene), self.rng)
         climbs = []
         unchanged = 0
         top: Outcome | None = None
         why = "all seeds are used"
         for i in range(0, len(seeds), _GROUP):
             group = seeds[i : i + _GROUP]
-            climbs += climb(farm, level, group)
+            climbs += climb(evaluator, level, group)
             now = self.best(level)
             unchanged = unchanged + len(group) if top is not None and now.candidate == top.candidate else 0
             top = now
             self.progress.step(f"level {level}: {len(climbs)} climbs, best so far {self.name(now.candidate)}")
-            reached = options.termination.reached(farm, level, now, unchanged)
+            reached = options.termination.reached(evaluator, level, now, unchanged)
             if reached:
                 why = reached
                 break
         self.say(f"level {level}: {len(climbs)} climbs ended on {len({c.top for c in climbs})} maxima; {why}")
         if options.start == "maxima":
-            following = maxima(climbs, farm, level)
+            following = maxima(climbs, evaluator, level)
         else:
-            following = above(farm, level, options.threshold * farm.misfit.similarity(self.best(level).rms))
-        return perturbed(following, farm.patches, options.toggles, self.rng)
+            following = above(evaluator, level, options.threshold * evaluator.misfit.similarity(self.best(level).rms))
+        return perturbed(following, evaluator.patches, options.toggles, self.rng)
 
     def certify(self, winner: Outcome) -> Outcome:
         """Look at every set of patches on the winner's level, those first that differ least from it; returns the best.
 
         A set stops as soon as all such sets together are `ODDS` times less likely than the winner.
         """
-        farm, level = self.farm, winner.level
-        everything = all_candidates(farm.patches)
+        evaluator, level = self.evaluator, winner.level
+        everything = all_candidates(evaluator.patches)
         best: Outcome | None = None
         while best is None or best.candidate != winner.candidate:
             winner = best or winner
             self.complete(winner)
-            error = model_errors(farm, winner.candidate, self.levels)[level]
-            bound = interest(winner, farm.misfit, ODDS * len(everything), error)
+            error = model_errors(evaluator, winner.candidate, self.levels)[level]
+            bound = interest(winner, evaluator.misfit, ODDS * len(everything), error)
             rivals = sorted(everything, key=lambda c: (len(c ^ winner.candidate), sorted(c)))
-            farm.evaluate(level, dict.fromkeys(rivals, bound), rival=winner.candidate)
+            evaluator.evaluate(level, dict.fromkeys(rivals, bound), rival=winner.candidate)
             best = self.best(level)
-        self.say(f"level {level}: all {len(everything)} sets looked at; {farm.evaluations()[level]:.1f} trajectories")
+        self.say(
+            f"level {level}: all {len(everything)} sets looked at; {evaluator.evaluations()[level]:.1f} trajectories"
+        )
         return winner
 
     def promote(self, level: int) -> None:
@@ -360,78 +366,84 @@ class _Search:
 
         The neighbours of the best set are looked at too, on the finest level that is climbed on.
         """
-        farm, options = self.farm, self.options
-        if level > options.coarsest and not any(at == level for at, _ in farm.outcomes):
-            farm.evaluate(level, {self.best(level - 1).candidate: math.inf})
+        evaluator, options = self.evaluator, self.options
+        if level > options.coarsest and not any(at == level for at, _ in evaluator.outcomes):
+            evaluator.evaluate(level, {self.best(level - 1).candidate: math.inf})
         while True:
             best = self.best(level)
             for below in range(options.coarsest, level):
-                farm.evaluate(below, {best.candidate: math.inf})
+                evaluator.evaluate(below, {best.candidate: math.inf})
             climbed = min(level, options.coarsest + options.climbed - 1)
-            around = interest(farm.outcomes[climbed, best.candidate], farm.misfit, ODDS)
-            farm.evaluate(climbed, dict.fromkeys(neighbours(best.candidate, farm.patches), around))
-            errors = model_errors(farm, best.candidate, self.levels)
+            around = interest(evaluator.outcomes[climbed, best.candidate], evaluator.misfit, ODDS)
+            evaluator.evaluate(climbed, dict.fromkeys(neighbours(best.candidate, evaluator.patches), around))
+            errors = model_errors(evaluator, best.candidate, self.levels)
             waiting: dict[int, list[Candidate]] = {}
-            for candidate, outcome in finest(farm, level).items():
-                reference = farm.outcomes.get((outcome.level, best.candidate))
-                if outcome.level < level and reference and (outcome.level + 1, candidate) not in farm.outcomes:
-                    likely = log_likelihood(outcome, reference, farm.misfit, errors[outcome.level]) > _LEAST
+            for candidate, outcome in finest(evaluator, level).items():
+                reference = evaluator.outcomes.get((outcome.level, best.candidate))
+                if outcome.level < level and reference and (outcome.level + 1, candidate) not in evaluator.outcomes:
+                    likely = log_likelihood(outcome, reference, evaluator.misfit, errors[outcome.level]) > _LEAST
                     if likely:
                         waiting.setdefault(outcome.level + 1, []).append(candidate)
             if not waiting and self.best(level).candidate == best.candidate:
                 return
             for target, candidates in sorted(waiting.items()):
-                around = interest(farm.outcomes[target, best.candidate], farm.misfit, ODDS, errors.get(target, 0.0))
-                farm.evaluate(target, dict.fromkeys(candidates, around))
+                around = interest(
+                    evaluator.outcomes[target, best.candidate], evaluator.misfit, ODDS, errors.get(target, 0.0)
+                )
+                evaluator.evaluate(target, dict.fromkeys(candidates, around))
 
     def settled(self, best: Sequence[Outcome]) -> bool:
         """The set is decided with the error of this level counted, and the residual is the noise or no longer changes."""
-        noise = self.farm.misfit.noise
+        noise = self.evaluator.misfit.noise
         near = noise is not None and best[-1].rms <= 1.1 * noise
         if not near and abs(best[-1].rms - best[-2].rms) >= 0.05 * best[-1].rms:
             return False
         self.complete(best[-1])
-        belief = Belief.of(self.farm, best[-1].candidate, model_errors(self.farm, best[-1].candidate, self.levels))
+        belief = Posterior.of(
+            self.evaluator, best[-1].candidate, model_errors(self.evaluator, best[-1].candidate, self.levels)
+        )
         return belief.probability[best[-1].candidate] >= _DECIDED
 
     def complete(self, winner: Outcome) -> None:
         """Evaluate the winner on every level used: the belief compares the others with it."""
         for level in self.levels:
-            self.farm.evaluate(level, {winner.candidate: math.inf})
+            self.evaluator.evaluate(level, {winner.candidate: math.inf})
 
     def result(self, best: Sequence[Outcome], seconds: float) -> Identification:
-        farm, winner = self.farm, best[-1]
+        evaluator, winner = self.evaluator, best[-1]
         self.complete(winner)
-        errors = model_errors(farm, winner.candidate, self.levels)
-        belief = Belief.of(farm, winner.candidate, errors)
-        solved = sum(not farm.outcomes[level, winner.candidate].failed for level in self.levels)
+        errors = model_errors(evaluator, winner.candidate, self.levels)
+        belief = Posterior.of(evaluator, winner.candidate, errors)
+        solved = sum(not evaluator.outcomes[level, winner.candidate].failed for level in self.levels)
         return Identification(
             anchored=self.names(winner.candidate),
             probability=belief.probability[winner.candidate],
             patches=belief.patches,
             rms=winner.rms,
-            noise=farm.misfit.noise,
+            noise=evaluator.misfit.noise,
             discretisation=errors[winner.level] if solved > 1 else None,
             certified=self.certified(winner.level),
-            evaluations=farm.evaluations(),
+            evaluations=evaluator.evaluations(),
             looked_at=self.looked_at(winner.level),
             alternatives=self.alternatives(belief, winner, errors),
             classes=tuple(
                 tuple(self.names(c) for c in members)
-                for members in classes(farm, winner.level, errors[winner.level], ODDS)
+                for members in classes(evaluator, winner.level, errors[winner.level], ODDS)
             ),
             levels=tuple(self.levels),
             stages=tuple(self.stages),
-            prediction=farm.predict(winner.level, winner.candidate),
-            failures={self.name(c): o.reason for (_, c), o in sorted(farm.outcomes.items(), key=_order) if o.failed},
+            prediction=evaluator.predict(winner.level, winner.candidate),
+            failures={
+                self.name(c): o.reason for (_, c), o in sorted(evaluator.outcomes.items(), key=_order) if o.failed
+            },
             seconds=seconds,
         )
 
     def looked_at(self, level: int) -> dict[str, int]:
         """What became of all sets of patches on a level."""
-        here = [o for (at, _), o in self.farm.outcomes.items() if at == level]
+        here = [o for (at, _), o in self.evaluator.outcomes.items() if at == level]
         complete, failed = sum(o.complete for o in here), sum(o.failed for o in here)
-        every = 2 ** len(self.farm.patches)
+        every = 2 ** len(self.evaluator.patches)
         return {
             "in full": complete,
             "stopped": len(here) - complete - failed,
@@ -445,13 +457,13 @@ class _Search:
         return not counts["failed"] and not counts["not"]
 
     def alternatives(
-        self, belief: Belief, winner: Outcome, errors: dict[int, float], count: int = 8
+        self, belief: Posterior, winner: Outcome, errors: dict[int, float], count: int = 8
     ) -> tuple[Alternative, ...]:
-        farm = self.farm
-        others = [o for c, o in finest(farm, self.levels[-1]).items() if c != winner.candidate and not o.failed]
-        best = {o.candidate: farm.outcomes[o.level, winner.candidate] for o in others}
+        evaluator = self.evaluator
+        others = [o for c, o in finest(evaluator, self.levels[-1]).items() if c != winner.candidate and not o.failed]
+        best = {o.candidate: evaluator.outcomes[o.level, winner.candidate] for o in others}
         likely = sorted(
-            others, key=lambda o: (-log_likelihood(o, best[o.candidate], farm.misfit, errors[o.level]), rank(o))
+            others, key=lambda o: (-log_likelihood(o, best[o.candidate], evaluator.misfit, errors[o.level]), rank(o))
         )
         return tuple(
             Alternative(

@@ -9,17 +9,19 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from bcid.base.collective import Comm
 from bcid.base.errors import InputError
 from bcid.base.progress import Progress, Silent
+from bcid.forms.mesh.patches import divided, element_size, extents, first_level, half_names, halves, replaced, touching
 from bcid.forms.model import Model
-from bcid.forms.patches import divided, element_size, extents, first_level, half_names, halves, replaced, touching
-from bcid.forms.solve import Settings
+from bcid.forms.solver.equilibrium import Settings
+from bcid.inference.misfit import Misfit
+from bcid.inference.outcome import Candidate, Outcome, label
+from bcid.inference.posterior import gain
 from bcid.measurement import Measurement
 from bcid.scene import Region, Scene
-from bcid.search.belief import gain
-from bcid.search.farm import Candidate, Farm, Outcome, label
-from bcid.search.identify import Identification, Options, identify
-from bcid.search.misfit import Misfit
+from bcid.search.evaluator import Evaluator
+from bcid.search.identify import Identification, IdentifyOptions, identify
 
 # A patch is undecided when its probability is further than this from both 0 and 1.
 _UNDECIDED = 0.02
@@ -81,8 +83,8 @@ def check_rounds(scene: Scene, rounds: int) -> None:
 def identify_refined(
     scene: Scene,
     measurement: Measurement,
-    comm: Any = None,
-    options: Options | None = None,
+    comm: Comm | None = None,
+    options: IdentifyOptions | None = None,
     rounds: int = 2,
     model: Model | None = None,
     settings: Settings | None = None,
@@ -101,21 +103,21 @@ def identify_refined(
     check_rounds(scene, rounds)
     pool = _Pool(known, keep)
 
-    def search(scene: Scene, options: Options, start: Sequence[Candidate]) -> Identification:
+    def search(scene: Scene, options: IdentifyOptions, start: Sequence[Candidate]) -> Identification:
         earlier = pool.known(scene)
         return identify(scene, measurement, comm, options, model, settings, progress, earlier, pool.keep, start)
 
     def mesh_error(scene: Scene, found: Identification) -> float:
-        return _mesh_error(Farm(scene, measurement, comm, model, settings), found)
+        return _mesh_error(Evaluator(scene, measurement, comm, model, settings), found)
 
     tree, values = Tree(scene, comm), Misfit(scene, measurement).values
-    done = _Rounds(tree, options or Options(), progress or Silent(), search, mesh_error, values)
+    done = _Rounds(tree, options or IdentifyOptions(), progress or Silent(), search, mesh_error, values)
     done.run(rounds)
     spent = time.perf_counter() - begin
     return Refinement(done.found, done.scene, done.refined, tuple(done.log), pool.evaluations(), spent)
 
 
-def _mesh_error(farm: Farm, found: Identification) -> float:
+def _mesh_error(evaluator: Evaluator, found: Identification) -> float:
     """Error of the mesh on the finest level used, m, extrapolated from the distance to the level before; collective.
 
     Unlike `Identification.discretisation` it does not count what the residual has beyond the noise: that is asked about.
@@ -123,13 +125,13 @@ def _mesh_error(farm: Farm, found: Identification) -> float:
     try:
         if len(found.levels) < 2:
             return 0.0
-        before = farm.predict(found.levels[-2], frozenset(found.anchored))
+        before = evaluator.predict(found.levels[-2], frozenset(found.anchored))
         if not before.complete:
             return 0.0
-        distance = farm.misfit.distance(before.positions, found.prediction.positions)
-        return distance / gain(farm, found.levels[-2], found.levels[-1])
+        distance = evaluator.misfit.distance(before.positions, found.prediction.positions)
+        return distance / gain(evaluator, found.levels[-2], found.levels[-1])
     finally:
-        farm.destroy()
+        evaluator.destroy()
 
 
 class _Pool:
@@ -212,7 +214,7 @@ def kept_cuts(refined: Mapping[str, tuple[str, str]], probability: Mapping[str, 
 class Tree:
     """A scene and the halves of its patches, made once."""
 
-    def __init__(self, scene: Scene, comm: Any) -> None:
+    def __init__(self, scene: Scene, comm: Comm) -> None:
         self.base, self.comm = scene, comm
         self._regions: dict[str, Region] = dict(scene.patches)
 
@@ -248,9 +250,9 @@ class _Rounds:
     def __init__(
         self,
         tree: Tree,
-        options: Options,
+        options: IdentifyOptions,
         progress: Progress,
-        search: Callable[[Scene, Options, Sequence[Candidate]], Identification],
+        search: Callable[[Scene, IdentifyOptions, Sequence[Candidate]], Identification],
         mesh_error: Callable[[Scene, Identification], float],
         values: int,
     ) -> None:
@@ -294,8 +296,8 @@ class _Rounds:
         self.say(f"round {number}: {text}, merged those of {' '.join(merged) or 'none'}; {best}")
         return True
 
-    def trial(self, scene: Scene) -> Options:
-        """Options for finding out which halves differ: on the levels that are climbed on only.
+    def trial(self, scene: Scene) -> IdentifyOptions:
+        """IdentifyOptions for finding out which halves differ: on the levels that are climbed on only.
 
         The finer ones are for the patches that remain; with all the halves many sets would be too close to be left behind.
         """

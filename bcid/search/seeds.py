@@ -6,8 +6,9 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from bcid.inference.outcome import Candidate
 from bcid.search.climb import Climb, rank
-from bcid.search.farm import Candidate, Farm
+from bcid.search.evaluator import Evaluator
 
 
 def random_seeds(patches: Sequence[str], count: int, rng: np.random.Generator) -> list[Candidate]:
@@ -30,16 +31,16 @@ def _decode(code: int, patches: Sequence[str]) -> Candidate:
     return frozenset(patch for i, patch in enumerate(patches) if code >> i & 1)
 
 
-def maxima(climbs: Iterable[Climb], farm: Farm, level: int) -> list[Candidate]:
+def maxima(climbs: Iterable[Climb], evaluator: Evaluator, level: int) -> list[Candidate]:
     """The local maxima that climbs ended on, best first."""
     tops = dict.fromkeys(climb.top for climb in climbs)
-    return sorted(tops, key=lambda candidate: rank(farm.outcomes[level, candidate]))
+    return sorted(tops, key=lambda candidate: rank(evaluator.outcomes[level, candidate]))
 
 
-def above(farm: Farm, level: int, similarity: float) -> list[Candidate]:
+def above(evaluator: Evaluator, level: int, similarity: float) -> list[Candidate]:
     """Every state visited on a level whose similarity exceeds a threshold, best first."""
-    found = [o for (at, _), o in farm.outcomes.items() if at == level and o.complete]
-    good = [o for o in found if farm.misfit.similarity(o.rms) > similarity]
+    found = [o for (at, _), o in evaluator.outcomes.items() if at == level and o.complete]
+    good = [o for o in found if evaluator.misfit.similarity(o.rms) > similarity]
     return [o.candidate for o in sorted(good, key=rank)]
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bcid.search.farm import Farm, Outcome
+from bcid.inference.outcome import Outcome
+from bcid.search.evaluator import Evaluator
 
 
 @dataclass(frozen=True)
@@ -21,13 +22,13 @@ class Termination:
     patience: int = 12
     budget: float = 10_000.0
 
-    def reached(self, farm: Farm, level: int, best: Outcome, seeds_since_better: int) -> str | None:
+    def reached(self, evaluator: Evaluator, level: int, best: Outcome, seeds_since_better: int) -> str | None:
         """The condition that holds, in words, or None."""
-        noise = farm.misfit.noise
+        noise = evaluator.misfit.noise
         if noise is not None and best.rms <= self.fit * noise:
             return f"the residual is the noise ({best.rms * 1e3:.3g} mm, noise {noise * 1e3:.3g} mm)"
         if seeds_since_better >= self.patience:
             return f"{seeds_since_better} seeds in a row led to nothing better"
-        if farm.evaluations().get(level, 0.0) >= self.budget:
+        if evaluator.evaluations().get(level, 0.0) >= self.budget:
             return f"the budget of {self.budget:g} trajectories is used"
         return None

@@ -12,9 +12,9 @@ import numpy as np
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-from bcid.studies.condition import written
-from bcid.studies.results import Cell
-from bcid.studies.study_file import StudyFile
+from bcid.studies.paper.cells import Cell
+from bcid.studies.paper.condition import written
+from bcid.studies.paper.study_file import StudyFile
 
 # Okabe & Ito's colours; markers and dashes tell the lines apart in black and white.
 _LINES = {

@@ -35,7 +35,7 @@ def check_lens(distortion: int, problems: Problems) -> None:
 
 
 @dataclass(frozen=True)
-class State:
+class CameraEstimate:
     """What the adjustment finds.
 
     Attributes:
@@ -56,7 +56,7 @@ class State:
         allowed = next(n for n in (0, 4, 5, 8) if n >= len(lens))
         return Camera(camera_matrix(self.inner[side]), np.array(lens + [0.0] * (allowed - len(lens))), size)
 
-    def only(self, pairs: NDArray[np.bool_]) -> State:
+    def only(self, pairs: NDArray[np.bool_]) -> CameraEstimate:
         """The same with some of the boards."""
         return replace(self, turns=self.turns[pairs], places=self.places[pairs])
 
@@ -85,7 +85,7 @@ class Adjustment:
         distortion: how many coefficients of the lens are found, see `LENSES`.
         board, pixels: all corners, shapes (corners, 3), m, and (2, corners, 2), px.
         ends: where in them each pair begins, and the end of the last.
-        free: places in `State.inner` of what is found of each camera.
+        free: places in `CameraEstimate.inner` of what is found of each camera.
     """
 
     def __init__(self, corners: Sequence[Corners], distortion: int) -> None:
@@ -98,19 +98,19 @@ class Adjustment:
         self.free = [0, 1, 2, 3, *(4 + k for k in LENSES[distortion])]
         self.shared = 2 * len(self.free) + 6
 
-    def residuals(self, state: State) -> Array:
+    def residuals(self, state: CameraEstimate) -> Array:
         """Found minus projected, shape (corners, 4): left u, v, right u, v, px."""
         left, right = (_projected(state.inner[k], points)[0] for k, points in enumerate(self.points(state)))
         return np.hstack([self.pixels[0] - left, self.pixels[1] - right])
 
-    def cost(self, state: State) -> float:
+    def cost(self, state: CameraEstimate) -> float:
         """Sum of squares, px^2; infinite where the cameras are none."""
         if min(state.inner[:, :2].min(), self.points(state)[0][:, 2].min()) <= 0:
             return math.inf
         cost = float(np.sum(self.residuals(state) ** 2))
         return cost if math.isfinite(cost) else math.inf
 
-    def blocks(self, state: State) -> _Blocks:
+    def blocks(self, state: CameraEstimate) -> _Blocks:
         """Normal equations at a state; rotations change by small turns from the left."""
         seen = self.points(state)
         free, count = self.free, len(self.free)
@@ -140,7 +140,7 @@ class Adjustment:
             p.append(jp.T @ r)
         return _Blocks(*map(np.array, (ss, sp, pp, s, p)))
 
-    def solve(self, state: State, shared: bool = True) -> State:
+    def solve(self, state: CameraEstimate, shared: bool = True) -> CameraEstimate:
         """Levenberg and Marquardt's method from a state; with `shared` False only the boards move."""
         cost, damping = self.cost(state), _DAMPING
         blocks = self.blocks(state)
@@ -159,12 +159,12 @@ class Adjustment:
             blocks = self.blocks(state)
         return state
 
-    def pair_errors(self, state: State) -> Array:
+    def pair_errors(self, state: CameraEstimate) -> Array:
         """RMS distance of each pair's corners in both images, shape (pairs), px."""
         squares = np.sum(self.residuals(state) ** 2, axis=1)
         return np.array([math.sqrt(squares[a:b].mean() / 2) for a, b in itertools.pairwise(self.ends)])
 
-    def covariance(self, state: State) -> Array:
+    def covariance(self, state: CameraEstimate) -> Array:
         """Of the shared unknowns, shape (s, s); infinite where the boards do not determine them.
 
         From the jackknife over pairs (Efron and Stein, Ann. Stat. 9, 1981), each pair being left out in one Gauss-Newton step. It
@@ -191,12 +191,12 @@ class Adjustment:
             return unknown
         return np.asarray(found * np.outer(scale, scale))
 
-    def points(self, state: State) -> tuple[Array, Array]:
+    def points(self, state: CameraEstimate) -> tuple[Array, Array]:
         """Corners in the frames of the two cameras, m."""
         left = np.einsum("nij,nj->ni", state.turns[self.pair], self.board) + state.places[self.pair]
         return left, left @ state.rotation.T + state.translation
 
-    def _moved(self, state: State, blocks: _Blocks, damping: float, shared: bool) -> State | None:
+    def _moved(self, state: CameraEstimate, blocks: _Blocks, damping: float, shared: bool) -> CameraEstimate | None:
         try:
             step = np.zeros(self.shared)
             if shared:
@@ -213,7 +213,7 @@ class Adjustment:
         inner = state.inner.copy()
         inner[:, self.free] += step[:-6].reshape(2, -1)
         turns = np.array([turned(w) @ turn for w, turn in zip(own[:, :3], state.turns, strict=True)])
-        return State(
+        return CameraEstimate(
             inner, turned(step[-6:-3]) @ state.rotation, state.translation + step[-3:], turns, state.places + own[:, 3:]
         )
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import Problems
-from bcid.vision.adjustment import COEFFICIENTS, FEW, MATRIX, Adjustment, Size, State, check_lens
+from bcid.vision.adjustment import COEFFICIENTS, FEW, MATRIX, Adjustment, CameraEstimate, Size, check_lens
 from bcid.vision.calibration import GRID, Calibration
 from bcid.vision.camera import SIDES, Cameras
 from bcid.vision.corners import CORNERS, Corners, rms
@@ -47,7 +47,7 @@ def calibrate(
     _check(corners, sizes, distortion)
     state, used, turned = first_guess(corners, sizes, distortion)
     may_go = len(used) // _SHARE
-    left_out: list[tuple[Corners, State]] = []
+    left_out: list[tuple[Corners, CameraEstimate]] = []
     while True:
         adjustment = Adjustment(used, distortion)
         state = adjustment.solve(state)
@@ -115,7 +115,7 @@ def _flaw(corners: Corners, sizes: tuple[Size, Size]) -> str:
 
 def _described(
     adjustment: Adjustment,
-    state: State,
+    state: CameraEstimate,
     sizes: tuple[Size, Size],
     turned: list[int],
     outside: dict[int, float],
@@ -147,7 +147,7 @@ def _described(
     )
 
 
-def _deviations(adjustment: Adjustment, state: State, cameras: Cameras) -> dict[str, float]:
+def _deviations(adjustment: Adjustment, state: CameraEstimate, cameras: Cameras) -> dict[str, float]:
     covariance = adjustment.covariance(state)
     names = [f"{side}.{(MATRIX + COEFFICIENTS)[k]}" for side in SIDES for k in adjustment.free]
     spread = np.sqrt(np.diag(covariance))
@@ -171,7 +171,7 @@ def angle_by_turn(rotation: Array) -> Array:
     return np.array([-y, x, 0.0]) / max(math.hypot(x, y), 1e-12)
 
 
-def _sight(adjustment: Adjustment, state: State) -> float:
+def _sight(adjustment: Adjustment, state: CameraEstimate) -> float:
     """Mean angle between the lines from a board to the two cameras, deg."""
     points = adjustment.points(state)[0]
     centres = np.array([points[a:b].mean(axis=0) for a, b in itertools.pairwise(adjustment.ends)])

@@ -25,7 +25,7 @@ _FOCAL, _BAD_FOCAL = 0.005, 0.03
 
 
 @dataclass(frozen=True)
-class Finding:
+class CalibrationFault:
     """What is wrong with a calibration, what to do about it, and whether it forbids its use."""
 
     text: str
@@ -80,7 +80,7 @@ class Calibration:
         return math.sqrt((self.errors[0] ** 2 + self.errors[1] ** 2) / 2)
 
     @cached_property
-    def findings(self) -> tuple[Finding, ...]:
+    def findings(self) -> tuple[CalibrationFault, ...]:
         """What is wrong."""
         return (*_about_error(self), *_about_boards(self))
 
@@ -103,11 +103,11 @@ class Calibration:
         return "jackknife over pairs" if len(self.used) >= FEW else "Jacobian"
 
 
-def _about_error(found: Calibration) -> list[Finding]:
+def _about_error(found: Calibration) -> list[CalibrationFault]:
     findings = []
     if found.error > _ERROR:
         findings.append(
-            Finding(
+            CalibrationFault(
                 f"the error is {found.error:.2f} px (good: below {_ERROR:g} px)",
                 "Check that board and cameras stand still in each picture, that the pictures of a pair were taken at the same "
                 "time, that the board is flat, and its numbers of columns and rows.",
@@ -116,14 +116,14 @@ def _about_error(found: Calibration) -> list[Finding]:
         )
     if found.many_far:
         findings.append(
-            Finding(
+            CalibrationFault(
                 "more pairs than a quarter have errors far above the others'",
                 "Look at the pairs with the largest errors, and remove those that are blurred or do not belong together.",
             )
         )
     if len(found.used) < FEW:
         findings.append(
-            Finding(
+            CalibrationFault(
                 f"{len(found.used)} pairs are few (good: {FEW} or more)",
                 f"Take at least {FEW - len(found.used)} more pairs, the board tilted another way in each.",
             )
@@ -131,7 +131,7 @@ def _about_error(found: Calibration) -> list[Finding]:
     return findings
 
 
-def _about_boards(found: Calibration) -> list[Finding]:
+def _about_boards(found: Calibration) -> list[CalibrationFault]:
     findings = []
     doubt = max(
         found.deviations[f"{side}.{f}"] / float(camera.matrix[k, k])
@@ -141,7 +141,7 @@ def _about_boards(found: Calibration) -> list[Finding]:
     tilt = "Tilt the board by 20 to 45 degrees, to the left, right, top and bottom."
     if found.spread < _FLAT:
         findings.append(
-            Finding(
+            CalibrationFault(
                 f"the boards are not tilted against each other (by {found.spread:.1f} degrees at most): focal length and "
                 "distance cannot be told apart",
                 tilt,
@@ -151,24 +151,24 @@ def _about_boards(found: Calibration) -> list[Finding]:
     else:
         if found.spread < _SPREAD:
             findings.append(
-                Finding(
+                CalibrationFault(
                     f"the boards are hardly tilted against each other (by {found.spread:.0f} degrees at most)", tilt
                 )
             )
         if doubt > _FOCAL:
             text = f"focal lengths are known to {doubt:.1%} only" if doubt < 1 else "focal lengths are not determined"
-            findings.append(Finding(text, tilt + " Take more pairs.", doubt > _BAD_FOCAL))
+            findings.append(CalibrationFault(text, tilt + " Take more pairs.", doubt > _BAD_FOCAL))
     for side, share in zip(SIDES, found.coverage, strict=True):
         if share < _COVERAGE:
             findings.append(
-                Finding(
+                CalibrationFault(
                     f"corners cover {share:.0%} of the {side} images (good: above {_COVERAGE:.0%})",
                     f"Show the board also near the edges and corners of the {side} images.",
                 )
             )
     if found.sight < _SIGHT:
         findings.append(
-            Finding(
+            CalibrationFault(
                 f"the cameras see the board from nearly the same side (angle {found.sight:.1f} degrees, good: above {_SIGHT:g})",
                 "Move the cameras apart: depth is measured the better the larger the angle, best at 20 to 60 degrees.",
                 found.sight < _BAD_SIGHT,

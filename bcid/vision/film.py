@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bcid.base.errors import MachineError
 from bcid.vision.camera import Cameras
 from bcid.vision.detect import Image
-from bcid.vision.track import Frame
+from bcid.vision.track import StereoFrame
 
 Array = NDArray[np.float64]
 Colour = tuple[int, int, int]
@@ -54,7 +54,7 @@ class Film:
         else:
             self._partial.unlink(missing_ok=True)
 
-    def add(self, left: Image | None, right: Image | None, frame: Frame, text: str) -> NDArray[np.uint8]:
+    def add(self, left: Image | None, right: Image | None, frame: StereoFrame, text: str) -> NDArray[np.uint8]:
         """Draw a frame and append it; returns it (height, width, 3), in OpenCV's order of colours.
 
         Raises:
@@ -71,7 +71,7 @@ class Film:
         self._writer.write(drawn)
         return drawn
 
-    def drawn(self, left: Image | None, right: Image | None, frame: Frame, text: str) -> NDArray[np.uint8]:
+    def drawn(self, left: Image | None, right: Image | None, frame: StereoFrame, text: str) -> NDArray[np.uint8]:
         """A frame of the film: circles around beads that were found, crosses where hidden ones are expected, residuals."""
         import cv2
 

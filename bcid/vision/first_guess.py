@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.vision.adjustment import LENSES, Adjustment, Size, State, camera_matrix, turned
+from bcid.vision.adjustment import LENSES, Adjustment, CameraEstimate, Size, camera_matrix, turned
 from bcid.vision.corners import Corners
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ _PAIRS = 20
 
 def first_guess(
     corners: Sequence[Corners], sizes: tuple[Size, Size], distortion: int
-) -> tuple[State, list[Corners], list[int]]:
+) -> tuple[CameraEstimate, list[Corners], list[int]]:
     """A state to start from, the corners in one order for both cameras, and the pairs whose order was turned in the right image.
 
     Args:
@@ -49,10 +49,10 @@ def first_guess(
     poses = []
     for pair, two in zip(ordered, zip(left, other, strict=True), strict=True):
         adjustment = Adjustment([pair], distortion)
-        tried = [State(inner, rotation, translation, t[None], p[None]) for t, p in two]
+        tried = [CameraEstimate(inner, rotation, translation, t[None], p[None]) for t, p in two]
         # A small board looks nearly the same from its mirrored tilt: the camera that saw it better decides.
         poses.append(min(tried, key=adjustment.cost))
-    state = State(
+    state = CameraEstimate(
         inner, rotation, translation, np.vstack([s.turns for s in poses]), np.vstack([s.places for s in poses])
     )
     return state, ordered, flipped

@@ -52,7 +52,7 @@ _HINT = 25.0
 
 
 @dataclass(frozen=True)
-class Frame:
+class StereoFrame:
     """Where the beads are in a pair of images.
 
     Attributes:
@@ -139,7 +139,7 @@ class Tracker:
 
     # -- the first pair
 
-    def begin(self, left: Image, right: Image, hints: Mapping[str, tuple[float, float]] | None = None) -> Frame:
+    def begin(self, left: Image, right: Image, hints: Mapping[str, tuple[float, float]] | None = None) -> StereoFrame:
         """Find the layout in a pair of images of the body at rest.
 
         Args:
@@ -239,7 +239,7 @@ class Tracker:
             self._last = self._sighted = self._start
             self._motion = self._own = np.zeros(self.rest.shape)
 
-    def follow(self, left: Image | None, right: Image | None, moved: Array | None = None) -> Frame:
+    def follow(self, left: Image | None, right: Image | None, moved: Array | None = None) -> StereoFrame:
         """Find the beads in the next pair of images.
 
         Args:
@@ -335,7 +335,7 @@ class Tracker:
         points = Points(points.positions[good], points.covariance[good], points.misfit[good])
         return _Pairs(i[good], j[good], points, spots)
 
-    def _frame(self, pairs: _Pairs, chosen: Indices, expected: Array) -> Frame:
+    def _frame(self, pairs: _Pairs, chosen: Indices, expected: Array) -> StereoFrame:
         """What is known of the beads whose pairs were chosen, without those that something hides in part or disturbs."""
         frame = _nothing(expected)
         beads = np.flatnonzero(chosen >= 0)
@@ -354,7 +354,7 @@ class Tracker:
         ratio = diameters / self._usual
         return np.asarray(((ratio > _PARTLY) | (ratio < 1 / _PARTLY)).any(axis=0))
 
-    def _keep(self, frame: Frame) -> None:
+    def _keep(self, frame: StereoFrame) -> None:
         """Remember a frame for the next one."""
         places, seen = frame.points.positions, frame.seen[:, None]
         learned = self._usual + _LEARN * (frame.diameters - self._usual)
@@ -404,10 +404,10 @@ def _disturbed(pairs: _Pairs, chosen: Indices) -> NDArray[np.bool_]:
     return worse
 
 
-def _nothing(expected: Array) -> Frame:
+def _nothing(expected: Array) -> StereoFrame:
     count = len(expected)
     points = Points(np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan), np.full(count, np.nan))
-    return Frame(points, np.full((2, count, 2), np.nan), np.full((2, count), np.nan), expected)
+    return StereoFrame(points, np.full((2, count, 2), np.nan), np.full((2, count), np.nan), expected)
 
 
 def _detected(image: Image, size: float, dark: bool, places: Array | None, margin: float) -> Spots:

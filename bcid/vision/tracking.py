@@ -16,13 +16,13 @@ from bcid.vision.images import Image, Images
 from bcid.vision.layout import spans
 from bcid.vision.recording import Recording
 from bcid.vision.register import Registration, register
-from bcid.vision.track import Frame, Tracker
+from bcid.vision.track import StereoFrame, Tracker
 from bcid.vision.triangulate import Points
 
 Array = NDArray[np.float64]
 Pair = tuple[Image | None, Image | None]
 # What looks at every frame: its place in the sequence, the images, and what was found.
-Watch = Callable[[int, Pair, Frame], None]
+Watch = Callable[[int, Pair, StereoFrame], None]
 
 # The scale that the layout asks for is wrong beyond so many standard deviations and this part.
 _SIGMAS, _SCALE = 3.0, 0.003
@@ -46,7 +46,7 @@ class Tracking:
     names: list[str]
     actions: list[Action]
     numbers: list[int]
-    frames: list[Frame]
+    frames: list[StereoFrame]
     registration: Registration
     troubles: list[str]
 
@@ -141,7 +141,7 @@ def track(
         registration = _begun(tracker, recording, images, numbers, actions)
         if started:
             started()
-        frames: list[Frame] = []
+        frames: list[StereoFrame] = []
         for action in actions:
             tracker.rest_again()
             for place in action.frames:

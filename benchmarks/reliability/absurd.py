@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from bcid import Measurement, Scene
-from bcid.base.run import Run, unsealed
-from bcid.studies.study_file import StudyFile
+from bcid.base.run_folder import RunFolder, unsealed
+from bcid.studies.paper.study_file import StudyFile
 from bcid.vision.camera import Cameras
 from bcid.vision.corners import read_corners
 from benchmarks.reliability import ROOT, Reached
@@ -170,7 +170,7 @@ def _reader(folder: Path, file: str) -> Callable[[], Any]:
         "cameras.toml": lambda: Cameras.read(folder / "cameras.toml"),
         "study.toml": lambda: StudyFile.read(folder / "study.toml"),
         "corners.csv": lambda: read_corners(folder / "corners.csv"),
-        "run/run.json": lambda: Run.open(folder / "run"),
+        "run/run.json": lambda: RunFolder.open(folder / "run"),
         "sealed.json": lambda: unsealed(folder / "sealed.json", "remove it"),
     }
     if file.startswith("seen/"):

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from bcid.app import cli
-from bcid.base.run import Run
+from bcid.base.run_folder import RunFolder
 from benchmarks.reliability import Reached
 from benchmarks.reliability.inputs import small_scene
 
@@ -92,7 +92,7 @@ def sound(folder: Path) -> str:
     if not (folder / "run.json").exists():
         return ""
     told: list[str] = []
-    run = Run.open(folder)
+    run = RunFolder.open(folder)
     list(run.batches(told.append))
     for file in folder.glob("*.json"):
         run.read_json(file.name)

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from bcid.base.errors import InputError
-from bcid.base.run import Run
+from bcid.base.run_folder import RunFolder
 from benchmarks.reliability import Reached
 
 _INPUTS = {"scene": "a", "measurement": "b", "options": {"seeds": 4}}
@@ -24,7 +24,7 @@ _BATCHES = 6
 def finished(folder: Path, seed: int = 0) -> Path:
     """A run folder with files of every kind that a command reads again, and with numbers in all of them."""
     rng = np.random.default_rng(seed)
-    run = Run.start(folder, "identify", _INPUTS)
+    run = RunFolder.start(folder, "identify", _INPUTS)
     for _ in range(_BATCHES):
         run.add_batch([{"candidate": ["1", "2"], "chi2": float(x), "rms": float(x) / 7} for x in rng.random(5)])
     run.write_json("identification.json", {"anchored": ["1", "2"], "probability": 0.98, "rms": rng.random()})
@@ -40,7 +40,7 @@ def finished(folder: Path, seed: int = 0) -> Path:
 
 def content(folder: Path) -> dict[str, Any]:
     """All that commands read of the folder; what is damaged is an `InputError`, and of the batches left out."""
-    run, told = Run.open(folder), list[str]()
+    run, told = RunFolder.open(folder), list[str]()
     found: dict[str, Any] = {"record": run.record, "identification": run.read_json("identification.json")}
     for name in ("prediction.nc", "body.nc"):
         found[name] = run.read_dataset(name).to_dict()

@@ -269,7 +269,7 @@ class Corpus:
     def others(self) -> Iterator[Case]:
         """Measurements, calibrations and prediction stores."""
         from bcid import Measurement
-        from bcid.explore.predictions import _entries
+        from bcid.exploration.predictions import _entries
         from bcid.vision.camera import Cameras
         from bcid.vision.recording import Recording
 
@@ -334,13 +334,13 @@ class Corpus:
 
     def runs(self) -> Iterator[Case]:
         """Run folders of others, whose model names a program."""
-        from bcid.base.run import Run
-        from bcid.compare.source import from_run
+        from bcid.base.run_folder import RunFolder
+        from bcid.comparison.source import from_run
 
         place = self.place()
         write_inputs(place)
         (place / "effect.py").write_text(f"open({str(self.canary)!r}, 'w')\n", encoding="utf-8")
-        run = Run.start(place / "run", "explain", {"scene": "a", "measurement": "b", "effects": ["c"]})
+        run = RunFolder.start(place / "run", "explain", {"scene": "a", "measurement": "b", "effects": ["c"]})
         run.record["names"] = {"scene": str(place / "scene.toml"), "measurement": str(place / "seen")}
         model = {"files": [str(place / "effect.py")], "law": {}, "effects": [], "anchored": ["1"], "free": []}
         run.write_json("model.json", model)

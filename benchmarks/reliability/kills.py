@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from bcid.base.progress import Silent
-from bcid.studies.deal import How, Work, deal, read_result
+from bcid.studies.engine.dispatch import dispatch
+from bcid.studies.engine.work import Work, Workers, read_result
 from benchmarks.reliability import ROOT, Reached
 
 # Seconds that a trial takes.
@@ -38,10 +39,11 @@ while left:
 _PARENT = """
 import sys
 from pathlib import Path
-from bcid.studies.deal import How, deal
+from bcid.studies.engine.dispatch import dispatch
+from bcid.studies.engine.work import Workers
 from bcid.base.progress import Silent
 from benchmarks.reliability.kills import tasks, work
-deal(work(Path(sys.argv[1]), sleep=float(sys.argv[3])), tasks(int(sys.argv[2])), How(), Silent())
+dispatch(work(Path(sys.argv[1]), sleep=float(sys.argv[3])), tasks(int(sys.argv[2])), Workers(), Silent())
 """
 
 
@@ -101,7 +103,7 @@ def workers_die(count: int = 200, seed: int = 0) -> Reached:
         made = work(Path(name) / "study", sleep=_LONG)
         killer = subprocess.Popen([sys.executable, "-c", _KILLER, made.job["calls"], str(count), str(seed)])
         try:
-            deal(made, tasks(trials), How(jobs=2), Silent())
+            dispatch(made, tasks(trials), Workers(jobs=2), Silent())
         finally:
             killer.kill()
             killer.wait()
@@ -139,7 +141,7 @@ def all_die(count: int = 100, seed: int = 0, number: int = signal.SIGKILL) -> Re
             misses += [f"kill {kills}: {file} is lost or changed" for file in done if now.get(file) != done[file]]
             done = now
         before = len(begun(made))
-        deal(made, tasks(trials), How(), Silent())
+        dispatch(made, tasks(trials), Workers(), Silent())
         twice = len(begun(made)) - before - (trials - len(done))
         if twice:
             misses.append(f"{twice} trials were made again that had a result")
@@ -154,7 +156,7 @@ def hanging(limit: float = 2.0) -> Reached:
     with tempfile.TemporaryDirectory(prefix="bcid-") as name:
         made = work(Path(name) / "study")
         start = time.monotonic()
-        deal(made, tasks(4, t1="spin", t2="hang"), How(limit=limit), Silent())
+        dispatch(made, tasks(4, t1="spin", t2="hang"), Workers(limit=limit), Silent())
         seconds = time.monotonic() - start
         states = [json.loads(made.file(f"{i:04d}").read_text(encoding="utf-8"))["state"] for i in range(4)]
         left = not no_one_left(made)

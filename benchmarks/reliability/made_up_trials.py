@@ -1,4 +1,4 @@
-"""Stand-ins for the trials of a study, as `bcid.studies.deal` calls them: quick, and faulty on demand."""
+"""Stand-ins for the trials of a study, as `bcid.studies.engine.dispatch` calls them: quick, and faulty on demand."""
 
 import os
 import signal

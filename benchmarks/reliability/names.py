@@ -9,7 +9,7 @@ from pathlib import Path
 
 from bcid import Scene
 from bcid.base.errors import BcidError
-from bcid.base.run import Run
+from bcid.base.run_folder import RunFolder
 from benchmarks.reliability import Reached
 from benchmarks.reliability.inputs import write_inputs
 
@@ -49,10 +49,10 @@ def names() -> Reached:
                     scene = Scene.read(folder / "scene.toml")
                     if what != "name":
                         misses.append(f"{what} {bad!r}: accepted")
-                    run = Run.start(folder / "run", "identify", {"scene": scene.name})
+                    run = RunFolder.start(folder / "run", "identify", {"scene": scene.name})
                     run.write_json("identification.json", {"scene": scene.name})
                     run.finish({})
-                    Run.start(folder / "run", "identify", {}, overwrite=True).finish({})
+                    RunFolder.start(folder / "run", "identify", {}, overwrite=True).finish({})
             (folder / "scene.toml").write_text(files["scene.toml"], encoding="utf-8")
         new = [p for p in _tree(Path(outer)) - before if not p.startswith("inner/run")]
         misses += [f"made {p}" for p in new]
@@ -88,11 +88,11 @@ def _links(folder: Path) -> list[str]:
     precious, misses = folder / "precious", []
     precious.mkdir()
     (precious / "kept.txt").write_text("kept", encoding="utf-8")
-    run = Run.start(folder / "linked", "identify", {})
+    run = RunFolder.start(folder / "linked", "identify", {})
     run.finish({})
     (folder / "linked/outcomes").symlink_to(precious)
     (folder / "linked/identification.json").symlink_to(precious / "kept.txt")
-    again = Run.start(folder / "linked", "identify", {}, overwrite=True)
+    again = RunFolder.start(folder / "linked", "identify", {}, overwrite=True)
     again.write_json("identification.json", {"a": 1})
     again.add_batch([{"a": 1}])
     again.finish({})

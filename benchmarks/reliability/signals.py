@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
-from bcid.base.run import Run
+from bcid.base.run_folder import RunFolder
 from benchmarks.reliability import ROOT, Reached
 from benchmarks.reliability.inputs import small_scene
 
@@ -125,7 +125,7 @@ def signals(count: int = 12, seed: int = 0, ranks: Iterable[int] = (1, 2)) -> Re
                 if fault:
                     misses.append(f"{size} ranks, {kind.name} after {after} batches: {fault}")
                 if in_time and (output / "run.json").exists():
-                    kept += len(list(Run.open(output).batches()))
+                    kept += len(list(RunFolder.open(output).batches()))
                     job = started([*words, str(output)], size)
                     _, said = job.communicate(timeout=_LONG)
                     if job.returncode != 0:
@@ -143,7 +143,7 @@ def signals(count: int = 12, seed: int = 0, ranks: Iterable[int] = (1, 2)) -> Re
 _MEMORY = """
 import resource, sys
 from bcid.app import cli
-from bcid.forms import solve
+from bcid.forms.solver import equilibrium as solve
 made = solve.Equilibrium.__init__
 def limited(self, *arguments, **named):
     made(self, *arguments, **named)

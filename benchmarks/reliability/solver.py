@@ -17,8 +17,8 @@ from petsc4py import PETSc
 
 from bcid import Scene
 from bcid.forms.forward import Forward, Prediction
-from bcid.forms.solve import Equilibrium
-from bcid.forms.status import Status
+from bcid.forms.solver.equilibrium import Equilibrium
+from bcid.forms.solver.status import Status
 from benchmarks.reliability import ROOT, SLAB, Reached
 from benchmarks.reliability.inputs import small_scene
 from benchmarks.reliability.solving import pull

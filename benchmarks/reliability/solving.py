@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bcid import Scene
 from bcid.forms.forward import Forward
-from bcid.forms.status import Status
+from bcid.forms.solver.status import Status
 from bcid.measurement import Action
 from benchmarks.reliability import SLAB, Reached
 

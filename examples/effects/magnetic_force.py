@@ -24,8 +24,8 @@ def energy(point: Point, c: Constants) -> Any:
 effect = Effect(
     name="magnetic_force",
     parameters=(
-        Parameter("strength", "N/m^3", "force per rest volume at the position", lower=0.0, neutral=0.0, typical=5000.0),
-        Parameter("position", "m", "x of the place of that strength", default=0.1, typical=0.02),
+        Parameter("strength", "N/m^3", "force per rest volume at the position", lower=0.0, neutral=0.0, scale=5000.0),
+        Parameter("position", "m", "x of the place of that strength", default=0.1, scale=0.02),
         Parameter(
             "decay",
             "m",
@@ -33,7 +33,7 @@ effect = Effect(
             default=0.05,
             lower=0.0,
             open_lower=True,
-            typical=0.02,
+            scale=0.02,
             scan=(0.03, 0.1),
         ),
     ),

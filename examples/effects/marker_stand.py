@@ -32,7 +32,7 @@ def rotation(before: Array, after: Array) -> Array:
 
 effect = Effect(
     name="marker_stand",
-    parameters=(Parameter("height", "m", "height above the body", lower=-0.05, upper=0.05, neutral=0.0, typical=5e-3),),
+    parameters=(Parameter("height", "m", "height above the body", lower=-0.05, upper=0.05, neutral=0.0, scale=5e-3),),
     about="a marker stands above the body, and tilts with it",
     acts_on="observation",
     observe=observe,

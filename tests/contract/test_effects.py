@@ -21,16 +21,16 @@ from bcid.app import cli
 from bcid.base.errors import InputError
 from bcid.base.units import parse_unit
 from bcid.forms import check_effect, effects, materials
+from bcid.forms.effect_trial import EffectTrial
 from bcid.forms.effects.effect import Effect, Frame
 from bcid.forms.forward import Forward
 from bcid.forms.loads import nodal_weights
-from bcid.forms.model import Anchors, Dose, Held, Model
+from bcid.forms.model import Anchors, Held, Model, Term
 from bcid.forms.parameter import Parameter
-from bcid.forms.solve import Equilibrium, Settings
-from bcid.forms.status import Status
-from bcid.forms.supports import Pose
-from bcid.forms.trajectory import follow
-from bcid.forms.trial import Trial
+from bcid.forms.solver.equilibrium import Equilibrium, Settings
+from bcid.forms.solver.status import Status
+from bcid.forms.solver.supports import Pose
+from bcid.forms.solver.trajectory import follow
 from bcid.measurement import Action, Measurement
 from bcid.scene import Level, Scene
 
@@ -48,12 +48,12 @@ PLACES = [(name, None) for name in effects.names()] + [("soft_anchor", "left"), 
 
 
 @pytest.fixture(scope="module")
-def trials() -> Callable[..., Trial]:
-    made: dict[Any, Trial] = {}
+def trials() -> Callable[..., EffectTrial]:
+    made: dict[Any, EffectTrial] = {}
 
-    def trial(name: str, place: str | None) -> Trial:
+    def trial(name: str, place: str | None) -> EffectTrial:
         if (name, place) not in made:
-            made[name, place] = Trial(effects.effect(name), place)
+            made[name, place] = EffectTrial(effects.effect(name), place)
         return made[name, place]
 
     return trial
@@ -78,7 +78,7 @@ def test_definition(name: str) -> None:
 
 @pytest.mark.parametrize("check", check_effect.CHECKS)
 @pytest.mark.parametrize(("name", "place"), PLACES)
-def test_contract(trials: Callable[..., Trial], name: str, place: str | None, check: str) -> None:
+def test_contract(trials: Callable[..., EffectTrial], name: str, place: str | None, check: str) -> None:
     finding = check_effect.run(check, trials(name, place))
     assert finding.ok, finding
 
@@ -96,15 +96,15 @@ def weight(**changes: Any) -> Effect:
     """Gravity under another name, with something else about it."""
     known: dict[str, Any] = {
         "name": "broken",
-        "parameters": (Parameter("weight", "N/m^3", "weight", neutral=0.0, typical=5000.0),),
+        "parameters": (Parameter("weight", "N/m^3", "weight", neutral=0.0, scale=5000.0),),
         "about": "broken",
         "energy": lambda point, c: -c["weight"] * ufl.inner(point.down, point.u),
     }
     return Effect(**(known | changes))
 
 
-def amount(unit: str, typical: float = 100.0, **more: Any) -> tuple[Parameter, ...]:
-    return (Parameter("amount", unit, "how much", neutral=0.0, typical=typical, **more),)
+def amount(unit: str, scale: float = 100.0, **more: Any) -> tuple[Parameter, ...]:
+    return (Parameter("amount", unit, "how much", neutral=0.0, scale=scale, **more),)
 
 
 def follower(point: Any, c: Any) -> Any:
@@ -139,7 +139,7 @@ BROKEN = {
         energy=lambda point, c: -ufl.sqrt(c["amount"] + 1e-300) * point.u[0],
     ),
     "symmetry": weight(parameters=amount("Pa"), energy=None, work=follower),
-    "units": weight(parameters=(Parameter("weight", "Pa", "weight", neutral=0.0, typical=5000.0),)),
+    "units": weight(parameters=(Parameter("weight", "Pa", "weight", neutral=0.0, scale=5000.0),)),
     "units, a hidden length": weight(energy=lambda point, c: -c["weight"] * ufl.exp(point.X[0] / 0.05) * point.u[0]),
     "vanishes, an error inside": weight(energy=lambda point, c: c["wieght"] * point.u[0]),
 }
@@ -147,7 +147,7 @@ BROKEN = {
 
 @pytest.mark.parametrize("case", BROKEN)
 def test_a_broken_effect_is_found_out(case: str) -> None:
-    finding = check_effect.run(case.split(",")[0], Trial(BROKEN[case]))
+    finding = check_effect.run(case.split(",")[0], EffectTrial(BROKEN[case]))
     assert finding.ok is False, finding
     assert str(finding).startswith("WRONG")
 
@@ -166,7 +166,7 @@ def test_a_follower_load_that_says_so_passes() -> None:
         (weight(parameters=(Parameter("speed", "m/s", "speed", default=1.0),)), "no parameter has a neutral value"),
         (weight(parameters=amount("kPa")), "amount: unit 'kPa' is not SI"),
         (weight(parameters=amount("stone")), "unit 'stone' is not known"),
-        (weight(parameters=amount("Pa", 0.0)), "amount: typical = 0.0: give a positive size"),
+        (weight(parameters=amount("Pa", 0.0)), "amount: scale = 0.0: give a positive size"),
         (weight(parameters=amount("Pa", 5.0, lower=-1, upper=1)), "outside the bounds on both sides"),
         (weight(parameters=amount("Pa") * 2), "parameter 'amount' is declared twice"),
         (weight(symmetric=False), "what has an energy has a symmetric tangent"),
@@ -189,7 +189,7 @@ from bcid.forms.parameter import Parameter
 
 effect = Effect(
     name="{name}",
-    parameters=(Parameter("weight", "N/m^3", "weight", neutral=0.0, typical=5000.0),),
+    parameters=(Parameter("weight", "N/m^3", "weight", neutral=0.0, scale=5000.0),),
     about="weight",
     energy=lambda point, c: -c["weight"] * {more} * ufl.inner(point.down, point.u),
 )
@@ -278,27 +278,27 @@ A = np.array([math.cos(math.radians(30)), 0.0, math.sin(math.radians(30))])
 
 
 @pytest.mark.parametrize(
-    ("dose", "energy"),
+    ("term", "energy"),
     [
-        (Dose("strain_stiffening", {"c2": 700.0}), 700 * (I1BAR - 3) ** 2),
-        (Dose("fibres", {"k1": 900.0, "angle": 30.0}), 450 * (A @ C @ A - 1) ** 2),
-        (Dose("active_stress", {"amplitude": -80.0, "angle": 30.0}), -40 * (A @ C @ A - 1)),
+        (Term("strain_stiffening", {"c2": 700.0}), 700 * (I1BAR - 3) ** 2),
+        (Term("fibres", {"k1": 900.0, "angle": 30.0}), 450 * (A @ C @ A - 1) ** 2),
+        (Term("active_stress", {"amplitude": -80.0, "angle": 30.0}), -40 * (A @ C @ A - 1)),
     ],
 )
-def test_energy(dose: Dose, energy: float) -> None:
-    with_it, without = (stretched(m, F).energy() for m in (model() + dose, model()))
+def test_energy(term: Term, energy: float) -> None:
+    with_it, without = (stretched(m, F).energy() for m in (model() + term, model()))
     assert with_it - without == pytest.approx(energy, rel=1e-9)
 
 
 def test_compressibility_is_another_poisson() -> None:
     expected = stretched(model(poisson=0.2), F).energy()
-    assert stretched(model() + Dose("compressibility", {"poisson": 0.2}), F).energy() == pytest.approx(expected)
+    assert stretched(model() + Term("compressibility", {"poisson": 0.2}), F).energy() == pytest.approx(expected)
 
 
 def test_inclusion_has_the_volume_of_its_ball() -> None:
     values = {"ratio": 3.0, "cx": 0.4, "cy": 0.5, "cz": 0.6, "radius": 0.35}
     energies = []
-    for parts in (model() + Dose("inclusion", values), model()):
+    for parts in (model() + Term("inclusion", values), model()):
         # The whole boundary and the inside are held at the homogeneous state: only the factor counts.
         equilibrium = Prescribed.on(box((1.0, 1.0, 1.0), (6, 6, 6)), parts)
         equilibrium.u.x.array[:] = (equilibrium.body.nodes @ (F - np.eye(3)).T).ravel()
@@ -330,7 +330,7 @@ def pulled(equilibrium: Equilibrium, distance: float) -> float:
 
 
 def test_a_free_prestrained_block_shrinks_to_its_natural_shape() -> None:
-    equilibrium = bar(rollers(model() + Dose("prestrain", {"sx": 1.2, "sy": 0.9, "sz": 1.1})))
+    equilibrium = bar(rollers(model() + Term("prestrain", {"sx": 1.2, "sy": 0.9, "sz": 1.1})))
     assert equilibrium.solve(Pose()) is Status.CONVERGED
     expected = equilibrium.body.nodes * (1 / np.array([1.2, 0.9, 1.1]) - 1)
     np.testing.assert_allclose(equilibrium.displacement(), expected, atol=1e-9)
@@ -338,32 +338,32 @@ def test_a_free_prestrained_block_shrinks_to_its_natural_shape() -> None:
 
 
 def test_active_stress_shortens_a_free_block() -> None:
-    equilibrium = bar(rollers(model() + Dose("active_stress", {"amplitude": 1.5})))
+    equilibrium = bar(rollers(model() + Term("active_stress", {"amplitude": 1.5})))
     assert equilibrium.solve(Pose()) is Status.CONVERGED
     shortened = -equilibrium.displacement()[:, 0].min() / BAR[0]
     assert shortened == pytest.approx(1.5 / YOUNG, rel=1e-3)
 
 
 def test_active_stress_comes_and_goes() -> None:
-    parts = model() + Dose("active_stress", {"amplitude": 100.0, "period": 4.0})
+    parts = model() + Term("active_stress", {"amplitude": 100.0, "period": 4.0})
     at = [parts.acting(1.0, time)["active_stress.amplitude"] for time in (0.0, 1.0, 2.0, 3.0, 4.0)]
     assert at == pytest.approx([0.0, 50.0, 100.0, 50.0, 0.0])
 
 
 def test_a_softly_anchored_bar_is_two_springs_in_series() -> None:
-    parts = model(poisson=0.0) + Dose("soft_anchor", {"stiffness": 2e5}) + Anchors({"x0"}) + Held("x1")
+    parts = model(poisson=0.0) + Term("soft_anchor", {"stiffness": 2e5}) + Anchors({"x0"}) + Held("x1")
     series = 1 / (1 / (2e5 * AREA) + BAR[0] / (YOUNG * AREA))
     assert pulled(bar(parts), 1e-6) == pytest.approx(series * 1e-6, rel=1e-4)
     # Held by name is the same as held with all, and a patch that is not its place stays rigid.
-    named = replace(parts, doses=(Dose("soft_anchor", {"stiffness": 2e5}, place="x0"),))
-    other = replace(parts, doses=(Dose("soft_anchor", {"stiffness": 2e5}, place="y0"),))
+    named = replace(parts, terms=(Term("soft_anchor", {"stiffness": 2e5}, place="x0"),))
+    other = replace(parts, terms=(Term("soft_anchor", {"stiffness": 2e5}, place="y0"),))
     patches = {name: scene_of((name,)).patches[name] for name in ("x0", "y0")}
     assert pulled(bar(named), 1e-6) == pytest.approx(series * 1e-6, rel=1e-4)
     assert pulled(bar(other, patches=patches), 1e-6) == pytest.approx(YOUNG * AREA / BAR[0] * 1e-6, rel=1e-4)
 
 
 def test_a_stiffness_gradient_is_springs_in_series() -> None:
-    parts = model(poisson=0.0) + Dose("stiffness_gradient", {"gx": 1.0, "gy": 0.0, "gz": 0.0})
+    parts = model(poisson=0.0) + Term("stiffness_gradient", {"gx": 1.0, "gy": 0.0, "gz": 0.0})
     size = math.hypot(*BAR)
     flexibility, _ = quad(lambda x: 1 / (YOUNG * AREA * (1 + (x - BAR[0] / 2) / size)), 0, BAR[0])
     force = pulled(bar(parts + Anchors({"x0"}) + Held("x1")), 1e-6)
@@ -371,7 +371,7 @@ def test_a_stiffness_gradient_is_springs_in_series() -> None:
 
 
 def test_a_block_sinks_into_its_foundation_by_weight_over_stiffness() -> None:
-    parts = model() + Dose("gravity", {"weight": 2000.0}) + Dose("foundation", {"stiffness": 1e5})
+    parts = model() + Term("gravity", {"weight": 2000.0}) + Term("foundation", {"stiffness": 1e5})
     sides = replace(parts, rollers=(("x0", 0), ("y0", 1)))
     equilibrium = bar(sides, support="z0")
     assert equilibrium.solve(Pose()) is Status.CONVERGED
@@ -380,8 +380,8 @@ def test_a_block_sinks_into_its_foundation_by_weight_over_stiffness() -> None:
 
 
 def test_support_contact_stops_sinking_but_not_lifting() -> None:
-    heavy = model() + Dose("gravity", {"weight": 3000.0}) + Anchors({"x0"})
-    hard = heavy + Dose("support_contact", {"stiffness": 1e6})
+    heavy = model() + Term("gravity", {"weight": 3000.0}) + Anchors({"x0"})
+    hard = heavy + Term("support_contact", {"stiffness": 1e6})
     free, held = (bar(parts, support="z0") for parts in (heavy, hard))
     for equilibrium in (free, held):
         assert follow(equilibrium, move(np.zeros((1, 3)), ""), lambda _k, _pose: None).status is Status.CONVERGED
@@ -399,7 +399,7 @@ def test_support_contact_stops_sinking_but_not_lifting() -> None:
 def test_friction_opposes_the_motion_and_leaves_a_loop() -> None:
     stress, bottom = 4.0, BAR[0] * BAR[1]
     equilibrium = bar(
-        model(poisson=0.0) + Dose("support_friction", {"shear_stress": stress}) + Held("x1"), support="z0"
+        model(poisson=0.0) + Term("support_friction", {"shear_stress": stress}) + Held("x1"), support="z0"
     )
     path = 2e-3 * np.array([0, 1, 2, 3, 2, 1, 0])[:, None] * np.array([1.0, 0.0, 0.0])
     pull: list[float] = []
@@ -415,7 +415,7 @@ def test_a_viscous_body_relaxes_after_a_step_of_strain() -> None:
     state = np.diag([stretch, stretch**-0.5, stretch**-0.5])
     equilibrium = Prescribed.on(
         box((1.0, 1.0, 1.0), (2, 2, 2)),
-        model() + Dose("viscosity", {"fraction": fraction, "relaxation_time": tau}) + Held("all"),
+        model() + Term("viscosity", {"fraction": fraction, "relaxation_time": tau}) + Held("all"),
     )
     equilibrium.field = lambda points: points @ (state - np.eye(3)).T  # type: ignore[method-assign]
     end = equilibrium.body.nodes[:, 0] > 1 - 1e-9
@@ -423,13 +423,13 @@ def test_a_viscous_body_relaxes_after_a_step_of_strain() -> None:
     invariant = stretch**2 + 2 / stretch
     at_once = branch * stretch * (1 - invariant / 3 / stretch**2)
     long_time = MU * (stretch - 1 / stretch)
-    for dose, time in ((0.0, 0.0), (1.0, 1e-3), (1.0, 1.0), (1.0, 3.5), (1.0, 4.0), (1.0, 60.0)):
-        pose = Pose(dose=dose, time=time)
+    for part, time in ((0.0, 0.0), (1.0, 1e-3), (1.0, 1.0), (1.0, 3.5), (1.0, 4.0), (1.0, 60.0)):
+        pose = Pose(load_factor=part, time=time)
         assert equilibrium.solve(pose) is Status.CONVERGED
         stress = float(forces(equilibrium).reshape(-1, 3)[end, 0].sum())
         equilibrium.accept(pose)
-        over = at_once * math.exp(-(time - 1e-3) / tau) if dose else 0.0
-        assert stress == pytest.approx(dose * long_time + over, rel=2e-4, abs=1e-6 * MU)
+        over = at_once * math.exp(-(time - 1e-3) / tau) if part else 0.0
+        assert stress == pytest.approx(part * long_time + over, rel=2e-4, abs=1e-6 * MU)
     # A body that has long been as it is keeps no overstress, whatever was before.
     equilibrium.reset()
     assert equilibrium.solve(Pose()) is Status.CONVERGED
@@ -441,7 +441,7 @@ def test_a_viscous_body_relaxes_after_a_step_of_strain() -> None:
 )
 def test_the_wrench_is_found_again_from_the_states(name: str, value: dict[str, float]) -> None:
     """What an effect remembers is part of the force, also when states are looked at afterwards."""
-    parts = model() + Dose(name, value)
+    parts = model() + Term(name, value)
     scene = replace(scene_of(("x0",), "x1", (0.1, 0.01, 0.01), fiducials={"a": (0.05, 0.01, 0.02)}), support="z0")
     forward = Forward(scene, model=parts, settings=EXACT, mesh=box(BAR, (5, 1, 1)))
     there_and_back = [move(np.array([0, 2, 4, 2, 0])[:, None] * np.array([1e-3, 0.0, 5e-4]), "x1")]
@@ -503,7 +503,7 @@ def test_grasp_slip_is_less_of_the_motion() -> None:
 def test_grasp_slip_predicts_what_a_shorter_pull_does() -> None:
     fiducials = {"a": (0.05, 0.01, 0.02)}
     seen = []
-    for parts, distance in ((model() + Dose("grasp_slip", {"lag": 0.25}), 8e-3), (model(), 6e-3)):
+    for parts, distance in ((model() + Term("grasp_slip", {"lag": 0.25}), 8e-3), (model(), 6e-3)):
         scene = scene_of(("x0",), "x1", (0.1, 0.01, 0.01), fiducials=fiducials)
         forward = Forward(scene, model=parts, settings=EXACT, mesh=box(BAR, (5, 1, 1)))
         seen.append(forward.predict(["x0"], [straight((distance, distance / 2, 0), 3, "x1")]).positions)
@@ -566,13 +566,13 @@ def slab(text: str, tmp_path: Path, project: Path) -> Scene:
 
 def test_places_are_checked_in_the_scene(tmp_path: Path, project: Path) -> None:
     good = '[effects.soft_anchor]\nplace = "3"\nstiffness = "1e6 Pa/m"\n'
-    assert Model.of(slab(good, tmp_path, project)).doses[0].label == "soft_anchor(3)"
+    assert Model.of(slab(good, tmp_path, project)).terms[0].label == "soft_anchor(3)"
     with pytest.raises(InputError, match=r"soft_anchor: place = '9'; .*known: 1, 2"):
         slab(good.replace('"3"', '"9"'), tmp_path, project)
     fault = '[effects.marker_fault]\nx = "1 mm"\ny = "0 mm"\nz = "0 mm"\n'
     with pytest.raises(InputError, match="marker_fault: place is missing; known: 1, 2"):
         slab(fault, tmp_path, project)
-    assert Model.of(slab(fault + 'place = "16"\n', tmp_path, project)).doses[0].place == "16"
+    assert Model.of(slab(fault + 'place = "16"\n', tmp_path, project)).terms[0].place == "16"
 
 
 def test_what_effects_need(project: Path) -> None:
@@ -595,7 +595,7 @@ def test_what_effects_need(project: Path) -> None:
     ogden = replace(whole, material=replace(whole.material, law="ogdn"))
     assert "unknown material law 'ogdn'" in lacking["compressibility"](ogden, measurement)  # type: ignore[misc]
     with pytest.raises(InputError, match="names no support surface"):
-        bar(model() + Dose("foundation", {"stiffness": 1e4}))
+        bar(model() + Term("foundation", {"stiffness": 1e4}))
 
 
 @pytest.mark.parametrize("name", effects.names())
@@ -603,10 +603,10 @@ def test_the_slab_can_be_solved_with_a_notable_dose(name: str, project: Path) ->
     scene = Scene.read(project / "examples/scenes/slab.toml")
     scene = replace(scene, levels=(Level(1, 0.05),))
     effect, mm = effects.effect(name), 1e-3
-    values = {p.name: 0.30 if p.law else p.typical + (0 if p.reciprocal else p.neutral) for p in effect.amounts}  # type: ignore[operator]
+    values = {p.name: 0.30 if p.law else p.scale + (0 if p.reciprocal else p.neutral) for p in effect.amounts}  # type: ignore[operator]
     values |= {"cx": 0.05, "cy": 0.005, "cz": 0.05, "radius": 0.03} if name == "inclusion" else {}
-    dose = Dose(effect, values, place="6" if name == "marker_fault" else "")
-    forward = Forward(scene, model=Model.of(scene) + dose)
+    term = Term(effect, values, place="6" if name == "marker_fault" else "")
+    forward = Forward(scene, model=Model.of(scene) + term)
     pulls = [straight((x * mm, y * mm, z * mm), 3, "II") for x, y, z in ((16, 0, 0), (0, 8, 0), (8, 0, 8), (-4, 0, -8))]
     pulls = [replace(pull, name=str(k), frames=pull.frames + 4 * k) for k, pull in enumerate(pulls)]
     prediction = forward.predict(["3", "4"], pulls)

@@ -14,11 +14,12 @@ from types import SimpleNamespace
 
 import pytest
 
+from bcid.bench.bench_plots import slope
+from bcid.bench.bench_table import BenchTable, Goal, Part, goals_table
+from bcid.inference.outcome import Candidate, Outcome
 from bcid.search.climb import climb as climb_of_bcid
-from bcid.search.farm import Candidate, Farm, Outcome
+from bcid.search.evaluator import Evaluator
 from bcid.search.seeds import all_candidates
-from benchmarks.plots import slope
-from benchmarks.table import Goal, Part, Table, goals_table
 
 ROOT = Path(__file__).resolve().parents[2]
 PATCHES = ["1", "2", "3", "4", "5"]
@@ -105,8 +106,8 @@ def test_mistakes(tmp_path: Path) -> None:
 def test_without_a_checkout(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "bcid", tmp_path / "bcid", ignore=shutil.ignore_patterns("__pycache__"))
     done = bench(cwd=tmp_path, root=tmp_path)
-    assert done.returncode == 2, done.stderr
-    assert "needs the project's folder" in done.stderr
+    assert done.returncode == 3, done.stderr
+    assert "did not come with this bcid" in done.stderr
 
 
 def test_goals() -> None:
@@ -115,7 +116,7 @@ def test_goals() -> None:
     lines = goals_table([least, most, Goal("c", 1.0, None)]).text().splitlines()
     assert len({len(line) for line in lines[1:2] + lines[-1:]}) == 1
     assert [line.split()[-1] for line in lines[4:-1]] == ["NO", "yes", "-"]
-    part = Part("name", "title", [Table("t", ("x", "y"), [["1", "2"]])], [least])
+    part = Part("name", "title", [BenchTable("t", ("x", "y"), [["1", "2"]])], [least])
     assert part.to_json()["goals"][0]["met"] is False
 
 
@@ -124,7 +125,7 @@ def test_slope() -> None:
 
 
 class Landscape:
-    """Stands in for a `Farm`: chi-square is a number per set, and evaluations stop at a bound as the real ones do."""
+    """Stands in for a `Evaluator`: chi-square is a number per set, and evaluations stop at a bound as the real ones do."""
 
     def __init__(self, seed: int) -> None:
         import numpy as np
@@ -137,7 +138,7 @@ class Landscape:
 
     def evaluate(self, level: int, bounds: Mapping[Candidate, float]) -> dict[Candidate, Outcome]:
         for candidate, bound in bounds.items():
-            if not Farm._enough(self.outcomes.get((level, candidate)), bound):
+            if not Evaluator._enough(self.outcomes.get((level, candidate)), bound):
                 value = self.truth[candidate]
                 complete = value <= bound
                 seen = value if complete else math.nextafter(bound, math.inf)
@@ -147,7 +148,7 @@ class Landscape:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_algorithm_1_goes_where_full_evaluations_go(seed: int) -> None:
-    from benchmarks.algorithm1 import climb
+    from bcid.bench.algorithm1_sets import climb
 
     seeds = all_candidates(PATCHES)[::5]
     land = Landscape(seed)

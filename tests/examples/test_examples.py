@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bcid import Measurement
-from bcid.search.identify import Options
+from bcid.search.identify import IdentifyOptions
 from bcid.vision.triangulate import linear, triangulate
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -30,19 +30,19 @@ def test_01_identify(capsys: pytest.CaptureFixture[str]) -> None:
     assert found.anchored == ("3", "4")
     assert found.probability > 0.999
     assert found.rms == pytest.approx(0.304e-3, rel=0.01)
-    assert "anchored: 3 4" in capsys.readouterr().out
+    assert "anchored {3 4}" in capsys.readouterr().out
 
 
 def test_02_explain(capsys: pytest.CaptureFixture[str]) -> None:
     """The weight that the measurement was made with is found within its error."""
     found = load("02_explain").main()
     assert found.verdict == "gravity"
-    assert [sorted(rung.state.anchors) for rung in found.rungs] == [["3", "4"]] * 2
-    assert [rung.adequacy.adequate for rung in found.rungs] == [False, True]
-    assert found.rungs[0].state.rms == pytest.approx(1.41e-3, rel=0.01)
-    assert found.last.state.rms == pytest.approx(0.202e-3, rel=0.02)
-    weight = found.last.fitted.values["gravity.weight"]
-    assert weight == pytest.approx(1260, abs=3 * found.last.fitted.stderr["gravity.weight"])
+    assert [model.anchored for model in found.ladder] == [("3", "4")] * 2
+    assert [model.adequate for model in found.ladder] == [False, True]
+    assert found.ladder[0].rms == pytest.approx(1.41e-3, rel=0.01)
+    assert found.rms == pytest.approx(0.202e-3, rel=0.02)
+    weight = found.parameters["gravity.weight"]
+    assert weight["value"] == pytest.approx(1260, abs=3 * weight["stderr"])
     assert "missing: gravity" in capsys.readouterr().out
 
 
@@ -52,7 +52,7 @@ def test_05_from_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert found.identification.anchored == ("1", "2")
     assert found.rms < 5e-6
     assert found.honesty == pytest.approx(1.0, abs=0.35)
-    visible = found.filmed.visible.all(axis=1)
+    visible = found.rendered.visible.all(axis=1)
     seen = np.isfinite(found.measurement.positions).all(axis=2)
     assert not (seen & ~visible).any()
     assert seen.sum() > 0.85 * visible.sum()
@@ -62,12 +62,12 @@ def test_05_from_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
 def test_06_explore(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Two processes that know of each other only through a folder."""
     found = load("06_explore").main(tmp_path)
-    assert (found.reason, sorted(found.view.best.anchors)) == ("decided", ["3", "4"])
-    assert found.view.missed == pytest.approx(1.0, abs=0.1)
-    assert len(list(tmp_path.glob("*/measurement"))) == len(found.steps) <= 3
-    for step in found.steps:
-        assert step.gained > 0.3 * step.expected[0]
-    assert "decided: 3 4" in capsys.readouterr().out
+    assert (found.reason, found.anchored) == ("decided", ("3", "4"))
+    assert found.found["missed"] == pytest.approx(1.0, abs=0.1)
+    pulls = found.to_dataframe()
+    assert len(list(tmp_path.glob("*/measurement"))) == len(pulls) <= 3
+    assert (pulls["gained_bits"] > 0.3 * pulls["expected_bits"]).all()
+    assert "{3 4}" in capsys.readouterr().out
 
 
 def test_07_strip(real_data: Callable[[str], Path], tmp_path: Path) -> None:
@@ -145,7 +145,7 @@ def test_03_beam(capsys: pytest.CaptureFixture[str]) -> None:
     assert found.clamp.stderr["soft_anchor.stiffness"] > found.clamp.values["soft_anchor.stiffness"]
     assert found.repeatability == pytest.approx(0.236e-3, rel=0.01)
     assert not found.strict.adequate
-    assert found.stand.dose.label == "marker_stand(tip1)"
+    assert found.stand.term.label == "marker_stand(tip1)"
     # The scene says 6 mm, from the published places of the markers.
     assert found.stood.values["marker_stand(tip1).height"] == pytest.approx(6e-3, abs=1.5e-3)
     assert found.stood.state.rms < 1.1 * found.repeatability
@@ -211,7 +211,7 @@ def test_the_lab_measurements_are_identified(name: str, anchored: str) -> None:
 
     scene = Scene.read(EXAMPLES / "scenes/slab.toml")
     measurement = Measurement.read(EXAMPLES / "measurements" / name)
-    found = identify(scene, measurement, options=Options(certify="no"))
+    found = identify(scene, measurement, options=IdentifyOptions(certify="no"))
     assert found.anchored == tuple(anchored)
     assert found.probability > 0.999
     assert found.rms < 1.1 * found.noise

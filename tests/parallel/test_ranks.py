@@ -20,30 +20,30 @@ from verify.problems import move, pull_and_lift
 
 from bcid.base.collective import on_root
 from bcid.base.errors import BcidError, InputError
-from bcid.compare.source import from_files
-from bcid.compare.state import State
-from bcid.compare.twin import Twin
-from bcid.explore.loop import Plan, explore
-from bcid.explore.predictions import Predictor
-from bcid.explore.robots import Simulated
-from bcid.forms.body import Body
-from bcid.forms.factor import Factor
+from bcid.comparison.predictor import Predictor
+from bcid.comparison.source import from_files
+from bcid.comparison.state import State
+from bcid.exploration.loop import ExploreOptions, explore
+from bcid.exploration.predictions import PullPredictor
+from bcid.exploration.robots import Simulated
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.loads import nodal_weights
 from bcid.forms.mesh import level_mesh
-from bcid.forms.model import Dose, Held, Model, check_physics
-from bcid.forms.patches import halves
+from bcid.forms.mesh.body import Body
+from bcid.forms.mesh.patches import halves
+from bcid.forms.model import Held, Model, Term, check_physics
 from bcid.forms.sensitivity import Probe, Wanted
 from bcid.forms.simulate import simulate
-from bcid.forms.solve import Settings
-from bcid.forms.status import Status
-from bcid.forms.trajectory import follow
+from bcid.forms.solver.equilibrium import Settings
+from bcid.forms.solver.factor import Factor
+from bcid.forms.solver.status import Status
+from bcid.forms.solver.trajectory import follow
 from bcid.scene import Level, Limits, Region, Scene
 from bcid.scene.motions import about_x, motion
-from bcid.search.farm import Farm
-from bcid.search.identify import Options, identify
+from bcid.search.evaluator import Evaluator
+from bcid.search.identify import IdentifyOptions, identify
 from bcid.search.refine import identify_refined
-from bcid.search.schedule import counter, share
+from bcid.search.scheduler import counter, share
 
 pytestmark = pytest.mark.parallel
 
@@ -111,7 +111,7 @@ def test_fiducials_and_wrench_do_not_depend_on_the_ranks(slab: Scene, degree: in
     scene = replace(slab, levels=(Level(degree, 0.020),))
     model = Model.of(scene)
     if weight:
-        model = model + Dose("gravity", {"weight": weight})
+        model = model + Term("gravity", {"weight": weight})
     alone, together = predictions(scene, model, 0)
     assert alone.failure is None
     assert together.failure is None
@@ -125,16 +125,16 @@ def test_a_twin_predicts_and_differentiates_alike_on_any_number_of_ranks(slab: S
     """Actions are spread over the ranks; every rank has all of the answer."""
     scene = replace(slab, levels=(Level(2, 0.050), Level(2, 0.025)), noise_sigma=0.2e-3)
     measurement = simulate(scene, {"1", "4"}, twisted(), level=0)
-    gravity = Dose("gravity", {"weight": 500.0})
+    gravity = Term("gravity", {"weight": 500.0})
     model, wanted = Model.of(scene) + gravity, Wanted((Probe(gravity, ("weight",)),), {"young": 1.5}, stiffness=True)
     answers = []
     for comm in (MPI.COMM_SELF, WORLD):
-        twin = Twin(scene, measurement, comm, 1, EXACT)
-        state = State.of(twin, model, frozenset({"1", "4"}))
-        found = twin.signatures(model, state.anchors, state.reply, wanted)
+        predictor = Predictor(scene, measurement, comm, 1, EXACT)
+        state = State.of(predictor, model, frozenset({"1", "4"}))
+        found = predictor.sensitivities(model, state.anchors, state.prediction, wanted)
         assert found.stiffness is not None
         answers.append((state.scaled, found.probes[0]["weight"], found.law["young"], found.stiffness))
-        twin.destroy()
+        predictor.destroy()
     for alone, together in zip(*answers, strict=True):
         close(together, alone)
         assert same_everywhere(together)
@@ -187,7 +187,7 @@ def test_a_simulated_measurement_is_the_same_everywhere(slab: Scene, measured: A
 
 @pytest.mark.parametrize("certify", ["no", "yes"])
 def test_candidates_spread_over_ranks_give_the_same_ranking(slab: Scene, measured: Any, certify: str) -> None:
-    options = Options(certify=certify, seeds=4, climbed=1, finest=0)
+    options = IdentifyOptions(certify=certify, seeds=4, climbed=1, finest=0)
     # Each rank reads the measurement as rank 0 has it: the input of one search is the same on all ranks.
     measurement = WORLD.bcast(measured, root=0)
     alone = identify(slab, measurement, MPI.COMM_SELF, options)
@@ -217,7 +217,7 @@ def test_refined_patches_are_the_same_on_every_number_of_ranks(slab: Scene) -> N
     truth = halves(scene, "7", WORLD)
     made = simulate(truth, {"7.1"}, pull, level=1, noise=0.0003, random_state=1, comm=WORLD)
     measurement = WORLD.bcast(made, root=0)
-    options = Options(seeds=4, coarsest=1, finest=1)
+    options = IdentifyOptions(seeds=4, coarsest=1, finest=1)
     alone, together = (identify_refined(scene, measurement, comm, options, 1) for comm in (MPI.COMM_SELF, WORLD))
     assert together.found.anchored == alone.found.anchored == ("7.1",)
     assert together.refined == alone.refined == {"7": ("7.1", "7.2")}
@@ -234,12 +234,12 @@ def test_teams_share_a_mesh_and_the_candidates(slab: Scene, measured: Any) -> No
     measurement = WORLD.bcast(measured, root=0)
     found = []
     for comm, per_rank in ((MPI.COMM_SELF, 10**9), (WORLD, 1)):
-        farm = Farm(slab, measurement, comm, settings=EXACT, per_rank=per_rank)
-        assert farm.forward(0).comm.size == (1 if comm is MPI.COMM_SELF else WORLD.size)
-        outcomes = farm.evaluate(0, dict.fromkeys([frozenset("34"), frozenset("1"), frozenset()], math.inf))
+        evaluator = Evaluator(slab, measurement, comm, settings=EXACT, per_rank=per_rank)
+        assert evaluator.forward(0).comm.size == (1 if comm is MPI.COMM_SELF else WORLD.size)
+        outcomes = evaluator.evaluate(0, dict.fromkeys([frozenset("34"), frozenset("1"), frozenset()], math.inf))
         found.append([(o.status, o.chi2, o.share) for o in outcomes.values()])
-        farm.predict(0, frozenset("34"))
-        farm.destroy()
+        evaluator.predict(0, frozenset("34"))
+        evaluator.destroy()
     alone, together = found
     assert [o[0] for o in together] == [o[0] for o in alone]
     assert [o[1] for o in together] == pytest.approx([o[1] for o in alone], rel=1e-6)
@@ -334,8 +334,8 @@ def test_an_exploration_does_not_depend_on_the_number_of_ranks(slab: Scene) -> N
     scene = replace(slab, patches={name: slab.patches[name] for name in "12345"}, limits=limits)
     found = []
     for comm in (MPI.COMM_SELF, WORLD):
-        predictor, body = Predictor(scene, 0, comm), Predictor(scene, 0, MPI.COMM_SELF)
-        plan = Plan(noise=3e-3, budget=3, samples=100, grasps=("II",))
+        predictor, body = PullPredictor(scene, 0, comm), PullPredictor(scene, 0, MPI.COMM_SELF)
+        plan = ExploreOptions(noise=3e-3, budget=3, samples=100, grasps=("II",))
         found.append(explore(scene, Simulated(body, "12", 3e-3, 1), plan, predictor))
         predictor.destroy()
         body.destroy()
@@ -352,8 +352,8 @@ def test_rival_effects_do_not_depend_on_the_ranks(coarse_scene: Path) -> None:
     heavy = replace(scene, effects={"gravity": {"weight": "1500 N/m^3"}})
     found = []
     for comm in (MPI.COMM_SELF, WORLD):
-        predictor, body = Predictor(scene, 0, comm), Predictor(heavy, 0, MPI.COMM_SELF)
-        plan = Plan(noise=3e-3, budget=1, samples=100, grasps=("II",), effects=("gravity",))
+        predictor, body = PullPredictor(scene, 0, comm), PullPredictor(heavy, 0, MPI.COMM_SELF)
+        plan = ExploreOptions(noise=3e-3, budget=1, samples=100, grasps=("II",), effects=("gravity",))
         found.append(explore(scene, Simulated(body, "34", 3e-3, 1), plan, predictor))
         predictor.destroy()
         body.destroy()

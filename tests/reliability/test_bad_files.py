@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from bcid.base.errors import InputError
-from bcid.base.run import Run
+from bcid.base.run_folder import RunFolder
 from benchmarks.reliability import Reached, configuration, folders, meshes, recordings
 
 
@@ -34,7 +34,7 @@ def test_damaged_run_folders() -> None:
 
 
 def test_a_damaged_batch_is_dropped_and_named_and_the_rest_kept(tmp_path: Path) -> None:
-    run = Run.start(tmp_path / "run", "identify", {})
+    run = RunFolder.start(tmp_path / "run", "identify", {})
     for number in range(4):
         run.add_batch([{"number": number}])
     files = sorted((tmp_path / "run/outcomes").iterdir())
@@ -53,5 +53,5 @@ def test_another_number_in_a_result_is_noticed(tmp_path: Path) -> None:
     file = folder / "identification.json"
     file.write_text(file.read_text(encoding="utf-8").replace("0.98", "0.99"), encoding="utf-8")
     with pytest.raises(InputError, match=r"identification\.json: is damaged"):
-        Run.open(folder).read_json("identification.json")
-    assert Run.open(folder).read_dataset("body.nc")["measured"].size == 60
+        RunFolder.open(folder).read_json("identification.json")
+    assert RunFolder.open(folder).read_dataset("body.nc")["measured"].size == 60

@@ -10,7 +10,7 @@ import pytest
 
 from bcid.app import cli
 from bcid.base.errors import InputError
-from bcid.base.run import Run
+from bcid.base.run_folder import RunFolder
 from benchmarks.reliability import Reached, disk, kills, signals, solver, temporary
 
 
@@ -64,7 +64,7 @@ def test_a_run_whose_first_write_failed_can_be_begun_again(tmp_path: Path) -> No
     (tmp_path / "run").mkdir()
     (tmp_path / "run/.run.json.partial").write_text("{", encoding="utf-8")
     (tmp_path / "run/.lock").write_text("process 1 on moon", encoding="utf-8")
-    run = Run.start(tmp_path / "run", "identify", {})
+    run = RunFolder.start(tmp_path / "run", "identify", {})
     with pytest.raises(InputError, match="is being written by process"):
-        Run.start(tmp_path / "run", "identify", {})
+        RunFolder.start(tmp_path / "run", "identify", {})
     run.finish({})

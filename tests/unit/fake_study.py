@@ -1,4 +1,4 @@
-"""Stand-ins for making and diagnosing a case, as `bcid.studies.case` calls them: quick, and faulty on demand."""
+"""Stand-ins for making and diagnosing a case, as `bcid.studies.hidden.case` calls them: quick, and faulty on demand."""
 
 import json
 import os
@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from bcid.base.run import Run, write_whole
+from bcid.base.run_folder import RunFolder, write_whole
 
 # What the stand-ins have done, one line each.
 CALLS = "FAKE_STUDY_CALLS"
@@ -37,7 +37,7 @@ def diagnose(
         pass
     time.sleep(600.0 if index == 5 else float(os.environ.get(SLEEP, "0")))
     answer = {"adequate": True, "verdict": "none", "anchored": ["1"], "ranking": [], "noise_rms": 0.2}
-    run = Run.start(folder, "explain", {}, overwrite)
+    run = RunFolder.start(folder, "explain", {}, overwrite)
     run.write_json("diagnosis.json", answer | {"held_out_rms": 0.2})
     run.finish({})
     return folder

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bcid.base.run import Run, sealed
+from bcid.base.run_folder import RunFolder, sealed
 
 AXES = ["x", "y", "z"]
 STEPS = 4
@@ -162,12 +162,13 @@ def exploration() -> dict[str, Any]:
         "patches": {"left": 1.0, "right": 0.02},
         "entropy": 0.14,
         "not_separated": [],
+        "length_unit": "mm",
         "steps": [step(1, 0.6), step(2, 0.98)],
     }
 
 
-def started(path: Path, command: str = "explain") -> Run:
-    return Run.start(path, command, {"scene": "64babdf4", "measurement": "ccf20348", "options": {"level": None}})
+def started(path: Path, command: str = "explain") -> RunFolder:
+    return RunFolder.start(path, command, {"scene": "64babdf4", "measurement": "ccf20348", "options": {"level": None}})
 
 
 def explained(path: Path) -> Path:
@@ -189,6 +190,7 @@ def identified(path: Path) -> Path:
     run.write_json("identification.json", identification())
     run.write_dataset("body.nc", body())
     run.write_dataset("prediction.nc", positions().drop_vars("predicted_first"))
+    run.write_text("summary.txt", "Anchored patches of slab: {left}\n")
     run.finish({})
     return path
 
@@ -197,6 +199,7 @@ def explored(path: Path) -> Path:
     """A finished run of `bcid explore`."""
     run = started(path, "explore")
     run.write_json("exploration.json", exploration())
+    run.write_text("summary.txt", "Anchored patches of slab: {left}\n")
     run.finish({})
     return path
 

@@ -12,11 +12,11 @@ import pytest
 from numpy.typing import NDArray
 
 from bcid.base.errors import InputError
-from bcid.report.calibration import draw
+from bcid.report.calibration_picture import draw
 from bcid.vision.board import Board
 from bcid.vision.calibrate import angle_by_turn, calibrate, coverage
+from bcid.vision.calibrate_run import numbers, run_calibration, summary
 from bcid.vision.calibration import Calibration
-from bcid.vision.calibration_job import numbers, run_calibration, summary
 from bcid.vision.camera import Camera, Cameras
 from bcid.vision.corners import Corners, corners_in, read_corners
 

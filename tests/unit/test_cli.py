@@ -18,7 +18,7 @@ from bcid import Measurement
 from bcid.app import cli, commands
 from bcid.base.errors import MachineError
 from bcid.base.progress import Lines
-from bcid.base.run import sealed
+from bcid.base.run_folder import sealed
 
 ROOT = Path(__file__).resolve().parents[2]
 SLAB = ROOT / "examples/scenes/slab.toml"
@@ -148,11 +148,11 @@ def identified(folder: Path, scene: Path = SLAB, state: str = "finished", **reco
     """A run folder as `bcid identify` leaves it, without the search."""
     from mpi4py import MPI
 
-    from bcid.base.run import Run
-    from bcid.compare.source import from_files
+    from bcid.base.run_folder import RunFolder
+    from bcid.comparison.source import from_files
 
     source = from_files(scene, SEEN, (), MPI.COMM_SELF)
-    run = Run.start(folder, "identify", source.inputs({}))
+    run = RunFolder.start(folder, "identify", source.inputs({}))
     run.record["names"] = {"scene": str(scene), "measurement": str(SEEN)}
     run.write_json("identification.json", {"anchored": ["1", "2"]})
     run.finish({})
@@ -172,7 +172,7 @@ def identified(folder: Path, scene: Path = SLAB, state: str = "finished", **reco
         (["fit", "run", "--add", "soft_anchor:9", "-o", "run2"], ["place '9'", "known: 1, 2"]),
         (["fit", "run", "--add", "gravity:3", "-o", "run2"], ["gravity:3", "no places"]),
         (["fit", "run", "--add", "marker_fault", "-o", "run2"], ["say where", "marker_fault:1"]),
-        (["fit", "run", "--add", "gravity:weight=heavy", "-o", "run2"], ["'heavy' is not a number", "SI"]),
+        (["fit", "run", "--add", "gravity:weight=heavy", "-o", "run2"], ["'heavy' is not a quantity", "N/m^3"]),
         (["fit", "run", "--add", "gravity:wight=1", "-o", "run2"], ["did you mean 'weight'"]),
         (["fit", "run", "--add", "gravity:weight=-1", "-o", "run2"], ["outside the allowed range"]),
         (["fit", "run", "--add", "gravity:weight=nan", "-o", "run2"], ["not a finite number"]),
@@ -206,7 +206,7 @@ def test_an_effect_file_is_run_once(tmp_path: Path) -> None:
     """However often the effects are asked for: they are the same objects, in the order of the files."""
     from mpi4py import MPI
 
-    from bcid.compare.source import find_effect, from_files
+    from bcid.comparison.source import find_effect, from_files
 
     text = (ROOT / "examples/effects/magnetic_force.py").read_text(encoding="utf-8")
     path, times = tmp_path / "magnetic_force.py", tmp_path / "times"
@@ -218,12 +218,12 @@ def test_an_effect_file_is_run_once(tmp_path: Path) -> None:
 
 
 JOBS = {
-    "demo": ("bcid.compare.job.run_explain", []),
-    "identify": ("bcid.search.job.run_identification", ["scene.toml", "seen", "-o", "run"]),
-    "explain": ("bcid.compare.job.run_explain", ["scene.toml", "seen", "-o", "run"]),
-    "compare": ("bcid.compare.job.run_compare", ["run"]),
-    "diagnose": ("bcid.compare.job.run_diagnose", ["run"]),
-    "fit": ("bcid.compare.job.run_fit", ["run", "--add", "gravity", "-o", "run2"]),
+    "demo": ("bcid.comparison.compare_runs.run_explain", []),
+    "identify": ("bcid.search.identify_run.run_identification", ["scene.toml", "seen", "-o", "run"]),
+    "explain": ("bcid.comparison.compare_runs.run_explain", ["scene.toml", "seen", "-o", "run"]),
+    "compare": ("bcid.comparison.compare_runs.run_compare", ["run"]),
+    "diagnose": ("bcid.comparison.compare_runs.run_diagnose", ["run"]),
+    "fit": ("bcid.comparison.compare_runs.run_fit", ["run", "--add", "gravity", "-o", "run2"]),
 }
 
 
@@ -266,8 +266,8 @@ def test_a_command_counts_the_seconds_from_its_start(
 @pytest.mark.parametrize(
     ("arguments", "job", "said"),
     [
-        (["bench"], "benchmarks.bench.run", "in bench.json"),
-        (["study", "hidden", "-o", "run"], "bcid.studies.hidden.run_hidden", "goes on where it was"),
+        (["bench"], "bcid.bench.bench_run.run", "in bench.json"),
+        (["study", "hidden", "-o", "run"], "bcid.studies.hidden.hidden_study.run_hidden", "goes on where it was"),
     ],
 )
 def test_how_commands_without_mpi_end(

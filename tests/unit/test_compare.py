@@ -13,19 +13,21 @@ from numpy.typing import NDArray
 from scipy.linalg import sqrtm
 
 from bcid.base.progress import Silent
-from bcid.compare.adequacy import judge
-from bcid.compare.data import Data, Errors, MeshError, estimate_noise
-from bcid.compare.explain import Plan, Rung, _Loop
-from bcid.compare.fit import Coordinate, _covariance, fit, held_out
-from bcid.compare.missing import _bounded, rank
-from bcid.compare.rivals import Rival
-from bcid.compare.state import State
-from bcid.compare.twin import Reply
-from bcid.compare.variants import Variant, _harmonics
-from bcid.forms import effects, trial
-from bcid.forms.model import Dose, Model
-from bcid.forms.sensitivity import Signatures, Wanted
+from bcid.comparison.adequacy import judge
+from bcid.comparison.explain import ExplainOptions, Rung, _Loop
+from bcid.comparison.fit import Coordinate, _covariance, fit, held_out
+from bcid.comparison.predictor import MeasurementPrediction
+from bcid.comparison.ranking import _bounded, rank
+from bcid.comparison.rivals import Rival
+from bcid.comparison.state import State
+from bcid.comparison.variants import Variant, _harmonics
+from bcid.forms import effect_trial as trial
+from bcid.forms import effects
+from bcid.forms.model import Model, Term
+from bcid.forms.sensitivity import Sensitivities, Wanted
 from bcid.forms.simulate import recorded
+from bcid.inference.likelihood import Data, Errors, estimate_noise
+from bcid.inference.mesh_error import MeshError
 from bcid.measurement import Action, Measurement
 from bcid.measurement.frame_error import FrameError
 from bcid.scene import Scene
@@ -141,7 +143,7 @@ def test_two_meshes_of_second_order_tell_the_limit() -> None:
 
 @dataclass
 class Toy:
-    """Stands for a twin: what is seen is rest plus each number times a shape."""
+    """Stands for a predictor: what is seen is rest plus each number times a shape."""
 
     data: Data
     actions: list[Action]
@@ -166,15 +168,17 @@ class Toy:
         _anchors: Iterable[str],
         actions: Iterable[Action] | None = None,
         keep: bool = False,
-    ) -> Reply:
+    ) -> MeasurementPrediction:
         positions = rest(self.actions) + sum(n * self.shapes[k] for k, n in self.numbers(model).items())
         seen = np.full_like(positions, np.nan)
         for action in self.actions if actions is None else actions:
             seen[action.frames] = positions[action.frames]
-        return Reply(seen, {})
+        return MeasurementPrediction(seen, {})
 
-    def signatures(self, _model: Model, _anchors: object, _reply: Reply, wanted: Wanted) -> Signatures:
-        return Signatures([{n: self.shapes[p.dose.full(n)] for n in p.wanted} for p in wanted.probes], {})
+    def sensitivities(
+        self, _model: Model, _anchors: object, _reply: MeasurementPrediction, wanted: Wanted
+    ) -> Sensitivities:
+        return Sensitivities([{n: self.shapes[p.term.full(n)] for n in p.wanted} for p in wanted.probes], {})
 
 
 def state_of(toy: Toy, model: Model, mesh: MeshError | None = None) -> State:
@@ -226,8 +230,8 @@ def test_trigonometric_interpolation_is_exact() -> None:
 
 
 def variant(name: str, columns: Array, **values: float) -> Variant:
-    one = Dose(effects.effect(name), values)
-    scales = [Coordinate(one.full(p.name), p, 1 / p.typical if p.reciprocal else p.typical) for p in one.effect.amounts]
+    one = Term(effects.effect(name), values)
+    scales = [Coordinate(one.full(p.name), p, 1 / p.scale if p.reciprocal else p.scale) for p in one.effect.amounts]
     return Variant(one, tuple(scales), columns)
 
 
@@ -246,12 +250,12 @@ def test_amounts_stay_within_their_bounds() -> None:
     # Where one amount is at its bound the others are fitted without it.
     both = np.hstack([column, other, np.zeros_like(column)])
     stretched = variant("prestrain", 100 * both, sx=1.0, sy=1.0, sz=1.0)
-    upper = next(p.upper for p in stretched.dose.effect.parameters if p.name == "sx")
+    upper = next(p.upper for p in stretched.term.effect.parameters if p.name == "sx")
     step, _ = _bounded(stretched, 100 * both, 100 * (5.0 * column + 0.01 * other)[:, 0])
     assert step[0] == pytest.approx(upper - 1.0)
     left = 100 * (5.0 * column + 0.01 * other)[:, 0] - 100 * column[:, 0] * step[0]
     free = float(other[:, 0] @ left / (100 * other[:, 0] @ other[:, 0]))
-    bound = next(p for p in stretched.dose.effect.parameters if p.name == "sy")
+    bound = next(p for p in stretched.term.effect.parameters if p.name == "sy")
     assert step[1] == pytest.approx(np.clip(free, bound.lower - 1, bound.upper - 1))
 
 
@@ -283,8 +287,8 @@ def toy(model: Model, names: tuple[str, ...], sizes: tuple[float, ...]) -> Toy:
 
 
 def test_a_linear_model_is_fitted_and_predicts_what_it_was_not_fitted_to() -> None:
-    model = Model.of(SCENE) + Dose(effects.effect("gravity"), {"weight": 6000.0})
-    model = model + Dose(
+    model = Model.of(SCENE) + Term(effects.effect("gravity"), {"weight": 6000.0})
+    model = model + Term(
         effects.effect("camera_offset"), dict.fromkeys(("rx", "ry", "rz", "tx", "ty", "tz"), 0.0) | {"scale": 1.1}
     )
     names = ("gravity.weight", "camera_offset.scale")
@@ -307,7 +311,7 @@ def test_a_linear_model_is_fitted_and_predicts_what_it_was_not_fitted_to() -> No
 
 @pytest.mark.parametrize("stiffness", [1e5, 1e8])
 def test_a_stiffness_is_fitted_whatever_its_size(stiffness: float) -> None:
-    model = Model.of(SCENE) + Dose(effects.effect("soft_anchor"), {"stiffness": stiffness})
+    model = Model.of(SCENE) + Term(effects.effect("soft_anchor"), {"stiffness": stiffness})
     made = toy(model, ("soft_anchor.stiffness",), (1e-2 * stiffness,))
     begun = model.with_values({"soft_anchor.stiffness": 0.2 * stiffness})
     fitted = fit(state_of(made, begun), ("soft_anchor.stiffness",))
@@ -324,10 +328,10 @@ def test_an_effect_that_comes_and_goes_shows_its_period() -> None:
     made.data.values = made.data.values + made.data.vector(800.0 * share[:, None, None] * shape)
     seeing = Toy(made.data, made.actions, {"active_stress.amplitude": shape})
     whole: Any = seeing
-    state = replace(state_of(Toy(made.data, made.actions, {}), plain), twin=whole)
+    state = replace(state_of(Toy(made.data, made.actions, {}), plain), predictor=whole)
     (row,) = rank(state, [effect]).rows
-    assert row.dose.values["period"] == pytest.approx(period, rel=0.05)
-    assert row.dose.values["amplitude"] == pytest.approx(800.0, rel=0.1)
+    assert row.term.values["period"] == pytest.approx(period, rel=0.05)
+    assert row.term.values["amplitude"] == pytest.approx(800.0, rel=0.1)
 
 
 # -- the verdict
@@ -338,7 +342,7 @@ def test_an_effect_that_comes_and_goes_shows_its_period() -> None:
 def test_an_effect_is_named_when_it_explains_nearly_all(unexplained: float, verdict: str) -> None:
     """With 0.1 of what the weight does left over, the model is not adequate, but 0.99 of the excess is explained."""
     plain = Model.of(SCENE)
-    heavy = plain + Dose(effects.effect("gravity"), {"weight": 6000.0})
+    heavy = plain + Term(effects.effect("gravity"), {"weight": 6000.0})
     made = toy(heavy, ("gravity.weight",), (5e-7,))
     made.data.values = made.data.values + 3e-3 * unexplained * np.random.default_rng(11).normal(size=len(made.data))
     light = Toy(made.data, made.actions, {})
@@ -347,8 +351,8 @@ def test_an_effect_is_named_when_it_explains_nearly_all(unexplained: float, verd
         state = state_of(stand_in, model)
         rungs.append(Rung(fit(state, ()), judge(state), None))
     whole: Any = made
-    loop = _Loop(whole, Plan(), plain, [], Silent())
+    loop = _Loop(whole, ExplainOptions(), plain, [], Silent())
     assert rungs[1].adequacy.adequate == (unexplained == 0.0)
     assert loop.verdict(rungs) == verdict
-    assert loop.worthwhile(Rival("gravity", heavy.doses[0], frozenset(), rungs[1].fitted, 0.0), rungs[0].fitted)
-    assert not loop.worthwhile(Rival("gravity", heavy.doses[0], frozenset(), rungs[0].fitted, 0.0), rungs[0].fitted)
+    assert loop.worthwhile(Rival("gravity", heavy.terms[0], frozenset(), rungs[1].fitted, 0.0), rungs[0].fitted)
+    assert not loop.worthwhile(Rival("gravity", heavy.terms[0], frozenset(), rungs[0].fitted, 0.0), rungs[0].fitted)

@@ -14,8 +14,8 @@ import pytest
 from bcid.base import confined
 from bcid.base.confined import landlock, read_in_child
 from bcid.base.errors import InputError
-from bcid.base.run import Run
-from bcid.compare.source import from_run
+from bcid.base.run_folder import RunFolder
+from bcid.comparison.source import from_run
 from bcid.forms.mesh import level_mesh
 from bcid.measurement import Measurement
 from bcid.scene import Scene
@@ -124,7 +124,7 @@ def test_effects_of_a_run_are_run_only_when_named_again(tmp_path: Path) -> None:
     """A run folder is data: a program that it names is not run."""
     file, ran = tmp_path / "effect.py", tmp_path / "ran"
     file.write_text(f"open({str(ran)!r}, 'w')\n", encoding="utf-8")
-    run = Run.start(tmp_path / "run", "explain", {"effects": ["0" * 12]})
+    run = RunFolder.start(tmp_path / "run", "explain", {"effects": ["0" * 12]})
     run.record["names"] = {"scene": "scene.toml", "measurement": "seen"}
     run.write_json("model.json", {"files": [str(file)], "law": {}, "effects": [], "anchored": [], "free": []})
     run.finish({})

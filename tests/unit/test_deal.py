@@ -11,8 +11,9 @@ import pytest
 
 from bcid.base.errors import InputError, MachineError
 from bcid.base.progress import Silent
-from bcid.studies.deal import How, Task, Work, attempt, deal, part_of, portions, read_result
-from bcid.studies.workers import _Worker
+from bcid.studies.engine.dispatch import attempt, dispatch, part_of, portions
+from bcid.studies.engine.work import Task, Work, Workers, read_result
+from bcid.studies.engine.workers import _Worker
 from benchmarks.reliability.kills import begun, tasks, work
 
 
@@ -24,7 +25,7 @@ def read(made: Work, index: int) -> dict[str, Any]:
 def test_every_trial_ends_with_a_result_or_a_reason(tmp_path: Path) -> None:
     made = work(tmp_path)
     faults = {"t1": "raise", "t3": "abort", "t4": "segv", "t5": "exit", "t6": "solve", "t7": "nan", "t8": "hang"}
-    deal(made, tasks(12, **faults, t9="spin"), How(jobs=2, limit=2.0, tries=3), Silent())
+    dispatch(made, tasks(12, **faults, t9="spin"), Workers(jobs=2, limit=2.0, tries=3), Silent())
     assert [read(made, i)["state"] for i in (0, 2, 10, 11)] == ["done"] * 4
     assert read(made, 11)["result"] == {"value": 121}
     assert read(made, 11)["task"] == {"index": 11, "fault": ""}
@@ -66,7 +67,7 @@ def test_what_cannot_be_written_ends_the_study(tmp_path: Path) -> None:
     with pytest.raises(MachineError, match="cannot be written"):
         attempt(made, "0000", {"index": 0})
     with pytest.raises(MachineError, match="cannot be written"):
-        deal(made, tasks(3), How(jobs=1), Silent())
+        dispatch(made, tasks(3), Workers(jobs=1), Silent())
 
 
 def test_a_worker_that_is_gone_is_no_signal(tmp_path: Path) -> None:
@@ -82,7 +83,7 @@ def test_a_worker_that_is_gone_is_no_signal(tmp_path: Path) -> None:
     try:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(_Worker, "give", give)
-            deal(work(tmp_path), tasks(2), How(jobs=1, tries=2), Silent())
+            dispatch(work(tmp_path), tasks(2), Workers(jobs=1, tries=2), Silent())
         assert signal.getsignal(signal.SIGPIPE) is not signal.SIG_IGN
     finally:
         signal.signal(signal.SIGPIPE, before)

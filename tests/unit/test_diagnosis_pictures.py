@@ -8,10 +8,10 @@ import pytest
 import xarray as xr
 
 from bcid.base.errors import InputError
-from bcid.base.run import Run
-from bcid.report.diagnosis import draw, round_scale, worst_frame
+from bcid.base.run_folder import RunFolder
+from bcid.report.diagnosis_picture import draw, round_scale, worst_frame
 from bcid.report.ladder import ladder_figure
-from bcid.report.words import conclusion, falling
+from bcid.report.text import conclusion, falling
 
 
 def rung(model: str, rms: float, adequate: bool) -> dict[str, Any]:
@@ -83,7 +83,7 @@ WHERE = {
 
 
 def folder(path: Path, found: dict[str, Any], where: dict[str, Any] | None) -> Path:
-    run = Run.start(path, "explain", {})
+    run = RunFolder.start(path, "explain", {})
     run.write_json("diagnosis.json", found)
     run.write_dataset("body.nc", body())
     run.write_dataset("residuals.nc", residuals())
@@ -122,7 +122,7 @@ def test_nothing_explains_it(tmp_path: Path) -> None:
 
 
 def test_a_run_without_a_diagnosis(tmp_path: Path) -> None:
-    Run.start(tmp_path / "run", "identify", {}).finish({})
+    RunFolder.start(tmp_path / "run", "identify", {}).finish({})
     with pytest.raises(InputError, match=r"diagnosis.json: is missing"):
         draw(tmp_path / "run")
 

@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 from test_explore import AXES, LIMITS, MadeUp, by_count, scene
 
-from bcid.base.run import sealed
-from bcid.studies.deal import How
-from bcid.studies.exploration import Bench, attempted, run_study
-from bcid.studies.exploration_scores import scores, table
-from bcid.studies.exploration_trials import ANCHORS, STRATEGIES, Extent, Trial, trials
+from bcid.base.run_folder import sealed
+from bcid.studies.engine.work import Workers
+from bcid.studies.exploration.exploration_scores import scores, table
+from bcid.studies.exploration.exploration_study import Bench, attempted, run_study
+from bcid.studies.exploration.exploration_trials import ANCHORS, STRATEGIES, ExplorationExtent, ExplorationTrial, trials
 
 
 def bench() -> Bench:
@@ -22,7 +22,7 @@ def bench() -> Bench:
 
 
 def test_every_trial_has_a_name_of_its_own() -> None:
-    every = list(trials(Extent(3)))
+    every = list(trials(ExplorationExtent(3)))
     assert len({trial.name for trial in every}) == len(every)
     assert sum(bool(t.hidden) for t in every) == 4
     every = [t for t in every if not t.hidden and t.anchors in ANCHORS]
@@ -36,7 +36,7 @@ def test_every_trial_has_a_name_of_its_own() -> None:
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
 def test_a_trial_finds_the_anchors(strategy: str) -> None:
-    made = bench().make(Trial(("1", "2"), 0.3e-3, ("II",), strategy, 4))
+    made = bench().make(ExplorationTrial(("1", "2"), 0.3e-3, ("II",), strategy, 4))
     assert made["right"]
     assert made["reason"] == "decided"
     assert made["pulls"] == len(made["moves"]) == len(made["gained"])
@@ -49,13 +49,13 @@ def test_a_trial_finds_the_anchors(strategy: str) -> None:
 def test_a_trial_that_fails_is_recorded() -> None:
     made = bench()
     made.truth = MadeUp(made.scene, lambda _anchors, _grasp, _axis: float("nan"))
-    found = attempted(made, Trial(("1", "2"), 1e-3, ("II",), "information", 0))
+    found = attempted(made, ExplorationTrial(("1", "2"), 1e-3, ("II",), "information", 0))
     assert found["reason"].startswith("failed: the simulated robot cannot make pull 1")
     assert scores([found])["rows"][0]["decided"] == 0
 
 
 def test_trials_of_the_same_number_are_the_same() -> None:
-    trial = Trial(("3", "4"), 3e-3, ("I", "II", "III"), "random", 7)
+    trial = ExplorationTrial(("3", "4"), 3e-3, ("I", "II", "III"), "random", 7)
     one, again = bench().make(trial), bench().make(trial)
     assert one | {"seconds": 0} == again | {"seconds": 0}
     other = bench().make(replace(trial, number=8))
@@ -65,10 +65,10 @@ def test_trials_of_the_same_number_are_the_same() -> None:
 def test_a_study_that_was_stopped_goes_on(tmp_path: Path, coarse_scene: Path) -> None:
     """Trials that are there are not made again, and the table counts them all."""
 
-    extent = Extent(1, (3e-3,), ("gravity",), ())
+    extent = ExplorationExtent(1, (3e-3,), ("gravity",), ())
 
     def run() -> dict[str, Any]:
-        run_study(tmp_path / "study", extent, 0, How(), scene_file=coarse_scene)
+        run_study(tmp_path / "study", extent, 0, Workers(), scene_file=coarse_scene)
         found: dict[str, Any] = json.loads((tmp_path / "study/exploration.json").read_text(encoding="utf-8"))
         return found
 
@@ -96,7 +96,7 @@ def without_time(made: dict[str, Any]) -> dict[str, Any]:
 
 
 def result(strategy: str, pulls: int, right: bool = True, reason: str = "decided") -> dict[str, Any]:
-    trial = asdict(Trial(("1", "2"), 1e-3, ("II",), strategy, 0))
+    trial = asdict(ExplorationTrial(("1", "2"), 1e-3, ("II",), strategy, 0))
     found = ["1", "2"] if right else ["1"]
     numbers = {"pulls": pulls, "calls": 3, "seconds": 0.5, "named": [], "told_by": None, "probability": 0.97}
     return trial | {"reason": reason, "found": found, "right": right} | numbers

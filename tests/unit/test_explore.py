@@ -15,15 +15,15 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from bcid.base.errors import InputError, MachineError
-from bcid.explore.belief import Belief, Hypothesis, Spread, effects, entropy, normalised, patches
-from bcid.explore.choice import Chooser, live
-from bcid.explore.inference import MISSED, Inference
-from bcid.explore.information import coordinates, information, noise_free
-from bcid.explore.loop import BUDGET, DECIDED, INSEPARABLE, UNEXPLAINED, Plan, explore
-from bcid.explore.moves import Move, cost, limits_of, moves
-from bcid.explore.predictions import Foreseen, key_of
-from bcid.explore.robots import Folder
+from bcid.exploration.choice import Chooser, live
+from bcid.exploration.information import coordinates, information, noise_free
+from bcid.exploration.loop import BUDGET, DECIDED, INSEPARABLE, UNEXPLAINED, ExploreOptions, explore
+from bcid.exploration.moves import Move, cost, limits_of, moves
+from bcid.exploration.predictions import PullPrediction, key_of
+from bcid.exploration.robots import Folder
+from bcid.exploration.update import MISSED, BeliefUpdate
 from bcid.forms.simulate import recorded
+from bcid.inference.hypotheses import Belief, Hypothesis, Spread, effects, entropy, normalised, patches
 from bcid.measurement import Action, Measurement
 from bcid.scene import Grasp, Level, Limits, Material, Region, Scene
 
@@ -54,23 +54,23 @@ class MadeUp:
     model = None
 
     def __init__(self, of: Scene, factor: Callable[[Anchored, str, int], float], **numbers: float) -> None:
-        self.scene, self.factor, self.numbers = of, factor, {"force": 0.0, "strain": 0.0, "softness": 1.0} | numbers
+        self.scene, self.factor, self.numbers = of, factor, {"force": 0.0, "strain": 0.0, "eigenvalue": 1.0} | numbers
         self.evaluations = 0
         self.asked: set[Any] = set()
 
-    def foresee(
+    def predict(
         self, tasks: Iterable[tuple[Anchored, Action]], detailed: bool = False, models: object = None
-    ) -> list[Foreseen]:
+    ) -> list[PullPrediction]:
         tasks = list(tasks)
         self.asked.update((key_of(action), anchors) for anchors, action in tasks)
         return [self._one(anchors, action, detailed) for anchors, action in tasks]
 
-    def _one(self, anchors: Anchored, action: Action, detailed: bool) -> Foreseen:
+    def _one(self, anchors: Anchored, action: Action, detailed: bool) -> PullPrediction:
         self.evaluations += 1
         factors = np.array([self.factor(anchors, action.grasp, axis) for axis in range(3)])
         moved = (action.translation * factors)[:, None, :]
         positions = self.scene.rest + np.repeat(moved, len(self.scene.fiducials), axis=1)
-        return Foreseen(positions, **self.numbers) if detailed else Foreseen(positions)
+        return PullPrediction(positions, **self.numbers) if detailed else PullPrediction(positions)
 
 
 class MadeUpRobot:
@@ -84,7 +84,7 @@ class MadeUpRobot:
         self.made.append(action.name)
 
     def observe(self) -> Measurement:
-        positions = self.body.foresee([(self.anchors, self.action)])[0].positions
+        positions = self.body.predict([(self.anchors, self.action)])[0].positions
         return recorded(self.body.scene, [self.action], positions, self.noise, self.rng, self.action.clock)
 
 
@@ -226,7 +226,7 @@ def test_motions_are_the_same_whatever_their_name() -> None:
 
 
 def chooser(body: MadeUp, noise: float = 1e-4, **more: Any) -> Chooser:
-    inference = Inference(body.scene, body, None)  # type: ignore[arg-type]
+    inference = BeliefUpdate(body.scene, body, None)  # type: ignore[arg-type]
     options = {"criterion": "information", "look_ahead": True, "samples": 2000, "random_state": 0} | more
     return Chooser(inference, tuple(moves(body.scene)), noise=noise, **options)
 
@@ -247,7 +247,7 @@ def test_the_pull_that_tells_most_is_chosen(criterion: str) -> None:
     [
         ({"force": 1.0}, {"force": 1.1}, "force may exceed 1 N"),
         ({"strain": 0.2}, {"strain": 0.3}, "strain may exceed 0.2"),
-        ({}, {"softness": 0.4}, "may buckle"),
+        ({}, {"eigenvalue": 0.4}, "may buckle"),
     ],
 )
 def test_a_pull_beyond_the_limits_is_not_made(limit: dict[str, float], numbers: dict[str, float], words: str) -> None:
@@ -268,7 +268,7 @@ def test_a_pull_that_the_fine_level_cannot_follow_is_not_made(criterion: str) ->
     body = MadeUp(scene(), by_count)
     body_fine = MadeUp(scene(), lost)
     found = chooser(body, criterion=criterion)
-    found = replace(found, inference=Inference(body.scene, body, body_fine))  # type: ignore[arg-type]
+    found = replace(found, inference=BeliefUpdate(body.scene, body, body_fine))  # type: ignore[arg-type]
     move = found.choose(found.inference.view(), None).move
     barred = found._barred(Move("A", "+x", 0.01), found.inference.view())
     assert "may buckle" in barred
@@ -306,7 +306,7 @@ def test_looking_ahead_finds_the_pair() -> None:
 
 
 def test_the_live_sets_hold_nearly_all_probability() -> None:
-    view = Inference(scene(), MadeUp(scene(), by_count), None).view()  # type: ignore[arg-type]
+    view = BeliefUpdate(scene(), MadeUp(scene(), by_count), None).view()  # type: ignore[arg-type]
     assert len(live(view)) == 4
     sure = replace(view, probabilities={Hypothesis(frozenset("1")): 0.9995, Hypothesis(frozenset("2")): 0.0005})
     assert live(sure) == [Hypothesis(frozenset("1"))]
@@ -319,7 +319,7 @@ def test_the_live_sets_hold_nearly_all_probability() -> None:
 @pytest.mark.parametrize("truth", ["", "1", "2", "12"])
 def test_anchors_are_decided(truth: str) -> None:
     body = MadeUp(scene(), by_count)
-    found = explore(body.scene, MadeUpRobot(body, truth, 1e-4), Plan(noise=1e-4), body)  # type: ignore[arg-type]
+    found = explore(body.scene, MadeUpRobot(body, truth, 1e-4), ExploreOptions(noise=1e-4), body)  # type: ignore[arg-type]
     assert (found.reason, found.view.best.anchors) == (DECIDED, frozenset(truth))
     assert len(found.steps) == 1
     assert found.steps[0].gained == pytest.approx(2.0, abs=0.2)
@@ -332,7 +332,7 @@ def test_what_cannot_be_separated_is_named() -> None:
         return by_count(frozenset("1") if "1" in anchors else anchors, _grasp, axis)
 
     body = MadeUp(scene(), enclosed)
-    found = explore(body.scene, MadeUpRobot(body, "12", 1e-4), Plan(noise=1e-4), body)  # type: ignore[arg-type]
+    found = explore(body.scene, MadeUpRobot(body, "12", 1e-4), ExploreOptions(noise=1e-4), body)  # type: ignore[arg-type]
     assert found.reason == INSEPARABLE
     assert {h.anchors for h in found.rivals} == {frozenset("1"), frozenset("12")}
     assert found.view.probabilities[Hypothesis(frozenset("12"))] == pytest.approx(0.5)
@@ -340,7 +340,7 @@ def test_what_cannot_be_separated_is_named() -> None:
 
 def test_the_budget_ends_it() -> None:
     body = MadeUp(scene(limits=replace(LIMITS, cost=2.0)), by_count)
-    plan = Plan(noise=0.02, budget=6.0)
+    plan = ExploreOptions(noise=0.02, budget=6.0)
     found = explore(body.scene, MadeUpRobot(body, "12", 0.02), plan, body)  # type: ignore[arg-type]
     assert found.reason == BUDGET
     assert [step.spent for step in found.steps] == [2.0, 4.0, 6.0]
@@ -352,7 +352,7 @@ def test_answers_are_as_certain_as_they_say() -> None:
     right = []
     for trial in range(240):
         truth = ("", "1", "2", "12")[trial % 4]
-        plan = Plan(noise=3e-3, budget=30, samples=50)
+        plan = ExploreOptions(noise=3e-3, budget=30, samples=50)
         found = explore(body.scene, MadeUpRobot(body, truth, 3e-3, trial), plan, body)  # type: ignore[arg-type]
         if found.reason == DECIDED:
             right.append(found.view.best.anchors == frozenset(truth))
@@ -362,13 +362,13 @@ def test_answers_are_as_certain_as_they_say() -> None:
 
 def test_a_set_that_the_fine_level_cannot_follow_is_not_taken_for_a_perfect_one() -> None:
     body = MadeUp(scene(), by_count)
-    inference = Inference(body.scene, body, None)  # type: ignore[arg-type]
+    inference = BeliefUpdate(body.scene, body, None)  # type: ignore[arg-type]
     robot = MadeUpRobot(body, "12", 1e-4)
     robot.move(Move("A", "+x", 0.01).action(LIMITS))
     inference.add(robot.observe())
     inference.view()
     wrong = frozenset("1")
-    lost = Foreseen(np.full((9, 4, 3), np.nan))
+    lost = PullPrediction(np.full((9, 4, 3), np.nan))
     inference._meshed[0][wrong] = inference._mesh_error(0, wrong, lost)
     inference._compared.clear()
     assert inference._meshed[0][wrong].left == pytest.approx(0.5 * inference.pulls[0].motion)
@@ -381,7 +381,7 @@ def test_what_no_set_explains_is_never_decided() -> None:
     body = MadeUp(scene(), by_count)
     other = MadeUp(scene(), lambda anchors, grasp, axis: 0.15 + by_count(anchors, grasp, axis))
     robot = MadeUpRobot(other, "12", 1e-4)
-    found = explore(body.scene, robot, Plan(noise=1e-4, budget=4), body)  # type: ignore[arg-type]
+    found = explore(body.scene, robot, ExploreOptions(noise=1e-4, budget=4), body)  # type: ignore[arg-type]
     assert found.reason == UNEXPLAINED
     assert found.view.missed > MISSED
 
@@ -389,7 +389,7 @@ def test_what_no_set_explains_is_never_decided() -> None:
 def test_pulls_that_were_made_before_are_not_made_again() -> None:
     body = MadeUp(scene(), by_count)
     kept: list[tuple[Move, Measurement]] = []
-    plan = Plan(noise=5e-3, budget=8)
+    plan = ExploreOptions(noise=5e-3, budget=8)
     whole = explore(
         body.scene,
         MadeUpRobot(body, "1", 5e-3),
@@ -422,7 +422,7 @@ def test_pulls_that_were_made_before_are_not_made_again() -> None:
 )
 def test_a_wrong_plan_is_refused(wrong: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
-        Plan(**wrong).check(scene())
+        ExploreOptions(**wrong).check(scene())
 
 
 # -- the folder robot
@@ -476,14 +476,14 @@ def test_a_measurement_of_two_actions_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_belief_is_drawn(tmp_path: Path) -> None:
-    from bcid.base.run import Run
-    from bcid.explore.job import exploration_json, summary
-    from bcid.report.exploration import draw
+    from bcid.base.run_folder import RunFolder
+    from bcid.exploration.explore_run import exploration_json, summary
+    from bcid.report.exploration_picture import draw
 
     body = MadeUp(scene(), by_count)
-    plan = Plan(noise=5e-3, budget=4)
+    plan = ExploreOptions(noise=5e-3, budget=4)
     found = explore(body.scene, MadeUpRobot(body, "1", 5e-3), plan, body)  # type: ignore[arg-type]
-    run = Run.start(tmp_path / "run", "explore", {})
+    run = RunFolder.start(tmp_path / "run", "explore", {})
     run.write_json("exploration.json", exploration_json(body.scene, found))
     assert draw(tmp_path / "run") == [tmp_path / "run/belief.png"]
     assert json.loads((tmp_path / "run/exploration.json").read_text())["steps"][0]["expected_bits"] > 0

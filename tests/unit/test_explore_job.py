@@ -10,17 +10,17 @@ import pytest
 from mpi4py import MPI
 
 from bcid.base.errors import InputError, MachineError
-from bcid.base.run import Run
-from bcid.explore.job import _keep, _made, run_exploration
-from bcid.explore.loop import Plan
-from bcid.explore.moves import Move, moves
-from bcid.explore.predictions import Predictor, predicted
-from bcid.explore.robots import Simulated
+from bcid.base.run_folder import RunFolder
+from bcid.exploration.explore_run import _keep, _made, run_exploration
+from bcid.exploration.loop import ExploreOptions
+from bcid.exploration.moves import Move, moves
+from bcid.exploration.predictions import PullPredictor, predicted
+from bcid.exploration.robots import Simulated
 from bcid.scene import Scene
 
 # With so much noise three pulls never decide.
 NOISE = 2e-2
-PLAN = Plan(noise=NOISE, budget=3, samples=100)
+PLAN = ExploreOptions(noise=NOISE, budget=3, samples=100)
 
 
 def explored(coarse_scene: Path, robot: str, run: Path, wait: float = 0.3) -> dict[str, Any]:
@@ -32,7 +32,7 @@ def explored(coarse_scene: Path, robot: str, run: Path, wait: float = 0.3) -> di
 def test_a_stopped_exploration_goes_on_with_the_pulls_it_has_made(coarse_scene: Path, tmp_path: Path) -> None:
     lab, run = tmp_path / "lab", tmp_path / "run"
     scene = Scene.read(coarse_scene)
-    body = Simulated(Predictor(scene, 0, MPI.COMM_SELF), "12", NOISE, 0)
+    body = Simulated(PullPredictor(scene, 0, MPI.COMM_SELF), "12", NOISE, 0)
     assert scene.limits is not None
     made = []
     for number in range(1, 4):
@@ -65,11 +65,11 @@ def test_a_pull_that_was_changed_is_not_gone_on_with(
     coarse_scene: Path, tmp_path: Path, file: str, old: str, new: str, told: str
 ) -> None:
     scene, run = Scene.read(coarse_scene), tmp_path / "run"
-    body = Simulated(Predictor(scene, 0, MPI.COMM_SELF), "12", NOISE, 0)
+    body = Simulated(PullPredictor(scene, 0, MPI.COMM_SELF), "12", NOISE, 0)
     move = moves(scene)[0]
     assert scene.limits is not None
     body.move(move.action(scene.limits, "1"))
-    Run.start(run, "explore", {}).release()
+    RunFolder.start(run, "explore", {}).release()
     _keep(run, move, body.observe())
     body.predictor.destroy()
     ((kept, seen),) = _made(run)
@@ -100,7 +100,7 @@ def test_predictions_are_shared_and_what_is_damaged_is_told(coarse_scene: Path, 
 def test_the_way_back_is_not_computed_and_the_same(coarse_scene: Path) -> None:
     """A pull that is followed step by step to its end and back gives what half of it gives."""
     scene = Scene.read(coarse_scene)
-    predictor = Predictor(scene, 0, MPI.COMM_SELF)
+    predictor = PullPredictor(scene, 0, MPI.COMM_SELF)
     assert scene.limits is not None
     action = moves(scene)[0].action(scene.limits)
     half = predicted(predictor.forward(), frozenset("34"), action, detailed=True)
@@ -112,7 +112,7 @@ def test_the_way_back_is_not_computed_and_the_same(coarse_scene: Path) -> None:
     assert wrench is not None
     assert half.force == pytest.approx(np.linalg.norm(wrench[:, :3], axis=1).max(), rel=1e-4)
     assert 0.05 < half.strain < 1.0
-    assert half.softness == pytest.approx(1.0, abs=0.2)
+    assert half.eigenvalue == pytest.approx(1.0, abs=0.2)
     predictor.destroy()
 
 
@@ -121,14 +121,14 @@ def test_a_body_that_has_buckled_is_told(coarse_scene: Path) -> None:
     scene = Scene.read(coarse_scene)
     assert scene.limits is not None
     limits = replace(scene.limits, directions={"in": (-1.0, 0.0, 0.0), "out": (1.0, 0.0, 0.0), "up": (0.0, 1.0, 0.0)})
-    predictor = Predictor(scene, 0, MPI.COMM_SELF)
+    predictor = PullPredictor(scene, 0, MPI.COMM_SELF)
     found = {}
     for direction in limits.directions:
         action = Move("III", direction, 0.008).action(limits)
         found[direction] = predicted(predictor.forward(), frozenset("34"), action, detailed=True)
-    assert found["in"].softness == 0.0
-    assert found["out"].softness > 0.9
-    assert found["up"].softness > 0.9
+    assert found["in"].eigenvalue == 0.0
+    assert found["out"].eigenvalue > 0.9
+    assert found["up"].eigenvalue > 0.9
     # Pushed in its plane it has left it, by millimetres.
     aside = found["in"].positions[4, :, 1].mean() - scene.rest[:, 1].mean()
     assert abs(aside) > 3e-3

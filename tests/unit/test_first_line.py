@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 from bcid import Measurement, Scene
-from bcid.compare import words
+from bcid.comparison import diagnosis_text as words
 from bcid.forms.mesh import level_mesh
 from bcid.measurement import Units
 from bcid.search.identify import Identification
-from bcid.search.job import inputs_in_words, summary
+from bcid.search.identify_run import inputs_in_words, summary
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -92,6 +92,6 @@ def test_a_summary_ends_with_sizes_and_the_fit_of_an_alignment() -> None:
     ],
 )
 def test_models_that_explain_too_little(rms: float, stated: bool, first: str) -> None:
-    state: Any = SimpleNamespace(rms=rms, noise=3e-4, twin=SimpleNamespace(data=SimpleNamespace(stated=stated)))
+    state: Any = SimpleNamespace(rms=rms, noise=3e-4, predictor=SimpleNamespace(data=SimpleNamespace(stated=stated)))
     lines = words.warning(state)
     assert lines[0].startswith(first) if first else lines == []

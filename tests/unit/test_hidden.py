@@ -17,9 +17,9 @@ import pytest
 
 from bcid.base.errors import InputError
 from bcid.measurement import Measurement
-from bcid.studies import cases
-from bcid.studies.hidden import Options, _read, run_hidden
-from bcid.studies.score import judge, scores, table, wilson
+from bcid.studies.hidden import cases
+from bcid.studies.hidden.hidden_study import HiddenOptions, _read, run_hidden
+from bcid.studies.hidden.score import judge, scores, table, wilson
 from benchmarks.reliability.kills import alive
 
 HERE = Path(__file__).resolve().parent
@@ -77,7 +77,7 @@ def test_cases_keep_their_ranges() -> None:
 
 
 def parameter(value: float, role: str = "amount", **more: Any) -> dict[str, Any]:
-    plain = {"unit": "1", "neutral": 0.0, "reciprocal": False, "typical": 1.0, "period": None}
+    plain = {"unit": "1", "neutral": 0.0, "reciprocal": False, "scale": 1.0, "period": None}
     return plain | {"value": value, "role": role} | more
 
 
@@ -106,7 +106,7 @@ def adopted(name: str, place: str = "", **values: float) -> list[dict[str, Any]]
 
 GRAVITY = [effect()]
 ANGLED = [effect("fibres", k1=parameter(5.0), angle=parameter(175.0, "shape", unit="deg", period=180.0))]
-VECTOR = [effect("prestrain", sx=parameter(1.1, neutral=1.0, typical=0.1), sz=parameter(1.0, neutral=1.0, typical=0.1))]
+VECTOR = [effect("prestrain", sx=parameter(1.1, neutral=1.0, scale=0.1), sz=parameter(1.0, neutral=1.0, scale=0.1))]
 BALL = [
     effect(
         "inclusion",
@@ -207,8 +207,8 @@ def calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
             os.kill(int(line.split()[1]), 0)
 
 
-def options(count: int, limit: float = 100.0) -> Options:
-    return Options(count, limit=limit, make="fake_study:make", diagnose="fake_study:diagnose")
+def options(count: int, limit: float = 100.0) -> HiddenOptions:
+    return HiddenOptions(count, limit=limit, make="fake_study:make", diagnose="fake_study:diagnose")
 
 
 @pytest.mark.timeout(120)
@@ -233,8 +233,9 @@ def test_what_fails_is_recorded_and_stops_nothing(tmp_path: Path, calls: Path) -
 
 def start(run: Path, count: int) -> subprocess.Popen[bytes]:
     code = (
-        "from pathlib import Path; from bcid.studies.hidden import *; "
-        f"run_hidden(Path({str(run)!r}), Options({count}, make='fake_study:make', diagnose='fake_study:diagnose', limit=100.0))"
+        "from pathlib import Path; from bcid.studies.hidden.hidden_study import *; "
+        f"options = HiddenOptions({count}, make='fake_study:make', diagnose='fake_study:diagnose', limit=100.0); "
+        f"run_hidden(Path({str(run)!r}), options)"
     )
     return subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)
 
@@ -272,7 +273,7 @@ def test_a_study_that_was_killed_goes_on(
 
 def test_options_are_checked(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--cases 0: must be at least 1"):
-        run_hidden(tmp_path / "run", Options(0))
+        run_hidden(tmp_path / "run", HiddenOptions(0))
     assert not (tmp_path / "run").exists()
 
 
@@ -282,7 +283,7 @@ def test_options_are_checked(tmp_path: Path) -> None:
 
 def test_the_dose_is_found_that_has_the_wanted_size() -> None:
     from bcid.base.errors import SolveError
-    from bcid.studies.truth import search
+    from bcid.studies.hidden.truth import search
 
     assert search(lambda t: 0.3 * t, 5.0, 100.0) == pytest.approx(5 / 0.3, rel=0.11)
     assert search(lambda t: t**2, 5.0, 100.0) == pytest.approx(5**0.5, rel=0.11)
@@ -296,7 +297,7 @@ def test_the_dose_is_found_that_has_the_wanted_size() -> None:
 def test_an_effect_at_its_bounds_gets_less_noise() -> None:
     from dataclasses import replace
 
-    from bcid.studies.truth import quieter
+    from bcid.studies.hidden.truth import quieter
 
     case = replace(cases.draw(0, 0), noise=4e-4, hidden=(cases.Hidden("gravity", 5.0),))
     assert quieter(case, [4.8]) == 4e-4
@@ -306,7 +307,7 @@ def test_an_effect_at_its_bounds_gets_less_noise() -> None:
 
 
 def test_half_steps_keep_the_commanded_frames() -> None:
-    from bcid.studies.truth import halved
+    from bcid.studies.hidden.truth import halved
 
     action = cases.draw(0, 1).actions[1]
     fine = halved(action, 100)
@@ -320,8 +321,8 @@ def test_half_steps_keep_the_commanded_frames() -> None:
 @pytest.mark.slow
 def test_the_same_case_is_the_same_measurement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from bcid.scene import Level
-    from bcid.studies import truth
-    from bcid.studies.hidden import SCENE
+    from bcid.studies.hidden import truth
+    from bcid.studies.hidden.hidden_study import SCENE
 
     index = next(i for i in range(40) if cases.plan(0, i) == ("one", ("time_lag",)))
     monkeypatch.setattr(truth.compute, "__defaults__", (Level(3, 0.025), Level(2, 0.025)))

@@ -9,7 +9,7 @@ import pytest
 
 from bcid.base.errors import InputError
 from bcid.forms.mesh import BodyMesh, level_mesh
-from bcid.forms.patches import divided, element_size, extents, first_level, halves, touching
+from bcid.forms.mesh.patches import divided, element_size, extents, first_level, halves, touching
 from bcid.scene import Box, Level, Plane, Region, Scene
 
 ROOT = Path(__file__).resolve().parents[2]

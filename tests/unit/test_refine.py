@@ -16,14 +16,14 @@ import xarray as xr
 
 from bcid.base.errors import InputError
 from bcid.base.progress import Silent
-from bcid.base.run import sealed
-from bcid.forms.patches import halves
+from bcid.base.run_folder import sealed
+from bcid.forms.mesh.patches import halves
 from bcid.forms.simulate import simulate
+from bcid.inference.outcome import Candidate, Outcome
 from bcid.measurement import Measurement
 from bcid.scene import Level, Region, Scene
 from bcid.scene.motions import about_x, actions
-from bcid.search.farm import Candidate, Outcome
-from bcid.search.identify import Options, identify
+from bcid.search.identify import IdentifyOptions, identify
 from bcid.search.refine import (
     Refinement,
     Tree,
@@ -44,7 +44,7 @@ FEW = replace(SLAB, patches={name: SLAB.patches[name] for name in "2378"})
 # Five steps that pull and lift.
 MOTION = actions([(np.arange(5)[:, None] * np.array([0.004, 0.001, 0.0]), about_x(np.zeros(5)))], "II")
 NOISE = 0.3e-3
-OPTIONS = Options(coarsest=1, finest=1, seeds=4, termination=Termination(patience=4))
+OPTIONS = IdentifyOptions(coarsest=1, finest=1, seeds=4, termination=Termination(patience=4))
 
 
 def cut(scene: Scene, *names: str) -> Scene:
@@ -124,7 +124,7 @@ class Searches:
         self.anchored, self.rms, self.probability = anchored.split(), rms, probability
         self.asked: list[tuple[list[str], list[Candidate]]] = []
 
-    def __call__(self, scene: Scene, options: Options, start: Sequence[Candidate]) -> Any:
+    def __call__(self, scene: Scene, options: IdentifyOptions, start: Sequence[Candidate]) -> Any:
         self.asked.append((list(scene.patches), list(start)))
         best = expanded(self.anchored, scene.patches)
         assert best is not None
@@ -139,7 +139,7 @@ class Searches:
 
     def run(self, rounds: int, finest: int = 3, mesh_error: float = 0.0, scene: Scene = SLAB) -> list[list[str]]:
         """The patches of every search."""
-        options = Options(coarsest=1, finest=finest)
+        options = IdentifyOptions(coarsest=1, finest=finest)
         self.rounds = _Rounds(
             Tree(scene, None), options, Silent(), self, lambda _scene, _found: mesh_error * NOISE, 1000
         )
@@ -198,8 +198,8 @@ def test_halves_are_not_smaller_than_the_elements() -> None:
     assert second == [half for p in SLAB.patches for half in (f"{p}.1", f"{p}.2")]
     searches = Searches("1", 2.0)
     coarse = replace(SLAB, levels=(Level(1, 0.060),))
-    searches.rounds = _Rounds(Tree(coarse, None), Options(), Silent(), searches, lambda _s, _f: 0.0, 1000)
-    searches.rounds.found = searches(SLAB, Options(), ())
+    searches.rounds = _Rounds(Tree(coarse, None), IdentifyOptions(), Silent(), searches, lambda _s, _f: 0.0, 1000)
+    searches.rounds.found = searches(SLAB, IdentifyOptions(), ())
     assert searches.rounds.split(dict.fromkeys(SLAB.patches, 1)) == {}
 
 
@@ -208,7 +208,7 @@ def test_what_the_climbed_levels_suggest_is_judged_on_all(better: bool, sure: fl
     """Halves that seem different on levels 0 and 1 stay when the finer levels are sure of them, and explain more by them."""
     asked: list[tuple[int | None, list[str]]] = []
 
-    def search(scene: Scene, options: Options, _start: Sequence[Candidate]) -> Any:
+    def search(scene: Scene, options: IdentifyOptions, _start: Sequence[Candidate]) -> Any:
         asked.append((options.finest, [p for p in scene.patches if is_part(p, "7")]))
         on = "7.1" if "7.1" in scene.patches else "7"
         trial = options.finest == 1
@@ -219,7 +219,7 @@ def test_what_the_climbed_levels_suggest_is_judged_on_all(better: bool, sure: fl
             anchored=(on,), patches=chance, rms=rms * NOISE, noise=NOISE, levels=levels, alternatives=()
         )
 
-    rounds = _Rounds(Tree(SLAB, None), Options(), Silent(), search, lambda _scene, _found: 0.0, 1000)
+    rounds = _Rounds(Tree(SLAB, None), IdentifyOptions(), Silent(), search, lambda _scene, _found: 0.0, 1000)
     rounds.run(1)
     again = [(None, [])] if sure < 1.0 else []
     assert asked == [(None, []), (1, ["7.1", "7.2"]), (None, ["7.1", "7.2"]), *again]
@@ -284,7 +284,7 @@ def test_a_search_with_pieces_starts_where_all_of_them_are_seen() -> None:
     """Sixteen pieces of 12.5 mm on two triangles, then on twenty-six; `identify` divides by itself."""
     scene = replace(FEW, patches={"e": FEW.patches["7"]}, divide={"e": 0.0125})
     measurement = simulate(scene, {"e.4"}, MOTION, level=1, noise=NOISE, random_state=1)
-    options = Options(climbed=1, finest=1)
+    options = IdentifyOptions(climbed=1, finest=1)
     found = identify(scene, measurement, None, options, start=[frozenset(), frozenset({"e.3", "e.4"})])
     assert found.stages[0].startswith("not used: level 0 (elements of 50 mm) shows no facet of 14 piece(s): e.1, e.2")
     assert found.stages[1].startswith("level 1: 2 climbs ended")

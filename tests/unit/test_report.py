@@ -18,7 +18,7 @@ import runs
 
 from bcid.app import cli
 from bcid.base.errors import InputError
-from bcid.base.run import Run
+from bcid.base.run_folder import RunFolder
 from bcid.base.units import significance
 from bcid.report import gallery
 from bcid.report.body_view import view_data
@@ -27,7 +27,7 @@ from bcid.report.lengths import in_mm
 from bcid.report.page import MARK, write_report
 from bcid.report.residual import Residual, rms
 from bcid.report.table import NUMBER, TEXT, Column, Table, aligned
-from bcid.report.words import amount, uncertain
+from bcid.report.text import amount, uncertain
 
 FEW = ("body", "ladder", "sets", "calibration")
 
@@ -252,19 +252,19 @@ def truncated_body(folder: Path) -> None:
 
 
 def other_frames(folder: Path) -> None:
-    Run(folder, {}).write_dataset("residuals.nc", runs.positions().isel(frame=slice(0, 3)))
+    RunFolder(folder, {}).write_dataset("residuals.nc", runs.positions().isel(frame=slice(0, 3)))
     runs.seal(folder, "residuals.nc")
 
 
 def no_triangles(folder: Path) -> None:
-    Run(folder, {}).write_dataset("body.nc", runs.body().drop_vars("triangles"))
+    RunFolder(folder, {}).write_dataset("body.nc", runs.body().drop_vars("triangles"))
     runs.seal(folder, "body.nc")
 
 
 def far_nodes(folder: Path) -> None:
     data = runs.body()
     data["points"][:] = np.nan
-    Run(folder, {}).write_dataset("body.nc", data)
+    RunFolder(folder, {}).write_dataset("body.nc", data)
     runs.seal(folder, "body.nc")
 
 

@@ -12,19 +12,19 @@ from scipy.integrate import quad, simpson
 from scipy.stats import norm
 
 from bcid.base.errors import InputError
-from bcid.compare.data import MeshError
-from bcid.compare.fit import fit
-from bcid.compare.state import State
-from bcid.compare.twin import Twin
-from bcid.explore.belief import Hypothesis
-from bcid.explore.information import information
-from bcid.explore.job import run_exploration
-from bcid.explore.loop import Plan
-from bcid.explore.moves import Move, limits_of
-from bcid.explore.rival_effects import Fitted, RivalEffects, joined
+from bcid.comparison.fit import fit
+from bcid.comparison.predictor import Predictor
+from bcid.comparison.state import State
+from bcid.exploration.explore_run import run_exploration
+from bcid.exploration.information import information
+from bcid.exploration.loop import ExploreOptions
+from bcid.exploration.moves import Move, limits_of
+from bcid.exploration.rival_effects import Fitted, RivalEffects, joined
 from bcid.forms import effects
-from bcid.forms.model import Dose, Model
+from bcid.forms.model import Model, Term
 from bcid.forms.simulate import simulate
+from bcid.inference.hypotheses import Hypothesis
+from bcid.inference.mesh_error import MeshError
 from bcid.measurement import Measurement
 from bcid.scene import Scene
 
@@ -54,7 +54,7 @@ def test_information_about_a_spread_is_that_of_two_gaussians() -> None:
 def heavy(coarse_scene: Path) -> tuple[Scene, Measurement]:
     """The coarse slab, and one pull at it with a weight that its scene does not know of."""
     scene = Scene.read(coarse_scene)
-    model = Model.of(scene) + Dose("gravity", {"weight": WEIGHT})
+    model = Model.of(scene) + Term("gravity", {"weight": WEIGHT})
     action = Move("II", "out", limits_of(scene).displacement).action(limits_of(scene))
     return scene, simulate(scene, ["3", "4"], [action], 0, NOISE, 3, model=model)
 
@@ -62,34 +62,36 @@ def heavy(coarse_scene: Path) -> tuple[Scene, Measurement]:
 def test_evidence_is_the_likelihood_averaged_over_what_was_believed(heavy: tuple[Scene, Measurement]) -> None:
     """Laplace's approximation against Simpson's rule over the weight, with predictions at every one of its values."""
     scene, seen = heavy
-    twin = Twin(scene, seen, MPI.COMM_SELF)
+    predictor = Predictor(scene, seen, MPI.COMM_SELF)
     anchors, plain = frozenset("34"), Model.of(scene)
-    start = State.of(twin, plain + Dose("gravity", {"weight": 1000.0}), anchors)
+    start = State.of(predictor, plain + Term("gravity", {"weight": 1000.0}), anchors)
     one = Fitted(Hypothesis(anchors, "gravity"), fit(start, ["gravity.weight"]), plain)
     value, error = one.amounts["gravity.weight"]
     assert value == pytest.approx(WEIGHT, abs=4 * error)
-    sigma = 2 * effects.effect("gravity").parameters[0].typical
+    sigma = 2 * effects.effect("gravity").parameters[0].scale
     at = value + error * np.linspace(-5, 5, 21)
-    chi2 = [State.of(twin, start.model.with_values({"gravity.weight": w}), anchors, start.errors.mesh).chi2 for w in at]
+    chi2 = [
+        State.of(predictor, start.model.with_values({"gravity.weight": w}), anchors, start.errors.mesh).chi2 for w in at
+    ]
     averaged = simpson(np.exp(-0.5 * (np.array(chi2) - one.chi2)) * norm.pdf(at, 0.0, sigma), x=at)
     volume = start.errors.log_volume
     assert one.log(1.0) == pytest.approx(-0.5 * one.chi2 - volume + math.log(averaged), abs=0.05)
-    twin.destroy()
+    predictor.destroy()
 
 
 def test_what_the_pulls_do_not_tell_stays_as_it_was_expected(heavy: tuple[Scene, Measurement]) -> None:
     """Springs at a patch that is not anchored do nothing: any stiffness fits, and none is likelier for it."""
     scene, seen = heavy
-    twin = Twin(scene, seen, MPI.COMM_SELF)
+    predictor = Predictor(scene, seen, MPI.COMM_SELF)
     anchors, plain = frozenset("34"), Model.of(scene)
-    nothing = MeshError.unknown(twin.data.mask.shape)
-    alone = Fitted(Hypothesis(anchors), fit(State.of(twin, plain, anchors, nothing), ()), plain)
-    loose = plain + Dose("soft_anchor", {"stiffness": 3e4}, place="2")
-    one = fit(State.of(twin, loose, anchors, nothing), ["soft_anchor(2).stiffness"])
+    nothing = MeshError.unknown(predictor.data.mask.shape)
+    alone = Fitted(Hypothesis(anchors), fit(State.of(predictor, plain, anchors, nothing), ()), plain)
+    loose = plain + Term("soft_anchor", {"stiffness": 3e4}, place="2")
+    one = fit(State.of(predictor, loose, anchors, nothing), ["soft_anchor(2).stiffness"])
     dormant = Fitted(Hypothesis(anchors, "soft_anchor"), one, plain)
     assert dormant.log(1.0) == pytest.approx(alone.log(1.0), abs=1e-6)
     assert dormant.model.constants()["soft_anchor(2).stiffness"] > 1e9
-    twin.destroy()
+    predictor.destroy()
 
 
 def test_pulls_are_joined_with_their_noise(heavy: tuple[Scene, Measurement]) -> None:
@@ -106,7 +108,7 @@ def test_pulls_are_joined_with_their_noise(heavy: tuple[Scene, Measurement]) -> 
 
 def test_a_hidden_weight_is_told_from_soft_anchors(coarse_scene: Path, tmp_path: Path) -> None:
     hidden = [f"gravity: weight = {WEIGHT} N/m^3"]
-    plan = Plan(noise=NOISE, effects=("gravity", "soft_anchor"), samples=200)
+    plan = ExploreOptions(noise=NOISE, effects=("gravity", "soft_anchor"), samples=200)
     run_exploration(coarse_scene, "simulated:3,4", tmp_path / "run", plan, MPI.COMM_SELF, hidden=hidden)
     found = json.loads((tmp_path / "run/exploration.json").read_text())
     assert (found["reason"], found["anchored"], found["effect"]) == ("decided", ["3", "4"], "gravity")
@@ -132,7 +134,7 @@ def test_an_effect_is_not_fitted_at_a_place_that_it_has_not(heavy: tuple[Scene, 
     acting = [f for f in found if f.hypothesis.effect]
     assert acting
     for one in acting:
-        assert one.model.doses[-1].place in ("", *one.hypothesis.anchors)
+        assert one.model.terms[-1].place in ("", *one.hypothesis.anchors)
     rivals.destroy()
 
 
@@ -148,7 +150,7 @@ def test_an_effect_is_not_fitted_at_a_place_that_it_has_not(heavy: tuple[Scene, 
 )
 def test_what_cannot_be_hidden_is_told(coarse_scene: Path, tmp_path: Path, robot: str, hidden: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
-        run_exploration(coarse_scene, robot, tmp_path / "run", Plan(), MPI.COMM_SELF, hidden=[hidden])
+        run_exploration(coarse_scene, robot, tmp_path / "run", ExploreOptions(), MPI.COMM_SELF, hidden=[hidden])
     assert not (tmp_path / "run").exists()
 
 
@@ -156,4 +158,4 @@ def test_what_cannot_be_hidden_is_told(coarse_scene: Path, tmp_path: Path, robot
 def test_wrong_effects_are_refused(coarse_scene: Path, name: str, words: str) -> None:
     scene = Scene.read(coarse_scene)
     with pytest.raises(InputError, match=words):
-        Plan(effects=(name,)).check(replace(scene, effects={"gravity": {"weight": "1 N/m^3"}}))
+        ExploreOptions(effects=(name,)).check(replace(scene, effects={"gravity": {"weight": "1 N/m^3"}}))

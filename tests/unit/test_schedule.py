@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bcid.search.schedule import Alone, replay, share
+from bcid.search.scheduler import Alone, replay, share
 
 
 def test_a_single_worker_takes_everything_in_order() -> None:

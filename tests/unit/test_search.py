@@ -9,11 +9,12 @@ import pytest
 
 from bcid.base.errors import InputError, SolveError
 from bcid.base.progress import Silent
-from bcid.forms.status import Status
-from bcid.search.belief import Belief, classes, finest, interest, log_likelihood, model_errors
+from bcid.forms.solver.status import Status
+from bcid.inference.outcome import Candidate, Outcome, label
+from bcid.inference.posterior import Posterior, classes, finest, interest, log_likelihood, model_errors
 from bcid.search.climb import ODDS, climb, neighbours
-from bcid.search.farm import Candidate, Farm, Outcome, label
-from bcid.search.identify import Options, _Search
+from bcid.search.evaluator import Evaluator
+from bcid.search.identify import IdentifyOptions, _Search
 from bcid.search.seeds import above, all_candidates, maxima, perturbed, random_seeds
 from bcid.search.termination import Termination
 
@@ -23,7 +24,7 @@ VALUES = 1000
 
 
 class Landscape:
-    """Stands in for a `Farm`: chi-square from a formula, with evaluations that stop at a bound as the real ones do."""
+    """Stands in for a `Evaluator`: chi-square from a formula, with evaluations that stop at a bound as the real ones do."""
 
     def __init__(self, *levels: Callable[[Candidate], float], noise: float | None = 1.0, apart: float = 0.0) -> None:
         self.levels = levels
@@ -46,7 +47,7 @@ class Landscape:
         self, level: int, bounds: Mapping[Candidate, float], rival: Candidate | None = None
     ) -> dict[Candidate, Outcome]:
         for candidate, bound in bounds.items():
-            if Farm._enough(self.outcomes.get((level, candidate)), bound):
+            if Evaluator._enough(self.outcomes.get((level, candidate)), bound):
                 continue
             self.asked += 1
             chi2 = self.levels[level](candidate)
@@ -83,13 +84,13 @@ def distance(candidate: Candidate, truth: Candidate = TRUE) -> float:
     return VALUES * (1.0 + 3.0 * len(candidate ^ truth))
 
 
-def search(farm: Landscape, options: Options | None = None):  # type: ignore[no-untyped-def]
-    return _Search(farm, options or Options(certify="no"), Silent()).run()  # type: ignore[arg-type]
+def search(evaluator: Landscape, options: IdentifyOptions | None = None):  # type: ignore[no-untyped-def]
+    return _Search(evaluator, options or IdentifyOptions(certify="no"), Silent()).run()  # type: ignore[arg-type]
 
 
 def test_climbs_end_on_the_hill_by_single_toggles() -> None:
-    farm = Landscape(distance)
-    climbs = climb(farm, 0, [frozenset(), frozenset(PATCHES), TRUE])  # type: ignore[arg-type]
+    evaluator = Landscape(distance)
+    climbs = climb(evaluator, 0, [frozenset(), frozenset(PATCHES), TRUE])  # type: ignore[arg-type]
     assert [c.top for c in climbs] == [TRUE] * 3
     assert [len(c.path) for c in climbs] == [3, 5, 1]
     for c in climbs:
@@ -97,26 +98,26 @@ def test_climbs_end_on_the_hill_by_single_toggles() -> None:
 
 
 def test_equal_climbers_share_their_work() -> None:
-    farm = Landscape(distance)
-    climb(farm, 0, [frozenset("1"), frozenset("1"), frozenset("1")])  # type: ignore[arg-type]
-    alone = farm.asked
-    farm = Landscape(distance)
-    climb(farm, 0, [frozenset("1")])  # type: ignore[arg-type]
-    assert farm.asked == alone
+    evaluator = Landscape(distance)
+    climb(evaluator, 0, [frozenset("1"), frozenset("1"), frozenset("1")])  # type: ignore[arg-type]
+    alone = evaluator.asked
+    evaluator = Landscape(distance)
+    climb(evaluator, 0, [frozenset("1")])  # type: ignore[arg-type]
+    assert evaluator.asked == alone
 
 
 def test_a_local_maximum_holds_a_climber() -> None:
     trap = frozenset("1346")
-    farm = Landscape(lambda c: 1.5 * VALUES if c == trap else distance(c))
-    tops = {c.top for c in climb(farm, 0, [trap, TRUE])}  # type: ignore[arg-type]
+    evaluator = Landscape(lambda c: 1.5 * VALUES if c == trap else distance(c))
+    tops = {c.top for c in climb(evaluator, 0, [trap, TRUE])}  # type: ignore[arg-type]
     assert tops == {trap, TRUE}
-    climbs = climb(farm, 0, [trap, TRUE])  # type: ignore[arg-type]
-    assert maxima(climbs, farm, 0) == [TRUE, trap]  # type: ignore[arg-type]
+    climbs = climb(evaluator, 0, [trap, TRUE])  # type: ignore[arg-type]
+    assert maxima(climbs, evaluator, 0) == [TRUE, trap]  # type: ignore[arg-type]
 
 
 def test_failed_neighbours_are_passed_by() -> None:
-    farm = Landscape(lambda c: math.inf if c == frozenset("2") else distance(c))
-    assert climb(farm, 0, [frozenset()])[0].top == TRUE  # type: ignore[arg-type]
+    evaluator = Landscape(lambda c: math.inf if c == frozenset("2") else distance(c))
+    assert climb(evaluator, 0, [frozenset()])[0].top == TRUE  # type: ignore[arg-type]
 
 
 def test_neighbours_and_labels() -> None:
@@ -139,11 +140,11 @@ def test_seeds() -> None:
 
 
 def test_good_states_above_a_threshold() -> None:
-    farm = Landscape(distance)
-    farm.evaluate(0, {TRUE: math.inf, frozenset("2"): math.inf, frozenset(): 2.0})
-    everything = above(farm, 0, 0.0)  # type: ignore[arg-type]
+    evaluator = Landscape(distance)
+    evaluator.evaluate(0, {TRUE: math.inf, frozenset("2"): math.inf, frozenset(): 2.0})
+    everything = above(evaluator, 0, 0.0)  # type: ignore[arg-type]
     assert everything == [TRUE, frozenset("2")], "a stopped evaluation has no similarity"
-    assert above(farm, 0, farm.misfit.similarity(1.5)) == [TRUE]  # type: ignore[arg-type]
+    assert above(evaluator, 0, evaluator.misfit.similarity(1.5)) == [TRUE]  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -156,16 +157,16 @@ def test_good_states_above_a_threshold() -> None:
     ],
 )
 def test_termination(rules: Termination, since: int, said: str | None) -> None:
-    farm = Landscape(distance)
-    best = farm.evaluate(0, {TRUE: math.inf})[TRUE]
-    reached = rules.reached(farm, 0, best, since)  # type: ignore[arg-type]
+    evaluator = Landscape(distance)
+    best = evaluator.evaluate(0, {TRUE: math.inf})[TRUE]
+    reached = rules.reached(evaluator, 0, best, since)  # type: ignore[arg-type]
     assert (said in reached) if said and reached else reached is said
 
 
 def test_belief_is_a_distribution() -> None:
-    farm = Landscape(lambda c: VALUES + 4.0 * len(c ^ TRUE) if len(c) < 5 else math.inf)
-    farm.evaluate(0, dict.fromkeys(all_candidates(PATCHES), math.inf))
-    belief = Belief.of(farm, TRUE, {0: 0.0})  # type: ignore[arg-type]
+    evaluator = Landscape(lambda c: VALUES + 4.0 * len(c ^ TRUE) if len(c) < 5 else math.inf)
+    evaluator.evaluate(0, dict.fromkeys(all_candidates(PATCHES), math.inf))
+    belief = Posterior.of(evaluator, TRUE, {0: 0.0})  # type: ignore[arg-type]
     assert math.fsum(belief.probability.values()) == pytest.approx(1.0)
     assert belief.probability[frozenset(PATCHES)] == 0.0
     one = belief.probability[frozenset("2")] / belief.probability[TRUE]
@@ -177,41 +178,41 @@ def test_a_coarse_level_is_not_believed_beyond_its_error() -> None:
     """Where the best set misses by ten times the noise, the same ratio of misfits says far less."""
     fine, coarse = (Landscape(lambda c, s=s: s * (VALUES + 100.0 * len(c ^ TRUE))) for s in (1.0, 100.0))
     ratios = []
-    for farm, error in ((fine, 0.0), (coarse, math.sqrt(99.0))):
-        farm.evaluate(0, {TRUE: math.inf, frozenset("2"): math.inf})
-        assert model_errors(farm, TRUE, [0]) == {0: pytest.approx(error)}  # type: ignore[arg-type]
-        pair = farm.outcomes[0, frozenset("2")], farm.outcomes[0, TRUE]
-        ratios.append(log_likelihood(*pair, farm.misfit, error))  # type: ignore[arg-type]
+    for evaluator, error in ((fine, 0.0), (coarse, math.sqrt(99.0))):
+        evaluator.evaluate(0, {TRUE: math.inf, frozenset("2"): math.inf})
+        assert model_errors(evaluator, TRUE, [0]) == {0: pytest.approx(error)}  # type: ignore[arg-type]
+        pair = evaluator.outcomes[0, frozenset("2")], evaluator.outcomes[0, TRUE]
+        ratios.append(log_likelihood(*pair, evaluator.misfit, error))  # type: ignore[arg-type]
     assert ratios[0] == pytest.approx(-50.0)
     assert ratios[1] == pytest.approx(-10_000 / 2 / (1 + 99 * VALUES / 60))
 
 
 def test_the_error_of_a_level_comes_from_the_next_and_from_the_residual() -> None:
-    farm = Landscape(distance, distance, apart=3.0)
+    evaluator = Landscape(distance, distance, apart=3.0)
     for level in (0, 1):
-        farm.evaluate(level, {TRUE: math.inf})
-    assert model_errors(farm, TRUE, [0, 1]) == {0: 3.0, 1: 1.0}  # type: ignore[arg-type]
-    farm = Landscape(lambda c: 5 * VALUES, lambda c: 2 * VALUES)
+        evaluator.evaluate(level, {TRUE: math.inf})
+    assert model_errors(evaluator, TRUE, [0, 1]) == {0: 3.0, 1: 1.0}  # type: ignore[arg-type]
+    evaluator = Landscape(lambda c: 5 * VALUES, lambda c: 2 * VALUES)
     for level in (0, 1):
-        farm.evaluate(level, {TRUE: math.inf})
-    assert model_errors(farm, TRUE, [0, 1]) == pytest.approx({0: 2.0, 1: 1.0})  # type: ignore[arg-type]
+        evaluator.evaluate(level, {TRUE: math.inf})
+    assert model_errors(evaluator, TRUE, [0, 1]) == pytest.approx({0: 2.0, 1: 1.0})  # type: ignore[arg-type]
 
 
 def test_an_error_of_the_measured_frame_counts_on_every_level() -> None:
-    farm = Landscape(distance, distance, apart=3.0)
+    evaluator = Landscape(distance, distance, apart=3.0)
     for level in (0, 1):
-        farm.evaluate(level, {TRUE: math.inf})
-    farm.misfit.common = 4.0
-    assert model_errors(farm, TRUE, [0, 1]) == pytest.approx({0: 5.0, 1: math.sqrt(17.0)})  # type: ignore[arg-type]
+        evaluator.evaluate(level, {TRUE: math.inf})
+    evaluator.misfit.common = 4.0
+    assert model_errors(evaluator, TRUE, [0, 1]) == pytest.approx({0: 5.0, 1: math.sqrt(17.0)})  # type: ignore[arg-type]
 
 
 def test_a_best_set_that_failed_on_a_coarse_level() -> None:
-    farm = Landscape(lambda c: math.inf if c == TRUE else distance(c), distance, distance, apart=3.0)
-    found = search(farm)
+    evaluator = Landscape(lambda c: math.inf if c == TRUE else distance(c), distance, distance, apart=3.0)
+    found = search(evaluator)
     assert found.anchored == ("2", "5")
     assert found.probability > 0.9
-    farm.evaluate(2, {TRUE: math.inf})
-    assert model_errors(farm, TRUE, [0, 1, 2]) == {0: 0.0, 1: 3.0, 2: 1.0}  # type: ignore[arg-type]
+    evaluator.evaluate(2, {TRUE: math.inf})
+    assert model_errors(evaluator, TRUE, [0, 1, 2]) == {0: 0.0, 1: 3.0, 2: 1.0}  # type: ignore[arg-type]
 
 
 def test_a_fit_on_one_level_is_not_enough() -> None:
@@ -223,28 +224,30 @@ def test_a_fit_on_one_level_is_not_enough() -> None:
 
 
 def test_the_search_finds_and_counts() -> None:
-    farm = Landscape(distance)
-    found = search(farm)
+    evaluator = Landscape(distance)
+    found = search(evaluator)
     assert found.anchored == ("2", "5")
     assert found.probability > 0.999
     assert not found.certified
-    assert found.evaluations == farm.evaluations()
+    assert found.evaluations == evaluator.evaluations()
 
 
 def test_given_sets_are_climbed_from_instead_of_random_ones() -> None:
-    farm = Landscape(distance)
-    found = _Search(farm, Options(certify="no"), Silent(), [TRUE, frozenset("2")]).run()  # type: ignore[arg-type]
+    evaluator = Landscape(distance)
+    found = _Search(evaluator, IdentifyOptions(certify="no"), Silent(), [TRUE, frozenset("2")]).run()  # type: ignore[arg-type]
     assert found.anchored == ("2", "5")
     assert found.stages[0].startswith("level 0: 2 climbs ended on 1 maxima")
-    assert len(farm.outcomes) == 12, "the two sets, the neighbours of each, one of them shared"
+    assert len(evaluator.outcomes) == 12, "the two sets, the neighbours of each, one of them shared"
 
 
 def test_patience_ends_a_stage() -> None:
     """The hill has one top: every group of four seeds after the first finds nothing better."""
     rules = Termination(fit=0.0, patience=8)
-    found = search(Landscape(distance), Options(certify="no", termination=rules))
+    found = search(Landscape(distance), IdentifyOptions(certify="no", termination=rules))
     assert found.stages[0] == "level 0: 12 climbs ended on 1 maxima; 8 seeds in a row led to nothing better"
-    everything = search(Landscape(distance), Options(certify="no", termination=Termination(fit=0.0, patience=99)))
+    everything = search(
+        Landscape(distance), IdentifyOptions(certify="no", termination=Termination(fit=0.0, patience=99))
+    )
     assert everything.stages[0] == "level 0: 24 climbs ended on 1 maxima; all seeds are used"
 
 
@@ -259,7 +262,7 @@ def test_a_misleading_coarse_level_is_corrected(climbed: int) -> None:
     def coarse(c: Candidate) -> float:
         return 20 * VALUES * (1 + 0.3 * len(c ^ TRUE)) if c != wrong else 19.5 * VALUES
 
-    found = search(Landscape(coarse, distance), Options(certify="no", climbed=climbed))
+    found = search(Landscape(coarse, distance), IdentifyOptions(certify="no", climbed=climbed))
     assert found.anchored == ("2", "5")
     assert found.probability > 0.999
     assert found.levels == (0, 1)
@@ -274,17 +277,17 @@ def test_rivals_that_cannot_be_told_apart_share_the_belief() -> None:
 
 
 def test_certifying_looks_at_every_set() -> None:
-    farm = Landscape(distance)
-    found = search(farm, Options())
+    evaluator = Landscape(distance)
+    found = search(evaluator, IdentifyOptions())
     assert found.certified
     assert found.anchored == ("2", "5")
-    assert len(farm.outcomes) == 64
+    assert len(evaluator.outcomes) == 64
     assert found.evaluations[0] < 64
     assert found.looked_at["not"] == 0
     assert found.looked_at["stopped"] > 30
     assert sum(found.looked_at.values()) == 64
     broken = Landscape(lambda c: math.inf if c == frozenset("1") else distance(c))
-    found = search(broken, Options())
+    found = search(broken, IdentifyOptions())
     assert not found.certified, "nothing is known of a set that cannot be solved"
     assert found.looked_at["failed"] == 1
 
@@ -292,41 +295,41 @@ def test_certifying_looks_at_every_set() -> None:
 def test_certifying_finds_what_no_climb_came_near() -> None:
     """A hole far from the hill: every climb ends on the hill, and the last stage moves the answer into the hole."""
     hole = frozenset("1346")
-    found = search(Landscape(lambda c: 0.9 * VALUES if c == hole else distance(c)), Options(random_state=3))
+    found = search(Landscape(lambda c: 0.9 * VALUES if c == hole else distance(c)), IdentifyOptions(random_state=3))
     assert found.anchored == ("1", "3", "4", "6")
     assert found.certified
     assert found.probability > 0.999
 
 
 def test_sets_that_predict_the_same_are_one_class() -> None:
-    twin, near = frozenset("256"), frozenset("2")
-    farm = Landscape(lambda c: VALUES + 1.0 if c in (twin, near) else distance(c))
-    where = {TRUE: 0.0, twin: 0.01, near: 2.0}
-    farm.positions = lambda _level, c: where.get(c, 9.0)  # type: ignore[method-assign]
-    farm.evaluate(0, dict.fromkeys(all_candidates(PATCHES), math.inf))
-    assert classes(farm, 0, 0.0, ODDS) == [[TRUE, twin], [near]]  # type: ignore[arg-type]
+    predictor, near = frozenset("256"), frozenset("2")
+    evaluator = Landscape(lambda c: VALUES + 1.0 if c in (predictor, near) else distance(c))
+    where = {TRUE: 0.0, predictor: 0.01, near: 2.0}
+    evaluator.positions = lambda _level, c: where.get(c, 9.0)  # type: ignore[method-assign]
+    evaluator.evaluate(0, dict.fromkeys(all_candidates(PATCHES), math.inf))
+    assert classes(evaluator, 0, 0.0, ODDS) == [[TRUE, predictor], [near]]  # type: ignore[arg-type]
     # Half of VALUES * d^2 against the logarithm of 20.
     where[near] = math.sqrt(2 * math.log(20.0) / VALUES) * 1.001
-    assert len(classes(farm, 0, 0.0, ODDS)) == 2  # type: ignore[arg-type]
+    assert len(classes(evaluator, 0, 0.0, ODDS)) == 2  # type: ignore[arg-type]
     where[near] *= 0.998
-    assert len(classes(farm, 0, 0.0, ODDS)) == 1  # type: ignore[arg-type]
+    assert len(classes(evaluator, 0, 0.0, ODDS)) == 1  # type: ignore[arg-type]
 
 
 def test_where_a_rival_may_stop() -> None:
-    farm = Landscape(distance)
-    best = farm.evaluate(0, {TRUE: math.inf})[TRUE]
-    assert interest(best, farm.misfit, ODDS) == pytest.approx(VALUES + 2 * math.log(1e6))  # type: ignore[arg-type]
-    coarse = interest(best, farm.misfit, ODDS, error=3.0)  # type: ignore[arg-type]
+    evaluator = Landscape(distance)
+    best = evaluator.evaluate(0, {TRUE: math.inf})[TRUE]
+    assert interest(best, evaluator.misfit, ODDS) == pytest.approx(VALUES + 2 * math.log(1e6))  # type: ignore[arg-type]
+    coarse = interest(best, evaluator.misfit, ODDS, error=3.0)  # type: ignore[arg-type]
     assert coarse == pytest.approx(VALUES + 2 * math.log(1e6) * (1 + 9 * VALUES / 60))
 
 
 def test_a_resumed_search_takes_what_is_stored() -> None:
     """An outcome answers a question exactly when its evaluation did not stop below the bound."""
     stopped = Outcome(TRUE, 0, 500.0, 0.7, False, 0.4)
-    assert Farm._enough(stopped, 499.0)
-    assert not Farm._enough(stopped, 501.0)
+    assert Evaluator._enough(stopped, 499.0)
+    assert not Evaluator._enough(stopped, 501.0)
     whole = Outcome(TRUE, 0, 500.0, 0.7, True, 1.0)
-    assert Farm._enough(whole, math.inf)
+    assert Evaluator._enough(whole, math.inf)
     assert Outcome.from_json(whole.to_json()) == whole
     failed = Outcome(TRUE, 0, math.inf, math.inf, False, 0.1, Status.UNSTABLE, "buckles", 0.1)
     assert Outcome.from_json(failed.to_json()) == failed
@@ -337,7 +340,7 @@ def test_a_set_that_fails_on_the_finer_level_is_not_ruled_out_by_that() -> None:
     rival = frozenset("256")
     coarse = lambda c: VALUES if c in (TRUE, rival) else distance(c)  # noqa: E731
     fine = lambda c: math.inf if c == rival else distance(c)  # noqa: E731
-    found = search(Landscape(coarse, fine), Options(certify="no", finest=1))
+    found = search(Landscape(coarse, fine), IdentifyOptions(certify="no", finest=1))
     assert found.anchored == ("2", "5")
     assert found.probability == pytest.approx(0.5, abs=0.01)
     assert "{2 5 6}" in found.failures
@@ -392,16 +395,16 @@ def test_no_noise_is_needed() -> None:
 )
 def test_options_are_checked(wrong: dict[str, object]) -> None:
     scene = SimpleNamespace(levels=(1, 2), patches=PATCHES)
-    Options().check(scene)  # type: ignore[arg-type]
+    IdentifyOptions().check(scene)  # type: ignore[arg-type]
     with pytest.raises(InputError):
-        Options(**wrong).check(scene)  # type: ignore[arg-type]
+        IdentifyOptions(**wrong).check(scene)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="use certify no"):
-        Options(certify="yes").check(SimpleNamespace(levels=(1,), patches=range(17)))  # type: ignore[arg-type]
+        IdentifyOptions(certify="yes").check(SimpleNamespace(levels=(1,), patches=range(17)))  # type: ignore[arg-type]
 
 
 def test_finest_outcomes() -> None:
-    farm = Landscape(distance, distance)
-    farm.evaluate(0, {TRUE: math.inf, frozenset(): math.inf})
-    farm.evaluate(1, {TRUE: math.inf})
-    assert {c: o.level for c, o in finest(farm, 1).items()} == {TRUE: 1, frozenset(): 0}  # type: ignore[arg-type]
-    assert finest(farm, 0)[TRUE].level == 0  # type: ignore[arg-type]
+    evaluator = Landscape(distance, distance)
+    evaluator.evaluate(0, {TRUE: math.inf, frozenset(): math.inf})
+    evaluator.evaluate(1, {TRUE: math.inf})
+    assert {c: o.level for c, o in finest(evaluator, 1).items()} == {TRUE: 1, frozenset(): 0}  # type: ignore[arg-type]
+    assert finest(evaluator, 0)[TRUE].level == 0  # type: ignore[arg-type]

@@ -15,12 +15,12 @@ import pytest
 
 from bcid.app.cli import main
 from bcid.base.errors import InputError
-from bcid.studies.algorithm1 import in_one_stage, in_stages, optimum
-from bcid.studies.condition import Condition
-from bcid.studies.deal import How, read_result
-from bcid.studies.identification import see, turned
-from bcid.studies.study import Extent, run_study
-from bcid.studies.study_file import StudyFile
+from bcid.studies.engine.work import Workers, read_result
+from bcid.studies.paper.algorithm1 import in_one_stage, in_stages, optimum
+from bcid.studies.paper.condition import Condition
+from bcid.studies.paper.identification_trial import see, turned
+from bcid.studies.paper.study import Extent, run_study
+from bcid.studies.paper.study_file import StudyFile
 
 HERE = Path(__file__).resolve().parent
 PROJECT = HERE.parents[1]
@@ -164,7 +164,7 @@ def test_a_search_may_end_on_another_maximum_than_the_best_of_all() -> None:
 
 
 def test_turning_a_motion_turns_its_translations_and_its_axes() -> None:
-    from bcid.forms.rotation import from_vector
+    from bcid.scene.rotation import from_vector
 
     action = Condition(motion="complex").actions()[0]
     made = turned(action, from_vector([0.0, 0.0, 90.0]))
@@ -225,7 +225,7 @@ def test_a_study_by_children_in_parts_and_on_ranks_is_the_same(small: Path, tmp_
     import pandas as pd
 
     whole, parts, ranks = tmp_path / "whole", tmp_path / "parts", tmp_path / "ranks"
-    run_study(small, whole, Extent(), How())
+    run_study(small, whole, Extent(), Workers())
     told = (whole / "table.txt").read_text(encoding="utf-8")
     table = pd.read_parquet(whole / "trials.parquet")
     assert len(table) == 16
@@ -241,19 +241,19 @@ def test_a_study_by_children_in_parts_and_on_ranks_is_the_same(small: Path, tmp_
     assert (whole / "picture.png").stat().st_size > 5000
     assert (whole / "table.csv").read_text(encoding="utf-8").startswith("noise,search,trials,failed,right,low,high,")
     with pytest.raises(InputError, match="finished"):
-        run_study(small, whole, Extent(), How())
+        run_study(small, whole, Extent(), Workers())
 
     # Two parts that share the folder, then the command that makes the tables.
     shared = whole / "shared"
     for i in (1, 2):
-        run_study(small, parts, Extent(part=(i, 2), only_predict=True), How(), shared=shared)
+        run_study(small, parts, Extent(part=(i, 2), only_predict=True), Workers(), shared=shared)
     begun = [
         subprocess.Popen([*PYTHON, "study", str(small), "-o", str(parts), "--part", f"{i}/2", "--quiet"])
         for i in (1, 2)
     ]
     assert [process.wait(timeout=120) for process in begun] == [0, 0]
     assert not (parts / "table.txt").exists()
-    run_study(small, parts, Extent(), How(), shared=shared)
+    run_study(small, parts, Extent(), Workers(), shared=shared)
     assert without_times(parts) == without_times(whole)
     assert (parts / "table.txt").read_text(encoding="utf-8") == told
 
@@ -279,9 +279,10 @@ import sys
 from pathlib import Path
 from mpi4py import MPI
 from bcid.base.progress import Silent
-from bcid.studies.deal import How, deal
+from bcid.studies.engine.dispatch import dispatch
+from bcid.studies.engine.work import Workers
 from benchmarks.reliability.kills import tasks, work
-deal(work(Path(sys.argv[1]), sleep=0.05), tasks(60, t7="raise"), How(MPI.COMM_WORLD), Silent())
+dispatch(work(Path(sys.argv[1]), sleep=0.05), tasks(60, t7="raise"), Workers(MPI.COMM_WORLD), Silent())
 """
 
 
@@ -310,9 +311,10 @@ import sys
 from pathlib import Path
 from mpi4py import MPI
 from bcid.base.progress import Silent
-from bcid.studies.deal import How, deal
+from bcid.studies.engine.dispatch import dispatch
+from bcid.studies.engine.work import Workers
 from benchmarks.reliability.kills import tasks, work
-deal(work(Path(sys.argv[1])), tasks(8, t1="spin", t3="hang"), How(MPI.COMM_WORLD, limit=1.0), Silent())
+dispatch(work(Path(sys.argv[1])), tasks(8, t1="spin", t3="hang"), Workers(MPI.COMM_WORLD, limit=1.0), Silent())
 """
 
 
@@ -335,7 +337,8 @@ import sys
 from pathlib import Path
 from mpi4py import MPI
 from bcid.base.progress import Silent
-from bcid.studies.deal import How, Work, deal
+from bcid.studies.engine.dispatch import dispatch
+from bcid.studies.engine.work import Workers, Work
 
 def maker(job):
     from petsc4py import PETSc
@@ -344,7 +347,7 @@ def maker(job):
 
 if __name__ == "__main__":
     folder = Path(sys.argv[1])
-    deal(Work("late:maker", {}, folder), {name: {} for name in "abcd"}, How(MPI.COMM_WORLD), Silent())
+    dispatch(Work("late:maker", {}, folder), {name: {} for name in "abcd"}, Workers(MPI.COMM_WORLD), Silent())
 """
 
 

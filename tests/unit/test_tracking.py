@@ -16,7 +16,7 @@ from drawn import DIAMETER, LAYOUT, REST, SHIFT, TO_CAMERA, cameras, draw, in_ca
 from bcid import Measurement
 from bcid.app.cli import main
 from bcid.base.errors import InputError
-from bcid.base.run import Run
+from bcid.base.run_folder import RunFolder
 from bcid.measurement import Units
 from bcid.measurement.folder import read_grasps
 from bcid.vision.camera import Camera, Cameras
@@ -530,7 +530,7 @@ def test_track_writes_a_run_folder(
     printed = capsys.readouterr().out
     assert "Tracked 16 beads through 10 pairs of images: 98.1% of the positions (157 of 160)" in printed
     assert "Nothing is suspicious." in printed
-    assert Run.open(run).record["state"] == "finished"
+    assert RunFolder.open(run).record["state"] == "finished"
     for name in ("film.mp4", "rest.png", "tracking.png", "tracking.nc", "tracking.json", "summary.txt"):
         assert (run / name).stat().st_size > 0
     film = cv2.VideoCapture(str(run / "film.mp4"))

@@ -13,12 +13,12 @@ from mpi4py import MPI
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_matrix
 
-from bcid.forms.body import Body
 from bcid.forms.mesh import BodyMesh
+from bcid.forms.mesh.body import Body
 from bcid.forms.model import Model
-from bcid.forms.solve import Equilibrium, Settings
-from bcid.forms.status import Status
-from bcid.forms.supports import Pose
+from bcid.forms.solver.equilibrium import Equilibrium, Settings
+from bcid.forms.solver.status import Status
+from bcid.forms.solver.supports import Pose
 from bcid.measurement import Action
 from bcid.scene import Grasp, Level, Material, Region, Scene
 
@@ -135,7 +135,7 @@ class Prescribed(Equilibrium):
 
     def _prescribe(self, pose: Pose) -> None:
         super()._prescribe(pose)
-        self.supports.gripper.x.array[:] = (pose.dose * self.field(self.body.nodes)).ravel()
+        self.supports.gripper.x.array[:] = (pose.load_factor * self.field(self.body.nodes)).ravel()
 
     @classmethod
     def on(
@@ -150,7 +150,7 @@ def gradually(equilibrium: Equilibrium, steps: int) -> Status:
     """Apply the model's own effects and loads in equal steps, from the present state."""
     status = Status.CONVERGED
     for k in range(1, steps + 1):
-        status = equilibrium.solve(Pose(dose=k / steps))
+        status = equilibrium.solve(Pose(load_factor=k / steps))
         if status is not Status.CONVERGED:
             break
     return status

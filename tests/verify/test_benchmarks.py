@@ -10,10 +10,10 @@ from scipy.optimize import brentq
 from verify.problems import box, gradually, scene_of
 
 from bcid.forms import materials
-from bcid.forms.body import Body
+from bcid.forms.mesh.body import Body
 from bcid.forms.model import Anchors, Model, pressure, traction
-from bcid.forms.solve import Equilibrium, Settings
-from bcid.forms.status import Status
+from bcid.forms.solver.equilibrium import Equilibrium, Settings
+from bcid.forms.solver.status import Status
 
 Array = NDArray[np.float64]
 

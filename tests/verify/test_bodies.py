@@ -13,7 +13,7 @@ from verify.problems import move, straight
 from bcid.forms.forward import Forward
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import check_physics
-from bcid.forms.status import Status
+from bcid.forms.solver.status import Status
 from bcid.scene import Scene
 
 VOLUME = {"gallbladder": 30.9e-6, "beam": 90e-6}

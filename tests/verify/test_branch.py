@@ -16,14 +16,14 @@ import pytest
 from mpi4py import MPI
 from verify.problems import box, lowest_eigenvalue, move, scene_of, straight
 
-from bcid.forms.body import Body
 from bcid.forms.forward import Forward
+from bcid.forms.mesh.body import Body
 from bcid.forms.model import Anchors, Held, Model
-from bcid.forms.softness import linear_buckling
-from bcid.forms.solve import Equilibrium
-from bcid.forms.status import Status
-from bcid.forms.supports import Pose
-from bcid.forms.trajectory import follow
+from bcid.forms.solver.buckling import linear_buckling
+from bcid.forms.solver.equilibrium import Equilibrium
+from bcid.forms.solver.status import Status
+from bcid.forms.solver.supports import Pose
+from bcid.forms.solver.trajectory import follow
 from bcid.scene import Scene
 from bcid.scene.motions import about_x
 

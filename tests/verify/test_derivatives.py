@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from verify.problems import box, crumpled, forces, rates, scene_of, tangent
 
 from bcid.forms import materials
-from bcid.forms.body import Body
-from bcid.forms.model import Anchors, Dose, Model, pressure, traction
-from bcid.forms.solve import Equilibrium
+from bcid.forms.mesh.body import Body
+from bcid.forms.model import Anchors, Model, Term, pressure, traction
+from bcid.forms.solver.equilibrium import Equilibrium
 
 Array = NDArray[np.float64]
 SIZE = 0.03
@@ -35,7 +35,7 @@ def state(request: pytest.FixtureRequest) -> Iterator[tuple[Equilibrium, Array, 
     model = Model(materials.law(law), values, formulation, down=(0.6, 0.0, -0.8)) + Anchors({"x0"})
     if loaded:
         model = (
-            model + Dose("gravity", {"weight": 1e4}) + pressure("z0", 500.0) + traction("x1", (100.0, -200.0, 300.0))
+            model + Term("gravity", {"weight": 1e4}) + pressure("z0", 500.0) + traction("x1", (100.0, -200.0, 300.0))
         )
     mesh = box((SIZE,) * 3, (2, 2, 2), warp=lambda points: crumpled(points, SIZE, 0.1 * SIZE / 2))
     equilibrium = Equilibrium(Body(MPI.COMM_SELF, mesh, degree, model.mixed), model, scene_of(degree=degree))
@@ -66,7 +66,7 @@ def test_the_residual_is_the_derivative_of_the_energy(state: tuple[Equilibrium, 
     # Surface loads enter the residual as virtual work: their own part is linear in the step (traction) or left out
     # (pressure).
     equilibrium, u, du = state
-    if equilibrium.model.doses:
+    if equilibrium.model.terms:
         equilibrium.set_constants(
             {name: 0.0 for name in equilibrium.model.constants() if "pressure on" in name or "traction on" in name}
         )

@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 from verify.problems import box, crumpled, forces, scene_of
 
 from bcid.forms import materials
-from bcid.forms.body import Body
 from bcid.forms.loads import nodal_weights
 from bcid.forms.mesh import BodyMesh
-from bcid.forms.model import Anchors, Dose, Held, Model
-from bcid.forms.solve import Equilibrium, Settings
-from bcid.forms.status import Status
-from bcid.forms.supports import Pose
-from bcid.measurement import quaternion_rotate
+from bcid.forms.mesh.body import Body
+from bcid.forms.model import Anchors, Held, Model, Term
+from bcid.forms.solver.equilibrium import Equilibrium, Settings
+from bcid.forms.solver.status import Status
+from bcid.forms.solver.supports import Pose
 from bcid.scene import Region
+from bcid.scene.rotation import rotate
 
 Array = NDArray[np.float64]
 SIZE = 0.03
@@ -46,7 +46,7 @@ def loaded(request: pytest.FixtureRequest) -> Iterator[Equilibrium]:
     degree, formulation = (1, "displacement") if request.param == "P1" else (2, "displacement")
     formulation = "mixed" if request.param == "mixed" else formulation
     model = Model(materials.law("neo_hooke"), {"young": 15e3, "poisson": 0.4}, formulation, down=DOWN)
-    model = model + Dose("gravity", {"weight": WEIGHT}) + Anchors({"x0"}) + Held("x1")
+    model = model + Term("gravity", {"weight": WEIGHT}) + Anchors({"x0"}) + Held("x1")
     scene = scene_of(grasp="x1", centre=CENTRE, places=("z1", "edge", "corner"), degree=degree, down=DOWN)
     body = Body(MPI.COMM_SELF, cube(), degree, model.mixed)
     equilibrium = Equilibrium(body, model, scene, Settings(rtol=1e-12))
@@ -105,10 +105,10 @@ def test_a_body_that_nothing_else_holds_follows_the_gripper_without_force(loaded
     loaded.hold((), "x1")
     for part in np.arange(1, 7) / 6:
         turn = np.array([np.cos(0.4 * part), 0.0, np.sin(0.4 * part), 0.0])
-        there = Pose(part * np.array([0.01, 0.02, -0.01]), turn, dose=0.0)  # without its weight
+        there = Pose(part * np.array([0.01, 0.02, -0.01]), turn, load_factor=0.0)  # without its weight
         assert loaded.solve(there) is Status.CONVERGED
     arm = loaded.body.nodes - CENTRE
-    rigid = there.translation + quaternion_rotate(there.rotation, arm) - arm
+    rigid = there.translation + rotate(there.rotation, arm) - arm
     assert np.abs(loaded.displacement() - rigid).max() < 1e-9 * SIZE
     assert np.abs(loaded.wrench(there)).max() < 1e-9
     assert abs(loaded.energy()) < 1e-12

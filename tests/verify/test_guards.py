@@ -14,22 +14,22 @@ import pytest
 from mpi4py import MPI
 
 from bcid.base.errors import InputError
-from bcid.compare import words
-from bcid.compare.adequacy import judge
-from bcid.compare.buckling import buckled, leave_out
-from bcid.compare.data import MeshError
-from bcid.compare.explain import Plan, explain
-from bcid.compare.fit import fit
-from bcid.compare.joint import promised, propose
-from bcid.compare.missing import rank
-from bcid.compare.rivals import refit_candidates
-from bcid.compare.separate import separating_pulls
-from bcid.compare.state import State
-from bcid.compare.twin import Twin
+from bcid.comparison import diagnosis_text as words
+from bcid.comparison.adequacy import judge
+from bcid.comparison.buckled_frames import buckled, leave_out
+from bcid.comparison.explain import ExplainOptions, explain
+from bcid.comparison.fit import fit
+from bcid.comparison.joint import promised, propose
+from bcid.comparison.predictor import Predictor
+from bcid.comparison.ranking import rank
+from bcid.comparison.rivals import refit_candidates
+from bcid.comparison.separate import separating_pulls
+from bcid.comparison.state import State
 from bcid.forms import effects
-from bcid.forms.model import Dose, Model, check_physics
+from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.simulate import simulate
-from bcid.forms.solve import Settings
+from bcid.forms.solver.equilibrium import Settings
+from bcid.inference.mesh_error import MeshError
 from bcid.measurement import Action, Measurement
 from bcid.scene import Level, Scene
 
@@ -62,24 +62,24 @@ def plain(slab: Scene) -> Measurement:
 
 
 @pytest.fixture(scope="module")
-def twin(slab: Scene, plain: Measurement) -> Iterator[Twin]:
-    twin = Twin(slab, plain, MPI.COMM_SELF, level=1)
-    yield twin
-    twin.destroy()
+def predictor(slab: Scene, plain: Measurement) -> Iterator[Predictor]:
+    predictor = Predictor(slab, plain, MPI.COMM_SELF, level=1)
+    yield predictor
+    predictor.destroy()
 
 
-def at(twin: Twin, anchors: frozenset[str] = ANCHORED, **options: MeshError) -> State:
+def at(predictor: Predictor, anchors: frozenset[str] = ANCHORED, **options: MeshError) -> State:
     """The scene's model with these anchors."""
-    return State.of(twin, Model.of(twin.scene), anchors, **options)
+    return State.of(predictor, Model.of(predictor.scene), anchors, **options)
 
 
 # -- wrong anchors
 # ------------------------------------------------------------------------------------------------------------------
 
 
-def test_no_effect_makes_up_for_a_wrong_anchor_set(twin: Twin) -> None:
+def test_no_effect_makes_up_for_a_wrong_anchor_set(predictor: Predictor) -> None:
     """From the wrong anchors every effect looks significant; none is adequate once it is fitted, unless the anchors move."""
-    wrong = at(twin, frozenset({"1"}))
+    wrong = at(predictor, frozenset({"1"}))
     assert not judge(wrong).adequate
     ranking = rank(wrong, effects.catalogue(FEW))
     assert ranking.rows[0].p_value < 1e-6
@@ -90,20 +90,20 @@ def test_no_effect_makes_up_for_a_wrong_anchor_set(twin: Twin) -> None:
         assert not judge(rival.fitted.state).adequate, rival.effect
 
 
-def test_the_loop_finds_the_anchors_and_no_effect(twin: Twin) -> None:
-    assert judge(at(twin)).adequate
-    found = explain(twin, Plan(level=1, only=FEW))
+def test_the_loop_finds_the_anchors_and_no_effect(predictor: Predictor) -> None:
+    assert judge(at(predictor)).adequate
+    found = explain(predictor, ExplainOptions(level=1, only=FEW))
     assert found.verdict == "none"
     assert found.last.state.anchors == ANCHORED
 
 
 def test_anchors_and_effects_are_rivals(slab: Scene) -> None:
     """A gripper that slips makes the body seem to be held in more places; with these, no effect explains what is seen."""
-    anchored, slip = frozenset({"2", "3"}), Dose(effects.effect("grasp_slip"), {"lag": 0.6})
+    anchored, slip = frozenset({"2", "3"}), Term(effects.effect("grasp_slip"), {"lag": 0.6})
     measurement = simulate(slab, anchored, pulls(), level=2, model=Model.of(slab) + slip)
-    twin = Twin(slab, measurement, MPI.COMM_SELF, level=1)
-    seeming = at(twin, frozenset({"1", "2", "3", "4"}))
-    assert seeming.chi2 < at(twin, anchored).chi2
+    predictor = Predictor(slab, measurement, MPI.COMM_SELF, level=1)
+    seeming = at(predictor, frozenset({"1", "2", "3", "4"}))
+    assert seeming.chi2 < at(predictor, anchored).chi2
     thin = seeming.thinned(2, Settings(rtol=1e-6))
     (here, *_) = promised(thin, rank(thin, effects.catalogue(FEW), strict=False))
     (best, *others) = propose(thin, [], 24, effects.catalogue(FEW))
@@ -112,16 +112,16 @@ def test_anchors_and_effects_are_rivals(slab: Scene) -> None:
     assert best.left < 0.8 * here.left
     (rival, *_) = refit_candidates(seeming, [best, *others], 3)
     assert rival.anchors == anchored
-    assert rival.dose.values["lag"] == pytest.approx(0.6, abs=0.05)
-    thin.twin.destroy()
-    twin.destroy()
+    assert rival.term.values["lag"] == pytest.approx(0.6, abs=0.05)
+    thin.predictor.destroy()
+    predictor.destroy()
 
 
 @pytest.mark.parametrize("steps", [STEPS, 1])
 def test_a_glance_looks_at_rest_once_and_at_every_end(slab: Scene, plain: Measurement, steps: int) -> None:
     """Where an action is nothing but one state, that is looked at."""
     measurement = replace(plain, data=plain.data.isel(frame=plain.data["step"].values < steps))
-    thin, frames = Twin(slab, measurement, MPI.COMM_SELF, level=1).thinned(2, Settings())
+    thin, frames = Predictor(slab, measurement, MPI.COMM_SELF, level=1).thinned(2, Settings())
     assert [len(action) for action in thin.actions] == [min(3, steps)] * 3
     seen = thin.data.mask.any(axis=(1, 2))
     assert list(seen) == ([True, True, True, False, True, True, False, True, True] if steps > 1 else [True] * 3)
@@ -132,11 +132,11 @@ def test_a_glance_looks_at_rest_once_and_at_every_end(slab: Scene, plain: Measur
 # ------------------------------------------------------------------------------------------------------------------
 
 
-def test_the_error_of_the_mesh_is_not_taken_for_physics(twin: Twin) -> None:
-    blind = at(twin, mesh=MeshError.unknown(twin.data.mask.shape))
+def test_the_error_of_the_mesh_is_not_taken_for_physics(predictor: Predictor) -> None:
+    blind = at(predictor, mesh=MeshError.unknown(predictor.data.mask.shape))
     assert not judge(blind).adequate
     assert rank(blind, effects.catalogue(FEW)).rows[0].p_value < 1e-6
-    seeing = at(twin)
+    seeing = at(predictor)
     assert judge(seeing).adequate
     assert min(row.p_value for row in rank(seeing, effects.catalogue(FEW)).rows) > 0.01
 
@@ -145,9 +145,9 @@ def test_the_error_of_the_mesh_is_not_taken_for_physics(twin: Twin) -> None:
 # ------------------------------------------------------------------------------------------------------------------
 
 
-def test_a_model_off_its_optimum_is_not_ranked(twin: Twin) -> None:
-    model = Model.of(twin.scene) + Dose(effects.effect("gravity"), {"weight": 2000.0})
-    off = State.of(twin, model, ANCHORED, free=("gravity.weight",))
+def test_a_model_off_its_optimum_is_not_ranked(predictor: Predictor) -> None:
+    model = Model.of(predictor.scene) + Term(effects.effect("gravity"), {"weight": 2000.0})
+    off = State.of(predictor, model, ANCHORED, free=("gravity.weight",))
     with pytest.raises(InputError, match=r"not at its optimum: refitting gravity\.weight alone .* fit it first"):
         rank(off, effects.catalogue(FEW))
     fitted = fit(off, off.free)
@@ -159,18 +159,18 @@ def test_a_model_off_its_optimum_is_not_ranked(twin: Twin) -> None:
 
 
 def test_effects_that_do_the_same_are_not_told_apart(slab: Scene) -> None:
-    weight = Dose(effects.effect("gravity"), {"weight": 800.0})
+    weight = Term(effects.effect("gravity"), {"weight": 800.0})
     model = Model.of(slab) + weight
     anchored = frozenset({"3", "4"})
-    twin = Twin(slab, simulate(slab, anchored, pulls(), level=1, model=model), MPI.COMM_SELF, level=1)
+    predictor = Predictor(slab, simulate(slab, anchored, pulls(), level=1, model=model), MPI.COMM_SELF, level=1)
     other = replace(weight.effect, name="heaviness")
     both = ("gravity", "heaviness")
-    ranking = rank(at(twin, anchored), effects.catalogue(both, [other]))
+    ranking = rank(at(predictor, anchored), effects.catalogue(both, [other]))
     assert {row.effect: row.confounded_with for row in ranking.rows} == {
         "gravity": ("heaviness",),
         "heaviness": ("gravity",),
     }
-    found = explain(twin, Plan(level=1, only=both), more=[other])
+    found = explain(predictor, ExplainOptions(level=1, only=both), more=[other])
     assert found.verdict in both
     assert found.ambiguous == tuple(name for name in both if name != found.verdict)
     rivals = found.rungs[0].rivals
@@ -178,7 +178,7 @@ def test_effects_that_do_the_same_are_not_told_apart(slab: Scene) -> None:
     text = " ".join(words.conclusion(found, 1e-3, "mm", separating))
     assert f"cannot tell it from: {found.ambiguous[0]}" in text
     assert "No pull" in text
-    twin.destroy()
+    predictor.destroy()
 
 
 # -- a marker that jumped
@@ -189,14 +189,14 @@ def test_a_marker_that_jumped_is_named(slab: Scene, plain: Measurement) -> None:
     jumped = plain.data.copy(deep=True)
     onset = 8
     jumped["position"][{"frame": slice(onset, None), "fiducial": slab.fiducial_names.index("6"), "axis": 2}] += 2e-3
-    twin = Twin(slab, replace(plain, data=jumped), MPI.COMM_SELF, level=1)
-    found = explain(twin, Plan(level=1, only=FEW))
+    predictor = Predictor(slab, replace(plain, data=jumped), MPI.COMM_SELF, level=1)
+    found = explain(predictor, ExplainOptions(level=1, only=FEW))
     assert found.verdict == "marker_fault"
     assert found.last.state.anchors == ANCHORED
-    (dose,) = found.last.state.model.doses
-    assert (dose.place, dose.values["onset"]) == ("6", onset)
-    assert dose.values["z"] == pytest.approx(2e-3, abs=0.3e-3)
-    twin.destroy()
+    (term,) = found.last.state.model.terms
+    assert (term.place, term.values["onset"]) == ("6", onset)
+    assert term.values["z"] == pytest.approx(2e-3, abs=0.3e-3)
+    predictor.destroy()
 
 
 # -- a body that buckles
@@ -206,19 +206,19 @@ def test_a_marker_that_jumped_is_named(slab: Scene, plain: Measurement) -> None:
 def test_what_follows_buckling_is_no_evidence(slab: Scene, measurement_folder: Callable[[str], Path]) -> None:
     """In the second action the sheet leaves its plane; to which side, imperfections decide."""
     measurement = Measurement.read(measurement_folder("slab-34-buckles"))
-    twin = Twin(slab, measurement, MPI.COMM_SELF, level=1)
+    predictor = Predictor(slab, measurement, MPI.COMM_SELF, level=1)
     anchored, model = frozenset({"3", "4"}), Model.of(slab)
-    assert not judge(at(twin, anchored)).adequate
-    (found,) = leave_out(twin, model, anchored)
+    assert not judge(at(predictor, anchored)).adequate
+    (found,) = leave_out(predictor, model, anchored)
     assert (found.action, found.step) == ("2", 6)
     assert found.distance > 10e-3
-    state = at(twin, anchored)
+    state = at(predictor, anchored)
     adequacy = judge(state)
     assert adequacy.adequate
     assert any("two states exist" in finding.text for finding in adequacy.findings)
     assert min(row.p_value for row in rank(state, effects.catalogue(FEW)).rows) > 0.01
-    twin.destroy()
+    predictor.destroy()
 
 
-def test_a_body_that_only_bends_is_compared_to_the_end(twin: Twin) -> None:
-    assert buckled(twin, Model.of(twin.scene), ANCHORED) == []
+def test_a_body_that_only_bends_is_compared_to_the_end(predictor: Predictor) -> None:
+    assert buckled(predictor, Model.of(predictor.scene), ANCHORED) == []

@@ -14,8 +14,8 @@ import pytest
 from mpi4py import MPI
 
 from bcid import Measurement, Scene
-from bcid.compare.explain import Explanation, explain
-from bcid.compare.twin import Twin
+from bcid.comparison.explain import Explanation, explain
+from bcid.comparison.predictor import Predictor
 
 # Of two grasps, in two directions.
 PULLS = "14"
@@ -25,11 +25,11 @@ def explained(project: Path, folder: Path) -> Explanation:
     scene = Scene.read(project / "examples" / "scenes" / "slab_explain.toml")
     whole = Measurement.read(folder)
     frames = np.concatenate([action.frames for action in whole.actions if action.name in PULLS])
-    twin = Twin(scene, replace(whole, data=whole.data.isel(frame=frames)), MPI.COMM_SELF)
+    predictor = Predictor(scene, replace(whole, data=whole.data.isel(frame=frames)), MPI.COMM_SELF)
     try:
-        return explain(twin)
+        return explain(predictor)
     finally:
-        twin.destroy()
+        predictor.destroy()
 
 
 @pytest.mark.slow

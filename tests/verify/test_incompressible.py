@@ -10,10 +10,10 @@ from mpi4py import MPI
 from verify.problems import box, gradually, scene_of
 
 from bcid.forms import materials
-from bcid.forms.body import Body
+from bcid.forms.mesh.body import Body
 from bcid.forms.model import Anchors, Model, traction
-from bcid.forms.solve import Equilibrium
-from bcid.forms.status import Status
+from bcid.forms.solver.equilibrium import Equilibrium
+from bcid.forms.solver.status import Status
 
 LENGTH, HEIGHT, YOUNG, SHEAR_LOAD = 0.1, 0.01, 15e3, 0.05
 Bend = Callable[[int, str, float, tuple[int, int, int]], float]

@@ -17,10 +17,10 @@ from verify.problems import Prescribed, box, integral, rates
 
 from bcid.forms import materials
 from bcid.forms.effects.effect import Effect, Point
-from bcid.forms.model import Dose, Held, Model
+from bcid.forms.model import Held, Model, Term
 from bcid.forms.parameter import Parameter
-from bcid.forms.status import Status
-from bcid.forms.supports import Pose
+from bcid.forms.solver.status import Status
+from bcid.forms.solver.supports import Pose
 
 Array = NDArray[np.float64]
 YOUNG, POISSON = 15e3, 0.3
@@ -104,9 +104,9 @@ mistakes = Effect(
 
 def error(degree: int, divisions: int, wrong: str | None = None, formulation: str = "displacement") -> float:
     """Relative L2 error of the displacement; infinite when no equilibrium is found."""
-    model = Model(materials.law("neo_hooke"), VALUES, formulation) + Dose(manufactured, {}) + Held("all")
+    model = Model(materials.law("neo_hooke"), VALUES, formulation) + Term(manufactured, {}) + Held("all")
     if wrong is not None:
-        model = model + Dose(mistakes, {name: float(name == wrong) for name in ERRORS})
+        model = model + Term(mistakes, {name: float(name == wrong) for name in ERRORS})
     cube = Prescribed.on(box((1.0, 1.0, 1.0), (divisions,) * 3), model, degree)
     cube.field = exact_field
     # The body force has no neutral value, so that the whole of it acts at once; the exact field is close enough to

@@ -10,8 +10,8 @@ from verify.problems import Prescribed, box, crumpled, out_of_balance
 
 from bcid.forms import materials
 from bcid.forms.model import Held, Model
-from bcid.forms.status import Status
-from bcid.forms.supports import Pose
+from bcid.forms.solver.status import Status
+from bcid.forms.solver.supports import Pose
 
 SIZE = 0.03
 DEFORMATIONS = 50

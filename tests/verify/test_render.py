@@ -9,12 +9,12 @@ import pytest
 from numpy.typing import NDArray
 
 from bcid.base.errors import InputError
+from bcid.studies.rendering.appearance import Appearance
+from bcid.studies.rendering.instruments import instruments
+from bcid.studies.rendering.renderer import Renderer
+from bcid.studies.rendering.rig import Pose, looking_at, stereo_rig
+from bcid.studies.rendering.shot import Gripper, Rod
 from bcid.vision.camera import Camera, Cameras
-from bcid.vision.rendering.instruments import instruments
-from bcid.vision.rendering.look import Look
-from bcid.vision.rendering.renderer import Renderer
-from bcid.vision.rendering.rig import Pose, looking_at, stereo_rig
-from bcid.vision.rendering.shot import Gripper, Rod
 
 pytest.importorskip("cv2")
 pytest.importorskip("pyvista")
@@ -24,7 +24,9 @@ Triangles = NDArray[np.int64]
 
 SIZE = (640, 512)
 # Light from everywhere, so that a bead is as dark on all sides; body and background are equally bright.
-FLAT = Look(ambient=1, strength=0, specular=0, noise=0, texture=0, bead=0.1, body=0.8, background=0.8, diameter=2e-3)
+FLAT = Appearance(
+    ambient=1, strength=0, specular=0, noise=0, texture=0, bead=0.1, body=0.8, background=0.8, diameter=2e-3
+)
 # Moves the corners of the image by more than 10 px; the small image has few pixels per radian.
 STRONG = (-0.35, 0.15, 1e-3, -1e-3, 0.0)
 NO_TURN = np.array([1.0, 0, 0, 0])
@@ -131,7 +133,7 @@ def test_the_body_is_seen_where_it_is(rig: tuple[Cameras, Pose]) -> None:
 def test_what_is_hidden_is_known(rig: tuple[Cameras, Pose]) -> None:
     cameras, pose = rig
     points, triangles = slab()
-    look = Look()
+    look = Appearance()
     surface = np.concatenate([fiducials(), [[0.05, 0, 0.05], [0.95, 0.01, 0.05]]])
     normals = np.concatenate([ups(16), -ups(1), ups(1)])
     beads = look.centres(surface, normals)
@@ -164,7 +166,7 @@ def test_a_bead_that_is_half_hidden_counts_as_hidden(part: float, seen: bool) ->
     pose = looking_at(np.array([0.05, 0, 0.05]), np.array([0.05, 0.3, 0.05]), np.array([1.0, 0, 0]))
     camera = Camera(np.array([[1200, 0, 319.5], [0, 1200, 255.5], [0, 0, 1]]), np.zeros(0), SIZE)
     cameras = Cameras(camera, camera, np.eye(3), np.array([-0.01, 0, 0]))
-    look = Look(diameter=2e-3)
+    look = Appearance(diameter=2e-3)
     bead = look.centres(np.array([[0.05, 0.01, 0.05]]), ups(1))
     # The edge just above the bead: the ray to it is nearly vertical.
     edge = 0.05 - look.radius + part * look.diameter
@@ -176,9 +178,9 @@ def test_a_bead_that_is_half_hidden_counts_as_hidden(part: float, seen: bool) ->
 def test_pictures_repeat_and_noise_is_as_stated() -> None:
     cameras, pose = stereo_rig(size=(320, 256))
     points, triangles = slab()
-    look = Look(noise=3.0, decoys=3)
+    look = Appearance(noise=3.0, decoys=3)
 
-    def pictures(seed: int, look: Look) -> NDArray[np.uint8]:
+    def pictures(seed: int, look: Appearance) -> NDArray[np.uint8]:
         with Renderer(cameras, pose, look, seed) as renderer:
             frames = [renderer.frame(points, triangles, look.centres(fiducials(), ups(16)), ups(16)) for _ in range(2)]
         return np.array([[stereo.left, stereo.right] for stereo in frames])
@@ -216,7 +218,7 @@ def test_decoys_are_dark_dots_beside_the_body(rig: tuple[Cameras, Pose]) -> None
 def test_instruments_hide_the_wanted_share(share: float, seed: int) -> None:
     cameras, pose = stereo_rig(size=(160, 128))
     points, triangles = slab(4)
-    look = Look(noise=0, blur=0, texture=0, supersampling=6)
+    look = Appearance(noise=0, blur=0, texture=0, supersampling=6)
     pull = np.linspace(0, 0.015, 20)[:, None, None] * np.array([1.0, 0.3, 0])
     beads = look.centres(fiducials(), ups(16)) + pull
     rods = instruments(share, beads, cameras, pose, seed)
@@ -265,7 +267,7 @@ def test_bad_input_is_an_input_error(rig: tuple[Cameras, Pose]) -> None:
     with pytest.raises(InputError, match="not a 3 x 3 rotation"):
         Renderer(cameras, (2 * np.eye(3), np.zeros(3)))
     with pytest.raises(InputError, match="diameter"):
-        Look(diameter=-1e-3)
+        Appearance(diameter=-1e-3)
     with pytest.raises(InputError, match="on one line"):
         looking_at(np.zeros(3), UP, UP)
     with pytest.raises(InputError, match="share"):

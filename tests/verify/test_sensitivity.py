@@ -1,4 +1,4 @@
-"""Signatures by the tangent rule against differences of whole trajectories, for every kind of effect.
+"""Sensitivities by the tangent rule against differences of whole trajectories, for every kind of effect.
 
 On the box of the effects' contract: pulled, turned, loaded, there and back, with steps that are not equally long.
 """
@@ -16,12 +16,13 @@ from dolfinx import fem
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from bcid.compare.twin import mechanical
-from bcid.forms import effects, trial
+from bcid.comparison.predictor import mechanical
+from bcid.forms import effect_trial as trial
+from bcid.forms import effects
 from bcid.forms.forward import Forward
-from bcid.forms.model import Dose, Model
-from bcid.forms.sensitivity import Probe, Sensitivity, Signatures, Wanted
-from bcid.forms.solve import Settings
+from bcid.forms.model import Model, Term
+from bcid.forms.sensitivity import Probe, Sensitivities, Sensitivity, Wanted
+from bcid.forms.solver.equilibrium import Settings
 from bcid.scene import Level, Material
 
 Array = NDArray[np.float64]
@@ -31,14 +32,14 @@ PLAIN = Model.of(SCENE)
 STEP = 1e-3
 
 
-def dose(name: str, place: str = "", **values: float) -> Dose:
-    return Dose(effects.effect(name), values, place=place)
+def term(name: str, place: str = "", **values: float) -> Term:
+    return Term(effects.effect(name), values, place=place)
 
 
-HEAVY = dose("gravity", weight=9000.0)
-FIBRES = dose("fibres", k1=3000.0, angle=25.0)
-TURNED = dose("camera_offset", rx=3.0, ry=-2.0, rz=5.0, tx=1e-3, ty=0.0, tz=0.0, scale=1.02)
-STILL = dose("camera_offset", rx=0.0, ry=0.0, rz=0.0, tx=0.0, ty=0.0, tz=0.0, scale=1.0)
+HEAVY = term("gravity", weight=9000.0)
+FIBRES = term("fibres", k1=3000.0, angle=25.0)
+TURNED = term("camera_offset", rx=3.0, ry=-2.0, rz=5.0, tx=1e-3, ty=0.0, tz=0.0, scale=1.02)
+STILL = term("camera_offset", rx=0.0, ry=0.0, rz=0.0, tx=0.0, ty=0.0, tz=0.0, scale=1.0)
 
 
 def positions(model: Model) -> Array:
@@ -50,8 +51,8 @@ def positions(model: Model) -> Array:
     return prediction.positions
 
 
-def signatures(model: Model, wanted: Wanted, scene: object = SCENE, mesh: object = MESH) -> Signatures:
-    """By the tangent, as a twin asks for them."""
+def sensitivities(model: Model, wanted: Wanted, scene: object = SCENE, mesh: object = MESH) -> Sensitivities:
+    """By the tangent, as a predictor asks for them."""
     forward = Forward(scene, 0, MPI.COMM_SELF, mechanical(model), Settings(rtol=1e-12), mesh)  # type: ignore[arg-type]
     prediction = forward.predict(ANCHORS, ACTIONS, keep=True)
     found = Sensitivity(forward).of(ANCHORS, ACTIONS, prediction, wanted, model)
@@ -77,19 +78,19 @@ ADOPTED = [
     ((), HEAVY, "weight"),
     ((HEAVY,), FIBRES, "k1"),
     ((HEAVY,), FIBRES, "angle"),
-    ((), dose("compressibility", poisson=0.42), "poisson"),
-    ((HEAVY,), dose("soft_anchor", stiffness=2e6), "stiffness"),
-    ((), dose("grasp_slip", lag=0.15), "lag"),
+    ((), term("compressibility", poisson=0.42), "poisson"),
+    ((HEAVY,), term("soft_anchor", stiffness=2e6), "stiffness"),
+    ((), term("grasp_slip", lag=0.15), "lag"),
     ((HEAVY,), TURNED, "ry"),
     ((HEAVY,), TURNED, "scale"),
-    ((HEAVY,), dose("prestrain", sx=1.02, sy=0.99, sz=1.01), "sy"),
-    ((), dose("stiffness_gradient", gx=0.3, gy=0.0, gz=-0.2), "gx"),
+    ((HEAVY,), term("prestrain", sx=1.02, sy=0.99, sz=1.01), "sy"),
+    ((), term("stiffness_gradient", gx=0.3, gy=0.0, gz=-0.2), "gx"),
     ((TURNED,), HEAVY, "weight"),
 ]
 
 
 @pytest.mark.parametrize(("others", "asked", "name"), ADOPTED, ids=lambda p: getattr(p, "label", p if p else "-"))
-def test_an_effect_that_acts(others: tuple[Dose, ...], asked: Dose, name: str) -> None:
+def test_an_effect_that_acts(others: tuple[Term, ...], asked: Term, name: str) -> None:
     model = PLAIN
     for part in (*others, asked):
         model = model + part
@@ -100,30 +101,30 @@ def test_an_effect_that_acts(others: tuple[Dose, ...], asked: Dose, name: str) -
         return positions(model.with_values({full: 1 / number if parameter.reciprocal else number}))
 
     value = 1 / asked.values[name] if parameter.reciprocal else asked.values[name]
-    size = abs(value) if parameter.reciprocal else parameter.typical
+    size = abs(value) if parameter.reciprocal else parameter.scale
     expected = differences(at, value, size, -math.inf if parameter.reciprocal else parameter.lower)
-    found = signatures(model, Wanted((Probe(asked, (name,)),))).probes[0][name]
+    found = sensitivities(model, Wanted((Probe(asked, (name,)),))).probes[0][name]
     assert_same(found, expected)
 
 
 DORMANT = [
-    ((), dose("gravity", weight=0.0), "weight"),
-    ((HEAVY,), dose("fibres", k1=0.0, angle=25.0), "k1"),
-    ((HEAVY,), dose("compressibility", poisson=0.35), "poisson"),
-    ((HEAVY,), dose("grasp_slip", lag=0.0), "lag"),
-    ((), dose("time_lag", seconds=0.0), "seconds"),
+    ((), term("gravity", weight=0.0), "weight"),
+    ((HEAVY,), term("fibres", k1=0.0, angle=25.0), "k1"),
+    ((HEAVY,), term("compressibility", poisson=0.35), "poisson"),
+    ((HEAVY,), term("grasp_slip", lag=0.0), "lag"),
+    ((), term("time_lag", seconds=0.0), "seconds"),
     ((HEAVY,), STILL, "rz"),
     ((HEAVY,), STILL, "scale"),
-    ((HEAVY,), dose("viscosity", fraction=0.0, relaxation_time=3.0), "fraction"),
-    ((HEAVY,), dose("support_friction", shear_stress=0.0), "shear_stress"),
-    ((HEAVY, TURNED), dose("marker_fault", "b", x=0.0, y=0.0, z=0.0, onset=2.0), "z"),
-    ((), dose("active_stress", amplitude=0.0, angle=40.0), "amplitude"),
-    ((HEAVY,), dose("strain_stiffening", c2=0.0), "c2"),
+    ((HEAVY,), term("viscosity", fraction=0.0, relaxation_time=3.0), "fraction"),
+    ((HEAVY,), term("support_friction", shear_stress=0.0), "shear_stress"),
+    ((HEAVY, TURNED), term("marker_fault", "b", x=0.0, y=0.0, z=0.0, onset=2.0), "z"),
+    ((), term("active_stress", amplitude=0.0, angle=40.0), "amplitude"),
+    ((HEAVY,), term("strain_stiffening", c2=0.0), "c2"),
 ]
 
 
 @pytest.mark.parametrize(("others", "asked", "name"), DORMANT, ids=lambda p: getattr(p, "label", p if p else "-"))
-def test_a_dormant_effect(others: tuple[Dose, ...], asked: Dose, name: str) -> None:
+def test_a_dormant_effect(others: tuple[Term, ...], asked: Term, name: str) -> None:
     model = PLAIN
     for part in others:
         model = model + part
@@ -132,8 +133,8 @@ def test_a_dormant_effect(others: tuple[Dose, ...], asked: Dose, name: str) -> N
     def at(number: float) -> Array:
         return positions(model + asked.with_values({name: number}))
 
-    expected = differences(at, asked.values[name], parameter.typical, parameter.lower)
-    found = signatures(model, Wanted((Probe(asked, (name,)),))).probes[0][name]
+    expected = differences(at, asked.values[name], parameter.scale, parameter.lower)
+    found = sensitivities(model, Wanted((Probe(asked, (name,)),))).probes[0][name]
     assert_same(found, expected)
 
 
@@ -141,26 +142,26 @@ def test_a_dormant_effect(others: tuple[Dose, ...], asked: Dose, name: str) -> N
 def test_a_rigid_anchor_that_may_yield(place: str) -> None:
     """Per unit of compliance: what springs of a great stiffness give way, times that stiffness."""
     rigid = PLAIN + HEAVY
-    asked = dose("soft_anchor", place, stiffness=math.inf)
+    asked = term("soft_anchor", place, stiffness=math.inf)
     unmoved = positions(rigid)
 
     def yielding(stiffness: float) -> Array:
         return stiffness * (positions(rigid + asked.with_values({"stiffness": stiffness})) - unmoved)
 
     expected = 2 * yielding(1e9) - yielding(5e8)
-    found = signatures(rigid, Wanted((Probe(asked, ("stiffness",)),))).probes[0]["stiffness"]
+    found = sensitivities(rigid, Wanted((Probe(asked, ("stiffness",)),))).probes[0]["stiffness"]
     assert_same(found, expected)
 
 
 def test_a_constant_of_the_law_under_known_loads() -> None:
     model = PLAIN + HEAVY
     expected = differences(lambda young: positions(model.with_values({"young": young})), 15e3, 15e3, 0.0)
-    assert_same(signatures(model, Wanted(law={"young": 1.5})).law["young"], expected)
+    assert_same(sensitivities(model, Wanted(law=("young",))).law["young"], expected)
 
 
 def test_the_stiffness_of_all_cells_is_that_of_the_body() -> None:
     model = PLAIN + HEAVY
-    found = signatures(model, Wanted(law={"young": 1.5}, stiffness=True))
+    found = sensitivities(model, Wanted(law=("young",), stiffness=True))
     assert found.stiffness is not None
     assert_same(found.stiffness.sum(axis=-1), 15e3 * found.law["young"])
 
@@ -168,7 +169,7 @@ def test_the_stiffness_of_all_cells_is_that_of_the_body() -> None:
 def test_a_body_force_everywhere_is_gravity() -> None:
     space = fem.functionspace(Forward(SCENE, 0, MPI.COMM_SELF, PLAIN, mesh=MESH).body.domain, ("Lagrange", 1))
     volume = fem.assemble_vector(fem.form(ufl.TestFunction(space) * ufl.dx)).array
-    found = signatures(PLAIN, Wanted((Probe(dose("gravity", weight=0.0), ("weight",)),), forces=volume[:, None]))
+    found = sensitivities(PLAIN, Wanted((Probe(term("gravity", weight=0.0), ("weight",)),), forces=volume[:, None]))
     assert found.forces is not None
     along = found.forces[:, :, :, 0] @ np.array(SCENE.down)
     assert_same(along, found.probes[0]["weight"])
@@ -179,13 +180,13 @@ def test_with_a_pressure_as_unknown() -> None:
     material = Material("neo_hooke", {"young": "15 kPa", "poisson": 0.499}, "mixed")
     scene = replace(SCENE, material=material, levels=(Level(2),))
     model = Model.of(scene)
-    wanted = Wanted((Probe(dose("gravity", weight=0.0), ("weight",)),), {"young": 1.5})
-    found = signatures(model, wanted, scene)
+    wanted = Wanted((Probe(term("gravity", weight=0.0), ("weight",)),), {"young": 1.5})
+    found = sensitivities(model, wanted, scene)
 
     def at(one: Model) -> Array:
         return Forward(scene, 0, MPI.COMM_SELF, one, Settings(rtol=1e-12), MESH).predict(ANCHORS, ACTIONS).positions
 
-    heavier = differences(lambda w: at(model + dose("gravity", weight=w)), 0.0, 5000.0, 0.0)
+    heavier = differences(lambda w: at(model + term("gravity", weight=w)), 0.0, 5000.0, 0.0)
     assert_same(found.probes[0]["weight"], heavier)
     stiffer = differences(lambda young: at(model.with_values({"young": young})), 15e3, 15e3, 0.0)
     assert_same(found.law["young"], stiffer)

@@ -13,17 +13,18 @@ import pytest
 from mpi4py import MPI
 
 from bcid.base.progress import Silent
-from bcid.forms.factor import Factor
 from bcid.forms.forward import Forward
-from bcid.forms.model import Dose, Model, check_physics
+from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.simulate import simulate
-from bcid.forms.solve import Equilibrium, Settings
-from bcid.forms.status import Status
+from bcid.forms.solver.equilibrium import Equilibrium, Settings
+from bcid.forms.solver.factor import Factor
+from bcid.forms.solver.status import Status
+from bcid.inference.outcome import Candidate
+from bcid.inference.posterior import Posterior, model_errors
 from bcid.scene import Scene
 from bcid.scene.motions import motion
-from bcid.search.belief import Belief, model_errors
-from bcid.search.farm import Candidate, Farm
-from bcid.search.identify import Identification, Options, _Search
+from bcid.search.evaluator import Evaluator
+from bcid.search.identify import Identification, IdentifyOptions, _Search
 from bcid.search.seeds import all_candidates
 
 PATCHES = ("1", "3", "4", "7")
@@ -60,30 +61,30 @@ def everything(slab: Scene, measurement: Any) -> Iterator[tuple[dict[Candidate, 
     """Chi-square and probability of every set, the long way."""
     with pytest.MonkeyPatch.context() as patch:
         plain(patch)
-        farm = Farm(slab, measurement, MPI.COMM_SELF, settings=EXACT)
-        outcomes = farm.evaluate(0, dict.fromkeys(all_candidates(farm.patches), math.inf))
+        evaluator = Evaluator(slab, measurement, MPI.COMM_SELF, settings=EXACT)
+        outcomes = evaluator.evaluate(0, dict.fromkeys(all_candidates(evaluator.patches), math.inf))
         best = min(outcomes, key=lambda c: outcomes[c].chi2)
-        belief = Belief.of(farm, best, model_errors(farm, best, [0]))
+        belief = Posterior.of(evaluator, best, model_errors(evaluator, best, [0]))
     yield {c: o.chi2 for c, o in outcomes.items()}, belief.probability
-    farm.destroy()
+    evaluator.destroy()
 
 
-def searched(slab: Scene, measurement: Any) -> tuple[Identification, Farm]:
-    farm = Farm(slab, measurement, MPI.COMM_SELF)
-    return _Search(farm, Options(seeds=2), Silent()).run(), farm
+def searched(slab: Scene, measurement: Any) -> tuple[Identification, Evaluator]:
+    evaluator = Evaluator(slab, measurement, MPI.COMM_SELF)
+    return _Search(evaluator, IdentifyOptions(seeds=2), Silent()).run(), evaluator
 
 
-def same(found: Identification, farm: Farm, everything: Any) -> None:
+def same(found: Identification, evaluator: Evaluator, everything: Any) -> None:
     """Same winner, same belief to 1e-6, same misfits where they are whole, and what was stopped is really worse."""
     chi2, probability = everything
     best = min(chi2, key=lambda c: chi2[c])
     assert frozenset(found.anchored) == best == {"3", "4"}
     assert found.certified
-    assert len(farm.outcomes) == 2 ** len(PATCHES)
+    assert len(evaluator.outcomes) == 2 ** len(PATCHES)
     assert found.probability == pytest.approx(probability[best], abs=1e-6)
     for patch in PATCHES:
         assert found.patches[patch] == pytest.approx(sum(p for c, p in probability.items() if patch in c), abs=1e-6)
-    for (_, candidate), outcome in farm.outcomes.items():
+    for (_, candidate), outcome in evaluator.outcomes.items():
         if outcome.complete:
             assert outcome.chi2 == pytest.approx(chi2[candidate], rel=1e-6)
         else:
@@ -95,11 +96,11 @@ def same(found: Identification, farm: Farm, everything: Any) -> None:
 
 
 def test_the_search_answers_as_if_everything_had_been_computed(slab: Scene, measurement: Any, everything: Any) -> None:
-    found, farm = searched(slab, measurement)
-    same(found, farm, everything)
+    found, evaluator = searched(slab, measurement)
+    same(found, evaluator, everything)
     doubtful = measurement.noise_sigma > 0.001
     assert (sorted(everything[1].values())[-2] > 1e-3) == doubtful, "a belief that is not shared compares little"
-    farm.destroy()
+    evaluator.destroy()
 
 
 def every_seventh_solve_fails(patch: pytest.MonkeyPatch) -> None:
@@ -128,9 +129,9 @@ def test_failures_of_single_solves_change_nothing(
     fault: Fault, slab: Scene, measurement: Any, everything: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fault(monkeypatch)
-    found, farm = searched(slab, measurement)
-    same(found, farm, everything)
-    farm.destroy()
+    found, evaluator = searched(slab, measurement)
+    same(found, evaluator, everything)
+    evaluator.destroy()
 
 
 @pytest.mark.parametrize("weight", [0.0, 3000.0])
@@ -138,7 +139,7 @@ def test_failures_of_single_solves_change_nothing(
 def test_an_old_tangent_leads_to_the_same_states(project: Path, level: int, weight: float) -> None:
     """Quadratic and linear elements, with and without a load: positions to 1e-8 of the motion, with far fewer factorisations."""
     scene = Scene.read(project / "examples" / "scenes" / "slab.toml", physics=check_physics)
-    model = Model.of(scene) + Dose("gravity", {"weight": weight}) if weight else None
+    model = Model.of(scene) + Term("gravity", {"weight": weight}) if weight else None
     forward = Forward(scene, level, model=model, settings=Settings(rtol=1e-10))
     kept = forward.predict({"1", "4"}, motion("semicircle", "II"))
     with pytest.MonkeyPatch.context() as patch:

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from verify.problems import out_of_balance, pull_and_lift
 
-from bcid.forms.status import Status
-from bcid.forms.trajectory import follow
+from bcid.forms.solver.status import Status
+from bcid.forms.solver.trajectory import follow
 
 
 @pytest.mark.parametrize("name", ["small", "medium", pytest.param("large", marks=pytest.mark.slow)])

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bcid.report.calibration import calibration_figure
+from bcid.report.calibration_picture import calibration_figure
 from bcid.vision.calibrate import calibrate
-from bcid.vision.calibration_job import numbers, summary
+from bcid.vision.calibrate_run import numbers, summary
 from bcid.vision.corners import read_corners
 
 SIZE = (2448, 2048)

@@ -31,7 +31,7 @@ effect = Effect(
             lower=-1e7,
             upper=1e7,
             neutral=0.0,
-            typical=500.0,
+            scale=500.0,
         ),
         # The stress is a polynomial in cos 2a: three values determine it.
         Parameter(
@@ -41,13 +41,13 @@ effect = Effect(
             default=0.0,
             lower=-180.0,
             upper=360.0,
-            typical=20.0,
+            scale=20.0,
             scan=(0.0, 60.0, 120.0),
             period=180.0,
             harmonics=1,
         ),
         Parameter(
-            "period", "s", "of the contraction; 0 is steady", default=0.0, lower=0.0, typical=2.0, scan=(0.0,), off=0.0
+            "period", "s", "of the contraction; 0 is steady", default=0.0, lower=0.0, scale=2.0, scan=(0.0,), off=0.0
         ),
     ),
     about="the body contracts by itself along one direction",

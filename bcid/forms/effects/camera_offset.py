@@ -12,8 +12,7 @@ import numpy as np
 
 from bcid.forms.effects.effect import Array, Effect, Frame
 from bcid.forms.parameter import Parameter
-from bcid.forms.rotation import from_vector
-from bcid.measurement import quaternion_rotate
+from bcid.scene.rotation import from_vector, rotate
 
 
 def observe(positions: Array, values: Mapping[str, float], frame: Frame, _place: str) -> Array:
@@ -21,21 +20,21 @@ def observe(positions: Array, values: Mapping[str, float], frame: Frame, _place:
     turned = from_vector([values[name] for name in ("rx", "ry", "rz")])
     shift = np.array([values[name] for name in ("tx", "ty", "tz")])
     middle = frame.rest.mean(axis=0)
-    return middle + values["scale"] * quaternion_rotate(turned, positions - middle) + shift
+    return middle + values["scale"] * rotate(turned, positions - middle) + shift
 
 
 effect = Effect(
     name="camera_offset",
     parameters=(
         *(
-            Parameter(f"r{axis}", "deg", f"rotation about {axis}", lower=-90.0, upper=90.0, neutral=0.0, typical=2.0)
+            Parameter(f"r{axis}", "deg", f"rotation about {axis}", lower=-90.0, upper=90.0, neutral=0.0, scale=2.0)
             for axis in "xyz"
         ),
         *(
-            Parameter(f"t{axis}", "m", f"shift along {axis}", lower=-1.0, upper=1.0, neutral=0.0, typical=1e-3)
+            Parameter(f"t{axis}", "m", f"shift along {axis}", lower=-1.0, upper=1.0, neutral=0.0, scale=1e-3)
             for axis in "xyz"
         ),
-        Parameter("scale", "1", "scale", lower=0.5, upper=2.0, neutral=1.0, typical=0.02),
+        Parameter("scale", "1", "scale", lower=0.5, upper=2.0, neutral=1.0, scale=0.02),
     ),
     about="the measured frame is turned, shifted or scaled",
     acts_on="observation",

@@ -29,9 +29,7 @@ def needs(scene: Scene, _measurement: Measurement) -> str:
 
 
 # The neutral value is the law's; 0.35 stands for it.
-poisson = Parameter(
-    "poisson", "1", "Poisson's ratio", lower=0.0, upper=0.495, neutral=0.35, law="poisson", typical=0.05
-)
+poisson = Parameter("poisson", "1", "Poisson's ratio", lower=0.0, upper=0.495, neutral=0.35, law="poisson", scale=0.05)
 
 effect = Effect(
     name="compressibility",

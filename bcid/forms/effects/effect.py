@@ -113,7 +113,7 @@ class Effect:
 
     Attributes:
         name: name of its file, used in scenes, tables and JSON.
-        parameters: each with unit, neutral value, bounds and typical size.
+        parameters: each with unit, neutral value, bounds and scale.
         about: one phrase.
         acts_on: one of `ACTS_ON`.
         energy: energy per rest volume (J/m^3), which joins the strain energy.
@@ -122,7 +122,7 @@ class Effect:
         stiffness: factor of the law's strain energy.
         around: change of `stiffness` at points (n, 3), m, per unit of its one amount, for an effect with a centre (cx, cy, cz)
             and a radius, m: places all over the body are then tried.
-        natural: 3 x 3 tensor by which the rest state is already stretched: the law sees F . natural.
+        growth: 3 x 3 tensor by which the rest state is already stretched: the law sees F . growth.
         constants: constants of the law that it replaces, by name.
         memory: shapes of variables kept from step to step, by name, such as {"Q": (3, 3)}.
         advance: their values after a step.
@@ -145,7 +145,7 @@ class Effect:
     work: Callable[[Point, Constants], Any] | None = None
     stiffness: Callable[[Point, Constants], Expr] | None = None
     around: Callable[[Array, Mapping[str, float]], Array] | None = None
-    natural: Callable[[Point, Constants], Expr] | None = None
+    growth: Callable[[Point, Constants], Expr] | None = None
     constants: Callable[[Constants], Mapping[str, Any]] | None = None
     memory: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     advance: Callable[[Point, Constants], Mapping[str, Expr]] | None = None
@@ -166,7 +166,7 @@ class Effect:
     @property
     def changes_law(self) -> bool:
         """Whether it changes the strain energy itself."""
-        return any((self.stiffness, self.natural, self.constants))
+        return any((self.stiffness, self.growth, self.constants))
 
     @property
     def amounts(self) -> tuple[Parameter, ...]:

@@ -13,7 +13,7 @@ from bcid.forms.parameter import Parameter
 effect = Effect(
     name="fibres",
     parameters=(
-        Parameter("k1", "Pa", "stiffness of the fibres", lower=0.0, upper=1e8, neutral=0.0, typical=2000.0),
+        Parameter("k1", "Pa", "stiffness of the fibres", lower=0.0, upper=1e8, neutral=0.0, scale=2000.0),
         # (a . E a)^2 is a polynomial in cos 2a and cos 4a: five values determine it.
         Parameter(
             "angle",
@@ -22,7 +22,7 @@ effect = Effect(
             default=0.0,
             lower=-180.0,
             upper=360.0,
-            typical=20.0,
+            scale=20.0,
             scan=(0.0, 36.0, 72.0, 108.0, 144.0),
             period=180.0,
             harmonics=2,

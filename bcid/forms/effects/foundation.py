@@ -24,9 +24,7 @@ def potential(point: Point, c: Constants) -> Any:
 
 effect = Effect(
     name="foundation",
-    parameters=(
-        Parameter("stiffness", "Pa/m", "force per area and displacement", lower=0.0, neutral=0.0, typical=3e4),
-    ),
+    parameters=(Parameter("stiffness", "Pa/m", "force per area and displacement", lower=0.0, neutral=0.0, scale=3e4),),
     about="the support surface is held by springs",
     acts_on="boundary",
     potential=potential,

@@ -16,8 +16,8 @@ import numpy as np
 from bcid.forms.effects import _needs
 from bcid.forms.effects.effect import Effect
 from bcid.forms.parameter import Parameter
-from bcid.forms.rotation import from_vector, inverse, product
-from bcid.measurement import Action, quaternion_rotate
+from bcid.measurement import Action
+from bcid.scene.rotation import conjugated, from_vector, rotate
 
 
 def drive(action: Action, values: Mapping[str, float]) -> Action:
@@ -26,21 +26,21 @@ def drive(action: Action, values: Mapping[str, float]) -> Action:
         return action
     centre = np.array([[values[name] for name in ("x", "y", "z")]])
     axes = from_vector([values[name] for name in ("rx", "ry", "rz")])
-    rotation = np.array([product(product(axes, q), inverse(axes)) for q in action.rotation])
-    swung = np.concatenate([quaternion_rotate(q, centre) - centre for q in rotation])
-    return replace(action, translation=quaternion_rotate(axes, action.translation) - swung, rotation=rotation)
+    rotation = conjugated(axes, action.rotation)
+    swung = np.concatenate([rotate(q, centre) - centre for q in rotation])
+    return replace(action, translation=rotate(axes, action.translation) - swung, rotation=rotation)
 
 
 effect = Effect(
     name="grasp_offset",
     parameters=(
         *(
-            Parameter(axis, "m", f"error of the centre along {axis}", lower=-0.1, upper=0.1, neutral=0.0, typical=0.005)
+            Parameter(axis, "m", f"error of the centre along {axis}", lower=-0.1, upper=0.1, neutral=0.0, scale=0.005)
             for axis in "xyz"
         ),
         *(
             Parameter(
-                f"r{axis}", "deg", f"error of the axes about {axis}", lower=-60.0, upper=60.0, neutral=0.0, typical=5.0
+                f"r{axis}", "deg", f"error of the axes about {axis}", lower=-60.0, upper=60.0, neutral=0.0, scale=5.0
             )
             for axis in "xyz"
         ),

@@ -14,8 +14,8 @@ import numpy as np
 from bcid.forms.effects import _needs
 from bcid.forms.effects.effect import Effect
 from bcid.forms.parameter import Parameter
-from bcid.forms.rotation import slerp
 from bcid.measurement import Action
+from bcid.scene.rotation import slerp
 
 
 def drive(action: Action, values: Mapping[str, float]) -> Action:
@@ -23,14 +23,15 @@ def drive(action: Action, values: Mapping[str, float]) -> Action:
     if not action.grasp:
         return action
     part, rest = 1 - values["lag"], np.array([1.0, 0.0, 0.0, 0.0])
-    turned = np.array([slerp(rest, rotation, part) for rotation in action.rotation])
+    rests = np.tile(rest, (len(action.rotation), 1))
+    turned = slerp(rests, action.rotation, np.full(len(rests), part))
     return replace(action, translation=part * action.translation, rotation=turned)
 
 
 effect = Effect(
     name="grasp_slip",
     parameters=(
-        Parameter("lag", "1", "part of the motion that is lost", lower=0.0, upper=1.0, neutral=0.0, typical=0.1),
+        Parameter("lag", "1", "part of the motion that is lost", lower=0.0, upper=1.0, neutral=0.0, scale=0.1),
     ),
     about="the tissue lags behind the gripper",
     acts_on="grasp",

@@ -13,7 +13,7 @@ from bcid.forms.parameter import Parameter
 effect = Effect(
     name="gravity",
     parameters=(
-        Parameter("weight", "N/m^3", "weight per rest volume; water has 9810", lower=0.0, neutral=0.0, typical=5000.0),
+        Parameter("weight", "N/m^3", "weight per rest volume; water has 9810", lower=0.0, neutral=0.0, scale=5000.0),
     ),
     about="weight of the body along the scene's down",
     energy=lambda point, c: -c["weight"] * ufl.inner(point.down, point.u),

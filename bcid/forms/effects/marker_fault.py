@@ -27,7 +27,7 @@ effect = Effect(
     name="marker_fault",
     parameters=(
         *(
-            Parameter(axis, "m", f"offset along {axis}", lower=-0.1, upper=0.1, neutral=0.0, typical=2e-3)
+            Parameter(axis, "m", f"offset along {axis}", lower=-0.1, upper=0.1, neutral=0.0, scale=2e-3)
             for axis in "xyz"
         ),
         Parameter("onset", "1", "first frame that is wrong", default=0.0, lower=0.0, scan=(0.0,), onset=True),

@@ -15,10 +15,10 @@ from bcid.forms.parameter import Parameter
 effect = Effect(
     name="prestrain",
     parameters=tuple(
-        Parameter(f"s{axis}", "1", f"stretch along {axis}", lower=0.7, upper=1.4, neutral=1.0, typical=0.05)
+        Parameter(f"s{axis}", "1", f"stretch along {axis}", lower=0.7, upper=1.4, neutral=1.0, scale=0.05)
         for axis in "xyz"
     ),
     about="the rest shape is already stretched",
     acts_on="material",
-    natural=lambda _point, c: ufl.diag(ufl.as_vector([c["sx"], c["sy"], c["sz"]])),
+    growth=lambda _point, c: ufl.diag(ufl.as_vector([c["sx"], c["sy"], c["sz"]])),
 )

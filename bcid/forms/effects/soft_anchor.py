@@ -33,7 +33,7 @@ effect = Effect(
             lower=0.0,
             open_lower=True,
             neutral=math.inf,
-            typical=1e6,
+            scale=1e6,
         ),
     ),
     about="anchored patches are held by springs instead of rigidly",

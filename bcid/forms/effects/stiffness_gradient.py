@@ -27,7 +27,7 @@ effect = Effect(
     name="stiffness_gradient",
     parameters=tuple(
         Parameter(
-            f"g{axis}", "1", f"relative change along {axis}, per size", lower=-3.0, upper=3.0, neutral=0.0, typical=0.5
+            f"g{axis}", "1", f"relative change along {axis}, per size", lower=-3.0, upper=3.0, neutral=0.0, scale=0.5
         )
         for axis in "xyz"
     ),

@@ -12,7 +12,7 @@ from bcid.forms.parameter import Parameter
 effect = Effect(
     name="strain_stiffening",
     parameters=(
-        Parameter("c2", "Pa", "coefficient of (I1bar - 3)^2", lower=0.0, upper=1e8, neutral=0.0, typical=5000.0),
+        Parameter("c2", "Pa", "coefficient of (I1bar - 3)^2", lower=0.0, upper=1e8, neutral=0.0, scale=5000.0),
     ),
     about="the body gets stiffer the more it is stretched",
     acts_on="material",

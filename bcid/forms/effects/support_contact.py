@@ -30,7 +30,7 @@ def potential(point: Point, c: Constants) -> Any:
 
 effect = Effect(
     name="support_contact",
-    parameters=(Parameter("stiffness", "Pa/m", "pressure per penetration", lower=0.0, neutral=0.0, typical=1e5),),
+    parameters=(Parameter("stiffness", "Pa/m", "pressure per penetration", lower=0.0, neutral=0.0, scale=1e5),),
     about="the body cannot sink into its support, but may lift off",
     acts_on="boundary",
     potential=potential,

@@ -29,7 +29,7 @@ def potential(point: Point, c: Constants) -> Any:
 
 effect = Effect(
     name="support_friction",
-    parameters=(Parameter("shear_stress", "Pa", "shear stress while sliding", lower=0.0, neutral=0.0, typical=10.0),),
+    parameters=(Parameter("shear_stress", "Pa", "shear stress while sliding", lower=0.0, neutral=0.0, scale=10.0),),
     about="the support holds the body back when it slides",
     acts_on="boundary",
     potential=potential,

@@ -15,8 +15,8 @@ import numpy as np
 from bcid.forms.effects import _needs
 from bcid.forms.effects.effect import Array, Effect
 from bcid.forms.parameter import Parameter
-from bcid.forms.rotation import slerp
 from bcid.measurement import Action
+from bcid.scene.rotation import slerp
 
 
 def drive(action: Action, values: Mapping[str, float]) -> Action:
@@ -31,9 +31,9 @@ def drive(action: Action, values: Mapping[str, float]) -> Action:
     def straight(path: Array) -> Array:
         return path[earlier] + part[:, None] * (path[later] - path[earlier])
 
-    turned = [slerp(action.rotation[a], action.rotation[b], p) for a, b, p in zip(earlier, later, part, strict=True)]
+    turned = slerp(action.rotation[earlier], action.rotation[later], part)
     loads = {place: straight(load) for place, load in action.loads.items()}
-    return replace(action, translation=straight(action.translation), rotation=np.array(turned), loads=loads)
+    return replace(action, translation=straight(action.translation), rotation=turned, loads=loads)
 
 
 effect = Effect(
@@ -46,7 +46,7 @@ effect = Effect(
             lower=-60.0,
             upper=60.0,
             neutral=0.0,
-            typical=0.3,
+            scale=0.3,
         ),
     ),
     about="the clocks of robot and camera differ",

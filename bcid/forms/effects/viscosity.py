@@ -58,7 +58,7 @@ effect = Effect(
             lower=0.0,
             upper=0.95,
             neutral=0.0,
-            typical=0.2,
+            scale=0.2,
         ),
         Parameter(
             "relaxation_time",
@@ -67,7 +67,7 @@ effect = Effect(
             default=3.0,
             lower=0.0,
             open_lower=True,
-            typical=2.0,
+            scale=2.0,
             scan=(1.0, 3.0, 10.0, 30.0),
         ),
     ),

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
-from bcid.base.collective import on_root
+from bcid.base.collective import Comm, on_root
 from bcid.base.confined import read_in_child
 from bcid.base.errors import InputError
 from bcid.base.fingerprint import file_fingerprint
@@ -18,7 +17,7 @@ from bcid.scene import Level, Scene
 TIME_LIMIT = 600.0
 
 
-def level_mesh(scene: Scene, level: Level, comm: Any = None) -> BodyMesh:
+def level_mesh(scene: Scene, level: Level, comm: Comm | None = None) -> BodyMesh:
     """Mesh of one level of a scene; collective on `comm` (rank 0 makes it, all get it).
 
     Raises:

@@ -1,0 +1,286 @@
+"""The functions that `import bcid` gives: all take a scene and a measurement, or a robot, and may be given an MPI communicator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from bcid.api.results import DiagnosisResult, ExploreResult, IdentifyResult
+from bcid.base.collective import Comm, on_root
+from bcid.base.errors import InputError, nearest
+from bcid.base.progress import Progress
+from bcid.comparison.diagnosis import Diagnosis, check_terms, compared, diagnosed, explained, refitted
+from bcid.comparison.explain import ExplainOptions
+from bcid.comparison.output import collect
+from bcid.comparison.output import documents as diagnosis_documents
+from bcid.comparison.predictor import Predictor
+from bcid.comparison.source import Source
+from bcid.comparison.written_term import parsed_term
+from bcid.exploration import explore_run
+from bcid.exploration.loop import ExploreOptions, paired
+from bcid.exploration.loop import explore as explore_with
+from bcid.exploration.predictions import PullPredictor
+from bcid.exploration.robots import Robot
+from bcid.forms.effects.effect import Effect
+from bcid.forms.forward import check_geometry
+from bcid.forms.mesh import level_mesh
+from bcid.forms.mesh.patches import divided
+from bcid.forms.model import Model, Term, check_physics
+from bcid.measurement import Measurement
+from bcid.scene import Scene
+from bcid.search import identify_run
+from bcid.search.identify import IdentifyOptions
+from bcid.search.refine import identify_refined
+
+SceneLike = Scene | str | Path
+MeasurementLike = Measurement | str | Path
+
+
+def identify(
+    scene: SceneLike,
+    measurement: MeasurementLike,
+    comm: Comm | None = None,
+    options: IdentifyOptions | None = None,
+    model: Model | None = None,
+    refine: int = 0,
+    progress: Progress | None = None,
+) -> IdentifyResult:
+    """Find the anchored patches; collective on `comm`, with the same result on any number of ranks.
+
+    Args:
+        scene: the body, or its scene file.
+        measurement: what was seen, or its folder or file.
+        comm: MPI communicator over which anchor sets are spread; COMM_SELF by default.
+        options: how to search.
+        model: the model; by default the scene's.
+        refine: how many times patches that leave a doubt are halved.
+        progress: told what is going on, as `bcid.base.progress.Lines()` (give it on rank 0 only).
+
+    Raises:
+        InputError: scene, measurement or options cannot be used, or do not fit each other.
+        SolveError: the forward model failed for every set.
+    """
+    comm = comm or _alone()
+    body, seen = _inputs(scene, measurement, comm)
+    done = identify_refined(body, seen, comm, options, refine, model, progress=progress)
+    mesh = level_mesh(done.scene, body.levels[done.found.levels[-1]], comm)
+    return IdentifyResult(identify_run.documents(seen, done, mesh), "identify")
+
+
+def compare(
+    scene: SceneLike,
+    measurement: MeasurementLike,
+    anchors: Iterable[str],
+    comm: Comm | None = None,
+    model: Model | None = None,
+    free: Sequence[str] = (),
+    level: int | None = None,
+    progress: Progress | None = None,
+) -> DiagnosisResult:
+    """Is a model adequate, and where does it fail? Collective on `comm`.
+
+    Args:
+        scene, measurement, comm, progress: as for `identify`.
+        anchors: names of the anchored patches.
+        model: the model; by default the scene's.
+        free: numbers of the model to fit first, such as "young".
+        level: fine mesh level; by default the last with at most 40,000 unknowns.
+
+    Raises:
+        InputError: something cannot be used, or does not fit.
+        SolveError: the model cannot be followed.
+    """
+    comm = comm or _alone()
+    source = _source(scene, measurement, comm, model, anchors, free)
+    return _diagnosed("compare", source, comm, level, lambda predictor: compared(predictor, source, progress))
+
+
+def diagnose(
+    scene: SceneLike,
+    measurement: MeasurementLike,
+    anchors: Iterable[str],
+    comm: Comm | None = None,
+    model: Model | None = None,
+    free: Sequence[str] = (),
+    effects: Iterable[Effect] = (),
+    only: Sequence[str] | None = None,
+    level: int | None = None,
+    progress: Progress | None = None,
+) -> DiagnosisResult:
+    """Which effect is missing in a model? Collective on `comm`.
+
+    Args:
+        scene, measurement, anchors, comm, model, free, level, progress: as for `compare`.
+        effects: effects of your own beside the catalogue.
+        only: names of the effects to look at; all by default.
+
+    Raises:
+        InputError, SolveError: as `compare`.
+    """
+    comm = comm or _alone()
+    source = _source(scene, measurement, comm, model, anchors, free, effects)
+    return _diagnosed("diagnose", source, comm, level, lambda predictor: diagnosed(predictor, source, only, progress))
+
+
+def fit(
+    scene: SceneLike,
+    measurement: MeasurementLike,
+    anchors: Iterable[str],
+    comm: Comm | None = None,
+    model: Model | None = None,
+    add: Iterable[Term | str] = (),
+    free: Sequence[str] = (),
+    fixed: Sequence[str] = (),
+    effects: Iterable[Effect] = (),
+    level: int | None = None,
+    progress: Progress | None = None,
+) -> DiagnosisResult:
+    """Add effects to a model, fit its numbers, and compare the errors; collective on `comm`.
+
+    Args:
+        scene, measurement, anchors, comm, model, level, progress: as for `compare`.
+        add: effects, as `Term("gravity", {"weight": 9810.0})` or "gravity: weight = 9.81 kN/m^3", or just "gravity".
+        free: further numbers to fit, such as "young".
+        fixed: numbers to keep, such as "gravity.weight".
+        effects: effects of your own beside the catalogue.
+
+    Raises:
+        InputError, SolveError: as `compare`.
+    """
+    comm = comm or _alone()
+    source = _source(scene, measurement, comm, model, anchors, (), effects)
+    terms = [parsed_term(one, source, "add") if isinstance(one, str) else one for one in add]
+    if not terms and not free:
+        raise InputError('fit: nothing to do; name an effect, as add=["gravity"], or a number, as free=["young"]')
+    check_terms(source, terms, free, fixed)
+    return _diagnosed(
+        "fit", source, comm, level, lambda predictor: refitted(predictor, source, terms, free, fixed, progress)
+    )
+
+
+def explain(
+    scene: SceneLike,
+    measurement: MeasurementLike,
+    comm: Comm | None = None,
+    options: ExplainOptions | None = None,
+    model: Model | None = None,
+    effects: Iterable[Effect] = (),
+    progress: Progress | None = None,
+) -> DiagnosisResult:
+    """Anchors and missing effects, until the model is adequate or nothing explains the measurement; collective on `comm`.
+
+    Args:
+        scene, measurement, comm, progress: as for `identify`.
+        options: how far to go.
+        model: the model to begin with; by default the scene's.
+        effects: effects of your own beside the catalogue.
+
+    Raises:
+        InputError, SolveError: as `identify`.
+    """
+    comm, chosen = comm or _alone(), options or ExplainOptions()
+    source = _source(scene, measurement, comm, model, None, (), effects)
+    return _diagnosed(
+        "explain", source, comm, chosen.level, lambda predictor: explained(predictor, source, chosen, progress)
+    )
+
+
+def explore(
+    scene: SceneLike,
+    robot: Robot | None,
+    comm: Comm | None = None,
+    options: ExploreOptions | None = None,
+    store: Path | None = None,
+    progress: Progress | None = None,
+) -> ExploreResult:
+    """Choose pulls, make them, and learn, until the anchors are decided or cannot be; collective on `comm`.
+
+    Args:
+        scene: the body with its [explore] limits, or its scene file.
+        robot: makes the pulls (see `bcid.exploration.robots`); needed on rank 0 only.
+        comm, progress: as for `identify`.
+        options: how to go on.
+        store: folder in which predictions are kept for later explorations; a temporary one by default.
+
+    Raises:
+        InputError: scene or options cannot be used.
+        BcidError: whatever the robot raises.
+    """
+    comm, chosen = comm or _alone(), options or ExploreOptions()
+    body = divided(_scene(scene, comm), comm)
+    chosen.check(body)
+    ladder = paired(body, chosen.level, comm)
+    check_geometry(ladder, 0, comm)
+    with TemporaryDirectory(prefix="bcid-") as folder:
+        place = store or Path(comm.bcast(folder))
+        predictors = [PullPredictor(ladder, level, comm, place) for level in range(len(ladder.levels))]
+        try:
+            finer = predictors[1] if len(predictors) > 1 else None
+            found = explore_with(body, robot, chosen, predictors[0], finer, progress)
+        finally:
+            for predictor in predictors:
+                predictor.destroy()
+    return ExploreResult(explore_run.documents(body, chosen, found, predictors[0].level), "explore")
+
+
+def _alone() -> Comm:
+    """This process by itself."""
+    from mpi4py import MPI
+
+    return MPI.COMM_SELF
+
+
+def _scene(scene: SceneLike, comm: Comm) -> Scene:
+    if isinstance(scene, Scene):
+        return scene
+    path = Path(scene)
+    return on_root(comm, lambda: Scene.read(path, physics=check_physics))
+
+
+def _inputs(scene: SceneLike, measurement: MeasurementLike, comm: Comm) -> tuple[Scene, Measurement]:
+    """Both, read where they are files; patches divided, with what is odd about the measurement."""
+    body = _scene(scene, comm)
+    if isinstance(measurement, Measurement):
+        seen = measurement
+    else:
+        path = Path(measurement)
+        seen = on_root(comm, lambda: Measurement.read(path))
+    seen = replace(seen, remarks=tuple(seen.check(body)))
+    return divided(body, comm), seen
+
+
+def _source(
+    scene: SceneLike,
+    measurement: MeasurementLike,
+    comm: Comm,
+    model: Model | None,
+    anchors: Iterable[str] | None,
+    free: Sequence[str],
+    effects: Iterable[Effect] = (),
+) -> Source:
+    body, seen = _inputs(scene, measurement, comm)
+    check_geometry(body, 0, comm)
+    held = None if anchors is None else frozenset(anchors)
+    for name in sorted((held or frozenset()) - set(body.patches)):
+        raise InputError(f"anchors: patch '{name}' is not in the scene; {nearest(name, body.patches)}")
+    begun = model or Model.of(body)
+    for name in free:
+        if name not in begun.constants():
+            raise InputError(f"free: the model {begun.name} has no number '{name}'; {nearest(name, begun.constants())}")
+    files = Path(body.source), Path(seen.source)
+    return Source(*files, body, seen, begun, held, tuple(free), (), tuple(effects))
+
+
+def _diagnosed(
+    command: str, source: Source, comm: Comm, level: int | None, work: Callable[[Predictor], Diagnosis]
+) -> DiagnosisResult:
+    predictor = Predictor(source.scene, source.measurement, comm, level)
+    try:
+        done = work(predictor)
+        content: dict[str, Any] = collect(predictor, done)
+        return DiagnosisResult(diagnosis_documents(source, done, content), command)
+    finally:
+        predictor.destroy()

@@ -1,0 +1,149 @@
+"""`bcid compare`, `diagnose`, `fit` and `explain` as commands: read, check, work, and write everything into a run folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from bcid.base.collective import Comm, on_root
+from bcid.base.errors import InputError
+from bcid.base.progress import Progress
+from bcid.base.run_folder import RunFolder, running
+from bcid.comparison.diagnosis import Diagnosis, check_terms, compared, diagnosed, explained, refitted
+from bcid.comparison.explain import ExplainOptions
+from bcid.comparison.output import collect, documents
+from bcid.comparison.predictor import Predictor
+from bcid.comparison.source import Source, find_effect, from_files, from_run
+from bcid.comparison.written_term import parsed_term
+
+MAKES = (
+    *("diagnosis.json", "model.json", "identification.json", "residuals.nc", "body.nc", "where.json", "summary.txt"),
+    *("picture.png", "ladder.png", "where.png", "paraview/", "report.html"),
+)
+
+
+def run_compare(
+    folder: Path,
+    output: Path,
+    comm: Comm,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+    level: int | None = None,
+    files: Sequence[Path] = (),
+) -> Path:
+    """Is the model of a run adequate, and where does it fail? Collective; returns the folder written."""
+    source = from_run(folder, files, comm)
+    work = partial(compared, source=source, progress=progress)
+    return _written("compare", source, output, {"level": level}, comm, overwrite, level, work)
+
+
+def run_diagnose(
+    folder: Path,
+    output: Path,
+    comm: Comm,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+    level: int | None = None,
+    files: Sequence[Path] = (),
+    only: Sequence[str] | None = None,
+) -> Path:
+    """Which effect is missing in the model of a run? Collective; returns the folder written."""
+    source = from_run(folder, files, comm)
+    for name in only or ():
+        find_effect(name, source.own)
+    options = {"level": level, "only": list(only) if only else None}
+    work = partial(diagnosed, source=source, only=only, progress=progress)
+    return _written("diagnose", source, output, options, comm, overwrite, level, work)
+
+
+def run_fit(
+    folder: Path,
+    output: Path,
+    comm: Comm,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+    level: int | None = None,
+    files: Sequence[Path] = (),
+    add: Sequence[str] = (),
+    free: Sequence[str] = (),
+    fixed: Sequence[str] = (),
+) -> Path:
+    """Add effects to the model of a run, refit it, and compare the errors; collective; returns the folder written.
+
+    Args:
+        add: effects as a user writes them, see `bcid.comparison.written_term.parsed_term`.
+        free: further numbers to fit, such as "young".
+        fixed: numbers to keep, such as "gravity.weight".
+    """
+    source = from_run(folder, files, comm)
+    terms = [parsed_term(text, source) for text in add]
+    check_terms(source, terms, free, fixed)
+    options = {"level": level, "add": list(add), "free": list(free), "fixed": list(fixed)}
+    work = partial(refitted, source=source, terms=terms, free=free, fixed=fixed, progress=progress)
+    return _written("fit", source, output, options, comm, overwrite, level, work)
+
+
+def run_explain(
+    scene_file: Path,
+    measurement_file: Path,
+    folder: Path,
+    options: ExplainOptions | None,
+    comm: Comm,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+    files: Sequence[Path] = (),
+) -> Path:
+    """Anchors and missing effects, unattended, until adequate or unknown; collective; returns the folder written."""
+    chosen = options or ExplainOptions()
+    source = from_files(scene_file, measurement_file, files, comm)
+    for name in chosen.only or ():
+        find_effect(name, source.own)
+    if progress is not None:
+        for text in source.measurement.remarks:
+            progress.say(f"look at this first: {text}")
+    work = partial(explained, source=source, options=chosen, progress=progress)
+    return _written("explain", source, folder, asdict(chosen), comm, overwrite, chosen.level, work)
+
+
+def _written(
+    command: str,
+    source: Source,
+    folder: Path,
+    options: Any,
+    comm: Comm,
+    overwrite: bool,
+    level: int | None,
+    work: Callable[[Predictor], Diagnosis],
+) -> Path:
+    levels = len(source.scene.levels)
+    if level is not None and not 0 <= level < levels:
+        raise InputError(f"--level {level}: the scene has levels 0 to {levels - 1}")
+    with running(comm, folder, command, source.inputs(options), MAKES, overwrite) as run:
+        predictor = Predictor(source.scene, source.measurement, comm, level)
+        try:
+            done = work(predictor)
+            content = collect(predictor, done)
+            on_root(comm, lambda: _write(run, source, predictor, done, content))
+        finally:
+            predictor.destroy()
+    return folder
+
+
+def _write(
+    run: RunFolder | None, source: Source, predictor: Predictor, done: Diagnosis, content: dict[str, Any]
+) -> None:
+    """Write everything into the run folder, which only rank 0 has, and finish the run."""
+    assert run is not None
+    found = documents(source, done, content)
+    run.write_documents(found)
+    run.record |= {
+        "names": {"scene": str(source.scene_file), "measurement": str(source.measurement_file)},
+        "ranks": predictor.comm.size,
+        "trajectories": {k: round(v, 3) for k, v in predictor.trajectories.items()},
+        "mesh": content["mesh"].fingerprint(),
+    }
+    told = ("adequate", "verdict", "anchored", "rms", "noise_rms")
+    run.finish({key: found["diagnosis.json"][key] for key in told})

@@ -1,0 +1,170 @@
+"""A diagnosis: is a model adequate, where does it fail, which effect is missing, what does it do once it is added."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from bcid.base.errors import InputError, nearest
+from bcid.base.progress import Progress
+from bcid.comparison.adequacy import judge
+from bcid.comparison.buckled_frames import leave_out
+from bcid.comparison.explain import ExplainOptions, Explanation, Rung, explain
+from bcid.comparison.fit import Fit, fit, held_out
+from bcid.comparison.joint import promised
+from bcid.comparison.predictor import Predictor
+from bcid.comparison.ranking import rank
+from bcid.comparison.rivals import contest
+from bcid.comparison.separate import Pull, separating_pulls
+from bcid.comparison.source import Source
+from bcid.comparison.state import State
+from bcid.comparison.variants import neutral_values
+from bcid.comparison.where import MissingForce, missing_force
+from bcid.forms import effects
+from bcid.forms.model import Model, Term
+from bcid.inference.outcome import label
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What was found about a model.
+
+    Attributes:
+        rungs: the ladder of models, the one that was begun with first.
+        where: the force that would explain what the model misses; None where it was not asked for.
+        explanation: anchors and effects, where they were searched.
+        pulls: pulls that would tell explanations apart.
+    """
+
+    rungs: tuple[Rung, ...]
+    where: MissingForce | None
+    explanation: Explanation | None = None
+    pulls: tuple[Pull, ...] = ()
+
+
+def compared(predictor: Predictor, source: Source, progress: Progress | None = None) -> Diagnosis:
+    """Is the source's model adequate with its anchors, and where does it fail? Collective on the predictor's ranks."""
+    fitted = _present(predictor, source, progress)
+    rung = Rung(fitted, judge(fitted.state), held_out(fitted))
+    return Diagnosis((rung,), missing_force(fitted.state))
+
+
+def diagnosed(
+    predictor: Predictor, source: Source, only: Sequence[str] | None = None, progress: Progress | None = None
+) -> Diagnosis:
+    """Which effect is missing in the source's model? Collective on the predictor's ranks.
+
+    `only` names the effects to look at; all of the catalogue and of the source by default.
+    """
+    fitted = _present(predictor, source, progress)
+    adequacy = judge(fitted.state)
+    if progress is not None:
+        progress.say("ranking the effects by what they would explain")
+    ranking = rank(fitted.state, effects.catalogue(only, source.own))
+    if progress is not None:
+        progress.say("fitting the most promising of them")
+    rivals = contest(fitted.state, promised(fitted.state, ranking), ExplainOptions().fitted)
+    rung = Rung(fitted, adequacy, held_out(fitted), ranking, tuple(rivals))
+    return Diagnosis((rung,), None if adequacy.adequate else missing_force(fitted.state))
+
+
+def refitted(
+    predictor: Predictor,
+    source: Source,
+    terms: Sequence[Term] = (),
+    free: Sequence[str] = (),
+    fixed: Sequence[str] = (),
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """The source's model with more effects, refitted, beside the model before. Collective on the predictor's ranks.
+
+    Args:
+        terms: effects to add, with values to start from.
+        free: further numbers to fit, such as "young".
+        fixed: numbers to keep, such as "gravity.weight".
+    """
+    before = _present(predictor, source, progress)
+    rungs = [Rung(before, judge(before.state), held_out(before))]
+    state = before.state
+    for one in terms:
+        if progress is not None:
+            progress.say(f"adding {one.label}")
+        state = _added(state, one)
+    names = numbers_to_fit(state.model, source, free, fixed)
+    again = fit(state, names)
+    mesh = predictor.mesh_error(again.state.model, again.state.anchors, again.state.prediction)
+    again = fit(State.of(predictor, again.state.model, again.state.anchors, mesh, names, again.state.prediction), names)
+    rungs.append(Rung(again, judge(again.state), held_out(again)))
+    return Diagnosis(tuple(rungs), missing_force(again.state))
+
+
+def explained(
+    predictor: Predictor, source: Source, options: ExplainOptions, progress: Progress | None = None
+) -> Diagnosis:
+    """Anchors and missing effects, until the model is adequate or nothing helps. Collective on the predictor's ranks."""
+    found = explain(predictor, options, source.model, source.own, progress)
+    where = None if found.last.adequacy.adequate else missing_force(found.last.state)
+    if where is None and len(found.rungs) > 1:
+        where = missing_force(found.rungs[0].state)
+    return Diagnosis(found.rungs, where, found, tuple(_pulls(found) if found.ambiguous else []))
+
+
+def check_terms(source: Source, terms: Sequence[Term], free: Sequence[str], fixed: Sequence[str]) -> None:
+    """Refuse effects that the source's model has already, and numbers that it has not, before anything is computed.
+
+    Raises:
+        InputError: names what is wrong.
+    """
+    model = source.model
+    for one in terms:
+        if one.label in {present.label for present in model.terms}:
+            raise InputError(
+                f"--add {one.label}: the model {model.name} has it already; fit it with --free, or leave it out"
+            )
+        model = model + one
+    numbers_to_fit(model, source, free, fixed)
+
+
+def numbers_to_fit(model: Model, source: Source, free: Sequence[str], fixed: Sequence[str]) -> tuple[str, ...]:
+    """Numbers to fit: those fitted before, those of added effects, and what the user asks for."""
+    names = [*source.free, *(name for term in model.added(source.model) for name in term.free), *free]
+    known = model.constants()
+    for name in (*free, *fixed):
+        if name not in known:
+            raise InputError(f"the model {model.name} has no number '{name}'; {nearest(name, known)}")
+    return tuple(dict.fromkeys(name for name in names if name not in fixed))
+
+
+def _present(predictor: Predictor, source: Source, progress: Progress | None) -> Fit:
+    """The model of a run on the predictor; its fitted numbers are fitted again, for the level may be another."""
+    assert source.anchors is not None
+    if progress is not None:
+        progress.say(
+            f"comparing {source.model.name}, anchors {label(source.anchors, source.scene.patches)}, on two meshes"
+        )
+    leave_out(predictor, source.model, source.anchors)
+    return fit(State.of(predictor, source.model, source.anchors, None, source.free), source.free)
+
+
+def _added(state: State, one: Term) -> State:
+    """The model with an effect, begun where its sensitivity says, unless the user gave values."""
+    given = one.values != neutral_values(state.model, one.effect)
+    if not given:
+        found = promised(state, rank(replace(state, free=()), [one.effect]))
+        rivals = contest(state, [p for p in found if p.place == one.place or not one.place], ExplainOptions().fitted)
+        if rivals:
+            return rivals[0].fitted.state
+    moved = {
+        p.name: p.scale if p.reciprocal else one.values[p.name] + (0.0 if given else 0.1 * p.scale)
+        for p in one.effect.amounts
+        if not (given and math.isfinite(one.values[p.name]))
+    }
+    model = state.model + one.with_values(moved)
+    return State.of(state.predictor, model, state.anchors, state.errors.mesh, state.free)
+
+
+def _pulls(found: Explanation) -> list[Pull]:
+    """Pulls that tell the adopted effect from the next best."""
+    best, other = found.rungs[-2].rivals[0], next(r for r in found.rungs[-2].rivals if r.effect == found.ambiguous[0])
+    return separating_pulls(best.fitted.state, other.fitted.state)[:5]

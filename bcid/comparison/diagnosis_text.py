@@ -1,0 +1,212 @@
+"""What was found, in sentences and tables that a lab uses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from bcid.base.units import for_people, p_value, percent, significance
+from bcid.comparison.adequacy import Adequacy, groups
+from bcid.comparison.explain import Explanation, Rung
+from bcid.comparison.ranking import Ranking, Row
+from bcid.comparison.rivals import Rival
+from bcid.comparison.separate import Pull
+from bcid.comparison.state import State
+from bcid.comparison.where import MissingForce
+from bcid.forms.model import Term
+from bcid.inference.outcome import label
+from bcid.search.identify_run import FAR
+
+# A force that explains a smaller share of what is beyond noise is none.
+_NOTHING = 0.1
+# A pull separates two explanations when their predictions are so many times the noise apart.
+_SEPARATE = 5.0
+
+
+def anchors(state: State) -> str:
+    """An anchor set: "{1 2}"."""
+    return label(state.anchors, state.predictor.whole.patches)
+
+
+def number(value: float, error: float | None = None) -> str:
+    """A value with its standard error, to as many digits as that has meaning."""
+    if not math.isfinite(value):
+        return "infinite"
+    if error is None or not math.isfinite(error) or error <= 0:
+        return f"{value:.4g}"
+    digits = max(1, min(6, 2 + math.floor(math.log10(max(abs(value), error))) - math.floor(math.log10(error))))
+    return f"{value:.{digits}g} ± {error:.2g}"
+
+
+def term(one: Term, errors: dict[str, float]) -> str:
+    """An effect with its numbers: "gravity: weight = 305 ± 4 N/m^3"."""
+    parts = []
+    for p in one.effect.parameters:
+        value, error, unit = for_people(one.values[p.name], errors.get(p.name), p.unit)
+        parts.append(f"{p.name} = {number(value, error)}{'' if unit == '1' else f' {unit}'}")
+    return f"{one.label}: {', '.join(parts)}"
+
+
+def warning(state: State) -> list[str]:
+    """What must stand above the result: that the model leaves far more than noise, or that this cannot be told."""
+    lines = []
+    if not state.predictor.data.stated:
+        lines.append(
+            f"WARNING: no noise is known: {1e3 * state.noise:.3g} mm is only estimated from the measurement itself, "
+            "and whether a model is adequate rests on that. State noise_sigma."
+        )
+    if state.rms > FAR * state.noise:
+        lines.append(
+            f"WARNING: the model misses the measurement by {state.rms / state.noise:.1f} times the noise "
+            f"({1e3 * state.rms:.3g} mm where it is {1e3 * state.noise:.3g} mm)."
+        )
+    return lines
+
+
+def verdict(state: State, adequacy: Adequacy, unit: float, name: str) -> list[str]:
+    """Whether a model is adequate, and what the tests say."""
+    mesh = state.errors.mesh
+    known = f"{mesh.rms / unit:.2g} {name}" if mesh.known else "not known"
+    stated = "stated" if state.predictor.data.stated else "estimated from the measurement"
+    word = "ADEQUATE" if adequacy.adequate else "NOT ADEQUATE"
+    lines = [
+        f"{state.model.name} with anchors {anchors(state)} is {word} ({p_value(adequacy.p_value)}).",
+        f"  It misses the measurement by {state.rms / unit:.3g} {name} per coordinate (RMS); noise {state.noise / unit:.3g} {name} "
+        f"({stated}), error of the mesh {known}.",
+    ]
+    for finding in adequacy.findings:
+        mark = "decides" if finding.decides else "       "
+        lines.append(f"  {mark}  {finding.name:22s} {p_value(finding.p_value):12s} {finding.text}")
+    return lines
+
+
+def worst(state: State) -> list[str]:
+    """Where the residual is largest."""
+    found = groups(state)
+    lines = ["Where it fails (RMS residual in units of noise):"]
+    for what in ("action", "fiducial", "axis"):
+        ordered = sorted(found[what].items(), key=lambda item: -item[1])[:6]
+        lines.append(f"  by {what:9s}" + ",  ".join(f"{name}: {value:.2f}" for name, value in ordered))
+    steps = list(found["step"].items())
+    chosen = steps if len(steps) <= 8 else [steps[i] for i in np.linspace(0, len(steps) - 1, 8).astype(int)]
+    lines.append("  by step     " + ",  ".join(f"{name}: {value:.2f}" for name, value in chosen))
+    return lines
+
+
+def force(found: MissingForce, unit: float, name: str) -> list[str]:
+    """The force that would explain the residual."""
+    if found.explained < _NOTHING:
+        return ["No missing force can be told from these data."]
+    lines = [
+        f"A smooth force on the body would explain {percent(found.explained)} of what is beyond noise "
+        f"(residual then {found.rms / unit:.3g} {name}). Its largest parts, if the stiffness is right:"
+    ]
+    parts = [("in all frames", place) for place in found.steady]
+    for action, places in found.growing.items():
+        parts += [(f"action {action}, growing", place) for place in places]
+    parts.sort(key=lambda pair: -float(np.linalg.norm(pair[1].force)))
+    for when, place in parts[:6]:
+        at = " ".join(f"{v / unit:.0f}" for v in place.position)
+        push = " ".join(f"{1e3 * v:+.2f}" for v in place.force)
+        lines.append(f"  at ({at}) {name}: ({push}) mN ± {1e3 * place.stderr:.2f}, {when}")
+    return lines
+
+
+def table(ranking: Ranking, rivals: Sequence[Rival], now: float, unit: float, name: str, most: int = 12) -> list[str]:
+    """The ranked effects: error now, expected, and fitted."""
+    fitted: dict[str, Rival] = {}
+    for rival in rivals:
+        fitted.setdefault(rival.effect, rival)
+    lines = [
+        f"  {'effect':20s} {'error now':>9s} → {'expected':>8s} → {'fitted':>7s} {name}   "
+        f"{'score':>8s} {'p':>8s} {'power':>6s}  what"
+    ]
+    for row in ordered(ranking, rivals)[:most]:
+        own = fitted.get(row.effect)
+        reached = f"{own.fitted.state.rms / unit:.3g}" if own else ""
+        lines.append(
+            f"  {row.effect:20s} {now / unit:9.3g} → {row.expected_rms / unit:8.3g} → {reached:>7s} {'':{len(name)}s}   "
+            f"{row.score:8.0f} {significance(row.p_value):>8s} {row.power:6.2f}  {_what(row, own)}"
+        )
+    if ranking.excluded:
+        lines.append("  not applicable: " + "; ".join(f"{n} ({why})" for n, why in ranking.excluded.items()))
+    lines.append(f"  ({ranking.tried} variants were tried; p counts them all)")
+    return lines
+
+
+def ordered(ranking: Ranking, rivals: Sequence[Rival]) -> list[Row]:
+    """Rows with the refitted effects first, the best of them on top."""
+    place: dict[str, int] = {}
+    for i, rival in enumerate(rivals):
+        place.setdefault(rival.effect, i)
+    return sorted(ranking.rows, key=lambda row: place.get(row.effect, len(place)))
+
+
+def _what(row: Row, rival: Rival | None) -> str:
+    if not row.identifiable and rival is None:
+        return "not identifiable from these data"
+    if row.p_value > 0.01 and rival is None:
+        return "nothing of it is seen"
+    one = rival.term if rival else row.term
+    errors = row.stderr if rival is None else errors_of(rival)
+    same = f"  (like {', '.join(row.confounded_with)})" if row.confounded_with else ""
+    return term(one, errors).split(": ", 1)[1] + (f" at {one.place}" if one.place else "") + same
+
+
+def errors_of(rival: Rival) -> dict[str, float]:
+    """Standard errors of a rival's own effect by parameter."""
+    prefix = f"{rival.term.label}."
+    return {n.removeprefix(prefix): e for n, e in rival.fitted.stderr.items() if n.startswith(prefix)}
+
+
+def ladder(rungs: Sequence[Rung], unit: float, name: str) -> list[str]:
+    """The falling error."""
+    lines = []
+    for rung in rungs:
+        apart = (
+            "" if rung.held_out is None else f", actions predicted from the others {rung.held_out / unit:.3g} {name}"
+        )
+        word = "adequate" if rung.adequacy.adequate else "not adequate"
+        noise = f"noise {rung.state.noise / unit:.3g}"
+        lines.append(f"  {rung.state.model.name:44s} {rung.state.rms / unit:.3g} {name} ({noise}{apart}): {word}")
+    return lines
+
+
+def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull] = ()) -> list[str]:
+    """The verdict in one to three sentences."""
+    first, last = found.rungs[0], found.last
+    held = anchors(last.state)
+    if found.verdict == "none":
+        return [
+            f"The plain model is adequate: it misses the measurement by {last.state.rms / unit:.3g} {name} where the noise is "
+            f"{last.state.noise / unit:.3g}. Nothing is missing that these data could show. Anchored: {held}."
+        ]
+    if found.verdict == "unknown":
+        best = last.state.model.name if len(found.rungs) > 1 else "none of them"
+        return [
+            f"None of the known effects explains this measurement: {last.state.rms / unit:.3g} {name} are left where the noise is "
+            f"{last.state.noise / unit:.3g} (the closest: {best}).",
+            "Look where the force that would explain it acts. Probabilities and values below are those of a model that fails.",
+        ]
+    errors = last.fitted.stderr
+    lines = [
+        f"Missing in the plain model: {' and '.join(found.verdict.split('+'))}. The error falls from "
+        f"{first.state.rms / unit:.3g} to {last.state.rms / unit:.3g} {name} (noise {last.state.noise / unit:.3g}). "
+        f"Anchored: {held}."
+    ]
+    for one in last.state.model.terms:
+        own = {n.removeprefix(f"{one.label}."): e for n, e in errors.items() if n.startswith(f"{one.label}.")}
+        if own:
+            lines.append("  " + term(one, own))
+    lines += [f"  Note: {text}" for text in last.fitted.warnings]
+    if found.ambiguous:
+        lines.append(f"These data cannot tell it from: {', '.join(found.ambiguous)}.")
+        if pulls and pulls[0].sigmas >= _SEPARATE:
+            lines.append(f"The pull that would separate them best: {pulls[0].text}.")
+        elif pulls:
+            lines.append(
+                "No pull along an axis would separate them: they do the same, or need another kind of experiment."
+            )
+    return lines

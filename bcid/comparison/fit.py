@@ -1,0 +1,334 @@
+"""Fitting numbers of a model: nonlinear least squares with the tangent as Jacobian."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from bcid.base.errors import InputError, SolveError, nearest
+from bcid.comparison.predictor import MeasurementPrediction, Predictor
+from bcid.comparison.state import State
+from bcid.forms.model import Model
+from bcid.forms.parameter import Parameter
+from bcid.forms.sensitivity import Probe, Wanted
+from bcid.inference.criteria import bic
+
+Array = NDArray[np.float64]
+# A step that moves no number by more than this part of its scale ends the fit.
+_XTOL = 1e-3
+_FTOL = 1e-4
+# Relative step of a difference of whole trajectories.
+_STEP = 1e-2
+# A number is not identified when its standard error exceeds this many of its scales.
+_LOOSE = 3.0
+# Variance of a number of which nothing is seen.
+_UNKNOWN = 1e200
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """One fitted number, as the optimiser sees it.
+
+    Attributes:
+        name: full name in the model.
+        parameter: what it is.
+        scale: size of a notable change of the coordinate.
+    """
+
+    name: str
+    parameter: Parameter
+    scale: float
+
+    @classmethod
+    def of_parameter(cls, name: str, parameter: Parameter, scale: float | None = None) -> Coordinate:
+        """With the parameter's own scale, or another."""
+        size = scale or parameter.scale
+        return cls(name, parameter, 1 / size if parameter.reciprocal else size)
+
+    def of(self, value: float) -> float:
+        """Coordinate of a value: the reciprocal for springs that replace a rigid hold."""
+        return 1 / value if self.parameter.reciprocal else value
+
+    value = of
+
+    def allowed(self, at: float) -> float:
+        """The value at a coordinate that may miss a bound by rounding."""
+        lower, upper = self.bounds
+        value = self.value(float(np.clip(at, lower, upper)))
+        return float(np.clip(value, self.parameter.lower, self.parameter.upper))
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Bounds of the coordinate."""
+        p, inside = self.parameter, 1e-3 * self.scale
+        lower = p.lower + inside if p.open_lower else p.lower
+        upper = p.upper - inside if p.open_upper else p.upper
+        if p.reciprocal:
+            least = 1 / p.upper if math.isfinite(p.upper) else 1e-9 * self.scale
+            return least, 1 / p.lower if p.lower > 0 else 1e4 * self.scale
+        return lower, upper
+
+
+def coordinates(model: Model, names: Sequence[str]) -> list[Coordinate]:
+    """The named numbers of a model, as `Model.constants` has them.
+
+    Raises:
+        InputError: the model has no such number.
+    """
+    known = {p.name: p for p in model.law.parameters}
+    for term in model.terms:
+        known |= {term.full(p.name): p for p in term.effect.parameters}
+    found = []
+    for name in names:
+        if name not in known:
+            raise InputError(f"the model {model.name} has no number '{name}'; {nearest(name, known)}")
+        # The constants of a law have no scale: a third of their value.
+        law = name in model.law.complete(model.values)
+        scale = max(abs(float(model.constants()[name])), 1e-3) / 3 if law else None
+        found.append(Coordinate.of_parameter(name, known[name], scale))
+    return found
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted model.
+
+    Attributes:
+        state: the model at its optimum, compared with the data.
+        coordinates: what was fitted.
+        covariance: of the coordinates, shape (p, p).
+        jacobian: of the scaled residual by the coordinates, shape (n, p).
+        warnings: what is doubtful, in words.
+        evaluations: predictions that were needed.
+    """
+
+    state: State
+    coordinates: tuple[Coordinate, ...]
+    covariance: Array
+    jacobian: Array
+    warnings: tuple[str, ...]
+    evaluations: int
+
+    @property
+    def bic(self) -> float:
+        """Bayesian information criterion of the fit, see `bcid.inference.criteria.bic`."""
+        return bic(self.state.chi2, len(self.state.predictor.data), len(self.coordinates))
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Fitted values by full name."""
+        numbers = self.state.model.constants()
+        return {c.name: numbers[c.name] for c in self.coordinates}
+
+    @property
+    def stderr(self) -> dict[str, float]:
+        """Standard errors of the values; infinite where the data do not tell."""
+        errors = np.sqrt(np.diag(self.covariance))
+        numbers = self.state.model.constants()
+        # The error of a reciprocal is that of its coordinate times the square of the value.
+        return {
+            c.name: float(e) * (numbers[c.name] ** 2 if c.parameter.reciprocal else 1.0)
+            for c, e in zip(self.coordinates, errors, strict=True)
+        }
+
+
+class _Problem:
+    """What the optimiser calls: scaled residual and Jacobian at given coordinates."""
+
+    def __init__(self, start: State, coordinates: Sequence[Coordinate]) -> None:
+        self.start, self.coordinates = start, list(coordinates)
+        self.predictor, self.anchors, self.errors = start.predictor, start.anchors, start.errors
+        self._known: dict[bytes, tuple[Model, MeasurementPrediction]] = {}
+        self._last = start.scaled
+        self.evaluations = 0
+
+    def model(self, x: Array) -> Model:
+        """The model at these coordinates."""
+        values = {c.name: c.allowed(float(at)) for c, at in zip(self.coordinates, x, strict=True)}
+        return self.start.model.with_values(values)
+
+    def prediction(self, x: Array) -> tuple[Model, MeasurementPrediction]:
+        """The prediction there; the last few are kept."""
+        key = np.asarray(x, dtype=float).tobytes()
+        if key not in self._known:
+            model = self.model(x)
+            self._known = dict(list(self._known.items())[-1:])
+            self._known[key] = model, self.predictor.predict(model, self.anchors, keep=True)
+            self.evaluations += 1
+        return self._known[key]
+
+    def residual(self, x: Array) -> Array:
+        """Scaled residual; where the model fails, a worse one than before, so that the step is refused."""
+        _, prediction = self.prediction(x)
+        if prediction.failure:
+            return 3.0 * self._last
+        found = self.scaled(prediction)
+        self._last = found
+        return found
+
+    def scaled(self, prediction: MeasurementPrediction) -> Array:
+        """Scaled residual of a prediction."""
+        data = self.predictor.data
+        return self.errors.whiten(data.values - data.vector(prediction.positions + self.errors.mesh.correction))
+
+    def jacobian(self, x: Array) -> Array:
+        """Its derivative by the coordinates."""
+        model, prediction = self.prediction(x)
+        if prediction.failure:
+            return np.zeros((len(self.predictor.data), len(self.coordinates)))
+        return -self.errors.whiten(columns(self.predictor, model, self.anchors, prediction, self.coordinates))
+
+
+def columns(
+    predictor: Predictor,
+    model: Model,
+    anchors: frozenset[str],
+    prediction: MeasurementPrediction,
+    coordinates: Sequence[Coordinate],
+) -> Array:
+    """Change of every measured coordinate per unit of each fitted one, shape (n, p), m; collective.
+
+    By the tangent; where effects remember earlier steps, by differences of whole trajectories.
+    """
+    if not coordinates:
+        return np.zeros((len(predictor.data), 0))
+    if model.remembers:
+        return _differences(predictor, model, anchors, prediction, coordinates)
+    names = [c.name for c in coordinates]
+    probes = []
+    for term in model.terms:
+        wanted = tuple(p.name for p in term.effect.parameters if term.full(p.name) in names)
+        if wanted:
+            probes.append(Probe(term, wanted))
+    law = tuple(n for n in names if n in model.law.complete(model.values))
+    found = predictor.sensitivities(model, anchors, prediction, Wanted(tuple(probes), law))
+    table = dict(found.law)
+    for probe, arrays in zip(probes, found.probes, strict=True):
+        table |= {probe.term.full(name): array for name, array in arrays.items()}
+    return np.column_stack([predictor.data.vector(table[name]) for name in names])
+
+
+def _differences(
+    predictor: Predictor,
+    model: Model,
+    anchors: frozenset[str],
+    prediction: MeasurementPrediction,
+    coordinates: Sequence[Coordinate],
+) -> Array:
+    found, numbers = [], model.constants()
+    for c in coordinates:
+        at = c.of(numbers[c.name])
+        lower, upper = c.bounds
+        step = _STEP * c.scale if at + _STEP * c.scale <= upper else -_STEP * c.scale
+        moved = predictor.predict(model.with_values({c.name: c.value(max(at + step, lower))}), anchors)
+        change = (moved.positions - prediction.positions) / step
+        found.append(predictor.data.vector(np.nan_to_num(change)))
+    return np.column_stack(found)
+
+
+def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL) -> Fit:
+    """Fit numbers of a model to the data; collective.
+
+    Args:
+        start: where to begin; its covariance of errors is kept.
+        names: full names of the numbers.
+        most: predictions at most.
+        ftol: relative change of chi-square that ends the fit.
+
+    Raises:
+        InputError: the model has no such number.
+        SolveError: the model cannot be followed at its start.
+    """
+    chosen = coordinates(start.model, names)
+    problem = _Problem(start, chosen)
+    if not chosen:
+        return Fit(replace(start, free=()), (), np.zeros((0, 0)), np.zeros((len(start.predictor.data), 0)), (), 0)
+    numbers = start.model.constants()
+    lower, upper = (np.array(b) for b in zip(*(c.bounds for c in chosen), strict=True))
+    scale = np.array([c.scale for c in chosen])
+    x = np.clip([c.of(numbers[c.name]) for c in chosen], lower, upper)
+    inside = np.clip(x, lower + 1e-6 * scale, upper - 1e-6 * scale)
+    if problem.prediction(inside)[1].failure:
+        raise SolveError(f"{start.model.name}: {problem.prediction(inside)[1].failure}")
+    # In units of their scales: the optimiser takes a step of 1e-6 for none, and a compliance may be smaller than that.
+    result = least_squares(
+        lambda z: problem.residual(z * scale),
+        inside / scale,
+        jac=lambda z: problem.jacobian(z * scale) * scale,
+        bounds=(lower / scale, upper / scale),
+        xtol=_XTOL,
+        ftol=ftol,
+        gtol=1e-10,
+        max_nfev=most,
+    )
+    x = result.x * scale
+    model, prediction = problem.prediction(x)
+    state = State(start.predictor, model, start.anchors, prediction, start.errors, tuple(names))
+    jacobian = np.asarray(result.jac) / scale
+    covariance, loose = _covariance(jacobian, scale)
+    warnings = _warnings(chosen, x, lower, upper, scale, loose)
+    if result.status == 0:
+        warnings.append(f"the fit did not settle within {most} predictions")
+    return Fit(state, tuple(chosen), covariance, jacobian, tuple(warnings), problem.evaluations)
+
+
+def _covariance(jacobian: Array, scale: Array) -> tuple[Array, list[bool]]:
+    """Inverse of J^T J, and which coordinates the data do not tell."""
+    scaled = jacobian * scale
+    _, sizes, rows = np.linalg.svd(scaled, full_matrices=False)
+    least = max(1e-8 * sizes.max(initial=0.0), 1e-150)
+    covariance = (rows.T / np.maximum(sizes, least) ** 2) @ rows
+    # A number that takes part in a direction of which nothing is seen; the others keep their errors.
+    unseen = np.sum(rows[sizes <= least] ** 2, axis=0) > 1e-6
+    covariance[unseen, unseen] = _UNKNOWN
+    loose = [bool(v > _LOOSE**2) for v in np.diag(covariance)]
+    return np.asarray(covariance * np.outer(scale, scale)), loose
+
+
+def _warnings(
+    chosen: Sequence[Coordinate], x: Array, lower: Array, upper: Array, scale: Array, loose: Sequence[bool]
+) -> list[str]:
+    found = []
+    for c, at, low, high, size, free in zip(chosen, x, lower, upper, scale, loose, strict=True):
+        if min(at - low, high - at) < 1e-3 * size:
+            found.append(
+                f"{c.name} is at a bound ({c.value(float(at)):.4g} {c.parameter.unit}; allowed: {c.parameter.allowed})"
+            )
+        if free:
+            found.append(f"{c.name} is not identifiable from these data")
+    return found
+
+
+def held_out(fitted: Fit) -> float | None:
+    """RMS residual, m, when each action is predicted from a fit to the others; collective.
+
+    The fit without an action is one Gauss-Newton step from the fit to all, with its Jacobian. None with one action only.
+    """
+    state = fitted.state
+    data, predictor = state.predictor.data, state.predictor
+    if len(data.actions) < 2:
+        return None
+    if not fitted.coordinates:
+        return state.rms
+    squares = 0.0
+    scaled, numbers = state.scaled, state.model.constants()
+    x = np.array([c.of(numbers[c.name]) for c in fitted.coordinates])
+    scale = np.array([c.scale for c in fitted.coordinates])
+    bounds = np.array([c.bounds for c in fitted.coordinates])
+    for number, action in enumerate(predictor.actions):
+        others = data.action != number
+        rows = fitted.jacobian[others] * scale
+        ridge = 1e-6 * max(float(np.abs(rows.T @ rows).max(initial=0.0)), 1e-12) * np.eye(len(x))
+        step = -np.linalg.solve(rows.T @ rows + ridge, rows.T @ scaled[others]) * scale
+        moved = np.clip(x + step, bounds[:, 0], bounds[:, 1])
+        values = {c.name: c.allowed(float(at)) for c, at in zip(fitted.coordinates, moved, strict=True)}
+        prediction = predictor.predict(state.model.with_values(values), state.anchors, actions=[action])
+        positions = prediction.positions if not prediction.failure else state.prediction.positions
+        residual = data.values - data.vector(positions + state.errors.mesh.correction)
+        squares += float(np.sum(residual[data.action == number] ** 2))
+    return float(np.sqrt(squares / len(data)))

@@ -1,0 +1,279 @@
+"""What a comparison writes: diagnosis, model, missing force, residuals and the summary."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from bcid.base.units import unit_factor
+from bcid.comparison import diagnosis_text as words
+from bcid.comparison.adequacy import FALSE_ALARMS, groups, judge
+from bcid.comparison.diagnosis import Diagnosis
+from bcid.comparison.explain import Rung
+from bcid.comparison.fit import Fit
+from bcid.comparison.predictor import Predictor, joined
+from bcid.comparison.ranking import Ranking
+from bcid.comparison.rivals import Rival, explains
+from bcid.comparison.source import Source
+from bcid.comparison.where import MissingForce
+from bcid.forms.model import Term
+from bcid.measurement import AXES
+from bcid.search.identify_run import body_parts, inputs_in_words, odd
+
+MODEL_FORMAT = "bcid-model/1"
+
+
+def collect(predictor: Predictor, done: Diagnosis) -> dict[str, Any]:
+    """Arrays that need every rank: displacements and the parts of the prediction by effect. Collective."""
+    state = done.rungs[-1].state
+    parts = {}
+    for one in state.model.terms:
+        without = predictor.predict(state.model.without(one.label), state.anchors)
+        parts[one.label] = state.prediction.positions - without.positions
+    forward = predictor.forward(state.model)
+    displacement = np.full((len(predictor.data.mask), len(forward.mesh.points), 3), np.nan)
+    for action in predictor.actions:
+        part = state.prediction.parts.get(action.name)
+        if part is not None and part.states is not None:
+            for frame in action.frames:
+                nodes = part.states[int(frame)][forward.body.displacement_dofs].reshape(-1, 3)
+                displacement[frame] = forward.body.at_mesh_nodes(nodes)
+    return {"parts": parts, "displacement": joined(predictor.comm.allgather(displacement)), "mesh": forward.mesh}
+
+
+def documents(source: Source, done: Diagnosis, content: dict[str, Any]) -> dict[str, Any]:
+    """What a run folder holds of a diagnosis, by file name: JSON objects, datasets and texts.
+
+    `content` is what `collect` gave.
+    """
+    name = source.measurement.units.length
+    unit = unit_factor(name, "m")
+    shares = {label: float(np.sqrt(np.nanmean(part**2))) for label, part in content["parts"].items()}
+    remarks = source.measurement.remarks
+    diagnosis = diagnosis_json(done, unit) | {"length_unit": name, "remarks": list(remarks)}
+    diagnosis["contributions"] = {label: share / unit for label, share in shares.items()}
+    found: dict[str, Any] = {"diagnosis.json": diagnosis, "model.json": model_json(done.rungs[-1], source)}
+    if done.explanation is not None:
+        found["identification.json"] = done.explanation.identification.to_json(unit) | {"length_unit": name}
+    found["residuals.nc"] = residual_dataset(done, content["parts"])
+    found["body.nc"] = body_parts(source.scene, content["mesh"], content["displacement"])
+    if done.where is not None:
+        found["where.json"] = where_json(done.where, unit) | {"length_unit": name}
+    lines = [*summary(done, shares, remarks), "", *inputs_in_words(source.scene, source.measurement, content["mesh"])]
+    return found | {"summary.txt": "\n".join(lines) + "\n"}
+
+
+def model_json(rung: Rung, source: Source) -> dict[str, Any]:
+    """The model with its values, from which another run can start."""
+    model = rung.state.model
+    return {
+        "format": MODEL_FORMAT,
+        "law": {name: float(value) for name, value in model.law.complete(model.values).items()},
+        "effects": [{"effect": d.effect.name, "place": d.place, "values": dict(d.values)} for d in model.terms],
+        "anchored": sorted(rung.state.anchors, key=list(source.scene.patches).index),
+        "free": list(rung.state.free),
+        "files": [str(path) for path in source.files],
+    }
+
+
+def finite(value: float | None) -> float | None:
+    """A number for JSON, which knows no infinity."""
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def diagnosis_json(done: Diagnosis, unit: float) -> dict[str, Any]:
+    """The content of `diagnosis.json`; lengths in units of `unit` (m)."""
+    last = done.rungs[-1]
+    state = last.state
+    asked = next((rung for rung in done.rungs if rung.ranking is not None), None)
+    order = list(state.predictor.whole.patches)
+    found = done.explanation
+    if found is not None:
+        verdict = found.verdict
+    else:
+        added = "+".join(dict.fromkeys(d.effect.name for d in state.model.terms if _seen(last.fitted, d)))
+        adequate = last.adequacy.adequate
+        named = explains(done.rungs[0].fitted, last.fitted, adequate) if added else adequate
+        verdict = (added or "none") if named else "unknown"
+        if asked is not None and asked.rivals and not adequate:
+            first = asked.rivals[0]
+            named = explains(last.fitted, first.fitted, judge(first.fitted.state).adequate)
+            verdict = first.effect if named else "unknown"
+    return {
+        "adequate": last.adequacy.adequate,
+        "p_value": last.adequacy.p_value,
+        "false_alarm_rate": FALSE_ALARMS,
+        "rms": state.rms / unit,
+        "noise_rms": state.noise / unit,
+        "noise_stated": state.predictor.data.stated,
+        "discretisation_rms": state.errors.mesh.rms / unit if state.errors.mesh.known else None,
+        "held_out_rms": None if last.held_out is None else last.held_out / unit,
+        "anchored": sorted(state.anchors, key=order.index),
+        "verdict": verdict,
+        "model": state.model.name,
+        "adopted": [
+            {"effect": d.effect.name, "place": d.place, "parameters": _parameters(d, _own(last.fitted, d))}
+            for d in state.model.terms
+        ],
+        "warnings": list(last.fitted.warnings),
+        "tests": [
+            {"name": f.name, "p_value": f.p_value, "decides": f.decides, "text": f.text} for f in last.adequacy.findings
+        ],
+        "residual_by": groups(state),
+        "first_ranked": [row.effect for row in words.ordered(asked.ranking, asked.rivals)]
+        if asked and asked.ranking
+        else [],
+        "ranking": _ranking(asked.ranking, asked.rivals, unit, order) if asked and asked.ranking else [],
+        "not_applicable": asked.ranking.excluded if asked and asked.ranking else {},
+        "cannot_be_told_from": list(found.ambiguous) if found else [],
+        "separating_pulls": [
+            {"grasp": p.grasp, "direction": p.direction, "distance": p.distance / unit, "sigmas": p.sigmas}
+            for p in done.pulls
+        ],
+        "ladder": [
+            {
+                "model": rung.state.model.name,
+                "anchored": sorted(rung.state.anchors, key=order.index),
+                "rms": rung.state.rms / unit,
+                "held_out_rms": None if rung.held_out is None else rung.held_out / unit,
+                "adequate": rung.adequacy.adequate,
+                "p_value": rung.adequacy.p_value,
+            }
+            for rung in done.rungs
+        ],
+    }
+
+
+def _seen(fitted: Fit, one: Term) -> bool:
+    """Whether an effect differs from nothing by more than its standard error lets expect; always, when it was not fitted."""
+    errors, model = _own(fitted, one), fitted.state.model
+    for p in one.effect.amounts:
+        neutral = model.neutral(p)
+        if p.name not in errors or neutral is None:
+            continue
+        value, error = one.values[p.name], errors[p.name]
+        if p.reciprocal:
+            value, neutral, error = 1 / value, 0.0, error / value**2
+        if abs(value - neutral) > 3 * error:
+            return True
+    return not any(p.name in errors for p in one.effect.amounts)
+
+
+def _own(fitted: Fit, one: Term) -> dict[str, float]:
+    prefix = f"{one.label}."
+    return {n.removeprefix(prefix): e for n, e in fitted.stderr.items() if n.startswith(prefix)}
+
+
+def _parameters(one: Term, errors: dict[str, float], identifiable: bool = True) -> dict[str, Any]:
+    return {
+        p.name: {
+            "value": finite(one.values[p.name]) if identifiable else None,
+            "stderr": finite(errors.get(p.name)),
+            "unit": p.unit,
+        }
+        for p in one.effect.parameters
+    }
+
+
+def _ranking(ranking: Ranking, rivals: Sequence[Rival], unit: float, order: list[str]) -> list[dict[str, Any]]:
+    best: dict[str, Rival] = {}
+    for rival in rivals:
+        best.setdefault(rival.effect, rival)
+    rows = []
+    for row in words.ordered(ranking, rivals):
+        own = best.get(row.effect)
+        one, errors = (own.term, words.errors_of(own)) if own else (row.term, row.stderr)
+        rows.append(
+            {
+                "effect": row.effect,
+                "place": one.place,
+                "anchored": sorted(own.anchors, key=order.index) if own else None,
+                "parameters": _parameters(one, errors, row.identifiable or own is not None),
+                "score": row.score,
+                "p_value": row.p_value,
+                "expected_rms": row.expected_rms / unit,
+                "fitted_rms": own.fitted.state.rms / unit if own else None,
+                "held_out_rms": finite(own.held_out / unit) if own and own.held_out is not None else None,
+                "power": row.power,
+                "confounded_with": list(row.confounded_with),
+                "identifiable": row.identifiable,
+                "tried": row.tried,
+            }
+        )
+    return rows
+
+
+def where_json(found: MissingForce, unit: float) -> dict[str, Any]:
+    """The missing force: places in units of length, forces in N."""
+
+    def table(places: Sequence[Any]) -> list[dict[str, Any]]:
+        return [
+            {"position": list(p.position / unit), "force": list(map(float, p.force)), "stderr": p.stderr}
+            for p in places
+        ]
+
+    growing = {name: table(places) for name, places in found.growing.items()}
+    return {"explained": found.explained, "rms": found.rms / unit, "steady": table(found.steady), "growing": growing}
+
+
+def residual_dataset(done: Diagnosis, parts: dict[str, Any]) -> xr.Dataset:
+    """Measured and predicted positions of the first and the last model, and what each effect contributes (m), by frame."""
+    first, last = done.rungs[0].state, done.rungs[-1].state
+    data, dims = last.predictor.data, ("frame", "fiducial", "axis")
+    measurement = last.predictor.measurement.data
+    content: dict[str, Any] = {
+        "measured": (dims, data.measured),
+        "predicted_first": (dims, first.predicted),
+        "predicted": (dims, last.predicted),
+        "sigma": (dims, data.spread(last.errors.sigma)),
+        "mesh_error": (dims, last.errors.mesh.left),
+        "rest": (dims[1:], data.scene.rest),
+        "grasp": ("frame", measurement["grasp"].values.astype(str)),
+    }
+    for number, (label, part) in enumerate(parts.items()):
+        content[f"part_{number}"] = (dims, part, {"effect": label})
+    coords = {
+        "fiducial": data.scene.fiducial_names,
+        "axis": AXES,
+        "action": ("frame", measurement["action"].values.astype(str)),
+        "step": ("frame", measurement["step"].values),
+        "time": ("frame", measurement["time"].values),
+    }
+    attrs = {"model_first": first.model.name, "model": last.model.name}
+    return xr.Dataset(content, coords, attrs)
+
+
+def summary(done: Diagnosis, shares: Mapping[str, float], remarks: Sequence[str] = ()) -> list[str]:
+    """The result in plain sentences, lengths in mm.
+
+    Args:
+        shares: how much each effect moves the fiducials (RMS, m).
+        remarks: what is odd about the measurement, to be said first.
+    """
+    unit, name = 1e-3, "mm"
+    lines = [*odd(remarks), *words.warning(done.rungs[-1].state)]
+    if done.explanation is not None:
+        lines += [*words.conclusion(done.explanation, unit, name, done.pulls), ""]
+    lines += ["The ladder of models:", *words.ladder(done.rungs, unit, name), ""]
+    if shares:
+        parts = ", ".join(f"{label} {share / unit:.3g} {name}" for label, share in shares.items())
+        lines += [f"What each effect adds to the positions (RMS): {parts}.", ""]
+    for rung in done.rungs:
+        lines += [*words.verdict(rung.state, rung.adequacy, unit, name), ""]
+        if rung.fitted.coordinates:
+            lines += [f"  {words.term(d, _own(rung.fitted, d))}" for d in rung.state.model.terms]
+            lines += [f"  Note: {text}" for text in rung.fitted.warnings] + [""]
+        if rung.ranking is not None:
+            lines += [
+                "Which effect is missing?",
+                *words.table(rung.ranking, rung.rivals, rung.state.rms, unit, name),
+                "",
+            ]
+    lines += words.worst(done.rungs[-1].state if not done.rungs[-1].adequacy.adequate else done.rungs[0].state)
+    if done.where is not None:
+        lines += ["", *words.force(done.where, unit, name)]
+    return lines

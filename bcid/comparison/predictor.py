@@ -1,0 +1,325 @@
+"""The predictor of a measurement: predictions and sensitivities of any model and anchor set, spread over the ranks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.base.collective import Comm, agree, in_turns
+from bcid.base.errors import BcidError, InputError
+from bcid.forms.forward import Forward, Prediction
+from bcid.forms.mesh import BodyMesh, level_mesh
+from bcid.forms.model import Model
+from bcid.forms.sensitivity import Sensitivities, Sensitivity, Wanted
+from bcid.forms.solver.equilibrium import Settings
+from bcid.inference.likelihood import Data
+from bcid.inference.mesh_error import MeshError
+from bcid.measurement import Action, Measurement
+from bcid.scene import Level, Scene
+
+Array = NDArray[np.float64]
+# Elements twice as small leave a quarter of the error.
+_ORDER = 2
+_LEAST_GAIN = 0.5
+_AFFORDABLE = 40_000
+# The working mesh has elements so many times as large as those of the fine one.
+_COARSER = 3.0
+# So many of the last predictions are kept: what only changes the picture needs no other.
+_KEPT = 5
+
+
+@dataclass(frozen=True)
+class MeasurementPrediction:
+    """Prediction of a model: positions the same on every rank, states where they were computed.
+
+    Attributes:
+        positions: shape (frames, fiducials, 3), m; NaN in frames that could not be reached.
+        parts: this rank's own predictions, by action.
+        failure: why it could not be followed to the end, or "".
+    """
+
+    positions: Array
+    parts: dict[str, Prediction]
+    failure: str = ""
+
+
+class Predictor:
+    """Predicts what a measurement should have shown. All methods are collective on `comm`; actions are spread over ranks.
+
+    It works on a mesh with elements three times as large as those of a level of the scene's ladder, and of the same degree; that
+    level says how large the error of the working one is.
+
+    Args:
+        scene: the scene.
+        measurement: its motions are repeated.
+        comm: an MPI communicator.
+        level: the fine level; by default the last with at most 40,000 unknowns.
+        settings: accuracy and patience of the solver.
+
+    Attributes:
+        scene: the scene with the working level and, if there is one, the fine level, for a ladder.
+        whole: the scene as it was given.
+        fine_level: number of the fine level in its ladder.
+        data: the measured values.
+        left_out: what of the measurement is not compared, and why, in words.
+        trajectories: forward trajectories by level ("working", "fine"), in whole-trajectory equivalents.
+    """
+
+    level = 0
+
+    def __init__(
+        self,
+        scene: Scene,
+        measurement: Measurement,
+        comm: Comm,
+        level: int | None = None,
+        settings: Settings | None = None,
+    ) -> None:
+        if level is not None and not 0 <= level < len(scene.levels):
+            raise InputError(f"level {level}: the scene has levels 0 to {len(scene.levels) - 1}")
+        self.fine_level = affordable(scene, comm) if level is None else level
+        self.whole, self.measurement, self.comm = scene, measurement, comm
+        self.scene = replace(scene, levels=pair(scene, self.fine_level))
+        # Where a step must be halved more often the body buckles, and following it proves nothing.
+        self.settings = settings or Settings(rtol=1e-7, halvings=3)
+        self.data = Data(scene, measurement)
+        self.left_out: tuple[str, ...] = ()
+        self.actions = measurement.actions
+        self.trajectories: dict[str, float] = {}
+        self._steps = sum(len(a) for a in self.actions)
+        self._predictions: list[tuple[Any, bool, MeasurementPrediction]] = []
+        self._forwards: dict[tuple[int, str], Forward] = {}
+        self._sensitivities: dict[tuple[int, str], Sensitivity] = {}
+        self._meshes: dict[int, BodyMesh] = {}
+
+    def look_at(self, measurement: Measurement, left_out: tuple[str, ...] = ()) -> None:
+        """Compare with what else was seen of the same motions."""
+        self.measurement, self.left_out = measurement, left_out
+        self.data = Data(self.whole, measurement)
+
+    def repeating(self, measurement: Measurement) -> Predictor:
+        """A predictor of another measurement of the same body; meshes and forward models are shared."""
+        other = copy(self)
+        other.look_at(measurement)
+        other.actions = measurement.actions
+        other._steps, other._predictions = sum(len(a) for a in other.actions), []
+        return other
+
+    def thinned(self, steps: int, settings: Settings) -> tuple[Predictor, NDArray[np.int64]]:
+        """A predictor that follows so many evenly spread steps of each action, and looks at rest once; and which frames these are.
+
+        It shares the meshes with this one, but solves with its own settings.
+        """
+        chosen = [a.frames[np.unique(np.linspace(0, len(a) - 1, steps + 1).round().astype(int))] for a in self.actions]
+        frames = np.sort(np.concatenate(chosen))
+        data = self.measurement.data.isel(frame=frames).copy(deep=True)
+        rests = [int(kept[0]) for kept in chosen[1:] if len(kept) > 1]
+        data["position"][{"frame": np.searchsorted(frames, rests)}] = np.nan
+        other = copy(self)
+        other.look_at(replace(self.measurement, data=data), self.left_out)
+        other.actions, other.settings = other.measurement.actions, settings
+        other._predictions, other._forwards, other._sensitivities = [], {}, {}
+        return other, frames
+
+    @property
+    def finer(self) -> int | None:
+        """The level that the working level is compared with, if there is one."""
+        return 1 if len(self.scene.levels) > 1 else None
+
+    def forward(self, model: Model, level: int | None = None) -> Forward:
+        """The forward model of these parts that move the body, with their values, private to the process."""
+        level, model = self.level if level is None else level, mechanical(model)
+        key = level, model.name
+        if key not in self._forwards:
+            if level not in self._meshes:
+                self._meshes[level] = level_mesh(self.scene, self.scene.levels[level], self.comm)
+            self._forwards[key] = in_turns(
+                self.comm,
+                self.comm.rank == 0,
+                lambda: Forward(self.scene, level, None, model, self.settings, self._meshes[level]),
+            )
+        self._forwards[key].set_model(model)
+        return self._forwards[key]
+
+    def drop(self, keep: Iterable[Model] = ()) -> None:
+        """Free what was built for models other than these."""
+        names = {mechanical(model).name for model in keep}
+        for key in [key for key in self._forwards if key[1] not in names]:
+            self._forwards.pop(key).destroy()
+            if key in self._sensitivities:
+                self._sensitivities.pop(key).destroy()
+
+    def mine(self, actions: Iterable[Action]) -> list[Action]:
+        """The actions that this rank computes: the longest first, each to the rank with the least to do."""
+        loads = [0] * self.comm.size
+        chosen = []
+        for action in sorted(actions, key=lambda a: (-len(a), a.name)):
+            rank = loads.index(min(loads))
+            loads[rank] += len(action)
+            if rank == self.comm.rank:
+                chosen.append(action)
+        return sorted(chosen, key=lambda a: int(a.frames[0]))
+
+    def predict(
+        self,
+        model: Model,
+        anchors: Iterable[str],
+        level: int | None = None,
+        actions: Iterable[Action] | None = None,
+        keep: bool = False,
+    ) -> MeasurementPrediction:
+        """What the model shows with these patches anchored.
+
+        Args:
+            model: law, effects and their values.
+            anchors: the anchored patches.
+            level: mesh level; the working level by default.
+            actions: only these; all by default.
+            keep: keep the states, for `sensitivities`.
+        """
+        actions = self.actions if actions is None else list(actions)
+        level = self.level if level is None else level
+        key = level, mechanical(model), frozenset(anchors), tuple(action.name for action in actions)
+        known = next((prediction for k, kept, prediction in self._predictions if k == key and kept >= keep), None)
+        if known is None:
+            known = self._followed(*key[:3], actions, keep)
+            self._predictions = [*self._predictions[-_KEPT:], (key, keep, known)]
+        return replace(known, positions=self._pictured(model, known.positions, level))
+
+    def _followed(
+        self, level: int, model: Model, anchors: frozenset[str], actions: list[Action], keep: bool
+    ) -> MeasurementPrediction:
+        """Prediction before effects on the picture."""
+        forward = self.forward(model, level)
+        positions = np.full(self.data.mask.shape, np.nan)
+        parts, failure, error = {}, "", None
+        for action in self.mine(actions):
+            try:
+                part = forward.predict(anchors, [action], keep=keep)
+            except BcidError as caught:
+                error = caught
+                break
+            positions[action.frames] = part.positions[action.frames]
+            parts[action.name] = part
+            failure = failure or (part.failure.reason if part.failure else "")
+        agree(self.comm, error)
+        gathered = self.comm.allgather((positions, failure))
+        share = sum(len(a) for a in actions) / self._steps
+        self.count("fine" if level else "working", share)
+        return MeasurementPrediction(
+            joined([found for found, _ in gathered]), parts, next((why for _, why in gathered if why), "")
+        )
+
+    def _pictured(self, model: Model, positions: Array, level: int) -> Array:
+        """Positions as the camera shows them."""
+        if not any(term.effect.observe for term in model.terms):
+            return positions
+        forward = self.forward(model, level)
+        seen = positions.copy()
+        for action in self.actions:
+            for step, frame in enumerate(action.frames):
+                seen[frame] = model.observed(positions[frame], forward.frame(action, step))
+        return seen
+
+    def sensitivities(
+        self, model: Model, anchors: Iterable[str], prediction: MeasurementPrediction, wanted: Wanted
+    ) -> Sensitivities:
+        """Sensitivities along all actions of a prediction that kept its states, the same on every rank."""
+        forward = self.forward(model)
+        key = self.level, forward.model.name
+        if key not in self._sensitivities:
+            self._sensitivities[key] = Sensitivity(forward)
+        sensitivity = self._sensitivities[key]
+        error, parts, seen = None, [], self.data.mask.any(axis=(1, 2))
+        for action in self.mine(self.actions):
+            whole = self._whole(prediction.parts[action.name])
+            try:
+                parts.append(sensitivity.of(anchors, [action], whole, wanted, model, seen))
+            except BcidError as caught:
+                error = caught
+                break
+        agree(self.comm, error)
+        gathered = [part for parts in self.comm.allgather(parts) for part in parts]
+        return _merged(gathered)
+
+    def _whole(self, part: Prediction) -> Prediction:
+        """A part's positions in the frames of the whole measurement."""
+        positions = np.full(self.data.mask.shape, np.nan)
+        positions[: len(part.positions)] = part.positions
+        return replace(part, positions=positions)
+
+    def mesh_error(self, model: Model, anchors: Iterable[str], prediction: MeasurementPrediction) -> MeshError:
+        """What the next level of the ladder says of the working level's error."""
+        other = self.finer
+        if other is None:
+            return MeshError.unknown(self.data.mask.shape)
+        second = self.predict(model, anchors, other)
+        if second.failure or prediction.failure:
+            return MeshError.unknown(self.data.mask.shape)
+        gain = max((self._unknowns(other) / self._unknowns(self.level)) ** (_ORDER / 3) - 1, _LEAST_GAIN)
+        return replace(
+            MeshError.between(prediction.positions, second.positions, gain), about=(model.name, frozenset(anchors))
+        )
+
+    def count(self, what: str, trajectories: float) -> None:
+        """Note forward trajectories."""
+        self.trajectories[what] = self.trajectories.get(what, 0.0) + trajectories
+
+    def _unknowns(self, level: int) -> int:
+        return self._meshes[level].unknowns(self.scene.levels[level].degree, False)
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        self.drop()
+
+
+def mechanical(model: Model) -> Model:
+    """The model without effects that only change the picture."""
+    return replace(model, terms=tuple(d for d in model.terms if d.effect.mechanical or d.effect.drive))
+
+
+def affordable(scene: Scene, comm: Comm) -> int:
+    """The last level of a ladder with at most `_AFFORDABLE` unknowns; collective."""
+    mixed = scene.material.formulation == "mixed"
+    for number in reversed(range(1, len(scene.levels))):
+        level = scene.levels[number]
+        if level_mesh(scene, level, comm).unknowns(level.degree, mixed) <= _AFFORDABLE:
+            return number
+    return 0
+
+
+def pair(scene: Scene, fine: int) -> tuple[Level, ...]:
+    """Working level and fine level: elements of the same degree, three times as large and as they are.
+
+    A mesh file cannot be made coarser than it is: there the level below serves, if it has the same degree.
+    """
+    level = scene.levels[fine]
+    if level.element_size is not None:
+        return replace(level, element_size=_COARSER * level.element_size), level
+    if level.refinements > 0:
+        return replace(level, refinements=level.refinements - 1), level
+    return (level,)
+
+
+def joined(arrays: Sequence[Any]) -> Any:
+    """Arrays that cover different frames, with NaN elsewhere, as one."""
+    result = arrays[0].copy()
+    for other in arrays[1:]:
+        fill = np.isnan(result)
+        result[fill] = other[fill]
+    return result
+
+
+def _merged(parts: list[Sensitivities]) -> Sensitivities:
+    """Sensitivities of different actions as one."""
+    first = parts[0]
+    probes = [{name: joined([p.probes[i][name] for p in parts]) for name in one} for i, one in enumerate(first.probes)]
+    law = {name: joined([p.law[name] for p in parts]) for name in first.law}
+    stiffness = None if first.stiffness is None else joined([p.stiffness for p in parts])
+    forces = None if first.forces is None else joined([p.forces for p in parts])
+    return Sensitivities(probes, law, stiffness, forces)

@@ -1,0 +1,96 @@
+"""A hypothesis about what is held and what acts, with its agreement with the data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.base.errors import SolveError
+from bcid.comparison.predictor import MeasurementPrediction, Predictor
+from bcid.forms.model import Model
+from bcid.forms.solver.equilibrium import Settings
+from bcid.inference.likelihood import Errors
+from bcid.inference.mesh_error import MeshError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class State:
+    """A model with an anchor set, predicted and compared.
+
+    Attributes:
+        model, anchors: the hypothesis.
+        prediction: its prediction on the working level, with states.
+        errors: covariance of the residual.
+        free: numbers of the model, by full name, that were fitted to the data.
+    """
+
+    predictor: Predictor
+    model: Model
+    anchors: frozenset[str]
+    prediction: MeasurementPrediction
+    errors: Errors
+    free: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        predictor: Predictor,
+        model: Model,
+        anchors: frozenset[str],
+        mesh: MeshError | None = None,
+        free: tuple[str, ...] = (),
+        prediction: MeasurementPrediction | None = None,
+    ) -> State:
+        """Predict and compare; collective. Without `mesh` the ladder is asked for its error.
+
+        Raises:
+            SolveError: the model cannot be followed to the end.
+        """
+        prediction = prediction or predictor.predict(model, anchors, keep=True)
+        if prediction.failure:
+            raise SolveError(f"{model.name} with {' '.join(sorted(anchors)) or 'no anchor'}: {prediction.failure}")
+        mesh = predictor.mesh_error(model, anchors, prediction) if mesh is None else mesh
+        residual = predictor.data.values - predictor.data.vector(prediction.positions + mesh.correction)
+        return cls(
+            predictor, model, anchors, prediction, Errors(predictor.data, predictor.data.noise(residual), mesh), free
+        )
+
+    def thinned(self, steps: int, settings: Settings) -> State:
+        """The same hypothesis in a few steps of each action (see `Predictor.thinned`), whose predictor is to be destroyed."""
+        predictor, frames = self.predictor.thinned(steps, settings)
+        return State.of(predictor, self.model, self.anchors, self.errors.mesh.at(frames), self.free)
+
+    @property
+    def predicted(self) -> Array:
+        """Positions as the model has them with the error of the mesh taken out, shape (frames, fiducials, 3), m."""
+        return np.asarray(self.prediction.positions + self.errors.mesh.correction)
+
+    @property
+    def residual(self) -> Array:
+        """Measured minus predicted, shape (n,), m."""
+        return np.asarray(self.predictor.data.values - self.predictor.data.vector(self.predicted))
+
+    @property
+    def scaled(self) -> Array:
+        """The residual in units of its errors, shape (n,)."""
+        return self.errors.whiten(self.residual)
+
+    @property
+    def chi2(self) -> float:
+        """Sum of its squares."""
+        scaled = self.scaled
+        return float(scaled @ scaled)
+
+    @property
+    def rms(self) -> float:
+        """RMS residual per coordinate, m."""
+        return float(np.sqrt(np.mean(self.residual**2)))
+
+    @property
+    def noise(self) -> float:
+        """RMS of the noise, m."""
+        return float(np.sqrt(np.mean(self.errors.sigma**2)))

@@ -1,0 +1,209 @@
+"""Every way in which a dormant effect may act: places, directions, first frames, inclusions; each with its sensitivity."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.comparison.fit import Coordinate
+from bcid.comparison.state import State
+from bcid.forms.effects.effect import Effect
+from bcid.forms.model import Model, Term
+from bcid.forms.parameter import Parameter
+from bcid.forms.sensitivity import Probe, Wanted
+
+Array = NDArray[np.float64]
+# Directions are scanned in steps of this size, in degrees, centres of inclusions at so many places, in radii of these sizes.
+_DEGREES = 5.0
+# Periods are tried in cycles per measurement, from, to and in steps of, with every fourth of the directions.
+_CYCLES, _COARSER = (1.0, 8.0, 0.15), 4
+_PLACES = 120
+_RADII = (0.1, 0.17, 0.28)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """An effect at a place, in a direction, from a time on, ... with its sensitivity.
+
+    Attributes:
+        term: the effect with its amounts neutral.
+        amounts: coordinates of its amounts.
+        sensitivity: scaled, per unit of each, shape (n, p).
+    """
+
+    term: Term
+    amounts: tuple[Coordinate, ...]
+    sensitivity: Array
+
+
+def neutral_values(model: Model, effect: Effect) -> dict[str, float]:
+    """Values at which an effect does nothing."""
+    values = {}
+    for p in effect.parameters:
+        neutral = model.neutral(p)
+        values[p.name] = neutral if neutral is not None else p.default if p.default is not None else p.scale
+    return values
+
+
+def all_variants(state: State, candidates: Sequence[tuple[Effect, str]]) -> dict[str, list[Variant]]:
+    """Every variant of every effect, with its sensitivity; collective."""
+    probes: list[Probe] = []
+    stiff = []
+    for effect, place in candidates:
+        if effect.around:
+            stiff.append(effect)
+            continue
+        values = neutral_values(state.model, effect)
+        names = tuple(p.name for p in effect.amounts)
+        scans = [p for p in effect.shapes if p.scan]
+        for k, chosen in enumerate(itertools.product(*(p.scan for p in scans))):
+            numbers = values | {p.name: float(v) for p, v in zip(scans, chosen, strict=True)}
+            base = f"{effect.name}({place})" if place else effect.name
+            # What remembers keeps a memory of its own for each time constant.
+            label = f"{base}@{k}" if effect.memory else base
+            probes.append(Probe(Term(effect, numbers, label, place), names))
+    found = state.predictor.sensitivities(
+        state.model, state.anchors, state.prediction, Wanted(tuple(probes), (), bool(stiff))
+    )
+    result: dict[str, list[Variant]] = {effect.name: [] for effect, _ in candidates}
+    for (name, _), group in itertools.groupby(
+        zip(probes, found.probes, strict=True), key=lambda pair: (pair[0].effect.name, pair[0].term.place)
+    ):
+        result[name] += _scaled(state, _expanded(state, list(group)))
+    for effect in stiff:
+        assert found.stiffness is not None
+        result[effect.name] = _inclusions(state, effect, found.stiffness)
+    return result
+
+
+def _variant(state: State, term: Term, arrays: Sequence[Array], names: Sequence[str]) -> Variant:
+    """A variant whose sensitivity is not scaled yet."""
+    raw = np.column_stack([state.predictor.data.vector(array) for array in arrays])
+    plain = Term(term.effect, term.values, place=term.place)
+    return Variant(plain, tuple(amounts(plain, names)), np.nan_to_num(raw))
+
+
+def _scaled(state: State, variants: Sequence[Variant]) -> list[Variant]:
+    """Variants with scaled sensitivities, all at once."""
+    if not variants:
+        return []
+    scaled = state.errors.whiten(np.hstack([v.sensitivity for v in variants]))
+    ends = np.cumsum([v.sensitivity.shape[1] for v in variants])[:-1]
+    return [replace(v, sensitivity=part) for v, part in zip(variants, np.split(scaled, ends, axis=1), strict=True)]
+
+
+def amounts(term: Term, names: Sequence[str]) -> list[Coordinate]:
+    """Coordinates of amounts of an effect."""
+    parameters = {p.name: p for p in term.effect.parameters}
+    return [Coordinate.of_parameter(term.full(name), parameters[name]) for name in names]
+
+
+def _expanded(state: State, group: Sequence[tuple[Probe, dict[str, Array]]]) -> list[Variant]:
+    """From the probed directions to all directions, and from the first frame to every frame on which it may begin."""
+    probe = group[0][0]
+    effect = probe.effect
+    angle = next((p for p in effect.shapes if p.period and p.harmonics is not None), None)
+    variants = _all_directions(state, group, angle) if angle is not None else []
+    period = next((p for p in effect.shapes if p.off is not None), None)
+    if period is not None and effect.envelope:
+        variants += [v for one in variants[::_COARSER] for v in _all_periods(state, one, period)]
+    if variants:
+        return variants
+    onset = next((p.name for p in effect.shapes if p.onset), None)
+    if onset is not None:
+        return [v for pair in group for v in _all_onsets(state, *pair, onset)]
+    return [_variant(state, p.term, [arrays[n] for n in p.wanted], p.wanted) for p, arrays in group]
+
+
+def _all_directions(state: State, group: Sequence[tuple[Probe, dict[str, Array]]], angle: Parameter) -> list[Variant]:
+    """Trigonometric interpolation in a direction: exact up to the declared harmonic."""
+    assert angle.period is not None
+    assert angle.harmonics is not None
+    others: dict[tuple[float, ...], list[tuple[Probe, dict[str, Array]]]] = {}
+    for pair in group:
+        key = tuple(v for name, v in pair[0].term.values.items() if name != angle.name)
+        others.setdefault(key, []).append(pair)
+    grid = np.arange(0.0, angle.period, _DEGREES)
+    found = []
+    for members in others.values():
+        at = np.array([probe.term.values[angle.name] for probe, _ in members])
+        weights = _harmonics(grid, angle.period, angle.harmonics) @ np.linalg.pinv(
+            _harmonics(at, angle.period, angle.harmonics)
+        )
+        probe = members[0][0]
+        stacks = {name: np.array([arrays[name] for _, arrays in members]) for name in probe.wanted}
+        for direction, weight in zip(grid, weights, strict=True):
+            term = probe.term.with_values({angle.name: float(direction)})
+            arrays = [np.tensordot(weight, stacks[name], axes=1) for name in probe.wanted]
+            found.append(_variant(state, term, arrays, probe.wanted))
+    return found
+
+
+def _all_periods(state: State, steady: Variant, period: Parameter) -> list[Variant]:
+    """An effect that comes and goes: its envelope times what it does when it is steady."""
+    envelope, data = steady.term.effect.envelope, state.predictor.data
+    assert envelope is not None
+    times = np.zeros(len(data.mask))
+    for action in state.predictor.actions:
+        times[action.frames] = action.clock
+    found = []
+    # Two frequencies are told apart when they are out of step at the end.
+    for cycles in np.arange(_CYCLES[0], _CYCLES[1], _CYCLES[2]) if np.ptp(times) > 0 else ():
+        term = steady.term.with_values({period.name: float(times.max() / cycles)})
+        share = np.array([envelope(float(t), term.values) for t in times])
+        found.append(replace(steady, term=term, sensitivity=steady.sensitivity * share[data.frame, None]))
+    return found
+
+
+def _harmonics(degrees: NDArray[np.floating], period: float, highest: int) -> Array:
+    phase = 2 * math.pi * degrees / period
+    return np.column_stack(
+        [np.ones(len(degrees))] + [f(k * phase) for k in range(1, highest + 1) for f in (np.cos, np.sin)]
+    )
+
+
+def _all_onsets(state: State, probe: Probe, arrays: dict[str, Array], name: str) -> list[Variant]:
+    """The effect from each frame on."""
+    frames = len(state.predictor.data.mask)
+    found = []
+    for first in range(frames):
+        later = [np.where((np.arange(frames) >= first)[:, None, None], arrays[n], 0.0) for n in probe.wanted]
+        term = probe.term.with_values({name: float(first)})
+        found.append(_variant(state, term, later, probe.wanted))
+    return found
+
+
+def _inclusions(state: State, effect: Effect, stiffness: NDArray[np.float32]) -> list[Variant]:
+    """Round inclusions everywhere in the body, from the influence of every cell's stiffness."""
+    forward = state.predictor.forward(state.model)
+    points, cells = forward.mesh.points, forward.mesh.cells
+    original = np.asarray(forward.body.domain.topology.original_cell_index)[: stiffness.shape[-1]]
+    middles = points[cells].mean(axis=1)[original]
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    columns = state.errors.whiten(stiffness[state.predictor.data.mask].astype(float))
+    found = []
+    assert effect.around is not None
+    values = neutral_values(state.model, effect)
+    amount = effect.amounts[0].name
+    for centre in scattered(middles, _PLACES):
+        for part in _RADII:
+            place = dict(zip(("cx", "cy", "cz"), map(float, centre), strict=True)) | {"radius": part * size}
+            term = Term(effect, values | place)
+            inside = effect.around(middles, term.values)
+            found.append(Variant(term, tuple(amounts(term, [amount])), (columns @ inside)[:, None]))
+    return found
+
+
+def scattered(points: Array, count: int) -> Array:
+    """Points far from each other: each the farthest from those before it."""
+    chosen = [int(np.argmin(np.linalg.norm(points - points.mean(axis=0), axis=1)))]
+    distance = np.linalg.norm(points - points[chosen[0]], axis=1)
+    while len(chosen) < min(count, len(points)):
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return np.asarray(points[chosen])

@@ -1,0 +1,137 @@
+"""Where? The smooth force that would have to act on the body, and where, to explain what a model leaves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from numpy.typing import NDArray
+
+from bcid.comparison.state import State
+from bcid.comparison.variants import scattered
+from bcid.forms.forward import Forward
+from bcid.forms.sensitivity import Wanted
+
+Array = NDArray[np.float64]
+# So many bumps carry the force, each as wide as they are apart.
+_BUMPS = 48
+# The force is told by so many regions: neighbouring bumps stand in for each other, and only their sums are known well.
+_REGIONS = 9
+# Sizes of the force that are tried, relative to the one that would explain everything.
+_SIZES = np.logspace(-4, 4, 33)
+
+
+@dataclass(frozen=True)
+class Place:
+    """The missing force on a region of the body.
+
+    Attributes:
+        position: middle of the region, rest state, shape (3,), m.
+        force: N, shape (3,).
+        stderr: of a component of it (RMS), N.
+    """
+
+    position: Array
+    force: Array
+    stderr: float
+
+
+@dataclass(frozen=True)
+class MissingForce:
+    """A force field that would explain the residual. Its size is right if the stiffness is.
+
+    Attributes:
+        steady: the part that acts in all frames, by region.
+        growing: by action, the part that grows from nothing to its value at the last step.
+        explained: share of the residual's excess over the noise that it explains, 0 to 1.
+        rms: RMS residual that it leaves, m.
+    """
+
+    steady: tuple[Place, ...]
+    growing: dict[str, tuple[Place, ...]]
+    explained: float
+    rms: float
+
+
+def missing_force(state: State) -> MissingForce:
+    """The force field of least size that explains the residual as far as noise asks for it; collective.
+
+    Gaussian bumps spread over the body; their sizes have a common prior whose width is chosen by the evidence of the data
+    (MacKay, Neural Computation 4, 1992).
+    """
+    predictor, data = state.predictor, state.predictor.data
+    forward = predictor.forward(state.model)
+    centres, weights = _bumps(forward)
+    found = predictor.sensitivities(state.model, state.anchors, state.prediction, Wanted(forces=weights))
+    assert found.forces is not None
+    raw = found.forces[data.mask].astype(float).reshape(len(data), -1)
+    names = [name for a, name in enumerate(data.actions) if data.progress[data.action == a].any()]
+    growing = [np.where(data.action == data.actions.index(name), data.progress, 0.0) for name in names]
+    blocks = [raw] + [raw * part[:, None] for part in growing]
+    middles, volumes = _regions(centres, weights.sum(axis=0))
+    sums = np.kron(np.eye(len(blocks)), np.kron(volumes, np.eye(3)))
+    columns = np.hstack([state.errors.whiten(b) for b in blocks])
+    amounts, deviation, explained = _evidence(columns, state.scaled, sums)
+    parts = (sums @ amounts).reshape(len(blocks), len(middles), 3)
+    spread = deviation.reshape(len(blocks), len(middles), 3)
+
+    def places(number: int) -> tuple[Place, ...]:
+        return tuple(
+            Place(c, f, float(np.linalg.norm(s) / np.sqrt(3)))
+            for c, f, s in zip(middles, parts[number], spread[number], strict=True)
+        )
+
+    left = state.residual - np.hstack(blocks) @ amounts
+    by_action = {name: places(i + 1) for i, name in enumerate(names)}
+    return MissingForce(places(0), by_action, explained, float(np.sqrt(np.mean(left**2))))
+
+
+def _bumps(forward: Forward) -> tuple[Array, Array]:
+    """Middles of the bumps, and the weight (m^3) of each at every node, shape (nodes, bumps)."""
+    body = forward.body
+    volume = fem.assemble_vector(
+        fem.form(ufl.TestFunction(fem.functionspace(body.domain, ("Lagrange", body.degree))) * ufl.dx)
+    ).array
+    nodes = body.nodes
+    centres = scattered(nodes, _BUMPS)
+    apart = np.linalg.norm(centres[:, None] - centres[None], axis=2) + np.diag(np.full(len(centres), np.inf))
+    width = float(np.median(apart.min(axis=1)))
+    shapes = np.exp(-0.5 * (np.linalg.norm(nodes[:, None] - centres[None], axis=2) / width) ** 2)
+    return centres, shapes * volume[:, None]
+
+
+def _regions(centres: Array, volumes: Array) -> tuple[Array, Array]:
+    """Middles of the regions, shape (regions, 3), and the volume of each bump in its region, (regions, bumps)."""
+    seeds = scattered(centres, _REGIONS)
+    nearest = np.linalg.norm(centres[:, None] - seeds[None], axis=2).argmin(axis=1)
+    held = np.where(np.arange(len(seeds))[:, None] == nearest, volumes, 0.0)
+    return held @ centres / held.sum(axis=1)[:, None], held
+
+
+def _evidence(columns: Array, residual: Array, sums: Array) -> tuple[Array, Array, float]:
+    """Ridge regression with the width of the prior that makes the data most likely.
+
+    Returns:
+        The amounts, the standard errors of sums of them (sums @ amounts), and the share of the residual explained.
+    """
+    basis, sizes, rows = np.linalg.svd(columns, full_matrices=False)
+    along = basis.T @ residual
+    scale = np.sqrt(np.mean(sizes**2)) or 1.0
+    best, chosen = -np.inf, 0.0
+    for size in _SIZES:
+        variance = 1 + (size * sizes / scale) ** 2
+        evidence = -0.5 * float(np.sum(along**2 / variance) + np.sum(np.log(variance)))
+        if evidence > best:
+            best, chosen = evidence, size
+    prior = (chosen / scale) ** 2
+    gain = sizes * prior / (1 + prior * sizes**2)
+    amounts = rows.T @ (gain * along)
+    variance = prior * (np.sum(sums**2, axis=1) - (sums @ rows.T) ** 2 @ (gain * sizes))
+    deviation = np.sqrt(np.maximum(variance, 0.0))
+    after = residual - columns @ amounts
+    # Noise alone leaves its number of values, give or take as many as chance does: a share of less means nothing.
+    beyond = max(float(residual @ residual) - len(residual), float(np.sqrt(2 * len(residual))))
+    explained = float(np.clip((residual @ residual - after @ after) / beyond, 0.0, 1.0))
+    return amounts, deviation, explained

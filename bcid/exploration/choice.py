@@ -1,0 +1,322 @@
+"""Which pull to make next: the one that is expected to tell most for its cost, among those that are allowed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.exploration.information import Expected, information, noise_free
+from bcid.exploration.moves import Move, cost, limits_of
+from bcid.exploration.predictions import PullPrediction
+from bcid.exploration.update import BeliefUpdate, PosteriorSummary, profile, weights
+from bcid.inference.hypotheses import Hypothesis, Spread, entropy
+from bcid.measurement import Action
+
+Array = NDArray[np.float64]
+CRITERIA = ("information", "entropy", "random")
+# Sets that hold this much of the probability are asked what a pull would show, so many at most; more by their linear response only.
+_MASS, _MOST = 0.999, 32
+# Where there are more, so many drawn from them are asked whether a pull is allowed.
+_SAMPLED = 12
+# So many of the pulls that promise most by the linear response are predicted in full at a time.
+_SCREENED = 6
+# A pull is allowed when limits are kept, and the body does not buckle, with this probability at least.
+_SAFE = 0.95
+# A pull that is expected to tell less, bits, tells nothing.
+LEAST = 0.02
+# Of the gripper's path: where the response is linear.
+_SMALL = 0.01
+
+
+@dataclass(frozen=True)
+class Option:
+    """A pull that was considered.
+
+    Attributes:
+        move: the pull.
+        expected: information it is expected to give; by the linear response when `linear`.
+        price: what it costs.
+        linear: whether only the linear response was looked at.
+        forbidden: why it is not allowed, or "".
+    """
+
+    move: Move
+    expected: Expected
+    price: float
+    linear: bool = True
+    forbidden: str = ""
+
+    @property
+    def worth(self) -> float:
+        """Bits for its cost."""
+        return self.expected.bits / self.price
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The pull to make, and what else was considered.
+
+    Attributes:
+        move: the pull; None when no allowed pull tells anything.
+        expected: its information.
+        options: all pulls, the best first.
+        ahead: the second pull that was thought of, if that decided.
+    """
+
+    move: Move | None
+    expected: Expected
+    options: tuple[Option, ...]
+    ahead: Move | None = None
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What the hypotheses predict for a pull, in units of its errors.
+
+    Attributes:
+        means: shape (hypotheses, values).
+        loose: of each, what its unknown numbers change, shape (numbers, values).
+    """
+
+    means: Array
+    loose: tuple[Array, ...]
+
+    def __add__(self, other: Shown) -> Shown:
+        """Two pulls as one: the unknown numbers are the same in both."""
+        loose = (np.concatenate(pair, axis=1) for pair in zip(self.loose, other.loose, strict=True))
+        return Shown(np.concatenate([self.means, other.means], axis=1), tuple(loose))
+
+
+@dataclass(frozen=True)
+class Chooser:
+    """Chooses pulls; collective on the ranks of the predictor, with the same choice on all.
+
+    Attributes:
+        inference: predictions and errors.
+        moves: what may be done.
+        criterion: "information", "entropy" (as in the paper, without noise), or "random".
+        look_ahead: whether pairs of pulls are looked at.
+        samples: of the estimate of information.
+        noise: standard deviation of a coordinate, m, in pulls to come.
+        random_state: of the estimate, and of random choice.
+    """
+
+    inference: BeliefUpdate
+    moves: tuple[Move, ...]
+    criterion: str
+    look_ahead: bool
+    samples: int
+    noise: float
+    random_state: int
+
+    def choose(self, view: PosteriorSummary, last: Move | None) -> Choice:
+        """The next pull after `last`."""
+        barred: dict[Move, str] = {}
+        while True:
+            choice = self._choose(view, last, barred)
+            reason = self._barred(choice.move, view) if choice.move else ""
+            if not (choice.move and reason):
+                return choice
+            barred[choice.move] = reason
+
+    def _choose(self, view: PosteriorSummary, last: Move | None, barred: Mapping[Move, str]) -> Choice:
+        limits = limits_of(self.inference.scene)
+        sets = live(view)
+        options = [
+            Option(move, Expected(0.0), cost(move, last, limits), forbidden=barred.get(move, "")) for move in self.moves
+        ]
+        if self.criterion == "random":
+            return self._random(options, view, sets)
+        if len(options) > _SCREENED or len(sets) > _MOST:
+            options = sorted(self._linear(options, view), key=lambda o: -o.worth)
+        if len(sets) > _MOST:
+            return self._first_allowed(options, view, sets)
+        return self._best(options, view, sets)
+
+    def _barred(self, move: Move, view: PosteriorSummary) -> str:
+        """Why a pull that the working level allows is not: a finer mesh buckles earlier. "" if it can be followed there too."""
+        likely = [h for h, p in view.probabilities.items() if p > 1 - _SAFE]
+        if self.inference.fine is None or not likely:
+            return ""
+        predicted = self.inference.predict(view, likely, self._action(move), detailed=False, fine=True)
+        return self._forbidden(predicted, np.array([view.probabilities[h] for h in likely]))
+
+    # -- ways to choose
+    # --------------------------------------------------------------------------------------------------------------
+
+    def _best(self, options: list[Option], view: PosteriorSummary, sets: list[Hypothesis]) -> Choice:
+        """By full predictions, those that promise most first, until one of them is worth it."""
+        seen: list[Option] = []
+        shown: dict[Move, Shown] = {}
+        for i in range(0, len(options), _SCREENED):
+            for option in options[i : i + _SCREENED]:
+                predicted = self._predicted(option.move, view, sets)
+                forbidden = option.forbidden or self._forbidden(predicted, weights(view.probabilities, sets))
+                shown[option.move] = self._in_errors(option.move, predicted, view)
+                expected = self._expected(shown[option.move], weights(view.probabilities, sets))
+                seen.append(replace(option, expected=expected, linear=False, forbidden=forbidden))
+            if any(telling(o) for o in seen):
+                break
+        allowed = sorted((o for o in seen if telling(o)), key=lambda o: -o.worth)
+        every = (*allowed, *(o for o in seen if o not in allowed), *options[len(seen) :])
+        if not allowed:
+            return Choice(None, Expected(max((o.expected.bits for o in seen if not o.forbidden), default=0.0)), every)
+        first, ahead = self._pair(allowed, shown, weights(view.probabilities, sets), view)
+        return Choice(first.move, first.expected, every, ahead)
+
+    def _pair(
+        self, allowed: list[Option], shown: dict[Move, Shown], p: Array, view: PosteriorSummary
+    ) -> tuple[Option, Move | None]:
+        """The first pull of the best pair, where one pull alone cannot decide and the pair tells more than any with the best.
+
+        Pairs are made without looking at what the first one shows: what they tell is a lower bound.
+        """
+        best = allowed[0]
+        if not self.look_ahead or self.criterion != "information" or len(allowed) < 2:
+            return best, None
+        if best.expected.bits + 2 * best.expected.error > view.entropy - entropy([0.95, 0.05]):
+            return best, None
+        pairs = []
+        for a, b in [*combinations(allowed, 2), *((o, o) for o in allowed)]:
+            both = self._expected(shown[a.move] + shown[b.move], p)
+            pairs.append((both.bits / (a.price + b.price), both, a, b))
+        with_best = max((pair for pair in pairs if best in pair[2:]), key=lambda pair: pair[0])
+        top = max(pairs, key=lambda pair: pair[0])
+        margin = 2 * math.hypot(top[1].error, with_best[1].error) / (top[2].price + top[3].price)
+        if top[0] <= with_best[0] + margin:
+            return best, None
+        first, second = sorted(top[2:], key=lambda o: -o.worth)
+        return first, second.move
+
+    def _first_allowed(self, options: list[Option], view: PosteriorSummary, sets: list[Hypothesis]) -> Choice:
+        """By the linear response of many sets: the best one that a sample of them allows."""
+        rng = np.random.default_rng([self.random_state, len(self.inference.pulls)])
+        p = weights(view.probabilities, sets)
+        drawn = [sets[k] for k in sorted(rng.choice(len(sets), _SAMPLED, replace=False, p=p))]
+        seen: list[Option] = []
+        for i, option in enumerate(options):
+            if option.expected.bits < LEAST:
+                break
+            even = np.full(len(drawn), 1 / len(drawn))
+            forbidden = option.forbidden or self._forbidden(self._predicted(option.move, view, drawn), even)
+            seen.append(replace(option, forbidden=forbidden))
+            if not forbidden:
+                return Choice(option.move, option.expected, (*reversed(seen), *options[i + 1 :]))
+        return Choice(None, Expected(0.0), (*seen, *options[len(seen) :]))
+
+    def _random(self, options: list[Option], view: PosteriorSummary, sets: list[Hypothesis]) -> Choice:
+        """Any allowed pull."""
+        rng = np.random.default_rng([self.random_state, len(self.inference.pulls)])
+        if len(sets) > _SAMPLED:
+            p = weights(view.probabilities, sets)
+            sets = [sets[k] for k in sorted(rng.choice(len(sets), _SAMPLED, replace=False, p=p))]
+        p = weights(view.probabilities, sets)
+        for k in rng.permutation(len(options)):
+            if not options[k].forbidden and not self._forbidden(self._predicted(options[k].move, view, sets), p):
+                return Choice(options[k].move, Expected(math.nan), tuple(options))
+        return Choice(None, Expected(0.0), tuple(options))
+
+    # -- what a pull would show
+    # --------------------------------------------------------------------------------------------------------------
+
+    def _action(self, move: Move) -> Action:
+        return move.action(limits_of(self.inference.scene))
+
+    def _predicted(self, move: Move, view: PosteriorSummary, sets: Sequence[Hypothesis]) -> list[PullPrediction]:
+        return self.inference.predict(view, sets, self._action(move), detailed=True)
+
+    def _forbidden(self, predicted: Sequence[PullPrediction], p: Array) -> str:
+        """Why a pull is not allowed, or ""."""
+        limits = limits_of(self.inference.scene)
+        checks: list[tuple[str, Callable[[PullPrediction], bool]]] = [
+            ("the body may buckle", lambda f: f.buckles),
+            (
+                f"the force may exceed {limits.force or 0:.3g} N",
+                lambda f: limits.force is not None and f.force > limits.force,
+            ),
+            (
+                f"the strain may exceed {limits.strain or 0:.3g}",
+                lambda f: limits.strain is not None and f.strain > limits.strain,
+            ),
+        ]
+        for reason, exceeds in checks:
+            risk = float(sum(w for w, f in zip(p, predicted, strict=True) if exceeds(f)))
+            if risk > 1 - _SAFE:
+                return f"{reason} (probability {risk:.2g})"
+        return ""
+
+    def _in_errors(self, move: Move, predicted: Sequence[PullPrediction], view: PosteriorSummary) -> Shown:
+        positions = np.array([np.nan_to_num(f.positions) for f in predicted])
+        return self._scaled(positions, [f.loose for f in predicted], self._action(move), view)
+
+    def _scaled(
+        self, positions: Array, loose: Sequence[Sequence[Array]], action: Action, view: PosteriorSummary
+    ) -> Shown:
+        """Predictions (hypotheses, frames, fiducials, 3), m, and what is loose of them, in units of their errors."""
+        rest = self.inference.scene.rest
+        motion = float(np.sqrt(np.mean((positions - rest) ** 2)))
+        spread = Spread(profile(action), self.noise, view.error * motion)
+        means = np.array([spread.whiten(p - rest).ravel() for p in positions])
+        columns = [[spread.whiten(np.nan_to_num(c)).ravel() for c in own] for own in loose]
+        return Shown(means, tuple(np.array(own).reshape(-1, means.shape[1]) for own in columns))
+
+    def _linear(self, options: list[Option], view: PosteriorSummary) -> list[Option]:
+        """The options with what the linear response of every hypothesis with a part in the belief promises."""
+        sets = live(view)
+        p = weights(view.probabilities, sets)
+        size = _SMALL * limits_of(self.inference.scene).displacement
+        responses: dict[str, list[PullPrediction]] = {}
+        for grasp in dict.fromkeys(o.move.grasp for o in options):
+            responses[grasp] = self.inference.predict(view, sets, small_action(grasp, size), detailed=False)
+        result = []
+        for option in options:
+            action = self._action(option.move)
+            found = responses[option.move.grasp]
+            positions = np.array([extended(f.positions, action, size) for f in found])
+            loose = [[extended(c, action, size) for c in f.loose] for f in found]
+            result.append(replace(option, expected=self._expected(self._scaled(positions, loose, action, view), p)))
+        return result
+
+    def _expected(self, shown: Shown, p: Array) -> Expected:
+        if self.criterion == "entropy":
+            return noise_free(shown.means, p)
+        return information(shown.means, p, self.samples, self.random_state, shown.loose)
+
+
+def extended(small: Array, action: Action, size: float) -> Array:
+    """What a linear body shows of an action, from what it shows at rest and after a step of `size` along each axis."""
+    return np.asarray(
+        np.nan_to_num(small[0] + np.einsum("fa,ajk->fjk", action.translation, small[1:] - small[0]) / size)
+    )
+
+
+def telling(option: Option) -> bool:
+    """Whether a pull is allowed and expected to tell anything."""
+    return (
+        not option.forbidden and option.expected.bits - 2 * option.expected.error > 0 and option.expected.bits > LEAST
+    )
+
+
+def live(view: PosteriorSummary) -> list[Hypothesis]:
+    """The likeliest hypotheses, which hold 99.9 % of the probability."""
+    found: list[Hypothesis] = []
+    mass = 0.0
+    for hypothesis, p in view.probabilities.items():
+        if mass >= _MASS or p <= 0:
+            break
+        found.append(hypothesis)
+        mass += p
+    return found
+
+
+def small_action(grasp: str, size: float) -> Action:
+    """A step along x, then along y, then along z, each from rest: what a linear body does follows from it."""
+    steps = np.arange(4)
+    return Action(
+        "1", steps, steps, grasp, np.vstack([np.zeros(3), size * np.eye(3)]), np.tile([1.0, 0.0, 0.0, 0.0], (4, 1))
+    )

@@ -1,0 +1,385 @@
+"""`bcid explore` as a job: read, check, explore, and write everything into a run folder."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import shutil
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from bcid.base.collective import Comm, on_root
+from bcid.base.errors import InputError
+from bcid.base.progress import Progress, Silent
+from bcid.base.run_folder import RunFolder, running, sealed, unsealed
+from bcid.base.units import for_people, percent
+from bcid.exploration.loop import (
+    BUDGET,
+    DECIDED,
+    INSEPARABLE,
+    UNEXPLAINED,
+    Exploration,
+    ExploreOptions,
+    Step,
+    explore,
+    paired,
+)
+from bcid.exploration.moves import Move
+from bcid.exploration.predictions import PullPredictor
+from bcid.exploration.robots import Folder, Robot, Simulated
+from bcid.exploration.update import MISSED, PosteriorSummary, believed
+from bcid.forms.forward import check_geometry
+from bcid.forms.mesh import level_mesh
+from bcid.forms.mesh.check import measures
+from bcid.forms.mesh.patches import divided
+from bcid.forms.model import check_physics
+from bcid.inference.hypotheses import Hypothesis, entropy
+from bcid.measurement import Measurement
+from bcid.scene import Scene
+from bcid.search.identify_run import odd, scene_fingerprint
+
+SIMULATED, FOLDER = "simulated", "folder"
+# So many sets are named in a sentence.
+_NAMED = 6
+MAKES = ("steps/", "predictions/", "exploration.json", "summary.txt", "belief.png")
+
+
+def run_exploration(
+    scene_file: Path,
+    robot: str,
+    folder: Path,
+    options: ExploreOptions,
+    comm: Comm,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+    store: Path | None = None,
+    wait: float = 3600.0,
+    hidden: Sequence[str] = (),
+) -> Path:
+    """Explore and write the run folder; collective on `comm`. Returns the folder.
+
+    Everything is validated before the folder is touched. An exploration that was interrupted goes on with the pulls that it has
+    made.
+
+    Args:
+        scene_file: with an [explore] table.
+        robot: "simulated:3,4" (anchors, on the finest level of the scene) or "folder:DIR" (see `bcid.exploration.robots.Folder`).
+        store: folder for predictions, which may be shared by runs; inside the run folder by default.
+        wait: how long a folder is waited for, s.
+        hidden: effects that the simulated body has and the scene does not, as "fibres: k1 = 5 kPa, angle = 30 deg".
+
+    Raises:
+        BcidError: see `Scene.read`, `bcid.exploration.loop.explore`, `RunFolder.start`, and the robots.
+    """
+    progress = progress or Silent()
+    scene = divided(on_root(comm, lambda: Scene.read(scene_file, physics=check_physics)), comm)
+    options.check(scene)
+    kind, about = _robot_kind(robot, scene)
+    body = with_effects(scene, hidden)
+    if hidden and kind != SIMULATED:
+        raise InputError(f"--hide '{hidden[0]}': belongs to a simulated robot")
+    ladder = paired(scene, options.level, comm)
+    check_geometry(ladder, 0, comm)
+    inputs = {"scene": scene_fingerprint(scene), "robot": robot, "plan": asdict(options)}
+    if hidden:
+        inputs["hidden"] = list(hidden)
+    store = store or folder / "predictions"
+    predictors = [PullPredictor(ladder, level, comm, store) for level in range(len(ladder.levels))]
+    mover = None
+    try:
+        with running(comm, folder, "explore", inputs, MAKES, overwrite) as run:
+            made = on_root(comm, lambda: _made(folder))
+            if made:
+                progress.say(f"going on with an interrupted exploration: {len(made)} pulls are there already")
+            if comm.rank == 0:
+                mover = _robot(kind, about, body, options, store, wait)
+            found = explore(
+                scene,
+                mover,
+                options,
+                predictors[0],
+                predictors[1] if len(predictors) > 1 else None,
+                progress,
+                made,
+                (lambda move, seen: _keep(folder, move, seen)),
+            )
+            on_root(comm, lambda: _write(run, scene, options, found, predictors, str(scene_file), comm.size))
+    finally:
+        for predictor in predictors:
+            predictor.destroy()
+        if isinstance(mover, Simulated):
+            mover.predictor.destroy()
+    return folder
+
+
+# -- the robot
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def _robot_kind(text: str, scene: Scene) -> tuple[str, str]:
+    kind, colon, about = text.partition(":")
+    if not colon or kind not in (SIMULATED, FOLDER) or (kind == FOLDER and not about):
+        raise InputError(f"--robot '{text}': expected simulated:1,2 (anchored patches) or folder:DIR")
+    if kind == SIMULATED:
+        for name in _names(about):
+            if name not in scene.patches:
+                raise InputError(
+                    f"--robot '{text}': patch '{name}' is not in the scene; it has {', '.join(scene.patches)}"
+                )
+    return kind, about
+
+
+def with_effects(scene: Scene, hidden: Sequence[str], where: str = "--hide") -> Scene:
+    """The scene with more effects, written as "fibres: k1 = 5 kPa, angle = 30 deg"; `where` they stand is told in errors.
+
+    Raises:
+        InputError: an effect or its numbers cannot be used.
+    """
+    for text in hidden:
+        name, colon, rest = (part.strip() for part in text.partition(":"))
+        pairs = [pair.partition("=") for pair in rest.split(",")] if colon else []
+        if not name or not pairs or not all(key.strip() and value.strip() for key, _, value in pairs):
+            raise InputError(f"{where} '{text}': expected as in \"fibres: k1 = 5 kPa, angle = 30 deg\"")
+        if name in scene.effects:
+            raise InputError(f"{where} '{text}': the scene's model has {name} already")
+        values = {key.strip(): _number(value.strip()) for key, _, value in pairs}
+        scene = replace(scene, effects={**scene.effects, name: values})
+        problems = check_physics(scene)
+        if problems:
+            raise InputError("\n".join([f"{where} '{text}':", *(f"  {problem}" for problem in problems)]))
+    return scene
+
+
+def _number(text: str) -> float | str:
+    """A pure number, or a text: a quantity with its unit, or the name of a place."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _robot(kind: str, about: str, scene: Scene, options: ExploreOptions, store: Path, wait: float) -> Robot:
+    from mpi4py import MPI
+
+    if kind == FOLDER:
+        return Folder(Path(about), scene, wait)
+    noise = options.noise if options.noise is not None else scene.noise_sigma or 0.0
+    return Simulated(
+        PullPredictor(scene, len(scene.levels) - 1, MPI.COMM_SELF, store), _names(about), noise, options.random_state
+    )
+
+
+# -- the run folder
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def _keep(folder: Path, move: Move, seen: Measurement) -> None:
+    """Keep a pull: the measurement, then what was asked for, which makes it complete."""
+    place = folder / "steps"
+    number = len(list(place.glob("*/move.json"))) + 1
+    step = place / f"{number:04d}"
+    shutil.rmtree(step, ignore_errors=True)
+    seen.write(step / "measurement")
+    about = {"move": asdict(move), "measurement": Measurement.read(step / "measurement").fingerprint()}
+    RunFolder.open(folder).write_json(f"steps/{number:04d}/move.json", sealed(about))
+
+
+def _made(folder: Path) -> list[tuple[Move, Measurement]]:
+    """The pulls that an interrupted exploration has made, as far as they are complete."""
+    found, remedy = [], "start the exploration anew with --overwrite"
+    for file in sorted((folder / "steps").glob("*/move.json")):
+        about = unsealed(file, remedy)
+        seen = Measurement.read(file.parent / "measurement")
+        if seen.fingerprint() != about["measurement"]:
+            raise InputError(f"{file.parent / 'measurement'}: is damaged: it is not what was seen; {remedy}")
+        found.append((Move(**about["move"]), seen))
+    return found
+
+
+def _write(
+    run: RunFolder | None,
+    scene: Scene,
+    options: ExploreOptions,
+    found: Exploration,
+    predictors: list[PullPredictor],
+    source: str,
+    ranks: int,
+) -> None:
+    assert run is not None
+    content = documents(scene, options, found, predictors[0].level)
+    run.write_documents(content)
+    result = content["exploration.json"]
+    evaluations = {str(p.level): p.evaluations for p in predictors}
+    run.record |= {"names": {"scene": source}, "ranks": ranks, "evaluations": evaluations}
+    run.finish({key: result[key] for key in ("reason", "anchored", "effect", "probability")})
+
+
+def documents(scene: Scene, options: ExploreOptions, found: Exploration, level: int) -> dict[str, Any]:
+    """What a run folder holds of an exploration, by file name: JSON objects and texts."""
+    body = measures(scene, level_mesh(scene, scene.levels[level]))
+    lines = [summary(scene, options, found), *body]
+    return {"exploration.json": exploration_json(scene, found), "summary.txt": "\n".join(lines) + "\n"}
+
+
+def exploration_json(scene: Scene, found: Exploration) -> dict[str, Any]:
+    """The exploration as JSON: lengths in mm."""
+    view = found.view
+    return {
+        "reason": found.reason,
+        "anchored": _sorted(view.best.anchors, scene),
+        "effect": view.best.effect,
+        "probability": view.certainty,
+        "patches": view.patches,
+        "effects": view.effects,
+        "amounts": amounts(view),
+        "entropy": view.entropy,
+        "rms": _finite(view.rms * 1e3),
+        "missed": view.missed,
+        "length_unit": "mm",
+        "remarks": list(found.remarks),
+        "not_allowed": [{"pull": str(o.move), "reason": o.forbidden} for o in found.options if o.forbidden],
+        "not_separated": [_named(h, scene) for h in found.rivals],
+        "steps": [_step_json(scene, step) for step in found.steps],
+    }
+
+
+def _step_json(scene: Scene, step: Step) -> dict[str, Any]:
+    likely = [(h, p) for h, p in step.view.probabilities.items() if p > 1e-4][:16]
+    return {
+        "number": step.number,
+        "grasp": step.move.grasp,
+        "direction": step.move.direction,
+        "amplitude": step.move.amplitude * 1e3,
+        "expected_bits": _finite(step.expected[0]),
+        "expected_error": _finite(step.expected[1]),
+        "gained_bits": step.gained,
+        "entropy": step.view.entropy,
+        "belief": [_named(h, scene) | {"probability": p} for h, p in likely],
+        "patches": step.view.patches,
+        "effects": step.view.effects,
+        "missed": step.view.missed,
+        "before": None if step.ahead is None else str(step.ahead),
+        "options": [
+            {
+                "pull": str(o.move),
+                "bits": _finite(o.expected.bits),
+                "error": _finite(o.expected.error),
+                "cost": o.price,
+                "linear": o.linear,
+                "forbidden": o.forbidden,
+            }
+            for o in step.options
+        ],
+        "spent": step.spent,
+        "predicted": step.predicted,
+        "seconds": round(step.seconds, 3),
+    }
+
+
+def _named(hypothesis: Hypothesis, scene: Scene) -> dict[str, Any]:
+    return {"anchored": _sorted(hypothesis.anchors, scene), "effect": hypothesis.effect}
+
+
+def amounts(view: PosteriorSummary) -> dict[str, dict[str, Any]]:
+    """Numbers of the likeliest hypothesis' effect, SI, with standard errors."""
+    fitted = view.fitted.get(view.best)
+    if fitted is None:
+        return {}
+    return {
+        name: {"value": _finite(value), "stderr": _finite(error), "unit": fitted.unit(name)}
+        for name, (value, error) in fitted.amounts.items()
+    }
+
+
+def _sorted(anchors: frozenset[str], scene: Scene) -> list[str]:
+    return [name for name in scene.patches if name in anchors]
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _about_effects(options: ExploreOptions, found: Exploration) -> list[str]:
+    """Probabilities of the effects after each pull, and which pull told them apart."""
+    names = ("", *options.effects)
+    lines = ["Probability of the effects:"]
+    lines.append(f"  {'pull':>4}  " + "".join(f"{name or 'none':>{max(12, len(name) + 2)}}" for name in names))
+    for step in found.steps:
+        shown = "".join(f"{percent(step.view.effects[name]):>{max(12, len(name) + 2)}}" for name in names)
+        lines.append(f"  {step.number:>4}  {shown}")
+    told = telling_pull(options, found)
+    if told is None:
+        lines.append("No pull told them apart.")
+    else:
+        bits = effect_bits(options, found)[told.number - 1]
+        lines.append(f"Pull {told.number} ({told.move!s}) told them apart most: {bits:.2f} bits about the effect.")
+    return lines
+
+
+def effect_bits(options: ExploreOptions, found: Exploration) -> list[float]:
+    """By how much each pull lowered the entropy of the effects, bits."""
+    before = [
+        entropy(believed(options.effects).values()),
+        *(entropy(step.view.effects.values()) for step in found.steps),
+    ]
+    return [a - b for a, b in itertools.pairwise(before)]
+
+
+def telling_pull(options: ExploreOptions, found: Exploration) -> Step | None:
+    """The pull that told most about the effects; None where no effect is as likely as was asked for."""
+    if not found.steps or max(found.view.effects.values()) < options.confidence:
+        return None
+    bits = effect_bits(options, found)
+    return found.steps[bits.index(max(bits))]
+
+
+def summary(scene: Scene, options: ExploreOptions, found: Exploration) -> str:
+    """The result in plain sentences."""
+    view, count = found.view, len(found.steps)
+    best = view.best.label(scene.patches)
+    pulls = f"{count} pull{'s' if count != 1 else ''}"
+    what = "Anchored patches" + (" and effect" if options.effects else "")
+    words = {
+        DECIDED: f"{what} of {scene.name}: {best}  (probability {percent(view.certainty)}, after {pulls})",
+        INSEPARABLE: f"Not decided after {pulls}: no allowed pull separates "
+        + ", ".join(h.label(scene.patches) for h in found.rivals[:_NAMED])
+        + (f" and {len(found.rivals) - _NAMED} more" if len(found.rivals) > _NAMED else ""),
+        UNEXPLAINED: f"Not decided after {pulls}: no hypothesis explains what was seen; the likeliest is {best}",
+        BUDGET: f"Not decided: the budget is used ({pulls}); the likeliest is {best} (probability {percent(view.certainty)})",
+    }
+    lines = [*odd(found.remarks), words[found.reason]]
+    for name, number in amounts(view).items():
+        if number["value"] is not None and number["stderr"] is not None:
+            value, error, unit = for_people(number["value"], number["stderr"], number["unit"])
+            lines.append(f"  {name} = {value:.4g} +- {error:.2g} {unit}")
+    if options.effects:
+        lines += ["", *_about_effects(options, found)]
+    if view.missed > MISSED:
+        lines += [
+            "",
+            f"WARNING: nothing explains what was seen: the best hypothesis misses it by {view.missed:.1f} times noise and mesh.",
+            "A physical effect is missing, or frames, grasp or material are not what the scene says: see `bcid explain`.",
+        ]
+    forbidden = [option for option in found.options if option.forbidden]
+    if forbidden:
+        lines += ["", "Not allowed:", *(f"  {option.move!s:44} {option.forbidden}" for option in forbidden)]
+    lines += ["", "Pulls:"]
+    for step in found.steps:
+        bits, error = step.expected
+        expected = f"{bits:5.2f} +- {error:.2f} bits expected" if math.isfinite(bits) else "chosen at random"
+        top = next(iter(step.view.probabilities.items()))
+        lines.append(
+            f"  {step.number:>2}  {step.move!s:44} {expected}, {step.gained:5.2f} gained; "
+            f"{top[0].label(scene.patches)} {percent(top[1])}"
+        )
+    lines += ["", "Probability that a patch is anchored:"]
+    lines += [f"  {name:>6}  {percent(p):>9}" for name, p in view.patches.items()]
+    predicted, seconds = sum(s.predicted for s in found.steps), sum(s.seconds for s in found.steps)
+    lines += ["", f"{predicted} pulls were predicted, in {seconds:.1f} s of computing."]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,320 @@
+"""The exploration: choose a pull, make it, look, believe, until the anchors are decided or nothing that is allowed tells more."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+from bcid.base.collective import Comm, on_root
+from bcid.base.errors import InputError, nearest
+from bcid.base.progress import Progress, Silent
+from bcid.base.units import percent
+from bcid.comparison.predictor import affordable, pair
+from bcid.exploration.choice import CRITERIA, Choice, Chooser, Option
+from bcid.exploration.moves import Move, cost, limits_of, moves
+from bcid.exploration.predictions import PullPredictor
+from bcid.exploration.rival_effects import RivalEffects
+from bcid.exploration.robots import Robot
+from bcid.exploration.update import MISSED, BeliefUpdate, PosteriorSummary
+from bcid.forms import effects
+from bcid.inference.hypotheses import Hypothesis
+from bcid.measurement import Measurement
+from bcid.scene import Scene
+
+DECIDED, INSEPARABLE, BUDGET, UNEXPLAINED = "decided", "inseparable", "budget", "unexplained"
+
+
+@dataclass(frozen=True)
+class ExploreOptions:
+    """How an exploration goes.
+
+    Attributes:
+        confidence: it ends when a set is at least so probable.
+        budget: what the pulls may cost together.
+        criterion: how pulls are chosen, one of `bcid.exploration.choice.CRITERIA`.
+        look_ahead: whether pairs of pulls are looked at where one cannot decide.
+        grasps: names of the grasps to use; all by default.
+        level: the fine level (see `paired`).
+        noise: standard deviation of a coordinate, m, expected of pulls to come; by default the scene's.
+        samples: of the estimate of information.
+        effects: names of the effects that may act besides.
+        random_state: of that estimate, of random choice, and of the first sets where there are too many to look at all.
+    """
+
+    confidence: float = 0.95
+    budget: float = 12.0
+    criterion: str = "information"
+    look_ahead: bool = True
+    grasps: tuple[str, ...] | None = None
+    level: int | None = None
+    noise: float | None = None
+    samples: int = 1000
+    random_state: int = 0
+    effects: tuple[str, ...] = ()
+
+    def check(self, scene: Scene) -> None:
+        """Refuse what makes no sense.
+
+        Raises:
+            InputError: which value, and what is allowed.
+        """
+        limits_of(scene)
+        if not 0.5 < self.confidence < 1:
+            raise InputError(f"--confidence {self.confidence:g}: must be above 0.5 and below 1")
+        if not (math.isfinite(self.budget) and self.budget > 0):
+            raise InputError(f"--budget {self.budget:g}: must be positive")
+        if self.criterion not in CRITERIA:
+            raise InputError(f"--criterion {self.criterion}: must be one of {', '.join(CRITERIA)}")
+        if self.samples < 10:
+            raise InputError(f"--samples {self.samples}: must be at least 10")
+        if self.level is not None and not 0 <= self.level < len(scene.levels):
+            raise InputError(f"--level {self.level}: the scene has levels 0 to {len(scene.levels) - 1}")
+        for name in self.effects:
+            if name not in effects.names():
+                raise InputError(f"--effects {name}: {nearest(name, effects.names())}")
+            if name in scene.effects:
+                raise InputError(f"--effects {name}: the scene's model has it already")
+        for name in self.grasps or ():
+            if name not in scene.grasps:
+                raise InputError(f"--grasps {name}: is not in the scene; it has {', '.join(scene.grasps)}")
+
+    def moves(self, scene: Scene) -> tuple[Move, ...]:
+        """The pulls to choose from."""
+        return tuple(m for m in moves(scene) if self.grasps is None or m.grasp in self.grasps)
+
+
+@dataclass(frozen=True)
+class Step:
+    """One pull of an exploration.
+
+    Attributes:
+        number: from 1.
+        move: the pull.
+        expected: information that was expected, bits, and its standard error; NaN where it was not asked for.
+        gained: by how much the entropy fell, bits.
+        view: what is believed after it.
+        options: what else was considered.
+        ahead: the second pull that was thought of, if that decided the choice.
+        spent: cost of all pulls so far.
+        predicted: actions predicted for this step, on all levels.
+        seconds: of computing.
+    """
+
+    number: int
+    move: Move
+    expected: tuple[float, float]
+    gained: float
+    view: PosteriorSummary
+    options: tuple[Option, ...]
+    ahead: Move | None
+    spent: float
+    predicted: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Exploration:
+    """What an exploration found.
+
+    Attributes:
+        reason: why it ended: "decided", "inseparable", "budget", or "unexplained": a set is the likeliest by far, but does not
+            explain what was seen.
+        view: what is believed at the end.
+        steps: the pulls.
+        rivals: for "inseparable", the hypotheses that no allowed pull separates.
+        options: for "inseparable", the pulls that were considered in vain.
+        remarks: what is odd about what was seen.
+    """
+
+    reason: str
+    view: PosteriorSummary
+    steps: tuple[Step, ...]
+    rivals: tuple[Hypothesis, ...] = ()
+    options: tuple[Option, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+
+def paired(scene: Scene, level: int | None, comm: Comm) -> Scene:
+    """The scene with two levels: the working one, and the one that tells its error, where there is one; collective.
+
+    As in a `Predictor`: a level of the scene (by default the last with at most 40,000 unknowns), and elements three times as large.
+    """
+    return replace(scene, levels=pair(scene, affordable(scene, comm) if level is None else level))
+
+
+def explore(
+    scene: Scene,
+    robot: Robot | None,
+    options: ExploreOptions,
+    predictor: PullPredictor,
+    fine: PullPredictor | None = None,
+    progress: Progress | None = None,
+    made: Iterable[tuple[Move, Measurement]] = (),
+    keep: Callable[[Move, Measurement], None] | None = None,
+    first: Choice | None = None,
+) -> Exploration:
+    """Explore until the anchors are decided, or cannot be; collective on the ranks of the predictor.
+
+    Args:
+        scene: the scene, with limits.
+        robot: makes the pulls; needed on rank 0 only.
+        options: how to go on.
+        predictor: of the level on which sets are compared.
+        fine: of a finer level, which tells the error of that one.
+        progress: told what goes on (give it on rank 0 only).
+        made: pulls that were made before, by an exploration that was interrupted.
+        keep: called on rank 0 with each pull that was made.
+        first: the first choice, where it is known: it depends on nothing that is seen.
+
+    Raises:
+        InputError: options or measurement do not fit the scene.
+        BcidError: whatever the robot raises.
+    """
+    options.check(scene)
+    loop = _Loop(scene, robot, options, predictor, fine, progress or Silent(), list(made), keep, first)
+    try:
+        return replace(loop.run(), remarks=tuple(loop.remarks))
+    finally:
+        if loop.rivals is not None:
+            loop.rivals.destroy()
+
+
+class _Loop:
+    def __init__(
+        self,
+        scene: Scene,
+        robot: Robot | None,
+        options: ExploreOptions,
+        predictor: PullPredictor,
+        fine: PullPredictor | None,
+        progress: Progress,
+        made: list[tuple[Move, Measurement]],
+        keep: Callable[[Move, Measurement], None] | None,
+        first: Choice | None,
+    ) -> None:
+        self.first = first
+        self.remarks: list[str] = []
+        self.scene, self.robot, self.options, self.progress = scene, robot, options, progress
+        self.predictors = [p for p in (predictor, fine) if p is not None]
+        self.comm, self.made, self.keep = predictor.comm, made, keep
+        known = effects.catalogue(options.effects)
+        self.rivals = RivalEffects(scene, predictor.comm, options.level, known) if known else None
+        self.inference = BeliefUpdate(scene, predictor, fine, options.random_state, self.rivals)
+        noise = options.noise if options.noise is not None else scene.noise_sigma or 0.0
+        self.chooser = Chooser(
+            self.inference,
+            options.moves(scene),
+            options.criterion,
+            options.look_ahead,
+            options.samples,
+            noise,
+            options.random_state,
+        )
+        self.steps: list[Step] = []
+        self.spent = 0.0
+
+    def run(self) -> Exploration:
+        view = self.inference.view()
+        limits = limits_of(self.scene)
+        while True:
+            if self.steps and view.certainty >= self.options.confidence:
+                return Exploration(DECIDED if view.missed <= MISSED else UNEXPLAINED, view, tuple(self.steps))
+            began, count = time.perf_counter(), self._predicted()
+            last = self.steps[-1].move if self.steps else None
+            choice = self._choose(view, last)
+            if choice.move is None:
+                return Exploration(INSEPARABLE, view, tuple(self.steps), self._rivals(view), choice.options)
+            price = cost(choice.move, last, limits)
+            if self.spent + price > self.options.budget * (1 + 1e-9):
+                return Exploration(BUDGET, view, tuple(self.steps))
+            number = len(self.steps) + 1
+            self._announce(number, choice)
+            waiting = time.perf_counter()
+            measurement = self._pull(number, choice.move)
+            waiting = time.perf_counter() - waiting
+            self._examine(number, measurement)
+            self.inference.add(measurement)
+            before, view = view, self.inference.view()
+            self.spent += price
+            self.steps.append(
+                Step(
+                    number,
+                    choice.move,
+                    (choice.expected.bits, choice.expected.error),
+                    before.entropy - view.entropy,
+                    view,
+                    choice.options,
+                    choice.ahead,
+                    self.spent,
+                    self._predicted() - count,
+                    time.perf_counter() - began - waiting,
+                )
+            )
+            self._report(self.steps[-1])
+
+    def _examine(self, number: int, measurement: Measurement) -> None:
+        """Note what is odd about what was seen."""
+        for text in measurement.check(self.scene):
+            self.remarks.append(f"pull {number}: {text}")
+            self.progress.say(f"look at this first: {self.remarks[-1]}")
+
+    def _choose(self, view: PosteriorSummary, last: Move | None) -> Choice:
+        """The next pull; what was made before by an exploration that was interrupted comes again."""
+        number = len(self.steps)
+        choice = self.first if self.first and number == 0 else self.chooser.choose(view, last)
+        if number < len(self.made):
+            move = self.made[number][0]
+            known = next((o for o in choice.options if o.move == move), None)
+            return Choice(move, known.expected if known else choice.expected, choice.options, choice.ahead)
+        return choice
+
+    def _pull(self, number: int, move: Move) -> Measurement:
+        """Let the robot make a pull; the measurement on every rank."""
+        if number <= len(self.made):
+            return self.made[number - 1][1]
+
+        def work() -> Measurement:
+            assert self.robot is not None
+            self.robot.move(move.action(limits_of(self.scene), str(number)))
+            measurement = self.robot.observe()
+            if self.keep is not None:
+                self.keep(move, measurement)
+            return measurement
+
+        return on_root(self.comm, work)
+
+    def _rivals(self, view: PosteriorSummary) -> tuple[Hypothesis, ...]:
+        """The hypotheses that are not told apart: those that hold the confidence that is asked for."""
+        found: list[Hypothesis] = []
+        mass = 0.0
+        for hypothesis, p in view.probabilities.items():
+            if mass >= self.options.confidence:
+                break
+            found.append(hypothesis)
+            mass += p
+        return tuple(found)
+
+    def _predicted(self) -> int:
+        return sum(p.evaluations for p in self.predictors)
+
+    # -- in words
+    # --------------------------------------------------------------------------------------------------------------
+
+    def _announce(self, number: int, choice: Choice) -> None:
+        bits = choice.expected.bits
+        why = f"{bits:.2f} bits expected" if math.isfinite(bits) else "chosen at random"
+        then = f", before {choice.ahead}" if choice.ahead else ""
+        self.progress.say(f"pull {number}: {choice.move} ({why}{then})")
+
+    def _report(self, step: Step) -> None:
+        shown = ", ".join(
+            f"{h.label(self.scene.patches)} {percent(p)}"
+            for h, p in list(step.view.probabilities.items())[:3]
+            if p > 1e-3
+        )
+        doubt = ""
+        if step.view.missed > MISSED:
+            doubt = f"; NOTHING explains what was seen ({step.view.missed:.1f} times noise and mesh)"
+        self.progress.say(f"  {step.gained:.2f} bits gained; {shown}{doubt}; {step.seconds:.1f} s of computing")

@@ -1,0 +1,341 @@
+"""What each anchor set predicts for each pull: computed once, spread over the ranks, and kept on disk for whoever asks again.
+
+A prediction depends on the scene, the level, the model, the set and the motion, not on noise: trials and runs share it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import socket
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.base.collective import Comm, agree, in_turns, on_root
+from bcid.base.errors import BcidError, InputError
+from bcid.base.fingerprint import fingerprint
+from bcid.base.run_folder import writing
+from bcid.base.text_file import parse_json
+from bcid.forms.forward import Forward
+from bcid.forms.mesh import BodyMesh, level_mesh
+from bcid.forms.model import Model
+from bcid.forms.solver.buckling import NEAR_BUCKLING, linear_buckling, smallest_eigenvalue, two_states
+from bcid.forms.solver.equilibrium import Settings
+from bcid.forms.solver.trajectory import poses
+from bcid.measurement import Action
+from bcid.scene import Scene
+from bcid.search.identify_run import scene_fingerprint
+from bcid.search.scheduler import counter, share
+
+Array = NDArray[np.float64]
+Anchored = frozenset[str]
+Task = tuple[Anchored, Action]
+# The strain that so much of the volume stays below: in corners it has no limit.
+_VOLUME = 0.99
+# On a path along which the body does not become softer than this part there is nothing to buckle.
+_STIFF = 0.95
+# What a stored prediction holds; part of its fingerprint.
+_FORMAT = "bcid-predictions/1"
+# Results are shared and stored at the latest after so many predictions of a rank.
+_BATCH = 64
+
+
+@dataclass(frozen=True)
+class PullPrediction:
+    """What an anchor set predicts for an action.
+
+    Attributes:
+        positions: shape (frames, fiducials, 3), m; NaN where it cannot be predicted.
+        force: largest force of the gripper, N; NaN if it was not asked for, like all that follows.
+        strain: largest principal strain that 99 % of the volume stays below, over all frames.
+        eigenvalue: smallest eigenvalue of the tangent as part of that at rest, over all frames: below 0.5 the body may buckle;
+            zero where it has buckled: two states exist at the far end.
+        loose: how positions change when one of the numbers that are not known, or a combination of them, changes by its standard
+            deviation, each of the shape of `positions`, m.
+    """
+
+    positions: Array
+    force: float = math.nan
+    strain: float = math.nan
+    eigenvalue: float = math.nan
+    loose: tuple[Array, ...] = ()
+
+    @cached_property
+    def failed(self) -> bool:
+        """Whether it cannot be predicted."""
+        return not bool(np.isfinite(self.positions).all())
+
+    @property
+    def detailed(self) -> bool:
+        """Whether force, strain and eigenvalue are known."""
+        return self.failed or math.isfinite(self.eigenvalue)
+
+    @property
+    def buckles(self) -> bool:
+        """Whether the body may buckle, so that imperfections decide where it goes."""
+        return self.failed or self.eigenvalue < NEAR_BUCKLING
+
+
+class PullPredictor:
+    """Predicts actions on a level of a scene. `predict` is collective on `comm`, with the same result on every rank.
+
+    Args:
+        scene: the scene.
+        level: number of its level.
+        comm: an MPI communicator.
+        store: folder in which predictions are kept; None to keep them in memory only.
+        model: the model; by default the scene's.
+
+    Attributes:
+        evaluations: actions predicted by this object, on all ranks.
+        asked: what it was asked for, by motion, model and set, whether it was known or not.
+    """
+
+    def __init__(
+        self, scene: Scene, level: int, comm: Comm, store: Path | None = None, model: Model | None = None
+    ) -> None:
+        self.scene, self.level, self.comm, self.store = scene, level, comm, store
+        self.model = model or Model.of(scene)
+        self.evaluations = 0
+        self.asked: set[tuple[str, Anchored]] = set()
+        self._known: dict[tuple[str, Anchored], PullPrediction] = {}
+        self._forwards: dict[str, Forward] = {}
+        self._mesh: BodyMesh | None = None
+        self._read: set[str] = set()
+        # What a robot may do changes no prediction.
+        about = {
+            "format": _FORMAT,
+            "scene": scene_fingerprint(replace(scene, limits=None)),
+            "level": level,
+            "model": self.model.name,
+        }
+        about |= {"values": {term.label: dict(term.values) for term in self.model.terms}}
+        self._folder = None if store is None else store / fingerprint(about)
+
+    def predict(
+        self, tasks: Iterable[Task], detailed: bool = False, models: Sequence[Model] | None = None
+    ) -> list[PullPrediction]:
+        """Predictions, in order; `detailed` with force, strain and eigenvalue. Each is computed once.
+
+        `models` are those of the tasks, where they are other than the predictor's own; what they predict is not kept on disk.
+        """
+        tasks = list(tasks)
+        whose = [self.model] * len(tasks) if models is None else list(models)
+        keys = self._keys(tasks, whose)
+        self.asked.update(keys)
+        for key in dict.fromkeys(k for (k, _), model in zip(keys, whose, strict=True) if model is self.model):
+            self._load(key)
+        missing = {
+            k: (task, model) for k, task, model in zip(keys, tasks, whose, strict=True) if not self._enough(k, detailed)
+        }
+        todo = list(missing.items())
+        size = _BATCH * self.comm.size
+        for i in range(0, len(todo), size):
+            fresh = self._work(todo[i : i + size], detailed)
+            on_root(self.comm, partial(self._keep, {k: f for k, f in fresh.items() if missing[k][1] is self.model}))
+        return [self._known[k] for k in keys]
+
+    def _keys(self, tasks: Sequence[Task], models: Sequence[Model]) -> list[tuple[str, Anchored]]:
+        """Fingerprints of motion and model, with the set; the own model goes without one."""
+        known: dict[tuple[int, int], str] = {}
+        for (_, action), model in zip(tasks, models, strict=True):
+            pair = id(action), id(model)
+            if pair not in known:
+                about = "" if model is self.model else "-" + fingerprint({"name": model.name} | model.constants())
+                known[pair] = key_of(action, timed=not model.steady) + about
+        return [(known[id(t[1]), id(model)], t[0]) for t, model in zip(tasks, models, strict=True)]
+
+    def _enough(self, key: tuple[str, Anchored], detailed: bool) -> bool:
+        known = self._known.get(key)
+        return known is not None and (known.detailed or not detailed)
+
+    def _work(
+        self, todo: Sequence[tuple[tuple[str, Anchored], tuple[Task, Model]]], detailed: bool
+    ) -> dict[tuple[str, Anchored], PullPrediction]:
+        for model in {model.name: model for _, (_, model) in todo}.values():
+            self.forward(model)
+        mine: list[tuple[int, PullPrediction]] = []
+        error = None
+        tickets = counter(self.comm)
+        for i in share(range(len(todo)), tickets):
+            (anchors, action), model = todo[i][1]
+            try:
+                mine.append((i, predicted(self.forward(model), anchors, action, detailed)))
+            except BcidError as caught:
+                error = caught
+                break
+        tickets.close()
+        agree(self.comm, error)
+        found = sorted((item for part in self.comm.allgather(mine) for item in part), key=lambda item: item[0])
+        fresh = {todo[i][0]: predicted for i, predicted in found}
+        self._known |= fresh
+        self.evaluations += len(fresh)
+        return fresh
+
+    def forward(self, model: Model | None = None) -> Forward:
+        """The forward model of these parts, with their values, private to the process; collective where it is built."""
+        model = model or self.model
+        if model.name not in self._forwards:
+            mesh = self._mesh = self._mesh or level_mesh(self.scene, self.scene.levels[self.level], self.comm)
+            settings = Settings(rtol=1e-7, halvings=3)
+            self._forwards[model.name] = in_turns(
+                self.comm,
+                self.comm.rank == 0,
+                lambda: Forward(self.scene, self.level, None, model, settings, mesh),
+            )
+        forward = self._forwards[model.name]
+        if forward.model is not model:
+            forward.set_model(model)
+        return forward
+
+    # -- on disk
+    # --------------------------------------------------------------------------------------------------------------
+
+    def _keep(self, fresh: dict[tuple[str, Anchored], PullPrediction]) -> None:
+        """Write a batch, whole, into one file for each action."""
+        if self._folder is None:
+            return
+        for key in dict.fromkeys(key for key, _ in fresh):
+            group = {anchors: f for (k, anchors), f in fresh.items() if k == key}
+            folder = self._folder / key
+            with writing(folder):
+                folder.mkdir(parents=True, exist_ok=True)
+                count = len(list(folder.glob("*.npz")))
+                name = f"{count:06d}-{socket.gethostname()}-{os.getpid()}"
+                begun = folder / f".{name}.partial"
+                with begun.open("wb") as stream:
+                    np.savez(
+                        stream,
+                        sets=np.array([json.dumps(sorted(anchors)) for anchors in group]),
+                        positions=np.array([f.positions for f in group.values()]),
+                        numbers=np.array([[f.force, f.strain, f.eigenvalue] for f in group.values()]),
+                    )
+                begun.replace(folder / f"{name}.npz")
+
+    def _load(self, key: str) -> None:
+        """Read what is stored of an action, on rank 0 for all; collective."""
+        if self._folder is None or key in self._read:
+            return
+        self._read.add(key)
+        folder = self._folder / key
+        stored = on_root(
+            self.comm, lambda: [entry for file in sorted(folder.glob("*.npz")) for entry in _entries(file)]
+        )
+        for anchors, predicted in stored:
+            known = self._known.get((key, anchors))
+            if known is None or not known.detailed:
+                self._known[key, anchors] = predicted
+
+    def destroy(self) -> None:
+        """Free the PETSc objects of this process."""
+        for forward in self._forwards.values():
+            forward.destroy()
+        self._forwards.clear()
+
+
+def _entries(file: Path) -> list[tuple[Anchored, PullPrediction]]:
+    """What a stored file holds; it must be removed when it is damaged."""
+    try:
+        with np.load(file, allow_pickle=False) as content:
+            sets = [frozenset(parse_json(str(text), file)) for text in content["sets"]]
+            positions, numbers = content["positions"], content["numbers"]
+        if not (len(sets) == len(positions) == len(numbers) and numbers.shape[1:] == (3,) and positions.ndim == 4):
+            raise ValueError(f"{len(sets)} sets, positions {positions.shape}, numbers {numbers.shape}")
+        rows = zip(sets, positions, numbers, strict=True)
+        return [(a, PullPrediction(np.asarray(p, float), float(n[0]), float(n[1]), float(n[2]))) for a, p, n in rows]
+    except Exception as error:
+        raise InputError(f"{file}: is damaged and cannot be read ({error}); remove it, it is computed again") from None
+
+
+def key_of(action: Action, timed: bool = False) -> str:
+    """Fingerprint of a motion: grasp, poses to the nanometre, loads, and if it is `timed` its clock; not its name."""
+    loads = {place: np.round(load, 9) for place, load in action.loads.items()}
+    # Adding zero makes one of the two zeros of the other.
+    content = {"translation": np.round(action.translation, 9) + 0.0, "rotation": np.round(action.rotation, 9) + 0.0}
+    clock = np.round(action.clock, 9) if timed else None
+    return fingerprint(content | {"grasp": action.grasp, "loads": loads, "clock": clock})
+
+
+def predicted(forward: Forward, anchors: Anchored, action: Action, detailed: bool) -> PullPrediction:
+    """Predict an action of an anchor set on this process.
+
+    A way back that repeats the way there is not computed, unless an effect depends on time, or remembers.
+    """
+    count = _turning(action) if forward.model.steady else len(action)
+    there = replace(
+        action,
+        frames=np.arange(count),
+        steps=action.steps[:count],
+        translation=action.translation[:count],
+        rotation=action.rotation[:count],
+        loads={place: load[:count] for place, load in action.loads.items()},
+        times=action.clock[:count],
+    )
+    prediction = forward.predict(anchors, [there], keep=detailed)
+    frames = np.minimum(np.arange(len(action)), len(action) - 1 - np.arange(len(action)))
+    frames = frames if count < len(action) else np.arange(len(action))
+    result = PullPrediction(prediction.positions[frames])
+    if not detailed or prediction.failure or prediction.states is None:
+        return result
+    return _with_details(forward, anchors, there, prediction.states, result)
+
+
+def _turning(action: Action) -> int:
+    """Number of steps to where the motion turns and goes the same way back; all steps where it does not."""
+    same = np.allclose(action.translation, action.translation[::-1], atol=1e-9) and np.allclose(
+        action.rotation, action.rotation[::-1], atol=1e-9
+    )
+    loaded = any(not np.allclose(load, load[::-1]) for load in action.loads.values())
+    return len(action) // 2 + 1 if same and not loaded and len(action) % 2 else len(action)
+
+
+def _with_details(
+    forward: Forward, anchors: Anchored, action: Action, states: dict[int, Array], result: PullPrediction
+) -> PullPrediction:
+    equilibrium = forward.equilibrium
+    equilibrium.hold(anchors, action.grasp)
+    forces, strains, sizes = [], [], []
+    for pose, frame in zip(poses(forward.model.driven(action)), action.frames, strict=True):
+        equilibrium.set_state(pose, states[int(frame)])
+        forces.append(float(np.linalg.norm(equilibrium.wrench(pose)[:3])))
+        strains.append(strain_of_most(forward, equilibrium.displacement()))
+        sizes.append(smallest_eigenvalue(equilibrium)[0])
+        equilibrium.accept(pose)
+    eigenvalue = min(sizes) / sizes[0]
+    if NEAR_BUCKLING <= eigenvalue < _STIFF and _has_buckled(
+        forward, action, [states[int(frame)] for frame in action.frames]
+    ):
+        eigenvalue = 0.0
+    return replace(result, force=max(forces), strain=max(strains), eigenvalue=eigenvalue)
+
+
+def _has_buckled(forward: Forward, action: Action, states: Sequence[Array]) -> bool:
+    """Whether two states exist where the gripper is furthest from rest."""
+    model, equilibrium = forward.model, forward.equilibrium
+    if not model.definite:
+        return False
+    path = poses(model.driven(action))
+    far = int(np.argmax(np.linalg.norm(action.translation, axis=1)))
+    mode = linear_buckling(equilibrium, states[0], path[0], path[far])
+    if mode.part > 1 / NEAR_BUCKLING:
+        return False
+    return two_states(equilibrium, forward.fiducials, mode, states[0], path[far], states[far])
+
+
+def strain_of_most(forward: Forward, displacement: Array) -> float:
+    """Largest |principal stretch - 1| that 99 % of the volume stays below, from the corners of the cells; collective."""
+    mesh = forward.mesh
+    moved = mesh.points + forward.body.at_mesh_nodes(displacement)
+    rest, now = (p[mesh.cells[:, 1:]] - p[mesh.cells[:, :1]] for p in (mesh.points, moved))
+    stretches = np.linalg.svd(np.swapaxes(now, 1, 2) @ np.linalg.inv(np.swapaxes(rest, 1, 2)), compute_uv=False)
+    strain = np.abs(stretches - 1).max(axis=1)
+    volume = np.abs(np.linalg.det(rest))
+    order = np.argsort(strain)
+    below = np.cumsum(volume[order]) / volume.sum()
+    return float(strain[order][min(int(np.searchsorted(below, _VOLUME)), len(strain) - 1)])

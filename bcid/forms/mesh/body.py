@@ -1,0 +1,161 @@
+"""The body: one mesh level in DOLFINx, its displacement space, and the degrees of freedom of every named place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import basix.ufl
+import numpy as np
+from dolfinx import default_scalar_type, fem
+from dolfinx import mesh as dmesh
+from numpy.typing import NDArray
+
+from bcid.base import compat
+from bcid.base.collective import Comm
+from bcid.base.errors import InputError
+from bcid.forms.mesh import BodyMesh
+from bcid.scene import Region
+
+
+class Body:
+    """A meshed body with a displacement space (and a pressure space in the mixed formulation).
+
+    Building one is collective on `comm`. With `comm` of one rank it is private to the process; otherwise the mesh is
+    shared out.
+
+    Args:
+        comm: the communicator.
+        mesh: the same arrays on every rank.
+        degree: polynomial degree of the displacement.
+        mixed: also carry a pressure, one degree lower (Taylor-Hood).
+
+    Attributes:
+        domain: the DOLFINx mesh.
+        space: function space of the unknown (displacement, or displacement and pressure).
+        displacement_space: space of the displacement alone.
+        displacement_dofs: where the displacement stands in the unknown, shape (3 * nodes,), in the order of `nodes`.
+    """
+
+    def __init__(self, comm: Comm, mesh: BodyMesh, degree: int = 1, mixed: bool = False) -> None:
+        if mixed and degree < 2:
+            raise InputError("the mixed formulation needs degree 2 (Taylor-Hood); set degree = 2 on every level")
+        self.comm = comm
+        self.mesh = mesh
+        self.degree = degree
+        self.mixed = mixed
+        element = basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,), dtype=np.float64)
+        mine = comm.rank == 0
+        cells = mesh.cells if mine else np.zeros((0, 4), dtype=np.int64)
+        points = mesh.points if mine else np.zeros((0, 3))
+        self.domain = compat.make_mesh(comm, cells, points, element)
+        displacement = basix.ufl.element("Lagrange", "tetrahedron", degree, shape=(3,))
+        if mixed:
+            pressure = basix.ufl.element("Lagrange", "tetrahedron", degree - 1)
+            self.space = fem.functionspace(self.domain, basix.ufl.mixed_element([displacement, pressure]))
+            self.displacement_space, into = compat.collapsed(self.space.sub(0))
+            self.displacement_dofs = into
+        else:
+            self.space = self.displacement_space = fem.functionspace(self.domain, displacement)
+            self.displacement_dofs = np.arange(3 * len(self.nodes), dtype=np.int32)
+
+    @property
+    def quadrature_degree(self) -> int:
+        """Exact for the energy of an affine deformation at degree 1; 3 and 5 keep the order of convergence at 2 and 3."""
+        return {1: 0, 2: 3, 3: 5}[self.degree]
+
+    @cached_property
+    def unknowns(self) -> int:
+        """Number of degrees of freedom over all ranks."""
+        return int(self.space.dofmap.index_map.size_global * self.space.dofmap.index_map_bs)
+
+    @cached_property
+    def pressures(self) -> int:
+        """How many of them are pressures."""
+        displacement = self.displacement_space.dofmap
+        return self.unknowns - int(displacement.index_map.size_global * displacement.index_map_bs)
+
+    @cached_property
+    def nodes(self) -> NDArray[np.float64]:
+        """Rest positions of this rank's displacement nodes, ghosts included, shape (nodes, 3), m."""
+        return self.displacement_space.tabulate_dof_coordinates()
+
+    @cached_property
+    def _node_numbers(self) -> NDArray[np.int64]:
+        """Mesh array number of every local vertex."""
+        geometry = np.asarray(compat.geometry_dofmap(self.domain))
+        original = np.asarray(self.domain.geometry.input_global_indices)
+        self.domain.topology.create_connectivity(3, 0)
+        connectivity = self.domain.topology.connectivity(3, 0)
+        vertices = connectivity.array.reshape(-1, 4)
+        number = np.full(int(vertices.max(initial=-1)) + 1, -1, dtype=np.int64)
+        number[vertices.ravel()] = original[geometry.ravel()]
+        return number
+
+    def at_mesh_nodes(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Displacement (local nodes, 3) at the nodes of `mesh`, shape (mesh nodes, 3), the same on every rank; collective."""
+        geometry = np.asarray(compat.geometry_dofmap(self.domain))
+        original = np.asarray(self.domain.geometry.input_global_indices)[geometry.ravel()]
+        corners = np.asarray(self.displacement_space.dofmap.list)[:, :4].ravel()
+        owned = corners < self.displacement_space.dofmap.index_map.size_local
+        result = np.zeros((len(self.mesh.points), 3))
+        result[original[owned]] = displacement[corners[owned]]
+        return np.asarray(self.comm.allreduce(result)) if self.comm.size > 1 else result
+
+    def local_entities(self, entities: NDArray[np.int64]) -> NDArray[np.int32]:
+        """This rank's numbers of mesh entities given by their nodes, shape (k, 3), (k, 2) or (k, 1)."""
+        dimension = entities.shape[1] - 1
+        topology = self.domain.topology
+        topology.create_entities(dimension)
+        topology.create_connectivity(dimension, 0)
+        topology.create_connectivity(dimension, 3)
+        connectivity = topology.connectivity(dimension, 0)
+        here = np.sort(self._node_numbers[connectivity.array.reshape(-1, dimension + 1)], axis=1)
+        wanted = np.sort(entities, axis=1)
+        _, inverse = np.unique(np.vstack([here, wanted]), axis=0, return_inverse=True)
+        inverse = inverse.ravel()
+        return np.flatnonzero(np.isin(inverse[: len(here)], inverse[len(here) :])).astype(np.int32)
+
+    def dirichlet(self, region: Region, what: str, value: Any = None, axis: int | None = None) -> Any:
+        """A DOLFINx Dirichlet condition that holds a region, or one axis (0, 1, 2) of it; collective.
+
+        `value` is a Function of the displacement space, None for zero.
+        """
+        entities = self.mesh.select(region, what)
+        dimension, local = entities.shape[1] - 1, self.local_entities(entities)
+        if not self.mixed and axis is None:
+            dofs = fem.locate_dofs_topological(self.space, dimension, local)
+            if value is None:
+                return fem.dirichletbc(np.zeros(3, default_scalar_type), dofs, self.space)
+            return fem.dirichletbc(value, dofs)
+        whole = self.space.sub(0) if self.mixed else self.space
+        part = whole if axis is None else whole.sub(axis)
+        inner = self.displacement_space if axis is None else part.collapse()[0]
+        pairs = fem.locate_dofs_topological((part, inner), dimension, local)
+        held = value if value is not None and axis is None else fem.Function(inner)
+        return fem.dirichletbc(held, pairs, part)
+
+    def facet_measure(self, regions: Sequence[Region], names: Sequence[str]) -> Any:
+        """A surface measure in which ``measure(i + 1)`` is region i; regions may overlap, facets inside are left out."""
+        import ufl
+
+        found = [self.local_entities(self.mesh.select(r, n)) for r, n in zip(regions, names, strict=True)]
+        outer = dmesh.exterior_facet_indices(self.domain.topology)
+        sides = [(i + 1, self._sides(np.intersect1d(facets, outer))) for i, facets in enumerate(found)]
+        metadata = {"quadrature_degree": 2 * self.degree}
+        return ufl.Measure("ds", domain=self.domain, subdomain_data=sides, metadata=metadata)
+
+    def _sides(self, facets: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Outer facets as DOLFINx integrates over them: cell and number of the facet in it, one pair after the other."""
+        topology = self.domain.topology
+        topology.create_connectivity(2, 3)
+        topology.create_connectivity(3, 2)
+        to_cell, to_facet = topology.connectivity(2, 3), topology.connectivity(3, 2)
+        owned = topology.index_map(3).size_local
+        pairs = []
+        for facet in facets:
+            cell = int(to_cell.links(facet)[0])
+            if cell < owned:
+                pairs.append((cell, int(np.flatnonzero(to_facet.links(cell) == facet)[0])))
+        return np.array(pairs, dtype=np.int32).ravel()

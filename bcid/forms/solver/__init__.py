@@ -1,0 +1,1 @@
+"""Solving: equilibria, their tangents and factors, trajectories through them, and what tells a stable state."""

@@ -1,0 +1,175 @@
+"""What is prescribed on a body: anchored patches, rollers, the gripper's place, and dead loads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from dolfinx import fem
+from numpy.typing import NDArray
+
+from bcid.base.errors import InputError, nearest
+from bcid.forms.loads import nodal_weights
+from bcid.forms.mesh.body import Body
+from bcid.scene import Region, Scene
+from bcid.scene.rotation import rotate
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the gripper is, and the dead loads: what a step prescribes.
+
+    Attributes:
+        translation: from the rest pose, m.
+        rotation: unit quaternion (w, x, y, z) about the rest centre of the grasp.
+        loads: force on each loaded place, N.
+        load_factor: fraction of the effects that acts, 0 to 1 (below 1 only while they are being applied).
+        time: s.
+    """
+
+    translation: Array = field(default_factory=lambda: np.zeros(3))
+    rotation: Array = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
+    loads: Mapping[str, Array] = field(default_factory=dict)
+    load_factor: float = 1.0
+    time: float = 0.0
+
+    def vector(self) -> Array:
+        """All numbers in one row, the rotation scaled to about the size of a grasp (0.02 m)."""
+        return np.concatenate([self.translation, 0.02 * self.rotation, *(self.loads[k] for k in sorted(self.loads))])
+
+
+class Supports:
+    """Dirichlet conditions and dead loads of one body; what is made for a place once is kept.
+
+    Args:
+        body: the meshed body.
+        scene: where patches and grasps are.
+        places: every named region of the scene.
+        rollers: places held in one axis only, as (place, axis).
+        owned: number of unknowns that this rank owns.
+
+    Attributes:
+        conditions: the DOLFINx conditions in force.
+        prescribed: numbers of the unknowns that are prescribed, on this rank, ghosts included.
+        reacting: those that this rank owns.
+        grasp: where the gripper holds, or "".
+        gripper: displacement of every node if it moved with the gripper, a DOLFINx Function.
+        gripped: numbers of the unknowns that the gripper holds.
+        external: dead forces on this rank's nodes, ghosts included, shape (3 * nodes,), N.
+        loaded: whether there are any.
+    """
+
+    def __init__(
+        self, body: Body, scene: Scene, places: Mapping[str, Region], rollers: Iterable[tuple[str, int]], owned: int
+    ) -> None:
+        self.body, self.scene, self.places, self.rollers, self._owned = body, scene, places, tuple(rollers), owned
+        self.gripper = fem.Function(body.displacement_space)
+        self._made: dict[str, Any] = {}
+        self._weights: dict[str, Array] = {}
+        self.external = np.zeros(3 * len(body.nodes))
+        self.loaded = False
+        self._mine = body.displacement_dofs < owned
+
+    # -- what is held
+    # ---------------------------------------------------------------------------------------------------------------
+
+    def hold(self, anchors: Iterable[str], grasp: str) -> None:
+        """Hold these patches, the rollers, and the gripper's place ("": none); collective."""
+        scene, anchors = self.scene, sorted(set(anchors))
+        regions: list[tuple[str, Region | None, int | None]] = [
+            (f"patch {name}", scene.patches.get(name), None) for name in anchors
+        ]
+        if grasp:
+            regions.append((f"grasp {grasp}", scene.grasps[grasp].region if grasp in scene.grasps else None, None))
+        regions += [(f"place {place}", self.places.get(place), axis) for place, axis in self.rollers]
+        self.conditions = [self._condition(what, region, axis) for what, region, axis in regions]
+        self.grasp = grasp
+        dofs = [condition.dof_indices()[0] for condition in self.conditions]
+        self.prescribed: Index = np.unique(np.concatenate(dofs or [np.zeros(0, np.int32)]))
+        self.reacting = self.prescribed[self.prescribed < self._owned]
+        self.gripped: Index = dofs[len(anchors)] if grasp else np.zeros(0, np.int32)
+
+    def _condition(self, what: str, region: Region | None, axis: int | None) -> Any:
+        key = f"{what}/{axis}"
+        if key not in self._made:
+            if region is None:
+                kind, name = what.split(" ", 1)
+                known = {"patch": list(self.scene.patches), "grasp": list(self.scene.grasps)}.get(
+                    kind, list(self.places)
+                )
+                raise InputError(f"{kind} '{name}' is not in scene {self.scene.source}; {nearest(name, known)}")
+            value = self.gripper if what.startswith("grasp ") else None
+            self._made[key] = self.body.dirichlet(region, what, value, axis)
+        return self._made[key]
+
+    # -- where it is held, and how loaded
+    # ---------------------------------------------------------------------------------------------------------------
+
+    def put(self, pose: Pose) -> None:
+        """Gripper and dead loads of a pose."""
+        if self.grasp:
+            self.gripper.x.array[:] = self.moved(pose)
+        self.loaded = bool(pose.loads)
+        self.external[:] = self.load(pose.loads)
+
+    def unload(self) -> None:
+        """No dead loads."""
+        self.loaded = False
+        self.external[:] = 0.0
+
+    def moved(self, pose: Pose) -> Array:
+        """Displacement of every node if it moved with the gripper, shape (3 * nodes,), m."""
+        arm = self.body.nodes - self.centre
+        return np.asarray((pose.translation + rotate(pose.rotation, arm) - arm).ravel())
+
+    @property
+    def centre(self) -> Array:
+        """Where the gripper holds at rest, m."""
+        return np.array(self.scene.grasps[self.grasp].centre)
+
+    def load(self, loads: Mapping[str, Array]) -> Array:
+        """Dead forces on this rank's nodes for a force (N) on each place, shape (3 * nodes,), N."""
+        forces = np.zeros_like(self.external)
+        for place, force in loads.items():
+            forces += self._weight(place) * np.tile(force, len(forces) // 3)
+        return forces
+
+    def _weight(self, place: str) -> Array:
+        """Share of a dead force on `place` that each displacement component carries, shape (3 * nodes,)."""
+        if place not in self._weights:
+            if place not in self.places:
+                raise InputError(f"loads: place '{place}' is not in the scene; {nearest(place, self.places)}")
+            self._weights[place] = np.repeat(nodal_weights(self.body, self.places[place], f"place {place}"), 3)
+        return self._weights[place]
+
+    # -- vectors of unknowns
+    # ---------------------------------------------------------------------------------------------------------------
+
+    def applied(self, internal: Array) -> Array:
+        """Forces of gripper, anchors and dead loads on this rank's own unknowns, N.
+
+        Args:
+            internal: internal minus dead forces on them.
+        """
+        forces = self.dead()
+        forces[self.reacting] += internal[self.reacting]
+        return forces
+
+    def dead(self) -> Array:
+        """Dead loads on this rank's own unknowns, N."""
+        forces = np.zeros(self._owned)
+        if self.loaded:
+            forces[self.body.displacement_dofs[self._mine]] = self.external[self._mine]
+        return forces
+
+    def met(self, state: Array) -> Array:
+        """A copy of this rank's unknowns with what is prescribed at its place."""
+        wanted = state.copy()
+        for condition in self.conditions:
+            condition.set(wanted)
+        return wanted

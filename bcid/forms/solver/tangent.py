@@ -1,0 +1,129 @@
+"""The tangent matrix: assembled once, constrained for whatever is held, and remembered at the undeformed state."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from dolfinx import fem
+from dolfinx.fem import petsc as fp
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int32]
+
+
+class Tangent:
+    """Derivative of the residual, as a PETSc matrix in which rows and columns of held unknowns are those of the identity.
+
+    On one rank DOLFINx assembles into its own blocked matrix, which takes less than half the time of PETSc's, and the
+    values are copied into a PETSc matrix that shares its memory. The full matrix stays available: what is held can
+    change, and prescribed displacements be lifted, without assembling again. On a shared mesh PETSc assembles.
+
+    Args:
+        forms: the compiled bilinear forms, which add up; the first has the sparsity of all.
+        symmetric: whether the matrix is.
+        shared: whether the mesh is shared out over several ranks.
+
+    Attributes:
+        matrix: the constrained matrix.
+    """
+
+    def __init__(self, forms: Sequence[Any], symmetric: bool, shared: bool) -> None:
+        self.forms = forms
+        self._full: Any = None
+        self._remembered: dict[Hashable, Array] = {}
+        if shared:
+            self.matrix = fp.create_matrix(forms[0])
+        else:
+            self._full = fem.create_matrix(forms[0])
+            self.matrix = self._scalar_matrix()
+        self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
+
+    def _scalar_matrix(self) -> PETSc.Mat:
+        """The PETSc matrix of the same pattern; `_order` tells where in the blocks each of its values stands."""
+        full = self._full
+        size = full.block_size[0]
+        blocks = full.data.reshape(-1, size, size)
+        rows = size * (len(full.indptr) - 1)
+        self._blocked = sp.bsr_matrix((blocks, full.indices, full.indptr), shape=(rows, rows))
+        places = np.arange(1, full.data.size + 1, dtype=np.float64).reshape(blocks.shape)
+        scalar = sp.bsr_matrix((places, full.indices, full.indptr), shape=(rows, rows)).tocsr()
+        scalar.sort_indices()
+        self._order = scalar.data.astype(np.int64) - 1
+        self._columns = scalar.indices.astype(PETSc.IntType)
+        self._rows = np.repeat(np.arange(rows, dtype=np.int32), np.diff(scalar.indptr))
+        self._values = np.zeros(len(self._order))
+        self._cleared: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
+        self._unit = self._cleared
+        pointers = scalar.indptr.astype(PETSc.IntType)
+        return PETSc.Mat().createAIJWithArrays(
+            (rows, rows), (pointers, self._columns, self._values), comm=PETSc.COMM_SELF
+        )
+
+    def hold(self, held: Index, conditions: Sequence[Any]) -> None:
+        """What is held from now on: unknowns of this rank, and the DOLFINx conditions that say the same."""
+        self._conditions = conditions
+        if self._full is not None:
+            fixed = np.zeros(self.matrix.getSize()[0], dtype=bool)
+            fixed[held] = True
+            self._cleared = np.flatnonzero(fixed[self._rows] | fixed[self._columns])
+            self._unit = self._cleared[self._rows[self._cleared] == self._columns[self._cleared]]
+
+    def assemble(self, key: Hashable = None) -> None:
+        """The matrix at the present state; collective. With a `key`, a matrix remembered under it is taken instead."""
+        if self._full is None:
+            self.matrix.zeroEntries()
+            # The diagonal of what is held is written, not added: last, by the form that comes first.
+            for form in reversed(self.forms):
+                fp.assemble_matrix(self.matrix, form, self._conditions, float(form is self.forms[0]))
+                # PETSc does not add where values were just written, until they have been sent to where they belong.
+                self.matrix.assemble(PETSc.Mat.AssemblyType.FLUSH)
+            self.matrix.assemble()
+            return
+        remembered = self._remembered.get(key) if key is not None else None
+        if remembered is not None:
+            self._full.data[:] = remembered
+        else:
+            self._full.data[:] = 0.0
+            for form in self.forms:
+                fem.assemble_matrix(self._full, form)
+            if key is not None:
+                self._remembered = {key: self._full.data.copy()}
+        np.take(self._full.data, self._order, out=self._values)
+        self._values[self._cleared] = 0.0
+        self._values[self._unit] = 1.0
+        self.matrix.stateIncrease()
+
+    def times(self, change: Array) -> Array:
+        """Product of the full matrix, as it was last assembled, with a change of all unknowns; one rank only."""
+        return np.asarray(self._blocked @ change)
+
+    def copied(self) -> sp.csr_matrix:
+        """The constrained matrix as it was last assembled, this rank's rows."""
+        rows, columns, values = self.matrix.getValuesCSR()
+        return sp.csr_matrix(
+            (values.copy(), columns.copy(), rows.copy()), shape=(len(rows) - 1, self.matrix.getSize()[1])
+        )
+
+    def lifting(self, increment: Array, right: PETSc.Vec, state: PETSc.Vec) -> None:
+        """Right-hand side for prescribed changes `increment` of the held unknowns (zero elsewhere, ghosts included); collective.
+
+        On one rank with the matrix as it was last assembled, on a shared mesh with the one at the present state, to which
+        `state` belongs.
+        """
+        if self._full is not None:
+            right.array[:] = -(self._blocked @ increment)
+        else:
+            with right.localForm() as local:
+                local.set(0.0)
+            for form in self.forms:
+                fp.apply_lifting(right, [form], [list(self._conditions)], [state], 1.0)
+            right.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+
+    def destroy(self) -> None:
+        """Free the PETSc matrix; collective."""
+        self.matrix.destroy()

@@ -1,0 +1,257 @@
+"""The weak form of a model in UFL: strain energy, what each effect adds, the residual and its derivatives, on one body."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import basix.ufl
+import numpy as np
+import ufl
+from dolfinx import fem
+from numpy.typing import NDArray
+from ufl.algorithms import expand_derivatives
+
+from bcid.base import compat
+from bcid.base.errors import InputError, nearest
+from bcid.forms.effects.effect import Past, Point
+from bcid.forms.kinematics import Kinematics
+from bcid.forms.mesh.body import Body
+from bcid.forms.model import Model, Term
+from bcid.scene import Region, Scene
+
+Array = NDArray[np.float64]
+# Time before step 0, s: the body has long been at rest.
+LONG = 1e9
+# Quadrature where the stiffness varies within an element.
+_VARYING = 4
+
+
+class Memory:
+    """What an effect keeps from step to step: the last displacement and variables of its own.
+
+    Args:
+        body: the body.
+        u: the unknown.
+        shapes: of the variables, by name.
+        degree: of the quadrature at whose points the variables are kept.
+    """
+
+    def __init__(self, body: Body, u: Any, shapes: Mapping[str, tuple[int, ...]], degree: int) -> None:
+        self._u = u
+        self.last = fem.Function(u.function_space)
+        domain = body.domain
+        self.dt = fem.Constant(domain, LONG)
+        self.moving = fem.Constant(domain, 0.0)
+        self.variables = {}
+        for name, shape in shapes.items():
+            element = basix.ufl.quadrature_element("tetrahedron", value_shape=shape, degree=degree)
+            self.variables[name] = fem.Function(fem.functionspace(domain, element))
+        displacement = ufl.split(self.last)[0] if body.mixed else self.last
+        self.past = Past(displacement, Kinematics.of(displacement), self.dt, self.moving, self.variables)
+        self._following: dict[str, Any] = {}
+
+    def follow(self, expressions: Mapping[str, Any]) -> None:
+        """How the variables are advanced."""
+        for name, expression in expressions.items():
+            space = self.variables[name].function_space
+            points = compat.interpolation_points(space)
+            self._following[name] = fem.Expression(expression, points)
+
+    def reset(self) -> None:
+        """Long at rest, undeformed."""
+        self.dt.value, self.moving.value = LONG, 0.0
+        for function in (self.last, *self.variables.values()):
+            function.x.array[:] = 0.0
+
+    def advance(self) -> None:
+        """The present state becomes the last one."""
+        following = {}
+        for name, expression in self._following.items():
+            following[name] = fem.Function(self.variables[name].function_space)
+            following[name].interpolate(expression)
+        for name, function in following.items():
+            self.variables[name].x.array[:] = function.x.array
+        self.last.x.array[:] = self._u.x.array
+        self.moving.value = 1.0
+
+
+class WeakForm:
+    """Weak form of a model on a body, with every number of it a Constant that can be changed without compiling again.
+
+    Args:
+        body: the body.
+        model: law and effects.
+        scene: where places are.
+        u: the unknown.
+
+    Attributes:
+        constants: every number of the model by its full name.
+        anchored: by patch, 1 where an anchor is replaced by what an effect does.
+        memories: of the model's effects that have one, by label.
+        probed: memories of effects that were asked about and are not part of the model.
+        energies, residuals: forms that add up to the model's: one for the law and one for each effect, so that an effect is
+            compiled once, whatever it is combined with.
+    """
+
+    def __init__(self, body: Body, model: Model, scene: Scene, u: Any) -> None:
+        self.body, self.model, self.scene, self.u = body, model, scene, u
+        self.constants = {name: fem.Constant(body.domain, float(value)) for name, value in model.constants().items()}
+        self.anchored = {name: fem.Constant(body.domain, 0.0) for name in scene.patches}
+        self.test = ufl.TestFunction(body.space)
+        if body.mixed:
+            self.displacement, self.pressure = ufl.split(u)
+            self.virtual = ufl.split(self.test)[0]
+        else:
+            self.displacement, self.pressure, self.virtual = u, None, self.test
+        self.kin = Kinematics.of(self.displacement)
+        self.memories: dict[str, Memory] = {}
+        self.probed: dict[str, Memory] = {}
+        self.energies = [self.stored(model.terms)]
+        self.residuals = [ufl.derivative(self.energies[0], u, self.test)]
+        for term in model.terms:
+            energy, work = self.added(term)
+            if energy is not None:
+                self.energies.append(energy)
+                self.residuals.append(ufl.derivative(energy, u, self.test))
+            if work is not None:
+                self.residuals.append(work)
+
+    @property
+    def places(self) -> dict[str, Region]:
+        """Every named region of the scene."""
+        scene = self.scene
+        return {**{n: g.region for n, g in scene.grasps.items()}, **scene.patches, **scene.places}
+
+    def measure(self, degree: int) -> Any:
+        """Volume measure with a quadrature of this degree."""
+        return ufl.Measure("dx", domain=self.body.domain, metadata={"quadrature_degree": degree})
+
+    def term_constants(self, term: Term) -> dict[str, Any]:
+        """The Constants of an effect by parameter; made when it is not part of the model."""
+        for name, value in term.values.items():
+            if term.full(name) not in self.constants:
+                self.constants[term.full(name)] = fem.Constant(self.body.domain, float(value))
+        return {name: self.constants[term.full(name)] for name in term.values}
+
+    def memory(self, term: Term) -> Memory:
+        """What an effect remembers."""
+        own = any(term.label == part.label for part in self.model.terms)
+        memories = self.memories if own else self.probed
+        if term.label not in memories:
+            effect = term.effect
+            memories[term.label] = Memory(self.body, self.u, effect.memory, self.body.quadrature_degree)
+            if effect.advance:
+                expressions = effect.advance(self.point(term), self.term_constants(term))
+                memories[term.label].follow(expressions)
+        return memories[term.label]
+
+    def point(self, term: Term) -> Point:
+        """What an effect may use."""
+        body, model = self.body, self.model
+        needs_past = term.effect.memory or term.effect.uses_past
+        lower, upper = body.mesh.points.min(axis=0), body.mesh.points.max(axis=0)
+        return Point(
+            u=self.displacement,
+            v=self.virtual,
+            kin=self.kin,
+            X=ufl.SpatialCoordinate(body.domain),
+            N=ufl.FacetNormal(body.domain),
+            down=ufl.as_vector(model.down),
+            centre=ufl.as_vector([float(value) for value in (lower + upper) / 2]),
+            size=float(np.linalg.norm(upper - lower)),
+            shear=model.law.shear(self.law_constants(())),
+            place=term.place,
+            surface=self.surface,
+            support=self.scene.support,
+            patches=tuple(self.scene.patches),
+            anchored=lambda patch: self.anchored[patch],
+            past=self.memory(term).past if needs_past else None,  # type: ignore[arg-type]
+        )
+
+    def law_constants(self, terms: Iterable[Term]) -> dict[str, Any]:
+        """The law's constants, some of which effects replace."""
+        constants = {name: self.constants[name] for name in self.model.law.complete(self.model.values)}
+        for term in terms:
+            if term.effect.constants:
+                constants |= term.effect.constants(self.term_constants(term))
+        return constants
+
+    def stored(self, terms: Sequence[Term]) -> Any:
+        """Strain energy (a form), as the effects change it."""
+        model, kin, factor, varying = self.model, self.kin, None, False
+        for term in terms:
+            c = self.term_constants(term)
+            if term.effect.growth:
+                stretch = term.effect.growth(self.point(term), c)
+                kin = Kinematics.from_gradient(kin.F * stretch)
+                # The law's energy is per volume of the natural state.
+                factor = (factor or 1.0) / ufl.det(stretch)
+            if term.effect.stiffness:
+                factor = (factor or 1.0) * term.effect.stiffness(self.point(term), c)
+                varying = True
+        constants = self.law_constants(terms)
+        if self.pressure is None:
+            density = model.law.psi(kin, constants, model.volumetric)
+        else:
+            density = model.law.psi_mixed(kin, self.pressure, constants, model.volumetric)
+        degree = max(self.body.quadrature_degree, _VARYING) if varying else self.body.quadrature_degree
+        return (density if factor is None else factor * density) * self.measure(degree)
+
+    def added(self, term: Term) -> tuple[Any, Any]:
+        """Energy (a form or None) and virtual work (a form or None) that an effect adds."""
+        effect, c = term.effect, self.term_constants(term)
+        point = self.point(term)
+        # Body forces need more than the one point that is exact for the energy of linear elements.
+        degree = self.body.quadrature_degree if effect.memory else 2 * self.body.degree
+        energy = effect.energy(point, c) * self.measure(degree) if effect.energy else None
+        if effect.potential:
+            potential = effect.potential(point, c)
+            energy = potential if energy is None else energy + potential
+        return energy, effect.work(point, c) if effect.work else None
+
+    def derivative(self, term: Term, name: str) -> Any:
+        """Compiled derivative of the residual by a number of an effect; None where the residual does not depend on it.
+
+        The effect need not be part of the model; its Constants are made then (see `term_constants`).
+        """
+        energy, work = self.added(term)
+        if term.effect.changes_law:
+            others = [t for t in self.model.terms if t.effect.changes_law and t.label != term.label]
+            stored = self.stored([*others, term])
+            energy = stored if energy is None else energy + stored
+        virtual = [] if energy is None else [ufl.derivative(energy, self.u, self.test)]
+        return self._by_number([*virtual, *([] if work is None else [work])], self.term_constants(term)[name])
+
+    def law_derivative(self, name: str) -> Any:
+        """Compiled derivative of the residual by a constant of the law; None where the residual does not depend on it."""
+        return self._by_number(self.residuals, self.constants[name])
+
+    @staticmethod
+    def _by_number(residuals: Sequence[Any], constant: Any) -> Any:
+        """The derivative of a sum of forms by a Constant, which UFL takes as that by a variable in its place."""
+        variable = ufl.variable(constant)
+        parts = [
+            expand_derivatives(ufl.diff(ufl.replace(expand_derivatives(residual), {constant: variable}), variable))
+            for residual in residuals
+        ]
+        found = [part for part in parts if not part.empty()]
+        return fem.form(sum(found[1:], start=found[0])) if found else None
+
+    @cached_property
+    def _surfaces(self) -> tuple[Any, list[str]]:
+        places = self.places
+        usable = [n for n in places if self.body.mesh.select(places[n], n).shape[1] == 3]
+        return self.body.facet_measure([places[n] for n in usable], usable), usable
+
+    def surface(self, name: str) -> Any:
+        """Measure of a place, which is any patch, grasp or place of the scene."""
+        if not name:
+            raise InputError('the scene names no support surface: add support = "NAME" with a place of that name')
+        if name not in self.places:
+            raise InputError(f"place '{name}' is not in the scene; {nearest(name, self.places)}")
+        measures, usable = self._surfaces
+        if name not in usable:
+            raise InputError(f"place '{name}' is not a surface: nothing can be spread over it")
+        return measures(usable.index(name) + 1)

@@ -1,0 +1,98 @@
+"""What is known of a candidate anchor set once it has been evaluated, and who holds what was evaluated."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.base.errors import InputError
+from bcid.forms.solver.status import Status
+from bcid.inference.misfit import Misfit
+
+Array = NDArray[np.float64]
+Candidate = frozenset[str]
+
+
+def label(candidate: Iterable[str], order: Iterable[str]) -> str:
+    """A candidate in words, patches in the scene's order: "{1 2}"."""
+    chosen = set(candidate)
+    return "{" + " ".join(name for name in order if name in chosen) + "}"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What is known of one candidate on one level.
+
+    Attributes:
+        chi2: sum of squared residuals in units of noise; a lower bound when `complete` is False, for its bound was passed;
+            infinite when the model failed.
+        rms: RMS residual per coordinate, m; a lower bound when `complete` is False.
+        complete: whether all frames were compared.
+        share: fraction of the steps of the trajectory that was computed, 0 to 1.
+        status, reason: how the forward model ended, and why in words.
+        seconds: time spent.
+    """
+
+    candidate: Candidate
+    level: int
+    chi2: float
+    rms: float
+    complete: bool
+    share: float
+    status: Status = Status.CONVERGED
+    reason: str = ""
+    seconds: float = 0.0
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON: infinite numbers become null."""
+        plain = asdict(self) | {"candidate": sorted(self.candidate)}
+        return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in plain.items()}
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> Outcome:
+        """What `to_json` gave; numbers survive exactly. `InputError` when it is damaged."""
+        try:
+            numbers = {
+                k: math.inf if content[k] is None else float(content[k]) for k in ("chi2", "rms", "share", "seconds")
+            }
+            status = Status(content["status"])
+            complete, reason = bool(content["complete"]), str(content["reason"])
+            candidate = frozenset(str(name) for name in content["candidate"])
+            outcome = cls(candidate, int(content["level"]), complete=complete, status=status, reason=reason, **numbers)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(
+                f"a stored outcome of the run is damaged ({error!r}); start it anew with --overwrite"
+            ) from None
+        if any(not value >= 0 for value in numbers.values()):
+            raise InputError(f"a stored outcome of the run is damaged ({numbers}); start it anew with --overwrite")
+        return outcome
+
+    @property
+    def failed(self) -> bool:
+        """Whether the forward model found no acceptable equilibrium."""
+        return self.status is not Status.CONVERGED
+
+
+class Evaluated(Protocol):
+    """Holds the outcomes of a search; `bcid.search.evaluator.Evaluator` is one. `positions` and `refinement` are collective."""
+
+    outcomes: dict[tuple[int, Candidate], Outcome]
+    misfit: Misfit
+
+    @property
+    def patches(self) -> list[str]:
+        """Names of the candidate patches, in the scene's order."""
+        ...
+
+    def positions(self, level: int, candidate: Candidate) -> Array:
+        """Predicted fiducial positions of one candidate, shape (frames, fiducials, 3), m."""
+        ...
+
+    def refinement(self, coarse: int, fine: int) -> float:
+        """How many times smaller the elements of a level are than a coarser one's."""
+        ...

@@ -1,0 +1,159 @@
+"""The probabilistic reading of a search (section 4.1 of the paper): how likely each visited anchor set is, and each patch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from bcid.inference.misfit import Misfit
+from bcid.inference.outcome import Candidate, Evaluated, Outcome
+
+# Odds from which on two sets count as told apart.
+_TELLING = 20.0
+# Between levels that hardly differ nothing can be extrapolated.
+_LEAST_GAIN = 0.2
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Probabilities over the visited anchor sets.
+
+    Each set has the likelihood of its residuals on the finest level on which it was evaluated, relative to the best set
+    on that level (see `log_likelihood`), with equal prior probabilities. Failed sets have probability zero.
+
+    Attributes:
+        probability: by set; sums to one. A set whose evaluation stopped early has an upper bound here.
+        patches: probability that each patch is anchored.
+    """
+
+    probability: dict[Candidate, float]
+    patches: dict[str, float]
+
+    @classmethod
+    def of(cls, evaluated: Evaluated, best: Candidate, errors: Mapping[int, float]) -> Posterior:
+        """Posterior over everything that was evaluated, around the `best` set, which must be known on every level used.
+
+        `errors` gives the error of the model, m, on each of the levels used (see `model_errors`).
+        """
+        logs = {
+            c: log_likelihood(o, evaluated.outcomes[o.level, best], evaluated.misfit, errors[o.level])
+            for c, o in finest(evaluated, max(errors)).items()
+        }
+        highest = max(logs.values())
+        weights = {c: math.exp(value - highest) for c, value in logs.items()}
+        total = sum(weights.values())
+        probability = {c: w / total for c, w in weights.items()}
+        return cls(probability, {patch: _marginal(probability.items(), patch) for patch in evaluated.patches})
+
+
+def _marginal(items: Iterable[tuple[Candidate, float]], patch: str) -> float:
+    return min(1.0, math.fsum(p for candidate, p in items if patch in candidate))
+
+
+def finest(evaluated: Evaluated, last: int) -> dict[Candidate, Outcome]:
+    """Each visited set with its outcome on the finest level, up to the `last`, on which it could be solved.
+
+    A set that failed there keeps what a coarser level says of it; one that failed everywhere is failed.
+    """
+    found: dict[Candidate, Outcome] = {}
+    for (level, candidate), outcome in sorted(
+        evaluated.outcomes.items(), key=lambda item: (item[0][0], sorted(item[0][1]))
+    ):
+        if level <= last and not (candidate in found and outcome.failed):
+            found[candidate] = outcome
+    return found
+
+
+def spread(best: Outcome, misfit: Misfit, error: float) -> float:
+    """Variance by which differences of chi-square from the `best` set on its level are judged.
+
+    The residuals hold white noise and the error of the level's model (RMS `error`, m), which persists along a
+    trajectory where noise does not. A difference between two sets persists too, so in its direction the error weighs as
+    often as a trajectory has frames: the variance is noise^2 + error^2 * frames per trajectory, in units of the noise.
+    When the noise is not stated, the best set's residuals stand for it.
+    """
+    if misfit.noise is None:
+        return best.rms**2 + error**2 * misfit.values / misfit.curves
+    return 1.0 + (error / misfit.noise) ** 2 * misfit.values / misfit.curves
+
+
+def log_likelihood(outcome: Outcome, best: Outcome, misfit: Misfit, error: float) -> float:
+    """Logarithm of the likelihood of a set against that of the `best` one, both on the same level (see `spread`)."""
+    if outcome.failed:
+        return -math.inf
+    if best.failed:
+        return 0.0
+    difference, variance = outcome.chi2 - best.chi2, spread(best, misfit, error)
+    if variance <= 0.0:
+        return 0.0 if difference <= 0.0 else -math.inf
+    return -difference / (2 * variance)
+
+
+def classes(evaluated: Evaluated, level: int, error: float, least: float) -> list[list[Candidate]]:
+    """Sets that the measured motions cannot tell apart, on a level; collective.
+
+    Looked at are the sets that were evaluated in full there and are at most `least` times less likely than the best. Two
+    belong together when, if one of them were the true set, the data would be expected to favour it by less than
+    `_TELLING` to one: half the squared distance of their predictions, in units of the `spread`, is the expected
+    logarithm of that ratio. Each class is built around its likeliest set, which comes first; so do the likelier classes.
+    """
+    known = sorted((o for (at, _), o in evaluated.outcomes.items() if at == level and o.complete), key=lambda o: o.chi2)
+    found: list[list[Candidate]] = []
+    for outcome in known:
+        if log_likelihood(outcome, known[0], evaluated.misfit, error) < -math.log(least):
+            continue
+        variance = spread(known[0], evaluated.misfit, error) * (evaluated.misfit.noise or 1.0) ** 2
+        here = evaluated.positions(level, outcome.candidate)
+        for others in found:
+            apart = (
+                evaluated.misfit.distance(here, evaluated.positions(level, others[0])) ** 2 * evaluated.misfit.values
+            )
+            if apart <= 2 * variance * math.log(_TELLING):
+                others.append(outcome.candidate)
+                break
+        else:
+            found.append([outcome.candidate])
+    return found
+
+
+def beyond_noise(outcome: Outcome, misfit: Misfit) -> float:
+    """What a set's RMS residual has beyond the noise, m: the least that the error of its level's model is taken for."""
+    return math.sqrt(max(outcome.rms**2 - (misfit.noise or math.inf) ** 2, 0.0))
+
+
+def interest(best: Outcome, misfit: Misfit, odds: float, error: float = 0.0) -> float:
+    """Chi-square beyond which a rival is `odds` times less likely than the `best` set on its level: there it may stop.
+
+    `error` (m) is the error of the level's model; at least what the best set's residual has beyond the noise is taken.
+    """
+    if best.failed:
+        return math.inf
+    return best.chi2 + 2 * spread(best, misfit, max(error, beyond_noise(best, misfit))) * math.log(odds)
+
+
+def model_errors(evaluated: Evaluated, best: Candidate, levels: Sequence[int]) -> dict[int, float]:
+    """RMS error of the model on each of the levels, m; collective.
+
+    On a coarser level it is how far its prediction of the best set is from the finest level's; on the finest, what
+    second-order convergence leaves of the last such difference (Richardson): a third when elements are halved. An error of the
+    measured frame is added to it. Nowhere is it less than what the best set's residual has beyond the noise.
+    """
+    last = levels[-1]
+    # Where the model fails for the best set it tells nothing, and `log_likelihood` does not ask.
+    solved = [level for level in levels if not evaluated.outcomes[level, best].failed]
+    predicted = {level: evaluated.positions(level, best) for level in solved}
+    errors = dict.fromkeys(levels, 0.0)
+    errors |= {level: evaluated.misfit.distance(predicted[level], predicted[last]) for level in solved[:-1]}
+    if len(solved) > 1:
+        errors[last] = errors[solved[-2]] / gain(evaluated, solved[-2], last)
+    for level in solved:
+        # The error of the measured frame persists as that of the model does.
+        errors[level] = math.hypot(errors[level], evaluated.misfit.common)
+        errors[level] = max(errors[level], beyond_noise(evaluated.outcomes[level, best], evaluated.misfit))
+    return errors
+
+
+def gain(evaluated: Evaluated, coarse: int, fine: int) -> float:
+    """By how much to divide the distance of two levels for the error of the finer one, at second order; collective."""
+    return max(evaluated.refinement(coarse, fine) ** 2 - 1, _LEAST_GAIN)

@@ -1,0 +1,109 @@
+"""What a measurement holds, as its files do: the arrays, their noise, and the units they came in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from bcid.measurement.frame_error import FrameError
+from bcid.scene.action import Action
+
+FORMAT = "bcid-measurement/1"
+AXES = ["x", "y", "z"]
+WRENCH = ["fx", "fy", "fz", "tx", "ty", "tz"]
+QUATERNION = ["qw", "qx", "qy", "qz"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Units:
+    """Units of the files, by name; numbers in memory are SI."""
+
+    length: str = "mm"
+    time: str = "s"
+    force: str = "N"
+
+
+@dataclass(frozen=True)
+class Contents:
+    """Trajectories of fiducials, motions of the gripper, and what else was recorded.
+
+    `data` is an xarray Dataset with dimensions frame, fiducial, axis (and component, place): coordinates action, step,
+    time (s); variables position (m, NaN where a fiducial was not seen), grasp, translation (m), rotation (unit
+    quaternion), and optionally sigma (m), wrench (N, N m), load (N).
+
+    Attributes:
+        noise_sigma: per-axis standard deviation of a fiducial, m; None when not stated.
+        wrench_sigma: standard deviation of a force, N; None when not stated.
+        frame_error: what is not known of the frame of the positions; None when nothing is stated.
+        remarks: what looks odd, to be said before any result.
+        aligned: RMS distance, m, by which the rigid motion of a mapping's [align] misses its markers; None without one.
+    """
+
+    data: xr.Dataset
+    noise_sigma: float | None = None
+    wrench_sigma: float | None = None
+    units: Units = Units()
+    description: str = ""
+    source: str = "measurement"
+    frame_error: FrameError | None = None
+    remarks: tuple[str, ...] = ()
+    aligned: float | None = None
+
+    @property
+    def fiducial_names(self) -> list[str]:
+        """Names in the order of the fiducial axis."""
+        return [str(name) for name in self.data["fiducial"].values]
+
+    @property
+    def positions(self) -> Array:
+        """Measured positions, shape (frames, fiducials, 3), m; NaN where a fiducial was not seen."""
+        return np.asarray(self.data["position"].values, dtype=float)
+
+    @property
+    def action_names(self) -> list[str]:
+        """Names in the order of the files."""
+        return list(dict.fromkeys(str(name) for name in self.data["action"].values))
+
+    @property
+    def actions(self) -> list[Action]:
+        """The motions, in the order of the files."""
+        return [self._action(name) for name in self.action_names]
+
+    def _action(self, name: str) -> Action:
+        frames = np.flatnonzero(self.data["action"].values.astype(str) == name)
+        rows = self.data.isel(frame=frames)
+        loads = {}
+        if "load" in rows:
+            for place in rows["place"].values:
+                load = rows["load"].sel(place=place).values
+                if np.any(load):
+                    loads[str(place)] = np.asarray(load, dtype=float)
+        return Action(
+            name,
+            frames,
+            rows["step"].values.astype(np.int64),
+            str(rows["grasp"].values[0]),
+            np.asarray(rows["translation"].values, dtype=float),
+            np.asarray(rows["rotation"].values, dtype=float),
+            loads,
+            np.asarray(rows["time"].values, dtype=float),
+        )
+
+    def sigma(self, default: float | None = None) -> Array | None:
+        """Standard deviation of every coordinate, shape (frames, fiducials, 3), m.
+
+        Rows with their own sigma keep it; the others have `noise_sigma`, else `default`; None when none of them is
+        known.
+        """
+        common = self.noise_sigma if self.noise_sigma is not None else default
+        if "sigma" in self.data:
+            own = np.asarray(self.data["sigma"].values, dtype=float)
+            if common is None and np.isnan(own[~np.isnan(self.positions)]).any():
+                return None
+            return np.where(np.isnan(own), np.nan if common is None else common, own)
+        return None if common is None else np.full(self.positions.shape, common)

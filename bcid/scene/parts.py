@@ -1,0 +1,93 @@
+"""What a scene is made of: mesh levels, regions of the boundary, grasps, the material, and what a robot may do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+Values = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Level:
+    """One rung of the mesh ladder.
+
+    `element_size` (m) drives a `.geo` file; for a mesh file `refinements` counts uniform refinements of it.
+    `degree` is the polynomial degree of the displacement, 1 or 2 (3 only in code: for reference solutions).
+    """
+
+    degree: int = 1
+    element_size: float | None = None
+    refinements: int = 0
+
+
+@dataclass(frozen=True)
+class Box:
+    """Boundary facets whose corners all lie in a box (m), and on a plane if one is given."""
+
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Boundary facets whose corners all lie on a plane through `point` (m) with `normal`."""
+
+    point: tuple[float, float, float]
+    normal: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Region:
+    """Part of the boundary: physical groups of the mesh, or the facets inside a box and/or on a plane.
+
+    Of these, `within` takes the facets whose middle m has lower <= m < upper on every axis (m; infinite where nothing is
+    cut off). Boxes that tile the space so take every facet of every mesh exactly once.
+    """
+
+    groups: tuple[str, ...] = ()
+    box: Box | None = None
+    plane: Plane | None = None
+    within: Box | None = None
+
+
+@dataclass(frozen=True)
+class Grasp:
+    """Where the gripper holds the body, and the centre (m) about which it turns."""
+
+    region: Region
+    centre: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Material:
+    """Name of a law, its constants as written (units are the law's business), and the formulation."""
+
+    law: str
+    values: Values
+    formulation: str = "displacement"
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a robot may do to the body, and what it costs.
+
+    Attributes:
+        displacement: the gripper's distance from rest is never larger, m.
+        force: of the gripper, N; None for no limit.
+        strain: largest principal strain (stretch - 1, either sign) that 99 % of the volume may reach; None for no limit.
+        amplitudes: how far a pull may go, m, the largest first.
+        directions: unit vectors by name.
+        steps: of a pull, to its end; as many lead back to rest.
+        cost: of one pull.
+        regrasp: what changing the grasp costs besides.
+    """
+
+    displacement: float
+    force: float | None = None
+    strain: float | None = None
+    amplitudes: tuple[float, ...] = ()
+    directions: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    steps: int = 4
+    cost: float = 1.0
+    regrasp: float = 0.0

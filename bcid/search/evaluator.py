@@ -1,0 +1,309 @@
+"""Evaluating candidates on all ranks: whoever is free takes the next, none idles as a manager, and all know every result.
+
+The searches run in lock-step on every rank and see the same results in the same order, so that the answer never depends
+on how many ranks there are: a candidate's outcome depends on nothing but the candidate, its level and its bound. A large
+mesh is shared by a team of ranks, and the teams share the candidates.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.base.collective import Comm, agree, in_turns
+from bcid.base.errors import SHORT_OF_MEMORY, BcidError, MachineError
+from bcid.base.progress import Progress, Silent
+from bcid.forms.forward import Forward, Prediction, Watch
+from bcid.forms.mesh import BodyMesh, level_mesh
+from bcid.forms.model import Model
+from bcid.forms.solver.equilibrium import Settings
+from bcid.forms.solver.status import Status
+from bcid.inference.misfit import Misfit
+from bcid.inference.outcome import Candidate, Outcome, label
+from bcid.measurement import Measurement
+from bcid.scene import Scene
+from bcid.search.scheduler import counter, share
+
+Array = NDArray[np.float64]
+# What was computed is shared, and can be stored, at the latest after so many candidates per team.
+_BATCH = 64
+# Relative accuracy of a rough solution, and by how much more a set must lose for it to be told from that.
+_ROUGH = 1e-3
+_RESERVE = 1.05
+
+
+class Evaluator:
+    """Evaluates anchor sets on mesh levels, spread over the ranks of `comm`, each at most once.
+
+    Args:
+        scene: the scene.
+        measurement: what to compare with; must fit the scene.
+        comm: an MPI communicator.
+        model: the model, by default the scene's.
+        settings: accuracy and patience of the solver.
+        progress: told how far a batch is (rank 0).
+        keep: called with what was computed in each batch, on every rank, so that it can be stored.
+        known: what `keep` was given by an interrupted search: it is taken when it is asked for, and not computed again.
+        per_rank: a mesh with more unknowns than this is shared by a team of ranks, as far as there are any.
+
+    Attributes:
+        outcomes: everything evaluated so far, by level and candidate; equal on all ranks.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        measurement: Measurement,
+        comm: Comm,
+        model: Model | None = None,
+        settings: Settings | None = None,
+        progress: Progress | None = None,
+        keep: Callable[[list[Outcome]], None] | None = None,
+        known: Iterable[Outcome] = (),
+        per_rank: int = 150_000,
+    ) -> None:
+        measurement = replace(measurement, remarks=tuple(measurement.check(scene)))
+        self.scene, self.measurement, self.comm = scene, measurement, comm
+        self.model = model or Model.of(scene)
+        self.settings = settings or Settings()
+        self.progress = progress or Silent()
+        for text in measurement.remarks:
+            self.progress.say(f"look at this first: {text}")
+        self.keep = keep
+        self._stored: dict[tuple[int, Candidate], list[Outcome]] = {}
+        for outcome in known:
+            self._stored.setdefault((outcome.level, outcome.candidate), []).append(outcome)
+        self.misfit = Misfit(scene, measurement)
+        self.actions = measurement.actions
+        self.outcomes: dict[tuple[int, Candidate], Outcome] = {}
+        self.per_rank = per_rank
+        # The undeformed state costs nothing to compute.
+        loaded = bool(self.model.terms)
+        free = [a.frames[:1] for a in self.actions if not (loaded or a.loads or a.translation[0].any())]
+        self._costly = np.ones(self.misfit.frames, dtype=bool)
+        self._costly[np.concatenate([np.zeros(0, dtype=int), *free])] = False
+        self._forwards: dict[int, Forward] = {}
+        self._leaders: dict[int, Any] = {}
+        self._positions: dict[tuple[int, Candidate], Array] = {}
+        self._kept: dict[int, tuple[float, Candidate, Prediction]] = {}
+
+    @property
+    def patches(self) -> list[str]:
+        """Names of the candidate patches, in the scene's order."""
+        return list(self.scene.patches)
+
+    def forward(self, level: int) -> Forward:
+        """The forward model of a level on this rank's team, built on first use; collective."""
+        if level not in self._forwards:
+            mesh = level_mesh(self.scene, self.scene.levels[level], self.comm)
+            team = self._team(level, mesh)
+            self._forwards[level] = in_turns(
+                self.comm,
+                self.comm.rank < team.size,
+                lambda: Forward(self.scene, level, team, self.model, self.settings, mesh),
+            )
+            together = f", shared by {team.size} ranks" if team.size > 1 else ""
+            self.progress.say(f"level {level}: {self._forwards[level].describe}{together}")
+        return self._forwards[level]
+
+    def _team(self, level: int, mesh: BodyMesh) -> Any:
+        """The ranks that share a level's mesh with this one; the first of each team takes tasks for it. Collective."""
+        comm, mixed = self.comm, self.model.mixed
+        wanted = math.ceil(mesh.unknowns(self.scene.levels[level].degree, mixed) / self.per_rank)
+        size = max(d for d in range(1, comm.size + 1) if comm.size % d == 0 and (d <= wanted or d == 1))
+        team = comm.Split(comm.rank // size, comm.rank)
+        first = comm.Split(0 if team.rank == 0 else 1, comm.rank)
+        self._leaders[level] = first if team.rank == 0 else None
+        if team.rank > 0:
+            first.Free()
+        return team
+
+    def evaluate(
+        self, level: int, bounds: Mapping[Candidate, float], rival: Candidate | None = None
+    ) -> dict[Candidate, Outcome]:
+        """Outcomes of candidates on a level; collective, the same on every rank.
+
+        Args:
+            level: the mesh level.
+            bounds: each candidate with the chi-square above which its exact value is of no interest: its evaluation
+                stops there. Those that are likely to take long should come first.
+            rival: a set that is known in full on this level: of the frames that a candidate has not come to, it is taken
+                to do as well there as the rival. Without one, it is taken to miss nothing there: the bound is then
+                exact. With one it is a sequential likelihood ratio test (Wald 1945): if the candidate were the true
+                set, the probability that it is stopped at odds of 1 to R is at most 1/R (Ville's inequality).
+        """
+        forward = self.forward(level)
+        rest = self._rest(level, rival)
+        for c, bound in bounds.items():
+            if not self._enough(self.outcomes.get((level, c)), bound):
+                self._add(next((o for o in self._stored.get((level, c), []) if self._enough(o, bound)), None))
+        todo = [c for c, bound in bounds.items() if not self._enough(self.outcomes.get((level, c)), bound)]
+        size = _BATCH * (self.comm.size // forward.comm.size)
+        for i in range(0, len(todo), size):
+            self._work(level, {c: bounds[c] for c in todo[i : i + size]}, rest)
+        return {c: self.outcomes[level, c] for c in bounds}
+
+    def _rest(self, level: int, rival: Candidate | None) -> Array:
+        """Chi-square and squares (m^2) that a set is taken to add in each frame at least, shape (2, frames); collective."""
+        if rival is None:
+            return np.zeros((2, self.misfit.frames))
+        predicted = self.positions(level, rival)
+        return np.array([self.misfit.frame(i, p) for i, p in enumerate(predicted)]).T
+
+    def _work(self, level: int, bounds: Mapping[Candidate, float], rest: Array) -> None:
+        """Evaluate a batch: every team takes the next candidate when it is free. Collective."""
+        forward, leaders = self.forward(level), self._leaders[level]
+        team = forward.comm
+        mine: list[Outcome] = []
+        positions: dict[Candidate, Array] = {}
+        error: BcidError | None = None
+        tickets = counter(leaders) if leaders is not None else None
+        turns = share(list(bounds), tickets) if tickets is not None else iter(())
+        while (candidate := team.bcast(next(turns, None)) if team.size > 1 else next(turns, None)) is not None:
+            try:
+                outcome, predicted = self._evaluate(forward, candidate, bounds[candidate], rest)
+            except (BcidError, MemoryError) as caught:
+                error = caught if isinstance(caught, BcidError) else MachineError(SHORT_OF_MEMORY)
+                break
+            mine.append(outcome)
+            if outcome.complete:
+                positions[candidate] = predicted
+            self._report(level, mine)
+        if tickets is not None:
+            tickets.close()
+        agree(self.comm, error)
+        gathered = self.comm.allgather((mine, positions) if team.rank == 0 else ([], {}))
+        order = {candidate: i for i, candidate in enumerate(bounds)}
+        found = sorted((o for outcomes, _ in gathered for o in outcomes), key=lambda o: order[o.candidate])
+        for _, predictions in gathered:
+            self._positions |= {(level, candidate): predicted for candidate, predicted in predictions.items()}
+        for outcome in found:
+            self._add(outcome)
+        if self.keep is not None and found:
+            self.keep(found)
+
+    def _report(self, level: int, mine: list[Outcome]) -> None:
+        """How far this level is, as far as this rank can tell before the batch is shared."""
+        here = [o for (at, _), o in self.outcomes.items() if at == level] + mine
+        good = [o for o in here if o.complete]
+        text = f"level {level}: {len(here)} of {2 ** len(self.patches)} anchor sets looked at"
+        if good:
+            best = min(good, key=lambda o: o.chi2)
+            text += f", best so far {label(best.candidate, self.patches)} with {best.rms * 1e3:.3g} mm"
+        self.progress.step(text)
+
+    @staticmethod
+    def _enough(outcome: Outcome | None, bound: float) -> bool:
+        """Whether an outcome answers a question with this bound."""
+        return outcome is not None and (outcome.complete or outcome.failed or outcome.chi2 > bound)
+
+    def _add(self, outcome: Outcome | None) -> None:
+        """Take an outcome as evaluated; the work of an earlier evaluation, with a smaller bound, adds up."""
+        if outcome is None:
+            return
+        key = outcome.level, outcome.candidate
+        earlier = self.outcomes.get(key)
+        if earlier is not None:
+            share, seconds = outcome.share + earlier.share, outcome.seconds + earlier.seconds
+            outcome = replace(outcome, share=share, seconds=seconds)
+        self.outcomes[key] = outcome
+
+    def _evaluate(self, forward: Forward, candidate: Candidate, bound: float, rest: Array) -> tuple[Outcome, Array]:
+        """Outcome and predicted positions of one candidate; collective on the team."""
+        start = time.perf_counter()
+        # Chi-square and squares by frame: one that comes again replaces what was seen before.
+        sums = rest.copy()
+
+        def watch(frame: int, predicted: Array) -> bool:
+            sums[:, frame] = self.misfit.frame(frame, predicted)
+            return bool(sums[0].sum() <= limit)
+
+        limit, share = _RESERVE * bound, 0.0
+        for prediction in self._passes(forward, candidate, watch):
+            reached = np.asarray(np.isfinite(prediction.positions).all(axis=(1, 2)))
+            share = max(share, float(reached[self._costly].mean()))
+            chi2, squares = (float(value) for value in np.where(reached, sums, rest).sum(axis=1))
+            if prediction.stopped:
+                break
+            sums[:], limit = rest, bound
+        failure = prediction.failure
+        if failure and failure.status is Status.OUT_OF_MEMORY:
+            # This says nothing of the candidate: it must not pass for one that cannot be.
+            raise MachineError(SHORT_OF_MEMORY)
+        complete = bool(reached.all()) and not failure
+        if complete and chi2 < self._kept.get(forward.level, (math.inf,))[0]:
+            self._kept[forward.level] = chi2, candidate, prediction
+        outcome = Outcome(
+            candidate,
+            forward.level,
+            math.inf if failure else chi2,
+            math.inf if failure else self.misfit.rms(squares),
+            complete,
+            share,
+            failure.status if failure else Status.CONVERGED,
+            failure.reason if failure else "",
+            time.perf_counter() - start,
+        )
+        return outcome, prediction.positions
+
+    def predict(self, level: int, candidate: Candidate) -> Prediction:
+        """Full prediction of one candidate, with fields; collective. The best of each level is kept, others are computed again."""
+        forward = self.forward(level)
+        kept = self._kept.get(level)
+        mine = kept[2] if kept is not None and kept[1] == candidate else None
+        holders = [rank for rank, has in enumerate(self.comm.allgather(mine is not None)) if has]
+        root = holders[0] if holders else 0
+        if self.comm.rank // forward.comm.size == root // forward.comm.size:
+            if mine is None:
+                *_, mine = self._passes(forward, candidate)
+            mine = replace(forward.detail(candidate, self.actions, mine), states=None)
+        result: Prediction = self.comm.bcast(mine, root=root)
+        return result
+
+    def _passes(self, forward: Forward, candidate: Candidate, watch: Watch | None = None) -> Iterator[Prediction]:
+        """The prediction of a candidate, first rough, then accurate from there; collective on the team.
+
+        Most rivals lose by far, which the rough one tells. Whatever is predicted goes this way, so that what has to be
+        predicted again is the same to the last bit.
+        """
+        known = None
+        for rtol in (_ROUGH, None):
+            prediction = forward.predict(candidate, self.actions, watch, keep=True, rtol=rtol, known=known)
+            known = prediction.states
+            yield prediction
+
+    def positions(self, level: int, candidate: Candidate) -> Array:
+        """Predicted fiducial positions of one candidate, shape (frames, fiducials, 3), m; collective."""
+        key = level, candidate
+        if key not in self._positions:
+            self._positions[key] = self.predict(level, candidate).positions
+        return self._positions[key]
+
+    def refinement(self, coarse: int, fine: int) -> float:
+        """How many times smaller the elements of a level are than a coarser one's, going by the unknowns; collective."""
+        unknowns = [self.forward(level).body.unknowns for level in (coarse, fine)]
+        return float((unknowns[1] / unknowns[0]) ** (1 / 3))
+
+    def evaluations(self) -> dict[int, float]:
+        """Forward trajectories computed per level, in whole-trajectory equivalents."""
+        counts: dict[int, float] = {}
+        for (level, _), outcome in sorted(self.outcomes.items(), key=lambda item: (item[0][0], sorted(item[0][1]))):
+            counts[level] = counts.get(level, 0.0) + outcome.share
+        return counts
+
+    def destroy(self) -> None:
+        """Free meshes and solvers of this process."""
+        for forward in self._forwards.values():
+            forward.destroy()
+            forward.comm.Free()
+        for leaders in self._leaders.values():
+            if leaders is not None:
+                leaders.Free()
+        self._forwards.clear()
+        self._leaders.clear()

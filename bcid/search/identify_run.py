@@ -1,0 +1,267 @@
+"""`bcid identify` as a job: read, check, search, and write everything into a run folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from bcid.base.collective import Comm, on_root
+from bcid.base.fingerprint import file_fingerprint, fingerprint
+from bcid.base.progress import Progress, Silent
+from bcid.base.run_folder import RunFolder, running
+from bcid.base.units import percent, unit_factor
+from bcid.forms.forward import check_geometry
+from bcid.forms.mesh import BodyMesh, level_mesh
+from bcid.forms.mesh.check import measures
+from bcid.forms.mesh.patches import divided, first_level
+from bcid.forms.model import check_physics
+from bcid.inference.outcome import Outcome, label
+from bcid.measurement import AXES, WRENCH, Measurement
+from bcid.scene import Scene
+from bcid.search.identify import Identification, IdentifyOptions
+from bcid.search.refine import Refinement, check_rounds, identify_refined
+
+MAKES = ("identification.json", "prediction.nc", "body.nc", "summary.txt", "picture.png", "paraview/")
+# A residual that is so many times the noise is not explained by it.
+FAR = 2.0
+
+
+def run_identification(
+    scene_file: Path,
+    measurement_file: Path,
+    folder: Path,
+    options: IdentifyOptions,
+    comm: Comm,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+    refine: int = 0,
+) -> Path:
+    """Identify the anchored patches and write the run folder; collective on `comm`. Returns the folder.
+
+    Everything is validated before the folder is touched. A run that was interrupted goes on where it was. `refine` is how
+    many times patches that leave a doubt are halved (see `bcid.search.refine`).
+
+    Raises:
+        BcidError: see `bcid.search.identify.identify`, `Scene.read`, `Measurement.read` and `RunFolder.start`.
+    """
+    progress = progress or Silent()
+    scene, measurement = read_inputs(scene_file, measurement_file, comm)
+    options.check(scene)
+    check_rounds(scene, refine)
+    check_geometry(scene, first_level(scene, options.coarsest, options.last(scene), comm)[0], comm)
+    inputs = fingerprints(scene, measurement) | {"options": asdict(options), "refine": refine}
+    names = {"scene": str(scene_file), "measurement": str(measurement_file)}
+    with running(comm, folder, "identify", inputs, MAKES, overwrite) as run:
+        known = on_root(comm, lambda: _known(run, progress))
+        if known:
+            progress.say(f"going on with an interrupted run: {len(known)} evaluations are there already")
+        keep = _keeper(run, comm)
+        done = identify_refined(scene, measurement, comm, options, refine, progress=progress, known=known, keep=keep)
+        mesh = level_mesh(done.scene, scene.levels[done.found.levels[-1]], comm)
+        on_root(comm, lambda: _write(run, measurement, done, mesh, names, comm.size))
+    return folder
+
+
+def _known(run: RunFolder | None, progress: Progress) -> list[Outcome]:
+    """What an interrupted search has left in the run."""
+    assert run is not None
+    return [Outcome.from_json(entry) for batch in run.batches(progress.say) for entry in batch]
+
+
+def read_inputs(scene_file: Path, measurement_file: Path, comm: Comm) -> tuple[Scene, Measurement]:
+    """A scene, with its divided patches replaced by their pieces, and a measurement that fits it, with what is odd about it.
+
+    Collective on `comm`.
+
+    Raises:
+        InputError: one of them cannot be read, or they do not belong together; see also `bcid.forms.mesh.patches.divided`.
+    """
+    scene = on_root(comm, lambda: Scene.read(scene_file, physics=check_physics))
+    measurement = on_root(comm, lambda: Measurement.read(measurement_file))
+    return divided(scene, comm), replace(measurement, remarks=tuple(measurement.check(scene)))
+
+
+def fingerprints(scene: Scene, measurement: Measurement) -> dict[str, Any]:
+    """Fingerprints of scene and measurement, as run folders hold them."""
+    return {"scene": scene_fingerprint(scene), "measurement": measurement.fingerprint()}
+
+
+def scene_fingerprint(scene: Scene) -> str:
+    """Fingerprint of a scene with its geometry: not of where the files lie."""
+    content = {key: value for key, value in asdict(scene).items() if key not in ("geometry", "source", "description")}
+    return fingerprint({"scene": content, "geometry": file_fingerprint(scene.geometry)})
+
+
+def _keeper(run: RunFolder | None, comm: Comm) -> Callable[[list[Outcome]], None]:
+    """Stores what was computed in the run, which only rank 0 has."""
+
+    def keep(outcomes: list[Outcome]) -> None:
+        on_root(comm, lambda: run.add_batch([outcome.to_json() for outcome in outcomes]) if run else None)
+
+    return keep
+
+
+def documents(measurement: Measurement, done: Refinement, mesh: BodyMesh) -> dict[str, Any]:
+    """What a run folder holds of an identification, by file name: JSON objects, datasets and texts."""
+    length = unit_factor(measurement.units.length, "m")
+    scene, found = done.scene, done.found
+    result = done.to_json(length) | {"length_unit": measurement.units.length, "remarks": list(measurement.remarks)}
+    lines = [summary(scene, measurement, found, done.log), *inputs_in_words(scene, measurement, mesh)]
+    return {
+        "identification.json": result,
+        "prediction.nc": prediction_dataset(scene, measurement, found),
+        "body.nc": body_dataset(scene, mesh, found),
+        "summary.txt": "\n".join(lines) + "\n",
+    }
+
+
+def _write(
+    run: RunFolder | None, measurement: Measurement, done: Refinement, mesh: BodyMesh, names: dict[str, str], ranks: int
+) -> None:
+    assert run is not None
+    found = documents(measurement, done, mesh)
+    run.write_documents(found)
+    result = found["identification.json"]
+    run.record |= {"names": names, "ranks": ranks, "random_state": run.record["inputs"]["options"]["random_state"]}
+    run.record |= {
+        "evaluations": result["evaluations"],
+        "search_seconds": round(done.seconds, 3),
+        "mesh": mesh.fingerprint(),
+    }
+    run.finish({key: result[key] for key in ("anchored", "probability", "rms", "noise_rms", "certified")})
+
+
+def prediction_dataset(scene: Scene, measurement: Measurement, found: Identification) -> xr.Dataset:
+    """Measured and predicted fiducial positions (m) and the gripper's wrench (N, N m), by frame."""
+    data = measurement.data[["position", "grasp"]].rename(position="measured")
+    columns = [scene.fiducial_names.index(name) for name in measurement.fiducial_names]
+    data["predicted"] = (("frame", "fiducial", "axis"), found.prediction.positions[:, columns])
+    data["rest"] = (("fiducial", "axis"), scene.rest[columns])
+    data = data.assign_coords(component=WRENCH)
+    data["wrench"] = (("frame", "component"), found.prediction.wrench)
+    return data
+
+
+def body_dataset(scene: Scene, mesh: BodyMesh, found: Identification) -> xr.Dataset:
+    """Mesh, boundary triangles with the places they belong to, and the displacement of every frame (m)."""
+    return body_parts(scene, mesh, found.prediction.displacement)
+
+
+def body_parts(scene: Scene, mesh: BodyMesh, displacement: Any) -> xr.Dataset:
+    """As `body_dataset`, with the displacement (frames, nodes, 3), m."""
+    boundary = mesh.boundary
+    places = {f"patch {name}": region for name, region in scene.patches.items()}
+    places |= {f"grasp {name}": grasp.region for name, grasp in scene.grasps.items()}
+    number = np.zeros(len(boundary), dtype=np.int32)
+    for i, (name, region) in enumerate(places.items(), start=1):
+        number[_rows_in(boundary, mesh.select(region, name))] = i
+    return xr.Dataset(
+        {
+            "points": (("node", "axis"), mesh.points),
+            "cells": (("cell", "corner"), mesh.cells.astype(np.int32)),
+            "triangles": (("triangle", "vertex"), boundary.astype(np.int32)),
+            "place": ("triangle", number),
+            "place_name": ("place_number", ["", *places]),
+            "displacement": (("frame", "node", "axis"), displacement),
+        },
+        coords={"axis": AXES},
+        attrs={"scene": scene.name, "up": " ".join(str(-v) for v in scene.down)},
+    )
+
+
+def _rows_in(rows: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Which of `rows` have the same nodes as one of `wanted`."""
+    keys = {tuple(row) for row in np.sort(wanted, axis=1)}
+    return np.array([tuple(row) in keys for row in np.sort(rows, axis=1)], dtype=bool)
+
+
+def summary(scene: Scene, measurement: Measurement, found: Identification, rounds: Sequence[str] = ()) -> str:
+    """The result in plain sentences, what is doubtful first; lengths in mm. `rounds` says how the patches were refined."""
+    length, unit = "mm", 1e-3
+    names = label(found.anchored, scene.patches)
+    frames, fiducials = measurement.positions.shape[:2]
+    noise = f"the stated noise is {found.noise / unit:.3g} {length}" if found.noise else "no noise is stated"
+    mesh = "Only one mesh level was used: nothing is known of the error of the mesh."
+    if found.discretisation is not None:
+        mesh = f"The error of the model on the last mesh level is taken as {found.discretisation / unit:.2g} {length}."
+    lines = [
+        *odd(measurement.remarks),
+        *_warning(found),
+        f"Anchored patches of {scene.name}: {names}  (probability {percent(found.probability)})",
+        "",
+        f"The model misses the measurement by {found.rms / unit:.3g} {length} per coordinate (RMS); {noise}.",
+        mesh,
+        f"Compared: {len(measurement.action_names)} action(s), {frames} frames, {fiducials} fiducials.",
+        "",
+        "Probability that a patch is anchored:",
+        *(
+            f"  {name:>6}  {percent(p):>9}  {'anchored' if name in found.anchored else 'free'}"
+            for name, p in found.patches.items()
+        ),
+        "",
+        "Next best sets:",
+    ]
+    for other in found.alternatives[:3]:
+        least = "at least " if other.stopped else ""
+        misses = f"misses by {least}{other.rms / unit:.3g} {length} where {names} misses by {other.best_rms / unit:.3g}"
+        text = f"{label(other.anchored, scene.patches)} {misses} (level {other.level}), probability {percent(other.probability)}"
+        lines.append(f"  {text}")
+    if not found.alternatives:
+        lines.append("  none was evaluated")
+    lines += ["", "How it was found:", *(f"  {stage}" for stage in found.stages)]
+    counts = found.looked_at
+    proof = (
+        f"of all {2 ** len(scene.patches)} sets, on level {found.levels[-1]}, {counts['in full']} were evaluated in full, "
+        f"{counts['stopped']} until they had lost, {counts['failed']} failed, {counts['not']} were not looked at"
+    )
+    lines.append(f"  {'Certified' if found.certified else 'Not certified'}: {proof}.")
+    lines += _confused(scene, found)
+    if found.failures:
+        lines.append(
+            f"  For {len(found.failures)} set(s) the model found no acceptable equilibrium: {'; '.join(list(found.failures)[:6])}."
+        )
+    if rounds:
+        lines += ["", "How the patches were refined, before the search above:", *(f"  {text}" for text in rounds)]
+    return "\n".join(lines) + "\n"
+
+
+def _confused(scene: Scene, found: Identification) -> list[str]:
+    """Other sets that these data cannot tell from the reported one."""
+    others = next((members[1:] for members in found.classes if found.anchored in members), ())
+    if not others:
+        return []
+    return [f"  These data cannot tell it from: {', '.join(label(names, scene.patches) for names in others)}."]
+
+
+def inputs_in_words(scene: Scene, measurement: Measurement, mesh: BodyMesh) -> list[str]:
+    """Sizes of the body and its places, and how well the measurement was brought into its frame, as summaries end."""
+    lines = measures(scene, mesh)
+    if measurement.aligned is not None:
+        lines.append(f"Frame: [align] misses its markers by {measurement.aligned * 1e3:.3g} mm (RMS distance).")
+    return lines
+
+
+def odd(remarks: Iterable[str]) -> list[str]:
+    """What is odd about a measurement, as a summary says it before anything else."""
+    return [f"LOOK AT THIS FIRST: {text}." for text in remarks]
+
+
+def _warning(found: Identification) -> list[str]:
+    """What must stand above the result: that the model does not explain the data, or that this cannot be told."""
+    if found.noise is None:
+        return [
+            "WARNING: no noise is known: whether a set explains this measurement cannot be told; the best misses it by "
+            f"{found.rms * 1e3:.3g} mm. State noise_sigma.",
+        ]
+    if found.rms <= FAR * found.noise:
+        return []
+    return [
+        f"WARNING: no set explains this measurement: the best misses it by {found.rms / found.noise:.1f} times the noise.",
+        "Probabilities compare the sets with each other only. The mesh is too coarse, a physical effect is missing, or units,",
+        "frames, grasp or material are not what the scene says.",
+    ]

@@ -1,0 +1,276 @@
+"""The exploration study: how many pulls does it take to know how a body is held, and are the answers as certain as they say?
+
+The setting of section 8 of Boonvisut & Cavusoglu (2014): a slab held by {1 2}, {3 4} or {1 2 3 4}, one grasp or three, six
+directions, 8 mm and back to rest, no noise and three amounts of it. Pulls chosen by information and by the paper's expected
+entropy compete with random ones and with the best single pull, repeated, in the same trials.
+
+Two more parts go beyond the paper: with {3 4}, nothing or one of three effects is hidden, and exploring must tell which; and
+patches that others enclose make no difference, which must be said instead of guessed.
+
+RUN/predictions/         what every set predicts for every pull, computed first;  precomputed/ one file for each part of that
+RUN/results/NAME.json    one trial
+RUN/exploration.json  table.txt
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from bcid.base.collective import on_root
+from bcid.base.errors import InputError, SolveError
+from bcid.base.fingerprint import file_fingerprint
+from bcid.base.progress import Progress, Silent
+from bcid.base.run_folder import RunFolder, running
+from bcid.base.shipped import shipped
+from bcid.exploration.choice import Choice, Chooser
+from bcid.exploration.explore_run import telling_pull, with_effects
+from bcid.exploration.loop import ExploreOptions, explore, paired
+from bcid.exploration.moves import limits_of, moves
+from bcid.exploration.predictions import PullPredictor
+from bcid.exploration.robots import Simulated
+from bcid.exploration.update import BeliefUpdate
+from bcid.forms.model import check_physics
+from bcid.inference.hypotheses import Hypothesis
+from bcid.scene import Level, Scene
+from bcid.search.seeds import all_candidates
+from bcid.studies.engine.dispatch import dispatch
+from bcid.studies.engine.work import Work, Workers, read_result
+from bcid.studies.exploration.exploration_scores import scores, table
+from bcid.studies.exploration.exploration_trials import (
+    BUDGET,
+    HIDDEN,
+    RIVALS,
+    ExplorationExtent,
+    ExplorationTrial,
+    trials,
+)
+
+SCENE = "examples/scenes/slab_explain.toml"
+# Sets that are predicted together.
+_SETS = 64
+# The truth is computed with other elements than any level of the scene has.
+TRUE = Level(degree=3, element_size=0.014)
+_MAKES = ("predictions/", "precomputed/", "results/", "logs/", "exploration.json", "table.txt")
+
+
+def run_study(
+    folder: Path,
+    extent: ExplorationExtent,
+    seed: int,
+    how: Workers,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+    scene_file: Path | None = None,
+) -> Path:
+    """Run the study into a run folder; collective on `how.comm`. One that was interrupted goes on.
+
+    Raises:
+        InputError: the numbers, or a folder that cannot be used (see `RunFolder.start`).
+    """
+    progress = progress or Silent()
+    scene_file = scene_file or shipped(SCENE)
+    for name, value, lowest in (("trials", extent.count, 1), ("seed", seed, 0)):
+        if value < lowest:
+            raise InputError(f"--{name} {value}: must be at least {lowest}")
+    inputs = {"extent": json.loads(json.dumps(asdict(extent))), "seed": seed, "scene": file_fingerprint(scene_file)}
+    with running(how.comm, folder, "study exploration", inputs, _MAKES, overwrite) as run:
+        path = on_root(how.comm, folder.resolve)
+        job = {"scene": str(scene_file.resolve()), "predictions": str(path / "predictions"), "seed": seed}
+        made = list(trials(extent))
+        pulls = on_root(how.comm, lambda: _pulls(_scene(scene_file), made))
+        progress.say(f"exploration: {len(pulls)} predictions that all trials share")
+        dispatch(
+            Work("bcid.studies.exploration.exploration_study:precomputer", job, path / "precomputed"),
+            pulls,
+            how,
+            progress,
+        )
+        progress.say(f"exploration: {len(made)} trials")
+        tasks = {trial.name: asdict(trial) for trial in made}
+        dispatch(Work("bcid.studies.exploration.exploration_study:maker", job, path / "results"), tasks, how, progress)
+        on_root(how.comm, lambda: _conclude(run, made))
+    return folder
+
+
+def _scene(file: Path) -> Scene:
+    """The scene with one amplitude, as in the paper."""
+    scene = Scene.read(file, physics=check_physics)
+    limits = scene.limits and replace(scene.limits, amplitudes=scene.limits.amplitudes[:1])
+    return replace(scene, limits=limits)
+
+
+def _pulls(scene: Scene, made: Sequence[ExplorationTrial]) -> dict[str, dict[str, Any]]:
+    """What every set predicts for every pull that a trial may choose, in parts."""
+    grasps = {grasp for trial in made for grasp in trial.grasps}
+    every = [sorted(anchors) for anchors in all_candidates(list(scene.patches))]
+    return {
+        f"{i:03d}-{k:04d}": {"move": i, "sets": every[k : k + _SETS]}
+        for i, move in enumerate(moves(scene))
+        if move.grasp in grasps
+        for k in range(0, len(every), _SETS)
+    }
+
+
+def precomputer(job: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
+    """The function that predicts, for `bcid.studies.engine.dispatch`; `job` holds the `scene` file and the folder `predictions`."""
+    from mpi4py import MPI
+
+    scene = _scene(Path(job["scene"]))
+    predictor = PullPredictor(paired(scene, None, MPI.COMM_SELF), 0, MPI.COMM_SELF, Path(job["predictions"]))
+    limits = limits_of(scene)
+
+    def precompute(task: Mapping[str, Any]) -> dict[str, Any]:
+        action = moves(scene)[task["move"]].action(limits)
+        found = predictor.predict([(frozenset(anchors), action) for anchors in task["sets"]], detailed=True)
+        return {"failed": sum(predicted.failed for predicted in found)}
+
+    return precompute
+
+
+def maker(job: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
+    """The function that makes a trial, for `bcid.studies.engine.dispatch`; `job` holds also the `seed`."""
+    bench = Bench.of(_scene(Path(job["scene"])), Path(job["predictions"]), job["seed"])
+
+    def trial(task: Mapping[str, Any]) -> dict[str, Any]:
+        names = {name: tuple(task[name]) for name in ("anchors", "grasps")}
+        return attempted(bench, ExplorationTrial(**{**task, **names}))
+
+    return trial
+
+
+def attempted(bench: Bench, trial: ExplorationTrial) -> dict[str, Any]:
+    """The result of a trial; a pull that cannot be followed ends it, and is recorded."""
+    try:
+        return bench.make(trial)
+    except SolveError as error:
+        return unmade(trial, str(error))
+
+
+def unmade(trial: ExplorationTrial, reason: str) -> dict[str, Any]:
+    """The result of a trial that came to nothing."""
+    nothing = {
+        "found": [],
+        "effect": "",
+        "effects": {},
+        "right": False,
+        "named": [],
+        "told_by": None,
+        "probability": 0.0,
+        "pulls": 0,
+        "moves": [],
+        "gained": [],
+        "expected": [],
+    }
+    return asdict(trial) | {"reason": f"failed: {reason}", "calls": 0, "seconds": 0.0} | nothing
+
+
+class Bench:
+    """Makes trials on one process, with predictions that all trials share."""
+
+    def __init__(self, scene: Scene, predictor: Any, fine: Any, truth: Any, seed: int) -> None:
+        self.scene, self.predictor, self.fine, self.truth, self.seed = scene, predictor, fine, truth, seed
+        # With what the predictor was asked for it.
+        self._first: dict[tuple[str, tuple[str, ...], float], tuple[Choice, set[Any]]] = {}
+        self._bodies: dict[str, Any] = {}
+
+    @classmethod
+    def of(cls, scene: Scene, store: Path, seed: int) -> Bench:
+        """With predictors of a scene on this process alone."""
+        from mpi4py import MPI
+
+        ladder, true = paired(scene, None, MPI.COMM_SELF), replace(scene, levels=(TRUE,))
+        working, *fine = (PullPredictor(ladder, level, MPI.COMM_SELF, store) for level in range(len(ladder.levels)))
+        truth = PullPredictor(true, 0, MPI.COMM_SELF, store)
+        return cls(scene, working, fine[0] if fine else None, truth, seed)
+
+    def make(self, trial: ExplorationTrial) -> dict[str, Any]:
+        """One trial."""
+        start = time.perf_counter()
+        self.predictor.asked = set()
+        plan = ExploreOptions(
+            criterion=trial.strategy if trial.strategy != "fixed" else "information",
+            grasps=trial.grasps,
+            noise=trial.noise,
+            budget=BUDGET,
+            # Only what is drawn for random pulls differs from trial to trial.
+            random_state=trial.number if trial.strategy == "random" else 0,
+            effects=RIVALS if trial.hidden else (),
+        )
+        scene = self.scene
+        if trial.strategy == "fixed":
+            best = self.first(replace(plan, criterion="information"), trial).move
+            assert best is not None
+            assert scene.limits is not None
+            directions = {best.direction: scene.limits.directions[best.direction]}
+            scene = replace(scene, limits=replace(scene.limits, directions=directions))
+            plan = replace(plan, grasps=(best.grasp,), look_ahead=False)
+        robot = Simulated(self.body(trial.hidden), trial.anchors, trial.noise, self.seed + 1000 * trial.number)
+        first = self.first(plan, trial) if trial.strategy in ("information", "entropy") else None
+        found = explore(scene, robot, plan, self.predictor, self.fine, first=first)
+        told = telling_pull(plan, found)
+        return asdict(trial) | {
+            "reason": found.reason,
+            "found": sorted(found.view.best.anchors),
+            "effect": found.view.best.effect,
+            "effects": found.view.effects,
+            "right": found.view.best == Hypothesis(frozenset(trial.anchors), trial.effect),
+            "named": [sorted(h.anchors) for h in found.rivals],
+            "told_by": told.number if told else None,
+            "probability": found.view.certainty,
+            "pulls": len(found.steps),
+            "moves": [str(step.move) for step in found.steps],
+            "gained": [step.gained for step in found.steps],
+            "expected": [None if math.isnan(step.expected[0]) else step.expected[0] for step in found.steps],
+            "calls": len(self.predictor.asked),
+            "seconds": round(time.perf_counter() - start, 3),
+        }
+
+    def body(self, hidden: str) -> Any:
+        """PullPredictor of what the body is really made of."""
+        if not HIDDEN.get(hidden):
+            return self.truth
+        if hidden not in self._bodies:
+            scene = with_effects(self.truth.scene, HIDDEN[hidden])
+            self._bodies[hidden] = PullPredictor(scene, self.truth.level, self.truth.comm, self.truth.store)
+        return self._bodies[hidden]
+
+    def first(self, plan: ExploreOptions, trial: ExplorationTrial) -> Choice:
+        """The first choice of a strategy, which is the same in every trial."""
+        key = plan.criterion, trial.grasps, trial.noise
+        asked = self.predictor.asked
+        if key not in self._first:
+            self.predictor.asked = set()
+            inference = BeliefUpdate(self.scene, self.predictor, self.fine)
+            options = plan.moves(self.scene)
+            chooser = Chooser(inference, options, plan.criterion, plan.look_ahead, plan.samples, trial.noise, 0)
+            self._first[key] = chooser.choose(inference.view(), None), self.predictor.asked
+        choice, more = self._first[key]
+        self.predictor.asked = asked | more
+        return choice
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        for predictor in (self.predictor, self.fine, self.truth, *self._bodies.values()):
+            if predictor is not None:
+                predictor.destroy()
+
+
+def _result(path: Path, trial: ExplorationTrial) -> dict[str, Any]:
+    """What became of a trial; one that was not made for another reason than a pull that cannot be followed ended as well."""
+    content = read_result(path / "results" / f"{trial.name}.json")
+    result: dict[str, Any] = content["result"] or unmade(trial, content["reason"])
+    return result
+
+
+def _conclude(run: RunFolder | None, made: Sequence[ExplorationTrial]) -> None:
+    assert run is not None
+    found = scores([_result(run.path, trial) for trial in made])
+    run.write_json("exploration.json", found)
+    run.write_text("table.txt", table(found))
+    run.finish({"calibration": found["calibration"]})

@@ -1,0 +1,85 @@
+"""The trials of the exploration study: what holds the body, what is hidden, how it is seen, and how pulls are chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+ANCHORS = (("1", "2"), ("3", "4"), ("1", "2", "3", "4"))
+NOISES = (0.0, 0.3e-3, 1e-3, 3e-3)
+GRASPS = (("II",), ("I", "II", "III"))
+STRATEGIES = ("information", "entropy", "random", "fixed")
+BUDGET = 20.0
+# What may be hidden beside the anchors of `BESIDE`, seen with the noise of `SEEN`, m, with all grasps.
+HIDDEN = {
+    "nothing": (),
+    "gravity": ("gravity: weight = 2000 N/m^3",),
+    "soft_anchor": ("soft_anchor: stiffness = 500 kPa/m",),
+    "fibres": ("fibres: k1 = 5 kPa, angle = 30 deg",),
+}
+RIVALS = tuple(name for name, hidden in HIDDEN.items() if hidden)
+BESIDE, SEEN, EVERY = ("3", "4"), 0.3e-3, GRASPS[-1]
+# Patches 3 and 4 are enclosed by 2, 7 and 8: nothing shows whether they are anchored.
+ENCLOSED = ("1", "2", "3", "4", "7", "8")
+# One in so many trials is made of these.
+_RARER = 10
+
+
+@dataclass(frozen=True)
+class ExplorationTrial:
+    """One exploration: what holds the body, how noisy it is seen, what may be used, how pulls are chosen, and its number."""
+
+    anchors: tuple[str, ...]
+    noise: float
+    grasps: tuple[str, ...]
+    strategy: str
+    number: int
+    hidden: str = ""
+
+    @property
+    def effect(self) -> str:
+        """Name of the effect that is to be found, or ""."""
+        return self.hidden if HIDDEN.get(self.hidden) else ""
+
+    @property
+    def name(self) -> str:
+        """For its file."""
+        noise = f"{self.noise * 1e6:.0f}um"
+        hidden = f"_{self.hidden}" if self.hidden else ""
+        return f"{'-'.join(self.anchors)}_{noise}_{len(self.grasps)}_{self.strategy}{hidden}_{self.number:03d}"
+
+
+@dataclass(frozen=True)
+class ExplorationExtent:
+    """How much of the study is made.
+
+    Attributes:
+        count: trials of each kind.
+        noises: of the main part, m.
+        hidden: what is hidden in the second part (see `HIDDEN`).
+        enclosed: anchors of the third part; () to leave it out.
+        grasps: that may be used in the main part.
+    """
+
+    count: int
+    noises: tuple[float, ...] = NOISES
+    hidden: tuple[str, ...] = tuple(HIDDEN)
+    enclosed: tuple[str, ...] = ENCLOSED
+    grasps: tuple[tuple[str, ...], ...] = GRASPS
+
+
+def trials(extent: ExplorationExtent) -> Iterator[ExplorationTrial]:
+    """Every trial, those that take longest first; without noise one is enough of a strategy that draws nothing."""
+    few = max(1, extent.count // _RARER)
+    for hidden, number in product(extent.hidden, range(few)):
+        yield ExplorationTrial(BESIDE, SEEN, EVERY, "information", number, hidden)
+    for number in range(few) if extent.enclosed else ():
+        yield ExplorationTrial(extent.enclosed, SEEN, EVERY, "information", number)
+    yield from _main(extent.count, extent.noises, extent.grasps)
+
+
+def _main(count: int, noises: Sequence[float], grasped: Sequence[tuple[str, ...]]) -> Iterator[ExplorationTrial]:
+    for strategy, grasps, noise, anchors in product(STRATEGIES, grasped, noises, ANCHORS):
+        for number in range(count if noise > 0 or strategy == "random" else 1):
+            yield ExplorationTrial(anchors, noise, grasps, strategy, number)

@@ -1,0 +1,1 @@
+"""The hidden study: does a diagnosis find what was hidden in a measurement?"""

@@ -1,0 +1,130 @@
+"""The hidden study: does a diagnosis find what was hidden in measurements whose truth it cannot see?
+
+RUN/cases/0007/measurement/   what the diagnosis gets, besides the scene file
+RUN/cases/0007/truth.json     what is hidden: effects, parameters, anchors, sizes
+RUN/cases/0007/diagnosis/     its run folder
+RUN/logs/0007.txt             what the process of the case said
+RUN/results/0007.json         the diagnosis of a case that is done, or why there is none
+RUN/hidden.json  table.txt  degradation.png
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bcid.base.collective import Comm, on_root
+from bcid.base.errors import InputError
+from bcid.base.fingerprint import file_fingerprint
+from bcid.base.progress import Progress, Silent
+from bcid.base.run_folder import RunFolder, running
+from bcid.base.shipped import shipped
+from bcid.base.text_file import read_json
+from bcid.studies.engine.dispatch import dispatch
+from bcid.studies.engine.work import Work, Workers, read_result
+from bcid.studies.hidden.cases import SIZES
+from bcid.studies.hidden.score import scores, table
+
+SCENE = "examples/scenes/slab_hidden.toml"
+MAKE = "bcid.studies.hidden.truth:make"
+_MAKES = ("cases/", "results/", "logs/", "hidden.json", "table.txt", "degradation.png")
+DIAGNOSE = "bcid.comparison.compare_runs:run_explain"
+
+
+@dataclass(frozen=True)
+class HiddenOptions:
+    """What a study does.
+
+    Attributes:
+        cases: how many.
+        seed: of the cases; case i is the same whatever their number.
+        jobs: child processes at a time.
+        limit: CPU seconds that a case may take.
+        least: size that effects are drawn from, in units of noise; the largest is 10.
+        make, diagnose: functions as "module:name": `bcid.studies.hidden.truth.make` and the diagnosis.
+    """
+
+    cases: int = 100
+    seed: int = 0
+    jobs: int = 2
+    limit: float = 900.0
+    least: float = SIZES[0]
+    make: str = MAKE
+    diagnose: str = DIAGNOSE
+
+    def check(self) -> None:
+        """Refuse numbers that make no sense."""
+        for name, lowest in (("cases", 1), ("seed", 0), ("jobs", 1)):
+            if getattr(self, name) < lowest:
+                raise InputError(f"--{name} {getattr(self, name)}: must be at least {lowest}")
+        if not self.limit > 0:
+            raise InputError(f"--limit {self.limit:g}: must be a positive number of seconds")
+        if not SIZES[0] <= self.least < SIZES[1]:
+            raise InputError(f"--least {self.least:g}: must be a size from {SIZES[0]:g} to below {SIZES[1]:g} noises")
+
+
+def run_hidden(
+    folder: Path,
+    options: HiddenOptions,
+    scene: Path | None = None,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+    comm: Comm | None = None,
+) -> Path:
+    """Run the study into a run folder; one that was interrupted goes on with the cases that have no result yet.
+
+    Collective on `comm`, over which the cases are spread; without one they go to child processes.
+
+    Raises:
+        InputError: options, or a folder that cannot be used (see `RunFolder.start`).
+    """
+    progress = progress or Silent()
+    options.check()
+    scene = scene or shipped(SCENE)
+    if not scene.is_file():
+        raise InputError(f"{scene}: no such scene file")
+    inputs = {name: getattr(options, name) for name in ("cases", "seed", "limit", "least", "make", "diagnose")}
+    inputs |= {"scene": file_fingerprint(scene)}
+    with running(comm, folder, "study hidden", inputs, _MAKES, overwrite) as run:
+        path = on_root(comm, folder.resolve)
+        work = Work("bcid.studies.hidden.case:maker", _job(path, options, scene), path / "results")
+        tasks = {f"{index:04d}": {"index": index} for index in range(options.cases)}
+        dispatch(work, tasks, Workers(comm, options.jobs, options.limit, tries=3, fresh=True), progress)
+        on_root(comm, lambda: _conclude(run, options))
+    return folder
+
+
+def _job(path: Path, options: HiddenOptions, scene: Path) -> dict[str, Any]:
+    plain = {name: getattr(options, name) for name in ("seed", "least", "make", "diagnose")}
+    return plain | {"cases": str(path / "cases"), "scene": str(scene.resolve())}
+
+
+def _read(path: Path, index: int) -> dict[str, Any]:
+    """The result of a case with its truth, which is also known where there is no diagnosis."""
+    found = read_result(path / "results" / f"{index:04d}.json")
+    truth = path / "cases" / f"{index:04d}" / "truth.json"
+    nothing = {"diagnosis": None, "seconds": found["seconds"], "cpu_seconds": 0.0}
+    content: dict[str, Any] = {"index": index, "state": found["state"], "reason": found["reason"]}
+    content["truth"] = read_json(truth) if truth.is_file() else None
+    return content | (found["result"] or nothing)
+
+
+def _conclude(run: RunFolder | None, options: HiddenOptions) -> None:
+    """Score all results and write what is made of them."""
+    assert run is not None
+    results = [_read(run.path, i) for i in range(options.cases)]
+    found = scores(results)
+    run.write_json("hidden.json", found)
+    run.write_text("table.txt", table(found))
+    _draw(run, found)
+    run.finish({"rates": {name: rate["rate"] for name, rate in found["rates"].items()}, "states": found["states"]})
+
+
+def _draw(run: RunFolder, found: dict[str, Any]) -> None:
+    """The picture is a view of the numbers: without matplotlib there is none."""
+    try:
+        from bcid.studies.plots import degradation
+    except ImportError:
+        return
+    degradation(run.path / "degradation.png", found)

@@ -1,0 +1,320 @@
+"""What the fiducials of a case really do, and the measurement made of it.
+
+The truth is computed with cubic elements on a mesh of its own and with every commanded step cut in two, so that a
+diagnosis never meets the errors of its own discretisation.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.base.errors import SolveError
+from bcid.base.run_folder import write_whole
+from bcid.forms import effects
+from bcid.forms.effects.effect import Effect
+from bcid.forms.forward import Forward
+from bcid.forms.model import Model, Term, check_physics
+from bcid.forms.simulate import recorded
+from bcid.forms.solver.equilibrium import Settings
+from bcid.forms.solver.status import Status
+from bcid.forms.solver.trajectory import between, poses
+from bcid.measurement import Action
+from bcid.scene import Level, Scene
+from bcid.studies.hidden import outside
+from bcid.studies.hidden.cases import NOISE, Case, Hidden, draw, generator
+
+Array = NDArray[np.float64]
+
+TRUE = Level(degree=3, element_size=0.014)
+COARSE = Level(degree=2, element_size=0.020)
+ACCURACY = Settings(rtol=1e-6, halvings=3)
+# A term is searched until its size is this near the target (relative), with so many trajectories at most.
+NEAR, MOST = 0.1, 7
+# Bounds are kept clear of: terms end at this part of the way to one.
+CLEAR = 0.95
+# An effect is not made larger than so many terms: beyond it would be rigid, and nothing more would be seen.
+DOSES = 20.0
+# Two meshes that differ by more, m, follow different branches: the slab buckles, and its shape is a matter of chance.
+BRANCHED = 4e-4
+# A smaller effect is none, in units of noise: an obstacle that is not met.
+INVISIBLE = 0.05
+# A case that cannot be solved, or hides nothing, is drawn anew so often.
+ATTEMPTS = 6
+
+
+def make(folder: Path, seed: int, index: int, scene_file: Path, least: float) -> None:
+    """Write `measurement/` and, apart from it, `truth.json` into the folder of a case; what is there already stays.
+
+    Sizes are drawn from `least` on, in units of noise.
+
+    Raises:
+        SolveError: none of the attempts could be solved.
+    """
+    if (folder / "measurement").is_dir():
+        return
+    scene = Scene.read(scene_file, physics=check_physics)
+    reasons = []
+    for attempt in range(ATTEMPTS):
+        case = draw(seed, index, attempt, least)
+        try:
+            truth = compute(scene, case)
+        except SolveError as error:
+            reasons.append(str(error))
+            continue
+        rng = generator(seed, 6, index, attempt)
+        times = np.concatenate([action.clock for action in case.actions])
+        seen = recorded(scene, case.actions, truth.positions, truth.noise, rng, times, f"hidden study, case {index}")
+        write_whole(folder / "truth.json", json.dumps(truth.to_json(case), indent=1) + "\n")
+        seen.write(folder / "measurement")
+        return
+    raise SolveError(f"case {index} of seed {seed} could not be made in {ATTEMPTS} attempts: {'; '.join(reasons)}")
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Noise-free positions (frames, fiducials, 3), m, the terms that act, their sizes in units of noise, and the noise, m."""
+
+    positions: Array
+    terms: tuple[Term, ...]
+    sizes: tuple[float, ...]
+    noise: float
+
+    def to_json(self, case: Case) -> dict[str, Any]:
+        """What the scoring needs to know, without any need of the catalogue."""
+        pairs = zip(case.hidden, self.terms, self.sizes, strict=True)
+        return {
+            "index": case.index,
+            "kind": case.kind,
+            "anchored": list(case.anchors),
+            "noise": self.noise,
+            "size": min(self.sizes, default=0.0),
+            "effects": [_effect_json(hidden, term, size) for hidden, term, size in pairs],
+            "case": case.to_json(),
+        }
+
+
+def _effect_json(hidden: Hidden, term: Term, size: float) -> dict[str, Any]:
+    parameters = {
+        p.name: {
+            "value": term.values[p.name],
+            "unit": p.unit,
+            # JSON has no infinity.
+            "neutral": None if p.neutral is None or p.reciprocal else p.neutral,
+            "role": "amount" if p.neutral is not None else "shape",
+            "reciprocal": p.reciprocal,
+            "scale": p.scale,
+            "period": p.period,
+        }
+        for p in term.effect.parameters
+    }
+    names = {"effect": hidden.effect, "outside": hidden.outside, "place": hidden.place}
+    return names | {"target": hidden.target, "size": size, "parameters": parameters}
+
+
+def compute(scene: Scene, case: Case, true: Level = TRUE, coarse: Level = COARSE) -> Truth:
+    """Find the terms on the coarse level, then the positions and the sizes reached on the true one.
+
+    Both levels must agree roughly.
+
+    Raises:
+        SolveError: a trajectory cannot be followed, the body buckles, or nothing could be seen of an effect.
+    """
+    _check_stable(scene, case, coarse)
+    terms = _doses(scene, case, coarse)
+    rough, positions = (_positions(scene, case, level, terms) for level in (coarse, true))
+    if rms(rough - positions) > BRANCHED:
+        raise SolveError(f"two meshes differ by {rms(rough - positions) * 1e3:.2g} mm: the body buckles")
+    sizes = []
+    for k in range(len(terms)):
+        others = _positions(scene, case, true, terms[:k] + terms[k + 1 :])
+        sizes.append(rms(positions - others) / case.noise)
+    noise = quieter(case, sizes)
+    sizes = [size * case.noise / noise for size in sizes]
+    if sizes and min(sizes) < INVISIBLE:
+        raise SolveError(f"a hidden effect moves the fiducials by no more than {INVISIBLE} of the noise")
+    return Truth(positions, terms, tuple(sizes), noise)
+
+
+def _check_stable(scene: Scene, case: Case, coarse: Level) -> None:
+    """Refuse motions in which the plain body passes an instability: which way it buckles is a matter of chance."""
+    forward = _forward(scene, coarse, ())
+    try:
+        trajectories = forward.predict(case.anchors, case.actions).trajectories
+    finally:
+        forward.destroy()
+    for t in trajectories:
+        if t.status is not Status.CONVERGED or t.halvings or t.factorisations > 4 + t.steps // 2:
+            raise SolveError("the plain body passes an instability")
+
+
+def quieter(case: Case, sizes: Sequence[float]) -> float:
+    """The noise, m, lowered where an effect at its bounds falls short of its target, as far as the range of noises allows."""
+    reached = [size / hidden.target for size, hidden in zip(sizes, case.hidden, strict=True)]
+    short = min([1.0, *reached])
+    return case.noise if short > 1 - 2 * NEAR else max(NOISE[0], case.noise * short)
+
+
+def rms(shift: Array) -> float:
+    """Root of the mean square over all coordinates and frames."""
+    return float(np.sqrt(np.mean(shift**2)))
+
+
+def halved(action: Action, first_extra: int) -> Action:
+    """The action with every step cut in two; the frames between the commanded ones are numbered from `first_extra`."""
+    path = poses(action)
+    middles = [between(a, b, 0.5) for a, b in pairwise(path)]
+    every = [pose for pair in zip(path[:-1], middles, strict=True) for pose in pair] + path[-1:]
+    frames = np.empty(len(every), dtype=np.int64)
+    frames[::2], frames[1::2] = action.frames, first_extra + np.arange(len(middles))
+    steps = np.repeat(action.steps, 2)[: len(every)]
+    translation, rotation = np.array([p.translation for p in every]), np.array([p.rotation for p in every])
+    times = np.array([p.time for p in every])
+    return replace(action, frames=frames, steps=steps, translation=translation, rotation=rotation, times=times)
+
+
+def _positions(scene: Scene, case: Case, level: Level, terms: Sequence[Term]) -> Array:
+    """Noise-free positions in the commanded frames (frames, fiducials, 3), m."""
+    count = sum(len(action) for action in case.actions)
+    actions, extra = [], count
+    for action in case.actions:
+        actions.append(halved(action, extra))
+        extra += len(action) - 1
+    forward = _forward(scene, level, terms)
+    try:
+        prediction = forward.predict(case.anchors, actions)
+    finally:
+        forward.destroy()
+    if prediction.failure:
+        raise SolveError(prediction.failure.reason)
+    return prediction.positions[:count]
+
+
+def _forward(scene: Scene, level: Level, terms: Sequence[Term]) -> Forward:
+    model = Model.of(scene)
+    for term in terms:
+        model = model + term
+    return Forward(replace(scene, levels=(level,)), 0, model=model, settings=ACCURACY)
+
+
+# -- terms
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def _doses(scene: Scene, case: Case, coarse: Level) -> tuple[Term, ...]:
+    """Doses whose sizes are the targets, as nearly as their bounds allow, each on its own."""
+    if not case.hidden:
+        return ()
+    plain = _forward(scene, coarse, ())
+    try:
+        without = plain.predict(case.anchors, case.actions)
+    finally:
+        plain.destroy()
+    if without.failure:
+        raise SolveError(without.failure.reason)
+    return tuple(_dose(scene, case, hidden, without.positions, coarse) for hidden in case.hidden)
+
+
+def _dose(scene: Scene, case: Case, hidden: Hidden, without: Array, coarse: Level) -> Term:
+    model = Model.of(scene)
+    most = largest(hidden, model)
+    forward = _forward(scene, coarse, (term_of(hidden, min(1.0, most), model),))
+
+    def size(amount: float) -> float | None:
+        forward.set_model(model + term_of(hidden, amount, model))
+        found = forward.predict(case.anchors, case.actions)
+        return None if found.failure else rms(found.positions - without) / case.noise
+
+    try:
+        return term_of(hidden, search(size, hidden.target, most), model)
+    finally:
+        forward.destroy()
+
+
+def known(name: str) -> Effect:
+    """An effect of the catalogue or outside it."""
+    return outside.EFFECTS[name] if name in outside.EFFECTS else effects.effect(name)
+
+
+def term_of(hidden: Hidden, amount: float, model: Model) -> Term:
+    """`amount` terms of a hidden effect; one term is the weights times the scales of its amounts."""
+    effect = known(hidden.effect)
+    values = {name: value for name, value in hidden.shapes.items() if name in {p.name for p in effect.shapes}}
+    for p in effect.shapes:
+        values.setdefault(p.name, p.default if p.default is not None else (*p.scan, p.scale)[0])
+    for p in effect.amounts:
+        part = amount * _weights(hidden, effect)[p.name]
+        neutral = model.neutral(p)
+        assert neutral is not None
+        values[p.name] = p.scale / part if p.reciprocal else neutral + part * p.scale
+    return Term(effect, values, place=hidden.place)
+
+
+def _weights(hidden: Hidden, effect: Effect) -> Mapping[str, float]:
+    """Weights of all amounts: those drawn, else one for the first."""
+    names = [p.name for p in effect.amounts]
+    drawn = {name: weight for name, weight in hidden.weights.items() if name in names} or {names[0]: 1.0}
+    return {name: drawn.get(name, 0.0) for name in names}
+
+
+def largest(hidden: Hidden, model: Model) -> float:
+    """The largest amount that is asked of an effect: every parameter keeps clear of its bounds."""
+    effect = known(hidden.effect)
+    limits = [DOSES]
+    for p in effect.amounts:
+        weight, neutral = _weights(hidden, effect)[p.name], model.neutral(p)
+        if weight and p.reciprocal and p.lower > 0:
+            limits.append(p.scale / p.lower)
+        elif weight and not p.reciprocal and neutral is not None:
+            room = (p.upper - neutral) if weight > 0 else (neutral - p.lower)
+            limits.append(CLEAR * room / (abs(weight) * p.scale))
+    return min(limits)
+
+
+def search(size: Callable[[float], float | None], target: float, most: float) -> float:
+    """The amount, at most `most`, whose size is nearest to the target.
+
+    The size grows with the amount, nearly in proportion; an amount without a size (it cannot be solved) is too large.
+
+    Raises:
+        SolveError: no amount could be solved.
+    """
+    amount = min(1.0, most)
+    lower: tuple[float, float] = (0.0, 0.0)
+    upper: tuple[float, float] | None = None
+    best, miss = 0.0, math.inf
+    for _ in range(MOST):
+        found = size(amount)
+        if found is not None and abs(math.log(max(found, 1e-9) / target)) < miss:
+            best, miss = amount, abs(math.log(max(found, 1e-9) / target))
+        if found is not None and (miss <= NEAR or (found < target and amount >= most)):
+            break
+        if found is not None and found < target:
+            lower = (amount, found)
+        else:
+            upper = (amount, math.inf if found is None else found)
+        amount = _next(lower, upper, target, most)
+    if not math.isfinite(miss):
+        raise SolveError("no term of the hidden effect could be solved")
+    return best
+
+
+def _next(lower: tuple[float, float], upper: tuple[float, float] | None, target: float, most: float) -> float:
+    """The secant's amount in the logarithms where both ends have a size, kept inside the bracket; else a cautious one."""
+    (a, s), b = lower, upper
+    if b is None:
+        return min(most, a * float(np.clip(target / s, 1.3, 10.0)) if s > 1e-6 else 2 * a)
+    if a == 0.0:
+        return b[0] * (float(np.clip(target / b[1], 0.02, 0.8)) if math.isfinite(b[1]) else 0.3)
+    if s <= 1e-6 or not math.isfinite(b[1]):
+        return (a + b[0]) / 2
+    part = math.log(target / s) / math.log(b[1] / s)
+    return float(a * (b[0] / a) ** np.clip(part, 0.1, 0.9))

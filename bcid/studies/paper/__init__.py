@@ -1,0 +1,1 @@
+"""Studies of identification, written as study files, and those of the paper."""

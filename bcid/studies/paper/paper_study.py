@@ -1,0 +1,91 @@
+"""Every table and figure of Boonvisut & Cavusoglu (2014) in one run: the study files of `studies/`, and the exploration study.
+
+RUN/NAME/         the run folder of each study
+RUN/shared/       what they share
+RUN/table.txt     all their tables
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from bcid.base.collective import on_root
+from bcid.base.errors import InputError
+from bcid.base.fingerprint import file_fingerprint
+from bcid.base.progress import Progress, Silent
+from bcid.base.run_folder import RunFolder, running
+from bcid.base.shipped import shipped
+from bcid.studies.engine.work import Workers
+from bcid.studies.exploration import exploration_study as exploration
+from bcid.studies.exploration.exploration_trials import ExplorationExtent as Explored
+from bcid.studies.paper.study import Extent, run_study
+
+STUDIES = "studies"
+_EXPLORATION = "exploration"
+# Sections 7 and 8 in short: one grasp, one trial of each setting, nothing hidden or enclosed.
+_FEW = Explored(1, (0.3e-3, 1e-3), (), (), (("II",),))
+
+
+def run_paper(
+    folder: Path,
+    quick: bool,
+    seed: int,
+    how: Workers,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+    studies: Path | None = None,
+    explored: bool = True,
+) -> Path:
+    """Run all studies of the paper into a run folder; collective on `how.comm`. One that was interrupted goes on.
+
+    Args:
+        folder, seed, how, progress, overwrite: as for `run_study`.
+        quick: each study reduced.
+        studies: folder of study files.
+        explored: with the exploration study.
+
+    Raises:
+        InputError: a file, or a folder that cannot be used (see `RunFolder.start`).
+    """
+    progress = progress or Silent()
+    place = studies or shipped(STUDIES)
+    files = on_root(how.comm, lambda: sorted(place.glob("*.toml")))
+    if not files:
+        raise InputError(f"{place}: holds no study files")
+    inputs = {"quick": quick, "seed": seed, "studies": {file.stem: file_fingerprint(file) for file in files}}
+    inputs |= {"explored": explored}
+    path = on_root(how.comm, folder.resolve)
+    # Studies are runs of their own in it.
+    made = [file.stem for file in files] + ([_EXPLORATION] if explored else [])
+    makes = ["shared/", "table.txt", *(f"{name}/" for name in made)]
+
+    def one(file: Path) -> Callable[[Path], Path]:
+        extent = Extent(quick, seed=seed)
+        return lambda target: run_study(file, target, extent, how, progress, overwrite, path / "shared")
+
+    def explore(target: Path) -> Path:
+        return exploration.run_study(target, _FEW if quick else Explored(30), seed, how, progress, overwrite)
+
+    with running(how.comm, folder, "study paper", inputs, makes, overwrite) as run:
+        parts = {file.stem: one(file) for file in files} | ({_EXPLORATION: explore} if explored else {})
+        for i, (name, make) in enumerate(parts.items(), start=1):
+            if on_root(how.comm, lambda name=name: _finished(path / name)):  # type: ignore[misc]
+                continue
+            progress.say(f"study {i} of {len(parts)}: {name}")
+            make(path / name)
+        on_root(how.comm, lambda: _conclude(run, list(parts)))
+    return folder
+
+
+def _finished(folder: Path) -> bool:
+    return (folder / "run.json").is_file() and RunFolder.open(folder).record["state"] == "finished"
+
+
+def _conclude(run: RunFolder | None, names: list[str]) -> None:
+    assert run is not None
+    tables = [(run.path / name / "table.txt").read_text(encoding="utf-8").rstrip() for name in names]
+    rule = "\n\n" + "-" * 100 + "\n\n"
+    run.write_text("table.txt", rule.join(tables) + "\n")
+    seconds = {name: RunFolder.open(run.path / name).record["seconds"] for name in names}
+    run.finish({"studies": names, "seconds": seconds})
