@@ -57,7 +57,7 @@ def identify(
         options: how to search.
         model: the model; by default the scene's.
         refine: how many times patches that leave a doubt are halved.
-        progress: told what is going on, as `bcid.base.progress.Lines()` (give it on rank 0 only).
+        progress: told what is going on, as `bcid.base.progress.progress_on()` (give it on rank 0 only).
 
     Raises:
         InputError: scene, measurement or options cannot be used, or do not fit each other.
@@ -95,7 +95,7 @@ def compare(
     """
     comm = comm or _alone()
     source = _source(scene, measurement, comm, model, anchors, free)
-    return _diagnosed("compare", source, comm, level, lambda predictor: compared(predictor, source, progress))
+    return _diagnosed("compare", source, comm, level, progress, lambda predictor: compared(predictor, source))
 
 
 def diagnose(
@@ -122,7 +122,7 @@ def diagnose(
     """
     comm = comm or _alone()
     source = _source(scene, measurement, comm, model, anchors, free, effects)
-    return _diagnosed("diagnose", source, comm, level, lambda predictor: diagnosed(predictor, source, only, progress))
+    return _diagnosed("diagnose", source, comm, level, progress, lambda predictor: diagnosed(predictor, source, only))
 
 
 def fit(
@@ -157,7 +157,7 @@ def fit(
         raise InputError('fit: nothing to do; name an effect, as add=["gravity"], or a number, as free=["young"]')
     check_terms(source, terms, free, fixed)
     return _diagnosed(
-        "fit", source, comm, level, lambda predictor: refitted(predictor, source, terms, free, fixed, progress)
+        "fit", source, comm, level, progress, lambda predictor: refitted(predictor, source, terms, free, fixed)
     )
 
 
@@ -184,7 +184,7 @@ def explain(
     comm, chosen = comm or _alone(), options or ExplainOptions()
     source = _source(scene, measurement, comm, model, None, (), effects)
     return _diagnosed(
-        "explain", source, comm, chosen.level, lambda predictor: explained(predictor, source, chosen, progress)
+        "explain", source, comm, chosen.level, progress, lambda predictor: explained(predictor, source, chosen)
     )
 
 
@@ -216,7 +216,7 @@ def explore(
     check_geometry(ladder, 0, comm)
     with TemporaryDirectory(prefix="bcid-") as folder:
         place = store or Path(comm.bcast(folder))
-        predictors = [PullPredictor(ladder, level, comm, place) for level in range(len(ladder.levels))]
+        predictors = [PullPredictor(ladder, n, comm, place, progress=progress) for n in range(len(ladder.levels))]
         try:
             finer = predictors[1] if len(predictors) > 1 else None
             found = explore_with(body, robot, chosen, predictors[0], finer, progress)
@@ -275,9 +275,14 @@ def _source(
 
 
 def _diagnosed(
-    command: str, source: Source, comm: Comm, level: int | None, work: Callable[[Predictor], Diagnosis]
+    command: str,
+    source: Source,
+    comm: Comm,
+    level: int | None,
+    progress: Progress | None,
+    work: Callable[[Predictor], Diagnosis],
 ) -> DiagnosisResult:
-    predictor = Predictor(source.scene, source.measurement, comm, level)
+    predictor = Predictor(source.scene, source.measurement, comm, level, progress=progress)
     try:
         done = work(predictor)
         content: dict[str, Any] = collect(predictor, done)

@@ -35,7 +35,7 @@ from bcid.app.commands import (
     track,
 )
 from bcid.base.collective import Comm, first, launched
-from bcid.base.errors import SHORT_OF_MEMORY, BcidError, MachineError, shortened
+from bcid.base.errors import SHORT_OF_MEMORY, BcidError, MachineError, nearest, shortened
 from bcid.base.scratch import require
 from bcid.base.version import VERSION
 
@@ -86,7 +86,11 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     parser = build_parser()
-    arguments = parser.parse_args(argv)
+    given = sys.argv[1:] if argv is None else argv
+    known = parser.get_default("known")
+    if given and not given[0].startswith("-") and given[0] not in known:
+        parser.error(f"'{shortened(given[0], 60)}' is no command; {nearest(given[0], known)}")
+    arguments = parser.parse_args(given)
     if arguments.command == "doctor":
         from bcid.app import doctor
 
@@ -200,6 +204,7 @@ def build_parser() -> argparse.ArgumentParser:
     commands.add_parser("doctor", help="tell what is installed and whether it works")
     _add_bench(commands)
     _add_study(commands)
+    parser.set_defaults(known=tuple(commands.choices))
     return parser
 
 
@@ -354,7 +359,8 @@ def _add_fit(commands: Any) -> None:
         "fit",
         fit,
         "add effects to the model of a run and watch the error fall",
-        "Values are in SI units, angles in degrees. The numbers of added effects are fitted, as are those fitted before.",
+        "Values without a unit are in SI units, angles in degrees. The numbers of added effects are fitted, as are those that\n"
+        "were fitted before.",
     )
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN2", help="run folder to write")
     parser.add_argument(
@@ -362,7 +368,7 @@ def _add_fit(commands: Any) -> None:
         action="append",
         default=[],
         metavar="EFFECT",
-        help='effect, as "gravity", "soft_anchor:3" (a place) or "gravity:weight=9810" (where to begin); repeatable',
+        help='effect, as "gravity", "soft_anchor:3" (a place) or "gravity: weight = 9.8 kN/m^3" (where to begin); repeatable',
     )
     parser.add_argument("--free", action="append", default=[], metavar="NUMBER", help='fit this too, as "poisson"')
     parser.add_argument("--fixed", action="append", default=[], metavar="NUMBER", help='keep this, as "gravity.weight"')
@@ -507,7 +513,7 @@ def _add_simulate(commands: Any) -> None:
         "simulate",
         simulate,
         "make a measurement with the forward model",
-        "The motions are those of the benchmark slab; --like takes those of a measurement.",
+        "The motions are those of the benchmark slab, pulls along x for example; --like takes those of a measurement.",
     )
     parser.add_argument("scene", type=Path, help="scene file (TOML)")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="MEASUREMENT", help="folder to write")
@@ -515,6 +521,16 @@ def _add_simulate(commands: Any) -> None:
     motion = parser.add_mutually_exclusive_group(required=True)
     motion.add_argument("--motion", metavar="NAME", help=", ".join(MOTIONS))
     motion.add_argument("--like", type=Path, metavar="MEASUREMENT", help="repeat the motions of this measurement")
+    parser.add_argument("--amplitude", metavar='"8 mm"', help="how far the gripper goes at most (the motion's)")
+    parser.add_argument("--steps", type=int, metavar="N", help="of each action, besides rest (the motion's)")
+    parser.add_argument("--direction", metavar="X,Y,Z", help="where the motion's x axis goes, as 0,0,1 (1,0,0)")
+    parser.add_argument(
+        "--hide",
+        action="append",
+        default=[],
+        metavar='"gravity: weight = 9.8 kN/m^3"',
+        help="an effect that the body has and the scene does not; may be repeated",
+    )
     parser.add_argument("--grasp", metavar="NAME", help="grasp that moves (the scene's first, or its second of three)")
     parser.add_argument("--level", type=int, metavar="LEVEL", help="mesh level (the finest)")
     parser.add_argument(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from bcid.base.collective import Comm
 from bcid.base.errors import InputError, MachineError
-from bcid.base.progress import Lines, Progress, Silent
+from bcid.base.progress import Progress, Silent, clear, progress_on
 from bcid.base.shipped import shipped
 from bcid.base.text_file import read_json
 
@@ -31,6 +31,7 @@ _PICTURES = dict.fromkeys(("compare", "diagnose", "fit", "explain"), "diagnosis_
 
 def complain(text: object) -> None:
     """Say on standard error what went wrong."""
+    clear()
     print(f"bcid: {text}", file=sys.stderr, flush=True)
 
 
@@ -47,6 +48,7 @@ def demo(arguments: argparse.Namespace, comm: Comm) -> None:
         _draw(folder, progress)
     from bcid.report.text import falling
 
+    clear()
     found = read_json(folder / "diagnosis.json")
     print("\n" + (folder / "summary.txt").read_text(encoding="utf-8").split("\n\n")[0])
     print(f"{falling(found)}\n\nrun folder: {folder} (summary.txt tells more)", flush=True)
@@ -69,7 +71,7 @@ def _demo_report(folder: Path) -> None:
 
 def _progress(arguments: argparse.Namespace, rank: int) -> Progress:
     """What a command speaks through. One for each command: its lines count the seconds since it was made."""
-    return Silent() if arguments.quiet or rank > 0 else Lines()
+    return Silent() if arguments.quiet or rank > 0 else progress_on()
 
 
 def identify(arguments: argparse.Namespace, comm: Comm) -> None:
@@ -109,6 +111,7 @@ def _finish(folder: Path, arguments: argparse.Namespace, comm: Comm | None, prog
 
 
 def _print_result(folder: Path, file: str) -> None:
+    clear()
     print((folder / file).read_text(encoding="utf-8").rstrip())
     print(f"\nrun folder: {folder}", flush=True)
 
@@ -245,12 +248,30 @@ def explore(arguments: argparse.Namespace, comm: Comm) -> None:
 
 def _noise(text: str | None) -> float | None:
     """A standard deviation, m; None where the option is not given."""
-    from bcid.base.units import quantity
-
-    noise = None if text is None else quantity(text, "m")
+    noise = _length(text, "--noise")
     if noise is not None and noise < 0:
         raise InputError(f"--noise '{text}': must not be negative")
     return noise
+
+
+def _length(text: str | None, option: str) -> float | None:
+    """A length, m; None where the option is not given."""
+    from bcid.base.units import quantity
+
+    try:
+        return None if text is None else quantity(text, "m")
+    except InputError as error:
+        raise InputError(f"{option}: {error}") from None
+
+
+def _direction(text: str | None) -> tuple[float, ...] | None:
+    """Three numbers separated by commas or blanks; None where the option is not given."""
+    if text is None:
+        return None
+    try:
+        return tuple(float(number) for number in text.replace(",", " ").split())
+    except ValueError:
+        raise InputError(f"--direction '{text}': expected three numbers, as 0,0,1") from None
 
 
 def _random_state(number: int) -> int:
@@ -331,6 +352,7 @@ def simulate(arguments: argparse.Namespace, comm: Comm) -> None:
     from bcid.base.collective import on_root
     from bcid.forms.model import check_physics
     from bcid.forms.simulate import simulate as make
+    from bcid.forms.written_effects import with_effects
     from bcid.measurement import Measurement
     from bcid.scene import Scene
     from bcid.scene.motions import motion
@@ -344,6 +366,9 @@ def simulate(arguments: argparse.Namespace, comm: Comm) -> None:
         raise InputError(f"--level {arguments.level}: the scene has levels 0 to {len(scene.levels) - 1}")
     if arguments.like and arguments.grasp:
         raise InputError("--grasp: a measurement given with --like names its grasps itself; leave one of the two out")
+    scene = with_effects(scene, arguments.hide)
+    if arguments.like and (arguments.amplitude or arguments.steps or arguments.direction):
+        raise InputError("--like: repeats the motions as they are; leave --amplitude, --steps and --direction out")
     times = None
     if arguments.like:
         like = on_root(comm, lambda: Measurement.read(arguments.like))
@@ -353,7 +378,9 @@ def simulate(arguments: argparse.Namespace, comm: Comm) -> None:
         grasps = list(scene.grasps)
         if not grasps:
             raise InputError(f"scene {scene.source} has no grasp: use --like with a measurement without one")
-        actions = motion(arguments.motion, arguments.grasp or grasps[len(grasps) // 2])
+        grasp = arguments.grasp or grasps[len(grasps) // 2]
+        shape = _length(arguments.amplitude, "--amplitude"), arguments.steps, _direction(arguments.direction)
+        actions = motion(arguments.motion, grasp, 1, *shape)
     progress = _progress(arguments, comm.rank)
     progress.say(f"simulating {len(actions)} action(s), {sum(len(a) for a in actions)} steps")
     made = make(scene, anchors, actions, arguments.level, noise, random_state, comm, None, arguments.wrench, times)

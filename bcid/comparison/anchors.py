@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from bcid.base.progress import Steps
 from bcid.comparison.predictor import Predictor
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
@@ -41,6 +42,8 @@ def search(
     noise = measurement.noise_sigma if data.stated else None
     options = IdentifyOptions(certify=certify, coarsest=predictor.level, finest=predictor.level)
     seen = replace(measurement, data=corrected, noise_sigma=noise)
-    found = identify(predictor.scene, seen, predictor.comm, options, model, _SETTINGS, start=tuple(start))
+    found = identify(
+        predictor.scene, seen, predictor.comm, options, model, _SETTINGS, Steps(predictor.progress), start=tuple(start)
+    )
     predictor.count("working", sum(found.evaluations.values()))
     return found

@@ -36,8 +36,8 @@ def run_compare(
 ) -> Path:
     """Is the model of a run adequate, and where does it fail? Collective; returns the folder written."""
     source = from_run(folder, files, comm)
-    work = partial(compared, source=source, progress=progress)
-    return _written("compare", source, output, {"level": level}, comm, overwrite, level, work)
+    work = partial(compared, source=source)
+    return _written("compare", source, output, {"level": level}, comm, overwrite, level, work, progress)
 
 
 def run_diagnose(
@@ -55,8 +55,8 @@ def run_diagnose(
     for name in only or ():
         find_effect(name, source.own)
     options = {"level": level, "only": list(only) if only else None}
-    work = partial(diagnosed, source=source, only=only, progress=progress)
-    return _written("diagnose", source, output, options, comm, overwrite, level, work)
+    work = partial(diagnosed, source=source, only=only)
+    return _written("diagnose", source, output, options, comm, overwrite, level, work, progress)
 
 
 def run_fit(
@@ -82,8 +82,8 @@ def run_fit(
     terms = [parsed_term(text, source) for text in add]
     check_terms(source, terms, free, fixed)
     options = {"level": level, "add": list(add), "free": list(free), "fixed": list(fixed)}
-    work = partial(refitted, source=source, terms=terms, free=free, fixed=fixed, progress=progress)
-    return _written("fit", source, output, options, comm, overwrite, level, work)
+    work = partial(refitted, source=source, terms=terms, free=free, fixed=fixed)
+    return _written("fit", source, output, options, comm, overwrite, level, work, progress)
 
 
 def run_explain(
@@ -104,8 +104,8 @@ def run_explain(
     if progress is not None:
         for text in source.measurement.remarks:
             progress.say(f"look at this first: {text}")
-    work = partial(explained, source=source, options=chosen, progress=progress)
-    return _written("explain", source, folder, asdict(chosen), comm, overwrite, chosen.level, work)
+    work = partial(explained, source=source, options=chosen)
+    return _written("explain", source, folder, asdict(chosen), comm, overwrite, chosen.level, work, progress)
 
 
 def _written(
@@ -117,12 +117,13 @@ def _written(
     overwrite: bool,
     level: int | None,
     work: Callable[[Predictor], Diagnosis],
+    progress: Progress | None,
 ) -> Path:
     levels = len(source.scene.levels)
     if level is not None and not 0 <= level < levels:
         raise InputError(f"--level {level}: the scene has levels 0 to {levels - 1}")
     with running(comm, folder, command, source.inputs(options), MAKES, overwrite) as run:
-        predictor = Predictor(source.scene, source.measurement, comm, level)
+        predictor = Predictor(source.scene, source.measurement, comm, level, progress=progress)
         try:
             done = work(predictor)
             content = collect(predictor, done)

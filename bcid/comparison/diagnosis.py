@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from bcid.base.errors import InputError, nearest
-from bcid.base.progress import Progress
 from bcid.comparison.adequacy import judge
 from bcid.comparison.buckled_frames import leave_out
 from bcid.comparison.explain import ExplainOptions, Explanation, Rung, explain
@@ -43,27 +42,23 @@ class Diagnosis:
     pulls: tuple[Pull, ...] = ()
 
 
-def compared(predictor: Predictor, source: Source, progress: Progress | None = None) -> Diagnosis:
+def compared(predictor: Predictor, source: Source) -> Diagnosis:
     """Is the source's model adequate with its anchors, and where does it fail? Collective on the predictor's ranks."""
-    fitted = _present(predictor, source, progress)
+    fitted = _present(predictor, source)
     rung = Rung(fitted, judge(fitted.state), held_out(fitted))
     return Diagnosis((rung,), missing_force(fitted.state))
 
 
-def diagnosed(
-    predictor: Predictor, source: Source, only: Sequence[str] | None = None, progress: Progress | None = None
-) -> Diagnosis:
+def diagnosed(predictor: Predictor, source: Source, only: Sequence[str] | None = None) -> Diagnosis:
     """Which effect is missing in the source's model? Collective on the predictor's ranks.
 
     `only` names the effects to look at; all of the catalogue and of the source by default.
     """
-    fitted = _present(predictor, source, progress)
+    fitted = _present(predictor, source)
     adequacy = judge(fitted.state)
-    if progress is not None:
-        progress.say("ranking the effects by what they would explain")
+    predictor.progress.say("ranking the effects by what they would explain")
     ranking = rank(fitted.state, effects.catalogue(only, source.own))
-    if progress is not None:
-        progress.say("fitting the most promising of them")
+    predictor.progress.say("fitting the most promising of them")
     rivals = contest(fitted.state, promised(fitted.state, ranking), ExplainOptions().fitted)
     rung = Rung(fitted, adequacy, held_out(fitted), ranking, tuple(rivals))
     return Diagnosis((rung,), None if adequacy.adequate else missing_force(fitted.state))
@@ -75,7 +70,6 @@ def refitted(
     terms: Sequence[Term] = (),
     free: Sequence[str] = (),
     fixed: Sequence[str] = (),
-    progress: Progress | None = None,
 ) -> Diagnosis:
     """The source's model with more effects, refitted, beside the model before. Collective on the predictor's ranks.
 
@@ -84,12 +78,11 @@ def refitted(
         free: further numbers to fit, such as "young".
         fixed: numbers to keep, such as "gravity.weight".
     """
-    before = _present(predictor, source, progress)
+    before = _present(predictor, source)
     rungs = [Rung(before, judge(before.state), held_out(before))]
     state = before.state
     for one in terms:
-        if progress is not None:
-            progress.say(f"adding {one.label}")
+        predictor.progress.say(f"adding {one.label}")
         state = _added(state, one)
     names = numbers_to_fit(state.model, source, free, fixed)
     again = fit(state, names)
@@ -99,11 +92,9 @@ def refitted(
     return Diagnosis(tuple(rungs), missing_force(again.state))
 
 
-def explained(
-    predictor: Predictor, source: Source, options: ExplainOptions, progress: Progress | None = None
-) -> Diagnosis:
+def explained(predictor: Predictor, source: Source, options: ExplainOptions) -> Diagnosis:
     """Anchors and missing effects, until the model is adequate or nothing helps. Collective on the predictor's ranks."""
-    found = explain(predictor, options, source.model, source.own, progress)
+    found = explain(predictor, options, source.model, source.own)
     where = None if found.last.adequacy.adequate else missing_force(found.last.state)
     if where is None and len(found.rungs) > 1:
         where = missing_force(found.rungs[0].state)
@@ -136,13 +127,12 @@ def numbers_to_fit(model: Model, source: Source, free: Sequence[str], fixed: Seq
     return tuple(dict.fromkeys(name for name in names if name not in fixed))
 
 
-def _present(predictor: Predictor, source: Source, progress: Progress | None) -> Fit:
+def _present(predictor: Predictor, source: Source) -> Fit:
     """The model of a run on the predictor; its fitted numbers are fitted again, for the level may be another."""
     assert source.anchors is not None
-    if progress is not None:
-        progress.say(
-            f"comparing {source.model.name}, anchors {label(source.anchors, source.scene.patches)}, on two meshes"
-        )
+    predictor.progress.say(
+        f"comparing {source.model.name}, anchors {label(source.anchors, source.scene.patches)}, on two meshes"
+    )
     leave_out(predictor, source.model, source.anchors)
     return fit(State.of(predictor, source.model, source.anchors, None, source.free), source.free)
 

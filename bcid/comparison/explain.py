@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError
-from bcid.base.progress import Progress, Silent
+from bcid.base.progress import Steps
 from bcid.base.units import p_value
 from bcid.comparison import anchors as anchor_search
 from bcid.comparison.adequacy import Adequacy, judge
@@ -118,16 +118,14 @@ def explain(
     options: ExplainOptions | None = None,
     model: Model | None = None,
     more: Iterable[Effect] = (),
-    progress: Progress | None = None,
 ) -> Explanation:
     """Find anchors and missing effects until the model is adequate, or say that nothing explains the data; collective.
 
     Args:
-        predictor: of the measurement.
+        predictor: of the measurement; its progress is told what goes on.
         options: how far to go.
         model: where to begin; by default the scene's model.
         more: effects beyond the catalogue.
-        progress: told what goes on (give it on rank 0 only).
 
     Raises:
         InputError: the options name an unknown effect or level.
@@ -135,7 +133,7 @@ def explain(
     """
     options = options or ExplainOptions()
     known = effects.catalogue(options.only, more)
-    return _Loop(predictor, options, model or Model.of(predictor.scene), known, progress or Silent()).run()
+    return _Loop(predictor, options, model or Model.of(predictor.scene), known).run()
 
 
 @dataclass
@@ -144,7 +142,6 @@ class _Loop:
     options: ExplainOptions
     model: Model
     known: list[Effect]
-    progress: Progress
     seen: list[Anchored] = field(default_factory=list)
 
     # -- the loop
@@ -180,12 +177,14 @@ class _Loop:
 
     def begun(self) -> Fit:
         """The model with the likely anchors, on what was seen before the body buckles with them."""
+        self.step("looking for the likely anchors on a coarse mesh")
         first = self.followed(self.first_anchors())
         for one in leave_out(self.predictor, self.model, first[0]):
             self.say(str(one))
         if self.predictor.left_out:
             first = self.followed(self.first_anchors())
         self.seen = first[1:]
+        self.step(f"fitting {self.model.name}")
         return fit(State.of(self.predictor, self.model, first[0]), ())
 
     def followed(self, sets: list[Anchored]) -> list[Anchored]:
@@ -202,7 +201,13 @@ class _Loop:
         # A set with which the body buckles takes long and is seldom the one: no step is halved for it.
         predictor, _ = self.predictor.thinned(STEPS, Settings(rtol=1e-6, halvings=0))
         found = identify(
-            predictor.whole, predictor.measurement, predictor.comm, options, self.model, predictor.settings
+            predictor.whole,
+            predictor.measurement,
+            predictor.comm,
+            options,
+            self.model,
+            predictor.settings,
+            Steps(predictor.progress),
         )
         self.predictor.count("coarse", sum(found.evaluations.values()))
         near = [a.anchored for a in found.alternatives if a.rms < _NEAR * a.best_rms]
@@ -246,6 +251,7 @@ class _Loop:
         """Fit again with the error of the mesh of the fitted model, until the fitted numbers stay."""
         for _ in range(2):
             state = fitted.state
+            self.step(f"the error of the mesh with {state.model.name}")
             mesh = self.predictor.mesh_error(state.model, state.anchors, state.prediction)
             again = fit(
                 State.of(self.predictor, state.model, state.anchors, mesh, state.free, state.prediction), state.free
@@ -292,7 +298,7 @@ class _Loop:
                 pass
         rivals = contest(state, proposals, self.options.fitted)
         for rival in rivals:
-            self.progress.say(
+            self.say(
                 f"  with {rival.term.label}, anchors {self.name(rival.anchors)}: {rival.fitted.state.rms * 1e3:.3g} mm"
             )
         self.predictor.drop([fitted.state.model, *(r.fitted.state.model for r in rivals)])
@@ -334,7 +340,10 @@ class _Loop:
         return tuple(name for name in dict.fromkeys(near) if name != best.effect)
 
     def say(self, text: str) -> None:
-        self.progress.say(text)
+        self.predictor.progress.say(text)
+
+    def step(self, work: str) -> None:
+        self.predictor.progress.step(work)
 
     def name(self, anchors: Anchored) -> str:
         return label(anchors, self.predictor.scene.patches)

@@ -158,6 +158,7 @@ class _Problem:
         if key not in self._known:
             model = self.model(x)
             self._known = dict(list(self._known.items())[-1:])
+            self.predictor.progress.step(f"fitting {model.name}", self.evaluations)
             self._known[key] = model, self.predictor.predict(model, self.anchors, keep=True)
             self.evaluations += 1
         return self._known[key]

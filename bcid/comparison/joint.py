@@ -101,6 +101,7 @@ class _Climb:
         """Rank the effects with a set."""
         if anchors in self.known or not anchors or len(self.known) >= self.most:
             return
+        self.state.predictor.progress.step("anchor sets, with the best effect for each", len(self.known), self.most)
         self.known[anchors] = []
         try:
             state = State.of(self.state.predictor, self.state.model, anchors, self.state.errors.mesh, self.state.free)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from bcid.base.collective import Comm, agree, in_turns
 from bcid.base.errors import BcidError, InputError
+from bcid.base.progress import Progress, Silent
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
@@ -60,6 +61,7 @@ class Predictor:
         comm: an MPI communicator.
         level: the fine level; by default the last with at most 40,000 unknowns.
         settings: accuracy and patience of the solver.
+        progress: told what goes on (give it on rank 0 only).
 
     Attributes:
         scene: the scene with the working level and, if there is one, the fine level, for a ladder.
@@ -67,6 +69,7 @@ class Predictor:
         fine_level: number of the fine level in its ladder.
         data: the measured values.
         left_out: what of the measurement is not compared, and why, in words.
+        thin: whether only some steps of each action are followed.
         trajectories: forward trajectories by level ("working", "fine"), in whole-trajectory equivalents.
     """
 
@@ -79,6 +82,7 @@ class Predictor:
         comm: Comm,
         level: int | None = None,
         settings: Settings | None = None,
+        progress: Progress | None = None,
     ) -> None:
         if level is not None and not 0 <= level < len(scene.levels):
             raise InputError(f"level {level}: the scene has levels 0 to {len(scene.levels) - 1}")
@@ -87,6 +91,8 @@ class Predictor:
         self.scene = replace(scene, levels=pair(scene, self.fine_level))
         # Where a step must be halved more often the body buckles, and following it proves nothing.
         self.settings = settings or Settings(rtol=1e-7, halvings=3)
+        self.progress = progress or Silent()
+        self.thin = False
         self.data = Data(scene, measurement)
         self.left_out: tuple[str, ...] = ()
         self.actions = measurement.actions
@@ -121,6 +127,7 @@ class Predictor:
         rests = [int(kept[0]) for kept in chosen[1:] if len(kept) > 1]
         data["position"][{"frame": np.searchsorted(frames, rests)}] = np.nan
         other = copy(self)
+        other.thin = True
         other.look_at(replace(self.measurement, data=data), self.left_out)
         other.actions, other.settings = other.measurement.actions, settings
         other._predictions, other._forwards, other._sensitivities = [], {}, {}
@@ -236,7 +243,10 @@ class Predictor:
             self._sensitivities[key] = Sensitivity(forward)
         sensitivity = self._sensitivities[key]
         error, parts, seen = None, [], self.data.mask.any(axis=(1, 2))
-        for action in self.mine(self.actions):
+        mine = self.mine(self.actions)
+        for number, action in enumerate(mine):
+            if not self.thin and len(wanted.probes) > 1:
+                self.progress.step("sensitivities to effects, by action", number, len(mine))
             whole = self._whole(prediction.parts[action.name])
             try:
                 parts.append(sensitivity.of(anchors, [action], whole, wanted, model, seen))

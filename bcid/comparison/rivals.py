@@ -117,6 +117,7 @@ def refit_candidates(state: State, proposals: Iterable[Proposal], most: int) -> 
         if effect.name in tried or len(rivals) >= most - 1 or _hopeless(proposal, rivals):
             continue
         tried.add(effect.name)
+        state.predictor.progress.step("candidates refitted", len(tried) - 1, most, f"now {effect.name}")
         rivals += refit(state, effect, proposal.anchors)
     if not rivals:
         return []

@@ -8,6 +8,7 @@ from bcid.comparison.source import Source, find_effect
 from bcid.comparison.variants import neutral_values
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Term
+from bcid.forms.written_effects import split
 
 
 def parsed_term(text: str, source: Source, where: str = "--add") -> Term:
@@ -22,15 +23,10 @@ def parsed_term(text: str, source: Source, where: str = "--add") -> Term:
     Raises:
         InputError: effect, place, parameter, number or unit are not known.
     """
-    name, _, rest = (part.strip() for part in text.partition(":"))
+    name, place, written = split(text)
     effect = find_effect(name, source.own)
-    values, place = neutral_values(source.model, effect), ""
-    for part in (piece.strip() for piece in rest.split(",") if piece.strip()):
-        key, equals, value = (piece.strip() for piece in part.partition("="))
-        if equals:
-            values[key] = _number(effect, key, value, f"{where} {text}")
-        else:
-            place = key
+    values = neutral_values(source.model, effect)
+    values |= {key: _number(effect, key, value, f"{where} {text}") for key, value in written.items()}
     _check_place(effect, place, source, f"{where} {text}", f"{where} {name}")
     return Term(effect, values, place=place)
 

@@ -6,7 +6,7 @@ import itertools
 import math
 import shutil
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ from bcid.forms.mesh import level_mesh
 from bcid.forms.mesh.check import measures
 from bcid.forms.mesh.patches import divided
 from bcid.forms.model import check_physics
+from bcid.forms.written_effects import with_effects
 from bcid.inference.hypotheses import Hypothesis, entropy
 from bcid.measurement import Measurement
 from bcid.scene import Scene
@@ -86,7 +87,7 @@ def run_exploration(
     if hidden:
         inputs["hidden"] = list(hidden)
     store = store or folder / "predictions"
-    predictors = [PullPredictor(ladder, level, comm, store) for level in range(len(ladder.levels))]
+    predictors = [PullPredictor(ladder, n, comm, store, progress=progress) for n in range(len(ladder.levels))]
     mover = None
     try:
         with running(comm, folder, "explore", inputs, MAKES, overwrite) as run:
@@ -129,35 +130,6 @@ def _robot_kind(text: str, scene: Scene) -> tuple[str, str]:
                     f"--robot '{text}': patch '{name}' is not in the scene; it has {', '.join(scene.patches)}"
                 )
     return kind, about
-
-
-def with_effects(scene: Scene, hidden: Sequence[str], where: str = "--hide") -> Scene:
-    """The scene with more effects, written as "fibres: k1 = 5 kPa, angle = 30 deg"; `where` they stand is told in errors.
-
-    Raises:
-        InputError: an effect or its numbers cannot be used.
-    """
-    for text in hidden:
-        name, colon, rest = (part.strip() for part in text.partition(":"))
-        pairs = [pair.partition("=") for pair in rest.split(",")] if colon else []
-        if not name or not pairs or not all(key.strip() and value.strip() for key, _, value in pairs):
-            raise InputError(f"{where} '{text}': expected as in \"fibres: k1 = 5 kPa, angle = 30 deg\"")
-        if name in scene.effects:
-            raise InputError(f"{where} '{text}': the scene's model has {name} already")
-        values = {key.strip(): _number(value.strip()) for key, _, value in pairs}
-        scene = replace(scene, effects={**scene.effects, name: values})
-        problems = check_physics(scene)
-        if problems:
-            raise InputError("\n".join([f"{where} '{text}':", *(f"  {problem}" for problem in problems)]))
-    return scene
-
-
-def _number(text: str) -> float | str:
-    """A pure number, or a text: a quantity with its unit, or the name of a place."""
-    try:
-        return float(text)
-    except ValueError:
-        return text
 
 
 def _names(text: str) -> list[str]:

@@ -66,7 +66,7 @@ class ExploreOptions:
         if not (math.isfinite(self.budget) and self.budget > 0):
             raise InputError(f"--budget {self.budget:g}: must be positive")
         if self.criterion not in CRITERIA:
-            raise InputError(f"--criterion {self.criterion}: must be one of {', '.join(CRITERIA)}")
+            raise InputError(f"--criterion {self.criterion}: {nearest(self.criterion, CRITERIA)}")
         if self.samples < 10:
             raise InputError(f"--samples {self.samples}: must be at least 10")
         if self.level is not None and not 0 <= self.level < len(scene.levels):
@@ -78,7 +78,7 @@ class ExploreOptions:
                 raise InputError(f"--effects {name}: the scene's model has it already")
         for name in self.grasps or ():
             if name not in scene.grasps:
-                raise InputError(f"--grasps {name}: is not in the scene; it has {', '.join(scene.grasps)}")
+                raise InputError(f"--grasps {name}: is not in the scene; {nearest(name, scene.grasps)}")
 
     def moves(self, scene: Scene) -> tuple[Move, ...]:
         """The pulls to choose from."""

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from bcid.base.collective import Comm, agree, in_turns, on_root
 from bcid.base.errors import BcidError, InputError
 from bcid.base.fingerprint import fingerprint
+from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import writing
 from bcid.base.text_file import parse_json
 from bcid.forms.forward import Forward
@@ -91,6 +92,7 @@ class PullPredictor:
         comm: an MPI communicator.
         store: folder in which predictions are kept; None to keep them in memory only.
         model: the model; by default the scene's.
+        progress: told how many pulls are predicted (give it on rank 0 only).
 
     Attributes:
         evaluations: actions predicted by this object, on all ranks.
@@ -98,10 +100,17 @@ class PullPredictor:
     """
 
     def __init__(
-        self, scene: Scene, level: int, comm: Comm, store: Path | None = None, model: Model | None = None
+        self,
+        scene: Scene,
+        level: int,
+        comm: Comm,
+        store: Path | None = None,
+        model: Model | None = None,
+        progress: Progress | None = None,
     ) -> None:
         self.scene, self.level, self.comm, self.store = scene, level, comm, store
         self.model = model or Model.of(scene)
+        self.progress = progress or Silent()
         self.evaluations = 0
         self.asked: set[tuple[str, Anchored]] = set()
         self._known: dict[tuple[str, Anchored], PullPrediction] = {}
@@ -137,7 +146,7 @@ class PullPredictor:
         todo = list(missing.items())
         size = _BATCH * self.comm.size
         for i in range(0, len(todo), size):
-            fresh = self._work(todo[i : i + size], detailed)
+            fresh = self._work(todo[i : i + size], detailed, i, len(todo))
             on_root(self.comm, partial(self._keep, {k: f for k, f in fresh.items() if missing[k][1] is self.model}))
         return [self._known[k] for k in keys]
 
@@ -156,7 +165,7 @@ class PullPredictor:
         return known is not None and (known.detailed or not detailed)
 
     def _work(
-        self, todo: Sequence[tuple[tuple[str, Anchored], tuple[Task, Model]]], detailed: bool
+        self, todo: Sequence[tuple[tuple[str, Anchored], tuple[Task, Model]]], detailed: bool, done: int, total: int
     ) -> dict[tuple[str, Anchored], PullPrediction]:
         for model in {model.name: model for _, (_, model) in todo}.values():
             self.forward(model)
@@ -164,6 +173,8 @@ class PullPredictor:
         error = None
         tickets = counter(self.comm)
         for i in share(range(len(todo)), tickets):
+            # They are handed out in order: those before this one are done, or nearly.
+            self.progress.step(f"predicting pulls on level {self.level}", done + i, total)
             (anchors, action), model = todo[i][1]
             try:
                 mine.append((i, predicted(self.forward(model), anchors, action, detailed)))

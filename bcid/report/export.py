@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bcid.base.errors import InputError, unwritable
+from bcid.base.errors import InputError, nearest, unwritable
 from bcid.base.run_folder import writing
 from bcid.report.figure import styled
 from bcid.report.found import Found
@@ -53,7 +53,7 @@ def write_figures(
     """
     for name in formats:
         if name not in FORMATS:
-            raise InputError(f"--format {name}: is not known; known: {', '.join(FORMATS)}")
+            raise InputError(f"--format {name}: {nearest(name, FORMATS)}")
     if target.exists() and not target.is_dir():
         raise InputError(f"{target}: is a file; give the name of a folder")
     found = Found.read(folder)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from bcid.base.errors import InputError, nearest
 from bcid.scene.action import Action
+from bcid.scene.rotation import as_quaternion, conjugated, rotate, slerp
 
 Array = NDArray[np.float64]
 Path = tuple[Array, Array]
@@ -67,15 +69,62 @@ MOTIONS: dict[str, Callable[[], list[Path]]] = {
 }
 
 
-def motion(name: str, grasp: str, first: int = 1) -> list[Action]:
+def motion(
+    name: str,
+    grasp: str,
+    first: int = 1,
+    amplitude: float | None = None,
+    steps: int | None = None,
+    direction: Sequence[float] | None = None,
+) -> list[Action]:
     """The actions of a named motion with a grasp; actions and frames are numbered from `first` and 0.
 
+    Args:
+        name: one of `MOTIONS`.
+        grasp: name of the grasp.
+        first: number of the first action.
+        amplitude: how far the gripper goes from rest at most, m; by default as in the benchmark. Turns stay as they are.
+        steps: of each action, besides rest; by default as in the benchmark.
+        direction: where the motion's x axis goes, shape (3,), of any length; its other axes are turned along the shortest way.
+
     Raises:
-        InputError: there is no motion of that name.
+        InputError: there is no motion of that name, or a number makes no sense.
     """
     if name not in MOTIONS:
         raise InputError(f"unknown motion '{name}'; {nearest(name, MOTIONS)}")
-    return actions(MOTIONS[name](), grasp, first)
+    if amplitude is not None and not (np.isfinite(amplitude) and amplitude > 0):
+        raise InputError(f"amplitude {amplitude:g} m: must be above 0")
+    if steps is not None and steps < 1:
+        raise InputError(f"steps {steps}: must be at least 1")
+    paths = MOTIONS[name]()
+    if steps is not None:
+        paths = [_resampled(path, steps) for path in paths]
+    if amplitude is not None:
+        far = max(float(np.linalg.norm(points, axis=1).max()) for points, _ in paths)
+        paths = [(points * (amplitude / far), turns) for points, turns in paths]
+    if direction is not None:
+        paths = [_turned(path, direction) for path in paths]
+    return actions(paths, grasp, first)
+
+
+def _resampled(path: Path, steps: int) -> Path:
+    """The path in so many steps, along straight lines and shortest arcs between its own."""
+    points, turns = path
+    at = np.linspace(0, len(points) - 1, steps + 1)
+    before = np.minimum(at.astype(int), len(points) - 2)
+    part = at - before
+    moved = points[before] + part[:, None] * (points[before + 1] - points[before])
+    return moved, slerp(turns[before], turns[before + 1], part)
+
+
+def _turned(path: Path, direction: Sequence[float]) -> Path:
+    """The path in axes whose x goes along a direction."""
+    wanted = np.asarray(direction, dtype=float)
+    if wanted.shape != (3,) or not np.isfinite(wanted).all() or not np.linalg.norm(wanted) > 0:
+        raise InputError(f"direction {tuple(direction)}: must be three numbers that are not all zero")
+    turn = as_quaternion(Rotation.align_vectors(wanted[None], np.eye(3)[:1])[0])
+    points, turns = path
+    return rotate(turn, points), conjugated(turn, turns)
 
 
 def actions(paths: list[Path], grasp: str, first: int = 1) -> list[Action]:

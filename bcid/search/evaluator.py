@@ -125,7 +125,7 @@ class Evaluator:
         return team
 
     def evaluate(
-        self, level: int, bounds: Mapping[Candidate, float], rival: Candidate | None = None
+        self, level: int, bounds: Mapping[Candidate, float], rival: Candidate | None = None, last: bool = False
     ) -> dict[Candidate, Outcome]:
         """Outcomes of candidates on a level; collective, the same on every rank.
 
@@ -137,6 +137,7 @@ class Evaluator:
                 to do as well there as the rival. Without one, it is taken to miss nothing there: the bound is then
                 exact. With one it is a sequential likelihood ratio test (Wald 1945): if the candidate were the true
                 set, the probability that it is stopped at odds of 1 to R is at most 1/R (Ville's inequality).
+            last: whether no others follow on this level, so that it can be told how much is left.
         """
         forward = self.forward(level)
         rest = self._rest(level, rival)
@@ -146,7 +147,7 @@ class Evaluator:
         todo = [c for c, bound in bounds.items() if not self._enough(self.outcomes.get((level, c)), bound)]
         size = _BATCH * (self.comm.size // forward.comm.size)
         for i in range(0, len(todo), size):
-            self._work(level, {c: bounds[c] for c in todo[i : i + size]}, rest)
+            self._work(level, {c: bounds[c] for c in todo[i : i + size]}, rest, len(bounds) if last else 0)
         return {c: self.outcomes[level, c] for c in bounds}
 
     def _rest(self, level: int, rival: Candidate | None) -> Array:
@@ -156,8 +157,8 @@ class Evaluator:
         predicted = self.positions(level, rival)
         return np.array([self.misfit.frame(i, p) for i, p in enumerate(predicted)]).T
 
-    def _work(self, level: int, bounds: Mapping[Candidate, float], rest: Array) -> None:
-        """Evaluate a batch: every team takes the next candidate when it is free. Collective."""
+    def _work(self, level: int, bounds: Mapping[Candidate, float], rest: Array, total: int) -> None:
+        """Evaluate a batch of `total` candidates: every team takes the next when it is free. Collective."""
         forward, leaders = self.forward(level), self._leaders[level]
         team = forward.comm
         mine: list[Outcome] = []
@@ -174,7 +175,7 @@ class Evaluator:
             mine.append(outcome)
             if outcome.complete:
                 positions[candidate] = predicted
-            self._report(level, mine)
+            self._report(level, mine, total)
         if tickets is not None:
             tickets.close()
         agree(self.comm, error)
@@ -188,15 +189,15 @@ class Evaluator:
         if self.keep is not None and found:
             self.keep(found)
 
-    def _report(self, level: int, mine: list[Outcome]) -> None:
+    def _report(self, level: int, mine: list[Outcome], total: int) -> None:
         """How far this level is, as far as this rank can tell before the batch is shared."""
         here = [o for (at, _), o in self.outcomes.items() if at == level] + mine
         good = [o for o in here if o.complete]
-        text = f"level {level}: {len(here)} of {2 ** len(self.patches)} anchor sets looked at"
+        note = ""
         if good:
             best = min(good, key=lambda o: o.chi2)
-            text += f", best so far {label(best.candidate, self.patches)} with {best.rms * 1e3:.3g} mm"
-        self.progress.step(text)
+            note = f"best so far {label(best.candidate, self.patches)} with {best.rms * 1e3:.3g} mm"
+        self.progress.step(f"level {level}: anchor sets", len(here), total, note)
 
     @staticmethod
     def _enough(outcome: Outcome | None, bound: float) -> bool:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from bcid.base.collective import Comm
-from bcid.base.errors import InputError, SolveError
+from bcid.base.errors import InputError, SolveError, nearest
 from bcid.base.progress import Progress, Silent
 from bcid.forms.forward import Prediction
 from bcid.forms.mesh.patches import divided, first_level
@@ -74,9 +74,9 @@ class IdentifyOptions:
         """Raise `InputError` for options that the scene cannot serve."""
         levels = len(scene.levels)
         if self.certify not in CERTIFY:
-            raise InputError(f"certify '{self.certify}': allowed are {', '.join(CERTIFY)}")
+            raise InputError(f"certify '{self.certify}': {nearest(self.certify, CERTIFY)}")
         if self.start not in ("maxima", "threshold"):
-            raise InputError(f"start '{self.start}': allowed are maxima, threshold")
+            raise InputError(f"start '{self.start}': {nearest(self.start, ('maxima', 'threshold'))}")
         rules = self.termination
         for name, number, least in (
             ("seeds", self.count(scene), 1),
@@ -328,7 +328,7 @@ class _Search:
             now = self.best(level)
             unchanged = unchanged + len(group) if top is not None and now.candidate == top.candidate else 0
             top = now
-            self.progress.step(f"level {level}: {len(climbs)} climbs, best so far {self.name(now.candidate)}")
+            self.progress.step(f"level {level}: climbs", len(climbs), 0, f"best so far {self.name(now.candidate)}")
             reached = options.termination.reached(evaluator, level, now, unchanged)
             if reached:
                 why = reached
@@ -354,7 +354,7 @@ class _Search:
             error = model_errors(evaluator, winner.candidate, self.levels)[level]
             bound = interest(winner, evaluator.misfit, ODDS * len(everything), error)
             rivals = sorted(everything, key=lambda c: (len(c ^ winner.candidate), sorted(c)))
-            evaluator.evaluate(level, dict.fromkeys(rivals, bound), rival=winner.candidate)
+            evaluator.evaluate(level, dict.fromkeys(rivals, bound), rival=winner.candidate, last=True)
             best = self.best(level)
         self.say(
             f"level {level}: all {len(everything)} sets looked at; {evaluator.evaluations()[level]:.1f} trajectories"

@@ -66,7 +66,7 @@ def find_corners(left: Images, right: Images, board: Board, progress: Progress) 
         numbers = [numbers[i] for i in np.linspace(0, len(numbers) - 1, _MOST).round().astype(int)]
     found = []
     for count, number in enumerate(numbers, start=1):
-        progress.step(f"corners of pair {number} ({count} of {len(numbers)})")
+        progress.step("corners of the board in pairs", count, len(numbers))
         pair = _pair(left, right, board, number)
         if isinstance(pair, str):
             missing[number] = pair

@@ -82,7 +82,7 @@ def test_help_names_every_command(tmp_path: Path) -> None:
     for command in COMMANDS:
         assert bcid(command, "--help", cwd=tmp_path).returncode == 0
     assert bcid(cwd=tmp_path).returncode == 2
-    assert "invalid choice" in bcid("identfy", cwd=tmp_path).stderr
+    assert "did you mean 'identify'" in bcid("identfy", cwd=tmp_path).stderr
 
 
 def test_a_process_ends_with_the_exit_code(tmp_path: Path) -> None:
@@ -115,7 +115,10 @@ def test_a_process_ends_with_the_exit_code(tmp_path: Path) -> None:
         (["explore", LIMITED, "--robot", "simulated:9", "-o", "run"], ["patch '9'", "it has 1, 2"]),
         (["explore", LIMITED, "--robot", "simulated:1", "-o", "run", "--noise", "2"], ["'2'", "unit"]),
         (["explore", LIMITED, "--robot", "simulated:1", "-o", "run", "--noise", "-2 mm"], ["must not be negative"]),
-        (["explore", LIMITED, "--robot", "simulated:1", "-o", "run", "--grasps", "IV"], ["--grasps IV", "I, II, III"]),
+        (
+            ["explore", LIMITED, "--robot", "simulated:1", "-o", "run", "--grasps", "iii"],
+            ["--grasps iii", "mean 'III'"],
+        ),
         (
             ["explore", LIMITED, "--robot", "simulated:1", "-o", "run", "--criterion", "luck"],
             ["information, entropy, random"],
@@ -137,6 +140,24 @@ def test_a_process_ends_with_the_exit_code(tmp_path: Path) -> None:
         (["simulate", SLAB, "--motion", "pull", "--level", "7", "-o", "made"], ["--level 7"]),
         (["simulate", SLAB, "--motion", "pull", "--noise", "3", "-o", "made"], ["has no unit"]),
         (["simulate", SLAB, "--motion", "pull", "--noise", "-3 mm", "-o", "made"], ["negative"]),
+        (["simulate", SLAB, "--motion", "Pull", "-o", "made"], ["did you mean 'pull'"]),
+        (["simulate", SLAB, "--motion", "pull", "--amplitude", "3", "-o", "made"], ["--amplitude", "has no unit"]),
+        (["simulate", SLAB, "--motion", "pull", "--amplitude", "0 mm", "-o", "made"], ["amplitude 0 m", "above 0"]),
+        (["simulate", SLAB, "--motion", "pull", "--steps", "0", "-o", "made"], ["steps 0", "at least 1"]),
+        (["simulate", SLAB, "--motion", "pull", "--direction", "up", "-o", "made"], ["'up'", "0,0,1"]),
+        (["simulate", SLAB, "--motion", "pull", "--direction", "0,0,0", "-o", "made"], ["not all zero"]),
+        (["simulate", SLAB, "--like", SEEN, "--steps", "3", "-o", "made"], ["--like", "--steps"]),
+        (
+            ["simulate", SLAB, "--motion", "pull", "--hide", "Gravity: weight = 1 kN/m^3", "-o", "made"],
+            ["mean 'gravity'"],
+        ),
+        (
+            ["simulate", SLAB, "--motion", "pull", "--hide", "gravity: weight = 9.8", "-o", "made"],
+            ["gravity.weight", "unit"],
+        ),
+        (["simulate", SLAB, "--motion", "pull", "--hide", "gravity", "-o", "made"], ["expected as in"]),
+        (["Identify", SLAB, SEEN, "-o", "run"], ["'Identify' is no command", "did you mean 'identify'"]),
+        (["identify", SLAB, SEEN, "-o", "run", "--certify", "Yes"], ["did you mean 'yes'"]),
     ],
 )
 def test_mistakes(arguments: list[object], words: list[str], tmp_path: Path) -> None:
@@ -251,7 +272,7 @@ def test_a_command_counts_the_seconds_from_its_start(
         drawn.append(folder)
 
     monkeypatch.setattr(job, done)
-    monkeypatch.setattr(commands, "Lines", counted)
+    monkeypatch.setattr(commands, "progress_on", counted)
     monkeypatch.setattr(commands, "_draw", draw)
     assert cli.main([command, *arguments]) == 0
     assert len(made) == 1

@@ -49,7 +49,7 @@ def dispatch(work: Work, tasks: Mapping[str, Task], how: Workers, progress: Prog
 
 
 def _tell(progress: Progress, count: int, done: int) -> None:
-    progress.step(f"{done} of {count} trials done")
+    progress.step("trials", done, count)
 
 
 def _among_ranks(comm: Comm, work: Work, todo: Mapping[str, Task], limit: float, progress: Progress) -> None:

@@ -29,13 +29,14 @@ from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import RunFolder, running
 from bcid.base.shipped import shipped
 from bcid.exploration.choice import Choice, Chooser
-from bcid.exploration.explore_run import telling_pull, with_effects
+from bcid.exploration.explore_run import telling_pull
 from bcid.exploration.loop import ExploreOptions, explore, paired
 from bcid.exploration.moves import limits_of, moves
 from bcid.exploration.predictions import PullPredictor
 from bcid.exploration.robots import Simulated
 from bcid.exploration.update import BeliefUpdate
 from bcid.forms.model import check_physics
+from bcid.forms.written_effects import with_effects
 from bcid.inference.hypotheses import Hypothesis
 from bcid.scene import Level, Scene
 from bcid.search.seeds import all_candidates

@@ -77,7 +77,7 @@ class Condition:
 
     def truth(self, scene: Scene) -> Scene:
         """The scene as it really is, with the truth's elements as its only level."""
-        from bcid.exploration.explore_run import with_effects
+        from bcid.forms.written_effects import with_effects
 
         level = scene.levels[-1] if not self.true_degree else Level(self.true_degree, self.true_size)
         values = dict(scene.material.values)
