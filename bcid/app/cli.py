@@ -1,6 +1,6 @@
 """The command line: ``bcid demo``, ``identify``, ``compare``, ``diagnose``, ``fit``, ``explain``, ``explore``,
 ``simulate``, ``check-effect`` (also under ``mpirun -n N``), ``report``, ``figure``, ``calibrate``, ``track``, ``doctor``,
-``bench``, ``study``.
+``bench``, ``study``, ``examples``.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from bcid.app.commands import (
     complain,
     demo,
     diagnose,
+    examples,
     explain,
     explore,
     figure,
@@ -47,6 +48,7 @@ _WITHOUT_MPI = {
     "track": "give the same command again",
     "report": "nothing was written",
     "figure": "nothing was written",
+    "examples": "remove the folder",
 }
 
 # How long the ranks that are not the first wait for it to end the job, s.
@@ -74,6 +76,7 @@ _EXAMPLES = """examples:
   bcid track scene.toml recording.toml -o tracked               from their images of beads to a measurement
   bcid simulate scene.toml --anchors 1,2 --motion pull -o made  a measurement made by the model
   bcid check-effect my_effect.py                                does an effect of one's own keep the contract?
+  bcid examples slabs                                           the scenes and measurements that come with bcid
   bcid doctor                                                   is everything installed that is needed?
   bcid bench                                                    how fast is it, against other codes? (half an hour)
 
@@ -201,6 +204,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_track(commands)
     _add_simulate(commands)
     _add_check_effect(commands)
+    _add_examples(commands)
     commands.add_parser("doctor", help="tell what is installed and whether it works")
     _add_bench(commands)
     _add_study(commands)
@@ -539,6 +543,17 @@ def _add_simulate(commands: Any) -> None:
     parser.add_argument("--random-state", type=_seed, default=0, metavar="N", help="of the noise (0)")
     parser.add_argument("--wrench", action="store_true", help="also record force and torque of the gripper")
     _add_quiet(parser)
+
+
+def _add_examples(commands: Any) -> None:
+    parser = _add(
+        commands,
+        "examples",
+        examples,
+        "copy the scenes, measurements, studies and scripts that come with bcid",
+        "The commands of the documentation work in the folder that it makes.",
+    )
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="to make")
 
 
 def _add_check_effect(commands: Any) -> None:

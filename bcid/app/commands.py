@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from bcid.base.collective import Comm
 from bcid.base.errors import InputError, MachineError
 from bcid.base.progress import Progress, Silent, clear, progress_on
-from bcid.base.shipped import shipped
+from bcid.base.shipped import copy_examples, shipped
 from bcid.base.text_file import read_json
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 DEMO_SCENE = "examples/scenes/slab_explain.toml"
 DEMO_MEASUREMENT = "examples/measurements/slab-34-heavy"
+EXAMPLE = "examples/scenes/slab.toml examples/measurements/slab-34-complex"
 # The module of `bcid.report` that draws what a command found.
 _PICTURES = dict.fromkeys(("compare", "diagnose", "fit", "explain"), "diagnosis_picture") | {
     "identify": "identification_picture",
@@ -387,6 +388,12 @@ def simulate(arguments: argparse.Namespace, comm: Comm) -> None:
     on_root(comm, lambda: made.write(arguments.output))
     if comm.rank == 0:
         print(f"{arguments.output}: {len(made.positions)} frames of {len(made.fiducial_names)} fiducials")
+
+
+def examples(arguments: argparse.Namespace) -> None:
+    """`bcid examples`."""
+    names = copy_examples(arguments.folder)
+    print(f"{arguments.folder}: {', '.join(names)}\ntry: cd {arguments.folder}; bcid identify {EXAMPLE} -o run")
 
 
 def check_effect(arguments: argparse.Namespace, comm: Comm) -> None:

@@ -2,15 +2,35 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
-from bcid.base.errors import MachineError
+from bcid.base.errors import InputError, MachineError, unwritable
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 # Below the package when it was installed from a wheel; in a checkout the package lies beside them.
 _PLACES = (_PACKAGE / "shipped", _PACKAGE.parent)
+# Scenes name their geometries by paths that go from one of these folders to the other.
+_EXAMPLES = ("examples", "meshes", "studies")
 # What is on the path of a Python that can import bcid.
 IMPORT_ROOT = _PACKAGE.parent
+
+
+def copy_examples(target: Path) -> list[str]:
+    """Copy what the examples of the documentation need into a folder, under the names of the checkout; returns these names.
+
+    Raises:
+        InputError: the folder exists and holds something.
+        MachineError: it cannot be written, or the files did not come with this installation.
+    """
+    if target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise InputError(f"{target}: exists and is not empty; name another folder")
+    try:
+        for name in _EXAMPLES:
+            shutil.copytree(shipped(name), target / name, ignore=shutil.ignore_patterns("__pycache__"))
+    except OSError as error:
+        raise unwritable(target, error) from None
+    return list(_EXAMPLES)
 
 
 def shipped(name: str) -> Path:
