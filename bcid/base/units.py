@@ -172,6 +172,7 @@ _ARRAYS = dict.fromkeys((*_METRES, "points", "displacement", "translation"), "m"
     "covariance": "m^2",
     "pixel": "px",
     "misfit": "1",
+    "energy": "J/m^3",
 }
 
 

@@ -36,13 +36,18 @@ def collect(predictor: Predictor, done: Diagnosis) -> dict[str, Any]:
         parts[one.label] = state.prediction.positions - without.positions
     forward = predictor.forward(state.model)
     displacement = np.full((len(predictor.data.mask), len(forward.mesh.points), 3), np.nan)
+    energy = displacement[..., 0].copy()
     for action in predictor.actions:
         part = state.prediction.parts.get(action.name)
         if part is not None and part.states is not None:
-            for frame in action.frames:
-                nodes = part.states[int(frame)][forward.body.displacement_dofs].reshape(-1, 3)
-                displacement[frame] = forward.body.at_mesh_nodes(nodes)
-    return {"parts": parts, "displacement": joined(predictor.comm.allgather(displacement)), "mesh": forward.mesh}
+            detailed = forward.detail(state.anchors, [action], part)
+            assert detailed.displacement is not None
+            assert detailed.energy is not None
+            displacement[action.frames] = detailed.displacement[action.frames]
+            energy[action.frames] = detailed.energy[action.frames]
+    fields = {"displacement": displacement, "energy": energy}
+    fields = {name: joined(predictor.comm.allgather(values)) for name, values in fields.items()}
+    return {"parts": parts, "mesh": forward.mesh} | fields
 
 
 def documents(source: Source, done: Diagnosis, content: dict[str, Any]) -> dict[str, Any]:
@@ -60,7 +65,7 @@ def documents(source: Source, done: Diagnosis, content: dict[str, Any]) -> dict[
     if done.explanation is not None:
         found["identification.json"] = done.explanation.identification.to_json(unit) | {"length_unit": name}
     found["residuals.nc"] = residual_dataset(done, content["parts"])
-    found["body.nc"] = body_parts(source.scene, content["mesh"], content["displacement"])
+    found["body.nc"] = body_parts(source.scene, content["mesh"], content["displacement"], content["energy"])
     if done.where is not None:
         found["where.json"] = where_json(done.where, unit) | {"length_unit": name}
     lines = [*summary(done, shares, remarks), "", *inputs_in_words(source.scene, source.measurement, content["mesh"])]

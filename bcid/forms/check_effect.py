@@ -268,10 +268,10 @@ def symmetry(trial: EffectTrial) -> str:
 
 def units(trial: EffectTrial) -> str:
     """A similar body, in every way larger, heavier and slower, must do the same."""
-    other = EffectTrial(trial.effect, trial.place, OTHER)
     for p in trial.effect.amounts:
         here = trial.at(trial.values(1.0, p.name)) - trial.plain
-        there = (other.at(other.values(1.0, p.name)) - other.plain) / OTHER.metre
+        with EffectTrial(trial.effect, trial.place, OTHER) as other:
+            there = (other.at(other.values(1.0, p.name)) - other.plain) / OTHER.metre
         gap = np.abs(here - there).max()
         if gap > 1e-5 * np.abs(here).max() + 10 * ROUND_OFF * trial.mesh.size:
             return (
@@ -320,8 +320,9 @@ def findings(effect: Effect, file: str = "") -> Iterator[CheckResult]:
     yield CheckResult("definition", not wrong, wrong or "name, units, bounds and functions are complete")
     if wrong or trial is None:
         return
-    for name in CHECKS:
-        yield run(name, trial)
+    with trial:
+        for name in CHECKS:
+            yield run(name, trial)
 
 
 # -- ranks
@@ -330,8 +331,8 @@ def findings(effect: Effect, file: str = "") -> Iterator[CheckResult]:
 
 def together(effect: Effect, comm: Comm) -> Array:
     """Positions at the scale, computed by all ranks of `comm` together."""
-    trial = EffectTrial(effect)
-    return trial.positions(trial.forward(trial.model(trial.values()), comm))
+    with EffectTrial(effect) as trial:
+        return trial.positions(trial.forward(trial.model(trial.values()), comm))
 
 
 def on_two_ranks(sources: Iterable[str]) -> dict[str, Array]:

@@ -118,7 +118,7 @@ def actions(units: SimilarUnits = SI) -> list[Action]:
 
 
 class EffectTrial:
-    """An effect on the box, at its first place or the one that is given."""
+    """An effect on the box, at its first place or the one that is given. `with` frees what it has built."""
 
     def __init__(self, effect: Effect, place: str | None = None, units: SimilarUnits = SI) -> None:
         self.effect, self.units = effect, units
@@ -126,6 +126,18 @@ class EffectTrial:
         self.bare = Model.of(self.scene)
         places = effect.places(self.scene, frozenset(ANCHORS)) if effect.places else [""]
         self.place = places[0] if place is None else place
+        self._built: list[Forward] = []
+
+    def __enter__(self) -> EffectTrial:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.destroy()
+
+    def destroy(self) -> None:
+        """Free the PETSc objects: a process has so many communicators, and each solver takes some."""
+        while self._built:
+            self._built.pop().destroy()
 
     # -- values
     # ------------------------------------------------------------------------------------------------------------
@@ -169,7 +181,8 @@ class EffectTrial:
 
     def forward(self, model: Model, comm: Comm = MPI.COMM_SELF) -> Forward:
         """The box with a model, ready to predict; collective on `comm`."""
-        return Forward(self.scene, 0, comm, model, _EXACT, self.mesh)
+        self._built.append(Forward(self.scene, 0, comm, model, _EXACT, self.mesh))
+        return self._built[-1]
 
     @cached_property
     def plain(self) -> Array:

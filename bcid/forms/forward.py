@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from bcid.forms.solver.equilibrium import Equilibrium, Settings
 from bcid.forms.solver.status import Status
 from bcid.forms.solver.supports import Pose
 from bcid.forms.solver.trajectory import Trajectory, follow, poses
+from bcid.forms.strain_energy import StrainEnergy
 from bcid.measurement import Action
 from bcid.scene import Scene
 
@@ -37,6 +39,7 @@ class Prediction:
         wrench: force (N) and torque (N m) of the gripper, shape (frames, 6); NaN in frames that were not reached, zero
             without a grasp; None unless `Forward.detail` has added it.
         displacement: at the nodes of the mesh, shape (frames, nodes, 3), m; likewise.
+        energy: strain energy density at the nodes of the mesh, shape (frames, nodes), J/m^3; likewise.
     """
 
     positions: Array
@@ -44,6 +47,7 @@ class Prediction:
     states: dict[int, Array] | None = None
     wrench: Array | None = None
     displacement: Array | None = None
+    energy: Array | None = None
 
     @property
     def complete(self) -> bool:
@@ -109,6 +113,11 @@ class Forward:
         self.equilibrium = Equilibrium(self.body, self.model, scene, settings)
         self.observer = Observer(self.body, scene.fiducials, fiducial_limit(scene, self.mesh), scene.source)
 
+    @cached_property
+    def strain_energy(self) -> StrainEnergy:
+        """Of the present state; collective where it is built."""
+        return StrainEnergy(self.equilibrium)
+
     @property
     def describe(self) -> str:
         """The level in words."""
@@ -163,12 +172,13 @@ class Forward:
         return Prediction(positions, tuple(trajectories), states if keep else None)
 
     def detail(self, anchors: Iterable[str], actions: Sequence[Action], prediction: Prediction) -> Prediction:
-        """The prediction with `wrench` and `displacement`, from the states that it kept."""
+        """The prediction with `wrench`, `displacement` and `energy`, from the states that it kept."""
         states = prediction.states
         if states is None:
             raise ValueError("detail: the states are needed; predict with keep=True")
         wrench = np.full((len(prediction.positions), 6), np.nan)
         displacement = np.full((len(prediction.positions), len(self.mesh.points), 3), np.nan)
+        energy = displacement[..., 0].copy()
         for action in map(self.model.driven, actions):
             self.equilibrium.hold(anchors, action.grasp)
             for pose, frame in zip(poses(action), action.frames, strict=True):
@@ -176,8 +186,9 @@ class Forward:
                     self.equilibrium.set_state(pose, states[int(frame)])
                     wrench[frame] = self.equilibrium.wrench(pose)
                     displacement[frame] = self.body.at_mesh_nodes(self.equilibrium.displacement())
+                    energy[frame] = self.strain_energy.at_mesh_nodes()
                     self.equilibrium.accept(pose)
-        return replace(prediction, wrench=wrench, displacement=displacement)
+        return replace(prediction, wrench=wrench, displacement=displacement, energy=energy)
 
     def fiducials(self) -> Array:
         """Positions of the fiducials (fiducials, 3), m, in the present state; collective."""

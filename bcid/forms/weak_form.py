@@ -180,6 +180,11 @@ class WeakForm:
 
     def stored(self, terms: Sequence[Term]) -> Any:
         """Strain energy (a form), as the effects change it."""
+        density, degree = self.density(terms)
+        return density * self.measure(degree)
+
+    def density(self, terms: Sequence[Term]) -> tuple[Any, int]:
+        """Strain energy per volume of the undeformed body, as the effects change it, and a degree of quadrature for it."""
         model, kin, factor, varying = self.model, self.kin, None, False
         for term in terms:
             c = self.term_constants(term)
@@ -197,7 +202,7 @@ class WeakForm:
         else:
             density = model.law.psi_mixed(kin, self.pressure, constants, model.volumetric)
         degree = max(self.body.quadrature_degree, _VARYING) if varying else self.body.quadrature_degree
-        return (density if factor is None else factor * density) * self.measure(degree)
+        return (density if factor is None else factor * density), degree
 
     def added(self, term: Term) -> tuple[Any, Any]:
         """Energy (a form or None) and virtual work (a form or None) that an effect adds."""

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from bcid.base.errors import InputError
+from bcid.forms import effects
 from bcid.forms.model import check_physics
 from bcid.scene import Scene
 
@@ -31,7 +32,8 @@ def with_effects(scene: Scene, hidden: Sequence[str], where: str = "--hide") -> 
     """
     for text in hidden:
         name, place, written = split(text)
-        if not name or not written or not all(written.values()):
+        somewhere = name not in effects.names() or effects.effect(name).places
+        if not name or not written or not all(written.values()) or (place and not somewhere):
             raise InputError(f"{where} '{text}': expected as in \"fibres: k1 = 5 kPa, angle = 30 deg\"")
         if name in scene.effects:
             raise InputError(f"{where} '{text}': the scene's model has {name} already")

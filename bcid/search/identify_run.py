@@ -148,12 +148,12 @@ def prediction_dataset(scene: Scene, measurement: Measurement, found: Identifica
 
 
 def body_dataset(scene: Scene, mesh: BodyMesh, found: Identification) -> xr.Dataset:
-    """Mesh, boundary triangles with the places they belong to, and the displacement of every frame (m)."""
-    return body_parts(scene, mesh, found.prediction.displacement)
+    """Mesh, boundary triangles with the places they belong to, and of every frame displacement (m) and strain energy density."""
+    return body_parts(scene, mesh, found.prediction.displacement, found.prediction.energy)
 
 
-def body_parts(scene: Scene, mesh: BodyMesh, displacement: Any) -> xr.Dataset:
-    """As `body_dataset`, with the displacement (frames, nodes, 3), m."""
+def body_parts(scene: Scene, mesh: BodyMesh, displacement: Any, energy: Any) -> xr.Dataset:
+    """As `body_dataset`, with displacement (frames, nodes, 3), m, and strain energy density (frames, nodes), J/m^3."""
     boundary = mesh.boundary
     places = {f"patch {name}": region for name, region in scene.patches.items()}
     places |= {f"grasp {name}": grasp.region for name, grasp in scene.grasps.items()}
@@ -168,6 +168,7 @@ def body_parts(scene: Scene, mesh: BodyMesh, displacement: Any) -> xr.Dataset:
             "place": ("triangle", number),
             "place_name": ("place_number", ["", *places]),
             "displacement": (("frame", "node", "axis"), displacement),
+            "energy": (("frame", "node"), np.asarray(energy, dtype=np.float32)),
         },
         coords={"axis": AXES},
         attrs={"scene": scene.name, "up": " ".join(str(-v) for v in scene.down)},

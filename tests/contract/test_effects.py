@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -48,7 +48,7 @@ PLACES = [(name, None) for name in effects.names()] + [("soft_anchor", "left"), 
 
 
 @pytest.fixture(scope="module")
-def trials() -> Callable[..., EffectTrial]:
+def trials() -> Iterator[Callable[..., EffectTrial]]:
     made: dict[Any, EffectTrial] = {}
 
     def trial(name: str, place: str | None) -> EffectTrial:
@@ -56,7 +56,9 @@ def trials() -> Callable[..., EffectTrial]:
             made[name, place] = EffectTrial(effects.effect(name), place)
         return made[name, place]
 
-    return trial
+    yield trial
+    for one in made.values():
+        one.destroy()
 
 
 @pytest.fixture(scope="module")
@@ -147,7 +149,8 @@ BROKEN = {
 
 @pytest.mark.parametrize("case", BROKEN)
 def test_a_broken_effect_is_found_out(case: str) -> None:
-    finding = check_effect.run(case.split(",")[0], EffectTrial(BROKEN[case]))
+    with EffectTrial(BROKEN[case]) as trial:
+        finding = check_effect.run(case.split(",")[0], trial)
     assert finding.ok is False, finding
     assert str(finding).startswith("WRONG")
 

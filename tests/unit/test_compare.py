@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.linalg import sqrtm
 
-from bcid.base.progress import Silent
+from bcid.base.progress import Progress, Silent
 from bcid.comparison.adequacy import judge
 from bcid.comparison.explain import ExplainOptions, Rung, _Loop
 from bcid.comparison.fit import Coordinate, _covariance, fit, held_out
@@ -149,6 +149,7 @@ class Toy:
     actions: list[Action]
     shapes: Mapping[str, Array]
     left_out: tuple[str, ...] = ()
+    progress: Progress = field(default_factory=Silent)
 
     @property
     def scene(self) -> Scene:

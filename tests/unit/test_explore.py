@@ -414,10 +414,10 @@ def test_pulls_that_were_made_before_are_not_made_again() -> None:
     [
         ({"confidence": 1.0}, "--confidence 1"),
         ({"budget": 0.0}, "--budget 0"),
-        ({"criterion": "best"}, "one of information, entropy, random"),
+        ({"criterion": "best"}, "known: information, entropy, random"),
         ({"samples": 1}, "at least 10"),
         ({"level": 3}, "levels 0 to 0"),
-        ({"grasps": ("C",)}, "it has A"),
+        ({"grasps": ("C",)}, "known: A"),
     ],
 )
 def test_a_wrong_plan_is_refused(wrong: dict[str, Any], words: str) -> None:

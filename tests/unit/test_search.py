@@ -44,7 +44,7 @@ class Landscape:
         self.asked = 0
 
     def evaluate(
-        self, level: int, bounds: Mapping[Candidate, float], rival: Candidate | None = None
+        self, level: int, bounds: Mapping[Candidate, float], rival: Candidate | None = None, last: bool = False
     ) -> dict[Candidate, Outcome]:
         for candidate, bound in bounds.items():
             if Evaluator._enough(self.outcomes.get((level, candidate)), bound):
