@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from bcid.base.run_folder import RunFolder, writing
 from bcid.base.units import percent, unit_factor
@@ -17,8 +18,8 @@ from bcid.report.figure import body_entries, cropped, save, styled
 from bcid.report.ladder import head, ladder_figure
 from bcid.report.lengths import in_mm
 from bcid.report.paraview import write_paraview
-from bcid.report.scene3d import COLOURS, Image, arrows_picture
-from bcid.report.text import conclusion, model_name
+from bcid.report.scene3d import COLOURS, Image, arrows_picture, round_length
+from bcid.report.text import conclusion, model_name, uncertain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,8 +29,8 @@ Array = NDArray[np.float64]
 _SIZE = (1500, 1250)
 # The longest arrow is drawn as this part of the body's diagonal, or a little shorter.
 LONGEST = 0.22
-# A force is told from none beyond so many standard errors.
-_TOLD = 2.0
+# A force is drawn when chance makes one as large on any region with less than this probability.
+_CHANCE = 0.05
 # A force that explains a smaller share of what is beyond noise is none.
 _NOTHING = 0.1
 
@@ -67,10 +68,9 @@ def residual_figure(found: dict[str, Any], body: xr.Dataset, residuals: xr.Datas
     images = []
     for _, predicted in panels:
         arrows = scale * (measured - predicted)[frame]
-        seen = np.isfinite(arrows).all(axis=1) & np.isfinite(last[frame]).all(axis=1)
+        seen = np.isfinite(arrows).all(axis=1)
         view = body, found["anchored"], frame, str(residuals["grasp"].values[frame])
-        coloured = np.ones(int(seen.sum()), dtype=bool)
-        images.append(arrows_picture(*view, last[frame][seen], arrows[seen], coloured, _SIZE))
+        images.append(arrows_picture(*view, predicted[frame][seen], arrows[seen], _SIZE))
     unit = found["length_unit"]
     titles = [f"{model_name(rung['model'])}: {rung['rms']:.3g} {unit}" for rung, _ in panels]
     figure = _panels(images, titles)
@@ -82,7 +82,7 @@ def residual_figure(found: dict[str, Any], body: xr.Dataset, residuals: xr.Datas
     )
     shown = f"action {residuals['action'].values[frame]}, step {int(residuals['step'].values[frame])}"
     arrow = f"measured − predicted, {scale:g} × as long as it is ({shown})"
-    _legend(figure, (arrow,), str(residuals["grasp"].values[frame]))
+    _legend(figure, arrow, str(residuals["grasp"].values[frame]))
     return figure
 
 
@@ -96,10 +96,7 @@ def worst_frame(residual: Array) -> int:
 
 def round_scale(scale: float) -> float:
     """The largest of 1, 2, 5, 10, ... that is not larger."""
-    if not np.isfinite(scale) or scale <= 0:
-        return 1.0
-    power = 10.0 ** np.floor(np.log10(scale))
-    return float(power * max(step for step in (1, 2, 5) if step * power <= scale * (1 + 1e-9)))
+    return round_length(scale) if np.isfinite(scale) and scale > 0 else 1.0
 
 
 def diagonal(body: xr.Dataset) -> float:
@@ -112,46 +109,60 @@ def diagonal(body: xr.Dataset) -> float:
 
 
 def where_figure(found: dict[str, Any], where: dict[str, Any], body: xr.Dataset, residuals: xr.Dataset) -> Figure:
-    """The force that would explain the residual: its steady part, and the largest of those that grow in an action."""
+    """The force that would explain the residual: its steady part, and the largest of those that grow in an action.
+
+    Only forces that chance does not make are drawn, each with its size and its standard error; where there is none, none is.
+    """
     to_mm = unit_factor(where["length_unit"], "m") * 1e3
-    panels = [("", where["steady"])]
-    growing: tuple[str, list[dict[str, Any]]] = max(
-        where["growing"].items(), key=lambda item: _strength(item[1]), default=("", [])
-    )
-    if _strength(growing[1]) > 0:
-        panels.append(growing)
-    largest = max((_size(place) for _, places in panels for place in places), default=0.0)
-    scale = LONGEST * diagonal(body) / (largest or 1.0)
+    parts = {"": where["steady"], **where["growing"]}
+    tries = sum(len(places) for places in parts.values())
+    told = {action: [place for place in places if _told(place, tries)] for action, places in parts.items()}
+    if where["explained"] < _NOTHING:
+        told = {}
+    growing = max((action for action in told if action), key=lambda action: _strength(told[action]), default="")
+    shown = {action: told[action] for action in dict.fromkeys(("", growing)) if told.get(action)}
+    largest = max((_size(place) for places in shown.values() for place in places), default=1.0)
+    scale = LONGEST * diagonal(body) / largest
     images, titles = [], []
-    for action, places in panels:
+    for action, places in (shown or {"": []}).items():
         starts, forces = (np.array([p[what] for p in places]).reshape(-1, 3) for what in ("position", "force"))
-        told = np.array([_size(p) > _TOLD * p["stderr"] for p in places], dtype=bool)
+        texts = [uncertain(1e3 * _size(p), 1e3 * p["stderr"]) for p in places]
         view = body, found["anchored"], None, _grasp(residuals, action)
-        images.append(arrows_picture(*view, to_mm * starts, scale * forces, told, _SIZE))
-        together = " ".join(f"{v:+.3g}" for v in 1e3 * forces.sum(axis=0))
-        titles.append(f"{f'growing in action {action}' if action else 'in all frames'}: together ({together}) mN")
+        images.append(arrows_picture(*view, to_mm * starts, scale * forces, _SIZE, texts))
+        titles.append(_said_of(action, places, parts[action]))
     figure = _panels(images, titles)
     first = found["ladder"][0 if found["adequate"] else -1]
-    left = f"{where['rms']:.3g} {where['length_unit']}"
-    text = f"It would explain {percent(where['explained'])} of what is beyond noise, and leave {left}"
-    if where["explained"] < _NOTHING:
+    if not shown:
         head(
             figure,
             "No missing force can be told",
-            f"{model_name(first['model'])} leaves nothing beyond noise that a force explains",
+            f"The {model_name(first['model'])} model leaves nothing beyond noise that a force on some region explains",
         )
-    else:
-        head(
-            figure,
-            f"The force that the {model_name(first['model'])} model lacks",
-            f"{text} (its size is right if the stiffness is)",
-        )
-    _legend(
+        _legend(figure, "", "")
+        return figure
+    head(
         figure,
-        (f"force on a region, beyond twice its error (longest arrow {1e3 * largest:.2g} mN)", "within twice its error"),
-        "",
+        f"The force that the {model_name(first['model'])} model lacks",
+        f"It would explain {percent(where['explained'])} of what is beyond noise, and leave {where['rms']:.3g} "
+        f"{where['length_unit']} (its size is right if the stiffness is)",
     )
+    _legend(figure, "force on a region, mN ± standard error", "")
     return figure
+
+
+def _said_of(action: str, told: list[dict[str, Any]], everywhere: list[dict[str, Any]]) -> str:
+    """When the forces of a part act, what they are together, and on how many of the regions they can be told."""
+    when = f"growing in action {action}" if action else "in all frames"
+    if not told:
+        return when
+    together = " ".join(f"{1e3 * v:+.3g}" for v in np.sum([p["force"] for p in everywhere], axis=0))
+    return f"{when}: together ({together}) mN, told on {len(told)} of {len(everywhere)} regions"
+
+
+def _told(place: dict[str, Any], tries: int) -> bool:
+    """Whether chance would not make so large a force on any of so many regions (Bonferroni)."""
+    ratio = _size(place) / max(place["stderr"], 1e-300)
+    return bool(chi2.sf(min(ratio, 1e6) ** 2, 3) * tries < _CHANCE)
 
 
 def _size(place: dict[str, Any]) -> float:
@@ -160,7 +171,7 @@ def _size(place: dict[str, Any]) -> float:
 
 def _strength(places: list[dict[str, Any]]) -> float:
     """How far forces exceed what can be told from none, in units of their errors."""
-    return sum(max((_size(p) / max(p["stderr"], 1e-300)) ** 2 - _TOLD**2, 0.0) for p in places)
+    return sum((_size(p) / max(p["stderr"], 1e-300)) ** 2 for p in places)
 
 
 def _grasp(residuals: xr.Dataset, action: str) -> str:
@@ -186,15 +197,10 @@ def _panels(images: list[Image], titles: list[str]) -> Figure:
     return figure
 
 
-def _legend(figure: Figure, arrows: tuple[str, ...], grasp: str) -> None:
+def _legend(figure: Figure, arrow: str, grasp: str) -> None:
     from matplotlib.lines import Line2D
 
-    entries = [
-        *(
-            Line2D([], [], color=colour, linewidth=width, label=text)
-            for text, colour, width in zip(arrows, (COLOURS.predicted, COLOURS.weak), (3, 2), strict=False)
-        ),
-        *body_entries(grasp),
-    ]
+    arrows = [Line2D([], [], color=COLOURS.predicted, linewidth=3, label=arrow)] if arrow else []
     narrow = figure.get_figwidth() < 10
-    figure.legend(handles=entries, loc="lower center", frameon=False, fontsize=11, ncols=2 if narrow else 4)
+    handles = [*arrows, *body_entries(grasp)]
+    figure.legend(handles=handles, loc="lower center", frameon=False, fontsize=11, ncols=2 if narrow else 4)

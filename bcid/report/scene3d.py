@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -15,6 +16,12 @@ if TYPE_CHECKING:
 
 # VTK writes warnings about a missing display before it falls back to drawing in memory.
 os.environ.setdefault("VTK_LOGGING_LEVEL", "ERROR")
+
+# Height of the letters of a name, pixels of a picture of usual size.
+_LETTER = 36
+
+# The surface is drawn smooth where it turns by less than this, degrees; elsewhere there is an edge.
+_SHARP = 60.0
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -30,7 +37,7 @@ class Palette:
     grasp: str = "#e69f00"
     measured: str = "#222222"
     predicted: str = "#d55e00"
-    weak: str = "#7a828c"
+    named: str = "#565c64"
     outline: str = "#9aa0a6"
     edge: str = "#6b5a52"
 
@@ -62,9 +69,9 @@ def picture(body: xr.Dataset, prediction: xr.Dataset, anchored: list[str], frame
         size: width and height in pixels.
     """
     plotter = _plotter(size)
-    _add_body(plotter, body, anchored, frame, str(prediction["grasp"].values[frame]))
+    labels = _add_body(plotter, body, anchored, frame, str(prediction["grasp"].values[frame]))
     _add_trajectories(plotter, prediction, frame)
-    return _image(plotter, body)
+    return _image(plotter, body, frame, labels)
 
 
 def arrows_picture(
@@ -74,8 +81,8 @@ def arrows_picture(
     grasp: str,
     starts: Array,
     arrows: Array,
-    strong: NDArray[np.bool_],
     size: tuple[int, int],
+    texts: Sequence[str] = (),
 ) -> Image:
     """Image (height, width, 3) of the body with its anchors and with arrows.
 
@@ -85,13 +92,14 @@ def arrows_picture(
         frame: which frame to show; the rest shape if None.
         grasp: name of the grasp to colour, or "".
         starts, arrows: where arrows begin and what is drawn, shape (arrows, 3), mm.
-        strong: which arrows are drawn in colour; the others are grey and thinner.
         size: width and height in pixels.
+        texts: written at the tips of the arrows; none where they are empty.
     """
     plotter = _plotter(size)
-    _add_body(plotter, body, anchored, frame, grasp, 0.3)
-    _add_arrows(plotter, starts, arrows, strong, 0.005 * surface(body).length)
-    return _image(plotter, body)
+    labels = _add_body(plotter, body, anchored, frame, grasp, 0.3)
+    _add_arrows(plotter, starts, arrows, 0.005 * surface(body).length)
+    labels += [_Label(s + a, text, COLOURS.measured) for s, a, text in zip(starts, arrows, texts, strict=False) if text]
+    return _image(plotter, body, frame, labels)
 
 
 def _plotter(size: tuple[int, int]) -> pv.Plotter:
@@ -104,19 +112,33 @@ def _plotter(size: tuple[int, int]) -> pv.Plotter:
     return plotter
 
 
-def _image(plotter: pv.Plotter, body: xr.Dataset) -> Image:
-    _aim(plotter, body)
+@dataclass(frozen=True)
+class _Label:
+    """A text at a place (mm), in a colour."""
+
+    place: Array
+    text: str
+    colour: str
+
+
+def _image(plotter: pv.Plotter, body: xr.Dataset, frame: int | None, labels: Sequence[_Label]) -> Image:
+    """The picture, seen from where it is aimed at, with axes, scale bar and labels."""
+    view = _aim(plotter, body)
+    labels = [*labels, *_add_key(plotter, view, _seen_points(body, frame), str(body.attrs.get("up", "0 1 0")))]
+    plotter.reset_camera()
+    plotter.camera.zoom(0.97)
+    for label in labels:
+        plotter.renderer.AddViewProp(_text(label))
     image = plotter.screenshot(return_img=True)
     plotter.close()
     return np.asarray(image)
 
 
-def _add_arrows(plotter: pv.Plotter, starts: Array, arrows: Array, strong: NDArray[np.bool_], thickness: float) -> None:
+def _add_arrows(plotter: pv.Plotter, starts: Array, arrows: Array, thick: float) -> None:
     """Arrows of one thickness, so that short ones stay visible; a ball marks where each begins."""
     import pyvista as pv
 
-    for start, arrow, is_strong in zip(starts, arrows, strong, strict=True):
-        colour, thick = (COLOURS.predicted, thickness) if is_strong else (COLOURS.weak, 0.6 * thickness)
+    for start, arrow in zip(starts, arrows, strict=True):
         plotter.add_mesh(pv.Sphere(radius=1.2 * thick, center=start), color=COLOURS.measured, ambient=0.4)
         length = float(np.linalg.norm(arrow))
         if length < thick:
@@ -124,18 +146,26 @@ def _add_arrows(plotter: pv.Plotter, starts: Array, arrows: Array, strong: NDArr
         tip = min(6 * thick / length, 0.7)
         shape = {"tip_length": tip, "tip_radius": 0.4 * tip, "shaft_radius": min(thick / length, 0.16)}
         arrow_mesh = pv.Arrow(start=start, direction=arrow, scale=length, **shape)
-        plotter.add_mesh(arrow_mesh, color=colour, ambient=0.75, diffuse=0.25)
+        plotter.add_mesh(arrow_mesh, color=COLOURS.predicted, ambient=0.75, diffuse=0.25)
 
 
 def _add_body(
     plotter: pv.Plotter, body: xr.Dataset, anchored: list[str], frame: int | None, grasp: str, opacity: float = 0.5
-) -> None:
+) -> list[_Label]:
+    """The body, with the outline of its rest shape; returns the names of its patches."""
     rest, moved = surface(body), surface(body, frame)
     edges = {"boundary_edges": False, "non_manifold_edges": False, "manifold_edges": False}
-    plotter.add_mesh(rest.extract_feature_edges(40, **edges), color=COLOURS.outline, line_width=3)
-    plotter.add_mesh(moved.extract_feature_edges(40, **edges), color=COLOURS.edge, line_width=2)
+    for mesh, line, width in ((rest, COLOURS.outline, 3), (moved, COLOURS.edge, 2)):
+        sharp = mesh.extract_feature_edges(_SHARP, **edges)
+        if sharp.n_cells:
+            plotter.add_mesh(sharp, color=line, line_width=width)
+    # A round body has no edges: its outline is.
+    plotter.add_silhouette(rest, color=COLOURS.outline, line_width=3)
     light = {"ambient": 0.45, "diffuse": 0.6, "specular": 0.05}
+    # Flat triangles of the far side would show through as shards.
+    smooth = {"smooth_shading": True, "split_sharp_edges": True, "feature_angle": _SHARP}
     names = [str(name) for name in body["place_name"].values]
+    labels: list[_Label] = []
     for number, colour in enumerate(_place_colours(body, anchored, grasp)):
         cells = np.flatnonzero(moved.cell_data["place"] == number)
         if len(cells) == 0:
@@ -143,20 +173,12 @@ def _add_body(
         part = moved.extract_cells(cells).extract_surface(algorithm="dataset_surface")
         # The tissue lets the trajectories inside and below show through; what is anchored is solid.
         solid = colour in (COLOURS.anchored, COLOURS.grasp)
-        plotter.add_mesh(part, color=colour or COLOURS.tissue, opacity=1.0 if solid else opacity, **light)
+        plotter.add_mesh(part, color=colour or COLOURS.tissue, opacity=1.0 if solid else opacity, **light, **smooth)
         if names[number].startswith("patch "):
-            _label(plotter, part, moved, names[number].removeprefix("patch "), colour == COLOURS.anchored)
-
-
-def _label(plotter: pv.Plotter, part: pv.PolyData, whole: pv.PolyData, text: str, strong: bool) -> None:
-    """The name of a patch, beside its middle."""
-    normals = part.compute_normals(point_normals=False, auto_orient_normals=False, consistent_normals=False).cell_data[
-        "Normals"
-    ]
-    outward = normals.mean(axis=0) / (np.linalg.norm(normals.mean(axis=0)) or 1.0)
-    place = np.asarray(part.center) + 0.06 * whole.length * outward
-    options = {"font_size": 40, "bold": strong, "shape": None, "always_visible": True, "show_points": False}
-    plotter.add_point_labels([place], [text], text_color=COLOURS.anchored if strong else "#6f757d", **options)
+            middle = part.cell_centers().points.mean(axis=0)
+            dark = COLOURS.anchored if colour == COLOURS.anchored else COLOURS.named
+            labels.append(_Label(np.asarray(middle), names[number].removeprefix("patch "), dark))
+    return labels
 
 
 def _place_colours(body: xr.Dataset, anchored: list[str], grasp: str) -> list[str | None]:
@@ -189,8 +211,42 @@ def _add_trajectories(plotter: pv.Plotter, prediction: xr.Dataset, frame: int) -
         plotter.add_mesh(spheres, color=COLOURS.measured, ambient=0.4)
 
 
-def _aim(plotter: pv.Plotter, body: xr.Dataset) -> None:
-    """Look from above at the side of the gripper, from where neither hides the trajectories."""
+def _text(label: _Label) -> Any:
+    """A label as VTK draws it: over everything, centred, on a little white."""
+    import pyvista as pv
+    from vtkmodules.vtkRenderingCore import vtkTextActor
+
+    actor = vtkTextActor()
+    actor.SetInput(label.text)
+    actor.GetPositionCoordinate().SetCoordinateSystemToWorld()
+    actor.GetPositionCoordinate().SetValue(*map(float, label.place))
+    style = actor.GetTextProperty()
+    style.SetFontFamilyToArial()
+    style.SetFontSize(_LETTER)
+    style.SetBold(True)
+    style.SetJustificationToCentered()
+    style.SetVerticalJustificationToCentered()
+    style.SetColor(*pv.Color(label.colour).float_rgb)
+    style.SetBackgroundColor(1.0, 1.0, 1.0)
+    style.SetBackgroundOpacity(0.6)
+    return actor
+
+
+@dataclass(frozen=True)
+class _View:
+    """From where the body is seen, all unit vectors: to the right, upwards and towards the eye; and its size, mm."""
+
+    right: Array
+    high: Array
+    away: Array
+    size: float
+
+
+def _aim(plotter: pv.Plotter, body: xr.Dataset) -> _View:
+    """Look from above at the side of the gripper, from where neither hides the trajectories.
+
+    The projection is parallel, so that a length in the plane of the picture is the same everywhere.
+    """
     up = np.array([float(v) for v in str(body.attrs.get("up", "0 1 0")).split()])
     points = body["points"].values * 1e3
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
@@ -199,8 +255,55 @@ def _aim(plotter: pv.Plotter, body: xr.Dataset) -> None:
         across = np.cross(up, np.array([0.0, 1.0, 0.0]))
     across /= np.linalg.norm(across)
     ahead = np.cross(across, up)
-    view = 0.62 * ahead - 0.62 * across + 0.75 * up
-    distance = 3.0 * np.linalg.norm(np.ptp(points, axis=0))
-    plotter.camera_position = [tuple(centre + distance * view / np.linalg.norm(view)), tuple(centre), tuple(up)]
-    plotter.reset_camera()
-    plotter.camera.zoom(1.05)
+    away = 0.62 * ahead - 0.62 * across + 0.75 * up
+    away /= np.linalg.norm(away)
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    plotter.camera_position = [tuple(centre + 3.0 * size * away), tuple(centre), tuple(up)]
+    plotter.enable_parallel_projection()
+    right = np.cross(up, away)
+    right /= np.linalg.norm(right)
+    return _View(right, np.cross(away, right), away, size)
+
+
+def _seen_points(body: xr.Dataset, frame: int | None) -> Array:
+    """Points of the body at rest and in a frame, mm."""
+    rest = body["points"].values
+    moved = rest if frame is None else rest + np.nan_to_num(body["displacement"].values[frame])
+    return np.vstack([rest, moved]) * 1e3
+
+
+def _add_key(plotter: pv.Plotter, view: _View, points: Array, up: str) -> list[_Label]:
+    """Axes, the direction of gravity (g) and a scale bar in the lower corners; returns their names."""
+    import pyvista as pv
+
+    along, high = points @ view.right, points @ view.high
+    depth = float((points @ view.away).mean())
+    long, thick = 0.085 * view.size, 0.0028 * view.size
+
+    def place(x: float, y: float) -> Array:
+        return x * view.right + y * view.high + depth * view.away
+
+    bar = round_length(0.2 * view.size)
+    # Below what of the body is in its way, and not lower than need be.
+    corners = (along < along.min() + 4.2 * long) | (along > along.max() - bar - long)
+    low = min(high.min() + 0.6 * long, high[corners].min() - 2.3 * long)
+    origin = place(along.min() + 1.2 * long, low)
+    labels = []
+    gravity = -np.array([float(v) for v in up.split()])
+    arrows = [(origin, axis, name, COLOURS.named) for axis, name in zip(np.eye(3), "xyz", strict=True)]
+    gravity /= np.linalg.norm(gravity) or 1.0
+    arrows.append((place(along.min() + 3.0 * long, low + 0.5 * long), gravity, "g", COLOURS.measured))
+    shape = {"tip_length": 0.3, "tip_radius": 2.4 * thick / long, "shaft_radius": thick / long}
+    for begin, way, name, colour in arrows:
+        plotter.add_mesh(pv.Arrow(start=begin, direction=way, scale=long, **shape), color=colour, lighting=False)
+        labels.append(_Label(begin + (-0.4 if name == "g" else 1.35) * long * way, name, colour))
+    right, left = place(along.max(), low), place(along.max() - bar, low)
+    plotter.add_mesh(pv.Tube(pointa=left, pointb=right, radius=1.4 * thick), color=COLOURS.measured, lighting=False)
+    labels.append(_Label((left + right) / 2 - 0.5 * long * view.high, f"{bar:g} mm", COLOURS.measured))
+    return labels
+
+
+def round_length(most: float) -> float:
+    """The largest of 1, 2, 5, 10, ... times a power of ten that is not larger."""
+    power = 10.0 ** np.floor(np.log10(most))
+    return float(power * max(step for step in (1, 2, 5) if step * power <= most * (1 + 1e-9)))

@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.figure import Figure
 
 from bcid.base.errors import InputError
 from bcid.base.run_folder import RunFolder
-from bcid.report.diagnosis_picture import draw, round_scale, worst_frame
+from bcid.report.diagnosis_picture import draw, round_scale, where_figure, worst_frame
 from bcid.report.ladder import ladder_figure
 from bcid.report.text import conclusion, falling
 
@@ -112,6 +113,36 @@ def test_nothing_is_missing(tmp_path: Path) -> None:
     assert names(draw(folder(tmp_path / "run", found, None))) == {"picture.png", "ladder.png", "body.vtkhdf"}
     nothing = WHERE | {"growing": {}, "steady": [WHERE["steady"][0] | {"force": [0.0, 0.0, 0.0]}]}  # type: ignore[index]
     assert "where.png" in names(draw(folder(tmp_path / "other", found, nothing)))
+
+
+def orange(figure: Figure) -> int:
+    """Pixels in the colour of arrows."""
+    image = np.asarray(figure.axes[0].images[0].get_array()).astype(int)
+    red, green, blue = np.moveaxis(image, 2, 0)
+    return int(((red > 150) & (green < 130) & (blue < 90)).sum())
+
+
+def said(figure: Figure) -> str:
+    """All texts of a figure."""
+    return " ".join(text.get_text() for text in [*figure.texts, *(axes.title for axes in figure.axes)])
+
+
+@pytest.mark.parametrize(
+    ("stderr", "explained", "told"), [(0.01, 0.99, True), (0.05, 0.99, False), (0.01, 0.05, False), (0.0, 0.99, True)]
+)
+def test_a_force_is_drawn_only_where_it_can_be_told(stderr: float, explained: float, told: bool) -> None:
+    pytest.importorskip("pyvista")
+    steady = [
+        {"position": [20, 20, 20], "force": [0.0, -0.1, 0.0], "stderr": stderr},
+        {"position": [30, 10, 30], "force": [0.0, -9e-6, 0.0], "stderr": 0.01},
+    ]
+    where = WHERE | {"explained": explained, "steady": steady, "growing": {}}
+    figure = where_figure(diagnosis(), where, body(), residuals())
+    assert (orange(figure) > 100) is told
+    assert ("No missing force can be told" in said(figure)) is not told
+    assert ("told on 1 of 2 regions" in said(figure)) is told
+    # A part that cannot be told has no panel of its own.
+    assert len(figure.axes) == 1
 
 
 def test_nothing_explains_it(tmp_path: Path) -> None:
