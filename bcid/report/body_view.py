@@ -23,7 +23,7 @@ _BUDGET = 900_000
 # A surface with more nodes is shown as a picture only.
 _NODES = 40_000
 # Edges where the surface turns by more than this are drawn, degrees.
-_SHARP = 40.0
+_SHARP = 60.0
 _SCALES = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 
 
@@ -59,6 +59,8 @@ def view_data(found: Found) -> dict[str, Any] | None:
         "place": _packed(place, "<u2"),
         "edges": _packed(_edges(points, corners, _told_apart(places)[place]), "<u4"),
         "places": places,
+        "shades": [shade(i / 15) for i in range(16)],
+        "energy": _energy(body, nodes, residual.actions),
         "displacement": _displacement(body["displacement"].values[:, nodes] * 1e3, residual.actions),
         "actions": residual.actions.tolist(),
         "steps": residual.steps.tolist(),
@@ -141,14 +143,28 @@ def _edges(points: Array, triangles: NDArray[np.int64], place: NDArray[np.int64]
     return np.asarray(pairs[(count != 2) | ~flat | (place[one] != place[other])])
 
 
+def _kept(frames: int, nodes: int, actions: NDArray[np.str_]) -> NDArray[Any]:
+    """The frames that fit into a page, ends of actions among them."""
+    most = max(2, _BUDGET // (nodes * 6))
+    if frames <= most:
+        return np.arange(frames)
+    ends = np.flatnonzero(np.r_[True, actions[1:] != actions[:-1]] | np.r_[actions[1:] != actions[:-1], True])
+    return np.unique(np.r_[ends, np.linspace(0, frames - 1, most).round().astype(int)])
+
+
+def _energy(body: xr.Dataset, nodes: NDArray[np.int64], actions: NDArray[np.str_]) -> dict[str, Any] | None:
+    """Strain energy density, J/m^3, of the frames that are kept, in 255 parts of what 99 % stay below; None if it is not known."""
+    if "energy" not in body:
+        return None
+    values = np.nan_to_num(body["energy"].values[:, nodes])
+    most = float(np.quantile(values[values > 0], 0.99)) if (values > 0).any() else 1.0
+    parts = np.clip(np.round(values[_kept(len(values), len(nodes), actions)] / most * 255), 0, 255)
+    return {"most": most, "numbers": _packed(parts, "u1")}
+
+
 def _displacement(values: Array, actions: NDArray[np.str_]) -> dict[str, Any]:
-    """Displacements (frames, nodes, 3) as 16-bit numbers of the frames that fit, ends of actions among them."""
-    frames = len(values)
-    most = max(2, _BUDGET // (values.shape[1] * 6))
-    kept: NDArray[Any] = np.arange(frames)
-    if frames > most:
-        ends = np.flatnonzero(np.r_[True, actions[1:] != actions[:-1]] | np.r_[actions[1:] != actions[:-1], True])
-        kept = np.unique(np.r_[ends, np.linspace(0, frames - 1, most).round().astype(int)])
+    """Displacements (frames, nodes, 3) as 16-bit numbers of the frames that are kept."""
+    kept = _kept(len(values), values.shape[1], actions)
     low, high = values.min(axis=(0, 1)), values.max(axis=(0, 1))
     step = np.maximum((high - low) / 65535, 1e-12)
     numbers = np.clip(np.round((np.nan_to_num(values[kept]) - low) / step), 0, 65535)

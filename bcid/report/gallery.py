@@ -114,7 +114,7 @@ def _of_diagnosis(found: Found) -> list[Drawing]:
         made.append(Drawing("ranking", RANKING, text, lambda: ladder.ranking_chart(diagnosis)))
     if where is not None and found.body is not None and found.positions is not None:
         body, positions = found.body, found.positions
-        text = "The force that would explain what the model misses; grey where it cannot be told from none."
+        text = "The force that would explain what the model misses, where it can be told from none."
         draw: Callable[[], Figure] = lambda: where_figure(diagnosis, where, body, positions)  # noqa: E731
         made.append(Drawing("force", RANKING, text, draw, True))
     text = "The error of each model, fitted to all actions, and each action predicted from the others (held out)."

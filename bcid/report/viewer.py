@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from bcid.report.body_view import shade
 from bcid.report.markup import Markup, tag
 from bcid.report.scene3d import COLOURS
 
@@ -27,6 +26,8 @@ def view(data: dict[str, Any], still: Markup | None, name: str) -> Markup:
             aria_label="The body; arrow keys turn it, plus and minus zoom",
         ),
         tag("div", class_="labels", aria_hidden="true"),
+        _axes(),
+        tag("p", tag("span", class_="bar"), tag("span", class_="bar-text"), class_="bar-key"),
         class_="stage",
     )
     caption = tag("figcaption", _CAPTION)
@@ -45,14 +46,20 @@ def _controls(data: dict[str, Any]) -> Markup:
         tag("option", f"{scale:g} ×", value=f"{scale:g}", selected=scale == data["scale"]) for scale in data["scales"]
     ]
     controls = [time, tag("label", "arrows ", tag("select", scales, class_="scale"))]
-    if len(data["models"]) > 1:
+    last_model = len(data["models"]) - 1
+    if last_model > 0:
         options = [
-            tag("option", model["name"], value=str(i), selected=i == 0) for i, model in enumerate(data["models"])
+            tag("option", model["name"], value=str(i), selected=i == last_model)
+            for i, model in enumerate(data["models"])
         ]
         controls.append(tag("label", "residual of ", tag("select", options, class_="model")))
+    shown = {"anchors": "anchors"}
     if any("chance" in place for place in data["places"]):
-        options = [tag("option", "anchors", value="anchors"), tag("option", "probability", value="chance")]
-        controls.append(tag("label", "colours: ", tag("select", options, class_="shown")))
+        shown["chance"] = "probability"
+    shown |= {"displacement": "displacement"} | ({"energy": "strain energy"} if data["energy"] else {})
+    shown["residual"] = "residual (interpolated)"
+    options = [tag("option", text, value=value) for value, text in shown.items()]
+    controls.append(tag("label", "colours: ", tag("select", options, class_="shown")))
     for text, name, about in (
         ("−", "farther", "farther"),
         ("+", "nearer", "nearer"),
@@ -60,6 +67,12 @@ def _controls(data: dict[str, Any]) -> Markup:
     ):
         controls.append(tag("button", text, type="button", class_=name, aria_label=about))
     return tag("div", controls, class_="controls")
+
+
+def _axes() -> Markup:
+    """The axes and the direction of gravity, which the script turns with the body."""
+    arrows = [tag("g", tag("path"), tag("text", name), class_=f"axis-{name}") for name in "xyzg"]
+    return tag("svg", arrows, width="150", height="104", class_="axes", aria_hidden="true")
 
 
 def _readings() -> Markup:
@@ -70,17 +83,17 @@ def _readings() -> Markup:
 def _keys(data: dict[str, Any]) -> Markup:
     entries = [
         _key("anchored patch", _swatch(COLOURS.anchored, striped=True), "held-key"),
-        _key("free candidate patch", _swatch(COLOURS.free)),
+        _key("free candidate patch", _swatch(COLOURS.free), "held-key"),
         _key("measured", tag("circle", cx="9", cy="7", r="4", fill=COLOURS.measured)),
         _key("predicted", tag("path", d="M9 2 14 7 9 12 4 7Z", fill=COLOURS.predicted)),
         _key("residual", tag("path", d="M1 8.2V5.8H10V2.5L17 7 10 11.5V8.2Z", fill=COLOURS.predicted)),
     ]
     if any(data["grasps"]):
         entries.insert(2, _key("grasp that moves", _swatch(COLOURS.grasp)))
-    if any("chance" in place for place in data["places"]):
-        bar = [tag("rect", x=str(6 * i), y="1", width="6.5", height="12", fill=shade(i / 15)) for i in range(16)]
-        svg = tag("svg", bar, width="96", height="14", aria_hidden="true")
-        entries.insert(0, tag("li", "probability 0", svg, "1", class_="shades"))
+    bar = [tag("rect", x=str(6 * i), y="1", width="6.5", height="12", fill=c) for i, c in enumerate(data["shades"])]
+    svg = tag("svg", bar, width="96", height="14", aria_hidden="true")
+    ends = tag("span", class_="shade-name"), tag("span", class_="shade-most")
+    entries.insert(0, tag("li", ends[0], svg, ends[1], class_="shades"))
     return tag("ul", entries, class_="body-keys")
 
 

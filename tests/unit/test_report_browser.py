@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -172,6 +173,63 @@ def test_turning_scale_and_colours(report: Path, visit: Callable[..., Visit]) ->
     differs(picture)
     assert view.locator(".labels").text_content() == "left: 99.00 %right: 3.00 %"
     view.locator(".reset").click()
+
+
+def test_the_surface_is_coloured_by_what_is_asked_for(report: Path, visit: Callable[..., Visit]) -> None:
+    seen = visit(report)
+    view = seen.live()
+    # The last model, and the frame in which the first one misses most.
+    assert view.locator("select.model").input_value() == "1"
+    choices = view.locator("select.shown option").all_text_contents()
+    assert choices == ["anchors", "probability", "displacement", "strain energy", "residual (interpolated)"]
+    plain = seen.pixels()
+    most = {}
+    for name in ("displacement", "energy", "residual"):
+        view.locator("select.shown").select_option(name)
+        most[name] = str(view.locator(".shade-most").text_content())
+        painted = seen.pixels()
+        assert (np.abs(painted - plain).max(axis=2) > 30).sum() > 2000, name
+    # The far end of the slab moves 20 mm; 99 % of the energy that is there stays below its largest value, 40.
+    assert most["displacement"] == "20 mm"
+    assert most["energy"].endswith(" J/m³")
+    assert 20 < float(most["energy"].split()[0]) <= 40
+    largest = np.nanmax(
+        np.linalg.norm(Residual.of(runs.positions(), 0.2, "mm").models["neo-Hookean + gravity"], axis=2)
+    )
+    assert most["residual"] == f"{largest:.3g} mm"
+    # Yellow where it moves most, dark blue where it is held.
+    view.locator("select.shown").select_option("displacement")
+    shades = seen.pixels().reshape(-1, 3)
+    assert (np.abs(shades - [0, 34, 78]).max(axis=1) < 25).any()
+    assert (np.abs(shades - [253, 231, 55]).max(axis=1) < 45).any()
+
+
+def test_axes_scale_and_labels_turn_with_the_body(report: Path, visit: Callable[..., Visit]) -> None:
+    seen = visit(report)
+    view = seen.live()
+    bar = view.locator(".bar").bounding_box()
+    length = float(str(view.locator(".bar-text").text_content()).removesuffix(" mm"))
+    assert bar is not None
+    # The slab is 80 by 20 by 80 mm, and fills the picture in one direction.
+    size = seen.pixels().shape
+    assert 60 < min(size[:2]) / bar["width"] * length < 150
+
+    def way(axis: str) -> float:
+        """How far an arrow of the key goes down the page."""
+        begin, _, tip, *_ = re.findall(r"[ML]\S+ (\S+)", str(view.locator(f".axis-{axis} path").get_attribute("d")))
+        return float(tip) - float(begin)
+
+    assert way("y") < -10, "y is up"
+    assert way("g") > 10, "gravity is down"
+    # With solid patches the far one hides its name; from the other side it is the other one.
+    view.locator("select.shown").select_option("displacement")
+    hidden = "[...document.querySelectorAll('.labels span')].map(e => e.hidden)"
+    before = seen.page.evaluate(hidden)
+    assert sorted(before) == [False, True]
+    seen.page.evaluate("document.querySelector('figure.live').querySelector('canvas').focus()")
+    for _ in range(33):
+        seen.page.locator("canvas").press("ArrowLeft")
+    assert seen.page.evaluate(hidden) == [not one for one in before]
 
 
 def test_on_a_phone(report: Path, visit: Callable[..., Visit]) -> None:

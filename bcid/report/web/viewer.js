@@ -3,7 +3,9 @@
 const T = globalThis.THREE;
 const COLOUR = { tissue: 0xf3d9cd, anchored: 0x0072b2, free: 0xb9bec6, grasp: 0xe69f00, measured: 0x222222,
                  predicted: 0xd55e00, outline: 0x9aa0a6, edge: 0x6b5a52 };
-const FIELD = 28, TURN = 0.008, NEAREST = 0.25, FARTHEST = 4;
+const TURN = 0.008, NEAREST = 0.25, FARTHEST = 4;
+// What the surface may be coloured by, node by node.
+const FIELDS = { displacement: "mm", energy: "J/m³", residual: "mm" };
 
 function unpack(text, kind) {
   const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
@@ -29,8 +31,10 @@ class Body {
     this.renderer.setPixelRatio(Math.min(globalThis.devicePixelRatio || 1, 2));
     this.scene = new T.Scene();
     this.scene.background = new T.Color(0xffffff);
-    this.camera = new T.PerspectiveCamera(FIELD, 1, 0.1, 1e5);
+    // Parallel: a length is the same everywhere in the picture.
+    this.camera = new T.OrthographicCamera(-1, 1, 1, -1, 0.1, 1e5);
     this.measure();
+    this.fields();
     this.build();
     this.listen();
     this.resize();
@@ -50,6 +54,22 @@ class Body {
     this.home();
   }
 
+  // The largest value of each field over all frames, by which its colours are told apart.
+  fields() {
+    const { frames, low, step } = this.data.displacement, count = this.points.length;
+    let longest = 0;
+    for (let k = 0; k < frames.length; k++)
+      for (let i = 0; i < count; i += 3) {
+        let square = 0;
+        for (let a = 0; a < 3; a++) square += (low[a] + step[a] * this.moves[k * count + i + a]) ** 2;
+        longest = Math.max(longest, square);
+      }
+    this.most = { displacement: Math.sqrt(longest), energy: this.data.energy?.most ?? 0 };
+    this.energy = this.data.energy ? unpack(this.data.energy.numbers, Uint8Array) : null;
+    this.values = new Float32Array(count / 3);
+    this.shades = this.data.shades.map((text) => new T.Color(text));
+  }
+
   home() {
     this.azimuth = -Math.PI / 4;
     this.elevation = 0.7;
@@ -58,6 +78,7 @@ class Body {
 
   build() {
     this.moved = new T.BufferAttribute(new Float32Array(this.points), 3);
+    this.shade = new T.BufferAttribute(new Float32Array(this.points.length), 3);
     const light = new T.DirectionalLight(0xffffff, 1.5);
     light.position.set(-0.4, 0.7, 1);
     this.camera.add(light);
@@ -80,6 +101,7 @@ class Body {
     if (!index.length) return null;
     const geometry = new T.BufferGeometry();
     geometry.setAttribute("position", this.moved);
+    geometry.setAttribute("color", this.shade);
     geometry.setIndex(index);
     const material = new T.MeshLambertMaterial({ side: T.DoubleSide, flatShading: true });
     const mesh = new T.Mesh(geometry, material);
@@ -190,8 +212,7 @@ class Body {
     const stage = this.find("stage"), width = stage.clientWidth, height = stage.clientHeight;
     if (!width || !height) return;
     this.renderer.setSize(width, height, false);
-    this.camera.aspect = width / height;
-    this.camera.updateProjectionMatrix();
+    this.aspect = width / height;
     this.show();
   }
 
@@ -205,11 +226,8 @@ class Body {
 
   // Position of the nodes in a frame, between the frames that are kept.
   deform(frame) {
-    const { frames, low, step } = this.data.displacement, count = this.points.length;
-    let k = 0;
-    while (k + 1 < frames.length && frames[k + 1] <= frame) k++;
-    const next = Math.min(k + 1, frames.length - 1);
-    const share = next === k ? 0 : (frame - frames[k]) / (frames[next] - frames[k]);
+    const { low, step } = this.data.displacement, count = this.points.length;
+    const { k, next, share } = this.between(frame);
     const moved = this.moved.array;
     for (let i = 0; i < count; i++) {
       const number = this.moves[k * count + i] * (1 - share) + this.moves[next * count + i] * share;
@@ -218,10 +236,75 @@ class Body {
     this.moved.needsUpdate = true;
   }
 
+  // Between which of the frames that are kept a frame lies, and how far.
+  between(frame) {
+    const { frames } = this.data.displacement;
+    let k = 0;
+    while (k + 1 < frames.length && frames[k + 1] <= frame) k++;
+    const next = Math.min(k + 1, frames.length - 1);
+    return { k, next, share: next === k ? 0 : (frame - frames[k]) / (frames[next] - frames[k]) };
+  }
+
+  // Values of a field at the nodes in a frame; the largest of all frames.
+  field(name, frame) {
+    const count = this.values.length, moved = this.moved.array;
+    if (name === "displacement")
+      for (let i = 0; i < count; i++)
+        this.values[i] = Math.hypot(...[0, 1, 2].map((a) => moved[3 * i + a] - this.points[3 * i + a]));
+    if (name === "energy") {
+      const { k, next, share } = this.between(frame);
+      for (let i = 0; i < count; i++)
+        this.values[i] = ((this.energy[k * count + i] * (1 - share) + this.energy[next * count + i] * share) / 255) * this.most.energy;
+    }
+    if (name === "residual") return this.residual(frame);
+    return this.most[name];
+  }
+
+  // The residual at the markers, spread over the surface with weights that fall with the fourth power of the distance.
+  residual(frame) {
+    const { data } = this, fiducials = data.fiducials.length, known = [], predicted = this.model();
+    const length = (at) => Math.hypot(...[0, 1, 2].map((a) => this.measured[at + a] - predicted[at + a]));
+    let most = 0;
+    for (let i = 0; i < this.measured.length; i += 3) most = Math.max(most, length(i) || 0);
+    for (let f = 0; f < fiducials; f++) {
+      const at = 3 * (frame * fiducials + f), size = length(at);
+      if (Number.isFinite(size)) known.push([predicted[at], predicted[at + 1], predicted[at + 2], size]);
+    }
+    const moved = this.moved.array;
+    for (let i = 0; i < this.values.length; i++) {
+      let sum = 0, weights = 1e-12;
+      for (const [x, y, z, size] of known) {
+        const square = (moved[3 * i] - x) ** 2 + (moved[3 * i + 1] - y) ** 2 + (moved[3 * i + 2] - z) ** 2 + 1e-6;
+        sum += size / square ** 2;
+        weights += 1 / square ** 2;
+      }
+      this.values[i] = sum / weights;
+    }
+    return most;
+  }
+
+  // Colours of the nodes by a field, and what they mean.
+  paint(name, frame) {
+    const most = this.field(name, frame) || 1, last = this.shades.length - 1, shade = this.shade.array;
+    for (let i = 0; i < this.values.length; i++) {
+      const at = Math.min(Math.max((this.values[i] / most) * last, 0), last), k = Math.min(Math.floor(at), last - 1);
+      const one = this.shades[k], two = this.shades[k + 1], part = at - k;
+      shade[3 * i] = one.r + part * (two.r - one.r);
+      shade[3 * i + 1] = one.g + part * (two.g - one.g);
+      shade[3 * i + 2] = one.b + part * (two.b - one.b);
+    }
+    this.shade.needsUpdate = true;
+    return most;
+  }
+
+  model() {
+    return this.models[+(this.find("model")?.value ?? 0)];
+  }
+
   // Markers, arrows and numbers of a frame.
   mark(frame) {
     const { data } = this, count = data.fiducials.length;
-    const predicted = this.models[+(this.find("model")?.value ?? 0)], scale = +this.find("scale").value;
+    const predicted = this.model(), scale = +this.find("scale").value;
     const nothing = new T.Matrix4().makeScale(0, 0, 0), one = new T.Vector3(1, 1, 1);
     let sum = 0, numbers = 0, worst = -1, farthest = 0, seen = 0;
     for (let i = 0; i < count; i++) {
@@ -259,21 +342,30 @@ class Body {
 
   // Colours of the places, by what is asked for.
   colour() {
-    const chances = this.find("shown")?.value === "chance", grasp = this.data.grasps[+this.find("frame").value];
-    this.figure.classList.toggle("chances", chances);
+    const frame = +this.find("frame").value, shown = this.find("shown").value, grasp = this.data.grasps[frame];
+    const chances = shown === "chance", field = shown in FIELDS;
+    this.figure.classList.toggle("shaded", chances || field);
+    if (chances || field) {
+      const most = field ? this.paint(shown, frame) : 1, unit = FIELDS[shown] ?? "";
+      this.find("shade-name").textContent = `${this.find("shown").selectedOptions[0].textContent} 0`;
+      this.find("shade-most").textContent = `${digits(most)} ${unit}`;
+    }
     for (const { place, mesh, label } of this.parts) {
       const held = place.kind === "patch" && place.anchored, gripped = place.kind === "grasp" && place.name === grasp;
       const shaded = chances && place.kind === "patch" && place.shade;
       const colour = shaded ? place.shade : held ? COLOUR.anchored : gripped ? COLOUR.grasp
         : place.kind === "patch" ? COLOUR.free : COLOUR.tissue;
-      const solid = held || gripped || shaded;
-      if (mesh.userData.hatched !== (held && !chances)) {
+      const solid = held || gripped || shaded || field, kind = `${field}${Boolean(solid)}${held && !chances}`;
+      if (mesh.userData.kind !== kind) {
         mesh.material.dispose();
-        mesh.material = new T.MeshLambertMaterial({ side: T.DoubleSide, flatShading: true });
+        // Light would change what a colour means, and show triangles of the far side as shards through what is transparent.
+        mesh.material = field || !solid ? new T.MeshBasicMaterial({ side: T.DoubleSide, vertexColors: field })
+          : new T.MeshLambertMaterial({ side: T.DoubleSide, flatShading: true });
         if (held && !chances) this.hatch(mesh.material);
-        mesh.userData.hatched = held && !chances;
+        mesh.userData.kind = kind;
       }
-      mesh.material.color.set(colour);
+      mesh.userData.solid = Boolean(solid);
+      mesh.material.color.set(field ? 0xffffff : colour);
       mesh.material.opacity = solid ? 1 : 0.5;
       mesh.material.transparent = !solid;
       mesh.material.depthWrite = Boolean(solid);
@@ -290,56 +382,77 @@ class Body {
       .addScaledVector(this.ahead, Math.cos(this.elevation) * Math.cos(this.azimuth))
       .addScaledVector(this.across, Math.cos(this.elevation) * Math.sin(this.azimuth))
       .addScaledVector(this.up, Math.sin(this.elevation));
-    const tangent = Math.tan((FIELD * Math.PI) / 360), aspect = this.camera.aspect;
-    const right = new T.Vector3().crossVectors(this.up, away).normalize(), high = new T.Vector3().crossVectors(away, right);
-    // As near as the whole body fits, at rest and as it is. The nearer half looks larger: a few turns find middle and distance.
-    const seen = [], at = new T.Vector3();
+    const aspect = this.aspect, at = new T.Vector3();
+    this.right = new T.Vector3().crossVectors(this.up, away).normalize();
+    this.high = new T.Vector3().crossVectors(away, this.right);
+    this.away = away;
+    // As large as the whole body fits, at rest and as it is.
+    const low = [Infinity, Infinity], most = [-Infinity, -Infinity];
     for (const points of [this.points, this.moved.array])
       for (let i = 0; i < points.length; i += 3) {
         at.set(points[i], points[i + 1], points[i + 2]).sub(this.centre);
-        seen.push([at.dot(right), at.dot(high), at.dot(away)]);
+        [at.dot(this.right), at.dot(this.high)].forEach((value, k) => {
+          low[k] = Math.min(low[k], value);
+          most[k] = Math.max(most[k], value);
+        });
       }
-    let distance = 2 * this.diagonal;
-    const middle = [0, 0], half = [tangent * aspect, tangent];
-    for (let turn = 0; turn < 6; turn++) {
-      let next = 0;
-      for (const k of [0, 1]) {
-        let low = Infinity, most = -Infinity;
-        for (const point of seen) {
-          const slope = (point[k] - middle[k]) / (distance - point[2]);
-          low = Math.min(low, slope);
-          most = Math.max(most, slope);
-        }
-        middle[k] += ((low + most) / 2) * distance;
-        for (const point of seen) next = Math.max(next, point[2] + Math.abs(point[k] - middle[k]) / half[k]);
-      }
-      distance = Math.max(next, 0.6 * this.diagonal);
-    }
-    distance *= 1.08 * this.zoom;
-    const target = this.centre.clone().addScaledVector(right, middle[0]).addScaledVector(high, middle[1]);
-    this.camera.position.copy(target).addScaledVector(away, distance);
+    const half = 0.5 * 1.1 * this.zoom * Math.max(most[1] - low[1], (most[0] - low[0]) / aspect, 0.3 * this.diagonal);
+    const target = this.centre.clone().addScaledVector(this.right, (low[0] + most[0]) / 2).addScaledVector(this.high, (low[1] + most[1]) / 2);
+    Object.assign(this.camera, { left: -half * aspect, right: half * aspect, top: half, bottom: -half });
+    this.camera.position.copy(target).addScaledVector(away, 3 * this.diagonal);
     this.camera.up.copy(this.up);
     this.camera.lookAt(target);
-    this.camera.near = Math.max(distance - 3 * this.diagonal, 0.01 * this.diagonal);
-    this.camera.far = distance + 3 * this.diagonal;
+    this.camera.near = 0.01 * this.diagonal;
+    this.camera.far = 6 * this.diagonal;
     this.camera.updateProjectionMatrix();
+    this.scale = this.find("stage").clientHeight / (2 * half);
   }
 
   draw() {
     this.aim();
     this.camera.updateMatrixWorld();
     this.renderer.render(this.scene, this.camera);
-    const stage = this.find("stage");
+    this.name();
+    this.key();
+  }
+
+  // Names of the patches, on them, where nothing solid is in front.
+  name() {
+    const stage = this.find("stage"), ray = new T.Raycaster(), far = 3 * this.diagonal;
     for (const part of this.parts) {
       if (!part.label) continue;
-      const middle = new T.Vector3(), unique = part.index;
-      for (const node of unique) middle.add(new T.Vector3().fromArray(this.moved.array, 3 * node));
-      middle.divideScalar(unique.length);
-      const outward = middle.clone().sub(this.centre);
-      middle.addScaledVector(outward.normalize(), 0.045 * this.diagonal).project(this.camera);
+      const middle = new T.Vector3();
+      for (const node of part.index) middle.add(new T.Vector3().fromArray(this.moved.array, 3 * node));
+      middle.divideScalar(part.index.length);
+      ray.set(middle.clone().addScaledVector(this.away, far), this.away.clone().negate());
+      ray.far = far - 0.02 * this.diagonal;
+      const front = this.parts.filter((other) => other !== part && other.mesh.userData.solid).map((other) => other.mesh);
+      for (const mesh of front) mesh.geometry.boundingSphere = null;
+      part.label.hidden = ray.intersectObjects(front, false).length > 0;
+      middle.project(this.camera);
       const x = ((middle.x + 1) / 2) * stage.clientWidth, y = ((1 - middle.y) / 2) * stage.clientHeight;
       part.label.style.transform = `translate(-50%, -50%) translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
     }
+  }
+
+  // Axes, the direction of gravity and a scale bar.
+  key() {
+    const flat = (way) => [way.dot(this.right), -way.dot(this.high)];
+    const ways = { x: new T.Vector3(1, 0, 0), y: new T.Vector3(0, 1, 0), z: new T.Vector3(0, 0, 1), g: this.up.clone().negate() };
+    for (const [name, way] of Object.entries(ways)) {
+      const [x, y] = flat(way), from = name === "g" ? [112, 30] : [50, 50], long = name === "g" ? 34 : 28;
+      const arrow = this.find(`axis-${name} path`), text = this.find(`axis-${name} text`), reach = name === "g" ? -12 : long + 13;
+      const at = (along, aside) => `${(from[0] + along * x - aside * y).toFixed(1)} ${(from[1] + along * y + aside * x).toFixed(1)}`;
+      const flatness = Math.hypot(x, y), head = Math.min(9 / Math.max(flatness, 0.1), long);
+      const wide = 4.5 / Math.max(flatness, 0.1);
+      arrow.setAttribute("d", `M${at(0, 0)} L${at(long - head, 0)} M${at(long, 0)} L${at(long - head, wide)} L${at(long - head, -wide)}Z`);
+      text.setAttribute("x", (from[0] + reach * x).toFixed(1));
+      text.setAttribute("y", (from[1] + reach * y + 4.5).toFixed(1));
+    }
+    const wanted = Math.min(140, 0.25 * this.find("stage").clientWidth) / this.scale, power = 10 ** Math.floor(Math.log10(wanted));
+    const length = power * [5, 2, 1].find((step) => step * power <= wanted);
+    this.find("bar").style.width = `${(length * this.scale).toFixed(1)}px`;
+    this.find("bar-text").textContent = `${Number(length.toPrecision(1))} mm`;
   }
 }
 
