@@ -260,7 +260,7 @@ class Chooser:
         """Predictions (hypotheses, frames, fiducials, 3), m, and what is loose of them, in units of their errors."""
         rest = self.inference.scene.rest
         motion = float(np.sqrt(np.mean((positions - rest) ** 2)))
-        spread = Spread(profile(action), self.noise, view.error * motion)
+        spread = Spread(profile(action, self.inference.scene), self.noise, view.error * motion)
         means = np.array([spread.whiten(p - rest).ravel() for p in positions])
         columns = [[spread.whiten(np.nan_to_num(c)).ravel() for c in own] for own in loose]
         return Shown(means, tuple(np.array(own).reshape(-1, means.shape[1]) for own in columns))

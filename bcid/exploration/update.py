@@ -17,6 +17,7 @@ from bcid.inference.mesh_error import MeshError
 from bcid.inference.misfit import Misfit
 from bcid.measurement import Action, Measurement
 from bcid.scene import Scene
+from bcid.scene.rotation import as_rotation
 from bcid.search.climb import neighbours
 from bcid.search.seeds import all_candidates, random_seeds
 
@@ -59,7 +60,7 @@ class Pulled:
     def of(cls, scene: Scene, measurement: Measurement) -> Pulled:
         """From a measurement that holds one action."""
         action, misfit = measurement.actions[0], Misfit(scene, measurement)
-        return cls(action, misfit, profile(action), misfit.motion_rms)
+        return cls(action, misfit, profile(action, scene), misfit.motion_rms)
 
 
 @dataclass(frozen=True)
@@ -70,11 +71,14 @@ class Meshed:
     left: float
 
 
-def profile(action: Action) -> Array:
-    """Distance of the gripper from rest in each frame, as part of the largest; shape (frames,)."""
-    way = (
-        np.linalg.norm(action.translation, axis=1) + np.linalg.norm(action.rotation - action.rotation[0], axis=1) * 1e-2
-    )
+def profile(action: Action, scene: Scene) -> Array:
+    """Distance of the gripper from rest in each frame, as part of the largest; shape (frames,).
+
+    A turn counts by how far it would move the nearest fiducial.
+    """
+    far = scene.rest - np.array(scene.grasps[action.grasp].centre) if action.grasp else np.zeros((1, 3))
+    turned = (as_rotation(action.rotation) * as_rotation(action.rotation[0]).inv()).magnitude()
+    way = np.linalg.norm(action.translation, axis=1) + turned * np.linalg.norm(far, axis=1).min()
     return np.asarray(way / max(float(way.max()), 1e-12))
 
 

@@ -14,6 +14,8 @@ from functools import cached_property
 import ufl
 from ufl.core.expr import Expr
 
+from bcid.scene.parts import Vector
+
 
 @dataclass(frozen=True)
 class Kinematics:
@@ -22,23 +24,31 @@ class Kinematics:
     Attributes:
         H: displacement gradient, 3 x 3.
         F: deformation gradient I + H, 3 x 3.
+        axes: unit vectors of the plane of fibres at rest, at 0 and at 90 degrees.
     """
 
     H: Expr
     F: Expr
+    axes: tuple[Vector, Vector]
 
     @classmethod
-    def of(cls, u: Expr) -> Kinematics:
+    def of(cls, u: Expr, axes: tuple[Vector, Vector]) -> Kinematics:
         """The deformation of a displacement field u (three components, metres)."""
         _require_shape(u, (3,), "displacement")
         H = ufl.grad(u)
-        return cls(H, ufl.Identity(3) + H)
+        return cls(H, ufl.Identity(3) + H, axes)
 
     @classmethod
-    def from_gradient(cls, F: Expr) -> Kinematics:
+    def from_gradient(cls, F: Expr, axes: tuple[Vector, Vector]) -> Kinematics:
         """The deformation with a given deformation gradient F (3 x 3), for instance the elastic part of one."""
         _require_shape(F, (3, 3), "deformation gradient")
-        return cls(F - ufl.Identity(3), F)
+        return cls(F - ufl.Identity(3), F, axes)
+
+    def direction(self, angle: Expr | float) -> Expr:
+        """Unit vector in the plane of fibres, at an angle in degrees."""
+        radians = angle * (math.pi / 180)
+        first, second = (ufl.as_vector(axis) for axis in self.axes)
+        return ufl.cos(radians) * first + ufl.sin(radians) * second
 
     @cached_property
     def C(self) -> Expr:
@@ -126,12 +136,6 @@ class Kinematics:
     def invariant8(self, a: Expr, b: Expr) -> Expr:
         """I8 = a . C b: coupling of two fibre directions (their shear)."""
         return ufl.inner(a, self.C * b)
-
-
-def direction(angle: Expr | float) -> Expr:
-    """Unit vector in the x-z plane, `angle` degrees from x towards z."""
-    radians = angle * (math.pi / 180)
-    return ufl.as_vector((ufl.cos(radians), 0.0, ufl.sin(radians)))
 
 
 def expm1(x: Expr) -> Expr:

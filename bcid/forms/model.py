@@ -19,6 +19,7 @@ from bcid.forms.materials.law import Law, Volumetric
 from bcid.forms.parameter import Parameter
 from bcid.measurement import Action
 from bcid.scene import Scene, Values
+from bcid.scene.parts import Vector, horizontal
 
 
 @dataclass(frozen=True)
@@ -126,6 +127,7 @@ class Model:
         anchors: names of the fixed patches.
         grasp: name of the grasp, or "".
         down: unit vector of gravity.
+        fibre_axes: unit vectors of the plane of fibres, at 0 and at 90 degrees; the horizontal plane by default.
         rollers: places held in one axis only, as (place, axis) with axis 0, 1 or 2.
     """
 
@@ -137,6 +139,7 @@ class Model:
     anchors: frozenset[str] = frozenset()
     grasp: str = ""
     down: tuple[float, float, float] = (0.0, -1.0, 0.0)
+    fibre_axes: tuple[Vector, Vector] = horizontal((0.0, -1.0, 0.0))
     rollers: tuple[tuple[str, int], ...] = field(default=())
 
     def __post_init__(self) -> None:
@@ -298,13 +301,14 @@ def _model(scene: Scene, problems: list[str]) -> Model | None:
         problems += [f"material.{problem}" for problem in law.check(values, mixed)]
     if mixed and any(level.degree < 2 for level in scene.levels):
         problems.append("material.formulation: the mixed formulation needs degree = 2 on every level")
-    terms = [_dose(name, written, scene, problems) for name, written in scene.effects.items()]
+    terms = [_term(name, written, scene, problems) for name, written in scene.effects.items()]
     if problems:
         return None
-    return Model(law, values, material.formulation, terms=tuple(d for d in terms if d), down=scene.down)
+    found = tuple(term for term in terms if term)
+    return Model(law, values, material.formulation, terms=found, down=scene.down, fibre_axes=scene.fibre_axes)
 
 
-def _dose(name: str, written: Values, scene: Scene, problems: list[str]) -> Term | None:
+def _term(name: str, written: Values, scene: Scene, problems: list[str]) -> Term | None:
     try:
         effect = effects.effect(name)
     except InputError as error:

@@ -36,9 +36,10 @@ class Memory:
         u: the unknown.
         shapes: of the variables, by name.
         degree: of the quadrature at whose points the variables are kept.
+        axes: of the plane of fibres, see `Kinematics`.
     """
 
-    def __init__(self, body: Body, u: Any, shapes: Mapping[str, tuple[int, ...]], degree: int) -> None:
+    def __init__(self, body: Body, u: Any, shapes: Mapping[str, tuple[int, ...]], degree: int, axes: Any) -> None:
         self._u = u
         self.last = fem.Function(u.function_space)
         domain = body.domain
@@ -49,7 +50,7 @@ class Memory:
             element = basix.ufl.quadrature_element("tetrahedron", value_shape=shape, degree=degree)
             self.variables[name] = fem.Function(fem.functionspace(domain, element))
         displacement = ufl.split(self.last)[0] if body.mixed else self.last
-        self.past = Past(displacement, Kinematics.of(displacement), self.dt, self.moving, self.variables)
+        self.past = Past(displacement, Kinematics.of(displacement, axes), self.dt, self.moving, self.variables)
         self._following: dict[str, Any] = {}
 
     def follow(self, expressions: Mapping[str, Any]) -> None:
@@ -105,7 +106,7 @@ class WeakForm:
             self.virtual = ufl.split(self.test)[0]
         else:
             self.displacement, self.pressure, self.virtual = u, None, self.test
-        self.kin = Kinematics.of(self.displacement)
+        self.kin = Kinematics.of(self.displacement, model.fibre_axes)
         self.memories: dict[str, Memory] = {}
         self.probed: dict[str, Memory] = {}
         self.energies = [self.stored(model.terms)]
@@ -141,7 +142,9 @@ class WeakForm:
         memories = self.memories if own else self.probed
         if term.label not in memories:
             effect = term.effect
-            memories[term.label] = Memory(self.body, self.u, effect.memory, self.body.quadrature_degree)
+            memories[term.label] = Memory(
+                self.body, self.u, effect.memory, self.body.quadrature_degree, self.model.fibre_axes
+            )
             if effect.advance:
                 expressions = effect.advance(self.point(term), self.term_constants(term))
                 memories[term.label].follow(expressions)
@@ -190,7 +193,7 @@ class WeakForm:
             c = self.term_constants(term)
             if term.effect.growth:
                 stretch = term.effect.growth(self.point(term), c)
-                kin = Kinematics.from_gradient(kin.F * stretch)
+                kin = Kinematics.from_gradient(kin.F * stretch, kin.axes)
                 # The law's energy is per volume of the natural state.
                 factor = (factor or 1.0) / ufl.det(stretch)
             if term.effect.stiffness:

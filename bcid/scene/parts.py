@@ -5,7 +5,27 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 Values = dict[str, Any]
+Vector = tuple[float, float, float]
+
+
+def horizontal(down: Vector) -> tuple[Vector, Vector]:
+    """Unit vectors across a direction: the x axis as far as it lies across (the y axis where it does not), and one to its left."""
+    up = -np.asarray(down, dtype=float)
+    along = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < 0.99 else np.array([0.0, 1.0, 0.0])
+    first = along - (along @ up) * up
+    first /= np.linalg.norm(first)
+    second = np.cross(first, up)
+    return _vector(first), _vector(second)
+
+
+def _vector(values: NDArray[np.float64]) -> Vector:
+    # Without negative zeros, so that equal planes are equal in every way.
+    x, y, z = (float(v) + 0.0 for v in values)
+    return x, y, z
 
 
 @dataclass(frozen=True)

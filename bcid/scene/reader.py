@@ -15,12 +15,12 @@ import numpy as np
 from bcid.base.errors import InputError, Problems, nearest
 from bcid.base.text_file import parse_toml, read_text
 from bcid.base.units import quantities, quantity, unit_factor, usable
-from bcid.scene.parts import Box, Grasp, Level, Limits, Material, Plane, Region, Values
+from bcid.scene.parts import Box, Grasp, Level, Limits, Material, Plane, Region, Values, Vector
 
 FORMAT = "bcid-scene/1"
 DEGREES = (1, 2)
 FORMULATIONS = ("displacement", "mixed")
-_VALUES = ("format", "name", "description", "down", "support", "noise_sigma", "attach_within")
+_VALUES = ("format", "name", "description", "down", "fibre_plane", "support", "noise_sigma", "attach_within")
 _TABLES = ("geometry", "levels", "material", "patches", "grasps", "fiducials", "places", "effects", "explore")
 _EXPLORE = ("displacement", "force", "strain", "amplitudes", "directions", "steps", "cost", "regrasp")
 _AXES = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
@@ -139,6 +139,16 @@ class SceneFile:
         x, y, z = np.asarray(value, float) / np.linalg.norm(np.asarray(value, float))
         return float(x), float(y), float(z)
 
+    def fibre_plane(self, value: object) -> tuple[Vector, Vector] | None:
+        """Two directions that are perpendicular to each other."""
+        if not isinstance(value, list) or len(value) != 2:
+            self.bad("fibre_plane", f"expected two directions, as [[1, 0, 0], [0, 0, 1]]; found {value!r}")
+            return None
+        first, second = (self.direction(one, "fibre_plane") for one in value)
+        if abs(float(np.dot(first, second))) > 1e-6:
+            self.bad("fibre_plane", f"the directions must be perpendicular to each other; found {value!r}")
+        return first, second
+
     def names(self, table: Mapping[str, Any], what: str) -> list[str]:
         for name in table:
             if not _NAME.match(name):
@@ -180,6 +190,7 @@ class SceneFile:
             "places": {name: self.region(value, f"places.{name}") for name, value in places.items()},
             "divide": self.divide(patches),
             "down": self.direction(table.get("down", [0, -1, 0]), "down"),
+            "fibre_plane": self.fibre_plane(table["fibre_plane"]) if "fibre_plane" in table else None,
             "support": support,
             "noise_sigma": optional.get("noise_sigma"),
             "attach_within": optional.get("attach_within"),

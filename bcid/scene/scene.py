@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.scene.parts import Grasp, Level, Limits, Material, Region, Values
+from bcid.scene.parts import Grasp, Level, Limits, Material, Region, Values, Vector, horizontal
 from bcid.scene.reader import SceneFile
 
 PhysicsCheck = Callable[["Scene"], list[str]]
@@ -29,6 +29,8 @@ class Scene:
         fiducials: stress-free positions by name.
         places: other named parts of the boundary, for known loads and supports.
         down: unit vector of gravity.
+        fibre_plane: the plane in which fibres and active stresses lie: unit vectors at 0 and at 90 degrees. None is the
+            horizontal plane, from the x axis on.
         support: name of the place on which the body lies, "" if it lies on none.
         noise_sigma: per-axis standard deviation of a fiducial when the measurement does not state one.
         attach_within: a fiducial further from the body than this is refused; None means 5 % of the body's size.
@@ -46,7 +48,8 @@ class Scene:
     fiducials: dict[str, tuple[float, float, float]]
     places: dict[str, Region] = field(default_factory=dict)
     divide: dict[str, float] = field(default_factory=dict)
-    down: tuple[float, float, float] = (0.0, -1.0, 0.0)
+    down: Vector = (0.0, -1.0, 0.0)
+    fibre_plane: tuple[Vector, Vector] | None = None
     support: str = ""
     noise_sigma: float | None = None
     attach_within: float | None = None
@@ -55,6 +58,11 @@ class Scene:
     parameters: dict[str, float] = field(default_factory=dict)
     description: str = ""
     source: str = "scene"
+
+    @property
+    def fibre_axes(self) -> tuple[Vector, Vector]:
+        """Unit vectors of the plane of fibres, at 0 and at 90 degrees."""
+        return self.fibre_plane or horizontal(self.down)
 
     @property
     def fiducial_names(self) -> list[str]:

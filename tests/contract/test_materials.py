@@ -29,6 +29,7 @@ from bcid.forms import materials
 from bcid.forms.kinematics import Kinematics
 from bcid.forms.materials import neo_hooke
 from bcid.forms.parameter import Parameter
+from bcid.scene.parts import horizontal
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
@@ -36,6 +37,7 @@ Values = Mapping[str, float]
 # compiling dominates this file: no optimisation
 JIT = {"cffi_extra_compile_args": ["-O0"]}
 I3 = np.eye(3)
+AXES = horizontal((0.0, -1.0, 0.0))
 
 
 # ---------------------------------------------------------------- closed forms, by hand
@@ -237,7 +239,7 @@ class Point:
         self.p = fem.Constant(cube(), np.float64(0))
         self.c = {p.name: fem.Constant(cube(), np.float64(0)) for p in law.parameters}
         F, p, poisson = ufl.variable(self.F), ufl.variable(self.p), ufl.variable(self.c["poisson"])
-        kin, c = Kinematics.from_gradient(F), {**self.c, "poisson": poisson}
+        kin, c = Kinematics.from_gradient(F, AXES), {**self.c, "poisson": poisson}
         W = law.psi_mixed(kin, p, c, volumetric) if mixed else law.psi(kin, c, volumetric)
         P = ufl.diff(W, F)
         extra = [ufl.diff(W, p), ufl.diff(W, poisson)] if mixed else []
@@ -267,7 +269,7 @@ class Body:
         self.u = fem.Function(V)
         self.law = law
         self.c = {p.name: fem.Constant(cube(), np.float64(0)) for p in law.parameters}
-        energy = law.psi(Kinematics.of(self.u), self.c) * ufl.dx(metadata={"quadrature_degree": 1})
+        energy = law.psi(Kinematics.of(self.u, AXES), self.c) * ufl.dx(metadata={"quadrature_degree": 1})
         residual = ufl.derivative(energy, self.u, ufl.TestFunction(V))
         tangent = ufl.derivative(residual, self.u, ufl.TrialFunction(V))
         self.forms = [fem.form(f, jit_options=JIT) for f in (energy, residual, tangent)]
@@ -485,7 +487,7 @@ def test_incompressible_bar_has_the_textbook_stress(name: str) -> None:
 
 
 def test_mixed_form_is_refused_where_it_does_not_exist() -> None:
-    kin = Kinematics.from_gradient(ufl.Identity(3))
+    kin = Kinematics.from_gradient(ufl.Identity(3), AXES)
     with pytest.raises(InputError, match="'ciarlet' has no mixed formulation; allowed: log, quadratic"):
         materials.law("yeoh").psi_mixed(kin, 1.0, CASES["yeoh"].values, "ciarlet")
     with pytest.raises(InputError, match="'saint_venant_kirchhoff' has no separate volumetric energy"):

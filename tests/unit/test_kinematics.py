@@ -9,14 +9,16 @@ import pytest
 import ufl
 from numpy.typing import NDArray
 
-from bcid.forms.kinematics import Kinematics, direction, expm1
+from bcid.forms.kinematics import Kinematics, expm1
+from bcid.scene.parts import horizontal
 
 Matrix = NDArray[np.float64]
+AXES = horizontal((0.0, -1.0, 0.0))
 
 
 def kinematics(H: Matrix) -> Kinematics:
     gradient = ufl.as_matrix(H.tolist())
-    return Kinematics(gradient, ufl.Identity(3) + gradient)
+    return Kinematics(gradient, ufl.Identity(3) + gradient, AXES)
 
 
 def value(expression: ufl.core.expr.Expr) -> Matrix:
@@ -49,7 +51,7 @@ def test_tensors_and_invariants_agree_with_numpy(H: Matrix) -> None:
 def test_fibre_invariants_agree_with_numpy(H: Matrix) -> None:
     kin, F = kinematics(H), np.eye(3) + H
     C, J = F.T @ F, np.linalg.det(F)
-    a, b = direction(25.0), direction(-40.0)
+    a, b = kin.direction(25.0), kin.direction(-40.0)
     na, nb = value(a), value(b)
     np.testing.assert_allclose(value(kin.invariant4(a)), na @ C @ na, rtol=1e-13)
     np.testing.assert_allclose(value(kin.invariant4_minus_1(a)), na @ C @ na - 1, rtol=1e-12)
@@ -60,7 +62,7 @@ def test_fibre_invariants_agree_with_numpy(H: Matrix) -> None:
 
 def test_from_gradient_is_the_same_deformation(H: Matrix) -> None:
     F = ufl.as_matrix((np.eye(3) + H).tolist())
-    given, built = Kinematics.from_gradient(F), kinematics(H)
+    given, built = Kinematics.from_gradient(F, AXES), kinematics(H)
     assert given.F is F
     for name in ("E", "J", "I1bar", "I2bar"):
         np.testing.assert_allclose(value(getattr(given, name)), value(getattr(built, name)), rtol=1e-13, atol=1e-15)
@@ -84,15 +86,28 @@ def test_small_strains_keep_their_digits() -> None:
 @pytest.mark.parametrize(
     ("angle", "expected"), [(0, (1, 0, 0)), (90, (0, 0, 1)), (45, (0.5**0.5, 0, 0.5**0.5)), (-90, (0, 0, -1))]
 )
-def test_direction_turns_from_x_towards_z(angle: float, expected: tuple[float, float, float]) -> None:
-    np.testing.assert_allclose(value(direction(angle)), expected, atol=1e-15)
+def test_a_direction_turns_from_the_first_axis_towards_the_second(
+    angle: float, expected: tuple[float, float, float]
+) -> None:
+    kin = kinematics(np.zeros((3, 3)))
+    np.testing.assert_allclose(value(kin.direction(angle)), expected, atol=1e-15)
+    other = Kinematics(kin.H, kin.F, ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+    x, y, z = expected
+    np.testing.assert_allclose(value(other.direction(angle)), (y, x, z), atol=1e-15)
+
+
+@pytest.mark.parametrize("down", [(0, -1, 0), (0, 0, -1), (1, 0, 0), (-1, 0, 0), (0.6, -0.8, 0), (0.995, 0.0998749, 0)])
+def test_fibres_lie_in_the_horizontal_plane(down: tuple[float, float, float]) -> None:
+    axes = np.array(horizontal(down))
+    np.testing.assert_allclose(axes @ axes.T, np.eye(2), atol=1e-6)
+    np.testing.assert_allclose(axes @ np.array(down), 0, atol=1e-6)
 
 
 def test_only_bodies_in_three_dimensions() -> None:
     with pytest.raises(ValueError, match=r"shape \(2, 2\).*expected \(3, 3\)"):
-        Kinematics.from_gradient(ufl.Identity(2))
+        Kinematics.from_gradient(ufl.Identity(2), AXES)
     with pytest.raises(ValueError, match=r"displacement has shape \(2,\)"):
-        Kinematics.of(ufl.as_vector((1.0, 2.0)))
+        Kinematics.of(ufl.as_vector((1.0, 2.0)), AXES)
 
 
 def test_each_quantity_is_built_once() -> None:

@@ -1,5 +1,6 @@
 """The scene file: what it holds, and what is said when it is wrong."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +47,8 @@ def test_everything_is_si(tmp_path: Path) -> None:
     assert scene.levels[0].element_size == pytest.approx(0.05)
     assert scene.grasps["II"].centre == pytest.approx((0.09, 0.005, 0.05))
     assert scene.down == (0.0, 0.0, -1.0)
+    assert scene.fibre_axes == ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0))
+    assert replace(scene, fibre_plane=((0.0, 1.0, 0.0), (0.0, 0.0, 1.0))).fibre_axes[1] == (0.0, 0.0, 1.0)
     assert scene.noise_sigma == pytest.approx(0.3e-3)
     assert isinstance(scene.patches["2"].box, Box)
     np.testing.assert_allclose(scene.rest, [[0.015, 0.010, 0.0125]])
@@ -82,6 +85,9 @@ def test_shipped_scenes_are_valid() -> None:
         ('name = "bar"', "nam = 3", "nam: unknown key; did you mean 'name'"),
         ("[0, 0, -2]", "[0, 0, 0]", "down: expected three numbers"),
         ("[0, 0, -2]", "[0, 0, nan]", "down: expected three numbers"),
+        ("[0, 0, -2]", "[0, 0, -2]\nfibre_plane = [1, 0, 0]", "fibre_plane: expected two directions"),
+        ("[0, 0, -2]", "[0, 0, -2]\nfibre_plane = [[1, 0, 0], [0, 0, 0]]", "fibre_plane: expected three numbers"),
+        ("[0, 0, -2]", "[0, 0, -2]\nfibre_plane = [[1, 0, 0], [1, 1, 0]]", "fibre_plane: the directions must be"),
         ('"0.3 mm"', '"-0.3 mm"', "noise_sigma: '-0.3 mm' must be positive"),
         ('"0.3 mm"', "0.3", "noise_sigma: 0.3 has no unit"),
         ("slab.geo", "slob.geo", "geometry.file:.*no such file"),

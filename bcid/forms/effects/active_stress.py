@@ -1,8 +1,9 @@
-"""Active stress: the body contracts by itself along one direction of the x-z plane.
+"""Active stress: the body contracts by itself along one direction of the plane of fibres.
 
 Energy per rest volume: amplitude/2 (I4 - 1), that is a second Piola-Kirchhoff stress amplitude a x a along the fibres
-a = (cos angle, 0, sin angle) (Nash & Panfilov, Prog. Biophys. Mol. Biol. 85, 2004). With a period (s) other than 0 the
-amplitude is multiplied by sin^2(pi t/period): at rest at t = 0, in full half a period later.
+a = cos(angle) e1 + sin(angle) e2 (Nash & Panfilov, Prog. Biophys. Mol. Biol. 85, 2004). With a period (s) other than 0 the
+amplitude is multiplied by sin^2(pi t/period): at rest at t = 0, in full half a period later. e1 and e2 are the axes of the
+scene's `fibre_plane`.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ import math
 from collections.abc import Mapping
 
 from bcid.forms.effects.effect import Effect
-from bcid.forms.kinematics import direction
 from bcid.forms.parameter import Parameter
 
 
@@ -37,7 +37,7 @@ effect = Effect(
         Parameter(
             "angle",
             "deg",
-            "direction in the x-z plane, from x towards z",
+            "direction in the plane of fibres",
             default=0.0,
             lower=-180.0,
             upper=360.0,
@@ -52,6 +52,6 @@ effect = Effect(
     ),
     about="the body contracts by itself along one direction",
     acts_on="material",
-    energy=lambda point, c: c["amplitude"] / 2 * point.kin.invariant4_minus_1(direction(c["angle"])),
+    energy=lambda point, c: c["amplitude"] / 2 * point.kin.invariant4_minus_1(point.kin.direction(c["angle"])),
     envelope=envelope,
 )

@@ -1,13 +1,13 @@
-"""Fibres: the body is stiffer along one direction of the x-z plane.
+"""Fibres: the body is stiffer along one direction of the plane of fibres.
 
-Energy per rest volume: k1/2 (I4 - 1)^2 with I4 = a . C a the squared stretch along a = (cos angle, 0, sin angle), the
-standard reinforcing model (Qiu & Pence, J. Elasticity 49, 1997). The fibres resist compression as well as tension.
+Energy per rest volume: k1/2 (I4 - 1)^2 with I4 = a . C a the squared stretch along a = cos(angle) e1 + sin(angle) e2, the
+standard reinforcing model (Qiu & Pence, J. Elasticity 49, 1997). The fibres resist compression as well as tension. e1 and
+e2 are the axes of the scene's `fibre_plane`.
 """
 
 from __future__ import annotations
 
 from bcid.forms.effects.effect import Effect
-from bcid.forms.kinematics import direction
 from bcid.forms.parameter import Parameter
 
 effect = Effect(
@@ -18,7 +18,7 @@ effect = Effect(
         Parameter(
             "angle",
             "deg",
-            "direction in the x-z plane, from x towards z",
+            "direction in the plane of fibres",
             default=0.0,
             lower=-180.0,
             upper=360.0,
@@ -30,5 +30,5 @@ effect = Effect(
     ),
     about="fibres make the body stiffer along one direction",
     acts_on="material",
-    energy=lambda point, c: c["k1"] / 2 * point.kin.invariant4_minus_1(direction(c["angle"])) ** 2,
+    energy=lambda point, c: c["k1"] / 2 * point.kin.invariant4_minus_1(point.kin.direction(c["angle"])) ** 2,
 )

@@ -5,7 +5,7 @@ Parameters:
     bf: stiffening along the fibres.
     bt: stiffening across the fibres.
     bfs: stiffening in shear between the fibres and their cross-section.
-    angle: fibre direction in the x-z plane, degrees from x towards z.
+    angle: fibre direction in the plane of fibres, degrees.
     poisson: ratio that sets the volumetric stiffness; it is Poisson's ratio at small strain if bf = bt = bfs.
 
 Equation:
@@ -34,7 +34,7 @@ from __future__ import annotations
 import ufl
 from ufl.core.expr import Expr
 
-from bcid.forms.kinematics import Kinematics, direction, expm1
+from bcid.forms.kinematics import Kinematics, expm1
 from bcid.forms.materials._moduli import POISSON, first_lame, first_lame_compliance
 from bcid.forms.materials.law import Constants, Law, Scalar
 from bcid.forms.parameter import Parameter
@@ -47,7 +47,7 @@ def shear(c: Constants) -> Scalar:
 
 def energy(kin: Kinematics, c: Constants) -> Expr:
     """c/2 (exp Q - 1); the strains across the fibres enter through E:E, which needs no cross directions."""
-    f = direction(c["angle"])
+    f = kin.direction(c["angle"])
     Ef = kin.E * f
     along = ufl.inner(f, Ef) ** 2
     sliding = ufl.inner(Ef, Ef) - along
@@ -63,9 +63,7 @@ law = Law(
         Parameter("bf", "1", "stiffening along the fibres", lower=0),
         Parameter("bt", "1", "stiffening across the fibres", lower=0),
         Parameter("bfs", "1", "stiffening in shear along the fibres", lower=0),
-        Parameter(
-            "angle", "deg", "fibre direction in the x-z plane, from x towards z", default=0, lower=-180, upper=180
-        ),
+        Parameter("angle", "deg", "fibre direction in the plane of fibres", default=0, lower=-180, upper=180),
         POISSON,
     ),
     energy=energy,

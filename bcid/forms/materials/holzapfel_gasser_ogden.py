@@ -4,7 +4,7 @@ Parameters:
     mu: shear modulus of the ground substance, Pa.
     k1: stiffness of each fibre family, Pa.
     k2: how sharply the fibres stiffen.
-    angle: the families lie in the x-z plane, at +angle and -angle degrees from x; at 0 and 90 they coincide.
+    angle: the families lie in the plane of fibres, at +angle and -angle degrees; at 0 and 90 they coincide.
     kappa: dispersion of the fibre directions, from 0 (perfectly aligned) to 1/3 (isotropic).
     poisson: Poisson's ratio nu of the ground substance at small strain.
 
@@ -38,7 +38,7 @@ from __future__ import annotations
 import ufl
 from ufl.core.expr import Expr
 
-from bcid.forms.kinematics import Kinematics, direction, expm1
+from bcid.forms.kinematics import Kinematics, expm1
 from bcid.forms.materials._moduli import POISSON, bulk_compliance, bulk_modulus
 from bcid.forms.materials.law import Constants, Law, Scalar
 from bcid.forms.parameter import Parameter
@@ -54,7 +54,7 @@ def shear(c: Constants) -> Scalar:
 
 def energy(kin: Kinematics, c: Constants) -> Expr:
     """mu/2 (I1bar - 3) + sum over both families of k1/(2 k2) (exp(k2 g) - 1)."""
-    families = (direction(c["angle"]), direction(-c["angle"]))
+    families = (kin.direction(c["angle"]), kin.direction(-c["angle"]))
     fibres = sum(expm1(c["k2"] * _engaged_square(_fibre_strain(kin, c, a))) for a in families)
     return c["mu"] / 2 * kin.I1bar_minus_3 + c["k1"] / (2 * c["k2"]) * fibres
 
@@ -79,7 +79,7 @@ law = Law(
         Parameter("k1", "Pa", "stiffness of each fibre family", lower=0, neutral=0),
         Parameter("k2", "1", "how sharply the fibres stiffen", lower=0, open_lower=True),
         Parameter(
-            "angle", "deg", "the families lie at + and - this angle from x in the x-z plane", lower=-180, upper=180
+            "angle", "deg", "the families lie at + and - this angle in the plane of fibres", lower=-180, upper=180
         ),
         Parameter("kappa", "1", "dispersion of the fibre directions", default=0, lower=0, upper=1 / 3),
         POISSON,

@@ -38,9 +38,11 @@ class Pose:
     load_factor: float = 1.0
     time: float = 0.0
 
-    def vector(self) -> Array:
-        """All numbers in one row, the rotation scaled to about the size of a grasp (0.02 m)."""
-        return np.concatenate([self.translation, 0.02 * self.rotation, *(self.loads[k] for k in sorted(self.loads))])
+    def vector(self, lever: float) -> Array:
+        """All numbers in one row, the rotation as what it moves at the end of a lever (m)."""
+        return np.concatenate(
+            [self.translation, 2 * lever * self.rotation, *(self.loads[k] for k in sorted(self.loads))]
+        )
 
 
 class Supports:
@@ -126,6 +128,15 @@ class Supports:
         """Displacement of every node if it moved with the gripper, shape (3 * nodes,), m."""
         arm = self.body.nodes - self.centre
         return np.asarray((pose.translation + rotate(pose.rotation, arm) - arm).ravel())
+
+    @property
+    def lever(self) -> float:
+        """How far what the gripper holds is from where it turns about, m (RMS of the nodes, at rest); 0 without a gripper."""
+        if not self.grasp:
+            return 0.0
+        mesh = self.body.mesh
+        held = np.unique(mesh.select(self.scene.grasps[self.grasp].region, f"grasp {self.grasp}"))
+        return float(np.sqrt(np.mean(np.sum((mesh.points[held] - self.centre) ** 2, axis=1))))
 
     @property
     def centre(self) -> Array:

@@ -48,6 +48,7 @@ class _History:
     """Accepted states by time (steps of the action): what the next one is interpolated or extrapolated from."""
 
     comm: Comm
+    lever: float
     energy: EnergyCheck | None = None
     times: list[float] = field(default_factory=list)
     poses: list[Array] = field(default_factory=list)
@@ -56,7 +57,7 @@ class _History:
     def add(self, time: float, pose: Pose, state: Array) -> None:
         """Take a state as the newest."""
         self.times = [*self.times, time][-_MOST:]
-        self.poses = [*self.poses, pose.vector()][-_MOST:]
+        self.poses = [*self.poses, pose.vector(self.lever)][-_MOST:]
         self.states = [*self.states, state.copy()][-_MOST:]
 
     def guess(self, time: float, pose: Pose) -> Array | None:
@@ -67,7 +68,7 @@ class _History:
         """
         if not self.times:
             return None
-        wanted = pose.vector()
+        wanted = pose.vector(self.lever)
         nearest = sorted(range(len(self.times)), key=lambda i: (abs(self.times[i] - time), -i))
         guesses, misses = [], []
         for count in range(1, len(nearest) + 1):
@@ -135,7 +136,7 @@ def follow(
         Pose(loads={place: np.zeros(3) for place in action.loads}, load_factor=0.0, time=float(action.clock[0])),
         *poses(action),
     ]
-    history = _History(equilibrium.body.comm, EnergyCheck.at_rest(equilibrium))
+    history = _History(equilibrium.body.comm, equilibrium.supports.lever, EnergyCheck.at_rest(equilibrium))
     safe = 0, replace(history)
     done, stopped = 0, False
     while done < len(action) and not stopped:
@@ -174,7 +175,7 @@ def _advance(eq: Equilibrium, last: Pose, pose: Pose, step: int, history: _Histo
     if (
         not eq.model.terms
         and not pose.loads
-        and np.allclose(pose.vector(), last.vector(), atol=1e-15)
+        and np.allclose(pose.vector(1.0), last.vector(1.0), atol=1e-15)
         and not history.times
     ):
         history.add(step, pose, eq.u.x.array)
