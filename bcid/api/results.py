@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -109,6 +110,18 @@ class Result:
         return None if value is None else value * self._length
 
 
+def _shown(figure: Figure) -> Figure:
+    """The figure, which notebooks show as a picture although it is none of pyplot's."""
+
+    def png() -> bytes:
+        with io.BytesIO() as stream:
+            figure.savefig(stream, format="png", dpi=80)
+            return stream.getvalue()
+
+    figure.__dict__["_repr_png_"] = png
+    return figure
+
+
 def _set(names: Sequence[str]) -> str:
     return "{" + " ".join(names) + "}"
 
@@ -200,7 +213,7 @@ class IdentifyResult(Result):
         from bcid.report.lengths import in_mm
 
         with styled():
-            return summary_figure(in_mm(self.found), self._dataset("body.nc"), self._dataset("prediction.nc"))
+            return _shown(summary_figure(in_mm(self.found), self._dataset("body.nc"), self._dataset("prediction.nc")))
 
 
 @dataclass(frozen=True)
@@ -319,8 +332,8 @@ class DiagnosisResult(Result):
         found = in_mm(self.found)
         with styled():
             if found["ranking"]:
-                return ladder_figure(found)
-            return residual_figure(found, self._dataset("body.nc"), self._dataset("residuals.nc"))
+                return _shown(ladder_figure(found))
+            return _shown(residual_figure(found, self._dataset("body.nc"), self._dataset("residuals.nc")))
 
 
 class ExploreResult(Result):
@@ -373,7 +386,7 @@ class ExploreResult(Result):
         from bcid.report.lengths import in_mm
 
         with styled():
-            return belief_figure(in_mm(self.found))
+            return _shown(belief_figure(in_mm(self.found)))
 
 
 _KINDS: dict[str, type[Result]] = {

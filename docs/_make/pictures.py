@@ -13,6 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from bcid.report.tracking_picture import draw
+
 DOCS = Path(__file__).resolve().parents[1]
 PROJECT = DOCS.parent
 SCENE = PROJECT / "examples/scenes/slab_explain.toml"
@@ -63,7 +65,8 @@ def tracking(folder: Path) -> None:
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
     module.main(folder)
-    shutil.copyfile(folder / "tracked/picture.png", DOCS / "tracking.png")
+    draw(folder / "tracked")
+    shutil.copyfile(folder / "tracked/tracking.png", DOCS / "tracking.png")
 
 
 PICTURES: dict[str, Callable[[Path], None]] = {"demo": demo, "explore": explore, "tracking": tracking}

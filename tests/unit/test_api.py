@@ -60,7 +60,10 @@ def test_a_result_is_a_table(result: Result) -> None:
 
 
 def test_a_result_is_drawn(result: Result) -> None:
-    assert len(result.plot().axes) > 0
+    figure = result.plot()
+    assert len(figure.axes) > 0
+    # What a notebook asks an object for.
+    assert figure._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]
 
 
 def test_a_result_is_written_and_loaded(result: Result, tmp_path: Path) -> None:

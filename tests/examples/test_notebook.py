@@ -1,0 +1,43 @@
+"""The notebook runs from top to bottom, and its results show themselves."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bcid.base.shipped import copy_examples
+
+PROJECT = Path(__file__).resolve().parents[2]
+NOTEBOOK = json.loads((PROJECT / "examples/first_steps.ipynb").read_text(encoding="utf-8"))
+CODE = ["".join(cell["source"]) for cell in NOTEBOOK["cells"] if cell["cell_type"] == "code"]
+
+
+@pytest.mark.slow
+def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    copy_examples(tmp_path / "here")
+    monkeypatch.chdir(tmp_path / "here/examples")
+    names: dict[str, Any] = {}
+    shown = []
+    for cell in CODE:
+        *lines, last = cell.splitlines()
+        exec("\n".join(lines), names)
+        try:
+            shown.append(eval(last.removesuffix(";"), names))
+        except SyntaxError:
+            exec(last, names)
+    assert "31 frames of 16 markers" in capsys.readouterr().out
+    assert names["found"].anchored == ("3", "4")
+    assert names["explained"].verdict == "gravity"
+    assert repr(shown[-1]) == repr(names["explained"])
+    assert all(hasattr(one, "_repr_html_") for one in shown if "Result" in type(one).__name__)
+    assert os.path.isdir("explained")
+
+
+def test_the_notebook_that_is_shipped_was_run() -> None:
+    """On the pages of a forge a notebook is read, not run."""
+    cells = [cell for cell in NOTEBOOK["cells"] if cell["cell_type"] == "code"]
+    assert all(cell["outputs"] for cell in cells)
+    assert not [out for cell in cells for out in cell["outputs"] if out["output_type"] == "error"]
+    assert len(json.dumps(NOTEBOOK)) < 600_000
