@@ -162,6 +162,18 @@ def percent(probability: float) -> str:
     return f"{100 * probability:.2f} %"
 
 
+def uncertain(value: float, error: float | None = None) -> str:
+    """A value with its standard error, to as many digits as that has meaning: "1257.6 ± 9.4"."""
+    if not math.isfinite(value):
+        return "infinite"
+    if error is None or not math.isfinite(error) or error <= 0:
+        return f"{value:.4g}".replace("-", "−")
+    places = max(0, 1 - math.floor(math.log10(error)))
+    if places > 6 or abs(value) >= 1e7:
+        return f"{value:.4g} ± {error:.2g}".replace("-", "−")
+    return f"{value:.{places}f} ± {error:.{places}f}".replace("-", "−")
+
+
 # Units of the arrays that bcid writes, by name of the variable.
 _METRES = ("position", "measured", "predicted", "predicted_first", "rest", "sigma", "mesh_error", "layout_residual")
 _ARRAYS = dict.fromkeys((*_METRES, "points", "displacement", "translation"), "m") | {

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from bcid.base.units import for_people, p_value, percent, significance
+from bcid.base.units import for_people, p_value, percent, significance, uncertain
 from bcid.comparison.adequacy import Adequacy, groups
 from bcid.comparison.explain import Explanation, Rung
 from bcid.comparison.ranking import Ranking, Row
@@ -30,22 +29,12 @@ def anchors(state: State) -> str:
     return label(state.anchors, state.predictor.whole.patches)
 
 
-def number(value: float, error: float | None = None) -> str:
-    """A value with its standard error, to as many digits as that has meaning."""
-    if not math.isfinite(value):
-        return "infinite"
-    if error is None or not math.isfinite(error) or error <= 0:
-        return f"{value:.4g}"
-    digits = max(1, min(6, 2 + math.floor(math.log10(max(abs(value), error))) - math.floor(math.log10(error))))
-    return f"{value:.{digits}g} ± {error:.2g}"
-
-
 def term(one: Term, errors: dict[str, float]) -> str:
     """An effect with its numbers: "gravity: weight = 305 ± 4 N/m^3"."""
     parts = []
     for p in one.effect.parameters:
         value, error, unit = for_people(one.values[p.name], errors.get(p.name), p.unit)
-        parts.append(f"{p.name} = {number(value, error)}{'' if unit == '1' else f' {unit}'}")
+        parts.append(f"{p.name} = {uncertain(value, error)}{'' if unit == '1' else f' {unit}'}")
     return f"{one.label}: {', '.join(parts)}"
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from bcid.base.units import unit_factor
-from bcid.comparison import diagnosis_text as words
+from bcid.comparison import diagnosis_text
 from bcid.comparison.adequacy import FALSE_ALARMS, groups, judge
 from bcid.comparison.diagnosis import Diagnosis
 from bcid.comparison.explain import Rung
@@ -129,7 +129,7 @@ def diagnosis_json(done: Diagnosis, unit: float) -> dict[str, Any]:
             {"name": f.name, "p_value": f.p_value, "decides": f.decides, "text": f.text} for f in last.adequacy.findings
         ],
         "residual_by": groups(state),
-        "first_ranked": [row.effect for row in words.ordered(asked.ranking, asked.rivals)]
+        "first_ranked": [row.effect for row in diagnosis_text.ordered(asked.ranking, asked.rivals)]
         if asked and asked.ranking
         else [],
         "ranking": _ranking(asked.ranking, asked.rivals, unit, order) if asked and asked.ranking else [],
@@ -189,9 +189,9 @@ def _ranking(ranking: Ranking, rivals: Sequence[Rival], unit: float, order: list
     for rival in rivals:
         best.setdefault(rival.effect, rival)
     rows = []
-    for row in words.ordered(ranking, rivals):
+    for row in diagnosis_text.ordered(ranking, rivals):
         own = best.get(row.effect)
-        one, errors = (own.term, words.errors_of(own)) if own else (row.term, row.stderr)
+        one, errors = (own.term, diagnosis_text.errors_of(own)) if own else (row.term, row.stderr)
         rows.append(
             {
                 "effect": row.effect,
@@ -260,25 +260,25 @@ def summary(done: Diagnosis, shares: Mapping[str, float], remarks: Sequence[str]
         remarks: what is odd about the measurement, to be said first.
     """
     unit, name = 1e-3, "mm"
-    lines = [*odd(remarks), *words.warning(done.rungs[-1].state)]
+    lines = [*odd(remarks), *diagnosis_text.warning(done.rungs[-1].state)]
     if done.explanation is not None:
-        lines += [*words.conclusion(done.explanation, unit, name, done.pulls), ""]
-    lines += ["The ladder of models:", *words.ladder(done.rungs, unit, name), ""]
+        lines += [*diagnosis_text.conclusion(done.explanation, unit, name, done.pulls), ""]
+    lines += ["The ladder of models:", *diagnosis_text.ladder(done.rungs, unit, name), ""]
     if shares:
         parts = ", ".join(f"{label} {share / unit:.3g} {name}" for label, share in shares.items())
         lines += [f"What each effect adds to the positions (RMS): {parts}.", ""]
     for rung in done.rungs:
-        lines += [*words.verdict(rung.state, rung.adequacy, unit, name), ""]
+        lines += [*diagnosis_text.verdict(rung.state, rung.adequacy, unit, name), ""]
         if rung.fitted.coordinates:
-            lines += [f"  {words.term(d, _own(rung.fitted, d))}" for d in rung.state.model.terms]
+            lines += [f"  {diagnosis_text.term(d, _own(rung.fitted, d))}" for d in rung.state.model.terms]
             lines += [f"  Note: {text}" for text in rung.fitted.warnings] + [""]
         if rung.ranking is not None:
             lines += [
                 "Which effect is missing?",
-                *words.table(rung.ranking, rung.rivals, rung.state.rms, unit, name),
+                *diagnosis_text.table(rung.ranking, rung.rivals, rung.state.rms, unit, name),
                 "",
             ]
-    lines += words.worst(done.rungs[-1].state if not done.rungs[-1].adequacy.adequate else done.rungs[0].state)
+    lines += diagnosis_text.worst(done.rungs[-1].state if not done.rungs[-1].adequacy.adequate else done.rungs[0].state)
     if done.where is not None:
-        lines += ["", *words.force(done.where, unit, name)]
+        lines += ["", *diagnosis_text.force(done.where, unit, name)]
     return lines

@@ -201,7 +201,8 @@ def _row(state: State, name: str, variants: Sequence[Variant], basis: Array, tri
     for c, v in zip(best.amounts, np.diag(covariance), strict=True):
         value = values[c.parameter.name]
         factor = value**2 if c.parameter.reciprocal and math.isfinite(value) else 1.0
-        errors[c.parameter.name] = float(np.sqrt(v)) * factor
+        # Of numbers that cannot be told apart round-off leaves a variance that is none.
+        errors[c.parameter.name] = float(np.sqrt(v)) * factor if v >= 0 else math.inf
     dof = len(best.amounts)
     limit = float(chi2.isf(SIGNIFICANT / tried, dof))
     power = float(ncx2.sf(limit, dof, max(float(np.trace(information)) / dof, 1e-12)))

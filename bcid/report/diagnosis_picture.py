@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from bcid.base.run_folder import RunFolder, writing
-from bcid.base.units import percent, unit_factor
+from bcid.base.units import percent, uncertain, unit_factor
 from bcid.report.figure import body_entries, cropped, save, styled
 from bcid.report.ladder import head, ladder_figure
 from bcid.report.lengths import in_mm
 from bcid.report.paraview import write_paraview
 from bcid.report.scene3d import COLOURS, Image, arrows_picture, round_length
-from bcid.report.text import conclusion, model_name, uncertain
+from bcid.report.text import conclusion, model_name
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

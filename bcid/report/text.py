@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
-from bcid.base.units import for_people, percent
+from bcid.base.units import for_people, percent, uncertain
 
 
 def plain(name: str) -> str:
@@ -57,16 +56,6 @@ def patches(names: Sequence[str]) -> str:
 def listed(names: Sequence[str]) -> str:
     """ "1, 2 and 4"."""
     return str(names[-1]) if len(names) == 1 else f"{', '.join(map(str, names[:-1]))} and {names[-1]}"
-
-
-def uncertain(value: float, error: float | None = None) -> str:
-    """A value with its standard error, to as many digits as that has meaning: "1257.6 ± 9.4"."""
-    if error is None or not math.isfinite(error) or error <= 0:
-        return f"{value:.4g}".replace("-", "−")
-    places = max(0, 1 - math.floor(math.log10(error)))
-    if places > 6 or abs(value) >= 1e7:
-        return f"{value:.4g} ± {error:.2g}".replace("-", "−")
-    return f"{value:.{places}f} ± {error:.{places}f}".replace("-", "−")
 
 
 def amount(name: str, number: dict[str, Any]) -> str:

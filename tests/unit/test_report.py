@@ -19,7 +19,7 @@ import runs
 from bcid.app import cli
 from bcid.base.errors import InputError
 from bcid.base.run_folder import RunFolder
-from bcid.base.units import significance
+from bcid.base.units import significance, uncertain
 from bcid.report import gallery
 from bcid.report.body_view import view_data
 from bcid.report.found import Found
@@ -27,7 +27,7 @@ from bcid.report.lengths import in_mm
 from bcid.report.page import MARK, write_report
 from bcid.report.residual import Residual, rms
 from bcid.report.table import NUMBER, TEXT, Column, Table, aligned
-from bcid.report.text import amount, uncertain
+from bcid.report.text import amount
 
 FEW = ("body", "ladder", "sets", "calibration")
 
