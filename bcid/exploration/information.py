@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 Array = NDArray[np.float64]
 # A direction in which all predictions agree this well (in units of the error) tells nothing.
@@ -95,7 +96,7 @@ def information(
         count = max(2, int(np.ceil(samples * p)))
         half = rng.normal(size=((count + 1) // 2, every.shape[1]))
         seen = cloud.drawn(np.concatenate([half, -half]))
-        mixture = _log_sum(logs + _densities(clouds, seen))
+        mixture = logsumexp(logs + _densities(clouds, seen), axis=1)
         values = (cloud.log_density(seen) - mixture) / np.log(2)
         bits += p * float(values.mean())
         # Noise comes in pairs of opposite sign, whose means are independent.
@@ -122,14 +123,9 @@ def noise_free(predictions: Array, probabilities: Array) -> Expected:
     with np.errstate(divide="ignore"):
         logs = np.log(probabilities)
     posterior = logs - 0.5 * squares
-    posterior -= _log_sum(posterior)[:, None]
+    posterior -= logsumexp(posterior, axis=1, keepdims=True)
     left = float(np.sum(probabilities * _entropy(posterior)))
     return Expected(max(float(_entropy(logs[None, :])[0]) - left, 0.0))
-
-
-def _log_sum(logs: Array) -> Array:
-    highest = logs.max(axis=1)
-    return np.asarray(highest + np.log(np.exp(logs - highest[:, None]).sum(axis=1)))
 
 
 def _entropy(logs: Array) -> Array:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import softmax
 
 from bcid.inference.outcome import label
 
@@ -110,10 +111,10 @@ class Belief:
 
 def normalised(logs: Mapping[Hypothesis, float]) -> dict[Hypothesis, float]:
     """Probabilities that sum to one, from logarithms of odds; the likeliest first."""
-    highest = max(logs.values(), default=0.0)
-    weights = {h: math.exp(value - highest) for h, value in logs.items()}
-    total = math.fsum(weights.values())
-    return dict(sorted(((h, w / total) for h, w in weights.items()), key=lambda item: (-item[1], item[0].order)))
+    if not logs:
+        return {}
+    shares = softmax(list(logs.values())).tolist()
+    return dict(sorted(zip(logs, shares, strict=True), key=lambda item: (-item[1], item[0].order)))
 
 
 def entropy(probabilities: Iterable[float]) -> float:

@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from scipy.special import softmax
+
 from bcid.inference.misfit import Misfit
 from bcid.inference.outcome import Candidate, Evaluated, Outcome
 
@@ -40,10 +42,7 @@ class Posterior:
             c: log_likelihood(o, evaluated.outcomes[o.level, best], evaluated.misfit, errors[o.level])
             for c, o in finest(evaluated, max(errors)).items()
         }
-        highest = max(logs.values())
-        weights = {c: math.exp(value - highest) for c, value in logs.items()}
-        total = sum(weights.values())
-        probability = {c: w / total for c, w in weights.items()}
+        probability = dict(zip(logs, softmax(list(logs.values())).tolist(), strict=True))
         return cls(probability, {patch: _marginal(probability.items(), patch) for patch in evaluated.patches})
 
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.stats import binomtest
 
 Result = Mapping[str, Any]
 Verdicts = dict[str, bool | None]
@@ -142,10 +143,8 @@ def wilson(met: int, count: int) -> tuple[float, float]:
     """95 % interval of a rate (Wilson, J. Am. Stat. Assoc. 22, 1927)."""
     if count == 0:
         return 0.0, 1.0
-    z2, rate = 1.959964**2, met / count
-    middle = rate + z2 / (2 * count)
-    half = math.sqrt(z2 * (rate * (1 - rate) / count + z2 / (4 * count**2)))
-    return max(0.0, (middle - half) / (1 + z2 / count)), min(1.0, (middle + half) / (1 + z2 / count))
+    interval = binomtest(met, count).proportion_ci(method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 def scores(results: Sequence[Result]) -> dict[str, Any]:
