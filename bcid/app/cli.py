@@ -566,7 +566,7 @@ def _add_check_effect(commands: Any) -> None:
         "are its units consistent, is it the same on one and two ranks? Exit code 2 if something is wrong. See docs/effects.md.",
     )
     parser.add_argument(
-        "effect", metavar="FILE", help="Python file that defines effect = Effect(...), or a name of the catalogue"
+        "effect", metavar="FILE", help="Python file that defines effect = BodyEffect(...), or a name of the catalogue"
     )
 
 

@@ -76,7 +76,7 @@ def definition(effect: Effect, stem: str = "") -> str:
     names = [p.name for p in effect.parameters]
     wrong += [f"parameter '{name}' is declared twice" for name in set(names) if names.count(name) > 1]
     wrong += [text for p in effect.parameters for text in _declaration(p)]
-    if set(effect.memory) and not effect.advance:
+    if effect.memory and not effect.advance:
         wrong.append("it has a memory that nothing advances: give advance")
     if not effect.symmetric and not effect.work:
         wrong.append("symmetric = False, but what has an energy has a symmetric tangent: leave it out")

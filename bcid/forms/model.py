@@ -14,7 +14,7 @@ import ufl
 from bcid.base.errors import InputError, nearest
 from bcid.base.units import quantity
 from bcid.forms import effects, materials
-from bcid.forms.effects.effect import Array, Effect, Frame, Point
+from bcid.forms.effects.effect import Array, BodyEffect, Effect, Frame, Point
 from bcid.forms.materials.law import Law, Volumetric
 from bcid.forms.parameter import Parameter
 from bcid.measurement import Action
@@ -90,7 +90,7 @@ def pressure(place: str, value: float) -> Term:
         kin = point.kin
         return c["pressure"] * kin.J * ufl.inner(ufl.inv(kin.F).T * point.N, point.v) * point.surface(place)
 
-    follower = Effect(
+    follower = BodyEffect(
         "pressure",
         (Parameter("pressure", "Pa", "pressure into the body", neutral=0.0),),
         "follower pressure",
@@ -108,7 +108,7 @@ def traction(place: str, vector: Iterable[float]) -> Term:
     def work(point: Point, c: Mapping[str, Any]) -> Any:
         return -ufl.inner(ufl.as_vector([c[n] for n in names]), point.v) * point.surface(place)
 
-    dead = Effect(
+    dead = BodyEffect(
         "traction", tuple(Parameter(n, "Pa", "dead traction", neutral=0.0) for n in names), "dead traction", work=work
     )
     return Term(dead, values, f"traction on {place}")

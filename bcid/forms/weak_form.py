@@ -143,7 +143,7 @@ class WeakForm:
         if term.label not in memories:
             effect = term.effect
             memories[term.label] = Memory(
-                self.body, self.u, effect.memory, self.body.quadrature_degree, self.model.fibre_axes
+                self.body, self.u, effect.memory or {}, self.body.quadrature_degree, self.model.fibre_axes
             )
             if effect.advance:
                 expressions = effect.advance(self.point(term), self.term_constants(term))

@@ -11,7 +11,7 @@ from typing import Any
 
 import ufl
 
-from bcid.forms.effects.effect import Constants, Effect, Point
+from bcid.forms.effects.effect import BodyEffect, Constants, Point
 from bcid.forms.parameter import Parameter
 
 
@@ -21,7 +21,7 @@ def energy(point: Point, c: Constants) -> Any:
     return -c["strength"] * c["decay"] * ufl.exp((x - c["position"]) / c["decay"])
 
 
-effect = Effect(
+effect = BodyEffect(
     name="magnetic_force",
     parameters=(
         Parameter("strength", "N/m^3", "force per rest volume at the position", lower=0.0, neutral=0.0, scale=5000.0),

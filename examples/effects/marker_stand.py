@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bcid.forms.effects.effect import Array, Effect, Frame
+from bcid.forms.effects.effect import Array, Frame, ObservationEffect
 from bcid.forms.parameter import Parameter
 
 
@@ -30,7 +30,7 @@ def rotation(before: Array, after: Array) -> Array:
     return np.asarray((u @ turn @ v).T)
 
 
-effect = Effect(
+effect = ObservationEffect(
     name="marker_stand",
     parameters=(Parameter("height", "m", "height above the body", lower=-0.05, upper=0.05, neutral=0.0, scale=5e-3),),
     about="a marker stands above the body, and tilts with it",

@@ -22,7 +22,7 @@ from bcid.base.errors import InputError
 from bcid.base.units import parse_unit
 from bcid.forms import check_effect, effects, materials
 from bcid.forms.effect_trial import EffectTrial
-from bcid.forms.effects.effect import Effect, Frame
+from bcid.forms.effects.effect import BodyEffect, Effect, Frame, ObservationEffect
 from bcid.forms.forward import Forward
 from bcid.forms.loads import nodal_weights
 from bcid.forms.model import Anchors, Held, Model, Term
@@ -102,7 +102,9 @@ def weight(**changes: Any) -> Effect:
         "about": "broken",
         "energy": lambda point, c: -c["weight"] * ufl.inner(point.down, point.u),
     }
-    return Effect(**(known | changes))
+    if "observe" in changes:
+        return ObservationEffect(**{key: value for key, value in (known | changes).items() if key != "energy"})
+    return BodyEffect(**(known | changes))
 
 
 def amount(unit: str, scale: float = 100.0, **more: Any) -> tuple[Parameter, ...]:
@@ -130,7 +132,7 @@ def forgetful(point: Any, c: Any) -> Any:
 BROKEN = {
     "vanishes": weight(energy=lambda point, c: -(c["weight"] + 100) * point.u[0]),
     "vanishes, seen by the camera": weight(
-        energy=None, observe=lambda positions, values, _frame, _place: positions + 1e-6 * (values["weight"] + 1)
+        observe=lambda positions, values, _frame, _place: positions + 1e-6 * (values["weight"] + 1)
     ),
     "acts": weight(parameters=amount("N/m^3", 1e-9), energy=lambda point, c: -c["amount"] * point.u[0]),
     "numbers": weight(energy=forgetful),
@@ -187,10 +189,10 @@ def test_a_broken_definition_is_found_out(broken: Effect, said: str) -> None:
 SOURCE = """
 import ufl
 from mpi4py import MPI
-from bcid.forms.effects.effect import Effect
+from bcid.forms.effects.effect import BodyEffect
 from bcid.forms.parameter import Parameter
 
-effect = Effect(
+effect = BodyEffect(
     name="{name}",
     parameters=(Parameter("weight", "N/m^3", "weight", neutral=0.0, scale=5000.0),),
     about="weight",

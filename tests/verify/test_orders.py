@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from verify.problems import Prescribed, box, integral, rates
 
 from bcid.forms import materials
-from bcid.forms.effects.effect import Effect, Point
+from bcid.forms.effects.effect import BodyEffect, Point
 from bcid.forms.model import Held, Model, Term
 from bcid.forms.parameter import Parameter
 from bcid.forms.solver.status import Status
@@ -92,8 +92,8 @@ def mistake(point: Point, c: Any) -> Any:
     )
 
 
-manufactured = Effect("manufactured", (), "body force of the manufactured solution", work=body_force)
-mistakes = Effect(
+manufactured = BodyEffect("manufactured", (), "body force of the manufactured solution", work=body_force)
+mistakes = BodyEffect(
     "mistakes",
     tuple(Parameter(name, "1", "on or off", neutral=0.0) for name in ERRORS),
     "deliberate errors",

@@ -1,6 +1,6 @@
 """The catalogue of physical effects: one file each, found by the name of its file.
 
-An effect is a `bcid.forms.effects.effect.Effect`; a file that defines ``effect = Effect(...)`` in this folder is part
+An effect is a `bcid.forms.effects.effect.Effect`; a file that defines one as ``effect`` in this folder is part
 of the catalogue, and nothing else names it. A file elsewhere is read by `load`.
 """
 
@@ -46,7 +46,7 @@ def load(path: str | Path) -> Effect:
     """
     path = Path(path)
     if not path.is_file():
-        raise InputError(f"{path}: no such file; expected a Python file that defines effect = Effect(...)")
+        raise InputError(f"{path}: no such file; expected a Python file that defines effect = BodyEffect(...)")
     spec = spec_from_file_location(f"bcid_effect_{path.stem}", path)
     if spec is None or spec.loader is None:
         raise InputError(f"{path}: is not a Python file; its name must end in .py")
@@ -61,7 +61,9 @@ def load(path: str | Path) -> Effect:
         raise InputError(f"{where}: {type(error).__name__}: {error}") from None
     found = getattr(module, "effect", None)
     if not isinstance(found, Effect):
-        raise InputError(f"{path}: defines no effect; write effect = Effect(name=..., parameters=..., about=..., ...)")
+        raise InputError(
+            f"{path}: defines no effect; write effect = BodyEffect(name=..., parameters=..., about=..., ...)"
+        )
     if found.name in names():
         raise InputError(f"{path}: the catalogue has an effect '{found.name}' already; give yours another name")
     return found

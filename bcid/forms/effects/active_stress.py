@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from bcid.forms.effects.effect import Effect
+from bcid.forms.effects.effect import BodyEffect
 from bcid.forms.parameter import Parameter
 
 
@@ -21,7 +21,7 @@ def envelope(time: float, values: Mapping[str, float]) -> float:
     return 1.0 if period == 0 else math.sin(math.pi * time / period) ** 2
 
 
-effect = Effect(
+effect = BodyEffect(
     name="active_stress",
     parameters=(
         Parameter(

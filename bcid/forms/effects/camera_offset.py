@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bcid.forms.effects.effect import Array, Effect, Frame
+from bcid.forms.effects.effect import Array, Frame, ObservationEffect
 from bcid.forms.parameter import Parameter
 from bcid.scene.rotation import from_vector, rotate
 
@@ -23,7 +23,7 @@ def observe(positions: Array, values: Mapping[str, float], frame: Frame, _place:
     return middle + values["scale"] * rotate(turned, positions - middle) + shift
 
 
-effect = Effect(
+effect = ObservationEffect(
     name="camera_offset",
     parameters=(
         *(

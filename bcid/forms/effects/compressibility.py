@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from bcid.base.errors import InputError
 from bcid.forms import materials
-from bcid.forms.effects.effect import Effect
+from bcid.forms.effects.effect import BodyEffect
 from bcid.forms.parameter import Parameter
 from bcid.measurement import Measurement
 from bcid.scene import Scene
@@ -31,7 +31,7 @@ def needs(scene: Scene, _measurement: Measurement) -> str:
 # The neutral value is the law's; 0.35 stands for it.
 poisson = Parameter("poisson", "1", "Poisson's ratio", lower=0.0, upper=0.495, neutral=0.35, law="poisson", scale=0.05)
 
-effect = Effect(
+effect = BodyEffect(
     name="compressibility",
     parameters=(poisson,),
     about="another Poisson's ratio than the law was given",

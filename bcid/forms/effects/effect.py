@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -106,7 +106,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect of the catalogue. Of what it does, at least one of the functions below must be given.
+    """What all effects of the catalogue have; what one does says its kind: `BodyEffect`, `GripEffect` or `ObservationEffect`.
 
     At the neutral value of every parameter that has one the effect must vanish, whatever the others are: those with a
     neutral value say how much there is of it, the others where, in which direction or how fast it acts.
@@ -115,48 +115,81 @@ class Effect:
         name: name of its file, used in scenes, tables and JSON.
         parameters: each with unit, neutral value, bounds and scale.
         about: one phrase.
-        acts_on: one of `ACTS_ON`.
-        energy: energy per rest volume (J/m^3), which joins the strain energy.
-        potential: a form whose value is an energy (J), such as one on the boundary.
-        work: a form, the virtual work that the effect adds to the residual, for what has no energy.
-        stiffness: factor of the law's strain energy.
-        around: change of `stiffness` at points (n, 3), m, per unit of its one amount, for an effect with a centre (cx, cy, cz)
-            and a radius, m: places all over the body are then tried.
-        growth: 3 x 3 tensor by which the rest state is already stretched: the law sees F . growth.
-        constants: constants of the law that it replaces, by name.
-        memory: shapes of variables kept from step to step, by name, such as {"Q": (3, 3)}.
-        advance: their values after a step.
-        drive: what the gripper really did, when an action was commanded.
-        observe: where the fiducials (fiducials, 3) appear in a frame, when they are at given positions.
-        envelope: factor of all parameters that have a neutral value, as a function of time (s) and values.
-        frees: whether the anchored patches at its place are no longer fixed, because the effect holds them.
-        uses_past: whether `energy`, `potential` or `work` use `Point.past`.
         places: the places it can act at, given scene and anchors; by default it has none.
         needs: why it cannot act in a scene and measurement, in words; "" if it can.
-        symmetric: False when the tangent of `work` is not symmetric (a follower load).
     """
 
     name: str
     parameters: tuple[Parameter, ...]
     about: str
-    acts_on: str = "body force"
-    energy: Callable[[Point, Constants], Expr] | None = None
-    potential: Callable[[Point, Constants], Any] | None = None
-    work: Callable[[Point, Constants], Any] | None = None
-    stiffness: Callable[[Point, Constants], Expr] | None = None
-    around: Callable[[Array, Mapping[str, float]], Array] | None = None
-    growth: Callable[[Point, Constants], Expr] | None = None
-    constants: Callable[[Constants], Mapping[str, Any]] | None = None
-    memory: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
-    advance: Callable[[Point, Constants], Mapping[str, Expr]] | None = None
-    drive: Callable[[Action, Mapping[str, float]], Action] | None = None
-    observe: Callable[[Array, Mapping[str, float], Frame, str], Array] | None = None
-    envelope: Callable[[float, Mapping[str, float]], float] | None = None
-    frees: bool = False
-    uses_past: bool = False
     places: Callable[[Scene, frozenset[str]], list[str]] | None = None
     needs: Callable[[Scene, Measurement], str] | None = None
-    symmetric: bool = True
+
+    # What an effect of a kind does not do.
+
+    @property
+    def acts_on(self) -> str:
+        return ""
+
+    @property
+    def energy(self) -> Callable[[Point, Constants], Expr] | None:
+        return None
+
+    @property
+    def potential(self) -> Callable[[Point, Constants], Any] | None:
+        return None
+
+    @property
+    def work(self) -> Callable[[Point, Constants], Any] | None:
+        return None
+
+    @property
+    def stiffness(self) -> Callable[[Point, Constants], Expr] | None:
+        return None
+
+    @property
+    def around(self) -> Callable[[Array, Mapping[str, float]], Array] | None:
+        return None
+
+    @property
+    def growth(self) -> Callable[[Point, Constants], Expr] | None:
+        return None
+
+    @property
+    def constants(self) -> Callable[[Constants], Mapping[str, Any]] | None:
+        return None
+
+    @property
+    def memory(self) -> Mapping[str, tuple[int, ...]] | None:
+        return None
+
+    @property
+    def advance(self) -> Callable[[Point, Constants], Mapping[str, Expr]] | None:
+        return None
+
+    @property
+    def envelope(self) -> Callable[[float, Mapping[str, float]], float] | None:
+        return None
+
+    @property
+    def frees(self) -> bool:
+        return False
+
+    @property
+    def uses_past(self) -> bool:
+        return False
+
+    @property
+    def symmetric(self) -> bool:
+        return True
+
+    @property
+    def drive(self) -> Callable[[Action, Mapping[str, float]], Action] | None:
+        return None
+
+    @property
+    def observe(self) -> Callable[[Array, Mapping[str, float], Frame, str], Array] | None:
+        return None
 
     @property
     def mechanical(self) -> bool:
@@ -187,3 +220,67 @@ class Effect:
         ]
         checks = (known[name].check(value) for name, value in values.items() if name in known)
         return [f"{self.name}: {problem}" for problem in [*problems, *checks] if problem]
+
+
+@dataclass(frozen=True)
+class BodyEffect(Effect):
+    """Something that acts in the body or on its boundary. At least one of the functions must be given.
+
+    Attributes:
+        acts_on: "body force", "material" or "boundary".
+        energy: energy per rest volume (J/m^3), which joins the strain energy.
+        potential: a form whose value is an energy (J), such as one on the boundary.
+        work: a form, the virtual work that the effect adds to the residual, for what has no energy.
+        stiffness: factor of the law's strain energy.
+        around: change of `stiffness` at points (n, 3), m, per unit of its one amount, for an effect with a centre (cx, cy, cz)
+            and a radius, m: places all over the body are then tried.
+        growth: 3 x 3 tensor by which the rest state is already stretched: the law sees F . growth.
+        constants: constants of the law that it replaces, by name.
+        memory: shapes of variables kept from step to step, by name, such as {"Q": (3, 3)}.
+        advance: their values after a step.
+        envelope: factor of all parameters that have a neutral value, as a function of time (s) and values.
+        frees: whether the anchored patches at its place are no longer fixed, because the effect holds them.
+        uses_past: whether `energy`, `potential` or `work` use `Point.past`.
+        symmetric: False when the tangent of `work` is not symmetric (a follower load).
+    """
+
+    acts_on: str = "body force"
+    energy: Callable[[Point, Constants], Expr] | None = None
+    potential: Callable[[Point, Constants], Any] | None = None
+    work: Callable[[Point, Constants], Any] | None = None
+    stiffness: Callable[[Point, Constants], Expr] | None = None
+    around: Callable[[Array, Mapping[str, float]], Array] | None = None
+    growth: Callable[[Point, Constants], Expr] | None = None
+    constants: Callable[[Constants], Mapping[str, Any]] | None = None
+    memory: Mapping[str, tuple[int, ...]] | None = None
+    advance: Callable[[Point, Constants], Mapping[str, Expr]] | None = None
+    envelope: Callable[[float, Mapping[str, float]], float] | None = None
+    frees: bool = False
+    uses_past: bool = False
+    symmetric: bool = True
+
+
+@dataclass(frozen=True)
+class GripEffect(Effect):
+    """Something that makes the gripper move other than it was told.
+
+    Attributes:
+        acts_on: "grasp", or "observation" for what is a matter of clocks.
+        drive: what the gripper really did, when an action was commanded.
+    """
+
+    acts_on: str = "grasp"
+    drive: Callable[[Action, Mapping[str, float]], Action] | None = None
+
+
+@dataclass(frozen=True)
+class ObservationEffect(Effect):
+    """Something that changes what is seen, and leaves the body alone.
+
+    Attributes:
+        acts_on: "observation".
+        observe: where the fiducials (fiducials, 3) appear in a frame, when they are at given positions.
+    """
+
+    acts_on: str = "observation"
+    observe: Callable[[Array, Mapping[str, float], Frame, str], Array] | None = None

@@ -7,10 +7,10 @@ e2 are the axes of the scene's `fibre_plane`.
 
 from __future__ import annotations
 
-from bcid.forms.effects.effect import Effect
+from bcid.forms.effects.effect import BodyEffect
 from bcid.forms.parameter import Parameter
 
-effect = Effect(
+effect = BodyEffect(
     name="fibres",
     parameters=(
         Parameter("k1", "Pa", "stiffness of the fibres", lower=0.0, upper=1e8, neutral=0.0, scale=2000.0),

@@ -12,7 +12,7 @@ from typing import Any
 import ufl
 
 from bcid.forms.effects import _needs
-from bcid.forms.effects.effect import Constants, Effect, Point
+from bcid.forms.effects.effect import BodyEffect, Constants, Point
 from bcid.forms.parameter import Parameter
 
 
@@ -22,7 +22,7 @@ def potential(point: Point, c: Constants) -> Any:
     return c["stiffness"] / 2 * square * point.surface(point.support)
 
 
-effect = Effect(
+effect = BodyEffect(
     name="foundation",
     parameters=(Parameter("stiffness", "Pa/m", "force per area and displacement", lower=0.0, neutral=0.0, scale=3e4),),
     about="the support surface is held by springs",

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from bcid.forms.effects import _needs
-from bcid.forms.effects.effect import Effect
+from bcid.forms.effects.effect import GripEffect
 from bcid.forms.parameter import Parameter
 from bcid.measurement import Action
 from bcid.scene.rotation import conjugated, from_vector, rotate
@@ -31,7 +31,7 @@ def drive(action: Action, values: Mapping[str, float]) -> Action:
     return replace(action, translation=rotate(axes, action.translation) - swung, rotation=rotation)
 
 
-effect = Effect(
+effect = GripEffect(
     name="grasp_offset",
     parameters=(
         *(

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from bcid.forms.effects import _needs
-from bcid.forms.effects.effect import Effect
+from bcid.forms.effects.effect import GripEffect
 from bcid.forms.parameter import Parameter
 from bcid.measurement import Action
 from bcid.scene.rotation import slerp
@@ -28,7 +28,7 @@ def drive(action: Action, values: Mapping[str, float]) -> Action:
     return replace(action, translation=part * action.translation, rotation=turned)
 
 
-effect = Effect(
+effect = GripEffect(
     name="grasp_slip",
     parameters=(
         Parameter("lag", "1", "part of the motion that is lost", lower=0.0, upper=1.0, neutral=0.0, scale=0.1),

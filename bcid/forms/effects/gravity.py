@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import ufl
 
-from bcid.forms.effects.effect import Effect
+from bcid.forms.effects.effect import BodyEffect
 from bcid.forms.parameter import Parameter
 
-effect = Effect(
+effect = BodyEffect(
     name="gravity",
     parameters=(
         Parameter("weight", "N/m^3", "weight per rest volume; water has 9810", lower=0.0, neutral=0.0, scale=5000.0),

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import ufl
 
-from bcid.forms.effects.effect import Array, Constants, Effect, Point
+from bcid.forms.effects.effect import Array, BodyEffect, Constants, Point
 from bcid.forms.parameter import Parameter
 
 _EDGE = 0.1
@@ -37,7 +37,7 @@ def around(points: Array, values: Mapping[str, float]) -> Array:
     return np.asarray(inside(np.linalg.norm(points - centre, axis=1), values["radius"], np.tanh))
 
 
-effect = Effect(
+effect = BodyEffect(
     name="inclusion",
     parameters=(
         Parameter("ratio", "1", "its stiffness to that of the body", lower=0.02, upper=50.0, neutral=1.0, scale=1.0),

@@ -12,7 +12,7 @@ from typing import Any
 
 import ufl
 
-from bcid.forms.effects.effect import Constants, Effect, Point
+from bcid.forms.effects.effect import BodyEffect, Constants, Point
 from bcid.forms.parameter import Parameter
 
 
@@ -23,7 +23,7 @@ def potential(point: Point, c: Constants) -> Any:
     return sum(point.anchored(patch) * stored * point.surface(patch) for patch in patches)
 
 
-effect = Effect(
+effect = BodyEffect(
     name="soft_anchor",
     parameters=(
         Parameter(

@@ -11,7 +11,7 @@ from typing import Any
 
 import ufl
 
-from bcid.forms.effects.effect import Constants, Effect, Point
+from bcid.forms.effects.effect import BodyEffect, Constants, Point
 from bcid.forms.parameter import Parameter
 
 _LEAST = 0.05
@@ -23,7 +23,7 @@ def stiffness(point: Point, c: Constants) -> Any:
     return ufl.max_value(1 + ufl.inner(g, point.X - point.centre) / point.size, _LEAST)
 
 
-effect = Effect(
+effect = BodyEffect(
     name="stiffness_gradient",
     parameters=tuple(
         Parameter(

@@ -14,7 +14,7 @@ from typing import Any
 import ufl
 
 from bcid.forms.effects import _needs
-from bcid.forms.effects.effect import Constants, Effect, Point
+from bcid.forms.effects.effect import BodyEffect, Constants, Point
 from bcid.forms.parameter import Parameter
 
 _EDGE = 1e-3
@@ -28,7 +28,7 @@ def potential(point: Point, c: Constants) -> Any:
     return c["stiffness"] * stored * point.surface(point.support)
 
 
-effect = Effect(
+effect = BodyEffect(
     name="support_contact",
     parameters=(Parameter("stiffness", "Pa/m", "pressure per penetration", lower=0.0, neutral=0.0, scale=1e5),),
     about="the body cannot sink into its support, but may lift off",

@@ -13,7 +13,7 @@ from typing import Any
 import ufl
 
 from bcid.forms.effects import _needs
-from bcid.forms.effects.effect import Constants, Effect, Point
+from bcid.forms.effects.effect import BodyEffect, Constants, Point
 from bcid.forms.parameter import Parameter
 
 _CREEP = 1e-3
@@ -27,7 +27,7 @@ def potential(point: Point, c: Constants) -> Any:
     return point.past.moving * c["shear_stress"] * cost * point.surface(point.support)
 
 
-effect = Effect(
+effect = BodyEffect(
     name="support_friction",
     parameters=(Parameter("shear_stress", "Pa", "shear stress while sliding", lower=0.0, neutral=0.0, scale=10.0),),
     about="the support holds the body back when it slides",

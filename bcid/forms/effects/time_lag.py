@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from bcid.forms.effects import _needs
-from bcid.forms.effects.effect import Array, Effect
+from bcid.forms.effects.effect import Array, GripEffect
 from bcid.forms.parameter import Parameter
 from bcid.measurement import Action
 from bcid.scene.rotation import slerp
@@ -36,7 +36,7 @@ def drive(action: Action, values: Mapping[str, float]) -> Action:
     return replace(action, translation=straight(action.translation), rotation=turned, loads=loads)
 
 
-effect = Effect(
+effect = GripEffect(
     name="time_lag",
     parameters=(
         Parameter(

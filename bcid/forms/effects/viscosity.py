@@ -17,7 +17,7 @@ from typing import Any
 import ufl
 
 from bcid.forms.effects import _needs
-from bcid.forms.effects.effect import Constants, Effect, Point
+from bcid.forms.effects.effect import BodyEffect, Constants, Point
 from bcid.forms.kinematics import Kinematics
 from bcid.forms.parameter import Parameter
 
@@ -48,7 +48,7 @@ def advance(point: Point, c: Constants) -> dict[str, Any]:
     return {"Q": kept * point.past.memory["Q"] + added * (stress(point.kin) - stress(point.past.kin))}
 
 
-effect = Effect(
+effect = BodyEffect(
     name="viscosity",
     parameters=(
         Parameter(

@@ -8,7 +8,7 @@ from typing import Any
 
 import ufl
 
-from bcid.forms.effects.effect import Constants, Effect, Point
+from bcid.forms.effects.effect import BodyEffect, Constants, Point
 from bcid.forms.parameter import Parameter
 
 # Stiffness of a sound bond and of the ball, Pa/m; that of the slab across its thickness is 1.5e6.
@@ -34,7 +34,7 @@ def _natural(point: Point, c: Constants) -> Any:
     return ufl.det(shortened) ** (-1 / 3) * shortened
 
 
-permanent_set = Effect(
+permanent_set = BodyEffect(
     name="permanent_set",
     parameters=(
         Parameter("kept", "1", "part of the set that the rest state takes on", lower=0.0, upper=0.9, neutral=0.0,
@@ -62,7 +62,7 @@ def _touch(point: Point, c: Constants) -> Any:
     return HARD * _penetration(point, c) ** 2 / 2 * surface
 
 
-obstacle = Effect(
+obstacle = BodyEffect(
     name="obstacle",
     parameters=(
         Parameter("reach", "m", "how far the ball comes down", lower=0.0, upper=CLEARANCE, neutral=0.0, scale=0.02),
@@ -87,7 +87,7 @@ def _letting_go(time: float, values: Mapping[str, float]) -> float:
     return part * part * (3 - 2 * part)
 
 
-peeling = Effect(
+peeling = BodyEffect(
     name="peeling",
     parameters=(
         Parameter("peeled", "1", "how much of the bond is lost, on a logarithmic scale", lower=0.0, upper=1.0,
