@@ -20,7 +20,7 @@ from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.mesh import BodyMesh
 from bcid.forms.model import Model, Term
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Parameter, Shape
 from bcid.forms.solver.equilibrium import Settings
 from bcid.measurement import Action
 from bcid.scene import Grasp, Level, Material, Plane, Region, Scene
@@ -172,7 +172,7 @@ class EffectTrial:
     def model(self, values: Mapping[str, float]) -> Model:
         """The box's model with the effect."""
         # Bounds are those of numbers in SI; what stands for them in other units is not compared with them.
-        free = tuple(replace(p, lower=-np.inf, upper=np.inf, scan=()) for p in self.effect.parameters)
+        free = tuple(_unbounded(p) for p in self.effect.parameters)
         effect = self.effect if self.units == SI else replace(self.effect, parameters=free)
         return self.bare + Term(effect, values, place=self.place)
 
@@ -252,3 +252,10 @@ class EffectTrial:
     def tangent(self) -> Array:
         """Tangent at the present state, shape (unknowns, unknowns)."""
         return sum(fem.assemble_matrix(form).to_dense() for form in self.with_effect.equilibrium.tangent_forms)
+
+
+def _unbounded(p: Parameter) -> Parameter:
+    """A parameter that may take any value."""
+    if isinstance(p, Shape):
+        return replace(p, lower=-np.inf, upper=np.inf, scan=())
+    return replace(p, lower=-np.inf, upper=np.inf)

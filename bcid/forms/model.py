@@ -16,7 +16,7 @@ from bcid.base.units import quantity
 from bcid.forms import effects, materials
 from bcid.forms.effects.effect import Array, BodyEffect, Effect, Frame, Point
 from bcid.forms.materials.law import Law, Volumetric
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount, Parameter
 from bcid.measurement import Action
 from bcid.scene import Scene, Values
 from bcid.scene.parts import Vector, horizontal
@@ -92,7 +92,7 @@ def pressure(place: str, value: float) -> Term:
 
     follower = BodyEffect(
         "pressure",
-        (Parameter("pressure", "Pa", "pressure into the body", neutral=0.0),),
+        (Amount("pressure", "Pa", "pressure into the body", neutral=0.0),),
         "follower pressure",
         work=work,
         symmetric=False,
@@ -109,7 +109,7 @@ def traction(place: str, vector: Iterable[float]) -> Term:
         return -ufl.inner(ufl.as_vector([c[n] for n in names]), point.v) * point.surface(place)
 
     dead = BodyEffect(
-        "traction", tuple(Parameter(n, "Pa", "dead traction", neutral=0.0) for n in names), "dead traction", work=work
+        "traction", tuple(Amount(n, "Pa", "dead traction", neutral=0.0) for n in names), "dead traction", work=work
     )
     return Term(dead, values, f"traction on {place}")
 

@@ -9,7 +9,7 @@ from numbers import Real
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of a material law or an effect.
+    """One number of a material law or an effect; `Amount` and `Shape` say more of it.
 
     Args:
         name: word used in scene files, tables and JSON.
@@ -18,17 +18,9 @@ class Parameter:
         default: value used when none is given; None if the user must give one.
         lower, upper: bounds of the allowed range.
         open_lower, open_upper: whether the bound itself is excluded.
-        neutral: value at which the parameter has no influence, None if there is none; infinite where only the reciprocal
-            can be without influence (the stiffness of a spring that replaces a rigid hold).
-        law: the neutral value is that of this constant of the material law (`neutral` then only stands for it).
-        scale: size of a notable change, in the unit: step of differences and scale of fits; for an infinite `neutral`
-            a value that is notable.
+        scale: size of a notable change, in the unit: step of differences and scale of fits; where only the reciprocal can
+            be without influence, a value that is notable.
         prior: mean and standard deviation believed before any measurement, None if nothing is.
-        scan: values at which a place or direction is tried before a fit.
-        period: the parameter repeats itself with this period (an angle).
-        onset: the parameter is the number of the first frame in which the effect acts: every frame is tried, and no fit moves it.
-        off: value that stands for none (a period of 0 for what is steady): a fit leaves it alone.
-        harmonics: highest harmonic in that period of what the effect does, if it is a trigonometric polynomial.
 
     Raises:
         ValueError: the bounds are reversed, or the default or neutral value lies outside them.
@@ -42,15 +34,38 @@ class Parameter:
     upper: float = math.inf
     open_lower: bool = False
     open_upper: bool = False
-    neutral: float | None = None
-    law: str = ""
     scale: float = 1.0
     prior: tuple[float, float] | None = None
-    scan: tuple[float, ...] = ()
-    period: float | None = None
-    harmonics: int | None = None
-    onset: bool = False
-    off: float | None = None
+
+    # What a parameter of a kind is not.
+
+    @property
+    def neutral(self) -> float | None:
+        return None
+
+    @property
+    def law(self) -> str:
+        return ""
+
+    @property
+    def scan(self) -> tuple[float, ...]:
+        return ()
+
+    @property
+    def period(self) -> float | None:
+        return None
+
+    @property
+    def harmonics(self) -> int | None:
+        return None
+
+    @property
+    def onset(self) -> bool:
+        return False
+
+    @property
+    def off(self) -> float | None:
+        return None
 
     def __post_init__(self) -> None:
         if not self.lower < self.upper:
@@ -99,3 +114,36 @@ class Parameter:
         short = f"{number:.12g}"
         text = short if float(short) == number or number in (self.lower, self.upper) else repr(number)
         return text if self.unit == "1" else f"{text} {self.unit}"
+
+
+@dataclass(frozen=True)
+class Amount(Parameter):
+    """A number that says how much there is of something.
+
+    Args:
+        neutral: value at which it has no influence; infinite where only the reciprocal can be without influence (the
+            stiffness of a spring that replaces a rigid hold).
+        law: the neutral value is that of this constant of the material law (`neutral` then only stands for it).
+    """
+
+    neutral: float = 0.0
+    law: str = ""
+
+
+@dataclass(frozen=True)
+class Shape(Parameter):
+    """A number that says where, in which direction or how fast something acts.
+
+    Args:
+        scan: values at which it is tried before a fit.
+        period: it repeats itself with this period (an angle).
+        harmonics: highest harmonic in that period of what the effect does, if it is a trigonometric polynomial.
+        onset: it is the number of the first frame in which the effect acts: every frame is tried, and no fit moves it.
+        off: value that stands for none (a period of 0 for what is steady): a fit leaves it alone.
+    """
+
+    scan: tuple[float, ...] = ()
+    period: float | None = None
+    harmonics: int | None = None
+    onset: bool = False
+    off: float | None = None

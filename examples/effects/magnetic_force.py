@@ -12,7 +12,7 @@ from typing import Any
 import ufl
 
 from bcid.forms.effects.effect import BodyEffect, Constants, Point
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount, Shape
 
 
 def energy(point: Point, c: Constants) -> Any:
@@ -24,9 +24,9 @@ def energy(point: Point, c: Constants) -> Any:
 effect = BodyEffect(
     name="magnetic_force",
     parameters=(
-        Parameter("strength", "N/m^3", "force per rest volume at the position", lower=0.0, neutral=0.0, scale=5000.0),
-        Parameter("position", "m", "x of the place of that strength", default=0.1, scale=0.02),
-        Parameter(
+        Amount("strength", "N/m^3", "force per rest volume at the position", lower=0.0, neutral=0.0, scale=5000.0),
+        Shape("position", "m", "x of the place of that strength", default=0.1, scale=0.02),
+        Shape(
             "decay",
             "m",
             "length over which it falls by e",

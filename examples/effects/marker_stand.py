@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from bcid.forms.effects.effect import Array, Frame, ObservationEffect
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount
 
 
 def observe(positions: Array, values: Mapping[str, float], frame: Frame, place: str) -> Array:
@@ -32,7 +32,7 @@ def rotation(before: Array, after: Array) -> Array:
 
 effect = ObservationEffect(
     name="marker_stand",
-    parameters=(Parameter("height", "m", "height above the body", lower=-0.05, upper=0.05, neutral=0.0, scale=5e-3),),
+    parameters=(Amount("height", "m", "height above the body", lower=-0.05, upper=0.05, neutral=0.0, scale=5e-3),),
     about="a marker stands above the body, and tilts with it",
     acts_on="observation",
     observe=observe,

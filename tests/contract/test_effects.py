@@ -26,7 +26,7 @@ from bcid.forms.effects.effect import BodyEffect, Effect, Frame, ObservationEffe
 from bcid.forms.forward import Forward
 from bcid.forms.loads import nodal_weights
 from bcid.forms.model import Anchors, Held, Model, Term
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount, Parameter
 from bcid.forms.solver.equilibrium import Equilibrium, Settings
 from bcid.forms.solver.status import Status
 from bcid.forms.solver.supports import Pose
@@ -98,7 +98,7 @@ def weight(**changes: Any) -> Effect:
     """Gravity under another name, with something else about it."""
     known: dict[str, Any] = {
         "name": "broken",
-        "parameters": (Parameter("weight", "N/m^3", "weight", neutral=0.0, scale=5000.0),),
+        "parameters": (Amount("weight", "N/m^3", "weight", neutral=0.0, scale=5000.0),),
         "about": "broken",
         "energy": lambda point, c: -c["weight"] * ufl.inner(point.down, point.u),
     }
@@ -108,7 +108,7 @@ def weight(**changes: Any) -> Effect:
 
 
 def amount(unit: str, scale: float = 100.0, **more: Any) -> tuple[Parameter, ...]:
-    return (Parameter("amount", unit, "how much", neutral=0.0, scale=scale, **more),)
+    return (Amount("amount", unit, "how much", neutral=0.0, scale=scale, **more),)
 
 
 def follower(point: Any, c: Any) -> Any:
@@ -143,7 +143,7 @@ BROKEN = {
         energy=lambda point, c: -ufl.sqrt(c["amount"] + 1e-300) * point.u[0],
     ),
     "symmetry": weight(parameters=amount("Pa"), energy=None, work=follower),
-    "units": weight(parameters=(Parameter("weight", "Pa", "weight", neutral=0.0, scale=5000.0),)),
+    "units": weight(parameters=(Amount("weight", "Pa", "weight", neutral=0.0, scale=5000.0),)),
     "units, a hidden length": weight(energy=lambda point, c: -c["weight"] * ufl.exp(point.X[0] / 0.05) * point.u[0]),
     "vanishes, an error inside": weight(energy=lambda point, c: c["wieght"] * point.u[0]),
 }
@@ -190,11 +190,11 @@ SOURCE = """
 import ufl
 from mpi4py import MPI
 from bcid.forms.effects.effect import BodyEffect
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount
 
 effect = BodyEffect(
     name="{name}",
-    parameters=(Parameter("weight", "N/m^3", "weight", neutral=0.0, scale=5000.0),),
+    parameters=(Amount("weight", "N/m^3", "weight", neutral=0.0, scale=5000.0),),
     about="weight",
     energy=lambda point, c: -c["weight"] * {more} * ufl.inner(point.down, point.u),
 )

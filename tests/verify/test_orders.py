@@ -18,7 +18,7 @@ from verify.problems import Prescribed, box, integral, rates
 from bcid.forms import materials
 from bcid.forms.effects.effect import BodyEffect, Point
 from bcid.forms.model import Held, Model, Term
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount
 from bcid.forms.solver.status import Status
 from bcid.forms.solver.supports import Pose
 
@@ -95,7 +95,7 @@ def mistake(point: Point, c: Any) -> Any:
 manufactured = BodyEffect("manufactured", (), "body force of the manufactured solution", work=body_force)
 mistakes = BodyEffect(
     "mistakes",
-    tuple(Parameter(name, "1", "on or off", neutral=0.0) for name in ERRORS),
+    tuple(Amount(name, "1", "on or off", neutral=0.0) for name in ERRORS),
     "deliberate errors",
     work=mistake,
     symmetric=False,

@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping
 
 from bcid.forms.effects.effect import BodyEffect
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount, Shape
 
 
 def envelope(time: float, values: Mapping[str, float]) -> float:
@@ -24,7 +24,7 @@ def envelope(time: float, values: Mapping[str, float]) -> float:
 effect = BodyEffect(
     name="active_stress",
     parameters=(
-        Parameter(
+        Amount(
             "amplitude",
             "Pa",
             "fibre stress; positive contracts",
@@ -34,7 +34,7 @@ effect = BodyEffect(
             scale=500.0,
         ),
         # The stress is a polynomial in cos 2a: three values determine it.
-        Parameter(
+        Shape(
             "angle",
             "deg",
             "direction in the plane of fibres",
@@ -46,7 +46,7 @@ effect = BodyEffect(
             period=180.0,
             harmonics=1,
         ),
-        Parameter(
+        Shape(
             "period", "s", "of the contraction; 0 is steady", default=0.0, lower=0.0, scale=2.0, scan=(0.0,), off=0.0
         ),
     ),

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from bcid.forms.effects.effect import Array, Frame, ObservationEffect
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount
 from bcid.scene.rotation import from_vector, rotate
 
 
@@ -27,14 +27,14 @@ effect = ObservationEffect(
     name="camera_offset",
     parameters=(
         *(
-            Parameter(f"r{axis}", "deg", f"rotation about {axis}", lower=-90.0, upper=90.0, neutral=0.0, scale=2.0)
+            Amount(f"r{axis}", "deg", f"rotation about {axis}", lower=-90.0, upper=90.0, neutral=0.0, scale=2.0)
             for axis in "xyz"
         ),
         *(
-            Parameter(f"t{axis}", "m", f"shift along {axis}", lower=-1.0, upper=1.0, neutral=0.0, scale=1e-3)
+            Amount(f"t{axis}", "m", f"shift along {axis}", lower=-1.0, upper=1.0, neutral=0.0, scale=1e-3)
             for axis in "xyz"
         ),
-        Parameter("scale", "1", "scale", lower=0.5, upper=2.0, neutral=1.0, scale=0.02),
+        Amount("scale", "1", "scale", lower=0.5, upper=2.0, neutral=1.0, scale=0.02),
     ),
     about="the measured frame is turned, shifted or scaled",
     acts_on="observation",

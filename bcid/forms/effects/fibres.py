@@ -8,14 +8,14 @@ e2 are the axes of the scene's `fibre_plane`.
 from __future__ import annotations
 
 from bcid.forms.effects.effect import BodyEffect
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount, Shape
 
 effect = BodyEffect(
     name="fibres",
     parameters=(
-        Parameter("k1", "Pa", "stiffness of the fibres", lower=0.0, upper=1e8, neutral=0.0, scale=2000.0),
+        Amount("k1", "Pa", "stiffness of the fibres", lower=0.0, upper=1e8, neutral=0.0, scale=2000.0),
         # (a . E a)^2 is a polynomial in cos 2a and cos 4a: five values determine it.
-        Parameter(
+        Shape(
             "angle",
             "deg",
             "direction in the plane of fibres",

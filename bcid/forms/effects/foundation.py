@@ -13,7 +13,7 @@ import ufl
 
 from bcid.forms.effects import _needs
 from bcid.forms.effects.effect import BodyEffect, Constants, Point
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount
 
 
 def potential(point: Point, c: Constants) -> Any:
@@ -24,7 +24,7 @@ def potential(point: Point, c: Constants) -> Any:
 
 effect = BodyEffect(
     name="foundation",
-    parameters=(Parameter("stiffness", "Pa/m", "force per area and displacement", lower=0.0, neutral=0.0, scale=3e4),),
+    parameters=(Amount("stiffness", "Pa/m", "force per area and displacement", lower=0.0, neutral=0.0, scale=3e4),),
     about="the support surface is held by springs",
     acts_on="boundary",
     potential=potential,

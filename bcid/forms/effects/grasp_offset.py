@@ -15,7 +15,7 @@ import numpy as np
 
 from bcid.forms.effects import _needs
 from bcid.forms.effects.effect import GripEffect
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount
 from bcid.measurement import Action
 from bcid.scene.rotation import conjugated, from_vector, rotate
 
@@ -35,11 +35,11 @@ effect = GripEffect(
     name="grasp_offset",
     parameters=(
         *(
-            Parameter(axis, "m", f"error of the centre along {axis}", lower=-0.1, upper=0.1, neutral=0.0, scale=0.005)
+            Amount(axis, "m", f"error of the centre along {axis}", lower=-0.1, upper=0.1, neutral=0.0, scale=0.005)
             for axis in "xyz"
         ),
         *(
-            Parameter(
+            Amount(
                 f"r{axis}", "deg", f"error of the axes about {axis}", lower=-60.0, upper=60.0, neutral=0.0, scale=5.0
             )
             for axis in "xyz"

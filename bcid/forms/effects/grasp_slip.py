@@ -13,7 +13,7 @@ import numpy as np
 
 from bcid.forms.effects import _needs
 from bcid.forms.effects.effect import GripEffect
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount
 from bcid.measurement import Action
 from bcid.scene.rotation import slerp
 
@@ -30,9 +30,7 @@ def drive(action: Action, values: Mapping[str, float]) -> Action:
 
 effect = GripEffect(
     name="grasp_slip",
-    parameters=(
-        Parameter("lag", "1", "part of the motion that is lost", lower=0.0, upper=1.0, neutral=0.0, scale=0.1),
-    ),
+    parameters=(Amount("lag", "1", "part of the motion that is lost", lower=0.0, upper=1.0, neutral=0.0, scale=0.1),),
     about="the tissue lags behind the gripper",
     acts_on="grasp",
     drive=drive,

@@ -8,12 +8,12 @@ from __future__ import annotations
 import ufl
 
 from bcid.forms.effects.effect import BodyEffect
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount
 
 effect = BodyEffect(
     name="gravity",
     parameters=(
-        Parameter("weight", "N/m^3", "weight per rest volume; water has 9810", lower=0.0, neutral=0.0, scale=5000.0),
+        Amount("weight", "N/m^3", "weight per rest volume; water has 9810", lower=0.0, neutral=0.0, scale=5000.0),
     ),
     about="weight of the body along the scene's down",
     energy=lambda point, c: -c["weight"] * ufl.inner(point.down, point.u),

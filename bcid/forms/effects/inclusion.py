@@ -15,7 +15,7 @@ import numpy as np
 import ufl
 
 from bcid.forms.effects.effect import Array, BodyEffect, Constants, Point
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount, Shape
 
 _EDGE = 0.1
 
@@ -40,9 +40,9 @@ def around(points: Array, values: Mapping[str, float]) -> Array:
 effect = BodyEffect(
     name="inclusion",
     parameters=(
-        Parameter("ratio", "1", "its stiffness to that of the body", lower=0.02, upper=50.0, neutral=1.0, scale=1.0),
-        *(Parameter(f"c{axis}", "m", f"centre, {axis}", scale=0.02) for axis in "xyz"),
-        Parameter("radius", "m", "radius", lower=0.0, open_lower=True, scale=0.02),
+        Amount("ratio", "1", "its stiffness to that of the body", lower=0.02, upper=50.0, neutral=1.0, scale=1.0),
+        *(Shape(f"c{axis}", "m", f"centre, {axis}", scale=0.02) for axis in "xyz"),
+        Shape("radius", "m", "radius", lower=0.0, open_lower=True, scale=0.02),
     ),
     about="a round part of the body is stiffer or softer",
     acts_on="material",

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from bcid.forms.effects.effect import Array, Frame, ObservationEffect
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount, Shape
 
 
 def observe(positions: Array, values: Mapping[str, float], frame: Frame, place: str) -> Array:
@@ -26,11 +26,8 @@ def observe(positions: Array, values: Mapping[str, float], frame: Frame, place: 
 effect = ObservationEffect(
     name="marker_fault",
     parameters=(
-        *(
-            Parameter(axis, "m", f"offset along {axis}", lower=-0.1, upper=0.1, neutral=0.0, scale=2e-3)
-            for axis in "xyz"
-        ),
-        Parameter("onset", "1", "first frame that is wrong", default=0.0, lower=0.0, scan=(0.0,), onset=True),
+        *(Amount(axis, "m", f"offset along {axis}", lower=-0.1, upper=0.1, neutral=0.0, scale=2e-3) for axis in "xyz"),
+        Shape("onset", "1", "first frame that is wrong", default=0.0, lower=0.0, scan=(0.0,), onset=True),
     ),
     about="one fiducial is not where the scene says",
     acts_on="observation",

@@ -10,12 +10,12 @@ from __future__ import annotations
 import ufl
 
 from bcid.forms.effects.effect import BodyEffect
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount
 
 effect = BodyEffect(
     name="prestrain",
     parameters=tuple(
-        Parameter(f"s{axis}", "1", f"stretch along {axis}", lower=0.7, upper=1.4, neutral=1.0, scale=0.05)
+        Amount(f"s{axis}", "1", f"stretch along {axis}", lower=0.7, upper=1.4, neutral=1.0, scale=0.05)
         for axis in "xyz"
     ),
     about="the rest shape is already stretched",

@@ -13,7 +13,7 @@ from typing import Any
 import ufl
 
 from bcid.forms.effects.effect import BodyEffect, Constants, Point
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount
 
 
 def potential(point: Point, c: Constants) -> Any:
@@ -26,7 +26,7 @@ def potential(point: Point, c: Constants) -> Any:
 effect = BodyEffect(
     name="soft_anchor",
     parameters=(
-        Parameter(
+        Amount(
             "stiffness",
             "Pa/m",
             "force per area and displacement",

@@ -12,7 +12,7 @@ from typing import Any
 import ufl
 
 from bcid.forms.effects.effect import BodyEffect, Constants, Point
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount
 
 _LEAST = 0.05
 
@@ -26,7 +26,7 @@ def stiffness(point: Point, c: Constants) -> Any:
 effect = BodyEffect(
     name="stiffness_gradient",
     parameters=tuple(
-        Parameter(
+        Amount(
             f"g{axis}", "1", f"relative change along {axis}, per size", lower=-3.0, upper=3.0, neutral=0.0, scale=0.5
         )
         for axis in "xyz"

@@ -15,7 +15,7 @@ import ufl
 
 from bcid.forms.effects import _needs
 from bcid.forms.effects.effect import BodyEffect, Constants, Point
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount
 
 _EDGE = 1e-3
 
@@ -30,7 +30,7 @@ def potential(point: Point, c: Constants) -> Any:
 
 effect = BodyEffect(
     name="support_contact",
-    parameters=(Parameter("stiffness", "Pa/m", "pressure per penetration", lower=0.0, neutral=0.0, scale=1e5),),
+    parameters=(Amount("stiffness", "Pa/m", "pressure per penetration", lower=0.0, neutral=0.0, scale=1e5),),
     about="the body cannot sink into its support, but may lift off",
     acts_on="boundary",
     potential=potential,

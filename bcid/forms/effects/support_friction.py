@@ -14,7 +14,7 @@ import ufl
 
 from bcid.forms.effects import _needs
 from bcid.forms.effects.effect import BodyEffect, Constants, Point
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount
 
 _CREEP = 1e-3
 
@@ -29,7 +29,7 @@ def potential(point: Point, c: Constants) -> Any:
 
 effect = BodyEffect(
     name="support_friction",
-    parameters=(Parameter("shear_stress", "Pa", "shear stress while sliding", lower=0.0, neutral=0.0, scale=10.0),),
+    parameters=(Amount("shear_stress", "Pa", "shear stress while sliding", lower=0.0, neutral=0.0, scale=10.0),),
     about="the support holds the body back when it slides",
     acts_on="boundary",
     potential=potential,

@@ -14,7 +14,7 @@ import numpy as np
 
 from bcid.forms.effects import _needs
 from bcid.forms.effects.effect import Array, GripEffect
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount
 from bcid.measurement import Action
 from bcid.scene.rotation import slerp
 
@@ -39,7 +39,7 @@ def drive(action: Action, values: Mapping[str, float]) -> Action:
 effect = GripEffect(
     name="time_lag",
     parameters=(
-        Parameter(
+        Amount(
             "seconds",
             "s",
             "by how much the camera is late",

@@ -19,7 +19,7 @@ import ufl
 from bcid.forms.effects import _needs
 from bcid.forms.effects.effect import BodyEffect, Constants, Point
 from bcid.forms.kinematics import Kinematics
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount, Shape
 
 
 def stress(kin: Kinematics) -> Any:
@@ -51,7 +51,7 @@ def advance(point: Point, c: Constants) -> dict[str, Any]:
 effect = BodyEffect(
     name="viscosity",
     parameters=(
-        Parameter(
+        Amount(
             "fraction",
             "1",
             "part of the instantaneous shear modulus that relaxes",
@@ -60,7 +60,7 @@ effect = BodyEffect(
             neutral=0.0,
             scale=0.2,
         ),
-        Parameter(
+        Shape(
             "relaxation_time",
             "s",
             "time constant",

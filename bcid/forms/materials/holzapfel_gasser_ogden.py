@@ -41,7 +41,7 @@ from ufl.core.expr import Expr
 from bcid.forms.kinematics import Kinematics, expm1
 from bcid.forms.materials._moduli import POISSON, bulk_compliance, bulk_modulus
 from bcid.forms.materials.law import Constants, Law, Scalar
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount, Parameter
 
 ENGAGED = 0.01
 """Fibre strain e beyond which a fibre bears its full load."""
@@ -76,7 +76,7 @@ law = Law(
     title="Holzapfel-Gasser-Ogden",
     parameters=(
         Parameter("mu", "Pa", "shear modulus of the ground substance", lower=0, open_lower=True),
-        Parameter("k1", "Pa", "stiffness of each fibre family", lower=0, neutral=0),
+        Amount("k1", "Pa", "stiffness of each fibre family", lower=0, neutral=0),
         Parameter("k2", "1", "how sharply the fibres stiffen", lower=0, open_lower=True),
         Parameter(
             "angle", "deg", "the families lie at + and - this angle in the plane of fibres", lower=-180, upper=180

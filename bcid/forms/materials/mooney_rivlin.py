@@ -29,7 +29,7 @@ from ufl.core.expr import Expr
 from bcid.forms.kinematics import Kinematics
 from bcid.forms.materials._moduli import POISSON, bulk_compliance, bulk_modulus
 from bcid.forms.materials.law import Constants, Law, Scalar
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount, Parameter
 
 
 def shear(c: Constants) -> Scalar:
@@ -47,7 +47,7 @@ law = Law(
     title="Mooney-Rivlin",
     parameters=(
         Parameter("c10", "Pa", "constant of the first invariant"),
-        Parameter("c01", "Pa", "constant of the second invariant", default=0, neutral=0),
+        Amount("c01", "Pa", "constant of the second invariant", default=0, neutral=0),
         POISSON,
     ),
     energy=energy,

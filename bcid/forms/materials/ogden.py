@@ -34,7 +34,7 @@ from bcid.forms.kinematics import Kinematics
 from bcid.forms.materials._moduli import POISSON, bulk_compliance, bulk_modulus
 from bcid.forms.materials._spectrum import Spectrum
 from bcid.forms.materials.law import Constants, Law, Scalar
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount, Parameter
 
 TERMS = (1, 2, 3)
 
@@ -62,7 +62,7 @@ def rules(values: Mapping[str, float]) -> list[str]:
 def _term(p: int) -> tuple[Parameter, Parameter]:
     strength = 0.0 if p > 1 else None
     return (
-        Parameter(f"mu{p}", "Pa", f"strength of term {p}", default=strength, neutral=0),
+        Amount(f"mu{p}", "Pa", f"strength of term {p}", default=strength, neutral=0),
         Parameter(f"alpha{p}", "1", f"exponent of term {p}, not 0", default=None if p == 1 else 2.0),
     )
 

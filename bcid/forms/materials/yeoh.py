@@ -29,7 +29,7 @@ from ufl.core.expr import Expr
 from bcid.forms.kinematics import Kinematics
 from bcid.forms.materials._moduli import POISSON, bulk_compliance, bulk_modulus
 from bcid.forms.materials.law import Constants, Law, Scalar
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount, Parameter
 
 
 def shear(c: Constants) -> Scalar:
@@ -48,8 +48,8 @@ law = Law(
     title="Yeoh",
     parameters=(
         Parameter("c1", "Pa", "half the initial shear modulus"),
-        Parameter("c2", "Pa", "stiffening at moderate stretch", default=0, neutral=0),
-        Parameter("c3", "Pa", "stiffening at large stretch", default=0, neutral=0),
+        Amount("c2", "Pa", "stiffening at moderate stretch", default=0, neutral=0),
+        Amount("c3", "Pa", "stiffening at large stretch", default=0, neutral=0),
         POISSON,
     ),
     energy=energy,

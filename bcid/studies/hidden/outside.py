@@ -9,7 +9,7 @@ from typing import Any
 import ufl
 
 from bcid.forms.effects.effect import BodyEffect, Constants, Point
-from bcid.forms.parameter import Parameter
+from bcid.forms.parameter import Amount, Shape
 
 # Stiffness of a sound bond and of the ball, Pa/m; that of the slab across its thickness is 1.5e6.
 RIGID = 1.5e8
@@ -37,9 +37,9 @@ def _natural(point: Point, c: Constants) -> Any:
 permanent_set = BodyEffect(
     name="permanent_set",
     parameters=(
-        Parameter("kept", "1", "part of the set that the rest state takes on", lower=0.0, upper=0.9, neutral=0.0,
+        Amount("kept", "1", "part of the set that the rest state takes on", lower=0.0, upper=0.9, neutral=0.0,
                   scale=0.3),
-        Parameter("yield_strain", "1", "strain beyond which the set follows", lower=0.0, open_lower=True, scale=0.01),
+        Shape("yield_strain", "1", "strain beyond which the set follows", lower=0.0, open_lower=True, scale=0.01),
     ),
     about="strain that remains after loading, as in plasticity with linear hardening (play operator)",
     acts_on="material",
@@ -65,10 +65,10 @@ def _touch(point: Point, c: Constants) -> Any:
 obstacle = BodyEffect(
     name="obstacle",
     parameters=(
-        Parameter("reach", "m", "how far the ball comes down", lower=0.0, upper=CLEARANCE, neutral=0.0, scale=0.02),
-        Parameter("cx", "m", "x of its centre"),
-        Parameter("cz", "m", "z of its centre"),
-        Parameter("radius", "m", "of the ball", lower=0.0, open_lower=True, scale=0.03),
+        Amount("reach", "m", "how far the ball comes down", lower=0.0, upper=CLEARANCE, neutral=0.0, scale=0.02),
+        Shape("cx", "m", "x of its centre"),
+        Shape("cz", "m", "z of its centre"),
+        Shape("radius", "m", "of the ball", lower=0.0, open_lower=True, scale=0.03),
     ),
     about="a rigid ball above the body, which it meets when it is lifted",
     acts_on="boundary",
@@ -90,10 +90,10 @@ def _letting_go(time: float, values: Mapping[str, float]) -> float:
 peeling = BodyEffect(
     name="peeling",
     parameters=(
-        Parameter("peeled", "1", "how much of the bond is lost, on a logarithmic scale", lower=0.0, upper=1.0,
+        Amount("peeled", "1", "how much of the bond is lost, on a logarithmic scale", lower=0.0, upper=1.0,
                   neutral=0.0, scale=0.5),
-        Parameter("onset", "s", "when it begins to peel"),
-        Parameter("ramp", "s", "how long that takes", lower=0.0, open_lower=True),
+        Shape("onset", "s", "when it begins to peel"),
+        Shape("ramp", "s", "how long that takes", lower=0.0, open_lower=True),
     ),
     about="an anchored patch that comes off at some time and stays off",
     acts_on="boundary",
