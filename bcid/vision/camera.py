@@ -79,22 +79,20 @@ class Camera:
     def undistort(self, pixels: Array) -> Array:
         """Directions (n, 2), x/z and y/z, of what is seen at pixels (n, 2).
 
-        The distortion is undone by repeated substitution, to the last digit where it can be undone at all; elsewhere (far
-        outside of the image) the result is NaN.
+        The distortion is undone to the last digit where it can be undone at all; elsewhere (far outside of the image) the
+        result is NaN.
         """
+        import cv2
+
         pixels = np.asarray(pixels, dtype=float).reshape(-1, 2)
         rays = self.pinhole(pixels)
         if not np.any(self.distortion) or len(rays) == 0:
             return rays
-        aim = rays.copy()
-        for _ in range(_STEPS):
-            change = aim - self._distorted(rays)
-            rays += change
-            if not np.nanmax(np.abs(change), initial=0.0) > _EXACT:
-                break
-        left = np.linalg.norm(self._distorted(rays) - aim, axis=1) * self.focal
-        rays[~(left < _UNDONE)] = np.nan
-        return rays
+        # On directions, so that a skew of the axes counts too.
+        ends = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, _STEPS, _EXACT)
+        found = cv2.undistortPoints(rays[:, None], np.eye(3), self._lens(), criteria=ends).reshape(-1, 2)
+        left = np.linalg.norm(self._distorted(found) - rays, axis=1) * self.focal
+        return np.where((left < _UNDONE)[:, None], found, np.nan)
 
     def pinhole(self, pixels: Array) -> Array:
         """Directions (n, 2) of pixels (n, 2) if the lens did not distort."""
