@@ -22,7 +22,8 @@ import numpy as np
 from mpi4py import MPI
 
 from bcid import Measurement, Scene
-from bcid.comparison import diagnosis_text as words
+from bcid.base.units import uncertain
+from bcid.comparison import diagnosis_text
 from bcid.comparison.adequacy import Adequacy, judge
 from bcid.comparison.fit import Fit, fit
 from bcid.comparison.joint import promised
@@ -92,8 +93,8 @@ def main() -> Found:
     plain = State.of(predictor, Model.of(scene), CLAMPED)
     verdict, ranking = judge(plain), rank(plain)
     rivals = contest(plain, promised(plain, ranking), 3)
-    show(words.verdict(plain, verdict, 1e-3, "mm"))
-    show(["", "What it lacks:", *words.table(ranking, rivals, plain.rms, 1e-3, "mm", 6)])
+    show(diagnosis_text.verdict(plain, verdict, 1e-3, "mm"))
+    show(["", "What it lacks:", *diagnosis_text.table(ranking, rivals, plain.rms, 1e-3, "mm", 6)])
     for rival in rivals:
         apart = 1e3 * (rival.held_out or math.nan)
         print(f"  {rival.effect}: a load case predicted from the other is missed by {apart:.2f} mm")
@@ -108,7 +109,7 @@ def main() -> Found:
     )
     print()
     for name, fitted in (("weight", weight), ("stiffness", young), ("weight and clamp", clamp)):
-        values = ", ".join(f"{n} = {words.number(v, fitted.stderr[n])}" for n, v in fitted.values.items())
+        values = ", ".join(f"{n} = {uncertain(v, fitted.stderr[n])}" for n, v in fitted.values.items())
         print(f"{name} fitted: {fitted.state.rms * 1e3:.2f} mm, {values}")
         show([f"  {text}" for text in fitted.warnings])
 
@@ -145,17 +146,17 @@ def what_is_left(weight: Fit, repeatability: float) -> tuple[Adequacy, Row, Fit]
     strict = fit(State.of(predictor, state.model, CLAMPED), state.free)
     verdict = judge(strict.state)
     print(f"\nJudged by the repeatability of {repeatability * 1e3:.2f} mm:")
-    show(words.verdict(strict.state, verdict, 1e-3, "mm"))
+    show(diagnosis_text.verdict(strict.state, verdict, 1e-3, "mm"))
     show(residuals(strict.state))
 
     own = effects.load(HERE / "effects/marker_stand.py")
     ranking = rank(strict.state, effects.catalogue(own=[own]))
-    show(words.table(ranking, [], strict.state.rms, 1e-3, "mm", 4))
+    show(diagnosis_text.table(ranking, [], strict.state.rms, 1e-3, "mm", 4))
     stand = next(row for row in ranking.rows if row.effect == own.name)
     model = strict.state.model + stand.term
     free = (*state.free, stand.term.full("height"))
     stood = fit(State.of(predictor, model, CLAMPED, strict.state.errors.mesh), free)
-    values = ", ".join(f"{n} = {words.number(v, stood.stderr[n])}" for n, v in stood.values.items())
+    values = ", ".join(f"{n} = {uncertain(v, stood.stderr[n])}" for n, v in stood.values.items())
     print(f"with {stand.term.label}: {stood.state.rms * 1e3:.2f} mm, {values}")
     show(residuals(stood.state))
     return verdict, stand, stood

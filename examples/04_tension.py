@@ -23,7 +23,8 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from bcid import Measurement, Scene
-from bcid.comparison import diagnosis_text as words
+from bcid.base.units import uncertain
+from bcid.comparison import diagnosis_text
 from bcid.comparison.fit import Fit, fit
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import Ranking, rank
@@ -77,7 +78,7 @@ def main(curve: Sequence[tuple[float, float]] = CURVE) -> Found:
     plain = fit(State.of(predictor, on_rollers(scene), frozenset()), ("young",))
     ranking = rank(plain.state)
     show("the law alone", plain, curve)
-    print("\n".join(words.table(ranking, [], plain.state.rms, 1e-3, "mm", 4)))
+    print("\n".join(diagnosis_text.table(ranking, [], plain.state.rms, 1e-3, "mm", 4)))
     # Fibres along the pull would do the same: one pull cannot tell them apart, but the rubber was cast and has none.
     row = next(row for row in ranking.rows if row.effect == "strain_stiffening")
     print(f"as good as {row.effect}: {', '.join(row.confounded_with) or 'nothing'}")
@@ -133,7 +134,7 @@ def yeoh(curve: Sequence[tuple[float, float]]) -> float:
 
 def show(what: str, fitted: Fit, curve: Sequence[tuple[float, float]]) -> None:
     """A fit in one line."""
-    values = ", ".join(f"{n} = {words.number(v, fitted.stderr[n])} Pa" for n, v in fitted.values.items())
+    values = ", ".join(f"{n} = {uncertain(v, fitted.stderr[n])} Pa" for n, v in fitted.values.items())
     print(f"{what}: {values}; stress {100 * error(fitted, curve):.2f} %, end {1e3 * fitted.state.rms:.2f} mm off")
 
 
