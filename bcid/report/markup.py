@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import html
 import json
 import re
 from typing import Any
+
+from markupsafe import Markup, escape
 
 # Characters that HTML does not allow, or that turn the text after them around.
 _UNWANTED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
@@ -13,12 +14,6 @@ _UNWANTED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2
 _IN_SCRIPT = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 _EMPTY = frozenset({"meta", "img", "input", "br", "col"})
 _NAME = re.compile(r"[a-z][a-z0-9-]*$")
-
-
-class Markup(str):
-    """Text that is HTML; made by this module's functions only."""
-
-    __slots__ = ()
 
 
 def clean(text: str) -> str:
@@ -34,7 +29,7 @@ def text(content: object) -> Markup:
         return Markup("")
     if isinstance(content, list | tuple):
         return Markup("".join(text(part) for part in content))
-    return Markup(html.escape(clean(str(content)), quote=True))
+    return escape(clean(str(content)))
 
 
 def tag(name: str, /, *children: object, **attributes: object) -> Markup:

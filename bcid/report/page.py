@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 
+from jinja2 import Environment, StrictUndefined
+
 from bcid.base.errors import InputError
 from bcid.base.run_folder import write_whole
 from bcid.base.version import VERSION
@@ -87,21 +89,15 @@ def page(runs: Sequence[Found | tuple[Path, str]]) -> str:
         if isinstance(one, Found):
             section = Section(one, number)
             sections.append(section.html("h1" if single else "h2"))
-            contents.append(_entry(section))
+            contents.append({"id": section.id, "name": one.name, "sentence": section.said.sentence})
             if section.data is not None:
                 data.append(verbatim("script", json_text(section.data), type="application/json", id=f"view-{number}"))
         else:
             sections.append(_unreadable(*one, number))
-            contents.append(
-                tag("li", tag("a", clean(one[0].name), href=f"#run-{number}"), tag("span", "cannot be read"))
-            )
-    names = [one.name if isinstance(one, Found) else clean(one[0].name) for one in runs]
-    nav = Markup("") if single else tag("nav", tag("ol", contents), aria_label="runs")
-    return _document(", ".join(names), [nav, tag("main", sections)], data)
-
-
-def _entry(section: Section) -> Markup:
-    return tag("li", tag("a", section.found.name, href=f"#{section.id}"), tag("span", section.said.sentence))
+            contents.append({"id": f"run-{number}", "name": one[0].name, "sentence": "cannot be read"})
+    # The template escapes what is not markup; what a page cannot hold at all is taken out before.
+    contents = [{key: clean(value) for key, value in entry.items()} for entry in contents]
+    return _document(", ".join(entry["name"] for entry in contents), [] if single else contents, sections, data)
 
 
 def _unreadable(path: Path, reason: str, number: int) -> Markup:
@@ -116,27 +112,23 @@ def _unreadable(path: Path, reason: str, number: int) -> Markup:
     )
 
 
-def _document(title: str, content: list[Markup], data: list[Markup]) -> str:
+def _document(title: str, contents: list[dict[str, str]], sections: list[Markup], data: list[Markup]) -> str:
     style = _web("page.css")
     scripts = [_three(), _web("viewer.js")] if data else []
     policy = "default-src 'none'; img-src data:; base-uri 'none'; form-action 'none'; "
     policy += f"style-src {_hash(style)}; script-src {' '.join(map(_hash, scripts)) or chr(39) + 'none' + chr(39)}"
-    head = tag(
-        "head",
-        tag("meta", charset="utf-8"),
-        tag("meta", http_equiv="Content-Security-Policy", content=policy),
-        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        tag("meta", name="generator", content=f"bcid {VERSION}"),
-        tag("title", f"{title}: bcid report"),
-        verbatim("style", style),
+    template = Environment(autoescape=True, undefined=StrictUndefined).from_string(_web("page.html"))
+    return template.render(
+        mark=Markup(MARK),
+        policy=policy,
+        version=VERSION,
+        title=title,
+        style=verbatim("style", style),
+        contents=contents,
+        sections=sections,
+        data=data,
+        scripts=[verbatim("script", script, type="module") for script in scripts],
     )
-    top = tag(
-        "header", tag("b", "bcid report"), tag("span", "how a body is held, and what its model lacks"), class_="top"
-    )
-    footer = tag("footer", f"Written by bcid {VERSION} from run folders alone; the view is drawn by three.js (MIT).")
-    running = [verbatim("script", script, type="module") for script in scripts]
-    body = tag("body", top, content, footer, data, running)
-    return f"{MARK}\n<!doctype html>\n" + tag("html", head, body, lang="en") + "\n"
 
 
 def _hash(content: str) -> str:

@@ -147,8 +147,8 @@ def test_payloads_in_damaged_and_unfinished_runs(tmp_path: Path) -> None:
 
 
 def test_text_is_escaped_and_elements_are_not() -> None:
-    assert text("<b>&\"'") == "&lt;b&gt;&amp;&quot;&#x27;"
-    assert tag("p", "<b>", tag("b", "x"), [1, None, "é"], class_='a"b') == '<p class="a&quot;b">&lt;b&gt;<b>x</b>1é</p>'
+    assert text("<b>&\"'") == "&lt;b&gt;&amp;&#34;&#39;"
+    assert tag("p", "<b>", tag("b", "x"), [1, None, "é"], class_='a"b') == '<p class="a&#34;b">&lt;b&gt;<b>x</b>1é</p>'
     assert tag("input", disabled=True, hidden=False, title=None) == "<input disabled>"
     assert clean("a\x00b\ud800c\u202ed") == "a\ufffdb\ufffdc\ufffdd"
 
