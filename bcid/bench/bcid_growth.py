@@ -67,18 +67,27 @@ def factor_seconds(eq: Equilibrium, most: float = 30.0) -> float:
 
 
 def factor_nonzeros(eq: Equilibrium) -> float:
-    """Non-zeros of the Cholesky factor of the present tangent, as CHOLMOD counts them."""
+    """Non-zeros of the Cholesky factor of the present tangent, as CHOLMOD counts them, or MUMPS where there is no CHOLMOD."""
+    try:
+        return _nonzeros(eq, "cholmod")
+    except PETSc.Error:
+        return _nonzeros(eq, "mumps")
+
+
+def _nonzeros(eq: Equilibrium, package: str) -> float:
     pc = PETSc.PC().create(eq.tangent.matrix.comm)
-    pc.setOptionsPrefix("bench_")
-    pc.setType("cholesky")
-    pc.setFactorSolverType("cholmod")
-    PETSc.Options()["bench_mat_cholmod_factor"] = "SUPERNODAL"
-    pc.setFromOptions()
-    pc.setOperators(eq.tangent.matrix)
-    pc.setUp()
-    count = float(pc.getFactorMatrix().getInfo()["nz_used"])
-    pc.destroy()
-    return count
+    try:
+        pc.setOptionsPrefix("bench_")
+        pc.setType("cholesky")
+        pc.setFactorSolverType(package)
+        PETSc.Options()["bench_mat_cholmod_factor"] = "SUPERNODAL"
+        pc.setFromOptions()
+        pc.setOperators(eq.tangent.matrix)
+        pc.setUp()
+        return float(pc.getFactorMatrix().getInfo()["nz_used"])
+    finally:
+        pc.destroy()
+        PETSc.Options().delValue("bench_mat_cholmod_factor")
 
 
 def bandwidth(count: int = 10_000_000, repeats: int = 5) -> dict[str, float]:
