@@ -368,7 +368,8 @@ def simulate(arguments: argparse.Namespace, comm: Comm) -> None:
     if arguments.like and arguments.grasp:
         raise InputError("--grasp: a measurement given with --like names its grasps itself; leave one of the two out")
     scene = with_effects(scene, arguments.hide)
-    if arguments.like and (arguments.amplitude or arguments.steps or arguments.direction):
+    shaped = (arguments.amplitude, arguments.steps, arguments.direction)
+    if arguments.like and any(one is not None for one in shaped):
         raise InputError("--like: repeats the motions as they are; leave --amplitude, --steps and --direction out")
     times = None
     if arguments.like:

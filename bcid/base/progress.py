@@ -137,10 +137,10 @@ class Bar:
 def how_far(work: str, done: float, total: float, left: float | None) -> str:
     """How far a piece of work is, as "anchor sets of level 0: 43 of 256, about 5 s left"."""
     count = f": {done:.0f} of {total:.0f}" if total else f": {done:.0f} so far" if done else ""
-    return work + count + (f", about {duration(left)} left" if left else "")
+    return work + count + (f", about {roughly(left)} left" if left else "")
 
 
-def duration(seconds: float) -> str:
+def roughly(seconds: float) -> str:
     """Seconds as a person says them, as "5 s", "3 min" or "2 h 10 min"."""
     whole = max(1, round(seconds))
     if whole < 90:

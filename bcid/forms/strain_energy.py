@@ -7,7 +7,6 @@ import ufl
 from dolfinx import fem, la
 from numpy.typing import NDArray
 
-from bcid.base import compat
 from bcid.forms.solver.equilibrium import Equilibrium
 
 Array = NDArray[np.float64]
@@ -37,12 +36,4 @@ class StrainEnergy:
         """An assembled vector by node of the mesh."""
         vector = fem.assemble_vector(form)
         vector.scatter_reverse(la.InsertMode.add)
-        body = self.body
-        dofs = np.asarray(self._space.dofmap.list).ravel()
-        original = np.asarray(body.domain.geometry.input_global_indices)[
-            np.asarray(compat.geometry_dofmap(body.domain)).ravel()
-        ]
-        owned = dofs < self._space.dofmap.index_map.size_local
-        result = np.zeros(len(body.mesh.points))
-        result[original[owned]] = vector.array[dofs[owned]]
-        return np.asarray(body.comm.allreduce(result)) if body.comm.size > 1 else result
+        return self.body.at_mesh_nodes(vector.array, self._space)

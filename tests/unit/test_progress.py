@@ -5,7 +5,7 @@ import io
 import pytest
 
 from bcid.base import progress
-from bcid.base.progress import Bar, Lines, Steps, duration, how_far, progress_on
+from bcid.base.progress import Bar, Lines, Steps, how_far, progress_on, roughly
 
 
 class Terminal(io.StringIO):
@@ -83,4 +83,4 @@ def test_a_part_tells_how_far_it_is_and_nothing_else() -> None:
     [(0.2, "1 s"), (5.4, "5 s"), (89, "89 s"), (200, "3 min"), (5300, "88 min"), (7800, "2 h 10 min")],
 )
 def test_time_as_a_person_says_it(seconds: float, text: str) -> None:
-    assert duration(seconds) == text
+    assert roughly(seconds) == text

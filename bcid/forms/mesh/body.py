@@ -93,14 +93,18 @@ class Body:
         number[vertices.ravel()] = original[geometry.ravel()]
         return number
 
-    def at_mesh_nodes(self, displacement: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Displacement (local nodes, 3) at the nodes of `mesh`, shape (mesh nodes, 3), the same on every rank; collective."""
+    def at_mesh_nodes(self, values: NDArray[np.float64], space: Any = None) -> NDArray[np.float64]:
+        """Values at this rank's nodes of a space, (nodes, ...), at those of `mesh`, the same on every rank; collective.
+
+        The space is that of displacements by default.
+        """
+        dofmap = (space or self.displacement_space).dofmap
         geometry = np.asarray(compat.geometry_dofmap(self.domain))
         original = np.asarray(self.domain.geometry.input_global_indices)[geometry.ravel()]
-        corners = np.asarray(self.displacement_space.dofmap.list)[:, :4].ravel()
-        owned = corners < self.displacement_space.dofmap.index_map.size_local
-        result = np.zeros((len(self.mesh.points), 3))
-        result[original[owned]] = displacement[corners[owned]]
+        corners = np.asarray(dofmap.list)[:, :4].ravel()
+        owned = corners < dofmap.index_map.size_local
+        result = np.zeros((len(self.mesh.points), *values.shape[1:]))
+        result[original[owned]] = values[corners[owned]]
         return np.asarray(self.comm.allreduce(result)) if self.comm.size > 1 else result
 
     def local_entities(self, entities: NDArray[np.int64]) -> NDArray[np.int32]:
