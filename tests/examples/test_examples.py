@@ -25,27 +25,6 @@ def load(name: str) -> ModuleType:
     return module
 
 
-def test_01_identify(capsys: pytest.CaptureFixture[str]) -> None:
-    found = load("01_identify").main()
-    assert found.anchored == ("3", "4")
-    assert found.probability > 0.999
-    assert found.rms == pytest.approx(0.304e-3, rel=0.01)
-    assert "anchored {3 4}" in capsys.readouterr().out
-
-
-def test_02_explain(capsys: pytest.CaptureFixture[str]) -> None:
-    """The weight that the measurement was made with is found within its error."""
-    found = load("02_explain").main()
-    assert found.verdict == "gravity"
-    assert [model.anchored for model in found.ladder] == [("3", "4")] * 2
-    assert [model.adequate for model in found.ladder] == [False, True]
-    assert found.ladder[0].rms == pytest.approx(1.41e-3, rel=0.01)
-    assert found.rms == pytest.approx(0.202e-3, rel=0.02)
-    weight = found.parameters["gravity.weight"]
-    assert weight["value"] == pytest.approx(1260, abs=3 * weight["stderr"])
-    assert "missing: gravity" in capsys.readouterr().out
-
-
 def test_05_from_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Images, measurement, anchors; no bead is taken for another."""
     found = load("05_from_images").main(tmp_path)

@@ -29,8 +29,17 @@ def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caps
             exec(last, names)
     assert "31 frames of 16 markers" in capsys.readouterr().out
     assert names["found"].anchored == ("3", "4")
-    assert names["explained"].verdict == "gravity"
-    assert repr(shown[-1]) == repr(names["explained"])
+    assert names["found"].rms == pytest.approx(0.304e-3, rel=0.01)
+    explained = names["explained"]
+    assert explained.verdict == "gravity"
+    assert [model.anchored for model in explained.ladder] == [("3", "4")] * 2
+    assert [model.adequate for model in explained.ladder] == [False, True]
+    assert explained.ladder[0].rms == pytest.approx(1.41e-3, rel=0.01)
+    assert explained.rms == pytest.approx(0.202e-3, rel=0.02)
+    # The weight that the measurement was made with is found within its error.
+    weight = explained.parameters["gravity.weight"]
+    assert weight["value"] == pytest.approx(1260, abs=3 * weight["stderr"])
+    assert repr(shown[-1]) == repr(explained)
     assert all(hasattr(one, "_repr_html_") for one in shown if "Result" in type(one).__name__)
     assert os.path.isdir("explained")
 
