@@ -283,6 +283,12 @@ def _add_identify(commands: Any) -> None:
         "--finest", type=int, metavar="LEVEL", help="last mesh level (default: when the residual has settled)"
     )
     search.add_argument(
+        "--stop",
+        default="settled",
+        metavar="RULE",
+        help='when no finer level is needed: settled (default), same, "similarity 0.95", "refinement 0.5 mm"',
+    )
+    search.add_argument(
         "--refine", type=int, default=0, metavar="ROUNDS", help="halve patches that leave a doubt, so many times (0)"
     )
     search.add_argument("--climbed", type=int, default=2, metavar="N", help="levels that are climbed on (2)")

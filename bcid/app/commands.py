@@ -79,7 +79,7 @@ def identify(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid identify`."""
     from bcid.search.identify import IdentifyOptions
     from bcid.search.identify_run import run_identification
-    from bcid.search.termination import Termination
+    from bcid.search.termination import Stop, Termination
 
     options = IdentifyOptions(
         certify=arguments.certify,
@@ -91,6 +91,7 @@ def identify(arguments: argparse.Namespace, comm: Comm) -> None:
         start=arguments.start,
         threshold=arguments.threshold,
         toggles=arguments.toggles,
+        stop=Stop.parse(arguments.stop),
         termination=Termination(arguments.fit, arguments.patience, arguments.budget),
     )
     scene, measurement, output = arguments.scene, arguments.measurement, arguments.output

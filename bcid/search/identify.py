@@ -24,7 +24,7 @@ from bcid.scene import Scene
 from bcid.search.climb import ODDS, climb, neighbours, rank
 from bcid.search.evaluator import Evaluator
 from bcid.search.seeds import above, all_candidates, maxima, perturbed, random_seeds
-from bcid.search.termination import Termination
+from bcid.search.termination import SETTLED, Stop, Termination
 
 CERTIFY = ("auto", "yes", "no")
 # With more patches every set is looked at only when that is asked for, and with many more not at all.
@@ -48,7 +48,8 @@ class IdentifyOptions:
         random_state: of the seeds; the same number gives the same search.
         coarsest, climbed: first level, and how many levels are climbed on; on finer ones only the likely sets are
             looked at.
-        finest: last level that may be used; None leaves it to `settled`.
+        finest: last level that may be used; with `stop` "settled", the level that is used.
+        stop: when the stages end.
         start: what seeds the second and later stages: "maxima", or "threshold" for every state above `threshold`.
         threshold: similarity, a fraction of the best on the level.
         toggles: random toggles that perturb the seeds of later stages.
@@ -64,6 +65,7 @@ class IdentifyOptions:
     start: str = "maxima"
     threshold: float = 0.95
     toggles: int = 0
+    stop: Stop = field(default_factory=Stop)
     termination: Termination = field(default_factory=Termination)
 
     def last(self, scene: Scene) -> int:
@@ -77,6 +79,7 @@ class IdentifyOptions:
             raise InputError(f"certify '{self.certify}': {nearest(self.certify, CERTIFY)}")
         if self.start not in ("maxima", "threshold"):
             raise InputError(f"start '{self.start}': {nearest(self.start, ('maxima', 'threshold'))}")
+        self.stop.check()
         rules = self.termination
         for name, number, least in (
             ("seeds", self.count(scene), 1),
@@ -274,7 +277,7 @@ class _Search:
                 self.say(f"not used: {error}")
                 break
             self.note(level, best[-1])
-            if options.finest is None and len(best) > 1 and self.settled(best):
+            if level < last and self.ends(best):
                 break
         if options.certifies(self.evaluator.scene):
             best[-1] = self.certify(best[-1])
@@ -391,6 +394,16 @@ class _Search:
                     evaluator.outcomes[target, best.candidate], evaluator.misfit, ODDS, errors.get(target, 0.0)
                 )
                 evaluator.evaluate(target, dict.fromkeys(candidates, around))
+
+    def ends(self, best: list[Outcome]) -> bool:
+        """Whether no finer level is needed."""
+        stop = self.options.stop
+        if stop.rule == SETTLED:
+            return self.options.finest is None and len(best) > 1 and self.settled(best)
+        why = stop.reached(self.evaluator, best)
+        if why:
+            self.say(f"level {best[-1].level} is the last: {why}")
+        return why is not None
 
     def settled(self, best: Sequence[Outcome]) -> bool:
         """The set is decided with the error of this level counted, and the residual is the noise or no longer changes."""

@@ -16,7 +16,7 @@ from bcid.search.climb import ODDS, climb, neighbours
 from bcid.search.evaluator import Evaluator
 from bcid.search.identify import IdentifyOptions, _Search
 from bcid.search.seeds import above, all_candidates, maxima, perturbed, random_seeds
-from bcid.search.termination import Termination
+from bcid.search.termination import Stop, Termination
 
 PATCHES = ["1", "2", "3", "4", "5", "6"]
 TRUE = frozenset("25")
@@ -408,3 +408,38 @@ def test_finest_outcomes() -> None:
     evaluator.evaluate(1, {TRUE: math.inf})
     assert {c: o.level for c, o in finest(evaluator, 1).items()} == {TRUE: 1, frozenset(): 0}  # type: ignore[arg-type]
     assert finest(evaluator, 0)[TRUE].level == 0  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("stop", "apart", "levels", "said"),
+    [
+        ("same", 0.0, (0, 1), "the set is that of the level before"),
+        ("similarity 0.9", 0.0, (0,), "the similarity is 0.99, at least 0.9"),
+        ("similarity 0.995", 0.0, (0, 1, 2), ""),
+        ("refinement 0.5 mm", 0.4e-3, (0,), "changes by 0.4 mm on the next level, by less than 0.5 mm"),
+        ("refinement 0.3 mm", 0.4e-3, (0, 1, 2), ""),
+    ],
+)
+def test_the_stages_end_as_the_paper_has_it(stop: str, apart: float, levels: tuple[int, ...], said: str) -> None:
+    """Section 3.5; with noise of one the best set has a residual of 1, and so a similarity of 0.99."""
+    options = IdentifyOptions(certify="no", stop=Stop.parse(stop))
+    found = search(Landscape(distance, distance, distance, apart=apart), options)
+    assert found.levels == levels
+    assert found.anchored == ("2", "5")
+    assert any(text.endswith(said) and "is the last" in text for text in found.stages) == bool(said)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("sane", "did you mean 'same'"),
+        ("same 3", "'same' stands alone"),
+        ("similarity", "expected as 'similarity 0.95'"),
+        ("similarity 2", "must be above 0 and below 1"),
+        ("refinement 0.5", "expected as 'refinement 0.5 mm'"),
+        ("refinement 0 mm", "must be above 0"),
+    ],
+)
+def test_a_rule_that_makes_no_sense_is_refused(text: str, told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        Stop.parse(text)
