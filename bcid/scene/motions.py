@@ -41,11 +41,16 @@ def pull() -> list[Path]:
     return [_straight(np.arange(11)[:, None] * np.array([0.002, 0.0, 0.0]))]
 
 
-def arc() -> list[Path]:
+def arc(side: float = 1.0) -> list[Path]:
     """Gradual tangent pull: 20 steps of about 2 mm along a quarter circle that turns from x towards z."""
     radius = 0.040 / (np.pi / 2)
     phi = np.arange(21) * np.pi / 40
-    return [_straight(np.c_[radius * np.sin(phi), np.zeros(21), radius * (1 - np.cos(phi))])]
+    return [_straight(np.c_[radius * np.sin(phi), np.zeros(21), side * radius * (1 - np.cos(phi))])]
+
+
+def arc_away() -> list[Path]:
+    """As `arc`, but turning towards -z: a retraction from anchors at large z, where `arc` folds the body."""
+    return arc(-1.0)
 
 
 def twist() -> list[Path]:
@@ -64,6 +69,7 @@ MOTIONS: dict[str, Callable[[], list[Path]]] = {
     "complex": complex_motion,
     "pull": pull,
     "arc": arc,
+    "arc-away": arc_away,
     "twist": twist,
     "directions": directions,
 }

@@ -278,7 +278,7 @@ class SceneFile:
         """Numbers that a `.geo` asks for, in its own units; names are those of gmsh."""
         entries = table.get("parameters", {})
         if not isinstance(entries, dict) or (entries and not geo):
-            self.bad("geometry.parameters", "expected a table of the numbers that a .geo asks for, as { shift = 5 }")
+            self.bad("geometry.parameters", "expected a table of the numbers that a .geo asks for, as { shift_z = 5 }")
             return {}
         found = {}
         for name, value in entries.items():

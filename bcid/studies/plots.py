@@ -105,3 +105,51 @@ def _success(axis: Any, study: StudyFile, cells: Sequence[Cell]) -> None:
             axis.plot(x, best, color=colour, lw=1.0, ls=":", label="best of all sets" if k == 0 else None)
     axis.set_xticks(range(len(columns)), [written(study.columns, c) if study.columns else "" for c in columns])
     axis.set_xlabel(study.columns)
+
+
+def progression(file: Path, trials: Sequence[Mapping[str, Any]]) -> None:
+    """Probabilities of the likeliest sets after each pull, an axis for each trial, as PNG; the true set is drawn thick."""
+    from bcid.inference.outcome import label
+
+    if not trials:
+        return
+    rows = list(dict.fromkeys((t["noise"], len(t["grasps"])) for t in trials))
+    columns = list(dict.fromkeys(tuple(t["anchors"]) for t in trials))
+    with plt.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
+        size = (3.1 * len(columns), 2.2 * len(rows) + 0.3)
+        figure, axes = plt.subplots(
+            len(rows), len(columns), figsize=size, dpi=150, layout="constrained", sharey=True, squeeze=False
+        )
+        for trial in trials:
+            row = rows.index((trial["noise"], len(trial["grasps"])))
+            axis = axes[row][columns.index(tuple(trial["anchors"]))]
+            _beliefs(axis, trial, label(trial["anchors"], trial["anchors"]))
+            count = len(trial["grasps"])
+            noise = f"{trial['noise'] * 1e3:g} mm" if trial["noise"] else "no noise"
+            axis.set_title(f"{noise}, {count} grasp{'s' if count > 1 else ''}", fontsize=9)
+        for axis in axes[-1]:
+            axis.set_xlabel("pull")
+        for line in axes:
+            line[0].set_ylabel("belief")
+        figure.savefig(file)
+        plt.close(figure)
+
+
+def _beliefs(axis: Any, trial: Mapping[str, Any], true: str) -> None:
+    """Belief in the true set, and in those that were among the likeliest two after a pull."""
+    beliefs = trial["beliefs"]
+    rivals = [name for belief in beliefs for name in list(belief)[:2] if name != true]
+    for k, name in enumerate([true, *list(dict.fromkeys(rivals))[: len(_ROWS) - 1]]):
+        shown = [belief.get(name, 0.0) for belief in beliefs]
+        axis.plot(
+            range(1, len(shown) + 1),
+            shown,
+            color=_ROWS[k],
+            marker=_MARKERS[k],
+            ms=4,
+            lw=2.2 if k == 0 else 1.0,
+            label=name,
+        )
+    axis.set_xticks(range(1, len(beliefs) + 1))
+    axis.set_ylim(-0.03, 1.05)
+    axis.legend(frameon=False, fontsize=7)

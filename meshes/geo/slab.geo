@@ -1,8 +1,14 @@
 // The benchmark slab: 100 x 10 x 100 mm; x along the pull, y up (thickness), z across. Lengths in mm.
 // Physical surfaces patch_1 ... patch_8 are the candidate anchors, grasp_I, grasp_II, grasp_III the 20 x 20 mm grasp areas.
-// h is the element size; shift moves the grasp areas along the edge, up to 10 mm either way. Above 25 mm the grasp areas keep only their strip of the edge face, so that few elements suffice.
+// h is the element size. shift_z moves the grasp areas along the edge, shift_x on to the body (below 0) or off it, up to 15 mm either way;
+// with either there is grasp_II alone, for shifted areas may lie on each other. A grasp area always reaches the edge face.
+// Above 25 mm the grasp areas keep only their strip of the edge face, so that few elements suffice.
 SetFactory("OpenCASCADE");
-DefineConstant[ h = {14, Name "element size in mm"}, shift = {0, Name "shift of the grasps along z in mm"} ];
+DefineConstant[
+  h = {14, Name "element size in mm"},
+  shift_x = {0, Name "shift of grasp II along x in mm"},
+  shift_z = {0, Name "shift of grasp II along z in mm"}
+];
 eps = 1e-3;
 coarse = h > 25;
 
@@ -18,8 +24,12 @@ Translate {0, 0, 50} { Surface{104}; }
 Rectangle(105) = {0, 0, 0, 50, 10};
 Rotate {{0, 1, 0}, {0, 0, 0}, -Pi/2} { Surface{105}; }
 tools() = {101, 102, 103, 104, 105};
-centre() = {20 + shift, 50 + shift, 80 + shift};
-For k In {0:2}
+centre() = {20, 50 + shift_z, 80};
+moved = shift_x != 0 || shift_z != 0;
+first = moved ? 1 : 0;
+last = moved ? 1 : 2;
+inner = 80 + shift_x;
+For k In {first:last}
   edge = 110 + 10*k;
   Rectangle(edge) = {0, 0, 0, 20, 10};
   Rotate {{0, 1, 0}, {0, 0, 0}, -Pi/2} { Surface{edge}; }
@@ -28,7 +38,7 @@ For k In {0:2}
   If (!coarse)
     For side In {0:1}
       face = edge + 1 + side;
-      Rectangle(face) = {80, 0, 0, 20, 20};
+      Rectangle(face) = {inner, 0, 0, 100 - inner, 20};
       Rotate {{1, 0, 0}, {0, 0, 0}, Pi/2} { Surface{face}; }
       Translate {0, 10*side, centre(k) - 10} { Surface{face}; }
       tools() += face;
@@ -46,9 +56,11 @@ Physical Surface("patch_5") = Surface In BoundingBox{-eps, -eps, -eps, 50+eps, 1
 Physical Surface("patch_6") = Surface In BoundingBox{50-eps, -eps, -eps, 100+eps, 10+eps, eps};
 Physical Surface("patch_7") = Surface In BoundingBox{-eps, -eps, 50-eps, 50+eps, eps, 100+eps};
 Physical Surface("patch_8") = Surface In BoundingBox{-eps, -eps, -eps, 50+eps, eps, 50+eps};
-Physical Surface("grasp_I") = Surface In BoundingBox{80-eps, -eps, 10+shift-eps, 100+eps, 10+eps, 30+shift+eps};
-Physical Surface("grasp_II") = Surface In BoundingBox{80-eps, -eps, 40+shift-eps, 100+eps, 10+eps, 60+shift+eps};
-Physical Surface("grasp_III") = Surface In BoundingBox{80-eps, -eps, 70+shift-eps, 100+eps, 10+eps, 90+shift+eps};
+If (!moved)
+  Physical Surface("grasp_I") = Surface In BoundingBox{80-eps, -eps, 10-eps, 100+eps, 10+eps, 30+eps};
+  Physical Surface("grasp_III") = Surface In BoundingBox{80-eps, -eps, 70-eps, 100+eps, 10+eps, 90+eps};
+EndIf
+Physical Surface("grasp_II") = Surface In BoundingBox{inner-eps, -eps, 40+shift_z-eps, 100+eps, 10+eps, 60+shift_z+eps};
 
 Mesh.MeshSizeFromPoints = 0;
 Mesh.MeshSizeExtendFromBoundary = 0;

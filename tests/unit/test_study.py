@@ -2,10 +2,13 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -15,12 +18,15 @@ import pytest
 
 from bcid.app.cli import main
 from bcid.base.errors import InputError
+from bcid.scene import Scene
 from bcid.studies.engine.work import Workers, read_result
-from bcid.studies.paper.algorithm1 import in_one_stage, in_stages, optimum
+from bcid.studies.paper.algorithm1 import Rule, in_stages, optimum
+from bcid.studies.paper.cells import wrong_answers
+from bcid.studies.paper.claims import FAILS, HOLDS, claims
 from bcid.studies.paper.condition import Condition
-from bcid.studies.paper.identification_trial import see, turned
 from bcid.studies.paper.study import Extent, run_study
 from bcid.studies.paper.study_file import StudyFile
+from bcid.studies.paper.trial_errors import seen_positions, true_actions, true_scene, turned
 
 HERE = Path(__file__).resolve().parent
 PROJECT = HERE.parents[1]
@@ -37,6 +43,7 @@ grasp = "neck"
 motion = "pull"
 anchors = [["1", "2"], ["2", "5"]]
 finest = 1
+compared = 1
 true_degree = 1
 true_size = "8 mm"
 [vary]
@@ -45,6 +52,7 @@ search = ["stages", "single"]
 [table]
 rows = "search"
 columns = "noise"
+also = ["rms", "stages"]
 [quick]
 trials = 2
 [[paper]]
@@ -52,7 +60,10 @@ where = {{ noise = "0 mm" }}
 right = 1.0
 calls = [165, 94]
 [[paper]]
-right_of_18 = 14
+more_right_than = 14
+[[paper]]
+where = {{ anchors = [["1", "2"]] }}
+wrong = [["4"], ["1", "2", "3", "4", "5", "6"]]
 """
 
 
@@ -92,7 +103,11 @@ def test_every_study_of_the_paper_can_be_read(file: Path) -> None:
         ('grasp = "neck"', 'grasp = "nick"', "grasp 'nick': did you mean 'neck'?"),
         ("finest = 1", "finest = 4", "finest = 4: the scene has levels 0 to 3"),
         ("finest = 1", 'effects = ["gravitas: weight = 1 N/m^3"]', "gravitas"),
-        ("right = 1.0", "wrong = 1.0", "paper.wrong: is not known"),
+        ("right = 1.0", "wright = 1.0", "paper.wright: is not known"),
+        ("right = 1.0", "right = 100", "paper.right: expected a part from 0 to 1, found 100"),
+        ("right = 1.0", 'wrong = ["1"]', "paper.wrong: expected a list of sets"),
+        ('also = ["rms"', 'also = ["arms"', "table.also: 'arms': did you mean 'rms'"),
+        ('motion = "pull"', 'stop = "sane"', "setting.stop: 'sane': allowed are last, same, similarity, refinement"),
         ("[vary]", "[vary", "not a TOML file"),
     ],
 )
@@ -133,34 +148,64 @@ PATCHES = [str(i) for i in range(1, 7)]
 EVERY = [frozenset(c) for n in range(7) for c in combinations(PATCHES, n)]
 
 
+class Landscape:
+    """A model whose misfit is a formula, and whose reconstruction changes by a given amount from level to level."""
+
+    def __init__(self, misfit: Callable[[int, frozenset[str]], float], *changes: float) -> None:
+        self._misfit, self._changes = misfit, changes
+
+    def misfit(self, level: int, candidate: frozenset[str]) -> float:
+        return self._misfit(level, candidate)
+
+    def change(self, level: int, _candidate: frozenset[str]) -> float:
+        return self._changes[level]
+
+
 def test_the_search_of_the_paper_climbs_to_the_best_and_counts_its_calls() -> None:
     truth = frozenset("25")
-
-    def misfit(_level: int, candidate: frozenset[str]) -> float:
-        return float(len(candidate ^ truth))
-
+    model = Landscape(lambda _level, candidate: float(len(candidate ^ truth)))
     seed = frozenset("134")
-    staged = in_stages(misfit, PATCHES, [seed], 2)
+    staged = in_stages(model, PATCHES, [seed], Rule("last", 0.0, 2))
     assert staged.anchors == truth
     # Five toggles away: from each set on the path all six neighbours, and in the end those of the best.
     path = [seed]
     while path[-1] != truth:
-        path.append(min((path[-1] ^ {p} for p in PATCHES), key=lambda c: (misfit(0, c), len(c), sorted(c))))
+        path.append(min((path[-1] ^ {p} for p in PATCHES), key=lambda c: (len(c ^ truth), len(c), sorted(c))))
     looked_at = {c ^ {p} for c in path for p in PATCHES} | {seed}
-    assert staged.calls == {0: len(looked_at), 1: 7, 2: 1}
-    single = in_one_stage(misfit, PATCHES, [seed], 2)
+    assert staged.calls == {0: len(looked_at), 1: 7, 2: 7}
+    assert [stage.level for stage in staged.stages] == [0, 1, 2]
+    single = in_stages(model, PATCHES, [seed], Rule("last", 0.0, 2), first=2)
     assert (single.anchors, single.calls) == (truth, {2: len(looked_at)})
-    assert optimum(misfit, EVERY, 2) == truth
+    assert optimum(model, EVERY, 2) == truth
+
+
+@pytest.mark.parametrize(
+    ("rule", "changes", "calls"),
+    [
+        # Climbing on the second mesh asks for the best set's neighbours again, looking at the next mesh for the best alone.
+        (Rule("same", 0.0, 3), (), {0: None, 1: 7}),
+        (Rule("similarity", 0.5, 3), (), {0: None}),
+        (Rule("refinement", 0.5, 3), (2.0, 0.1), {0: None, 1: 7, 2: 1}),
+        (Rule("refinement", 0.5, 3), (0.1,), {0: None, 1: 1}),
+        (Rule("refinement", 0.5, 3), (2.0, 2.0, 2.0), {0: None, 1: 7, 2: 7, 3: 7}),
+        (Rule("last", 0.5, 1), (), {0: None, 1: 7}),
+    ],
+)
+def test_the_stages_of_the_paper_end_by_its_rules(
+    rule: Rule, changes: tuple[float, ...], calls: dict[int, Any]
+) -> None:
+    truth = frozenset("25")
+    model = Landscape(lambda _level, candidate: float(len(candidate ^ truth)), *changes)
+    found = in_stages(model, PATCHES, [frozenset("134"), frozenset("6")], rule)
+    assert found.anchors == truth
+    assert {level: count if level else None for level, count in found.calls.items()} == calls
 
 
 def test_a_search_may_end_on_another_maximum_than_the_best_of_all() -> None:
     deep, broad = frozenset("123456"), frozenset[str]()
-
-    def misfit(_level: int, candidate: frozenset[str]) -> float:
-        return -1.0 if candidate == deep else float(len(candidate ^ broad))
-
-    assert in_one_stage(misfit, PATCHES, [frozenset("12")], 0).anchors == broad
-    assert optimum(misfit, EVERY, 0) == deep
+    model = Landscape(lambda _level, c: -1.0 if c == deep else float(len(c ^ broad)))
+    assert in_stages(model, PATCHES, [frozenset("12")], Rule("last", 0.0, 0)).anchors == broad
+    assert optimum(model, EVERY, 0) == deep
 
 
 def test_turning_a_motion_turns_its_translations_and_its_axes() -> None:
@@ -174,39 +219,115 @@ def test_turning_a_motion_turns_its_translations_and_its_axes() -> None:
     assert np.allclose(made.rotation[-1], action.rotation[-1][[0, 3, 1, 2]])
 
 
-class Still:
-    """A store whose truth is a body that stays at rest."""
-
-    class Body:
-        rest = np.arange(12.0).reshape(4, 3) * 1e-2
-
-    def read(self) -> Any:
-        return self.Body
-
-    def truth(self, _condition: Condition, _anchors: frozenset[str], _actions: Any = None) -> np.ndarray:
-        return np.broadcast_to(self.Body.rest, (50, 4, 3))
+REST = np.arange(12.0).reshape(4, 3) * 1e-2
+STILL = np.broadcast_to(REST, (50, 4, 3))
 
 
 def test_what_is_drawn_has_the_size_that_is_asked_for() -> None:
-    store: Any = Still()
-    rest = Still.Body.rest
-
     def errors(condition: Condition, count: int = 300) -> np.ndarray:
-        return np.array([see(store, condition, i, 3) - rest for i in range(count)])
+        return np.array([seen_positions(condition, STILL, REST.mean(axis=0), i, 3) - REST for i in range(count)])
 
     white = errors(Condition(noise=2e-3), 20)
     assert white.std() == pytest.approx(2e-3, rel=0.02)
     shift = errors(Condition(registration=2e-3))
     assert np.ptp(shift, axis=(1, 2)).max() < 1e-15
     assert shift.std() == pytest.approx(2e-3, rel=0.1)
-    scale = errors(Condition(camera_scale=0.01)) / np.where(rest == rest.mean(axis=0), 1, rest - rest.mean(axis=0))
+    scale = errors(Condition(camera_scale=0.01)) / np.where(REST.mean(axis=0) == REST, 1, REST - REST.mean(axis=0))
     assert scale[:, 0, 0, 0].std() == pytest.approx(0.01, rel=0.1)
     spun = np.linalg.norm(errors(Condition(camera_turn=1.0))[:, 0, 0], axis=1)
-    arm = np.linalg.norm(rest[0] - rest.mean(axis=0))
+    arm = np.linalg.norm(REST[0] - REST.mean(axis=0))
     assert 0.4 * arm * np.radians(1.0) < np.sqrt(np.mean(spun**2)) <= 1.1 * arm * np.radians(1.0)
     # What is varied changes no other draw.
     both = errors(Condition(noise=2e-3, registration=2e-3), 20)
     assert np.allclose(both, white + shift[:20], atol=1e-15)
+
+
+def test_the_robot_is_elsewhere_in_each_step_but_at_rest() -> None:
+    """Section 5.2.2: white noise on the robot's trajectory in each step; trials of one number differ by its size alone."""
+    still = Condition().actions()[0]
+
+    def off(sigma: float, number: int = 0) -> np.ndarray:
+        return true_actions(Condition(robot_noise=sigma), number, 3)[0].translation - still.translation
+
+    drawn = np.array([off(2e-3, number) for number in range(100)])
+    assert not drawn[:, 0].any()
+    assert drawn[:, 1:].std(axis=(0, 1)) == pytest.approx(np.full(3, 2e-3), rel=0.05)
+    steps = drawn[:, 1:-1].ravel(), drawn[:, 2:].ravel()
+    assert abs(np.corrcoef(*steps)[0, 1]) < 0.03
+    assert np.allclose(off(1e-3), off(2e-3) / 2)
+    assert not off(0.0).any()
+
+
+def test_the_grasp_is_elsewhere_in_x_and_z_alone() -> None:
+    """Section 5.2.3; the gripper, its centre and the mesh are shifted together, and never further than every grasp succeeds."""
+    scene = Scene.read(PROJECT / "examples/scenes/slab_paper.toml")
+    centre = np.array(scene.grasps["II"].centre)
+
+    def off(sigma: float, number: int) -> np.ndarray:
+        true = true_scene(Condition(grasp_error=sigma), scene, number, 3)
+        moved = np.array(true.grasps["II"].centre) - centre
+        assert true.parameters == pytest.approx({"shift_x": moved[0] * 1e3, "shift_z": moved[2] * 1e3})
+        return moved
+
+    drawn = np.array([off(2e-3, number) for number in range(200)])
+    assert drawn.std(axis=0) == pytest.approx([2e-3, 0.0, 2e-3], rel=0.12)
+    assert np.abs(np.array([off(20e-3, number) for number in range(50)])).max() == pytest.approx(15e-3)
+    assert true_scene(Condition(), scene, 0, 3).parameters == {}
+
+
+def test_markers_are_elsewhere_along_the_surface() -> None:
+    scene = Scene.read(PROJECT / "examples/scenes/slab_paper.toml")
+    drawn = np.array([true_scene(Condition(placement=2e-4), scene, i, 3).rest - scene.rest for i in range(50)])
+    assert drawn.std(axis=(0, 1)) == pytest.approx([2e-4, 0.0, 2e-4], rel=0.1)
+
+
+# -- what the paper says
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def rows(**found: int) -> list[dict[str, Any]]:
+    """Trials with {1 2} anchored, in which sets were found so many times."""
+    answers = [name for name, count in found.items() for _ in range(count)]
+    return [
+        {"cell": 0, "number": i, "anchors": ["1", "2"], "found": list(name[1:]), "right": name == "s12", "noise": 0.0}
+        | {
+            "why": "" if name == "s12" else "data",
+            "calls": {"0": 100.0 + i, "1": 10.0},
+            "cpu_seconds": None,
+            "search": "stages",
+        }
+        for i, name in enumerate(answers)
+    ]
+
+
+def test_what_the_paper_says_holds_or_does_not(small: Path) -> None:
+    study = StudyFile.read(small)
+
+    def verdicts(*entries: dict[str, Any], **found: int) -> list[str]:
+        said = claims(
+            replace(study, paper=tuple({"where": {}} | e for e in entries)), rows(**found), {"0": 0.1, "1": 1.0}
+        )
+        return [claim.verdict for claim in said]
+
+    assert verdicts({"right": 1.0}, s12=10) == [HOLDS]
+    assert verdicts({"right": 1.0}, s12=9, s1=1) == [FAILS]
+    # 9 of 10 may be chance where 95 % are right; 5 of 10 may not.
+    assert verdicts({"right": 0.95}, s12=9, s1=1) == [HOLDS]
+    assert verdicts({"right": 0.95}, s12=5, s1=5) == [FAILS]
+    assert verdicts({"wrong": [["1", "5"], ["1"]]}, s12=3, s1=1, s15=1) == [HOLDS]
+    assert verdicts({"wrong": [["1", "5"], ["1"]]}, s12=3, s1=1) == [FAILS]
+    assert verdicts({"more_right_than": 14}, s12=10) == [HOLDS]
+    assert verdicts({"where": {"anchors": (("3", "4"),)}, "right": 1.0}, s12=10) == []
+    times = replace(study, paper=({"where": {}, "calls": [165, 94], "seconds": [84.28, 55.89, 2658]},))
+    calls, seconds = claims(times, rows(s12=3), {"0": 0.1, "1": 1.0})
+    assert (calls.paper, calls.here) == ("165 + 94 calls by level", "101 + 10")
+    assert seconds.here == "20.1 CPU s (20 to 20.2)"
+
+
+def test_wrong_answers_are_counted_with_their_reason() -> None:
+    first, second = wrong_answers(rows(s12=3, s15=2, s1=1))
+    assert (first.found, first.count, dict(first.why)) == (("1", "5"), 2, {"data": 2})
+    assert (second.found, second.count) == (("1",), 1)
 
 
 # -- from file to table
@@ -236,8 +357,18 @@ def test_a_study_by_children_in_parts_and_on_ranks_is_the_same(small: Path, tmp_
     assert not table[table["noise"] > 0]["right"].all()
     assert set(quiet["anchors"]) == {"1 2", "2 5"}
     assert "100 / 100" in told
-    assert "paper, noise 0 mm: 100 % right; here 100.0 %; 165 + 94 calls; here" in told
-    assert "at most 14 of 18; here " in told
+    assert re.search(r"noise 0 mm +100 % right +100 %, 8 of 8 +holds", told)
+    assert re.search(r"noise 0 mm +165 \+ 94 calls by level +[0-9.]+ \+ [0-9.]+", told)
+    assert "at most 14 of 18 right" in told
+    assert re.search(r"\{1 2\} +\{.*\} +\d+ +\d+ +\d+ +\d+", told), "a wrong answer, how often, and why"
+    assert re.search(r"\{2 5\} +stages +all", told)
+    page = (whole / "page.md").read_text(encoding="utf-8")
+    assert page.startswith("## A small study\n\nSection 0\n")
+    assert "| noise 0 mm | 100 % right | 100 %, 8 of 8 | holds |" in page
+    assert "![A small study](picture.png)" in page
+    content = json.loads((whole / "study.json").read_text(encoding="utf-8"))
+    assert {claim["verdict"] for claim in content["claims"]} >= {"holds"}
+    assert sum(wrong["count"] for cell in content["cells"] for wrong in cell["wrong"]) == (~table["right"]).sum()
     assert (whole / "picture.png").stat().st_size > 5000
     assert (whole / "table.csv").read_text(encoding="utf-8").startswith("noise,search,trials,failed,right,low,high,")
     with pytest.raises(InputError, match="finished"):

@@ -9,7 +9,7 @@ patches that others enclose make no difference, which must be said instead of gu
 
 RUN/predictions/         what every set predicts for every pull, computed first;  precomputed/ one file for each part of that
 RUN/results/NAME.json    one trial
-RUN/exploration.json  table.txt
+RUN/exploration.json  table.txt  page.md  picture.png
 """
 
 from __future__ import annotations
@@ -34,14 +34,16 @@ from bcid.exploration.loop import ExploreOptions, explore, paired
 from bcid.exploration.moves import limits_of, moves
 from bcid.exploration.predictions import PullPredictor
 from bcid.exploration.robots import Simulated
-from bcid.exploration.update import BeliefUpdate
+from bcid.exploration.update import BeliefUpdate, PosteriorSummary
 from bcid.forms.model import check_physics
 from bcid.forms.written_effects import with_effects
 from bcid.inference.hypotheses import Hypothesis
+from bcid.measurement import Action
 from bcid.scene import Level, Scene
 from bcid.search.seeds import all_candidates
 from bcid.studies.engine.dispatch import dispatch
 from bcid.studies.engine.work import Work, Workers, read_result
+from bcid.studies.exploration.exploration_page import page, shown
 from bcid.studies.exploration.exploration_scores import scores, table
 from bcid.studies.exploration.exploration_trials import (
     BUDGET,
@@ -51,13 +53,25 @@ from bcid.studies.exploration.exploration_trials import (
     ExplorationTrial,
     trials,
 )
+from bcid.studies.sections import PICTURE
 
 SCENE = "examples/scenes/slab_explain.toml"
 # Sets that are predicted together.
 _SETS = 64
+# Hypotheses whose probabilities are kept after each pull.
+_SHOWN = 8
 # The truth is computed with other elements than any level of the scene has.
 TRUE = Level(degree=3, element_size=0.014)
-_MAKES = ("predictions/", "precomputed/", "results/", "logs/", "exploration.json", "table.txt")
+_MAKES = (
+    "predictions/",
+    "precomputed/",
+    "results/",
+    "logs/",
+    "exploration.json",
+    "table.txt",
+    "page.md",
+    "picture.png",
+)
 
 
 def run_study(
@@ -95,7 +109,7 @@ def run_study(
         progress.say(f"exploration: {len(made)} trials")
         tasks = {trial.name: asdict(trial) for trial in made}
         dispatch(Work("bcid.studies.exploration.exploration_study:maker", job, path / "results"), tasks, how, progress)
-        on_root(how.comm, lambda: _conclude(run, made))
+        on_root(how.comm, lambda: _conclude(run, extent))
     return folder
 
 
@@ -128,8 +142,12 @@ def precomputer(job: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[st
 
     def precompute(task: Mapping[str, Any]) -> dict[str, Any]:
         action = moves(scene)[task["move"]].action(limits)
+        # What is built once for all sets does not count as their time.
+        predictor.forward()
+        began = time.process_time()
         found = predictor.predict([(frozenset(anchors), action) for anchors in task["sets"]], detailed=True)
-        return {"failed": sum(predicted.failed for predicted in found)}
+        seconds = (time.process_time() - began) / len(found)
+        return {"failed": sum(predicted.failed for predicted in found), "seconds": round(seconds, 4)}
 
     return precompute
 
@@ -165,10 +183,35 @@ def unmade(trial: ExplorationTrial, reason: str) -> dict[str, Any]:
         "probability": 0.0,
         "pulls": 0,
         "moves": [],
+        "beliefs": [],
+        "asked": [],
         "gained": [],
         "expected": [],
     }
     return asdict(trial) | {"reason": f"failed: {reason}", "calls": 0, "seconds": 0.0} | nothing
+
+
+class _Watched(Simulated):
+    """A robot that notes, before each pull, how many predictions have been asked for so far.
+
+    Attributes:
+        asked: these numbers.
+    """
+
+    def __init__(self, watched: Any, *about: Any) -> None:
+        super().__init__(*about)
+        self.watched = watched
+        self.asked: list[int] = []
+
+    def move(self, action: Action) -> None:
+        self.asked.append(len(self.watched.asked))
+        super().move(action)
+
+
+def _likeliest(view: PosteriorSummary, scene: Scene) -> dict[str, float]:
+    """Probabilities of the likeliest hypotheses, by their labels."""
+    shown = list(view.probabilities.items())[:_SHOWN]
+    return {hypothesis.label(scene.patches): round(p, 6) for hypothesis, p in shown}
 
 
 class Bench:
@@ -211,7 +254,8 @@ class Bench:
             directions = {best.direction: scene.limits.directions[best.direction]}
             scene = replace(scene, limits=replace(scene.limits, directions=directions))
             plan = replace(plan, grasps=(best.grasp,), look_ahead=False)
-        robot = Simulated(self.body(trial.hidden), trial.anchors, trial.noise, self.seed + 1000 * trial.number)
+        state = self.seed + 1000 * trial.number
+        robot = _Watched(self.predictor, self.body(trial.hidden), trial.anchors, trial.noise, state)
         first = self.first(plan, trial) if trial.strategy in ("information", "entropy") else None
         found = explore(scene, robot, plan, self.predictor, self.fine, first=first)
         told = telling_pull(plan, found)
@@ -226,6 +270,8 @@ class Bench:
             "probability": found.view.certainty,
             "pulls": len(found.steps),
             "moves": [str(step.move) for step in found.steps],
+            "beliefs": [_likeliest(step.view, scene) for step in found.steps],
+            "asked": robot.asked,
             "gained": [step.gained for step in found.steps],
             "expected": [None if math.isnan(step.expected[0]) else step.expected[0] for step in found.steps],
             "calls": len(self.predictor.asked),
@@ -269,9 +315,33 @@ def _result(path: Path, trial: ExplorationTrial) -> dict[str, Any]:
     return result
 
 
-def _conclude(run: RunFolder | None, made: Sequence[ExplorationTrial]) -> None:
+def results(path: Path, extent: ExplorationExtent) -> list[dict[str, Any]]:
+    """What became of every trial of a run."""
+    return [_result(path, trial) for trial in trials(extent)]
+
+
+def call_cost(path: Path) -> float:
+    """CPU seconds of one prediction of a pull with a set, the mean of what was computed first; NaN where nothing was."""
+    made = [read_result(file)["result"] for file in sorted((path / "precomputed").glob("*.json"))]
+    told = [result["seconds"] for result in made if result]
+    return sum(told) / len(told) if told else math.nan
+
+
+def _conclude(run: RunFolder | None, extent: ExplorationExtent) -> None:
     assert run is not None
-    found = scores([_result(run.path, trial) for trial in made])
+    made = results(run.path, extent)
+    found = scores(made)
     run.write_json("exploration.json", found)
     run.write_text("table.txt", table(found))
+    run.write_text("page.md", page(made, call_cost(run.path), _draw(run, made)))
     run.finish({"calibration": found["calibration"]})
+
+
+def _draw(run: RunFolder, made: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether there is a picture: without matplotlib there is none."""
+    try:
+        from bcid.studies.plots import progression
+    except ImportError:
+        return False
+    progression(run.path / PICTURE, [trial for trial in made if shown(trial)])
+    return True

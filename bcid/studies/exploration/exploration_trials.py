@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
@@ -60,6 +60,7 @@ class ExplorationExtent:
         hidden: what is hidden in the second part (see `HIDDEN`).
         enclosed: anchors of the third part; () to leave it out.
         grasps: that may be used in the main part.
+        strategies: how pulls are chosen in the main part.
     """
 
     count: int
@@ -67,6 +68,7 @@ class ExplorationExtent:
     hidden: tuple[str, ...] = tuple(HIDDEN)
     enclosed: tuple[str, ...] = ENCLOSED
     grasps: tuple[tuple[str, ...], ...] = GRASPS
+    strategies: tuple[str, ...] = STRATEGIES
 
 
 def trials(extent: ExplorationExtent) -> Iterator[ExplorationTrial]:
@@ -76,10 +78,6 @@ def trials(extent: ExplorationExtent) -> Iterator[ExplorationTrial]:
         yield ExplorationTrial(BESIDE, SEEN, EVERY, "information", number, hidden)
     for number in range(few) if extent.enclosed else ():
         yield ExplorationTrial(extent.enclosed, SEEN, EVERY, "information", number)
-    yield from _main(extent.count, extent.noises, extent.grasps)
-
-
-def _main(count: int, noises: Sequence[float], grasped: Sequence[tuple[str, ...]]) -> Iterator[ExplorationTrial]:
-    for strategy, grasps, noise, anchors in product(STRATEGIES, grasped, noises, ANCHORS):
-        for number in range(count if noise > 0 or strategy == "random" else 1):
+    for strategy, grasps, noise, anchors in product(extent.strategies, extent.grasps, extent.noises, ANCHORS):
+        for number in range(extent.count if noise > 0 or strategy == "random" else 1):
             yield ExplorationTrial(anchors, noise, grasps, strategy, number)

@@ -6,15 +6,15 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
-import numpy as np
-
 from bcid.base.errors import InputError
 from bcid.base.units import quantity
 from bcid.measurement import Action
 from bcid.scene import Level, Scene
 from bcid.scene.motions import MOTIONS, motion
+from bcid.studies.paper.algorithm1 import STOPS
 
 SEARCHES = ("stages", "single", "identify")
+SEEN = ("positions", "images")
 
 
 @dataclass(frozen=True)
@@ -28,14 +28,20 @@ class Condition:
             `bcid.studies.paper.algorithm1`); "identify" is what `bcid identify` does.
         seeds: random sets that Algorithm 1 starts from.
         finest: last level of the scene that the search may use.
+        stop, tolerance: when the stages end, see `bcid.studies.paper.algorithm1.Rule`.
+        compared: level on which all sets are compared, to tell what the data say.
         true_degree, true_size: elements in which the truth is computed; 0 for those of the scene's last level.
         noise: standard deviation of the noise on each coordinate.
         registration: standard deviation, along each axis, of a shift of all positions of a trial.
         camera_turn, camera_scale: standard deviations of the angle by which positions are turned, about a random axis
             through their middle, and of their scale.
         robot_turn: standard deviation of the angle by which the gripper's motion is turned.
+        robot_noise: standard deviation, along each axis and in each step, by which the gripper is elsewhere than commanded.
+        grasp_error: standard deviation, along x and along z, by which the gripper holds the body elsewhere than the search
+            assumes; 15 mm at most. The `.geo` must have the parameters `shift_x` and `shift_z`.
+        placement: standard deviation, along x and along z, by which a marker is elsewhere than the scene says.
         young, poisson: true constants of the material; the search assumes the scene's. None for the scene's.
-        shift: by how much the gripper holds the body elsewhere along z than the search assumes.
+        seen: "positions", or "images": the body is filmed by two cameras, these are calibrated, and the markers tracked.
         effects: what acts besides, as "gravity: weight = 500 N/m^3", and is not in the model that is searched with.
     """
 
@@ -44,7 +50,10 @@ class Condition:
     grasp: str = "II"
     search: str = "stages"
     seeds: int = 24
-    finest: int = 2
+    finest: int = 3
+    stop: str = "refinement"
+    tolerance: float = 0.5e-3
+    compared: int = 2
     true_degree: int = 0
     true_size: float = 0.0
     noise: float = 0.0
@@ -52,9 +61,12 @@ class Condition:
     camera_turn: float = 0.0
     camera_scale: float = 0.0
     robot_turn: float = 0.0
+    robot_noise: float = 0.0
+    grasp_error: float = 0.0
+    placement: float = 0.0
     young: float | None = None
     poisson: float | None = None
-    shift: float = 0.0
+    seen: str = "positions"
     effects: tuple[str, ...] = field(default=())
 
     @classmethod
@@ -84,11 +96,6 @@ class Condition:
         values |= {} if self.young is None else {"young": f"{self.young!r} Pa"}
         values |= {} if self.poisson is None else {"poisson": self.poisson}
         true = replace(scene, levels=(level,), material=replace(scene.material, values=values))
-        if self.shift:
-            moved = np.array([0.0, 0.0, self.shift])
-            grasps = {k: replace(g, centre=tuple(np.array(g.centre) + moved)) for k, g in scene.grasps.items()}
-            parameters = scene.parameters | {"shift": self.shift / scene.length_unit}
-            true = replace(true, grasps=grasps, parameters=parameters)
         return with_effects(true, self.effects, "effects")
 
 
@@ -99,6 +106,9 @@ _WRITTEN: dict[str, str | type] = {
     "search": str,
     "seeds": int,
     "finest": int,
+    "stop": str,
+    "tolerance": "m",
+    "compared": int,
     "true_degree": int,
     "true_size": "m",
     "noise": "m",
@@ -106,9 +116,19 @@ _WRITTEN: dict[str, str | type] = {
     "camera_turn": "deg",
     "camera_scale": "1",
     "robot_turn": "deg",
+    "robot_noise": "m",
+    "grasp_error": "m",
+    "placement": "m",
     "young": "Pa",
     "poisson": float,
-    "shift": "m",
+    "seen": str,
+}
+_CHOICES: dict[str, tuple[Any, ...]] = {
+    "motion": tuple(MOTIONS),
+    "search": SEARCHES,
+    "stop": STOPS,
+    "seen": SEEN,
+    "true_degree": (0, 1, 2, 3),
 }
 NAMES = tuple(f.name for f in fields(Condition))
 
@@ -128,7 +148,7 @@ def parsed(name: str, value: object) -> Any:
     if not right:
         expected = {str: "a text", int: "a whole number", float: "a number"}[kind]
         raise InputError(f"expected {expected}, found {value!r}")
-    choices = {"motion": tuple(MOTIONS), "search": SEARCHES, "true_degree": (0, 1, 2, 3)}.get(name)
+    choices = _CHOICES.get(name)
     if choices and value not in choices:
         raise InputError(f"{value!r}: allowed are {', '.join(map(str, choices))}")
     if kind is int and isinstance(value, int) and value < (1 if name == "seeds" else 0):

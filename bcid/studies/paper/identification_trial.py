@@ -1,8 +1,4 @@
-"""A trial of identification: see the truth as a laboratory would, and search for the anchors.
-
-What is wrong with what is seen is drawn from the seed of the study and the number of the trial alone: trials of the same number
-in different cells differ by what is varied and by nothing else.
-"""
+"""A trial of identification: see the truth as a laboratory would, and search for the anchors."""
 
 from __future__ import annotations
 
@@ -15,15 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.measurement import Action
-from bcid.scene import Scene
-from bcid.scene.rotation import conjugated, from_vector, rotate
+from bcid.measurement import Measurement
 from bcid.search.seeds import random_seeds
-from bcid.studies.paper.algorithm1 import Candidate, in_one_stage, in_stages, optimum
+from bcid.studies.paper.algorithm1 import Candidate, Rule, SearchResult, in_stages, optimum
 from bcid.studies.paper.condition import Condition
 from bcid.studies.paper.precompute import Store
+from bcid.studies.paper.trial_errors import seen_positions
 
 Array = NDArray[np.float64]
+# Why an answer is wrong: the search ended beside the set that fits best on its last mesh; that mesh is too coarse; or no mesh
+# helps, for another set fits better on the finest on which all are compared.
+SEARCH, MESH, DATA = "search", "mesh", "data"
 
 
 def maker(job: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
@@ -31,98 +29,114 @@ def maker(job: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any
 
     `job` holds the `scene` file, the folder `predictions` and the `seed`; a task the `condition` and the `number`.
     """
-    store = Store(Path(job["scene"]), Path(job["predictions"]))
+    store = Store(Path(job["scene"]), Path(job["predictions"]), job["seed"])
 
     def trial(task: Mapping[str, Any]) -> dict[str, Any]:
         condition, number = Condition.from_json(task["condition"]), int(task["number"])
-        seen = see(store, condition, number, job["seed"])
+        measurement = measured(store, condition, number)
         search = identified if condition.search == "identify" else climbed
-        return search(store, condition, number, seen) | {"anchors": sorted(condition.held(number))}
+        found = search(store, condition, number, measurement)
+        return found | {"anchors": sorted(condition.held(number))}
 
     return trial
 
 
-def see(store: Store, condition: Condition, number: int, seed: int) -> Array:
-    """Positions as they are measured, shape (frames, fiducials, 3), m."""
-    rng = np.random.default_rng([seed, number])
-    # Everything is drawn in every trial, so that what is varied changes no other draw.
-    shift, axis, spin, scale = rng.normal(size=3), unit(rng.normal(size=3)), rng.normal(), rng.normal()
-    robot_axis, robot_spin = unit(rng.normal(size=3)), rng.normal()
-    actions = condition.actions()
-    if condition.robot_turn:
-        turn = from_vector(condition.robot_turn * robot_spin * robot_axis)
-        actions = [turned(action, turn) for action in actions]
-    true = store.truth(condition, condition.held(number), actions if condition.robot_turn else None)
-    middle = store.read().rest.mean(axis=0)
-    about = from_vector(condition.camera_turn * spin * axis)
-    seen = middle + (1 + condition.camera_scale * scale) * rotate(about, true - middle)
-    white = rng.normal(size=true.shape)
-    return np.asarray(seen + condition.registration * shift + condition.noise * white)
+def measured(store: Store, condition: Condition, number: int) -> Measurement:
+    """What is seen in a trial, with the motion that was commanded."""
+    scene = store.read()
+    if condition.seen == "images":
+        return store.film(condition, number)
+    from bcid.forms.simulate import recorded
+
+    true, middle = store.truth(condition, number), scene.rest.mean(axis=0)
+    seen = seen_positions(condition, true, middle, number, store.seed)
+    made = recorded(scene, condition.actions(), seen, 0.0, np.random.default_rng(0))
+    return replace(made, noise_sigma=condition.noise or None)
 
 
-def unit(vector: Array) -> Array:
-    """The vector with length one."""
-    return vector / np.linalg.norm(vector)
+class Predicted:
+    """The model that Algorithm 1 asks: what sets predict, against what was seen; see `algorithm1.MisfitModel`."""
 
+    def __init__(self, store: Store, condition: Condition, seen: Array) -> None:
+        self.store, self.condition, self.seen = store, condition, seen
+        self._known: dict[tuple[int, Candidate], float] = {}
 
-def turned(action: Action, turn: Array) -> Action:
-    """The action in a frame that is turned: its translations and the axes of its rotations."""
-    return replace(action, translation=rotate(turn, action.translation), rotation=conjugated(turn, action.rotation))
+    def misfit(self, level: int, candidate: Candidate) -> float:
+        key = level, candidate
+        if key not in self._known:
+            self._known[key] = rms(self.store.predicted(self.condition, level, candidate), self.seen)
+        return self._known[key]
+
+    def change(self, level: int, candidate: Candidate) -> float:
+        coarse, fine = (self.store.predicted(self.condition, at, candidate) for at in (level, level + 1))
+        return rms(coarse, np.where(np.isfinite(self.seen), fine, np.nan))
 
 
 def rms(predicted: Array, seen: Array) -> float:
-    """RMS residual per coordinate, m; infinite where there is no prediction."""
-    error = predicted - seen
-    return float(np.sqrt(np.mean(error**2))) if np.isfinite(error).all() else float("inf")
+    """RMS residual over the coordinates that were seen, m; infinite where there is no prediction."""
+    if not np.isfinite(predicted).all():
+        return float("inf")
+    return float(np.sqrt(np.nanmean((predicted - seen) ** 2)))
 
 
-def climbed(store: Store, condition: Condition, number: int, seen: Array) -> dict[str, Any]:
-    """Algorithm 1 of the paper, and the best of all sets, on what was precomputed."""
+def climbed(store: Store, condition: Condition, number: int, measurement: Measurement) -> dict[str, Any]:
+    """Algorithm 1 of the paper, and the best of all sets."""
     scene = store.read()
-    tables = [store.table(condition, level) for level in range(condition.finest + 1)]
-    misfits: dict[tuple[int, Candidate], float] = {}
-
-    def misfit(level: int, candidate: Candidate) -> float:
-        key = level, candidate
-        if key not in misfits:
-            misfits[key] = rms(tables[level][candidate], seen)
-        return misfits[key]
-
+    order = [measurement.fiducial_names.index(name) for name in scene.fiducial_names]
+    model = Predicted(store, condition, measurement.positions[:, order])
     patches = list(scene.patches)
     seeds = random_seeds(patches, condition.seeds, np.random.default_rng(number))
-    search = in_stages if condition.search == "stages" else in_one_stage
-    found = search(misfit, patches, seeds, condition.finest)
-    best = optimum(misfit, tables[condition.finest], condition.finest)
+    last = min(condition.finest, len(scene.levels) - 1)
+    if condition.search == "single":
+        found = in_stages(model, patches, seeds, Rule("last", 0.0, last), first=last)
+    else:
+        found = in_stages(model, patches, seeds, Rule(condition.stop, condition.tolerance, last))
     truth = condition.held(number)
+    reference = optimum(model, store.sets(), condition.compared)
     return {
         "found": sorted(found.anchors),
         "right": found.anchors == truth,
-        "best": sorted(best),
-        "best_right": best == truth,
-        "rms": misfit(condition.finest, found.anchors),
+        "why": _why(model, found, truth, reference, store.sets(), condition.compared),
+        "best": sorted(reference),
+        "best_right": reference == truth,
+        "rms": found.stages[-1].rms,
+        "stages": [{"level": s.level, "anchors": sorted(s.anchors), "rms": s.rms} for s in found.stages],
         "calls": {str(level): float(count) for level, count in found.calls.items()},
         "cpu_seconds": None,
     }
 
 
-def identified(store: Store, condition: Condition, number: int, seen: Array) -> dict[str, Any]:
+def _why(
+    model: Predicted, found: SearchResult, truth: Candidate, reference: Candidate, sets: list[Candidate], compared: int
+) -> str:
+    """Why the answer is wrong, "" where it is right."""
+    if found.anchors == truth:
+        return ""
+    last = found.stages[-1].level
+    if last <= compared and optimum(model, sets, last) == truth:
+        return SEARCH
+    return MESH if reference == truth else DATA
+
+
+def identified(store: Store, condition: Condition, number: int, measurement: Measurement) -> dict[str, Any]:
     """What `bcid identify` finds, with its own calls of the model; certified, so that it is the best of all sets."""
-    from bcid.forms.simulate import recorded
     from bcid.search.identify import IdentifyOptions, identify
 
-    scene: Scene = store.read()
-    measurement = recorded(scene, condition.actions(), seen, 0.0, np.random.default_rng(0))
-    measurement = replace(measurement, noise_sigma=condition.noise or None)
+    scene = store.read()
+    finest = min(condition.finest, len(scene.levels) - 1)
     began = time.process_time()
-    found = identify(scene, measurement, options=IdentifyOptions(random_state=number, finest=condition.finest))
+    found = identify(scene, measurement, options=IdentifyOptions(random_state=number, finest=finest))
     seconds = time.process_time() - began
     right = frozenset(found.anchored) == condition.held(number)
     return {
         "found": sorted(found.anchored),
         "right": right,
+        "why": "" if right else DATA if found.certified else SEARCH,
         "best": sorted(found.anchored) if found.certified else [],
         "best_right": right and found.certified,
+        "probability": found.probability,
         "rms": found.rms,
+        "stages": [],
         "calls": {str(level): count for level, count in found.evaluations.items()},
         "cpu_seconds": round(seconds, 3),
     }

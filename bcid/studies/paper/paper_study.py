@@ -2,17 +2,16 @@
 
 RUN/NAME/         the run folder of each study
 RUN/shared/       what they share
-RUN/table.txt     all their tables
+RUN/table.txt     all their tables;  paper.md  the page of the paper: every section with its tables and pictures
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from bcid.base.collective import on_root
 from bcid.base.errors import InputError
-from bcid.base.fingerprint import file_fingerprint
 from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import RunFolder, running
 from bcid.base.shipped import shipped
@@ -20,11 +19,14 @@ from bcid.studies.engine.work import Workers
 from bcid.studies.exploration import exploration_study as exploration
 from bcid.studies.exploration.exploration_trials import ExplorationExtent as Explored
 from bcid.studies.paper.study import Extent, run_study
+from bcid.studies.sections import PICTURE
 
-STUDIES = "studies"
+STUDIES, PAGE = "studies", "paper.md"
 _EXPLORATION = "exploration"
-# Sections 7 and 8 in short: one grasp, one trial of each setting, nothing hidden or enclosed.
-_FEW = Explored(1, (0.3e-3, 1e-3), (), (), (("II",),))
+# Sections 7 and 8: pulls chosen as the paper does and by information, nothing hidden or enclosed; in short with one grasp.
+_CHOSEN = ("entropy", "information")
+EXPLORED = Explored(10, hidden=(), enclosed=(), strategies=_CHOSEN)
+_FEW = Explored(1, (0.0, 0.3e-3), (), (), (("II",),), _CHOSEN)
 
 
 def run_paper(
@@ -53,19 +55,19 @@ def run_paper(
     files = on_root(how.comm, lambda: sorted(place.glob("*.toml")))
     if not files:
         raise InputError(f"{place}: holds no study files")
-    inputs = {"quick": quick, "seed": seed, "studies": {file.stem: file_fingerprint(file) for file in files}}
-    inputs |= {"explored": explored}
+    # What each study depends on is looked at where it is run.
+    inputs = {"quick": quick, "seed": seed, "studies": [file.stem for file in files], "explored": explored}
     path = on_root(how.comm, folder.resolve)
     # Studies are runs of their own in it.
     made = [file.stem for file in files] + ([_EXPLORATION] if explored else [])
-    makes = ["shared/", "table.txt", *(f"{name}/" for name in made)]
+    makes = ["shared/", "table.txt", PAGE, *(f"{name}/" for name in made)]
 
     def one(file: Path) -> Callable[[Path], Path]:
         extent = Extent(quick, seed=seed)
         return lambda target: run_study(file, target, extent, how, progress, overwrite, path / "shared")
 
     def explore(target: Path) -> Path:
-        return exploration.run_study(target, _FEW if quick else Explored(30), seed, how, progress, overwrite)
+        return exploration.run_study(target, _FEW if quick else EXPLORED, seed, how, progress, overwrite)
 
     with running(how.comm, folder, "study paper", inputs, makes, overwrite) as run:
         parts = {file.stem: one(file) for file in files} | ({_EXPLORATION: explore} if explored else {})
@@ -87,5 +89,20 @@ def _conclude(run: RunFolder | None, names: list[str]) -> None:
     tables = [(run.path / name / "table.txt").read_text(encoding="utf-8").rstrip() for name in names]
     rule = "\n\n" + "-" * 100 + "\n\n"
     run.write_text("table.txt", rule.join(tables) + "\n")
+    run.write_text(PAGE, page(run.path, names))
     seconds = {name: RunFolder.open(run.path / name).record["seconds"] for name in names}
     run.finish({"studies": names, "seconds": seconds})
+
+
+def page(folder: Path, names: Iterable[str]) -> str:
+    """The sections of all studies in the order of the paper; pictures are looked for in the folders of the studies."""
+    texts = {name: (folder / name / "page.md").read_text(encoding="utf-8") for name in names}
+    ordered = sorted(texts, key=lambda name: (_order(texts[name]), name))
+    linked = (texts[name].replace(f"]({PICTURE})", f"]({name}/{PICTURE})") for name in ordered)
+    return "\n".join(linked)
+
+
+def _order(text: str) -> tuple[bool, list[str]]:
+    """Where a section stands: by its number, what goes beyond the paper last."""
+    number = text.splitlines()[2].removeprefix("Section ")
+    return number.startswith("beyond"), number.split(",")[0].split()[0].split(".")

@@ -1,12 +1,16 @@
 """What every set predicts on every level, and what the truth is: computed once for all trials, and kept on disk.
 
-Noise, registration and the errors of the camera change no prediction: a thousand trials cost as much as one.
+Noise, registration and the errors of the camera change no prediction: a thousand trials cost as much as one. What is wrong with the
+robot or the grasp changes the truth of a trial, which is then its own; cells that differ by noise alone share it.
 """
 
 from __future__ import annotations
 
+import shutil
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -17,14 +21,16 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError
 from bcid.base.fingerprint import fingerprint
+from bcid.base.run_folder import writing
 from bcid.exploration.predictions import PullPredictor
 from bcid.forms.model import check_physics
-from bcid.measurement import Action
+from bcid.measurement import Measurement
 from bcid.scene import Scene
 from bcid.search.identify_run import scene_fingerprint
 from bcid.search.seeds import all_candidates
 from bcid.studies.paper.condition import Condition
 from bcid.studies.paper.study_file import Trial
+from bcid.studies.paper.trial_errors import body_differs, differs, true_actions, true_scene
 
 Array = NDArray[np.float64]
 Candidate = frozenset[str]
@@ -40,42 +46,81 @@ class Store:
     Attributes:
         scene: the scene file.
         folder: where predictions are kept.
+        seed: of what is random in the trials.
     """
 
     scene: Path
     folder: Path
+    seed: int
 
     def read(self) -> Scene:
         """The scene."""
         return _scene(self.scene)
 
-    def table(self, condition: Condition, level: int) -> dict[Candidate, Array]:
-        """Positions (frames, fiducials, 3), m, that every set predicts on a level; NaN where it has no solution."""
-        return _table(self, _plain(condition), level)
+    def sets(self) -> list[Candidate]:
+        """Every set of patches."""
+        return all_candidates(list(self.read().patches))
 
-    def truth(self, condition: Condition, anchors: Candidate, actions: list[Action] | None = None) -> Array:
-        """Positions (frames, fiducials, 3), m, that are true; `actions` where they are other than the condition's.
+    def predicted(self, condition: Condition, level: int, anchors: Candidate) -> Array:
+        """Positions (frames, fiducials, 3), m, that a set predicts on a level; NaN where it has no solution.
+
+        Sets that were not computed before are computed.
+        """
+        known = _table(self, _plain(condition), level)
+        if anchors not in known:
+            known[anchors] = _positions(_predictor(self, None, 0, level), condition, [anchors])[0]
+        return known[anchors]
+
+    def truth(self, condition: Condition, number: int) -> Array:
+        """Positions (frames, fiducials, 3), m, that are true in a trial.
 
         Raises:
             SolveError: the true body cannot be followed.
         """
-        predictor = _predictor(self, _true(condition), 0)
-        driven = actions or condition.actions()
-        found = predictor.predict([(anchors, action) for action in driven])
+        predictor = _predictor(self, _true(condition), number, 0)
+        anchors = condition.held(number)
+        found = predictor.predict([(anchors, action) for action in true_actions(condition, number, self.seed)])
         if any(predicted.failed for predicted in found):
             raise SolveError(f"the truth with {' '.join(sorted(anchors))} anchored cannot be followed")
         return np.concatenate([predicted.positions for predicted in found])
 
+    def film(self, condition: Condition, number: int) -> Measurement:
+        """What the images of a trial tell; filmed once and kept.
+
+        Raises:
+            BcidError: see `bcid.studies.paper.filmed.filmed`.
+        """
+        from bcid.studies.paper.filmed import filmed
+
+        scene = self.read()
+        alone = replace(_true(condition), anchors=(tuple(sorted(condition.held(number))),))
+        about = [scene_fingerprint(scene), alone.to_json(), number, self.seed]
+        folder = self.folder / "filmed" / fingerprint(about)
+        if not folder.is_dir():
+            measurement = filmed(condition, scene, number, self.seed)
+            with writing(folder.parent):
+                folder.parent.mkdir(parents=True, exist_ok=True)
+                begun = Path(tempfile.mkdtemp(prefix=".film-", dir=folder.parent)) / "measurement"
+                measurement.write(begun)
+                # Where another process was as fast, its folder stays.
+                with suppress(OSError):
+                    begun.rename(folder)
+                shutil.rmtree(begun.parent)
+        return Measurement.read(folder)
+
 
 def _plain(condition: Condition) -> Condition:
     """What predictions depend on."""
-    return replace(Condition(), anchors=(), motion=condition.motion, grasp=condition.grasp, finest=condition.finest)
+    return replace(Condition(), anchors=(), motion=condition.motion, grasp=condition.grasp)
+
+
+_TRUE = ("true_degree", "true_size", "young", "poisson", "effects")
+_TRIAL = ("robot_turn", "robot_noise", "grasp_error", "placement")
 
 
 def _true(condition: Condition) -> Condition:
-    """What the truth depends on, but for the sets."""
-    names = ("true_degree", "true_size", "young", "poisson", "shift", "effects")
-    same = {name: getattr(condition, name) for name in names}
+    """What the truth depends on, but for the set and the number of the trial."""
+    same = {name: getattr(condition, name) for name in (*_TRUE, *_TRIAL)}
     return replace(Condition(), anchors=(), motion=condition.motion, grasp=condition.grasp, **same)
 
 
@@ -84,30 +129,32 @@ def _scene(path: Path) -> Scene:
     return Scene.read(path, physics=check_physics)
 
 
-@lru_cache(maxsize=12)
-def _table(store: Store, condition: Condition, level: int) -> dict[Candidate, Array]:
-    scene = store.read()
-    every = all_candidates(list(scene.patches))
+def _positions(predictor: PullPredictor, condition: Condition, sets: list[Candidate]) -> list[Array]:
     actions = condition.actions()
-    predictor = _predictor(store, None, level)
-    found = predictor.predict([(anchors, action) for anchors in every for action in actions])
+    found = predictor.predict([(anchors, action) for anchors in sets for action in actions])
     each = [found[i : i + len(actions)] for i in range(0, len(found), len(actions))]
-    return {a: np.concatenate([f.positions for f in parts]) for a, parts in zip(every, each, strict=True)}
+    return [np.concatenate([f.positions for f in parts]) for parts in each]
+
+
+@lru_cache(maxsize=16)
+def _table(store: Store, condition: Condition, level: int) -> dict[Candidate, Array]:
+    """What is known of the sets on a level; for one on which all are computed, all that."""
+    return {}
 
 
 # What was used last comes last.
-_PREDICTORS: dict[tuple[Store, Condition | None, int], PullPredictor] = {}
+_PREDICTORS: dict[tuple[Any, ...], PullPredictor] = {}
 _MOST = 6
 
 
-def _predictor(store: Store, true: Condition | None, level: int) -> PullPredictor:
-    """PullPredictor of a level of the scene, or of the truth; nothing is meshed before something is to be computed."""
+def _predictor(store: Store, true: Condition | None, number: int, level: int) -> PullPredictor:
+    """PullPredictor of a level of the scene, or of the truth of a trial; nothing is meshed before something is to be computed."""
     from mpi4py import MPI
 
-    key = store, true, level
+    key = store, true, number if true is not None and body_differs(true) else 0, level
     found = _PREDICTORS.pop(key, None)
     if found is None:
-        scene = store.read() if true is None else true.truth(store.read())
+        scene = store.read() if true is None else true_scene(true, store.read(), number, store.seed)
         found = PullPredictor(scene, level, MPI.COMM_SELF, store.folder)
     _PREDICTORS[key] = found
     if len(_PREDICTORS) > _MOST:
@@ -115,45 +162,60 @@ def _predictor(store: Store, true: Condition | None, level: int) -> PullPredicto
     return found
 
 
-def tasks(trials: Iterable[Trial], scene: Scene) -> dict[str, dict[str, Any]]:
+def tasks(trials: Iterable[Trial], scene: Scene, seed: int) -> dict[str, dict[str, Any]]:
     """What is to be predicted for trials, those that take longest first."""
-    truths: dict[Condition, set[Candidate]] = {}
+    truths: dict[tuple[Condition, int], None] = {}
     levels: dict[tuple[Condition, int], None] = {}
+    beyond: dict[tuple[Condition, int], set[Candidate]] = {}
     for trial in trials:
-        condition = trial.condition
-        if not condition.robot_turn:
-            truths.setdefault(_true(condition), set()).add(condition.held(trial.number))
-        if condition.search != "identify":
-            levels |= {(_plain(condition), level): None for level in range(condition.finest + 1)}
+        condition, held = trial.condition, trial.condition.held(trial.number)
+        film = condition.seen == "images"
+        true = replace(_true(condition), anchors=(tuple(sorted(held)),), seen=condition.seen)
+        truths[true, trial.number if film or differs(condition) else 0] = None
+        if condition.search == "identify":
+            continue
+        for level in range(min(condition.finest, len(scene.levels) - 1) + 1):
+            if level <= condition.compared:
+                levels[_plain(condition), level] = None
+            else:
+                # Computed on demand but for the true sets, which are asked for most and tell what a call takes.
+                beyond.setdefault((_plain(condition), level), set()).add(held)
     found: list[dict[str, Any]] = [
-        {"condition": true.to_json(), "level": None, "sets": [sorted(anchors)]}
-        for true, sets in truths.items()
-        for anchors in sorted(sets, key=sorted)
+        {"condition": true.to_json(), "level": None, "number": number, "seed": seed} for true, number in truths
     ]
     every = sorted(all_candidates(list(scene.patches)), key=lambda c: (len(c), sorted(c)))
-    for plain, level in sorted(levels, key=lambda pair: -pair[1]):
+    wanted = [(plain, level, sorted(sets, key=sorted)) for (plain, level), sets in beyond.items()]
+    wanted += [(plain, level, every) for plain, level in sorted(levels, key=lambda pair: -pair[1])]
+    for plain, level, sets in wanted:
         size = _SETS.get(level, _FINE)
         found += [
-            {"condition": plain.to_json(), "level": level, "sets": [sorted(c) for c in every[i : i + size]]}
-            for i in range(0, len(every), size)
+            {"condition": plain.to_json(), "level": level, "sets": [sorted(c) for c in sets[i : i + size]]}
+            for i in range(0, len(sets), size)
         ]
     about = scene_fingerprint(scene)
     return {fingerprint([about, task]): task for task in found}
 
 
 def maker(job: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
-    """The function that predicts, for `bcid.studies.engine.dispatch`; `job` holds the `scene` file and the folder `predictions`."""
-    store = Store(Path(job["scene"]), Path(job["predictions"]))
+    """The function that predicts, for `bcid.studies.engine.dispatch`.
+
+    `job` holds the `scene` file, the folder `predictions` and the `seed`.
+    """
+    store = Store(Path(job["scene"]), Path(job["predictions"]), job["seed"])
 
     def precompute(task: Mapping[str, Any]) -> dict[str, Any]:
         condition, level = Condition.from_json(task["condition"]), task["level"]
-        predictor = _predictor(store, None if level is not None else condition, level or 0)
+        if level is None:
+            make = store.film if condition.seen == "images" else store.truth
+            make(condition, task["number"])
+            return {"level": None}
+        predictor = _predictor(store, None, 0, level)
         # What is built once for all sets does not count as their time.
         predictor.forward()
         began = time.process_time()
-        wanted = [(frozenset(names), action) for names in task["sets"] for action in condition.actions()]
-        found = predictor.predict(wanted)
-        seconds = (time.process_time() - began) / len(task["sets"])
-        return {"failed": sum(f.failed for f in found), "seconds": round(seconds, 4), "level": level}
+        found = _positions(predictor, condition, [frozenset(names) for names in task["sets"]])
+        seconds = (time.process_time() - began) / len(found)
+        failed = sum(not np.isfinite(positions).all() for positions in found)
+        return {"failed": failed, "seconds": round(seconds, 4), "level": level}
 
     return precompute

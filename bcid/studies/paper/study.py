@@ -2,13 +2,11 @@
 
 RUN/shared/           what every set predicts, and the truths; one folder for all studies of one run of the paper
 RUN/results/          one file for each trial
-RUN/trials.parquet    all trials;  table.txt  table.csv  study.json  picture.png  what is made of them
+RUN/trials.parquet    all trials;  table.txt  table.csv  study.json  page.md  picture.png  what is made of them
 """
 
 from __future__ import annotations
 
-import csv
-import io
 import time
 from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
@@ -19,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from bcid.base.collective import on_root
-from bcid.base.fingerprint import file_fingerprint
+from bcid.base.fingerprint import file_fingerprint, fingerprint
 from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import Busy, RunFolder, running
 from bcid.scene import Scene
@@ -27,12 +25,24 @@ from bcid.studies.engine.dispatch import dispatch, part_of
 from bcid.studies.engine.work import Work, Workers, read_result
 from bcid.studies.paper import cells as results
 from bcid.studies.paper import precompute as precompute
-from bcid.studies.paper.condition import written
+from bcid.studies.paper import study_tables
+from bcid.studies.paper.claims import FAILS, claims
 from bcid.studies.paper.study_file import StudyFile
+from bcid.studies.paper.study_page import study_page
 
 # Between two looks whether another part has begun the run.
 _PAUSE = 0.2
-_MAKES = ("results/", "logs/", "shared/", "trials.parquet", "table.txt", "table.csv", "study.json", "picture.png")
+_MAKES = (
+    "results/",
+    "logs/",
+    "shared/",
+    "trials.parquet",
+    "table.txt",
+    "table.csv",
+    "study.json",
+    "page.md",
+    "picture.png",
+)
 
 
 @dataclass(frozen=True)
@@ -73,7 +83,7 @@ def run_study(
     study = on_root(how.comm, lambda: StudyFile.read(file, extent.quick))
     whole = extent.part is None and not extent.only_predict
     command = f"study {study.name}"
-    inputs = on_root(how.comm, lambda: _inputs(file, study, extent))
+    inputs = on_root(how.comm, lambda: _inputs(study, extent))
     with running(how.comm, folder, command, inputs, _MAKES, overwrite) if whole else nullcontext() as run:
         path = on_root(how.comm, lambda: folder.resolve() if whole else _joined(folder, command, inputs))
         costs = _make(study, path, shared or path / "shared", extent, how, progress)
@@ -82,10 +92,11 @@ def run_study(
     return folder
 
 
-def _inputs(file: Path, study: StudyFile, extent: Extent) -> dict[str, Any]:
-    """What the results depend on."""
+def _inputs(study: StudyFile, extent: Extent) -> dict[str, Any]:
+    """What the trials depend on: texts, tables and what the paper says may be edited while a study is stopped."""
     scene = Scene.read(study.scene)
-    inputs = {"study": file_fingerprint(file), "quick": extent.quick, "seed": extent.seed}
+    about = [trial.name for trial in study.all_trials()], [cell.to_json() for cell in study.cells()]
+    inputs = {"study": fingerprint(about), "quick": extent.quick, "seed": extent.seed}
     return inputs | {"scene": file_fingerprint(study.scene), "geometry": file_fingerprint(scene.geometry)}
 
 
@@ -108,7 +119,7 @@ def _make(
     trials = study.all_trials()
     job = {"scene": str(study.scene.resolve()), "predictions": str(shared / "predictions"), "seed": extent.seed}
     precomputed = Work("bcid.studies.paper.precompute:maker", job, shared / "precomputed")
-    parts = on_root(how.comm, lambda: precompute.tasks(trials, Scene.read(study.scene)))
+    parts = on_root(how.comm, lambda: precompute.tasks(trials, Scene.read(study.scene), extent.seed))
     if extent.part is None or extent.only_predict:
         progress.say(f"{study.name}: {len(parts)} predictions that trials share")
         dispatch(precomputed, part_of(parts, extent.part), how, progress)
@@ -124,16 +135,21 @@ def _conclude(run: RunFolder | None, study: StudyFile, costs: Mapping[str, float
     """Merge all trials and write what is made of them."""
     assert run is not None
     rows = results.read(study, run.path / "results")
-    found = results.cells(study, rows)
+    found = results.cells(study, rows, costs)
+    said = claims(study, rows, costs)
+    made = study_tables.tables(study, found, rows, costs, said)
     results.write_parquet(rows, run.path / "trials.parquet")
-    run.write_text("table.txt", results.text(study, rows, costs))
-    run.write_text("table.csv", table_csv(study, found))
+    run.write_text("table.txt", study_tables.text(study, made, rows))
+    run.write_text("table.csv", study_tables.table_csv(study, found))
     told = {"name": study.name, "title": study.title, "section": study.section, "costs": dict(costs)}
-    run.write_json("study.json", told | {"cells": [cell.to_json() for cell in found]})
-    _draw(run, study, found)
+    about = {"cells": [cell.to_json() for cell in found], "claims": [claim.to_json() for claim in said]}
+    run.write_json("study.json", told | about)
+    drawn = _draw(run, study, found)
+    run.write_text("page.md", study_page(study, made, rows, drawn))
     failed = sum(cell.failed for cell in found)
     right = sum(cell.right * cell.count for cell in found) / len(rows)
-    run.finish({"trials": len(rows), "failed": failed, "right": right})
+    not_held = sum(claim.verdict == FAILS for claim in said)
+    run.finish({"trials": len(rows), "failed": failed, "right": right, "claims": len(said), "not_held": not_held})
 
 
 def call_costs(files: Iterable[Path]) -> dict[str, float]:
@@ -148,37 +164,11 @@ def call_costs(files: Iterable[Path]) -> dict[str, float]:
     return {level: float(np.median(seconds)) for level, seconds in sorted(spent.items())}
 
 
-def table_csv(study: StudyFile, found: list[results.Cell]) -> str:
-    """The cells as CSV, lengths in mm."""
-    levels = sorted({level for cell in found for level in cell.calls})
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(
-        [
-            *study.vary,
-            "trials",
-            "failed",
-            "right",
-            "low",
-            "high",
-            "best_right",
-            "rms_mm",
-            *(f"calls_{x}" for x in levels),
-        ]
-    )
-    for cell in found:
-        values: Mapping[str, Any] = cell.values
-        numbers = [cell.right, *cell.interval, cell.best_right, None if cell.rms is None else cell.rms * 1e3]
-        numbers += [cell.calls.get(level) for level in levels]
-        told = ["" if n is None else f"{n:.6g}" for n in numbers]
-        writer.writerow([*(written(n, v) for n, v in values.items()), cell.count, cell.failed, *told])
-    return stream.getvalue()
-
-
-def _draw(run: RunFolder, study: StudyFile, found: list[results.Cell]) -> None:
-    """The picture is a view of the numbers: without matplotlib there is none."""
+def _draw(run: RunFolder, study: StudyFile, found: list[results.Cell]) -> bool:
+    """Whether there is a picture: it is a view of the numbers, and without matplotlib there is none."""
     try:
         from bcid.studies.plots import success
     except ImportError:
-        return
+        return False
     success(run.path / "picture.png", study, found)
+    return True

@@ -6,14 +6,20 @@ title = "Noise and registration"
 section = "5.2.2, Table 3"
 scene = "../examples/scenes/slab_paper.toml"
 trials = 100
+about = "..."                   # what is done here
+in_paper = "..."                # what the paper did
+chosen = "..."                  # where the paper leaves something open: what was taken
+adds = "..."                    # what is told beyond the paper
+code = ["bcid/search/climb.py"] # where it is done
 
 [setting]                       # what all trials have in common: attributes of `Condition`
 motion = "semicircle"
 [vary]                          # every combination of these is a cell of the table
 noise = ["0 mm", "1 mm"]
-[table]                         # which of them are rows and columns
+[table]                         # which of them are rows and columns, and what is told besides: "rms", "stages"
 rows = "registration"
 columns = "noise"
+also = ["rms"]
 [quick]                         # instead, with --quick
 trials = 5
 vary = { noise = ["1 mm"] }
@@ -26,7 +32,7 @@ right = 1.0                     # its number, to stand beside ours
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -41,9 +47,41 @@ from bcid.studies.paper.condition import NAMES, Condition, parsed
 FORMAT = "bcid-study/1"
 # Values of one attribute: each is a row or a column of a table.
 _MOST_VALUES = 1000
-_KEYS = ("format", "name", "title", "section", "scene", "trials", "setting", "vary", "table", "quick", "paper", "about")
-# Numbers of the paper that can stand beside ours.
-PAPER = ("right", "calls", "seconds", "right_of_18")
+_TEXTS = ("about", "in_paper", "chosen", "adds")
+_KEYS = (
+    "format",
+    "name",
+    "title",
+    "section",
+    "scene",
+    "trials",
+    "setting",
+    "vary",
+    "table",
+    "quick",
+    "paper",
+    "code",
+    *_TEXTS,
+)
+ALSO = ("rms", "stages")
+
+
+def _numbers(count: int | None = None) -> Callable[[object], bool]:
+    return lambda v: isinstance(v, list) and all(type(n) in (int, float) for n in v) and count in (None, len(v))
+
+
+def _sets(value: object) -> bool:
+    return isinstance(value, list) and all(isinstance(s, list) and all(isinstance(n, str) for n in s) for s in value)
+
+
+# What the paper says that can stand beside ours, what is right for each, and an example.
+PAPER: dict[str, tuple[Callable[[object], bool], str]] = {
+    "right": (lambda v: type(v) in (int, float) and 0 <= v <= 1, "a part from 0 to 1"),  # type: ignore[operator]
+    "wrong": (_sets, 'a list of sets as [["1", "5"], ["1", "8"]]'),
+    "calls": (_numbers(), "a list of numbers as [165, 94, 0.9]"),
+    "seconds": (_numbers(3), "mean, least and most as [84.28, 55.89, 2658]"),
+    "more_right_than": (lambda v: type(v) is int, "a whole number, of 18"),
+}
 
 
 @dataclass(frozen=True)
@@ -68,19 +106,28 @@ class StudyFile:
         setting: the condition that all trials start from.
         vary: values by attribute of `Condition`; every combination is a cell.
         rows, columns: attributes whose values head rows and columns of the table; the others make a table each.
+        also: what the tables tell besides how many are right: "rms", "stages".
         trials: in each cell.
-        paper: what the paper says: `says`, a text, or `where` and a number.
+        about, in_paper, chosen, adds: what is done here, what the paper did, what was taken where it leaves something open, and
+            what is told beyond it.
+        code: files in which it is done.
+        paper: what the paper says: `says`, a text, or `where` and one of `PAPER`.
     """
 
     name: str
     title: str
     section: str
     about: str
+    in_paper: str
+    chosen: str
+    adds: str
+    code: tuple[str, ...]
     scene: Path
     setting: Condition
     vary: Mapping[str, tuple[Any, ...]]
     rows: str
     columns: str
+    also: tuple[str, ...]
     trials: int
     paper: tuple[Mapping[str, Any], ...]
     source: Path
@@ -126,10 +173,10 @@ class StudyFile:
                 problems.add(self.source, f"anchors: patch '{unknown[0]}': {nearest(unknown[0], scene.patches)}")
             if condition.grasp not in scene.grasps:
                 problems.add(self.source, f"grasp '{condition.grasp}': {nearest(condition.grasp, scene.grasps)}")
-            if condition.finest >= len(scene.levels):
-                problems.add(
-                    self.source, f"finest = {condition.finest}: the scene has levels 0 to {len(scene.levels) - 1}"
-                )
+            for name in ("finest", "compared"):
+                if getattr(condition, name) >= len(scene.levels):
+                    told = f"{name} = {getattr(condition, name)}: the scene has levels 0 to {len(scene.levels) - 1}"
+                    problems.add(self.source, told)
             try:
                 condition.truth(scene)
             except InputError as error:
@@ -160,7 +207,7 @@ class _Reader:
         setting = {
             key: self.value(f"setting.{key}", key, v) for key, v in self.table(content, "setting", NAMES).items()
         }
-        table = self.table(content, "table", ("rows", "columns"))
+        table = self.table(content, "table", ("rows", "columns", "also"))
         vary = self.varied(content)
         for key in ("rows", "columns"):
             if table.get(key, "") not in (*vary, ""):
@@ -169,11 +216,13 @@ class _Reader:
         return StudyFile(
             **texts,
             scene=self.path.parent / scene,
-            about=self.text(content, "about", optional=True),
+            **{key: self.text(content, key, optional=True) for key in _TEXTS},
+            code=self.names(content.get("code", []), "code"),
             setting=replace(Condition(), **good),
             vary=vary,
             rows=str(table.get("rows", "")),
             columns=str(table.get("columns", "")),
+            also=self.names(table.get("also", []), "table.also", ALSO),
             trials=self.count(content, "trials"),
             paper=self.paper(content.get("paper", [])),
             source=self.path,
@@ -206,7 +255,10 @@ class _Reader:
             return ()
         found = []
         for entry in entries:
-            self.unknown(entry, ("says", "where", *PAPER), "paper.")
+            self.unknown(entry, ("says", "here", "where", *PAPER), "paper.")
+            for key, (good, expected) in PAPER.items():
+                if key in entry and not good(entry[key]):
+                    self.bad(f"paper.{key}", f"expected {expected}, found {entry[key]!r}")
             where = entry.get("where", {})
             if not isinstance(where, dict):
                 self.bad("paper.where", f'expected a table as {{ noise = "1 mm" }}, found {where!r}')
@@ -215,6 +267,15 @@ class _Reader:
             known = {k: self.value(f"paper.where.{k}", k, v) for k, v in where.items() if k in NAMES}
             found.append({**entry, "where": known})
         return tuple(found)
+
+    def names(self, value: object, key: str, allowed: tuple[str, ...] = ()) -> tuple[str, ...]:
+        if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
+            self.bad(key, f"expected a list of texts, found {value!r}")
+            return ()
+        for name in value:
+            if allowed and name not in allowed:
+                self.bad(key, f"{name!r}: {nearest(name, allowed)}")
+        return tuple(value)
 
     def value(self, where: str, name: str, value: object) -> Any:
         try:

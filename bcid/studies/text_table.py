@@ -1,0 +1,36 @@
+"""A table of a study, as text and as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A table: its title, the heads of its columns, and its rows of text."""
+
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    def text(self) -> str:
+        """Columns under each other, all but the first to the right."""
+        return "\n".join([*([self.title] if self.title else []), *aligned([self.head, *self.rows])])
+
+    def markdown(self) -> str:
+        """As a table of Markdown."""
+        lines = [self.head, tuple("---" if i == 0 else "---:" for i in range(len(self.head))), *self.rows]
+        drawn = ["| " + " | ".join(word.replace("|", "\\|") for word in line) + " |" for line in lines]
+        return "\n".join([*([f"{self.title}", ""] if self.title else []), *drawn])
+
+
+def aligned(lines: Sequence[Sequence[str]]) -> list[str]:
+    """Columns of text under each other, all but the first to the right."""
+    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
+    return [
+        "  ".join(
+            f"{word:<{w}}" if i == 0 else f"{word:>{w}}" for i, (word, w) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in lines
+    ]
