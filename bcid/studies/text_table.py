@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
+
+# Characters of a line.
+_WIDTH = 110
 
 
 @dataclass(frozen=True)
@@ -16,13 +20,18 @@ class TextTable:
 
     def text(self) -> str:
         """Columns under each other, all but the first to the right."""
-        return "\n".join([*([self.title] if self.title else []), *aligned([self.head, *self.rows])])
+        return "\n".join([*([wrapped(self.title)] if self.title else []), *aligned([self.head, *self.rows])])
 
     def markdown(self) -> str:
         """As a table of Markdown."""
         lines = [self.head, tuple("---" if i == 0 else "---:" for i in range(len(self.head))), *self.rows]
         drawn = ["| " + " | ".join(word.replace("|", "\\|") for word in line) + " |" for line in lines]
         return "\n".join([*([f"{self.title}", ""] if self.title else []), *drawn])
+
+
+def wrapped(text: str) -> str:
+    """A text in lines that a terminal shows whole."""
+    return textwrap.fill(" ".join(text.split()), _WIDTH)
 
 
 def aligned(lines: Sequence[Sequence[str]]) -> list[str]:

@@ -10,6 +10,7 @@ from test_explore import AXES, LIMITS, MadeUp, by_count, scene
 
 from bcid.base.run_folder import sealed
 from bcid.studies.engine.work import Workers
+from bcid.studies.exploration.exploration_page import page
 from bcid.studies.exploration.exploration_scores import scores, table
 from bcid.studies.exploration.exploration_study import Bench, attempted, run_study
 from bcid.studies.exploration.exploration_trials import ANCHORS, STRATEGIES, ExplorationExtent, ExplorationTrial, trials
@@ -52,6 +53,26 @@ def test_a_trial_that_fails_is_recorded() -> None:
     found = attempted(made, ExplorationTrial(("1", "2"), 1e-3, ("II",), "information", 0))
     assert found["reason"].startswith("failed: the simulated robot cannot make pull 1")
     assert scores([found])["rows"][0]["decided"] == 0
+
+
+def test_the_page_shows_the_beliefs_after_each_pull() -> None:
+    """Tables 8 to 10 of the paper: pulls without noise, rates by noise, and the laboratory iteration by iteration."""
+    made = bench()
+    extent = ExplorationExtent(1, (0.0, 0.3e-3), (), (), strategies=("entropy",))
+    results = [made.make(trial) for trial in trials(extent)]
+    for result in results:
+        assert len(result["beliefs"]) == len(result["asked"]) == result["pulls"]
+        assert max(result["beliefs"][-1].values()) == pytest.approx(result["probability"], abs=1e-6)
+        assert result["asked"] == sorted(result["asked"])
+        assert result["asked"][-1] == result["calls"] > 0
+    text = page(results, 0.5, True)
+    assert text.startswith("## Active exploration\n\nSection 7 and 8, ")
+    for part in ("Table 8: ", "Table 9: ", "Table 10(a): ", "Table 10(b): ", "![Belief in the candidate sets"):
+        assert part in text
+    first = next(r for r in results if r["noise"] == 0.3e-3 and len(r["grasps"]) == 1)
+    calls = first["asked"][0]
+    assert f"| 1 | {first['moves'][0]} | {calls} | {calls * 0.5:.3g} |" in text
+    assert all(f"{name} " in text for name in ("{1 2}", "{3 4}", "{1 2 3 4}"))
 
 
 def test_trials_of_the_same_number_are_the_same() -> None:

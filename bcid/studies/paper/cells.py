@@ -141,7 +141,7 @@ def cells(study: StudyFile, rows: Sequence[Row], costs: Mapping[str, float]) -> 
 def _cell(values: Mapping[str, Any], rows: Sequence[Row], costs: Mapping[str, float]) -> Cell:
     good = [row for row in rows if row["right"] is not None]
     hits, best = sum(row["right"] for row in good), sum(bool(row["best_right"]) for row in good)
-    known = bool(good) and all(row["best"] for row in good)
+    known = bool(good) and all(row["best"] is not None for row in good)
     residuals = [row["rms"] for row in good if row["rms"] is not None and np.isfinite(row["rms"])]
     return Cell(
         values,

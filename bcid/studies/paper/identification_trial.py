@@ -132,7 +132,7 @@ def identified(store: Store, condition: Condition, number: int, measurement: Mea
         "found": sorted(found.anchored),
         "right": right,
         "why": "" if right else DATA if found.certified else SEARCH,
-        "best": sorted(found.anchored) if found.certified else [],
+        "best": sorted(found.anchored) if found.certified else None,
         "best_right": right and found.certified,
         "probability": found.probability,
         "rms": found.rms,

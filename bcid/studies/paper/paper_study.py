@@ -7,7 +7,7 @@ RUN/table.txt     all their tables;  paper.md  the page of the paper: every sect
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from bcid.base.collective import on_root
@@ -25,7 +25,7 @@ STUDIES, PAGE = "studies", "paper.md"
 _EXPLORATION = "exploration"
 # Sections 7 and 8: pulls chosen as the paper does and by information, nothing hidden or enclosed; in short with one grasp.
 _CHOSEN = ("entropy", "information")
-EXPLORED = Explored(10, hidden=(), enclosed=(), strategies=_CHOSEN)
+EXPLORED = Explored(5, hidden=(), enclosed=(), strategies=_CHOSEN)
 _FEW = Explored(1, (0.0, 0.3e-3), (), (), (("II",),), _CHOSEN)
 
 
@@ -97,12 +97,14 @@ def _conclude(run: RunFolder | None, names: list[str]) -> None:
 def page(folder: Path, names: Iterable[str]) -> str:
     """The sections of all studies in the order of the paper; pictures are looked for in the folders of the studies."""
     texts = {name: (folder / name / "page.md").read_text(encoding="utf-8") for name in names}
-    ordered = sorted(texts, key=lambda name: (_order(texts[name]), name))
-    linked = (texts[name].replace(f"]({PICTURE})", f"]({name}/{PICTURE})") for name in ordered)
-    return "\n".join(linked)
+    return "\n".join(texts[name].replace(f"]({PICTURE})", f"]({name}/{PICTURE})") for name in in_order(texts))
 
 
-def _order(text: str) -> tuple[bool, list[str]]:
-    """Where a section stands: by its number, what goes beyond the paper last."""
-    number = text.splitlines()[2].removeprefix("Section ")
-    return number.startswith("beyond"), number.split(",")[0].split()[0].split(".")
+def in_order(texts: Mapping[str, str]) -> list[str]:
+    """Names of sections, by the number of the paper's in their third line; what goes beyond the paper comes last."""
+
+    def place(name: str) -> tuple[bool, list[str], str]:
+        number = texts[name].splitlines()[2].removeprefix("Section ").removeprefix("beyond ")
+        return "Section beyond" in texts[name], number.split(",")[0].split()[0].split("."), name
+
+    return sorted(texts, key=place)

@@ -26,9 +26,10 @@ from bcid.studies.engine.work import Work, Workers, read_result
 from bcid.studies.paper import cells as results
 from bcid.studies.paper import precompute as precompute
 from bcid.studies.paper import study_tables
-from bcid.studies.paper.claims import FAILS, claims
+from bcid.studies.paper.claims import FAILS, Claim, claims
 from bcid.studies.paper.study_file import StudyFile
 from bcid.studies.paper.study_page import study_page
+from bcid.studies.text_table import TextTable
 
 # Between two looks whether another part has begun the run.
 _PAUSE = 0.2
@@ -134,22 +135,51 @@ def _make(
 def _conclude(run: RunFolder | None, study: StudyFile, costs: Mapping[str, float]) -> None:
     """Merge all trials and write what is made of them."""
     assert run is not None
-    rows = results.read(study, run.path / "results")
-    found = results.cells(study, rows, costs)
-    said = claims(study, rows, costs)
-    made = study_tables.tables(study, found, rows, costs, said)
-    results.write_parquet(rows, run.path / "trials.parquet")
-    run.write_text("table.txt", study_tables.text(study, made, rows))
-    run.write_text("table.csv", study_tables.table_csv(study, found))
-    told = {"name": study.name, "title": study.title, "section": study.section, "costs": dict(costs)}
-    about = {"cells": [cell.to_json() for cell in found], "claims": [claim.to_json() for claim in said]}
-    run.write_json("study.json", told | about)
-    drawn = _draw(run, study, found)
-    run.write_text("page.md", study_page(study, made, rows, drawn))
-    failed = sum(cell.failed for cell in found)
-    right = sum(cell.right * cell.count for cell in found) / len(rows)
-    not_held = sum(claim.verdict == FAILS for claim in said)
-    run.finish({"trials": len(rows), "failed": failed, "right": right, "claims": len(said), "not_held": not_held})
+    told = Summary.of(study, run.path / "results", costs)
+    results.write_parquet(told.rows, run.path / "trials.parquet")
+    run.write_text("table.txt", study_tables.text(study, told.tables, told.rows))
+    run.write_text("table.csv", study_tables.table_csv(study, told.cells))
+    run.write_json("study.json", told.to_json())
+    drawn = _draw(run, study, told.cells)
+    run.write_text("page.md", study_page(study, told.tables, told.rows, drawn))
+    failed = sum(cell.failed for cell in told.cells)
+    right = sum(cell.right * cell.count for cell in told.cells) / len(told.rows)
+    not_held = sum(claim.verdict == FAILS for claim in told.claims)
+    run.finish(
+        {"trials": len(told.rows), "failed": failed, "right": right, "claims": len(told.claims), "not_held": not_held}
+    )
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What is told of a study: its trials, their cells, what the paper says beside it, and the tables of all that.
+
+    `costs` are the CPU seconds of one call of the model by level.
+    """
+
+    study: StudyFile
+    costs: Mapping[str, float]
+    rows: list[results.Row]
+    cells: list[results.Cell]
+    claims: list[Claim]
+    tables: list[TextTable]
+
+    @classmethod
+    def of(cls, study: StudyFile, folder: Path, costs: Mapping[str, float]) -> Summary:
+        """From the folder of the results.
+
+        Raises:
+            InputError: a result is missing or damaged.
+        """
+        rows = results.read(study, folder)
+        found, said = results.cells(study, rows, costs), claims(study, rows, costs)
+        return cls(study, costs, rows, found, said, study_tables.tables(study, found, rows, costs, said))
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON."""
+        study = {key: getattr(self.study, key) for key in ("name", "title", "section")}
+        cells, said = ([each.to_json() for each in part] for part in (self.cells, self.claims))
+        return study | {"costs": dict(self.costs), "cells": cells, "claims": said}
 
 
 def call_costs(files: Iterable[Path]) -> dict[str, float]:

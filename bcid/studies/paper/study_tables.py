@@ -15,7 +15,7 @@ from bcid.studies.paper.cells import Cell, Row, Wrong, mean_calls, reasons, time
 from bcid.studies.paper.claims import TOLD, Claim
 from bcid.studies.paper.condition import written
 from bcid.studies.paper.study_file import StudyFile
-from bcid.studies.text_table import TextTable
+from bcid.studies.text_table import TextTable, wrapped
 
 # So many wrong answers are listed; the others are counted.
 _LISTED = 12
@@ -41,8 +41,8 @@ def tables(
 
 def text(study: StudyFile, made: Sequence[TextTable], rows: Sequence[Row]) -> str:
     """All that a study tells, for a terminal."""
-    head = [f"{study.title}  (section {study.section})", *([study.about.strip()] if study.about else []), ""]
-    told = [*head, *counts(rows), "", READING]
+    head = [f"{study.title}  (section {study.section})", *([wrapped(study.about)] if study.about else []), ""]
+    told = [*head, *counts(rows), "", wrapped(READING)]
     return "\n".join([*told, "", "\n\n".join(table.text() for table in made)]).rstrip() + "\n"
 
 

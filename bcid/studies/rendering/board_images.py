@@ -26,8 +26,10 @@ _BLACK, _WHITE, _BEHIND, _NOISE = 30, 220, 110, 2.0
 _TILT, _AWAY, _NEARER = 30.0, 0.11, 0.1
 
 
-def photograph_board(cameras: Cameras, board: Board, folder: Path, count: int, random_state: int = 0) -> None:
+def photograph_board(cameras: Cameras, board: Board, folder: Path, count: int, random_state: int = 0) -> list[Pose]:
     """Write `count` pairs of images of a chessboard into folder/left and folder/right, at the distance where the axes meet.
+
+    Returns the poses of the board in the left camera's frame.
 
     Raises:
         InputError: the board is no chessboard, or a camera has no size.
@@ -48,6 +50,7 @@ def photograph_board(cameras: Cameras, board: Board, folder: Path, count: int, r
             seen = _seen(pattern, corner, board.square, lenses[side], (turn @ rotation, turn @ translation + shift))
             noisy = np.clip(np.rint(seen + random.normal(0, _NOISE, seen.shape)), 0, 255).astype(np.uint8)
             cv2.imwrite(str(folder / side / f"{number:04d}.png"), noisy)
+    return poses
 
 
 def _pattern(board: Board) -> tuple[Image, Array]:

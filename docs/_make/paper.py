@@ -1,0 +1,82 @@
+"""Make docs/paper.md of a finished `bcid study paper`: its tables, its pictures, and all that the paper says beside what was found.
+
+./dev python docs/_make/paper.py RUN
+"""
+
+import json
+import math
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from bcid.base.run_folder import RunFolder
+from bcid.studies.exploration.exploration_page import page as exploration_page
+from bcid.studies.exploration.exploration_study import call_cost, results
+from bcid.studies.paper.claims import FAILS, HOLDS
+from bcid.studies.paper.paper_study import EXPLORED, in_order
+from bcid.studies.paper.study import Summary
+from bcid.studies.paper.study_file import StudyFile
+from bcid.studies.paper.study_page import study_page
+from bcid.studies.sections import PICTURE
+from bcid.studies.text_table import TextTable
+
+DOCS = Path(__file__).resolve().parents[1]
+STUDIES = DOCS.parent / "studies"
+COMMAND = "bcid study paper -o paper"
+
+
+def made(run: Path) -> dict[str, tuple[Summary, str]]:
+    """What every study of a run tells, and its section."""
+    found = {}
+    for file in sorted(STUDIES.glob("*.toml")):
+        study = StudyFile.read(file)
+        costs = json.loads((run / study.name / "study.json").read_text(encoding="utf-8"))["costs"]
+        told = Summary.of(study, run / study.name / "results", costs)
+        found[study.name] = told, study_page(study, told.tables, told.rows, (run / study.name / PICTURE).is_file())
+    return found
+
+
+def judged(found: dict[str, tuple[Summary, str]]) -> str:
+    """All that can hold or not, in one table."""
+    rows = [
+        (told.study.title, claim.about or "all", claim.paper, claim.here, claim.verdict)
+        for told, _ in found.values()
+        for claim in told.claims
+        if claim.verdict in (HOLDS, FAILS)
+    ]
+    held = sum(row[-1] == HOLDS for row in rows)
+    title = f"{held} of {len(rows)} statements of the paper that can be judged hold here:"
+    return TextTable(title, ("study", "of which trials", "the paper", "here", ""), tuple(rows)).markdown()
+
+
+def main(run: Path) -> None:
+    """Write the page and copy the pictures beside it."""
+    record = RunFolder.open(run).record
+    commit = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"], cwd=DOCS, capture_output=True, text=True, check=True
+    )
+    hours = record["seconds"] / 3600
+    about = f"{record['started'][:10]}, commit {commit.stdout.strip()}, {hours:.1f} hours on two cores"
+    found = made(run)
+    texts = {name: text for name, (_, text) in found.items()}
+    explored = run / "exploration"
+    cost = call_cost(explored)
+    assert math.isfinite(cost)
+    texts["exploration"] = exploration_page(results(explored, EXPLORED), cost, (explored / PICTURE).is_file())
+    target = DOCS / "paper"
+    shutil.rmtree(target, ignore_errors=True)
+    target.mkdir()
+    sections = []
+    for name in in_order(texts):
+        picture = run / name / PICTURE
+        if picture.is_file():
+            shutil.copyfile(picture, target / f"{name}.png")
+        sections.append(texts[name].replace(f"]({PICTURE})", f"](paper/{name}.png)"))
+    head = (DOCS / "_make/paper_head.md").read_text(encoding="utf-8").replace("COMMAND", COMMAND).replace("MADE", about)
+    page = "\n".join([head + judged(found) + "\n", *sections])
+    (DOCS / "paper.md").write_text(page, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
