@@ -13,13 +13,12 @@ from pathlib import Path
 from bcid.base.run_folder import RunFolder
 from bcid.studies.exploration.exploration_page import page as exploration_page
 from bcid.studies.exploration.exploration_study import call_cost, results
-from bcid.studies.paper.claims import FAILS, HOLDS
+from bcid.studies.paper.claims import verdicts
 from bcid.studies.paper.paper_study import EXPLORED, in_order
 from bcid.studies.paper.study import Summary
 from bcid.studies.paper.study_file import StudyFile
 from bcid.studies.paper.study_page import study_page
 from bcid.studies.sections import PICTURE
-from bcid.studies.text_table import TextTable
 
 DOCS = Path(__file__).resolve().parents[1]
 STUDIES = DOCS.parent / "studies"
@@ -35,19 +34,6 @@ def made(run: Path) -> dict[str, tuple[Summary, str]]:
         told = Summary.of(study, run / study.name / "results", costs)
         found[study.name] = told, study_page(study, told.tables, told.rows, (run / study.name / PICTURE).is_file())
     return found
-
-
-def judged(found: dict[str, tuple[Summary, str]]) -> str:
-    """All that can hold or not, in one table."""
-    rows = [
-        (told.study.title, claim.about or "all", claim.paper, claim.here, claim.verdict)
-        for told, _ in found.values()
-        for claim in told.claims
-        if claim.verdict in (HOLDS, FAILS)
-    ]
-    held = sum(row[-1] == HOLDS for row in rows)
-    title = f"{held} of {len(rows)} statements of the paper that can be judged hold here:"
-    return TextTable(title, ("study", "of which trials", "the paper", "here", ""), tuple(rows)).markdown()
 
 
 def main(run: Path) -> None:
@@ -74,7 +60,8 @@ def main(run: Path) -> None:
             shutil.copyfile(picture, target / f"{name}.png")
         sections.append(texts[name].replace(f"]({PICTURE})", f"](paper/{name}.png)"))
     head = (DOCS / "_make/paper_head.md").read_text(encoding="utf-8").replace("COMMAND", COMMAND).replace("MADE", about)
-    page = "\n".join([head + judged(found) + "\n", *sections])
+    judged = verdicts((told.study.title, claim) for told, _ in found.values() for claim in told.claims)
+    page = "\n".join([f"{head}{judged.markdown()}\n", *sections])
     (DOCS / "paper.md").write_text(page, encoding="utf-8")
 
 

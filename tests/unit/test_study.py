@@ -24,6 +24,7 @@ from bcid.studies.paper.algorithm1 import Rule, in_stages, optimum
 from bcid.studies.paper.cells import wrong_answers
 from bcid.studies.paper.claims import FAILS, HOLDS, claims
 from bcid.studies.paper.condition import Condition
+from bcid.studies.paper.paper_study import in_order, run_paper
 from bcid.studies.paper.study import Extent, run_study
 from bcid.studies.paper.study_file import StudyFile
 from bcid.studies.paper.trial_errors import seen_positions, true_actions, true_scene, turned
@@ -390,6 +391,28 @@ def test_a_study_by_children_in_parts_and_on_ranks_is_the_same(small: Path, tmp_
 
     _on_ranks(small, ranks)
     assert without_times(ranks) == without_times(whole)
+    _as_the_paper(small, tmp_path / "paper")
+
+
+def _as_the_paper(small: Path, folder: Path) -> None:
+    """All study files of a folder, reduced: their tables in one, what holds first, and a page."""
+    run_paper(folder, True, 0, Workers(), studies=small.parent, explored=False)
+    told = (folder / "table.txt").read_text(encoding="utf-8")
+    first = re.match(r"(\d) of (\d) statements of the paper that can be judged hold here:\n", told)
+    assert first
+    assert told.count("  holds\n") == 2 * int(first[1])
+    assert told.count("does not hold\n") == 2 * (int(first[2]) - int(first[1]))
+    page = (folder / "paper.md").read_text(encoding="utf-8")
+    assert "## A small study" in page
+    assert "](small/picture.png)" in page
+    assert (folder / "small/picture.png").is_file()
+    assert json.loads((folder / "run.json").read_text(encoding="utf-8"))["result"]["studies"] == ["small"]
+
+
+def test_sections_stand_in_the_order_of_the_paper() -> None:
+    numbers = {"a": "beyond 5.2.2", "b": "7 and 8, Tables 8 to 10", "c": "5.2.2, Figure 6", "d": "3.5", "e": "5.2.1"}
+    texts = {name: f"## Title\n\nSection {number}\n" for name, number in numbers.items()}
+    assert in_order(texts) == ["d", "e", "c", "b", "a"]
 
 
 PYTHON = [sys.executable, "-m", "bcid"]

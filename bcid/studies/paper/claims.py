@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ from bcid.studies.hidden.score import wilson
 from bcid.studies.paper.cells import Row, mean_calls, rounds, time_range, wrong_answers
 from bcid.studies.paper.condition import written
 from bcid.studies.paper.study_file import StudyFile
+from bcid.studies.text_table import TextTable
 
 HOLDS, FAILS, TOLD = "holds", "does not hold", "-"
 
@@ -50,6 +51,15 @@ def claims(study: StudyFile, rows: Sequence[Row], costs: Mapping[str, float]) ->
             if key in entry and mine:
                 found.append(Claim(about, *judge(entry[key], mine, costs, study)))
     return found
+
+
+def verdicts(said: Iterable[tuple[str, Claim]]) -> TextTable:
+    """All that can hold or not, with the titles of the studies, in one table."""
+    judged = [(title, claim) for title, claim in said if claim.verdict in (HOLDS, FAILS)]
+    held = sum(claim.verdict == HOLDS for _, claim in judged)
+    rows = tuple((title, c.about or "all", c.paper, c.here, c.verdict) for title, c in judged)
+    title = f"{held} of {len(judged)} statements of the paper that can be judged hold here:"
+    return TextTable(title, ("study", "of which trials", "the paper", "here", ""), rows)
 
 
 def _there(row: Row, where: Mapping[str, Any]) -> bool:

@@ -15,9 +15,11 @@ from bcid.base.errors import InputError
 from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import RunFolder, running
 from bcid.base.shipped import shipped
+from bcid.base.text_file import read_json
 from bcid.studies.engine.work import Workers
 from bcid.studies.exploration import exploration_study as exploration
 from bcid.studies.exploration.exploration_trials import ExplorationExtent as Explored
+from bcid.studies.paper.claims import FAILS, Claim, verdicts
 from bcid.studies.paper.study import Extent, run_study
 from bcid.studies.sections import PICTURE
 
@@ -86,12 +88,24 @@ def _finished(folder: Path) -> bool:
 
 def _conclude(run: RunFolder | None, names: list[str]) -> None:
     assert run is not None
+    said = [entry for name in names for entry in _said(run.path / name)]
+    judged = verdicts(said)
     tables = [(run.path / name / "table.txt").read_text(encoding="utf-8").rstrip() for name in names]
     rule = "\n\n" + "-" * 100 + "\n\n"
-    run.write_text("table.txt", rule.join(tables) + "\n")
-    run.write_text(PAGE, page(run.path, names))
+    run.write_text("table.txt", rule.join([judged.text(), *tables]) + "\n")
+    run.write_text(PAGE, judged.markdown() + "\n\n" + page(run.path, names))
     seconds = {name: RunFolder.open(run.path / name).record["seconds"] for name in names}
-    run.finish({"studies": names, "seconds": seconds})
+    not_held = sum(claim.verdict == FAILS for _, claim in said)
+    run.finish({"studies": names, "seconds": seconds, "not_held": not_held})
+
+
+def _said(folder: Path) -> list[tuple[str, Claim]]:
+    """What the paper says of a study in a run, with the study's title; nothing of one that is no study file."""
+    file = folder / "study.json"
+    if not file.is_file():
+        return []
+    content = read_json(file)
+    return [(content["title"], Claim(**claim)) for claim in content["claims"]]
 
 
 def page(folder: Path, names: Iterable[str]) -> str:
