@@ -13,7 +13,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 from bcid.studies.paper.cells import Cell
-from bcid.studies.paper.condition import written
+from bcid.studies.paper.condition import named, written
 from bcid.studies.paper.study_file import StudyFile
 
 # Okabe & Ito's colours; markers and dashes tell the lines apart in black and white.
@@ -63,6 +63,8 @@ def _rates(axes: Any, bins: Sequence[Mapping[str, Any]], label: str) -> None:
 # Okabe & Ito's colours again, one for each row of a table.
 _ROWS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
 _MARKERS = "osD^vPX"
+# With fewer trials in a cell a rate is hardly one.
+_TRIALS = 5
 
 
 def success(file: Path, study: StudyFile, found: Sequence[Cell]) -> None:
@@ -77,13 +79,24 @@ def success(file: Path, study: StudyFile, found: Sequence[Cell]) -> None:
         for axis, key in zip(axes[0], keys, strict=False):
             mine = [cell for cell in found if tuple(cell.values[name] for name in others) == key]
             _success(axis, study, mine)
-            axis.set_title(", ".join(f"{n} {written(n, v)}" for n, v in zip(others, key, strict=True)), fontsize=9)
+            axis.set_title(
+                ", ".join(f"{named(n)} {written(n, v)}" for n, v in zip(others, key, strict=True)), fontsize=9
+            )
         axes[0][0].set_ylabel("right answers, %")
         axes[0][0].set_ylim(-3, 103)
         handles, labels = axes[0][0].get_legend_handles_labels()
-        figure.legend(handles, labels, frameon=False, ncols=min(len(labels), 3 * count), loc="outside lower center")
+        # As many columns as fit under the axes.
+        inches = 0.6 + 0.075 * max(len(text) for text in labels)
+        columns = max(1, min(len(labels), int(figure.get_figwidth() / inches)))
+        figure.legend(handles, labels, frameon=False, ncols=columns, loc="outside lower center")
         figure.savefig(file)
         plt.close(figure)
+
+
+def is_curve(study: StudyFile) -> bool:
+    """Whether rates over the columns are worth a picture: these are amounts, and there are trials enough for a rate."""
+    values = study.vary.get(study.columns, ())
+    return len(values) > 1 and all(isinstance(value, float) for value in values) and study.trials >= _TRIALS
 
 
 def _success(axis: Any, study: StudyFile, cells: Sequence[Cell]) -> None:
@@ -91,7 +104,7 @@ def _success(axis: Any, study: StudyFile, cells: Sequence[Cell]) -> None:
     for k, row in enumerate(study.vary.get(study.rows, (None,))):
         mine = [cell for cell in cells if cell.values.get(study.rows) == row]
         colour, marker = _ROWS[k % len(_ROWS)], _MARKERS[k % len(_MARKERS)]
-        name = f"{study.rows} {written(study.rows, row)}" if study.rows else "search"
+        name = f"{named(study.rows)} {written(study.rows, row)}" if study.rows else "search"
         # Lines that lie on each other stay visible.
         x = np.arange(len(columns)) + 0.04 * (k - len(study.vary.get(study.rows, (None,))) / 2)
         rates = [100 * cell.right for cell in mine]
@@ -104,7 +117,7 @@ def _success(axis: Any, study: StudyFile, cells: Sequence[Cell]) -> None:
         if np.isfinite(best).any():
             axis.plot(x, best, color=colour, lw=1.0, ls=":", label="best of all sets" if k == 0 else None)
     axis.set_xticks(range(len(columns)), [written(study.columns, c) if study.columns else "" for c in columns])
-    axis.set_xlabel(study.columns)
+    axis.set_xlabel(named(study.columns))
 
 
 def progression(file: Path, trials: Sequence[Mapping[str, Any]]) -> None:

@@ -12,16 +12,18 @@ from pathlib import Path
 
 from bcid.base.run_folder import RunFolder
 from bcid.studies.exploration.exploration_page import page as exploration_page
+from bcid.studies.exploration.exploration_page import shown
 from bcid.studies.exploration.exploration_study import call_cost, results
 from bcid.studies.paper.claims import verdicts
 from bcid.studies.paper.paper_study import EXPLORED, in_order
 from bcid.studies.paper.study import Summary
 from bcid.studies.paper.study_file import StudyFile
 from bcid.studies.paper.study_page import study_page
+from bcid.studies.plots import is_curve, progression, success
 from bcid.studies.sections import PICTURE
 
 DOCS = Path(__file__).resolve().parents[1]
-STUDIES = DOCS.parent / "studies"
+STUDIES, PICTURES = DOCS.parent / "studies", DOCS / "paper"
 COMMAND = "bcid study paper -o paper"
 
 
@@ -32,7 +34,10 @@ def made(run: Path) -> dict[str, tuple[Summary, str]]:
         study = StudyFile.read(file)
         costs = json.loads((run / study.name / "study.json").read_text(encoding="utf-8"))["costs"]
         told = Summary.of(study, run / study.name / "results", costs)
-        found[study.name] = told, study_page(study, told.tables, told.rows, (run / study.name / PICTURE).is_file())
+        drawn = is_curve(study)
+        if drawn:
+            success(PICTURES / f"{study.name}.png", study, told.cells)
+        found[study.name] = told, study_page(study, told.tables, told.rows, drawn)
     return found
 
 
@@ -44,21 +49,17 @@ def main(run: Path) -> None:
     )
     hours = record["seconds"] / 3600
     about = f"{record['started'][:10]}, commit {commit.stdout.strip()}, {hours:.1f} hours on two cores"
+    shutil.rmtree(PICTURES, ignore_errors=True)
+    PICTURES.mkdir()
     found = made(run)
     texts = {name: text for name, (_, text) in found.items()}
     explored = run / "exploration"
     cost = call_cost(explored)
     assert math.isfinite(cost)
-    texts["exploration"] = exploration_page(results(explored, EXPLORED), cost, (explored / PICTURE).is_file())
-    target = DOCS / "paper"
-    shutil.rmtree(target, ignore_errors=True)
-    target.mkdir()
-    sections = []
-    for name in in_order(texts):
-        picture = run / name / PICTURE
-        if picture.is_file():
-            shutil.copyfile(picture, target / f"{name}.png")
-        sections.append(texts[name].replace(f"]({PICTURE})", f"](paper/{name}.png)"))
+    trials = results(explored, EXPLORED)
+    progression(PICTURES / "exploration.png", [trial for trial in trials if shown(trial)])
+    texts["exploration"] = exploration_page(trials, cost, True)
+    sections = [texts[name].replace(f"]({PICTURE})", f"](paper/{name}.png)") for name in in_order(texts)]
     head = (DOCS / "_make/paper_head.md").read_text(encoding="utf-8").replace("COMMAND", COMMAND).replace("MADE", about)
     judged = verdicts((told.study.title, claim) for told, _ in found.values() for claim in told.claims)
     page = "\n".join([f"{head}{judged.markdown()}\n", *sections])

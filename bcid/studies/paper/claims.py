@@ -11,7 +11,7 @@ import numpy as np
 from bcid.inference.outcome import label
 from bcid.studies.hidden.score import wilson
 from bcid.studies.paper.cells import Row, mean_calls, rounds, time_range, wrong_answers
-from bcid.studies.paper.condition import written
+from bcid.studies.paper.condition import named, written
 from bcid.studies.paper.study_file import StudyFile
 from bcid.studies.text_table import TextTable
 
@@ -44,7 +44,7 @@ def claims(study: StudyFile, rows: Sequence[Row], costs: Mapping[str, float]) ->
     for entry in study.paper:
         where = entry["where"]
         mine = [row for row in rows if _there(row, where)]
-        about = ", ".join(f"{name} {written(name, value)}" for name, value in where.items())
+        about = ", ".join(f"{named(name)} {written(name, value)}" for name, value in where.items())
         if "says" in entry:
             found.append(Claim(about, entry["says"], entry.get("here", ""), TOLD))
         for key, judge in _JUDGES.items():

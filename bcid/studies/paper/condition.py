@@ -166,6 +166,11 @@ def _texts(value: object, name: str) -> tuple[Any, ...]:
     raise InputError(f"expected a list as {example}, found {value!r}")
 
 
+def named(name: str) -> str:
+    """The name of an attribute in a table."""
+    return name.replace("_", " ")
+
+
 def written(name: str, value: Any) -> str:
     """The value of an attribute for a table: in the units of a laboratory."""
     units = {"m": (1e3, " mm"), "Pa": (1e-3, " kPa"), "deg": (1.0, " deg"), "1": (1e2, " %")}

@@ -197,8 +197,10 @@ def call_costs(files: Iterable[Path]) -> dict[str, float]:
 def _draw(run: RunFolder, study: StudyFile, found: list[results.Cell]) -> bool:
     """Whether there is a picture: it is a view of the numbers, and without matplotlib there is none."""
     try:
-        from bcid.studies.plots import success
+        from bcid.studies.plots import is_curve, success
     except ImportError:
+        return False
+    if not is_curve(study):
         return False
     success(run.path / "picture.png", study, found)
     return True

@@ -13,7 +13,7 @@ import numpy as np
 from bcid.inference.outcome import label
 from bcid.studies.paper.cells import Cell, Row, Wrong, mean_calls, reasons, time_range, wrong_answers
 from bcid.studies.paper.claims import TOLD, Claim
-from bcid.studies.paper.condition import written
+from bcid.studies.paper.condition import named, written
 from bcid.studies.paper.study_file import StudyFile
 from bcid.studies.text_table import TextTable, wrapped
 
@@ -67,18 +67,14 @@ def _groups(study: StudyFile, found: Sequence[Cell]) -> list[tuple[str, list[Cel
     others = [name for name in study.vary if name not in (study.rows, study.columns)]
     groups: dict[str, list[Cell]] = {}
     for cell in found:
-        heading = ", ".join(f"{_named(name)} {written(name, cell.values[name])}" for name in others)
+        heading = ", ".join(f"{named(name)} {written(name, cell.values[name])}" for name in others)
         groups.setdefault(heading, []).append(cell)
     return list(groups.items())
 
 
-def _named(attribute: str) -> str:
-    return attribute.replace("_", " ")
-
-
 def _grid(study: StudyFile, group: Sequence[Cell], title: str, told: Any) -> TextTable:
     rows, columns = (study.vary.get(name, (None,)) for name in (study.rows, study.columns))
-    corner = " \\ ".join(_named(name) for name in (study.rows, study.columns) if name)
+    corner = " \\ ".join(named(name) for name in (study.rows, study.columns) if name)
     head = [corner] + [written(study.columns, c) if study.columns else "" for c in columns]
     body = []
     for r in rows:
