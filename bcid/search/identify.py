@@ -49,7 +49,7 @@ class IdentifyOptions:
         coarsest, climbed: first level, and how many levels are climbed on; on finer ones only the likely sets are
             looked at.
         finest: last level that may be used; with `stop` "settled", the level that is used.
-        stop: when the stages end.
+        stop: when the stages end, as `Stop.parse("refinement 0.5 mm")`.
         start: what seeds the second and later stages: "maxima", or "threshold" for every state above `threshold`.
         threshold: similarity, a fraction of the best on the level.
         toggles: random toggles that perturb the seeds of later stages.
