@@ -126,7 +126,7 @@ def progression(file: Path, trials: Sequence[Mapping[str, Any]]) -> None:
 
     if not trials:
         return
-    rows = list(dict.fromkeys((t["noise"], len(t["grasps"])) for t in trials))
+    rows = sorted({(t["noise"], len(t["grasps"])) for t in trials})
     columns = list(dict.fromkeys(tuple(t["anchors"]) for t in trials))
     with plt.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
         size = (3.1 * len(columns), 2.2 * len(rows) + 0.3)
@@ -149,13 +149,13 @@ def progression(file: Path, trials: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _beliefs(axis: Any, trial: Mapping[str, Any], true: str) -> None:
-    """Belief in the true set, and in those that were among the likeliest two after a pull."""
+    """Belief in the true set, and in those that were among the likeliest two after a pull; before the first all are alike."""
     beliefs = trial["beliefs"]
     rivals = [name for belief in beliefs for name in list(belief)[:2] if name != true]
     for k, name in enumerate([true, *list(dict.fromkeys(rivals))[: len(_ROWS) - 1]]):
-        shown = [belief.get(name, 0.0) for belief in beliefs]
+        shown = [1 / trial["sets"], *(belief.get(name, 0.0) for belief in beliefs)]
         axis.plot(
-            range(1, len(shown) + 1),
+            range(len(shown)),
             shown,
             color=_ROWS[k],
             marker=_MARKERS[k],
@@ -163,6 +163,6 @@ def _beliefs(axis: Any, trial: Mapping[str, Any], true: str) -> None:
             lw=2.2 if k == 0 else 1.0,
             label=name,
         )
-    axis.set_xticks(range(1, len(beliefs) + 1))
+    axis.set_xticks(range(len(beliefs) + 1))
     axis.set_ylim(-0.03, 1.05)
     axis.legend(frameon=False, fontsize=7)

@@ -16,6 +16,8 @@ from bcid.studies.text_table import TextTable
 Trial = Mapping[str, Any]
 # The back projection error of the paper's cameras, m, and how the paper chooses.
 LABORATORY, PAPER = 0.3e-3, "entropy"
+# Noise with which one pull does not decide, m.
+_MORE = 1e-3
 _CODE = ("bcid/exploration/choice.py", "bcid/exploration/update.py", "bcid/studies/exploration")
 
 _TOLD = {
@@ -46,9 +48,10 @@ def page(trials: Sequence[Trial], cost: float, drawn: bool) -> str:
 
 
 def shown(trial: Trial) -> bool:
-    """Whether a trial's beliefs are drawn: without noise as in Figure 13, with the laboratory's as in Figure 14."""
+    """Whether a trial's beliefs are drawn: as in Figure 13 (no noise, all grasps) and 14 (the laboratory), and with more noise."""
     first = trial["number"] == 0 and trial["strategy"] == PAPER and not trial["hidden"] and trial["beliefs"]
-    return bool(first and tuple(trial["anchors"]) in ANCHORS and trial["noise"] in (0.0, LABORATORY))
+    drawn = trial["noise"] == LABORATORY or (trial["noise"] in (0.0, _MORE) and len(trial["grasps"]) > 1)
+    return bool(first and tuple(trial["anchors"]) in ANCHORS and drawn)
 
 
 def _pulls(trials: Sequence[Trial]) -> TextTable:
