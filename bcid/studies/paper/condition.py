@@ -24,6 +24,7 @@ class Condition:
     Attributes:
         anchors: sets that are anchored, taken in turns: trial i has the i-th.
         motion, grasp: how the body is pulled.
+        steps: of the motion, besides rest; 0 for as many as it has.
         search: "stages" and "single" are Algorithm 1 of the paper over the levels and on the last alone (see
             `bcid.studies.paper.algorithm1`); "identify" is what `bcid identify` does.
         seeds: random sets that Algorithm 1 starts from.
@@ -48,6 +49,7 @@ class Condition:
     anchors: tuple[tuple[str, ...], ...] = (("1", "2"), ("3", "4"), ("1", "2", "3", "4"))
     motion: str = "semicircle"
     grasp: str = "II"
+    steps: int = 0
     search: str = "stages"
     seeds: int = 24
     finest: int = 3
@@ -85,7 +87,7 @@ class Condition:
 
     def actions(self) -> list[Action]:
         """How the body is pulled, as the search assumes it."""
-        return motion(self.motion, self.grasp)
+        return motion(self.motion, self.grasp, steps=self.steps or None)
 
     def truth(self, scene: Scene) -> Scene:
         """The scene as it really is, with the truth's elements as its only level."""
@@ -103,6 +105,7 @@ class Condition:
 _WRITTEN: dict[str, str | type] = {
     "motion": str,
     "grasp": str,
+    "steps": int,
     "search": str,
     "seeds": int,
     "finest": int,

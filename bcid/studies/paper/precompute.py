@@ -111,17 +111,18 @@ class Store:
 
 def _plain(condition: Condition) -> Condition:
     """What predictions depend on."""
-    return replace(Condition(), anchors=(), motion=condition.motion, grasp=condition.grasp)
+    return replace(Condition(), anchors=(), **{name: getattr(condition, name) for name in _DRIVEN})
 
 
+_DRIVEN = ("motion", "grasp", "steps")
 _TRUE = ("true_degree", "true_size", "young", "poisson", "effects")
 _TRIAL = ("robot_turn", "robot_noise", "grasp_error", "placement")
 
 
 def _true(condition: Condition) -> Condition:
     """What the truth depends on, but for the set and the number of the trial."""
-    same = {name: getattr(condition, name) for name in (*_TRUE, *_TRIAL)}
-    return replace(Condition(), anchors=(), motion=condition.motion, grasp=condition.grasp, **same)
+    same = {name: getattr(condition, name) for name in (*_DRIVEN, *_TRUE, *_TRIAL)}
+    return replace(Condition(), anchors=(), **same)
 
 
 @lru_cache(maxsize=4)
