@@ -1,16 +1,17 @@
-"""Make docs/paper.md of a finished `bcid study paper`: its tables, its pictures, and all that the paper says beside what was found.
+"""Make docs/paper.md of a finished `bcid study paper`: its tables, its pictures, and what the paper says beside what was found;
+COMMIT is that of the code that ran it.
 
-./dev python docs/_make/paper.py RUN
+./dev python docs/_make/paper.py RUN COMMIT
 """
 
 import json
 import math
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 from bcid.base.run_folder import RunFolder
+from bcid.studies.engine.work import read_result
 from bcid.studies.exploration.exploration_page import page as exploration_page
 from bcid.studies.exploration.exploration_page import shown
 from bcid.studies.exploration.exploration_study import call_cost, results
@@ -41,14 +42,16 @@ def made(run: Path) -> dict[str, tuple[Summary, str]]:
     return found
 
 
-def main(run: Path) -> None:
+def hours(run: Path) -> float:
+    """What all predictions and trials of a run took."""
+    files = (file for part in ("precomputed", "results") for file in run.glob(f"*/{part}/*.json"))
+    return sum(read_result(file)["seconds"] for file in files) / 3600
+
+
+def main(run: Path, commit: str) -> None:
     """Write the page and copy the pictures beside it."""
     record = RunFolder.open(run).record
-    commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], cwd=DOCS, capture_output=True, text=True, check=True
-    )
-    hours = record["seconds"] / 3600
-    about = f"{record['started'][:10]}, commit {commit.stdout.strip()}, {hours:.1f} hours on two cores"
+    about = f"{record['started'][:10]}, commit {commit}, {hours(run):.1f} CPU hours"
     shutil.rmtree(PICTURES, ignore_errors=True)
     PICTURES.mkdir()
     found = made(run)
@@ -67,4 +70,4 @@ def main(run: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), sys.argv[2])
