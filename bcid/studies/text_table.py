@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,9 +25,15 @@ class TextTable:
 
     def markdown(self) -> str:
         """As a table of Markdown."""
-        lines = [self.head, tuple("---" if i == 0 else "---:" for i in range(len(self.head))), *self.rows]
+        columns = list(zip(*self.rows, strict=True)) if self.rows else [() for _ in self.head]
+        lines = [self.head, tuple("---:" if _numbers(column) else "---" for column in columns), *self.rows]
         drawn = ["| " + " | ".join(word.replace("|", "\\|") for word in line) + " |" for line in lines]
         return "\n".join([*([f"{self.title}", ""] if self.title else []), *drawn])
+
+
+def _numbers(column: Sequence[str]) -> bool:
+    """Whether a column holds numbers alone: digits, points, and what stands between two of them."""
+    return any(column) and all(re.fullmatch(r"[-+0-9.,/% ()]*|[0-9.]+ \([0-9.]+ to [0-9.]+\)", word) for word in column)
 
 
 def wrapped(text: str) -> str:

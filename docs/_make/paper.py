@@ -64,7 +64,8 @@ def main(run: Path, commit: str) -> None:
     texts["exploration"] = exploration_page(trials, cost, True)
     sections = [texts[name].replace(f"]({PICTURE})", f"](paper/{name}.png)") for name in in_order(texts)]
     head = (DOCS / "_make/paper_head.md").read_text(encoding="utf-8").replace("COMMAND", COMMAND).replace("MADE", about)
-    judged = verdicts((told.study.title, claim) for told, _ in found.values() for claim in told.claims)
+    ordered = [found[name][0] for name in in_order(texts) if name in found]
+    judged = verdicts((told.study.title, claim) for told in ordered for claim in told.claims)
     page = "\n".join([f"{head}{judged.markdown()}\n", *sections])
     (DOCS / "paper.md").write_text(page, encoding="utf-8")
 

@@ -366,6 +366,8 @@ def test_a_study_by_children_in_parts_and_on_ranks_is_the_same(small: Path, tmp_
     page = (whole / "page.md").read_text(encoding="utf-8")
     assert page.startswith("## A small study\n\nSection 0\n")
     assert "| noise 0 mm | 100 % right | 100 %, 8 of 8 | holds |" in page
+    # Numbers to the right, words to the left.
+    assert "| anchored | found | times | search | mesh | data |\n| --- | --- | ---: | ---: | ---: | ---: |" in page
     assert "![A small study](picture.png)" in page
     content = json.loads((whole / "study.json").read_text(encoding="utf-8"))
     assert {claim["verdict"] for claim in content["claims"]} >= {"holds"}
@@ -410,9 +412,16 @@ def _as_the_paper(small: Path, folder: Path) -> None:
 
 
 def test_sections_stand_in_the_order_of_the_paper() -> None:
-    numbers = {"a": "beyond 5.2.2", "b": "7 and 8, Tables 8 to 10", "c": "5.2.2, Figure 6", "d": "3.5", "e": "5.2.1"}
+    numbers = {
+        "a": "beyond 5.2.2",
+        "b": "7 and 8, Tables 8 to 10",
+        "c": "5.2.2, Figure 6",
+        "f": "5.2.2 and 5.3, Table 3",
+        "d": "3.5",
+        "e": "5.2.1",
+    }
     texts = {name: f"## Title\n\nSection {number}\n" for name, number in numbers.items()}
-    assert in_order(texts) == ["d", "e", "c", "b", "a"]
+    assert in_order(texts) == ["d", "e", "c", "f", "b", "a"]
 
 
 PYTHON = [sys.executable, "-m", "bcid"]

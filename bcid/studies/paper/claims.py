@@ -49,7 +49,8 @@ def claims(study: StudyFile, rows: Sequence[Row], costs: Mapping[str, float]) ->
             found.append(Claim(about, entry["says"], entry.get("here", ""), TOLD))
         for key, judge in _JUDGES.items():
             if key in entry and mine:
-                found.append(Claim(about, *judge(entry[key], mine, costs, study)))
+                paper, here, verdict = judge(entry[key], mine, costs, study)
+                found.append(Claim(about, entry.get("reads", paper), here, verdict))
     return found
 
 

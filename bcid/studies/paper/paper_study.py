@@ -88,7 +88,8 @@ def _finished(folder: Path) -> bool:
 
 def _conclude(run: RunFolder | None, names: list[str]) -> None:
     assert run is not None
-    said = [entry for name in names for entry in _said(run.path / name)]
+    texts = {name: (run.path / name / "page.md").read_text(encoding="utf-8") for name in names}
+    said = [entry for name in in_order(texts) for entry in _said(run.path / name)]
     judged = verdicts(said)
     tables = [(run.path / name / "table.txt").read_text(encoding="utf-8").rstrip() for name in names]
     rule = "\n\n" + "-" * 100 + "\n\n"
@@ -115,10 +116,11 @@ def page(folder: Path, names: Iterable[str]) -> str:
 
 
 def in_order(texts: Mapping[str, str]) -> list[str]:
-    """Names of sections, by the number of the paper's in their third line; what goes beyond the paper comes last."""
+    """Names of sections, by the paper's number in their third line, then by figure and table; what goes beyond comes last."""
 
-    def place(name: str) -> tuple[bool, list[str], str]:
-        number = texts[name].splitlines()[2].removeprefix("Section ").removeprefix("beyond ")
-        return "Section beyond" in texts[name], number.split(",")[0].split()[0].split("."), name
+    def place(name: str) -> tuple[bool, list[str], str, str]:
+        number, _, shown = texts[name].splitlines()[2].removeprefix("Section ").partition(",")
+        beyond, number = number.startswith("beyond "), number.removeprefix("beyond ")
+        return beyond, number.split()[0].split("."), shown, name
 
     return sorted(texts, key=place)

@@ -111,7 +111,8 @@ class StudyFile:
         about, in_paper, chosen, adds: what is done here, what the paper did, what was taken where it leaves something open, and
             what is told beyond it.
         code: files in which it is done.
-        paper: what the paper says: `says`, a text, or `where` and one of `PAPER`.
+        paper: what the paper says: `says`, a text, or `where` and one of `PAPER`, in its own words (`reads`) where these are no
+            number.
     """
 
     name: str
@@ -255,7 +256,7 @@ class _Reader:
             return ()
         found = []
         for entry in entries:
-            self.unknown(entry, ("says", "here", "where", *PAPER), "paper.")
+            self.unknown(entry, ("says", "here", "reads", "where", *PAPER), "paper.")
             for key, (good, expected) in PAPER.items():
                 if key in entry and not good(entry[key]):
                     self.bad(f"paper.{key}", f"expected {expected}, found {entry[key]!r}")
