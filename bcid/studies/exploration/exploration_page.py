@@ -50,7 +50,7 @@ def page(trials: Sequence[Trial], cost: float, drawn: bool) -> str:
 def shown(trial: Trial) -> bool:
     """Whether a trial's beliefs are drawn: as in Figure 13 (no noise, all grasps) and 14 (the laboratory), and with more noise."""
     first = trial["number"] == 0 and trial["strategy"] == PAPER and not trial["hidden"] and trial["beliefs"]
-    drawn = trial["noise"] == LABORATORY or (trial["noise"] in (0.0, _MORE) and len(trial["grasps"]) > 1)
+    drawn = trial["noise"] in (LABORATORY, _MORE) or (trial["noise"] == 0 and len(trial["grasps"]) > 1)
     return bool(first and tuple(trial["anchors"]) in ANCHORS and drawn)
 
 
