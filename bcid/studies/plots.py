@@ -64,7 +64,7 @@ def _rates(axes: Any, bins: Sequence[Mapping[str, Any]], label: str) -> None:
 _ROWS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
 _MARKERS = "osD^vPX"
 # With fewer trials in a cell a rate is hardly one.
-_TRIALS = 5
+_TRIALS = 4
 
 
 def success(file: Path, study: StudyFile, found: Sequence[Cell]) -> None:

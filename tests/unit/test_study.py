@@ -55,7 +55,7 @@ rows = "search"
 columns = "noise"
 also = ["rms", "stages"]
 [quick]
-trials = 2
+trials = 4
 [[paper]]
 where = {{ noise = "0 mm" }}
 right = 1.0
