@@ -60,8 +60,15 @@ def test_a_filmed_body_is_measured_as_it_moves(tmp_path: Path) -> None:
     """Board, cameras, beads, tracking and registration; a second look at the same trial reads what was filmed."""
     scene = PROJECT / "examples/scenes/slab_paper.toml"
     store = Store(scene, tmp_path, 5)
-    about = {"motion": "pull", "true_degree": 2, "true_size": 14e-3, "placement": 2e-4, "robot_turn": 1.0}
-    condition = Condition(anchors=(("1", "2"),), seen="images", **about)  # type: ignore[arg-type]
+    condition = Condition(
+        anchors=(("1", "2"),),
+        seen="images",
+        motion="pull",
+        true_degree=2,
+        true_size=14e-3,
+        placement=2e-4,
+        robot_turn=1.0,
+    )
     film = store.film(condition, 0)
     true = store.truth(condition, 0)
     names = Scene.read(scene, physics=check_physics).fiducial_names

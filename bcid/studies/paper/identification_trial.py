@@ -86,7 +86,7 @@ def climbed(store: Store, condition: Condition, number: int, measurement: Measur
     model = Predicted(store, condition, measurement.positions[:, order])
     patches = list(scene.patches)
     seeds = random_seeds(patches, condition.seeds, np.random.default_rng(number))
-    last = min(condition.finest, len(scene.levels) - 1)
+    last = condition.finest
     if condition.search == "single":
         found = in_stages(model, patches, seeds, Rule("last", 0.0, last), first=last)
     else:
@@ -123,9 +123,8 @@ def identified(store: Store, condition: Condition, number: int, measurement: Mea
     from bcid.search.identify import IdentifyOptions, identify
 
     scene = store.read()
-    finest = min(condition.finest, len(scene.levels) - 1)
     began = time.process_time()
-    found = identify(scene, measurement, options=IdentifyOptions(random_state=number, finest=finest))
+    found = identify(scene, measurement, options=IdentifyOptions(random_state=number, finest=condition.finest))
     seconds = time.process_time() - began
     right = frozenset(found.anchored) == condition.held(number)
     return {

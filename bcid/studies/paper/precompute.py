@@ -175,7 +175,7 @@ def tasks(trials: Iterable[Trial], scene: Scene, seed: int) -> dict[str, dict[st
         truths[true, trial.number if film or differs(condition) else 0] = None
         if condition.search == "identify":
             continue
-        for level in range(min(condition.finest, len(scene.levels) - 1) + 1):
+        for level in range(condition.finest + 1):
             if level <= condition.compared:
                 levels[_plain(condition), level] = None
             else:

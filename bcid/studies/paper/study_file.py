@@ -70,13 +70,17 @@ def _numbers(count: int | None = None) -> Callable[[object], bool]:
     return lambda v: isinstance(v, list) and all(type(n) in (int, float) for n in v) and count in (None, len(v))
 
 
+def _part(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= 1
+
+
 def _sets(value: object) -> bool:
     return isinstance(value, list) and all(isinstance(s, list) and all(isinstance(n, str) for n in s) for s in value)
 
 
 # What the paper says that can stand beside ours, what is right for each, and an example.
 PAPER: dict[str, tuple[Callable[[object], bool], str]] = {
-    "right": (lambda v: type(v) in (int, float) and 0 <= v <= 1, "a part from 0 to 1"),  # type: ignore[operator]
+    "right": (_part, "a part from 0 to 1"),
     "wrong": (_sets, 'a list of sets as [["1", "5"], ["1", "8"]]'),
     "calls": (_numbers(), "a list of numbers as [165, 94, 0.9]"),
     "seconds": (_numbers(3), "mean, least and most as [84.28, 55.89, 2658]"),

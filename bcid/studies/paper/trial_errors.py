@@ -16,6 +16,7 @@ from bcid.measurement import Action
 from bcid.scene import Scene
 from bcid.scene.rotation import conjugated, from_vector, rotate
 from bcid.studies.paper.condition import Condition
+from bcid.studies.rendering.vectors import unit
 
 Array = NDArray[np.float64]
 _KINDS = ("noise", "registration", "camera", "robot_turn", "robot_noise", "grasp_error", "placement", "pictures")
@@ -89,11 +90,6 @@ def seen_positions(condition: Condition, true: Array, middle: Array, number: int
     shift = numbers("registration", number, seed).normal(size=3)
     white = numbers("noise", number, seed).normal(size=true.shape)
     return np.asarray(seen + condition.registration * shift + condition.noise * white)
-
-
-def unit(vector: Array) -> Array:
-    """The vector with length one."""
-    return np.asarray(vector / np.linalg.norm(vector))
 
 
 def turned(action: Action, turn: Array) -> Action:
