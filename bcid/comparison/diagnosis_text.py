@@ -15,6 +15,7 @@ from bcid.comparison.separate import Pull
 from bcid.comparison.state import State
 from bcid.comparison.where import MissingForce
 from bcid.forms.model import Term
+from bcid.inference.likelihood import NuisanceEstimate
 from bcid.inference.outcome import label
 from bcid.search.identify_run import FAR
 
@@ -46,12 +47,52 @@ def warning(state: State) -> list[str]:
             f"WARNING: no noise is known: {1e3 * state.noise:.3g} mm is only estimated from the measurement itself, "
             "and whether a model is adequate rests on that. State noise_sigma."
         )
-    if state.rms > FAR * state.noise:
+    size = float(np.sqrt(state.chi2 / len(state.predictor.data)))
+    if size > FAR:
         lines.append(
-            f"WARNING: the model misses the measurement by {state.rms / state.noise:.1f} times the noise "
-            f"({1e3 * state.rms:.3g} mm where it is {1e3 * state.noise:.3g} mm)."
+            f"WARNING: the model misses the measurement by {size:.1f} times what noise, mesh and an inexact scene explain "
+            f"({1e3 * state.rms:.3g} mm where the noise is {1e3 * state.noise:.3g} mm)."
         )
-    return lines
+    return lines + [f"WARNING: {text}" for one in state.told if one.used_up for text in [f"{used_up(one)}."]]
+
+
+# Nuisances in sentences: what is off.
+_OFF = {
+    "markers": "markers would have to sit {} from where the scene has them",
+    "dimensions": "the body would have to be larger or smaller than the scene has it by {}",
+    "borders": "patches would have to end {} from where the scene has it",
+    "grip": "the gripper would have to be {} from where it is reported",
+    "grip_turn": "the gripper would have to be turned by {} against what is reported",
+    "camera": "the measured frame would have to be turned by {}",
+    "poisson": "Poisson's ratio would have to be off by {}",
+}
+_UNITS = {"markers": "m", "borders": "m", "grip": "m", "grip_turn": "deg", "camera": "deg"}
+
+
+def amount(one: NuisanceEstimate, value: float) -> str:
+    """A value of a nuisance with its unit: "0.41 mm", "2 %"."""
+    if one.name == "dimensions":
+        return f"{100 * value:.2g} %"
+    shown, _, unit = for_people(value, None, _UNITS.get(one.name, "1"))
+    return f"{shown:.2g}" if unit == "1" else f"{shown:.2g} {unit}"
+
+
+def used_up(one: NuisanceEstimate) -> str:
+    """That a nuisance is larger than the scene says."""
+    off = _OFF[one.name].format(f"up to {amount(one, one.most * one.size)}")
+    return f"{off}, where {amount(one, one.size)} is allowed for (a standard deviation)"
+
+
+def inexact(state: State) -> list[str]:
+    """What the scene may have wrong, and what of it these data make likely."""
+    if not state.told:
+        return []
+    parts = [f"{one.name} {amount(one, one.size)} ({amount(one, one.found)})" for one in state.told]
+    return [
+        "  Allowed for in the scene, as standard deviations (and what these data make likely): "
+        + ", ".join(parts)
+        + "."
+    ]
 
 
 def verdict(state: State, adequacy: Adequacy, unit: float, name: str) -> list[str]:
@@ -62,8 +103,9 @@ def verdict(state: State, adequacy: Adequacy, unit: float, name: str) -> list[st
     word = "ADEQUATE" if adequacy.adequate else "NOT ADEQUATE"
     lines = [
         f"{state.model.name} with anchors {anchors(state)} is {word} ({p_value(adequacy.p_value)}).",
-        f"  It misses the measurement by {state.rms / unit:.3g} {name} per coordinate (RMS); noise {state.noise / unit:.3g} {name} "
-        f"({stated}), error of the mesh {known}.",
+        f"  It misses the measurement by {state.rms / unit:.3g} {name} per coordinate (RMS), {state.rough / unit:.3g} of it like "
+        f"noise; noise {state.noise / unit:.3g} {name} ({stated}), error of the mesh {known}.",
+        *inexact(state),
     ]
     for finding in adequacy.findings:
         mark = "decides" if finding.decides else "       "
@@ -169,8 +211,9 @@ def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull]
     held = anchors(last.state)
     if found.verdict == "none":
         return [
-            f"The plain model is adequate: it misses the measurement by {last.state.rms / unit:.3g} {name} where the noise is "
-            f"{last.state.noise / unit:.3g}. Nothing is missing that these data could show. Anchored: {held}."
+            f"The plain model is adequate: it misses the measurement by {last.state.rms / unit:.3g} {name}, which noise "
+            f"({last.state.noise / unit:.3g}), the mesh and what the scene may have slightly wrong explain. Nothing is missing "
+            f"that these data could show. Anchored: {held}."
         ]
     if found.verdict == "unknown":
         best = last.state.model.name if len(found.rungs) > 1 else "none of them"

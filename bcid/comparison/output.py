@@ -115,6 +115,12 @@ def diagnosis_json(done: Diagnosis, unit: float) -> dict[str, Any]:
         "rms": state.rms / unit,
         "noise_rms": state.noise / unit,
         "noise_stated": state.predictor.data.stated,
+        "rough_rms": state.rough / unit,
+        "nuisances": [
+            {"name": n.name, "stddev": n.size, "likely": n.found, "most_sigmas": n.most}
+            | {"used_up": diagnosis_text.used_up(n) if n.used_up else ""}
+            for n in state.told
+        ],
         "discretisation_rms": state.errors.mesh.rms / unit if state.errors.mesh.known else None,
         "held_out_rms": None if last.held_out is None else last.held_out / unit,
         "anchored": sorted(state.anchors, key=order.index),

@@ -18,8 +18,9 @@ from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
 from bcid.forms.sensitivity import Sensitivities, Sensitivity, Wanted
 from bcid.forms.solver.equilibrium import Settings
-from bcid.inference.likelihood import Data
+from bcid.inference.data import Data
 from bcid.inference.mesh_error import MeshError
+from bcid.inference.nuisances import NuisanceModes, Nuisances
 from bcid.measurement import Action, Measurement
 from bcid.scene import Level, Scene
 
@@ -102,6 +103,7 @@ class Predictor:
         self._forwards: dict[tuple[int, str], Forward] = {}
         self._sensitivities: dict[tuple[int, str], Sensitivity] = {}
         self._meshes: dict[int, BodyMesh] = {}
+        self._nuisances: Nuisances | None = None
 
     def look_at(self, measurement: Measurement, left_out: tuple[str, ...] = ()) -> None:
         """Compare with what else was seen of the same motions."""
@@ -257,6 +259,13 @@ class Predictor:
         gathered = [part for parts in self.comm.allgather(parts) for part in parts]
         return _merged(gathered)
 
+    def nuisances(self, model: Model, anchors: Iterable[str], prediction: MeasurementPrediction) -> NuisanceModes:
+        """What the scene may have slightly wrong does to the measured values; the prediction must have kept its states."""
+        if self._nuisances is None:
+            self._nuisances = Nuisances(self.scene, self.forward(model).mesh)
+        wanted = self._nuisances.wanted(model, anchors)
+        return self._nuisances.modes(self.data, self.sensitivities(model, anchors, prediction, wanted), wanted)
+
     def _whole(self, part: Prediction) -> Prediction:
         """A part's positions in the frames of the whole measurement."""
         positions = np.full(self.data.mask.shape, np.nan)
@@ -332,4 +341,5 @@ def _merged(parts: list[Sensitivities]) -> Sensitivities:
     law = {name: joined([p.law[name] for p in parts]) for name in first.law}
     stiffness = None if first.stiffness is None else joined([p.stiffness for p in parts])
     forces = None if first.forces is None else joined([p.forces for p in parts])
-    return Sensitivities(probes, law, stiffness, forces)
+    places = None if first.places is None else joined([p.places for p in parts])
+    return Sensitivities(probes, law, stiffness, forces, places)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from bcid.base.errors import SolveError
 from bcid.comparison.predictor import MeasurementPrediction, Predictor
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
-from bcid.inference.likelihood import Errors
+from bcid.inference.likelihood import Errors, NuisanceEstimate
 from bcid.inference.mesh_error import MeshError
 
 Array = NDArray[np.float64]
@@ -55,9 +56,9 @@ class State:
             raise SolveError(f"{model.name} with {' '.join(sorted(anchors)) or 'no anchor'}: {prediction.failure}")
         mesh = predictor.mesh_error(model, anchors, prediction) if mesh is None else mesh
         residual = predictor.data.values - predictor.data.vector(prediction.positions + mesh.correction)
-        return cls(
-            predictor, model, anchors, prediction, Errors(predictor.data, predictor.data.noise(residual), mesh), free
-        )
+        nuisances = predictor.nuisances(model, anchors, prediction)
+        errors = Errors(predictor.data, predictor.data.noise(residual), mesh, nuisances)
+        return cls(predictor, model, anchors, prediction, errors, free)
 
     def thinned(self, steps: int, settings: Settings) -> State:
         """The same hypothesis in a few steps of each action (see `Predictor.thinned`), whose predictor is to be destroyed."""
@@ -89,6 +90,16 @@ class State:
     def rms(self) -> float:
         """RMS residual per coordinate, m."""
         return float(np.sqrt(np.mean(self.residual**2)))
+
+    @property
+    def rough(self) -> float:
+        """RMS per coordinate of what is left once mesh, frame and nuisances are allowed for, m."""
+        return float(np.sqrt(np.mean(self.errors.rough(self.residual) ** 2)))
+
+    @cached_property
+    def told(self) -> list[NuisanceEstimate]:
+        """What the data say of each thing that the scene may have slightly wrong."""
+        return self.errors.told(self.residual)
 
     @property
     def noise(self) -> float:

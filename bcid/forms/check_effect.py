@@ -37,6 +37,7 @@ _FUNCTIONS = (
     "work",
     "stiffness",
     "growth",
+    "reshaped",
     "constants",
     "drive",
     "observe",

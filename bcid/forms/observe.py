@@ -110,6 +110,7 @@ class Observer:
     Attributes:
         rest: stress-free positions, shape (fiducials, 3), m.
         matrix: this rank's part, shape (fiducials, nodes); the parts of all ranks add up.
+        slopes: the same for the derivatives along x, y and z, 1/m.
         distances: how far each fiducial was from the mesh, m.
     """
 
@@ -120,30 +121,38 @@ class Observer:
         self.rest = np.array(list(fiducials.values()), dtype=float).reshape(-1, 3)
         attachments = list(attach(body.mesh, fiducials, limit, source).values())
         self.distances = np.array([a.distance for a in attachments])
-        self.matrix = self._build(attachments)
+        self.matrix, self.slopes = self._build(attachments)
         covered = body.comm.allreduce(np.asarray(self.matrix.sum(axis=1)).ravel())
         if not np.allclose(covered, 1.0):
             raise AssertionError("a fiducial is attached to no cell, or to several")
 
-    def _build(self, attachments: list[Attachment]) -> csr_matrix:
+    def _build(self, attachments: list[Attachment]) -> tuple[csr_matrix, list[csr_matrix]]:
         body = self.body
         topology = body.domain.topology
         local = np.asarray(topology.original_cell_index)[: topology.index_map(3).size_local]
         here = {int(original): i for i, original in enumerate(local)}
         geometry = np.asarray(compat.geometry_dofmap(body.domain))
-        rows, columns, values = [], [], []
+        rows, columns, values, slopes = [], [], [], []
         for i, attachment in enumerate(attachments):
             cell = here.get(attachment.cell)
             if cell is None:
                 continue
             corners = body.domain.geometry.x[geometry[cell]][None]
             reference = _barycentric(corners, attachment.point)[:, 1:]
-            shapes = body.displacement_space.element.basix_element.tabulate(0, reference)[0, 0, :, 0]
+            table = body.displacement_space.element.basix_element.tabulate(1, reference)[:, 0, :, 0]
+            edges = corners[0, 1:] - corners[0, 0]
             nodes = body.displacement_space.dofmap.cell_dofs(cell)
             rows += [i] * len(nodes)
             columns += list(nodes)
-            values += list(shapes)
-        return csr_matrix((values, (rows, columns)), shape=(len(attachments), len(body.nodes)))
+            values += list(table[0])
+            slopes.append(np.linalg.solve(edges, table[1:]))
+        shape = len(attachments), len(body.nodes)
+        along = np.hstack(slopes) if slopes else np.zeros((3, 0))
+        return csr_matrix((values, (rows, columns)), shape), [csr_matrix((v, (rows, columns)), shape) for v in along]
+
+    def gradients(self, displacement: Array) -> Array:
+        """Deformation gradients at the fiducials, shape (fiducials, 3, 3), of a body that is not shared over ranks."""
+        return np.eye(3) + np.stack([slope @ displacement for slope in self.slopes], axis=-1)
 
     def positions(self, displacement: Array) -> Array:
         """Predicted positions, shape (fiducials, 3), m, the same on every rank, from this rank's `displacement` (nodes, 3)."""

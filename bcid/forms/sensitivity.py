@@ -63,12 +63,14 @@ class Wanted:
         law: constants of the law, by name.
         stiffness: whether the influence of every cell's stiffness is wanted.
         forces: nodal weights of body forces, shape (nodes, forces), m^3; none by default.
+        places: whether the influence of where each fiducial sits on the body is wanted.
     """
 
     probes: tuple[Probe, ...] = ()
     law: tuple[str, ...] = ()
     stiffness: bool = False
     forces: Array | None = None
+    places: bool = False
 
 
 @dataclass(frozen=True)
@@ -81,12 +83,14 @@ class Sensitivities:
         law: by constant of the law.
         stiffness: per relative change of each cell's stiffness, shape (frames, fiducials, 3, cells), or None.
         forces: per N/m^3 of each force along each axis, shape (frames, fiducials, 3, forces, 3), or None.
+        places: per m of the fiducial's own rest position along each axis, shape (frames, fiducials, 3, 3), or None.
     """
 
     probes: list[dict[str, Array]]
     law: dict[str, Array]
     stiffness: NDArray[np.float32] | None = None
     forces: NDArray[np.float32] | None = None
+    places: Array | None = None
 
 
 def _parameter(effect: Effect, name: str) -> Parameter:
@@ -269,6 +273,7 @@ class Sensitivity:
             {name: empty.copy() for name in wanted.law},
             np.full((*empty.shape, len(self.forward.mesh.cells)), np.nan, np.float32) if wanted.stiffness else None,
             None if wanted.forces is None else np.full((*empty.shape, wanted.forces.shape[1], 3), np.nan, np.float32),
+            np.full((*empty.shape, 3), np.nan) if wanted.places else None,
         )
         self.model = model or self.forward.model
         for commanded in actions:
@@ -342,6 +347,8 @@ class Sensitivity:
         fiducials = len(forward.observer.rest)
         places = forward.observer.positions(equilibrium.displacement())
         seen = self._seen(places, action, step)
+        if result.places is not None:
+            result.places[frame] = seen(forward.observer.gradients(equilibrium.displacement()))
         causes: list[Cause] = []
         asked = [(p, name, out[name]) for p, out in zip(wanted.probes, result.probes, strict=True) for name in p.wanted]
         for (probe, name, out), pairs in zip(asked, moves, strict=True):

@@ -189,8 +189,14 @@ class WeakForm:
     def density(self, terms: Sequence[Term]) -> tuple[Any, int]:
         """Strain energy per volume of the undeformed body, as the effects change it, and a degree of quadrature for it."""
         model, kin, factor, varying = self.model, self.kin, None, False
-        for term in terms:
+        # Another body at rest comes before what happens to its material.
+        for term in sorted(terms, key=lambda term: not term.effect.reshaped):
             c = self.term_constants(term)
+            if term.effect.reshaped:
+                shape = term.effect.reshaped(self.point(term), c)
+                gradient = kin.H * shape
+                kin = Kinematics(gradient, ufl.Identity(3) + gradient, kin.axes)
+                factor, varying = (factor or 1.0) / ufl.det(shape), True
             if term.effect.growth:
                 stretch = term.effect.growth(self.point(term), c)
                 kin = Kinematics.from_gradient(kin.F * stretch, kin.axes)

@@ -17,3 +17,7 @@ def bic(chi2: float, values: int, fitted: int) -> float:
         fitted: number of fitted numbers.
     """
     return chi2 + fitted * math.log(values)
+
+
+# What chance alone does less often than this is a surprise: false alarms of tests of many numbers together (Bonferroni).
+SURPRISE = 0.01

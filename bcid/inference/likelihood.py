@@ -1,146 +1,123 @@
-"""The measured coordinates as one vector, and what is known of their error: noise, and the error of the mesh."""
+"""The one likelihood: how far measured positions may be from predicted ones, and how likely that is.
+
+Seen = predicted + error of the mesh + what the scene has slightly wrong + error of the measured frame + noise. All are
+Gaussian, so that the covariance is a diagonal (the noise) and parts of low rank: some of single fiducials, the others
+common to all. Whitening by it, its determinant and its inverse cost no more than linearly in the number of values.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
+from bcid.inference.criteria import SURPRISE
+from bcid.inference.data import Data
 from bcid.inference.mesh_error import MeshError
-from bcid.measurement import Measurement
-from bcid.scene import Scene
+from bcid.inference.nuisances import MARKERS, NuisanceModes
 
 Array = NDArray[np.float64]
-
 # How far the error of the mesh may be from what the ladder says: of each action as a whole, and of a single trajectory.
 _OF_ACTION = 0.5
 _OF_TRAJECTORY = 0.5
 _OF_FIDUCIAL = 1.5
-# Without a stated noise and with too few steps to see it, m.
-_LEAST_NOISE = 1e-6
+# Columns that are smaller than this part of the noise are left out.
+_NEGLIGIBLE = 1e-6
 
 
-class Data:
-    """Every visible coordinate of a measurement, in one vector, with the labels needed to group them.
+@dataclass(frozen=True)
+class _LowRank:
+    """(I + L L^T)^(-1/2) for columns L of some rows, as I - U diag(shrink) U^T."""
 
-    Args:
-        scene: the scene.
-        measurement: must fit the scene.
+    rows: NDArray[np.int64]
+    basis: Array
+    shrink: Array
+
+    @classmethod
+    def of(cls, rows: NDArray[np.int64], columns: Array) -> _LowRank:
+        """For columns (rows, m), in units of the noise."""
+        basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+        kept = sizes > _NEGLIGIBLE
+        return cls(rows, basis[:, kept], 1 - 1 / np.sqrt(1 + sizes[kept] ** 2))
+
+    def apply(self, values: Array) -> None:
+        """To values (n,) or columns (n, m), in place."""
+        self._scale(values, -self.shrink)
+
+    def undo(self, values: Array) -> None:
+        """The inverse, in place."""
+        self._scale(values, self.shrink / (1 - self.shrink))
+
+    def _scale(self, values: Array, by: Array) -> None:
+        along = self.basis.T @ values[self.rows]
+        values[self.rows] += self.basis @ (by * along if values.ndim == 1 else by[:, None] * along)
+
+    @property
+    def log_volume(self) -> float:
+        return -float(np.sum(np.log1p(-self.shrink)))
+
+
+@dataclass(frozen=True)
+class NuisanceEstimate:
+    """What the data say of a nuisance.
 
     Attributes:
-        mask: which of (frames, fiducials, 3) were seen.
-        values: measured positions, shape (n,), m.
-        sigma: standard deviation of each, m; NaN when none is stated.
-        action, frame, step, fiducial, axis: labels, shape (n,); actions and fiducials as numbers.
-        trajectory: number of the (action, fiducial, axis) it belongs to, shape (n,).
-        progress: part of its action that is done, 0 at step 0 and 1 at the last step seen, shape (n,).
+        name: as in the scene's table of uncertainty.
+        size: standard deviation that was believed before, in m, deg or 1.
+        found: root mean square of the values that the data make likely, in the same unit.
+        most: the largest of them, in standard deviations.
+        count: how many values there are.
     """
 
-    def __init__(self, scene: Scene, measurement: Measurement) -> None:
-        columns = [scene.fiducial_names.index(name) for name in measurement.fiducial_names]
-        shape = (len(measurement.positions), len(scene.fiducials), 3)
-        measured, sigma = np.full(shape, np.nan), np.full(shape, np.nan)
-        measured[:, columns] = measurement.positions
-        stated = measurement.sigma(scene.noise_sigma)
-        if stated is not None:
-            sigma[:, columns] = stated
-        self.scene, self.measurement = scene, measurement
-        self.measured = measured
-        self.mask = np.isfinite(measured)
-        self.values, self.sigma = measured[self.mask], sigma[self.mask]
-        self.stated = stated is not None
-        frames, fiducials, axes = np.nonzero(self.mask)
-        names = measurement.action_names
-        actions = np.array([names.index(str(name)) for name in measurement.data["action"].values])
-        self.frame, self.fiducial, self.axis = frames, fiducials, axes
-        self.action, self.step = actions[frames], measurement.data["step"].values[frames]
-        key = (self.action * len(scene.fiducials) + fiducials) * 3 + axes
-        _, self.trajectory = np.unique(key, return_inverse=True)
-        self.actions = names
-        last = np.array([self.step[self.action == a].max(initial=1) for a in range(len(names))])
-        self.progress = self.step / last[self.action]
+    name: str
+    size: float
+    found: float
+    most: float
+    count: int
 
-    def __len__(self) -> int:
-        return len(self.values)
-
-    def vector(self, positions: Array) -> Array:
-        """The visible coordinates of positions (frames, fiducials, 3), shape (n,)."""
-        return np.asarray(positions[self.mask])
-
-    def spread(self, vector: Array) -> Array:
-        """A vector of values back in shape (frames, fiducials, 3), NaN where nothing was seen."""
-        result = np.full(self.mask.shape, np.nan)
-        result[self.mask] = vector
-        return result
-
-    def noise(self, residual: Array) -> Array:
-        """Standard deviation of every value, m; estimated from the residual (m) when none is stated."""
-        if self.stated:
-            return self.sigma
-        return np.full(len(self), max(estimate_noise(self, residual), _LEAST_NOISE))
-
-
-def estimate_noise(data: Data, residual: Array) -> float:
-    """White noise in a residual, m, from its second differences along each trajectory: what is smooth drops out.
-
-    Without three steps in a row the RMS of the residual stands for it.
-    """
-    found = []
-    for number in range(int(data.trajectory.max()) + 1):
-        values = residual[data.trajectory == number]
-        if len(values) > 2:
-            found.append(np.diff(values, 2) / np.sqrt(6))
-    if not found:
-        return float(np.sqrt(np.mean(residual**2)))
-    return float(np.sqrt(np.mean(np.concatenate(found) ** 2)))
+    @property
+    def used_up(self) -> bool:
+        """Whether a value is larger than chance lets expect of so many: the scene is wrong by more than it says."""
+        return bool(2 * self.count * norm.sf(self.most) < SURPRISE)
 
 
 class Errors:
-    """Covariance of the residual: white noise, the error of the mesh as far as the ladder tells, and that of the measured frame.
+    """Covariance of the residual: noise, nuisances, the error of the mesh as far as the ladder tells, and that of the frame.
 
-    The error that is left after extrapolation has the shape of the extrapolation with an uncertain factor per action, and
-    beside it parts that persist along every trajectory (a constant and a slope along the steps) and that each fiducial has
-    in common in all actions.
+    The error of the mesh that is left after extrapolation has the shape of the extrapolation with an uncertain factor per
+    action, and beside it parts that persist along every trajectory (a constant and a slope along the steps) and that each
+    fiducial has in common in all actions.
 
     Args:
         data: the measured values.
         sigma: standard deviation of the noise, shape (n,), m.
         mesh: what the ladder says.
+        nuisances: what the scene may have wrong; nothing by default.
     """
 
-    def __init__(self, data: Data, sigma: Array, mesh: MeshError) -> None:
+    def __init__(self, data: Data, sigma: Array, mesh: MeshError, nuisances: NuisanceModes | None = None) -> None:
         self.data, self.sigma, self.mesh = data, sigma, mesh
-        columns = np.column_stack([self._columns(data.vector(mesh.left)), self._of_frame()])
-        if columns.shape[1] == 0:
-            self._basis: Array = np.zeros((len(data), 0))
-            self._shrink: Array = np.zeros(0)
-            return
-        basis, sizes, _ = np.linalg.svd(columns / sigma[:, None], full_matrices=False)
-        self._basis = basis[:, sizes > 1e-6]
-        self._shrink = 1 - 1 / np.sqrt(1 + sizes[sizes > 1e-6] ** 2)
+        self.nuisances = nuisances or NuisanceModes.none(len(data))
+        self._single: list[_LowRank] = []
+        for rows, columns in self._of_fiducials(data.vector(mesh.left)):
+            self._single.append(_LowRank.of(rows, columns / sigma[rows, None]))
+        common = np.column_stack([self._of_actions(data.vector(mesh.left)), self._of_frame(), self.nuisances.common])
+        scaled = common / sigma[:, None]
+        for part in self._single:
+            part.apply(scaled)
+        self._common = _LowRank.of(np.arange(len(data)), scaled)
 
-    def _columns(self, left: Array) -> Array:
-        data, columns = self.data, []
-        for action in range(len(data.actions)):
-            here = data.action == action
-            if np.any(left[here]):
-                columns.append(np.where(here, _OF_ACTION * left, 0.0))
-        if columns:
-            size = {a: float(np.sqrt(np.mean(left[data.action == a] ** 2))) for a in np.unique(data.action)}
-            for number in range(int(data.trajectory.max()) + 1):
-                members = np.flatnonzero(data.trajectory == number)
-                own = np.sqrt(np.mean(left[members] ** 2))
-                amount = _OF_TRAJECTORY * max(own, size[data.action[members[0]]])
-                shape = np.zeros((len(data), 2))
-                # At rest there is no error; it grows with the motion.
-                along = np.linspace(0.0, 1.0, len(members)) if len(members) > 1 else np.ones(1)
-                shape[members, 0] = amount * np.minimum(1.0, 4 * along)
-                shape[members, 1] = amount * (2 * along - 1) * np.minimum(1.0, 4 * along)
-                columns += [shape[:, 0], shape[:, 1]]
-            common = np.sqrt(np.mean(left**2)) * _OF_FIDUCIAL
-            for fiducial, axis in np.unique(np.column_stack([data.fiducial, data.axis]), axis=0):
-                here = (data.fiducial == fiducial) & (data.axis == axis)
-                columns.append(np.where(here, common * data.progress, 0.0))
-        return np.array(columns).T if columns else np.zeros((len(data), 0))
+    # -- columns, m
+
+    def _of_actions(self, left: Array) -> Array:
+        """The factor of each action's extrapolation."""
+        found = [
+            np.where(self.data.action == number, _OF_ACTION * left, 0.0) for number in range(len(self.data.actions))
+        ]
+        return np.column_stack([column for column in found if column.any()] or [np.zeros((len(self.data), 0))])
 
     def _of_frame(self) -> Array:
         """What an error of the measured frame does to all values together."""
@@ -149,20 +126,83 @@ class Errors:
             return np.zeros((len(self.data), 0))
         return np.asarray(error.modes(self.data.measured)[self.data.mask])
 
+    def _of_fiducials(self, left: Array) -> Iterator[tuple[NDArray[np.int64], Array]]:
+        """What each fiducial has for itself: the rest of the mesh's error, and where it sits on the body."""
+        data, markers = self.data, self.nuisances.markers
+        sizes = {a: float(np.sqrt(np.mean(left[data.action == a] ** 2))) for a in np.unique(data.action)}
+        common = float(np.sqrt(np.mean(left**2))) * _OF_FIDUCIAL
+        order = np.argsort(data.fiducial, kind="stable")
+        for rows in np.split(order, np.flatnonzero(np.diff(data.fiducial[order])) + 1):
+            columns = [markers[rows]] if markers[rows].any() else []
+            if common > 0:
+                columns += [_along(data, rows, left, sizes), _growing(data, rows, common)]
+            if columns:
+                yield rows, np.hstack(columns)
+
+    # -- the algebra
+
     def whiten(self, values: Array) -> Array:
         """Values (n,) or columns (n, m), m, in units in which their errors are independent and of size one."""
-        scaled = values / (self.sigma if values.ndim == 1 else self.sigma[:, None])
-        if not len(self._shrink):
-            return np.asarray(scaled)
-        shrink = self._shrink if values.ndim == 1 else self._shrink[:, None]
-        return np.asarray(scaled - self._basis @ (shrink * (self._basis.T @ scaled)))
+        scaled = np.asarray(values / (self.sigma if values.ndim == 1 else self.sigma[:, None]))
+        for part in (*self._single, self._common):
+            part.apply(scaled)
+        return scaled
+
+    def unwhiten(self, values: Array) -> Array:
+        """The inverse of `whiten` for values (n,): back to m."""
+        scaled = np.array(values)
+        for part in (self._common, *self._single):
+            part.undo(scaled)
+        return np.asarray(scaled * self.sigma)
 
     @property
     def log_volume(self) -> float:
         """Half the logarithm of the determinant of the covariance, of it in m."""
-        return float(np.sum(np.log(self.sigma)) - np.sum(np.log1p(-self._shrink)))
+        return float(np.sum(np.log(self.sigma))) + sum(part.log_volume for part in (*self._single, self._common))
 
-    def unwhiten(self, values: Array) -> Array:
-        """The inverse of `whiten` for values (n,): back to m."""
-        grow = self._shrink / (1 - self._shrink)
-        return np.asarray((values + self._basis @ (grow * (self._basis.T @ values))) * self.sigma)
+    def log_likelihood(self, residual: Array) -> float:
+        """Logarithm of the density of a residual (n,), m, without the constant of n values."""
+        scaled = self.whiten(residual)
+        return -0.5 * float(scaled @ scaled) - self.log_volume
+
+    def rough(self, residual: Array) -> Array:
+        """The part of a residual (n,), m, that is most likely noise: what neither nuisances nor mesh nor frame explain."""
+        scaled = self.whiten(residual)
+        for part in (self._common, *self._single):
+            part.apply(scaled)
+        return np.asarray(scaled * self.sigma)
+
+    def told(self, residual: Array) -> list[NuisanceEstimate]:
+        """What a residual (n,), m, says of every nuisance: the mean of its values given the data."""
+        weighed = self.rough(residual) / self.sigma**2
+        common = self.nuisances.common.T @ weighed
+        names = np.array(self.nuisances.names)
+        of_markers = np.zeros((int(self.data.fiducial.max()) + 1, 3))
+        np.add.at(of_markers, self.data.fiducial, self.nuisances.markers * weighed[:, None])
+        found = []
+        for name, size in self.nuisances.sizes.items():
+            values = of_markers[np.unique(self.data.fiducial)] if name == MARKERS else common[names == name]
+            rms, most = float(np.sqrt(np.mean(values**2))), float(np.abs(values).max())
+            found.append(NuisanceEstimate(name, size, size * rms, most, values.size))
+        return found
+
+
+def _along(data: Data, rows: NDArray[np.int64], left: Array, sizes: dict[int, float]) -> Array:
+    """A constant and a slope along each trajectory, as large as what the mesh leaves of it."""
+    columns = []
+    for number in np.unique(data.trajectory[rows]):
+        members = np.flatnonzero(data.trajectory[rows] == number)
+        own = np.sqrt(np.mean(left[rows[members]] ** 2))
+        amount = _OF_TRAJECTORY * max(own, sizes[data.action[rows[members[0]]]])
+        shape = np.zeros((len(rows), 2))
+        # At rest there is no error; it grows with the motion.
+        along = np.linspace(0.0, 1.0, len(members)) if len(members) > 1 else np.ones(1)
+        shape[members, 0] = amount * np.minimum(1.0, 4 * along)
+        shape[members, 1] = amount * (2 * along - 1) * np.minimum(1.0, 4 * along)
+        columns.append(shape)
+    return np.hstack(columns)
+
+
+def _growing(data: Data, rows: NDArray[np.int64], amount: float) -> Array:
+    """What a fiducial has in common in all actions, along each axis."""
+    return np.where(data.axis[rows, None] == np.arange(3), amount * data.progress[rows, None], 0.0)

@@ -61,7 +61,8 @@ def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
     left = f"{last['rms']:.3g} {unit}, where the noise is {noise:.3g} {unit}"
     if d["verdict"] == "none":
         sentence = (
-            f"{held}, and the {model_name(last['model'])} model is adequate: it misses the measurement by {left}."
+            f"{held}, and the {model_name(last['model'])} model is adequate: it misses the measurement by {left} and the scene may "
+            "be slightly wrong."
         )
     elif d["verdict"] == "unknown" and d["ranking"]:
         sentence = f"None of the known effects explains this measurement: the closest model misses it by {left}."
@@ -87,6 +88,7 @@ def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
             :3
         ]
     doubts = [*_remarks(d), *(f"Note: {warning}" for warning in d["warnings"])]
+    doubts += [f"{text[0].upper()}{text[1:]}." for one in d.get("nuisances", ()) if (text := one["used_up"])]
     if not d.get("noise_stated", True):
         doubts.insert(
             0,

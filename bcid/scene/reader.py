@@ -16,12 +16,24 @@ from bcid.base.errors import InputError, Problems, nearest
 from bcid.base.text_file import parse_toml, read_text
 from bcid.base.units import quantities, quantity, unit_factor, usable
 from bcid.scene.parts import Box, Grasp, Level, Limits, Material, Plane, Region, Values, Vector
+from bcid.scene.uncertainty import ANGLES, LENGTHS, Uncertainty
 
 FORMAT = "bcid-scene/1"
 DEGREES = (1, 2)
 FORMULATIONS = ("displacement", "mixed")
 _VALUES = ("format", "name", "description", "down", "fibre_plane", "support", "noise_sigma", "attach_within")
-_TABLES = ("geometry", "levels", "material", "patches", "grasps", "fiducials", "places", "effects", "explore")
+_TABLES = (
+    "geometry",
+    "levels",
+    "material",
+    "patches",
+    "grasps",
+    "fiducials",
+    "places",
+    "effects",
+    "explore",
+    "uncertainty",
+)
 _EXPLORE = ("displacement", "force", "strain", "amplitudes", "directions", "steps", "cost", "regrasp")
 _AXES = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
 # Keys that are longer are not looked for by their parts.
@@ -196,6 +208,7 @@ class SceneFile:
             "attach_within": optional.get("attach_within"),
             "effects": {name: self.effect(value, name) for name, value in self.table(table, "effects").items()},
             "limits": self.limits(self.table(table, "explore")) if "explore" in table else None,
+            "uncertainty": self.uncertainty(self.table(table, "uncertainty")),
             "description": self.text(table, "description", ""),
             "source": str(self.path),
         }
@@ -229,6 +242,14 @@ class SceneFile:
             self.count(table, "explore.steps", 4, 2, 50),
             self.positive(table, "explore.cost", "") or 1.0,
             self.positive(table, "explore.regrasp", "", zero=True) or 0.0,
+        )
+
+    def uncertainty(self, table: Mapping[str, Any]) -> Uncertainty:
+        """How well the scene knows what it states."""
+        units = dict.fromkeys(LENGTHS, "m") | dict.fromkeys(ANGLES, "deg") | {"dimensions": "", "poisson": ""}
+        self.unknown(table, tuple(units), "uncertainty.")
+        return Uncertainty(
+            **{name: self.positive(table, f"uncertainty.{name}", unit, zero=True) for name, unit in units.items()}
         )
 
     def positive(self, table: Mapping[str, Any], key: str, unit: str, zero: bool = False) -> float | None:

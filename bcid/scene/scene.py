@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from bcid.scene.parts import Grasp, Level, Limits, Material, Region, Values, Vector, horizontal
 from bcid.scene.reader import SceneFile
+from bcid.scene.uncertainty import Uncertainty
 
 PhysicsCheck = Callable[["Scene"], list[str]]
 
@@ -36,6 +37,7 @@ class Scene:
         attach_within: a fiducial further from the body than this is refused; None means 5 % of the body's size.
         effects: effects that are already part of the model, with their parameters as written.
         limits: what exploring may do to the body; None where nothing is stated.
+        uncertainty: how well all this is known.
     """
 
     name: str
@@ -55,6 +57,7 @@ class Scene:
     attach_within: float | None = None
     effects: dict[str, Values] = field(default_factory=dict)
     limits: Limits | None = None
+    uncertainty: Uncertainty = field(default_factory=Uncertainty)
     parameters: dict[str, float] = field(default_factory=dict)
     description: str = ""
     source: str = "scene"

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.linalg import sqrtm
+from scipy.stats import multivariate_normal
 
 from bcid.base.progress import Progress, Silent
 from bcid.comparison.adequacy import judge
@@ -26,8 +26,10 @@ from bcid.forms import effects
 from bcid.forms.model import Model, Term
 from bcid.forms.sensitivity import Sensitivities, Wanted
 from bcid.forms.simulate import recorded
-from bcid.inference.likelihood import Data, Errors, estimate_noise
+from bcid.inference.data import Data, estimate_noise
+from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
+from bcid.inference.nuisances import NuisanceModes
 from bcid.measurement import Action, Measurement
 from bcid.measurement.frame_error import FrameError
 from bcid.scene import Scene
@@ -67,25 +69,61 @@ def mesh_error(made: list[Action]) -> MeshError:
 
 
 def explicit(errors: Errors) -> Array:
-    """The covariance of a residual."""
-    columns = errors._columns(errors.data.vector(errors.mesh.left))
-    return np.asarray(np.diag(errors.sigma**2) + columns @ columns.T)
+    """The covariance of a residual, as a full matrix."""
+    left = errors.data.vector(errors.mesh.left)
+    single = np.zeros((len(errors.data), len(errors.data)))
+    for rows, columns in errors._of_fiducials(left):
+        single[np.ix_(rows, rows)] = columns @ columns.T
+    common = np.hstack([errors._of_actions(left), errors._of_frame(), errors.nuisances.common])
+    return np.asarray(np.diag(errors.sigma**2) + single + common @ common.T)
+
+
+def modes(data: Data) -> NuisanceModes:
+    """Markers that are 0.4 mm off, and two other nuisances."""
+    rng = np.random.default_rng(8)
+    markers, common = (0.4e-3 * rng.normal(size=(len(data), count)) for count in (3, 3))
+    return NuisanceModes(
+        markers, common, ("grip", "grip", "poisson"), {"markers": 0.4e-3, "grip": 0.3e-3, "poisson": 0.03}
+    )
 
 
 # -- data
 # ------------------------------------------------------------------------------------------------------------------
 
 
-def test_whitening_is_the_inverse_root_of_the_covariance() -> None:
+def test_whitening_is_a_root_of_the_inverse_covariance() -> None:
     made = actions()
     data = data_of(rest(made), made)
+    data.measurement = replace(data.measurement, frame_error=FrameError(SCENE.rest.mean(axis=0), 1e-6 * np.eye(7)))
     sigma = np.random.default_rng(1).uniform(0.5, 2.0, len(data)) * SIGMA
-    errors = Errors(data, sigma, mesh_error(made))
-    scaled = explicit(errors) / np.outer(sigma, sigma)
-    root = np.linalg.inv(np.real(sqrtm(scaled)))
-    assert errors.whiten(np.diag(sigma)) == pytest.approx(root, abs=1e-9)
+    errors = Errors(data, sigma, mesh_error(made), modes(data))
+    covariance = explicit(errors) / np.outer(sigma, sigma)
+    root = errors.whiten(np.diag(sigma))
+    assert root.T @ root == pytest.approx(np.linalg.inv(covariance), abs=1e-8)
     some = np.random.default_rng(2).normal(size=len(data)) * SIGMA
     assert errors.whiten(some) == pytest.approx(root @ (some / sigma), abs=1e-9)
+    assert errors.unwhiten(errors.whiten(some)) == pytest.approx(some, rel=1e-6)
+    assert errors.log_volume == pytest.approx(np.log(sigma).sum() + np.linalg.slogdet(covariance)[1] / 2)
+    drawn = multivariate_normal(cov=explicit(errors), allow_singular=False).logpdf(some)
+    assert errors.log_likelihood(some) == pytest.approx(drawn + len(data) / 2 * math.log(2 * math.pi), rel=1e-6)
+
+
+def test_nuisances_are_told_from_what_they_do() -> None:
+    """The means given the data are those of the full Gaussian algebra, and a large one is seen."""
+    made = actions()
+    data = data_of(rest(made), made)
+    found = modes(data)
+    errors = Errors(data, data.sigma, MeshError.unknown(data.mask.shape), found)
+    noise = np.random.default_rng(9).normal(0, SIGMA, len(data))
+    residual = noise + 5.0 * found.common[:, 2]
+    means = found.common.T @ np.linalg.solve(explicit(errors), residual)
+    told = {one.name: one for one in errors.told(residual)}
+    assert told["poisson"].found == pytest.approx(0.03 * abs(means[2]))
+    assert told["poisson"].most == pytest.approx(5.0, rel=0.1)
+    assert told["grip"].found == pytest.approx(0.3e-3 * math.sqrt(float(np.mean(means[:2] ** 2))))
+    assert told["markers"].count == 3 * len(SCENE.fiducials)
+    # What no nuisance explains is noise.
+    assert np.sqrt(np.mean(errors.rough(residual) ** 2)) == pytest.approx(SIGMA, rel=0.2)
 
 
 def test_without_an_error_of_the_mesh_only_the_noise_scales() -> None:

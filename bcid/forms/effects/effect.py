@@ -156,6 +156,10 @@ class Effect:
         return None
 
     @property
+    def reshaped(self) -> Callable[[Point, Constants], Expr] | None:
+        return None
+
+    @property
     def constants(self) -> Callable[[Constants], Mapping[str, Any]] | None:
         return None
 
@@ -199,7 +203,7 @@ class Effect:
     @property
     def changes_law(self) -> bool:
         """Whether it changes the strain energy itself."""
-        return any((self.stiffness, self.growth, self.constants))
+        return any((self.stiffness, self.growth, self.reshaped, self.constants))
 
     @property
     def amounts(self) -> tuple[Parameter, ...]:
@@ -235,6 +239,8 @@ class BodyEffect(Effect):
         around: change of `stiffness` at points (n, 3), m, per unit of its one amount, for an effect with a centre (cx, cy, cz)
             and a radius, m: places all over the body are then tried.
         growth: 3 x 3 tensor by which the rest state is already stretched: the law sees F . growth.
+        reshaped: 3 x 3 tensor G of derivatives of the scene's rest positions by the true ones, where the body at rest is another
+            than the scene's: the law sees I + grad u . G.
         constants: constants of the law that it replaces, by name.
         memory: shapes of variables kept from step to step, by name, such as {"Q": (3, 3)}.
         advance: their values after a step.
@@ -251,6 +257,7 @@ class BodyEffect(Effect):
     stiffness: Callable[[Point, Constants], Expr] | None = None
     around: Callable[[Array, Mapping[str, float]], Array] | None = None
     growth: Callable[[Point, Constants], Expr] | None = None
+    reshaped: Callable[[Point, Constants], Expr] | None = None
     constants: Callable[[Constants], Mapping[str, Any]] | None = None
     memory: Mapping[str, tuple[int, ...]] | None = None
     advance: Callable[[Point, Constants], Mapping[str, Expr]] | None = None

@@ -1,0 +1,154 @@
+"""What a scene has slightly wrong, as effects: how large the body is, where a patch ends, where the gripper holds it.
+
+They are made as the effects of the catalogue are, so that their sensitivities come from the same forms. A body that at
+rest is X + e V(X), where the scene has X, stores the law's energy at I + grad u . G per volume dX / det G, with
+G = I - e grad V to first order in e. A field V that lies in a patch moves where the patch ends (Sokolowski & Zolesio,
+Introduction to Shape Optimization, 1992, section 2.9).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import ufl
+from numpy.typing import NDArray
+
+from bcid.forms.effects.effect import BodyEffect, GripEffect, Point
+from bcid.forms.mesh import BodyMesh
+from bcid.forms.model import Term
+from bcid.forms.parameter import Amount, Shape
+from bcid.measurement import Action
+from bcid.scene import Region
+from bcid.scene.rotation import as_quaternion, as_rotation, from_vector
+
+Array = NDArray[np.float64]
+_AXES = "xyz"
+
+
+def _vector(c: Mapping[str, Any], name: str) -> Any:
+    return ufl.as_vector([c[f"{name}{axis}"] for axis in _AXES])
+
+
+def _extent(_point: Point, c: Mapping[str, Any]) -> Any:
+    direction = _vector(c, "d")
+    return ufl.Identity(3) - c["part"] * ufl.outer(direction, direction)
+
+
+dimension = BodyEffect(
+    name="dimension",
+    parameters=(
+        Amount("part", "1", "by which the body is larger", neutral=0.0, scale=0.02),
+        *(Shape(f"d{axis}", "1", f"direction, {axis}") for axis in _AXES),
+    ),
+    about="the body is larger than the scene says",
+    acts_on="boundary",
+    reshaped=_extent,
+)
+
+
+def _patch_moved(point: Point, c: Mapping[str, Any]) -> Any:
+    away = point.X - _vector(c, "c")
+    direction, distance = _vector(c, "d"), ufl.sqrt(ufl.inner(away, away) + 1e-12 * point.size**2)
+    beyond = ufl.max_value(distance - c["radius"], 0.0) / c["fading"]
+    size = c["shift"] + c["stretch"] * ufl.inner(away, direction) / c["reach"]
+    moved = size * ufl.exp(-0.5 * beyond**2) * direction
+    return ufl.Identity(3) - c["distance"] * ufl.grad(moved)
+
+
+border = BodyEffect(
+    name="border",
+    parameters=(
+        Amount("distance", "m", "by which the border lies further out", neutral=0.0, scale=1e-3),
+        Shape("shift", "1", "share of it that moves the whole patch"),
+        Shape("stretch", "1", "share of it that moves opposite borders apart"),
+        *(Shape(f"d{axis}", "1", f"direction, {axis}") for axis in _AXES),
+        *(Shape(f"c{axis}", "m", f"middle of the patch, {axis}") for axis in _AXES),
+        Shape("reach", "m", "half the patch's extent along the direction"),
+        Shape("radius", "m", "distance from the middle up to which everything moves"),
+        Shape("fading", "m", "distance over which the movement ends beyond it"),
+    ),
+    about="a patch ends elsewhere than the scene says",
+    acts_on="boundary",
+    reshaped=_patch_moved,
+)
+
+
+def _misplaced(action: Action, values: Mapping[str, float]) -> Action:
+    """What the gripper really did: from step 1 on it is off by the same everywhere."""
+    if not action.grasp:
+        return action
+    moving = (action.steps > 0)[:, None]
+    turn = as_rotation(from_vector([values[f"r{axis}"] for axis in _AXES]))
+    turned = as_quaternion(turn * as_rotation(action.rotation))
+    shift = np.array([values[axis] for axis in _AXES])
+    return replace(
+        action,
+        translation=action.translation + np.where(moving, shift, 0.0),
+        rotation=np.where(moving, turned, action.rotation),
+    )
+
+
+grip = GripEffect(
+    name="grip",
+    parameters=(
+        *(Amount(axis, "m", f"error of the gripper's place along {axis}", neutral=0.0, scale=1e-3) for axis in _AXES),
+        *(Amount(f"r{axis}", "deg", f"error of its turn about {axis}", neutral=0.0, scale=1.0) for axis in _AXES),
+    ),
+    about="the gripper is not where it is reported to be",
+    drive=_misplaced,
+)
+
+
+@dataclass(frozen=True)
+class Outline:
+    """A patch as far as the scene may have its border wrong.
+
+    Attributes:
+        middle: of its surface, shape (3,), m.
+        axes: its two long axes, shape (2, 3).
+        reaches: half its extent along each of them, shape (2,), m.
+    """
+
+    middle: Array
+    axes: Array
+    reaches: Array
+
+    @classmethod
+    def of(cls, mesh: BodyMesh, region: Region, name: str) -> Outline | None:
+        """Of a region of a mesh; None where that is no surface."""
+        facets = mesh.select(region, name)
+        if facets.shape[1] != 3:
+            return None
+        corners = mesh.points[facets]
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        middle = np.average(corners.mean(axis=1), axis=0, weights=area)
+        away = corners.reshape(-1, 3) - middle
+        axes = np.linalg.svd(away * np.sqrt(np.repeat(area, 3))[:, None], full_matrices=False)[2][:2]
+        return cls(middle, axes, np.abs(away @ axes.T).max(axis=0))
+
+    @property
+    def terms(self) -> list[Term]:
+        """Every way in which its border may be off: along each axis, both ends together and apart."""
+        found = []
+        for axis, reach in zip(self.axes, self.reaches, strict=True):
+            values = {f"d{name}": float(v) for name, v in zip(_AXES, axis, strict=True)}
+            values |= {f"c{name}": float(v) for name, v in zip(_AXES, self.middle, strict=True)}
+            values |= {"distance": 0.0, "reach": float(reach), "radius": float(np.hypot(*self.reaches))}
+            values |= {"fading": float(self.reaches.min())}
+            for way in ("shift", "stretch"):
+                ways = {"shift": 0.0, "stretch": 0.0, way: 1.0}
+                found.append(Term(border, values | ways))
+        return found
+
+
+def dimensions() -> list[Term]:
+    """The body's extent along each axis."""
+    return [Term(dimension, {"part": 0.0} | {f"d{name}": float(name == axis) for name in _AXES}) for axis in _AXES]
+
+
+def grip_term() -> Term:
+    """The gripper's place and turn."""
+    return Term(grip, {p.name: 0.0 for p in grip.parameters})

@@ -1,0 +1,115 @@
+"""What a scene has slightly wrong, and what that does to the measured positions: it is integrated over, not fitted.
+
+Each nuisance has a standard deviation (`bcid.scene.uncertainty`) and a sensitivity from the tangent; their products are columns
+of low rank in the covariance of the residual (Kennedy & O'Hagan 2001 for the idea; Rasmussen & Williams 2006, section 2.7,
+for the algebra).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.forms.mesh import BodyMesh
+from bcid.forms.model import Model
+from bcid.forms.scene_errors import Outline, dimensions, grip_term
+from bcid.forms.sensitivity import Probe, Sensitivities, Wanted
+from bcid.inference.data import Data
+from bcid.measurement.frame_error import FrameError
+from bcid.scene import Scene
+
+Array = NDArray[np.float64]
+MARKERS = "markers"
+
+
+@dataclass(frozen=True)
+class NuisanceModes:
+    """What nuisances of one standard deviation do to the measured values, m.
+
+    Attributes:
+        markers: of the fiducial that a value belongs to, along each axis on the body, shape (n, 3).
+        common: of all others, shape (n, k).
+        names: of the nuisances that the columns of `common` belong to.
+        sizes: standard deviation of every nuisance in its own unit (m, deg or 1), those of markers included.
+    """
+
+    markers: Array
+    common: Array
+    names: tuple[str, ...]
+    sizes: dict[str, float]
+
+    @classmethod
+    def none(cls, count: int) -> NuisanceModes:
+        """Nothing is wrong."""
+        return cls(np.zeros((count, 3)), np.zeros((count, 0)), (), {})
+
+
+class Nuisances:
+    """The nuisances of a scene with a mesh of its body.
+
+    Args:
+        scene: with its `uncertainty`.
+        mesh: of the body.
+    """
+
+    def __init__(self, scene: Scene, mesh: BodyMesh) -> None:
+        self.scene = scene
+        poisson = scene.material.values.get("poisson")
+        size = float(np.linalg.norm(np.ptp(mesh.points, axis=0)))
+        self.sizes = scene.uncertainty.of(size, float(poisson) if poisson is not None else None)
+        self._outlines = {name: Outline.of(mesh, region, f"patch {name}") for name, region in scene.patches.items()}
+
+    def wanted(self, model: Model, anchors: Iterable[str]) -> Wanted:
+        """The sensitivities that are needed with a set of anchors."""
+        probes = [Probe(term, ("part",)) for term in dimensions()] if self.sizes.dimensions else []
+        if self.sizes.borders:
+            outlines = [self._outlines[patch] for patch in sorted(anchors)]
+            probes += [Probe(term, ("distance",)) for outline in outlines if outline for term in outline.terms]
+        grip = grip_term()
+        wanted = (("grip", "xyz"), ("grip_turn", ("rx", "ry", "rz")))
+        probes += [Probe(grip, tuple(names)) for name, names in wanted if getattr(self.sizes, name)]
+        law = ("poisson",) if self.sizes.poisson and "poisson" in model.law.complete(model.values) else ()
+        return Wanted(tuple(probes), law, places=bool(self.sizes.markers))
+
+    def modes(self, data: Data, found: Sensitivities, wanted: Wanted) -> NuisanceModes:
+        """Their columns, from the sensitivities that were wanted."""
+        columns: list[Array] = []
+        names: list[str] = []
+        sizes = self.sizes
+        of_effect = {"dimension": ("dimensions", sizes.dimensions), "border": ("borders", sizes.borders)}
+        for probe, arrays in zip(wanted.probes, found.probes, strict=True):
+            for parameter, array in arrays.items():
+                column = np.nan_to_num(data.vector(array))
+                if probe.effect.name in of_effect:
+                    name, size = of_effect[probe.effect.name]
+                    parts = [column]
+                else:
+                    name, size = ("grip_turn", sizes.grip_turn) if parameter.startswith("r") else ("grip", sizes.grip)
+                    # Each action is gripped anew.
+                    parts = [np.where(data.action == number, column, 0.0) for number in range(len(data.actions))]
+                columns += [part * float(size or 0.0) for part in parts]
+                names += [name] * len(parts)
+        for name, array in found.law.items():
+            columns.append(np.nan_to_num(data.vector(array)) * float(sizes.poisson or 0.0))
+            names.append(name)
+        if sizes.camera and data.measurement.frame_error is None:
+            turned = self._camera(data)
+            columns += list(turned.T)
+            names += ["camera"] * turned.shape[1]
+        markers = np.zeros((len(data), 3))
+        if found.places is not None:
+            markers = np.nan_to_num(found.places[data.mask]) * float(sizes.markers or 0.0)
+        common = np.column_stack(columns) if columns else np.zeros((len(data), 0))
+        stated = {
+            name: float(getattr(sizes, name)) for name in (MARKERS, *dict.fromkeys(names)) if getattr(sizes, name)
+        }
+        return NuisanceModes(markers, common, tuple(names), stated)
+
+    def _camera(self, data: Data) -> Array:
+        variance = np.radians(float(self.sizes.camera or 0.0)) ** 2
+        centre = np.nanmean(data.measured.reshape(-1, 3), axis=0)
+        error = FrameError(centre, np.diag([variance] * 3 + [0.0] * 4))
+        return np.asarray(error.modes(data.measured)[data.mask])

@@ -1,0 +1,176 @@
+"""What a scene has slightly wrong: its sensitivities against bodies that really are so, and where it ends up in a diagnosis."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from bcid.forms import effect_trial as trial
+from bcid.forms.forward import Forward
+from bcid.forms.mesh import BodyMesh
+from bcid.forms.model import Model
+from bcid.forms.scene_errors import Outline, dimensions, grip_term
+from bcid.forms.sensitivity import Probe, Sensitivities, Sensitivity, Wanted
+from bcid.forms.solver.equilibrium import Settings
+from bcid.measurement import Action
+from bcid.scene import Grasp, Region, Scene
+
+Array = NDArray[np.float64]
+ANCHORS = frozenset({"foot"})
+EXACT = Settings(rtol=1e-12)
+MIDDLE = np.array([0.03, 0.0, 0.02])
+
+
+def body() -> BodyMesh:
+    """The box with its places as groups, which follow their nodes, and a foot inside its bottom."""
+    mesh = refined(refined(trial.box()))
+    scene = trial.scene()
+    groups = {"end": mesh.select(scene.grasps["gripper"].region, "end")}
+    bottom = mesh.select(scene.places["bottom"], "bottom")
+    away = np.abs(mesh.points[bottom] - MIDDLE).max(axis=1)
+    return replace(mesh, groups=groups | {"foot": bottom[(away <= [0.0151, 1.0, 0.0101]).all(axis=1)]})
+
+
+def refined(mesh: BodyMesh) -> BodyMesh:
+    """Every tetrahedron cut into eight."""
+    pairs = [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)]
+    edges = np.sort(mesh.cells[:, pairs].reshape(-1, 2), axis=1)
+    unique, number = np.unique(edges, axis=0, return_inverse=True)
+    middle = number.reshape(-1, 6) + len(mesh.points)
+    points = np.vstack([mesh.points, mesh.points[unique].mean(axis=1)])
+    a, b, c, d = mesh.cells.T
+    ab, bc, ac, ad, bd, cd = middle.T
+    parts = [(a, ab, ac, ad), (ab, b, bc, bd), (ac, bc, c, cd), (ad, bd, cd, d)]
+    parts += [(ab, bc, ac, bd), (ab, ac, ad, bd), (ac, bc, cd, bd), (ac, cd, ad, bd)]
+    cells = np.vstack([np.column_stack(part) for part in parts])
+    corners = points[cells]
+    turned = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
+    cells[turned] = cells[turned][:, [0, 2, 1, 3]]
+    return BodyMesh(points, cells)
+
+
+MESH = body()
+FOOT = Outline.of(MESH, Region(groups=("foot",)), "foot")
+
+
+def scene(move: Callable[[Array], Array] = lambda x: x) -> Scene:
+    """The box held by its foot and pulled at its end; markers move with the body when that is another."""
+    plain = trial.scene()
+    names = list(plain.fiducials)
+    places = move(plain.rest)
+    return replace(
+        plain,
+        patches={"foot": Region(groups=("foot",))},
+        grasps={"gripper": Grasp(Region(groups=("end",)), (0.06, 0.01, 0.02))},
+        places={},
+        support="",
+        fiducials={name: (float(x), float(y), float(z)) for name, (x, y, z) in zip(names, places, strict=True)},
+    )
+
+
+def pulled(turned: bool = False) -> Action:
+    """Up and aside, with a turn or without."""
+    whole = trial.actions()[0]
+    still = np.tile([1.0, 0.0, 0.0, 0.0], (len(whole), 1))
+    return replace(whole, loads={}, rotation=whole.rotation if turned else still)
+
+
+def displacements(action: Action, move: Callable[[Array], Array] = lambda x: x) -> Array:
+    """Of the markers along a motion, of a body whose every point is moved at rest."""
+    here = scene(move)
+    forward = Forward(here, 0, MPI.COMM_SELF, Model.of(here), EXACT, replace(MESH, points=move(MESH.points)))
+    prediction = forward.predict(ANCHORS, [action])
+    forward.destroy()
+    assert prediction.complete
+    return prediction.positions - here.rest
+
+
+def told(wanted: Wanted, action: Action) -> Sensitivities:
+    """The same by the tangent, of the scene's own body."""
+    here = scene()
+    forward = Forward(here, 0, MPI.COMM_SELF, Model.of(here), EXACT, MESH)
+    prediction = forward.predict(ANCHORS, [action], keep=True)
+    found = Sensitivity(forward).of(ANCHORS, [action], prediction, wanted)
+    forward.destroy()
+    return found
+
+
+def central(at: Callable[[float], Array], step: float) -> Array:
+    return (at(step) - at(-step)) / (2 * step)
+
+
+def assert_near(found: Array, expected: Array, tolerance: float) -> None:
+    assert np.abs(expected).max() > 0
+    assert np.linalg.norm(found - expected) <= tolerance * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_larger_body_moves_as_told(axis: int) -> None:
+    action, direction = pulled(), np.eye(3)[axis]
+    found = told(Wanted((Probe(dimensions()[axis], ("part",)),)), action).probes[0]["part"]
+    expected = central(
+        lambda part: displacements(action, lambda x: x * (1 + part * direction)),
+        1e-3,
+    )
+    assert_near(found, expected, 1e-3)
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_a_patch_that_ends_elsewhere_moves_the_body_as_told(number: int) -> None:
+    """The mesh itself is moved, where the form moves the body between its nodes: they agree as the mesh allows."""
+    assert FOOT is not None
+    action, values = pulled(), FOOT.terms[number].values
+    found = told(Wanted((Probe(FOOT.terms[number], ("distance",)),)), action).probes[0]["distance"]
+    direction = np.array([values[f"d{axis}"] for axis in "xyz"])
+
+    def moved(x: Array, distance: float) -> Array:
+        away = x - FOOT.middle
+        beyond = np.maximum(np.linalg.norm(away, axis=1) - values["radius"], 0.0) / values["fading"]
+        size = (values["shift"] + values["stretch"] * away @ direction / values["reach"]) * np.exp(-0.5 * beyond**2)
+        return x + distance * size[:, None] * direction
+
+    expected = central(lambda distance: displacements(action, lambda x: moved(x, distance)), 1e-4)
+    assert_near(found, expected, 0.2)
+
+
+def test_a_gripper_elsewhere_moves_the_body_as_told() -> None:
+    action, names = pulled(turned=True), ("x", "z", "ry")
+    term = grip_term()
+    found = told(Wanted((Probe(term, names),)), action).probes[0]
+    for name in names:
+
+        def at(value: float, name: str = name) -> Array:
+            drive = term.effect.drive
+            assert drive is not None
+            return displacements(drive(action, {**term.values, name: value}))
+
+        assert_near(found[name], central(at, 1e-2 if name == "ry" else 1e-5), 1e-3)
+        # Before it moves it is where it rests.
+        assert not found[name][0].any()
+
+
+def test_a_marker_elsewhere_is_seen_as_told() -> None:
+    action = pulled(turned=True)
+    here = scene()
+    for axis in range(3):
+        shift = 1e-6 * np.eye(3)[axis]
+        inside = {name: tuple(np.array(x) * [1, 0.8, 0.9]) for name, x in here.fiducials.items()}
+        both = []
+        for sign in (1, -1):
+            moved = {name: tuple(np.array(x) + sign * shift) for name, x in inside.items()}
+            forward = Forward(replace(here, fiducials=moved), 0, MPI.COMM_SELF, Model.of(here), EXACT, MESH)  # type: ignore[arg-type]
+            both.append(forward.predict(ANCHORS, [action]).positions)
+            forward.destroy()
+        forward = Forward(replace(here, fiducials=inside), 0, MPI.COMM_SELF, Model.of(here), EXACT, MESH)  # type: ignore[arg-type]
+        prediction = forward.predict(ANCHORS, [action], keep=True)
+        slopes = Sensitivity(forward).of(ANCHORS, [action], prediction, Wanted(places=True)).places
+        forward.destroy()
+        assert slopes is not None
+        assert slopes[..., axis] == pytest.approx((both[0] - both[1]) / 2e-6, abs=1e-5)
+    # At rest a marker is seen where it sits.
+    assert slopes[0] == pytest.approx(np.broadcast_to(np.eye(3), slopes[0].shape), abs=1e-9)
