@@ -15,7 +15,7 @@ from bcid.studies.engine.work import read_result
 from bcid.studies.exploration.exploration_page import page as exploration_page
 from bcid.studies.exploration.exploration_page import shown
 from bcid.studies.exploration.exploration_study import call_cost, results
-from bcid.studies.exploration.exploration_trials import GRASPS, ExplorationExtent
+from bcid.studies.exploration.exploration_trials import ExplorationExtent
 from bcid.studies.paper.claims import verdicts
 from bcid.studies.paper.paper_study import in_order
 from bcid.studies.paper.study import Summary
@@ -27,10 +27,6 @@ from bcid.studies.sections import PICTURE
 DOCS = Path(__file__).resolve().parents[1]
 STUDIES, PICTURES = DOCS.parent / "studies", DOCS / "paper"
 COMMAND = "bcid study paper -o paper"
-_FEWER = (
-    "This run explored with one grasp alone. How many pulls three grasps need stands under [exploring](results.md), from "
-    "`bcid study exploration`."
-)
 
 
 def made(run: Path) -> dict[str, tuple[Summary, str]]:
@@ -77,8 +73,6 @@ def main(run: Path, commit: str) -> None:
     trials = results(explored, extent)
     progression(PICTURES / "exploration.png", [trial for trial in trials if shown(trial)])
     texts["exploration"] = exploration_page(trials, cost, True)
-    if len(extent.grasps) < len(GRASPS):
-        texts["exploration"] += f"\n{_FEWER}\n"
     sections = [texts[name].replace(f"]({PICTURE})", f"](paper/{name}.png)") for name in in_order(texts)]
     head = (DOCS / "_make/paper_head.md").read_text(encoding="utf-8").replace("COMMAND", COMMAND).replace("MADE", about)
     ordered = [found[name][0] for name in in_order(texts) if name in found]
