@@ -39,21 +39,20 @@ def term(one: Term, errors: dict[str, float]) -> str:
     return f"{one.label}: {', '.join(parts)}"
 
 
-def warning(state: State) -> list[str]:
+def warning(rung: Rung) -> list[str]:
     """What must stand above the result: that the model leaves far more than noise, or that this cannot be told."""
-    lines = []
+    state, lines = rung.state, []
     if not state.predictor.data.stated:
         lines.append(
             f"WARNING: no noise is known: {1e3 * state.noise:.3g} mm is only estimated from the measurement itself, "
             "and whether a model is adequate rests on that. State noise_sigma."
         )
-    size = float(np.sqrt(state.chi2 / len(state.predictor.data)))
-    if size > FAR:
+    if state.rms > FAR * state.noise and not rung.adequacy.adequate:
         lines.append(
-            f"WARNING: the model misses the measurement by {size:.1f} times what noise, mesh and an inexact scene explain "
-            f"({1e3 * state.rms:.3g} mm where the noise is {1e3 * state.noise:.3g} mm)."
+            f"WARNING: the model misses the measurement by {state.rms / state.noise:.1f} times the noise "
+            f"({1e3 * state.rms:.3g} mm where it is {1e3 * state.noise:.3g} mm)."
         )
-    return lines + [f"WARNING: {text}" for one in state.told if one.used_up for text in [f"{used_up(one)}."]]
+    return lines + [f"WARNING: {used_up(one)}." for one in state.told if one.used_up]
 
 
 # Nuisances in sentences: what is off.

@@ -19,7 +19,7 @@ from bcid.comparison.buckled_frames import leave_out
 from bcid.comparison.fit import Fit, fit, held_out
 from bcid.comparison.joint import NEARLY, propose
 from bcid.comparison.predictor import Predictor
-from bcid.comparison.ranking import Ranking, rank
+from bcid.comparison.ranking import SIGNIFICANT, Ranking, rank
 from bcid.comparison.rivals import STEPS, Rival, at_a_glance, contest, explained, explains
 from bcid.comparison.state import State
 from bcid.forms import effects
@@ -151,21 +151,18 @@ class _Loop:
         start = time.perf_counter()
         fitted, identification = self.settle(self.begun())
         rungs = [self.rung(fitted)]
-        while not rungs[-1].adequacy.adequate and len(rungs) <= self.options.effects:
+        while len(rungs) <= self.options.effects and not self.settled(rungs):
             ranking, rivals, moved = self.candidates(rungs[-1].fitted)
             if moved is not None:
                 fitted, identification = self.settle(moved)
                 rungs[-1] = self.rung(fitted)
                 continue
             rungs[-1] = replace(rungs[-1], ranking=ranking, rivals=tuple(rivals))
-            if not rivals or not self.worthwhile(rivals[0], rungs[-1].fitted):
+            if not rivals or not self.worthwhile(rivals[0], rungs[-1]):
                 break
             fitted, identification = self.settle(rivals[0].fitted)
             fitted = self.pruned(fitted)
             rungs.append(self.rung(fitted))
-        if rungs[-1].ranking is None and rungs[-1].adequacy.adequate and len(rungs) == 1:
-            # An adequate model is asked once whether one effect alone is significant all the same.
-            rungs[-1] = replace(rungs[-1], ranking=rank(rungs[-1].state, self.known))
         return Explanation(
             self.verdict(rungs),
             tuple(rungs),
@@ -174,6 +171,16 @@ class _Loop:
             dict(self.predictor.trajectories),
             time.perf_counter() - start,
         )
+
+    def settled(self, rungs: list[Rung]) -> bool:
+        """Whether nothing is missing: the model is adequate, and of the plain one no effect is significant all the same."""
+        if not rungs[-1].adequacy.adequate or len(rungs) > 1:
+            return rungs[-1].adequacy.adequate
+        if rungs[-1].ranking is None:
+            rungs[-1] = replace(rungs[-1], ranking=rank(rungs[-1].state, self.known))
+        ranking = rungs[-1].ranking
+        assert ranking is not None
+        return all(row.p_value >= SIGNIFICANT for row in ranking.rows)
 
     def begun(self) -> Fit:
         """The model with the likely anchors, on what was seen before the body buckles with them."""
@@ -236,7 +243,7 @@ class _Loop:
             if found == state.anchors:
                 break
             other = fit(State.of(self.predictor, state.model, found, state.errors.mesh, state.free), state.free)
-            if other.state.chi2 >= state.chi2 + _TELLING:
+            if other.state.deviance >= state.deviance + _TELLING:
                 break
             self.seen.append(state.anchors)
             self.say(f"with {state.model.name} the anchors are {self.name(found)}, not {self.name(state.anchors)}")
@@ -304,9 +311,15 @@ class _Loop:
         self.predictor.drop([fitted.state.model, *(r.fitted.state.model for r in rivals)])
         return ranking, rivals, None
 
-    def worthwhile(self, rival: Rival, before: Fit) -> bool:
-        """Whether a rival explains enough to be believed: what is missing besides may be large, but not much larger."""
-        return explained(before, rival.fitted) > _LEAST_SHARE and rival.bic < before.bic - 2
+    def worthwhile(self, rival: Rival, before: Rung) -> bool:
+        """Whether a rival explains enough to be believed: what is missing besides may be large, but not much larger.
+
+        Of an adequate model nothing needs to be explained: there a scan must pay for all that it tried.
+        """
+        least = 2.0
+        if before.adequacy.adequate and before.ranking is not None:
+            least = 2 * math.log(before.ranking.tried / SIGNIFICANT)
+        return explained(before.fitted, rival.fitted) > _LEAST_SHARE and rival.bic < before.fitted.bic - least
 
     def pruned(self, fitted: Fit) -> Fit:
         """Without effects that a later one has made needless."""

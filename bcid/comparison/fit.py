@@ -117,7 +117,7 @@ class Fit:
     @property
     def bic(self) -> float:
         """Bayesian information criterion of the fit, see `bcid.inference.criteria.bic`."""
-        return bic(self.state.chi2, len(self.state.predictor.data), len(self.coordinates))
+        return bic(self.state.deviance, len(self.state.predictor.data), len(self.coordinates))
 
     @property
     def values(self) -> dict[str, float]:

@@ -46,11 +46,11 @@ class Proposal:
     values: int
 
 
-def promised(state: State, ranking: Ranking) -> list[Proposal]:
-    """What the significant effects of a ranking promise, best first."""
+def promised(state: State, ranking: Ranking, more: float = 0.0) -> list[Proposal]:
+    """What the significant effects of a ranking promise, best first; `more` is left besides what the ranking says."""
     size = len(state.predictor.data)
     rows = [row for row in ranking.rows if row.p_value < SIGNIFICANT]
-    left = [ranking.left - row.score + row.dof * math.log(size) for row in rows]
+    left = [more + ranking.left - row.score + row.dof * math.log(size) for row in rows]
     found = [Proposal(state.anchors, r.term.effect, r.term.place, n, size) for r, n in zip(rows, left, strict=True)]
     return sorted(found, key=lambda p: p.left)
 
@@ -111,5 +111,7 @@ class _Climb:
         nearly = alone < NEARLY * len(state.predictor.data)
         if state.chi2 < (_TOLD_APART if nearly else _HOPELESS) * min(map(self.left, self.known)):
             ranking = rank(state, self.effects, strict=False)
-            plain = Proposal(anchors, None, "", ranking.left, len(state.predictor.data))
-            self.known[anchors] = [plain, *promised(state, ranking)]
+            # Sets allow for different errors, which they pay for; against the first, so that what is left remains a chi-square.
+            more = state.allowance - self.state.allowance
+            plain = Proposal(anchors, None, "", ranking.left + more, len(state.predictor.data))
+            self.known[anchors] = [plain, *promised(state, ranking, more)]

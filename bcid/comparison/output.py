@@ -266,7 +266,7 @@ def summary(done: Diagnosis, shares: Mapping[str, float], remarks: Sequence[str]
         remarks: what is odd about the measurement, to be said first.
     """
     unit, name = 1e-3, "mm"
-    lines = [*odd(remarks), *diagnosis_text.warning(done.rungs[-1].state)]
+    lines = [*odd(remarks), *diagnosis_text.warning(done.rungs[-1])]
     if done.explanation is not None:
         lines += [*diagnosis_text.conclusion(done.explanation, unit, name, done.pulls), ""]
     lines += ["The ladder of models:", *diagnosis_text.ladder(done.rungs, unit, name), ""]

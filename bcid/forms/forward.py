@@ -167,7 +167,8 @@ class Forward:
             positions[missed] = np.nan
             for frame in missed:
                 states.pop(int(frame), None)
-            if len(missed):
+            # An action that cannot be followed says nothing of the others.
+            if len(missed) and trajectories[-1].status is Status.CONVERGED:
                 break
         return Prediction(positions, tuple(trajectories), states if keep else None)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,7 +35,8 @@ class Misfit:
         self.measured[:, columns] = measurement.positions
         self.visible = np.isfinite(self.measured)
         self.frames = frames
-        self.values = int(self.visible.sum())
+        self._counts = self.visible.sum(axis=(1, 2))
+        self.values = int(self._counts.sum())
         actions = measurement.data["action"].values.astype(str)
         self.curves = sum(int(self.visible[actions == name].any(axis=0).sum()) for name in np.unique(actions))
         sigma = measurement.sigma(scene.noise_sigma)
@@ -55,6 +58,11 @@ class Misfit:
     def rms(self, squares: float) -> float:
         """RMS residual per coordinate, m, from the sum of squares over all frames."""
         return float(np.sqrt(squares / self.values))
+
+    def rms_of(self, by_frame: Sequence[float], frames: NDArray[np.bool_]) -> float:
+        """RMS residual per coordinate, m, in some of the frames, from their chi-squares."""
+        values = int(self._counts[frames].sum())
+        return (self.noise or 1.0) * float(np.sqrt(np.sum(np.array(by_frame)[frames]) / values)) if values else 0.0
 
     def distance(self, a: Array, b: Array) -> float:
         """RMS difference of two predictions (frames, fiducials, 3) over the visible coordinates, m."""

@@ -36,6 +36,8 @@ class Outcome:
         share: fraction of the steps of the trajectory that was computed, 0 to 1.
         status, reason: how the forward model ended, and why in words.
         seconds: time spent.
+        by_frame: chi-square of each frame, NaN where it was not come to: what sets are compared by, on the frames that both
+            have.
     """
 
     candidate: Candidate
@@ -47,10 +49,12 @@ class Outcome:
     status: Status = Status.CONVERGED
     reason: str = ""
     seconds: float = 0.0
+    by_frame: tuple[float, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """As JSON: infinite numbers become null."""
-        plain = asdict(self) | {"candidate": sorted(self.candidate)}
+        frames = [value if math.isfinite(value) else None for value in self.by_frame]
+        plain = asdict(self) | {"candidate": sorted(self.candidate), "by_frame": frames}
         return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in plain.items()}
 
     @classmethod
@@ -63,7 +67,9 @@ class Outcome:
             status = Status(content["status"])
             complete, reason = bool(content["complete"]), str(content["reason"])
             candidate = frozenset(str(name) for name in content["candidate"])
-            outcome = cls(candidate, int(content["level"]), complete=complete, status=status, reason=reason, **numbers)
+            frames = tuple(math.nan if value is None else float(value) for value in content["by_frame"])
+            level = int(content["level"])
+            outcome = cls(candidate, level, complete=complete, status=status, reason=reason, by_frame=frames, **numbers)
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
                 f"a stored outcome of the run is damaged ({error!r}); start it anew with --overwrite"
@@ -71,6 +77,11 @@ class Outcome:
         if any(not value >= 0 for value in numbers.values()):
             raise InputError(f"a stored outcome of the run is damaged ({numbers}); start it anew with --overwrite")
         return outcome
+
+    def beyond(self, other: Outcome) -> float:
+        """By how much its chi-square exceeds another's, over the frames that both have."""
+        here, there = np.array(self.by_frame), np.array(other.by_frame)
+        return float(np.nansum(here - there))
 
     @property
     def failed(self) -> bool:

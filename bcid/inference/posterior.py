@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from scipy.special import softmax
 
+from bcid.inference.criteria import FAILS_FOR_THE_TRUE
 from bcid.inference.misfit import Misfit
 from bcid.inference.outcome import Candidate, Evaluated, Outcome
 
@@ -22,7 +23,8 @@ class Posterior:
     """Probabilities over the visited anchor sets.
 
     Each set has the likelihood of its residuals on the finest level on which it was evaluated, relative to the best set
-    on that level (see `log_likelihood`), with equal prior probabilities. Failed sets have probability zero.
+    on that level (see `log_likelihood`), with equal prior probabilities. A set that could not be followed to the end has that
+    of the frames before.
 
     Attributes:
         probability: by set; sums to one. A set whose evaluation stopped early has an upper bound here.
@@ -78,15 +80,18 @@ def spread(best: Outcome, misfit: Misfit, error: float) -> float:
 
 
 def log_likelihood(outcome: Outcome, best: Outcome, misfit: Misfit, error: float) -> float:
-    """Logarithm of the likelihood of a set against that of the `best` one, both on the same level (see `spread`)."""
-    if outcome.failed:
-        return -math.inf
+    """Logarithm of the likelihood of a set against that of the `best` one, both on the same level (see `spread`).
+
+    They are compared on the frames that both could be followed to. That a set cannot be followed further speaks against it by how
+    seldom that happens with the true one (`FAILS_FOR_THE_TRUE`), however many frames are missing.
+    """
     if best.failed:
+        # How wrong such a level is, is not known.
         return 0.0
-    difference, variance = outcome.chi2 - best.chi2, spread(best, misfit, error)
+    difference, variance = outcome.beyond(best), spread(best, misfit, error)
     if variance <= 0.0:
         return 0.0 if difference <= 0.0 else -math.inf
-    return -difference / (2 * variance)
+    return -difference / (2 * variance) + (math.log(FAILS_FOR_THE_TRUE) if outcome.failed else 0.0)
 
 
 def classes(evaluated: Evaluated, level: int, error: float, least: float) -> list[list[Candidate]]:

@@ -96,15 +96,17 @@ def tests_table(d: dict[str, Any]) -> Table:
 def sets_table(d: dict[str, Any]) -> Table:
     """The likeliest anchor sets of an identification."""
     unit = d["length_unit"]
-    columns = [Column("anchored", TEXT), Column("probability", TEXT), Column(f"residual ({unit})"), Column("level")]
-    rows = [[_set(d["anchored"]), chance(d["probability"]), _number(d["rms"]), ""]]
-    exact: list[list[object]] = [[_set(d["anchored"]), d["probability"], d["rms"], None]]
+    columns = [Column("anchored", TEXT), Column("probability", TEXT), Column(f"residual ({unit})")]
+    columns += [Column(f"reported set there ({unit})"), Column("level")]
+    rows = [[_set(d["anchored"]), chance(d["probability"]), _number(d["rms"]), "", ""]]
+    exact: list[list[object]] = [[_set(d["anchored"]), d["probability"], d["rms"], None, None]]
     for other in d["alternatives"][:_SETS]:
-        least = "≥ " if other.get("stopped") else ""
-        cells = [_set(other["anchored"]), chance(other["probability"]), least + _number(other["rms"])]
-        rows.append([*cells, str(other.get("level", ""))])
-        exact.append([_set(other["anchored"]), other["probability"], other["rms"], other.get("level")])
-    caption = "The reported set and the next best; ≥ marks a set that was left when it had lost."
+        cells = [_set(other["anchored"]), chance(other["probability"]), _number(other["rms"])]
+        rows.append([*cells, _number(other.get("best_rms")), str(other.get("level", ""))])
+        exact.append(
+            [_set(other["anchored"]), other["probability"], other["rms"], other.get("best_rms"), other.get("level")]
+        )
+    caption = "The reported set and the next best: what they miss in the frames in which both are known."
     return Table("sets", caption, columns, rows, exact, frozenset({0}))
 
 

@@ -122,6 +122,10 @@ def _identification(found: Found, d: dict[str, Any]) -> Verdict:
         sentence = f"No set of anchors explains this measurement: the best, {patches(d['anchored'])}, misses it by "
         sentence += f"{d['rms']:.3g} {unit}, where the noise is {noise:.3g} {unit}."
         doubts.append("Probabilities compare the sets with each other only; see bcid explain for what may be missing.")
+    doubts += [
+        f"{patches(names)} could not be followed to the end, and may be the answer by the frames before."
+        for names in d.get("unfollowed", ())
+    ]
     numbers = [("anchored", " ".join(d["anchored"]) or "none"), ("probability", chance(d["probability"]))]
     numbers.append(("residual", f"{d['rms']:.3g} {unit}"))
     numbers += [("noise", f"{noise:.3g} {unit}")] if noise else []

@@ -230,6 +230,7 @@ class Evaluator:
             reached = np.asarray(np.isfinite(prediction.positions).all(axis=(1, 2)))
             share = max(share, float(reached[self._costly].mean()))
             chi2, squares = (float(value) for value in np.where(reached, sums, rest).sum(axis=1))
+            by_frame = tuple(map(float, np.where(reached, sums[0], np.nan)))
             if prediction.stopped:
                 break
             sums[:], limit = rest, bound
@@ -250,6 +251,7 @@ class Evaluator:
             failure.status if failure else Status.CONVERGED,
             failure.reason if failure else "",
             time.perf_counter() - start,
+            by_frame,
         )
         return outcome, prediction.positions
 

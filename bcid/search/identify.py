@@ -17,6 +17,7 @@ from bcid.forms.forward import Prediction
 from bcid.forms.mesh.patches import divided, first_level
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
+from bcid.inference.criteria import MAY_BE
 from bcid.inference.outcome import Candidate, Outcome, label
 from bcid.inference.posterior import Posterior, classes, finest, interest, log_likelihood, model_errors
 from bcid.measurement import Measurement
@@ -158,6 +159,11 @@ class Identification:
     seconds: float
     remarks: tuple[str, ...] = ()
 
+    @property
+    def unfollowed(self) -> list[Alternative]:
+        """The sets that could not be followed to the end and may be the one all the same."""
+        return [other for other in self.alternatives if other.failure and other.probability > MAY_BE]
+
     def to_json(self, length: float = 1e-3) -> dict[str, Any]:
         """The content of `identification.json`; lengths are given in units of `length` (m)."""
         others = [
@@ -179,6 +185,7 @@ class Identification:
             "levels": list(self.levels),
             "stages": list(self.stages),
             "failures": self.failures,
+            "unfollowed": [list(other.anchored) for other in self.unfollowed],
             "remarks": list(self.remarks),
         }
 
@@ -187,8 +194,8 @@ class Identification:
 class Alternative:
     """A set that was considered: its probability and RMS residual (m) on the finest level it was evaluated on.
 
-    `stopped` says that its evaluation ended as soon as it had lost: probability is then an upper, rms a lower bound.
-    `best_rms` is the reported set's RMS residual (m) on the same level: what `rms` is to be compared with.
+    `rms` and `best_rms`, that of the reported set, are over the `frames` in which both are known. `stopped` says that its
+    evaluation ended as soon as it had lost, `failure` why it could not be followed any further ("": it could).
     """
 
     anchored: tuple[str, ...]
@@ -197,6 +204,8 @@ class Alternative:
     level: int
     stopped: bool
     best_rms: float
+    frames: int
+    failure: str = ""
 
 
 def identify(
@@ -473,21 +482,26 @@ class _Search:
         self, belief: Posterior, winner: Outcome, errors: dict[int, float], count: int = 8
     ) -> tuple[Alternative, ...]:
         evaluator = self.evaluator
-        others = [o for c, o in finest(evaluator, self.levels[-1]).items() if c != winner.candidate and not o.failed]
+        others = [o for c, o in finest(evaluator, self.levels[-1]).items() if c != winner.candidate]
         best = {o.candidate: evaluator.outcomes[o.level, winner.candidate] for o in others}
         likely = sorted(
             others, key=lambda o: (-log_likelihood(o, best[o.candidate], evaluator.misfit, errors[o.level]), rank(o))
         )
-        return tuple(
-            Alternative(
-                self.names(o.candidate),
-                belief.probability[o.candidate],
-                o.rms,
-                o.level,
-                not o.complete,
-                best[o.candidate].rms,
-            )
-            for o in likely[:count]
+        return tuple(self.alternative(o, best[o.candidate], belief.probability[o.candidate]) for o in likely[:count])
+
+    def alternative(self, other: Outcome, best: Outcome, probability: float) -> Alternative:
+        """A set beside the best one, both on the same level."""
+        both = np.isfinite(other.by_frame) & np.isfinite(best.by_frame)
+        misses, at_best = (self.evaluator.misfit.rms_of(o.by_frame, both) for o in (other, best))
+        return Alternative(
+            self.names(other.candidate),
+            probability,
+            misses,
+            other.level,
+            not (other.complete or other.failed),
+            at_best,
+            int(both.sum()),
+            other.reason,
         )
 
 

@@ -208,10 +208,10 @@ def summary(scene: Scene, measurement: Measurement, found: Identification, round
         "Next best sets:",
     ]
     for other in found.alternatives[:3]:
-        least = "at least " if other.stopped else ""
-        misses = f"misses by {least}{other.rms / unit:.3g} {length} where {names} misses by {other.best_rms / unit:.3g}"
-        text = f"{label(other.anchored, scene.patches)} {misses} (level {other.level}), probability {percent(other.probability)}"
-        lines.append(f"  {text}")
+        misses = f"misses by {other.rms / unit:.3g} {length} where {names} misses by {other.best_rms / unit:.3g}"
+        where = f"level {other.level}" + (f", in {other.frames} of {frames} frames" if other.frames < frames else "")
+        text = f"{label(other.anchored, scene.patches)} {misses} ({where}), probability {percent(other.probability)}"
+        lines.append(f"  {text}{'; it could not be followed further' if other.failure else ''}")
     if not found.alternatives:
         lines.append("  none was evaluated")
     lines += ["", "How it was found:", *(f"  {stage}" for stage in found.stages)]
@@ -254,6 +254,24 @@ def odd(remarks: Iterable[str]) -> list[str]:
 
 def _warning(found: Identification) -> list[str]:
     """What must stand above the result: that the model does not explain the data, or that this cannot be told."""
+    return [*_open(found), *_unexplained(found)]
+
+
+def _open(found: Identification) -> list[str]:
+    """That a set which could not be followed to the end may be the one."""
+    rivals = found.unfollowed
+    if not rivals:
+        return []
+    first, more = rivals[0], len(rivals) - 1
+    others = f" and {more} other set(s)" if more else ""
+    return [
+        f"WARNING: {{{' '.join(first.anchored)}}}{others} could not be followed to the end ({first.failure}). On the frames before "
+        f"it has probability {percent(first.probability)}: the answer below is the best of the sets that could be followed, and "
+        "it may be wrong.",
+    ]
+
+
+def _unexplained(found: Identification) -> list[str]:
     if found.noise is None:
         return [
             "WARNING: no noise is known: whether a set explains this measurement cannot be told; the best misses it by "

@@ -142,7 +142,7 @@ class Landscape:
                 value = self.truth[candidate]
                 complete = value <= bound
                 seen = value if complete else math.nextafter(bound, math.inf)
-                self.outcomes[level, candidate] = Outcome(candidate, level, seen, 0.0, complete, 1.0)
+                self.outcomes[level, candidate] = Outcome(candidate, level, seen, 0.0, complete, 1.0, by_frame=(seen,))
         return {candidate: self.outcomes[level, candidate] for candidate in bounds}
 
 

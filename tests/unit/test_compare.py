@@ -393,5 +393,5 @@ def test_an_effect_is_named_when_it_explains_nearly_all(unexplained: float, verd
     loop = _Loop(whole, ExplainOptions(), plain, [], Silent())
     assert rungs[1].adequacy.adequate == (unexplained == 0.0)
     assert loop.verdict(rungs) == verdict
-    assert loop.worthwhile(Rival("gravity", heavy.terms[0], frozenset(), rungs[1].fitted, 0.0), rungs[0].fitted)
-    assert not loop.worthwhile(Rival("gravity", heavy.terms[0], frozenset(), rungs[0].fitted, 0.0), rungs[0].fitted)
+    assert loop.worthwhile(Rival("gravity", heavy.terms[0], frozenset(), rungs[1].fitted, 0.0), rungs[0])
+    assert not loop.worthwhile(Rival("gravity", heavy.terms[0], frozenset(), rungs[0].fitted, 0.0), rungs[0])

@@ -92,6 +92,9 @@ def test_a_summary_ends_with_sizes_and_the_fit_of_an_alignment() -> None:
     ],
 )
 def test_models_that_explain_too_little(rms: float, stated: bool, first: str) -> None:
-    state: Any = SimpleNamespace(rms=rms, noise=3e-4, predictor=SimpleNamespace(data=SimpleNamespace(stated=stated)))
-    lines = words.warning(state)
+    state = SimpleNamespace(
+        rms=rms, noise=3e-4, predictor=SimpleNamespace(data=SimpleNamespace(stated=stated)), told=[]
+    )
+    rung: Any = SimpleNamespace(state=state, adequacy=SimpleNamespace(adequate=False))
+    lines = words.warning(rung)
     assert lines[0].startswith(first) if first else lines == []

@@ -55,6 +55,22 @@ def test_everything_is_si(tmp_path: Path) -> None:
     assert Model.of(scene).values == {"young": 15e3, "poisson": 0.35}
 
 
+def test_what_is_not_known_exactly_has_a_standard_deviation(tmp_path: Path) -> None:
+    table = '[uncertainty]\nmarkers = "0.4 mm"\ngrip_turn = "0 deg"\ndimensions = 0.03\n'
+    stated = Scene.read(write(tmp_path, GOOD + table)).uncertainty
+    assert (stated.markers, stated.grip_turn, stated.dimensions) == (pytest.approx(0.4e-3), 0.0, 0.03)
+    # What is not said is what is usual for the size of the body, and Poisson's ratio stays below a half.
+    assert stated.borders is None
+    usual = stated.of(0.1, 0.47)
+    assert (usual.markers, usual.borders, usual.poisson) == (stated.markers, pytest.approx(1e-3), pytest.approx(0.01))
+    assert Scene.read(write(tmp_path, GOOD)).uncertainty.of(0.1, None).poisson == 0.03
+    wrong = '[uncertainty]\nmarkers = 0.4\npoisson = "3 %"\nmarker = "1 mm"\nborders = "-1 mm"\n'
+    with pytest.raises(InputError) as caught:
+        Scene.read(write(tmp_path, GOOD + wrong))
+    for problem in ("uncertainty.markers", "uncertainty.poisson", "did you mean 'markers'", "must be zero or positive"):
+        assert problem in str(caught.value)
+
+
 def test_a_support_is_one_of_the_places(tmp_path: Path) -> None:
     text = GOOD.replace('name = "bar"', 'name = "bar"\nsupport = "floor"') + '[places]\nfloor = "patch_7"\n'
     assert Scene.read(write(tmp_path, text)).support == "floor"

@@ -10,6 +10,7 @@ import pytest
 from bcid.base.errors import InputError, SolveError
 from bcid.base.progress import Silent
 from bcid.forms.solver.status import Status
+from bcid.inference.criteria import FAILS_FOR_THE_TRUE
 from bcid.inference.outcome import Candidate, Outcome, label
 from bcid.inference.posterior import Posterior, classes, finest, interest, log_likelihood, model_errors
 from bcid.search.climb import ODDS, climb, neighbours
@@ -26,8 +27,14 @@ VALUES = 1000
 class Landscape:
     """Stands in for a `Evaluator`: chi-square from a formula, with evaluations that stop at a bound as the real ones do."""
 
-    def __init__(self, *levels: Callable[[Candidate], float], noise: float | None = 1.0, apart: float = 0.0) -> None:
-        self.levels = levels
+    def __init__(
+        self,
+        *levels: Callable[[Candidate], float],
+        noise: float | None = 1.0,
+        apart: float = 0.0,
+        early: Callable[[Candidate], float] = lambda _: 0.0,
+    ) -> None:
+        self.levels, self.early = levels, early
         self.apart = apart
         self.patches = PATCHES
         self.misfit = SimpleNamespace(
@@ -38,6 +45,7 @@ class Landscape:
             common=0.0,
             distance=lambda a, b: abs(a - b),
             similarity=lambda rms: 1 - rms / 100,
+            rms_of=lambda by_frame, frames: math.sqrt(np.sum(np.array(by_frame)[frames]) / VALUES),
         )
         self.scene = SimpleNamespace(levels=levels, patches=PATCHES)
         self.outcomes: dict[tuple[int, Candidate], Outcome] = {}
@@ -57,9 +65,22 @@ class Landscape:
             got = chi2 if complete or failed else bound * 1.001
             status = Status.UNSTABLE if failed else Status.CONVERGED
             self.outcomes[level, candidate] = Outcome(
-                candidate, level, got, math.sqrt(got / VALUES), complete, share, status, "buckles" if failed else ""
+                candidate,
+                level,
+                got,
+                math.sqrt(got / VALUES),
+                complete,
+                share,
+                status,
+                "buckles" if failed else "",
+                by_frame=self.by_frame(candidate, got),
             )
         return {c: self.outcomes[level, c] for c in bounds}
+
+    def by_frame(self, candidate: Candidate, chi2: float) -> tuple[float, ...]:
+        """Two frames: a set that fails may do so in the second."""
+        early = self.early(candidate)
+        return (early, math.nan if math.isinf(chi2) else chi2 - early)
 
     def refinement(self, _coarse: int, _fine: int) -> float:
         """Elements are halved from level to level."""
@@ -168,7 +189,8 @@ def test_belief_is_a_distribution() -> None:
     evaluator.evaluate(0, dict.fromkeys(all_candidates(PATCHES), math.inf))
     belief = Posterior.of(evaluator, TRUE, {0: 0.0})  # type: ignore[arg-type]
     assert math.fsum(belief.probability.values()) == pytest.approx(1.0)
-    assert belief.probability[frozenset(PATCHES)] == 0.0
+    whole = belief.probability[frozenset(PATCHES)] / belief.probability[TRUE]
+    assert whole == pytest.approx(FAILS_FOR_THE_TRUE), "nothing is known of it"
     one = belief.probability[frozenset("2")] / belief.probability[TRUE]
     assert one == pytest.approx(math.exp(-2.0)), "chi-square 4 above is a likelihood ratio of exp(-2)"
     assert belief.patches["2"] == pytest.approx(sum(p for c, p in belief.probability.items() if "2" in c))
@@ -344,6 +366,19 @@ def test_a_set_that_fails_on_the_finer_level_is_not_ruled_out_by_that() -> None:
     assert found.anchored == ("2", "5")
     assert found.probability == pytest.approx(0.5, abs=0.01)
     assert "{2 5 6}" in found.failures
+
+
+def test_a_set_that_fails_late_is_judged_by_the_frames_before() -> None:
+    """One that explains them better than the best of the others may be the one, and one that does not is out."""
+    true, rival, lost = TRUE, frozenset("256"), frozenset("25134")
+    whole = lambda c: math.inf if c in (rival, lost) else distance(c)  # noqa: E731
+    early = lambda c: {lost: 500.0, rival: 50.0 + 2 * math.log(FAILS_FOR_THE_TRUE)}.get(c, 50.0)  # noqa: E731
+    found = search(Landscape(whole, early=early), IdentifyOptions(certify="yes", finest=0))
+    assert frozenset(found.anchored) == true
+    assert found.probability == pytest.approx(0.5, abs=0.01)
+    assert [(a.anchored, a.frames) for a in found.unfollowed] == [(("2", "5", "6"), 1)]
+    assert found.unfollowed[0].failure == "buckles"
+    assert not found.certified
 
 
 @pytest.mark.parametrize(

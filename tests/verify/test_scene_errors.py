@@ -4,21 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from bcid.comparison.adequacy import judge
+from bcid.comparison.predictor import Predictor
+from bcid.comparison.state import State
 from bcid.forms import effect_trial as trial
 from bcid.forms.forward import Forward
 from bcid.forms.mesh import BodyMesh
 from bcid.forms.model import Model
 from bcid.forms.scene_errors import Outline, dimensions, grip_term
 from bcid.forms.sensitivity import Probe, Sensitivities, Sensitivity, Wanted
+from bcid.forms.simulate import simulate
 from bcid.forms.solver.equilibrium import Settings
 from bcid.measurement import Action
 from bcid.scene import Grasp, Region, Scene
+from bcid.scene.uncertainty import Uncertainty
 
 Array = NDArray[np.float64]
 ANCHORS = frozenset({"foot"})
@@ -174,3 +180,44 @@ def test_a_marker_elsewhere_is_seen_as_told() -> None:
         assert slopes[..., axis] == pytest.approx((both[0] - both[1]) / 2e-6, abs=1e-5)
     # At rest a marker is seen where it sits.
     assert slopes[0] == pytest.approx(np.broadcast_to(np.eye(3), slopes[0].shape), abs=1e-9)
+
+
+# -- in a diagnosis
+# ------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_scene_that_is_slightly_wrong_is_adequate_if_that_is_allowed_for(project: Path, stated: bool) -> None:
+    """Markers 0.5 mm off, a gripper 0.5 mm from where it says, another Poisson's ratio: that is no physics."""
+    slab = Scene.read(project / "examples" / "scenes" / "slab.toml")
+    rng, names = np.random.default_rng(3), list(slab.fiducials)
+    # On the top, which is flat.
+    places = slab.rest + rng.normal(0, 0.5e-3, slab.rest.shape) * [1, 0, 1]
+    true = replace(
+        slab,
+        material=replace(slab.material, values=slab.material.values | {"poisson": 0.38}),
+        fiducials={name: (float(x), float(y), float(z)) for name, (x, y, z) in zip(names, places, strict=True)},
+    )
+    number, still = np.arange(5), np.tile([1.0, 0.0, 0.0, 0.0], (5, 1))
+    ways = 2e-3 * np.array([[1, 0, 0], [0, 0, 1], [0, 0.5, -1]])
+    pulls = [Action(str(i + 1), 5 * i + number, number, "II", number[:, None] * w, still) for i, w in enumerate(ways)]
+    off = dict(zip("xyz", rng.normal(0, 0.5e-3, 3), strict=True)) | {"rx": 0.3, "ry": -0.3, "rz": 0.2}
+    drive = grip_term().effect.drive
+    assert drive is not None
+    seen = simulate(true, {"3", "4"}, [drive(pull, off) for pull in pulls], level=2, noise=0.2e-3)
+    # The robot reports what it was told to do.
+    told_to = simulate(slab, {"3", "4"}, pulls, level=0, noise=0.2e-3)
+    reported = told_to.data.copy(deep=True)
+    reported["position"] = (reported["position"].dims, seen.positions)
+    scene = slab if stated else replace(slab, uncertainty=Uncertainty.none())
+    predictor = Predictor(scene, replace(told_to, data=reported), MPI.COMM_SELF, level=1)
+    state = State.of(predictor, Model.of(scene), frozenset({"3", "4"}))
+    verdict = judge(state)
+    assert verdict.adequate == stated
+    assert not any(one.used_up for one in state.told)
+    if stated:
+        (markers,) = (one for one in state.told if one.name == "markers")
+        assert 0.1e-3 < markers.found < 0.7e-3
+        assert state.rms > 1.5 * state.noise
+        assert state.rough < 1.1 * state.noise
+    predictor.destroy()
