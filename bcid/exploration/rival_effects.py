@@ -186,7 +186,7 @@ class RivalEffects:
         if not alone:
             return []
         plain = [Fitted(Hypothesis(s.anchors), fit(s, ()), begun) for s in alone]
-        base = min(alone, key=lambda state: state.chi2)
+        base = min(alone, key=lambda state: state.deviance)
         others = [state.anchors for state in alone if state is not base]
         acting = [e for e in self.effects if not (e.needs and e.needs(self.scene, measurement))]
         proposals = at_a_glance(base, 0, lambda thin: propose(thin, others, _SETS, acting))
