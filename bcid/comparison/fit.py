@@ -236,7 +236,7 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL)
     """Fit numbers of a model to the data; collective.
 
     Args:
-        start: where to begin; its covariance of errors is kept.
+        start: where to begin; its covariance of errors is kept but for nuisances that are fitted.
         names: full names of the numbers.
         most: predictions at most.
         ftol: relative change of chi-square that ends the fit.
@@ -246,6 +246,7 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL)
         SolveError: the model cannot be followed at its start.
     """
     chosen = coordinates(start.model, names)
+    start = replace(start, errors=start.errors.without(names))
     problem = _Problem(start, chosen)
     if not chosen:
         return Fit(replace(start, free=()), (), np.zeros((0, 0)), np.zeros((len(start.predictor.data), 0)), (), 0)

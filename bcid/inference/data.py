@@ -22,6 +22,7 @@ class Data:
 
     Attributes:
         mask: which of (frames, fiducials, 3) were seen.
+        about: measured positions (frames, fiducials, 3), m, and the place at rest where nothing was seen.
         values: measured positions, shape (n,), m.
         sigma: standard deviation of each, m; NaN when none is stated.
         action, frame, step, fiducial, axis: labels, shape (n,); actions and fiducials as numbers.
@@ -40,6 +41,7 @@ class Data:
         self.scene, self.measurement = scene, measurement
         self.measured = measured
         self.mask = np.isfinite(measured)
+        self.about = np.where(self.mask, measured, scene.rest)
         self.values, self.sigma = measured[self.mask], sigma[self.mask]
         self.stated = stated is not None
         frames, fiducials, axes = np.nonzero(self.mask)

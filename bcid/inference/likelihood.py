@@ -7,7 +7,7 @@ common to all. Whitening by it, its determinant and its inverse cost no more tha
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,6 +110,11 @@ class Errors:
             part.apply(scaled)
         self._common = _LowRank.of(np.arange(len(data)), scaled)
 
+    def without(self, names: Collection[str]) -> Errors:
+        """The same where some nuisances are nothing that is integrated over, because they are fitted."""
+        kept = self.nuisances.without(names)
+        return self if kept is self.nuisances else Errors(self.data, self.sigma, self.mesh, kept)
+
     # -- columns, m
 
     def _of_actions(self, left: Array) -> Array:
@@ -124,7 +129,7 @@ class Errors:
         error = self.data.measurement.frame_error
         if error is None:
             return np.zeros((len(self.data), 0))
-        return np.asarray(error.modes(self.data.measured)[self.data.mask])
+        return np.asarray(error.modes(self.data.about)[self.data.mask])
 
     def _of_fiducials(self, left: Array) -> Iterator[tuple[NDArray[np.int64], Array]]:
         """What each fiducial has for itself: the rest of the mesh's error, and where it sits on the body."""

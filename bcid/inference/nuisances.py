@@ -7,7 +7,7 @@ for the algebra).
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,6 +45,14 @@ class NuisanceModes:
     def none(cls, count: int) -> NuisanceModes:
         """Nothing is wrong."""
         return cls(np.zeros((count, 3)), np.zeros((count, 0)), (), {})
+
+    def without(self, names: Collection[str]) -> NuisanceModes:
+        """Without those of some names, of which that of the markers is none."""
+        kept = [number for number, name in enumerate(self.names) if name not in names]
+        if len(kept) == len(self.names):
+            return self
+        sizes = {name: size for name, size in self.sizes.items() if name not in names}
+        return NuisanceModes(self.markers, self.common[:, kept], tuple(self.names[n] for n in kept), sizes)
 
 
 class Nuisances:
@@ -102,7 +110,10 @@ class Nuisances:
         markers = np.zeros((len(data), 3))
         if found.places is not None:
             markers = np.nan_to_num(found.places[data.mask]) * float(sizes.markers or 0.0)
-        common = np.column_stack(columns) if columns else np.zeros((len(data), 0))
+        # What does not matter here, as the grip where no gripper moves, is not told of.
+        felt = [number for number, column in enumerate(columns) if column.any()]
+        common = np.column_stack([columns[number] for number in felt] or [np.zeros((len(data), 0))])
+        names = [names[number] for number in felt]
         stated = {
             name: float(getattr(sizes, name)) for name in (MARKERS, *dict.fromkeys(names)) if getattr(sizes, name)
         }
@@ -110,6 +121,6 @@ class Nuisances:
 
     def _camera(self, data: Data) -> Array:
         variance = np.radians(float(self.sizes.camera or 0.0)) ** 2
-        centre = np.nanmean(data.measured.reshape(-1, 3), axis=0)
+        centre = data.about.reshape(-1, 3).mean(axis=0)
         error = FrameError(centre, np.diag([variance] * 3 + [0.0] * 4))
-        return np.asarray(error.modes(data.measured)[data.mask])
+        return np.asarray(error.modes(data.about)[data.mask])

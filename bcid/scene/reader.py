@@ -253,12 +253,16 @@ class SceneFile:
         )
 
     def positive(self, table: Mapping[str, Any], key: str, unit: str, zero: bool = False) -> float | None:
-        """A positive number with a unit, or without where `unit` is ""; None where it is not given."""
+        """A positive number with a unit, or without where `unit` is ""; None where it is not given.
+
+        Where `zero` is allowed it needs no unit.
+        """
         value = table.get(key.rpartition(".")[2])
         if value is None:
             return None
+        bare = zero and value == 0 and not isinstance(value, bool)
         try:
-            if unit:
+            if unit and not bare:
                 number = quantity(value, unit)
             elif isinstance(value, int | float) and not isinstance(value, bool):
                 number = float(value)

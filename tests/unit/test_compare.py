@@ -29,10 +29,11 @@ from bcid.forms.simulate import recorded
 from bcid.inference.data import Data, estimate_noise
 from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
-from bcid.inference.nuisances import NuisanceModes
+from bcid.inference.nuisances import NuisanceModes, Nuisances
 from bcid.measurement import Action, Measurement
 from bcid.measurement.frame_error import FrameError
 from bcid.scene import Scene
+from bcid.scene.uncertainty import Uncertainty
 
 Array = NDArray[np.float64]
 SCENE = trial.scene()
@@ -124,6 +125,38 @@ def test_nuisances_are_told_from_what_they_do() -> None:
     assert told["markers"].count == 3 * len(SCENE.fiducials)
     # What no nuisance explains is noise.
     assert np.sqrt(np.mean(errors.rough(residual) ** 2)) == pytest.approx(SIGMA, rel=0.2)
+
+
+def test_what_is_fitted_is_not_integrated_over() -> None:
+    made = actions()
+    data = data_of(rest(made), made)
+    errors = Errors(data, data.sigma, MeshError.unknown(data.mask.shape), modes(data))
+    less = errors.without(("poisson", "gravity.weight"))
+    assert less.nuisances.names == ("grip", "grip")
+    assert set(less.nuisances.sizes) == {"markers", "grip"}
+    assert less.log_volume < errors.log_volume
+    assert errors.without(("gravity.weight",)) is errors
+
+
+def test_a_camera_may_be_turned_where_only_one_axis_is_seen() -> None:
+    """The rest of a position is where the body is at rest; nothing turns out as no number."""
+    made = actions()
+    positions = rest(made)
+    positions[:, :, 1:] = np.nan
+    data = data_of(positions, made)
+    assert data.about[..., 1:] == pytest.approx(np.broadcast_to(SCENE.rest, positions.shape)[..., 1:])
+    turned = Errors(data, data.sigma, MeshError.unknown(data.mask.shape), camera_modes(data))
+    assert turned.nuisances.names == ("camera",) * turned.nuisances.common.shape[1]
+    away = positions[..., 0][:, :, None] * 0 + (SCENE.rest - SCENE.rest.mean(axis=0))
+    assert turned.nuisances.common.std() == pytest.approx(
+        np.radians(0.2) * float(np.sqrt(np.mean(away[..., 1:] ** 2))), rel=0.3
+    )
+
+
+def camera_modes(data: Data) -> NuisanceModes:
+    """Those of a scene in which only the camera's directions are not known."""
+    nuisances = Nuisances(replace(SCENE, uncertainty=replace(Uncertainty.none(), camera=None)), trial.box())
+    return nuisances.modes(data, Sensitivities([], {}), Wanted())
 
 
 def test_without_an_error_of_the_mesh_only_the_noise_scales() -> None:

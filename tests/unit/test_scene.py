@@ -56,9 +56,11 @@ def test_everything_is_si(tmp_path: Path) -> None:
 
 
 def test_what_is_not_known_exactly_has_a_standard_deviation(tmp_path: Path) -> None:
-    table = '[uncertainty]\nmarkers = "0.4 mm"\ngrip_turn = "0 deg"\ndimensions = 0.03\n'
+    table = '[uncertainty]\nmarkers = "0.4 mm"\ngrip_turn = "0 deg"\ncamera = 0\ndimensions = 0.03\n'
     stated = Scene.read(write(tmp_path, GOOD + table)).uncertainty
     assert (stated.markers, stated.grip_turn, stated.dimensions) == (pytest.approx(0.4e-3), 0.0, 0.03)
+    # Nothing is nothing in any unit.
+    assert stated.camera == 0.0
     # What is not said is what is usual for the size of the body, and Poisson's ratio stays below a half.
     assert stated.borders is None
     usual = stated.of(0.1, 0.47)
