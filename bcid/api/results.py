@@ -172,6 +172,12 @@ class IdentifyResult(Result):
         return self._metres(self.found["noise_rms"])
 
     @property
+    def missing(self) -> float | None:
+        """Probability that something is missing in the model besides; None where the mesh is too large for that to be asked."""
+        found = self.found["missing"]
+        return None if found is None else float(found)
+
+    @property
     def certified(self) -> bool:
         """Whether every set of patches was looked at on the finest level used, and could be solved for."""
         return bool(self.found["certified"])

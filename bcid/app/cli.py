@@ -623,6 +623,9 @@ def _add_study(commands: Any) -> None:
     parser.add_argument(
         "--least", type=float, default=0.5, metavar="SIZE", help="of an effect of hidden, in units of noise (0.5)"
     )
+    parser.add_argument(
+        "--inexact", action="store_true", help="hidden: of bodies of which the scene has everything slightly wrong"
+    )
     _add_output(parser, picture=False)
 
 

@@ -437,9 +437,10 @@ def _studies(arguments: argparse.Namespace) -> Callable[..., Path]:
 
 
 def _study_hidden(arguments: argparse.Namespace, how: Workers, progress: Progress) -> Path:
-    from bcid.studies.hidden.hidden_study import HiddenOptions, run_hidden
+    from bcid.studies.hidden.hidden_study import MAKE, MAKE_INEXACT, HiddenOptions, run_hidden
 
-    options = HiddenOptions(arguments.cases, arguments.seed, how.jobs, how.limit, arguments.least)
+    make = MAKE_INEXACT if arguments.inexact else MAKE
+    options = HiddenOptions(arguments.cases, arguments.seed, how.jobs, how.limit, arguments.least, make)
     return run_hidden(arguments.output, options, progress=progress, overwrite=arguments.overwrite, comm=how.comm)
 
 

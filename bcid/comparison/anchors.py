@@ -43,7 +43,15 @@ def search(
     options = IdentifyOptions(certify=certify, coarsest=predictor.level, finest=predictor.level)
     seen = replace(measurement, data=corrected, noise_sigma=noise)
     found = identify(
-        predictor.scene, seen, predictor.comm, options, model, _SETTINGS, Steps(predictor.progress), start=tuple(start)
+        predictor.scene,
+        seen,
+        predictor.comm,
+        options,
+        model,
+        _SETTINGS,
+        Steps(predictor.progress),
+        start=tuple(start),
+        mesh=replace(mesh, correction=np.zeros_like(mesh.correction)) if mesh.known else None,
     )
     predictor.count("working", sum(found.evaluations.values()))
     return found

@@ -15,9 +15,9 @@ from bcid.comparison.separate import Pull
 from bcid.comparison.state import State
 from bcid.comparison.where import MissingForce
 from bcid.forms.model import Term
-from bcid.inference.likelihood import NuisanceEstimate
+from bcid.inference import nuisance_text
+from bcid.inference.criteria import FAR
 from bcid.inference.outcome import label
-from bcid.search.identify_run import FAR
 
 # A force that explains a smaller share of what is beyond noise is none.
 _NOTHING = 0.1
@@ -52,46 +52,7 @@ def warning(rung: Rung) -> list[str]:
             f"WARNING: the model misses the measurement by {state.rms / state.noise:.1f} times the noise "
             f"({1e3 * state.rms:.3g} mm where it is {1e3 * state.noise:.3g} mm)."
         )
-    return lines + [f"WARNING: {used_up(one)}." for one in state.told if one.used_up]
-
-
-# Nuisances in sentences: what is off.
-_OFF = {
-    "markers": "markers would have to sit {} from where the scene has them",
-    "dimensions": "the body would have to be larger or smaller than the scene has it by {}",
-    "borders": "patches would have to end {} from where the scene has it",
-    "grip": "the gripper would have to be {} from where it is reported",
-    "grip_turn": "the gripper would have to be turned by {} against what is reported",
-    "camera": "the measured frame would have to be turned by {}",
-    "poisson": "Poisson's ratio would have to be off by {}",
-}
-_UNITS = {"markers": "m", "borders": "m", "grip": "m", "grip_turn": "deg", "camera": "deg"}
-
-
-def amount(one: NuisanceEstimate, value: float) -> str:
-    """A value of a nuisance with its unit: "0.41 mm", "2 %"."""
-    if one.name == "dimensions":
-        return f"{100 * value:.2g} %"
-    shown, _, unit = for_people(value, None, _UNITS.get(one.name, "1"))
-    return f"{shown:.2g}" if unit == "1" else f"{shown:.2g} {unit}"
-
-
-def used_up(one: NuisanceEstimate) -> str:
-    """That a nuisance is larger than the scene says."""
-    off = _OFF[one.name].format(f"up to {amount(one, one.most * one.size)}")
-    return f"{off}, where {amount(one, one.size)} is allowed for (a standard deviation)"
-
-
-def inexact(state: State) -> list[str]:
-    """What the scene may have wrong, and what of it these data make likely."""
-    if not state.told:
-        return []
-    parts = [f"{one.name} {amount(one, one.size)} ({amount(one, one.found)})" for one in state.told]
-    return [
-        "  Allowed for in the scene, as standard deviations (and what these data make likely): "
-        + ", ".join(parts)
-        + "."
-    ]
+    return lines + nuisance_text.warnings(state.told)
 
 
 def verdict(state: State, adequacy: Adequacy, unit: float, name: str) -> list[str]:
@@ -104,7 +65,7 @@ def verdict(state: State, adequacy: Adequacy, unit: float, name: str) -> list[st
         f"{state.model.name} with anchors {anchors(state)} is {word} ({p_value(adequacy.p_value)}).",
         f"  It misses the measurement by {state.rms / unit:.3g} {name} per coordinate (RMS), {state.rough / unit:.3g} of it like "
         f"noise; noise {state.noise / unit:.3g} {name} ({stated}), error of the mesh {known}.",
-        *inexact(state),
+        *(f"  {line}" for line in nuisance_text.allowed(state.told)),
     ]
     for finding in adequacy.findings:
         mark = "decides" if finding.decides else "       "

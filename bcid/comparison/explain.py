@@ -33,7 +33,8 @@ from bcid.search.identify import Identification, IdentifyOptions, identify
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
 # Two explanations whose chi-square differs by less (with a penalty for their numbers) cannot be told apart: odds of 20 to 1.
-_TELLING = 2 * math.log(20.0)
+_ODDS = 20.0
+_TELLING = 2 * math.log(_ODDS)
 # The coarsest level is climbed from random seeds. What that misses is found when sets and effects are looked at together,
 # which begins with so many of the best sets.
 _SEEDS, _STARTS = 2, 2
@@ -134,6 +135,15 @@ def explain(
     options = options or ExplainOptions()
     known = effects.catalogue(options.only, more)
     return _Loop(predictor, options, model or Model.of(predictor.scene), known).run()
+
+
+def simplest(found: Identification) -> Anchored:
+    """The smallest of the sets that cannot be told apart: what need not be held is not said to be."""
+    likely = [
+        other for other in found.alternatives if _ODDS * other.probability > found.probability and not other.failure
+    ]
+    alike = [found.anchored, *found.classes[0], *(other.anchored for other in likely)]
+    return min(map(frozenset, alike), key=len)
 
 
 @dataclass
@@ -238,8 +248,7 @@ class _Loop:
             identification = anchor_search.search(
                 self.predictor, state.model, state.errors.mesh, [state.anchors], certify
             )
-            # Of sets that the motions cannot tell apart the smallest is kept: what need not be held is not said to be.
-            found = min(map(frozenset, identification.classes[0]), key=len)
+            found = simplest(identification)
             if found == state.anchors:
                 break
             other = fit(State.of(self.predictor, state.model, found, state.errors.mesh, state.free), state.free)

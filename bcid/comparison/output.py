@@ -21,6 +21,7 @@ from bcid.comparison.rivals import Rival, explains
 from bcid.comparison.source import Source
 from bcid.comparison.where import MissingForce
 from bcid.forms.model import Term
+from bcid.inference import nuisance_text
 from bcid.measurement import AXES
 from bcid.search.identify_run import body_parts, inputs_in_words, odd
 
@@ -116,11 +117,7 @@ def diagnosis_json(done: Diagnosis, unit: float) -> dict[str, Any]:
         "noise_rms": state.noise / unit,
         "noise_stated": state.predictor.data.stated,
         "rough_rms": state.rough / unit,
-        "nuisances": [
-            {"name": n.name, "stddev": n.size, "likely": n.found, "most_sigmas": n.most}
-            | {"used_up": diagnosis_text.used_up(n) if n.used_up else ""}
-            for n in state.told
-        ],
+        "nuisances": nuisance_text.to_json(state.told),
         "discretisation_rms": state.errors.mesh.rms / unit if state.errors.mesh.known else None,
         "held_out_rms": None if last.held_out is None else last.held_out / unit,
         "anchored": sorted(state.anchors, key=order.index),

@@ -244,7 +244,7 @@ class Predictor:
         if key not in self._sensitivities:
             self._sensitivities[key] = Sensitivity(forward)
         sensitivity = self._sensitivities[key]
-        error, parts, seen = None, [], self.data.mask.any(axis=(1, 2))
+        error, parts, seen = None, [], np.asarray(self.data.mask.any(axis=(1, 2)))
         mine = self.mine(self.actions)
         for number, action in enumerate(mine):
             if not self.thin and len(wanted.probes) > 1:

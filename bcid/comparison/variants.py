@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from bcid.comparison.fit import Coordinate
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
+from bcid.forms.force_bumps import scattered
 from bcid.forms.model import Model, Term
 from bcid.forms.parameter import Parameter
 from bcid.forms.sensitivity import Probe, Wanted
@@ -197,13 +198,3 @@ def _inclusions(state: State, effect: Effect, stiffness: NDArray[np.float32]) ->
             inside = effect.around(middles, term.values)
             found.append(Variant(term, tuple(amounts(term, [amount])), (columns @ inside)[:, None]))
     return found
-
-
-def scattered(points: Array, count: int) -> Array:
-    """Points far from each other: each the farthest from those before it."""
-    chosen = [int(np.argmin(np.linalg.norm(points - points.mean(axis=0), axis=1)))]
-    distance = np.linalg.norm(points - points[chosen[0]], axis=1)
-    while len(chosen) < min(count, len(points)):
-        chosen.append(int(distance.argmax()))
-        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
-    return np.asarray(points[chosen])

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import ufl
-from dolfinx import fem
 from numpy.typing import NDArray
 
 from bcid.comparison.state import State
-from bcid.comparison.variants import scattered
-from bcid.forms.forward import Forward
+from bcid.forms.force_bumps import bumps, scattered
 from bcid.forms.sensitivity import Wanted
 
 Array = NDArray[np.float64]
@@ -63,7 +60,7 @@ def missing_force(state: State) -> MissingForce:
     """
     predictor, data = state.predictor, state.predictor.data
     forward = predictor.forward(state.model)
-    centres, weights = _bumps(forward)
+    centres, weights = bumps(forward, _BUMPS)
     found = predictor.sensitivities(state.model, state.anchors, state.prediction, Wanted(forces=weights))
     assert found.forces is not None
     raw = found.forces[data.mask].astype(float).reshape(len(data), -1)
@@ -86,20 +83,6 @@ def missing_force(state: State) -> MissingForce:
     left = state.residual - np.hstack(blocks) @ amounts
     by_action = {name: places(i + 1) for i, name in enumerate(names)}
     return MissingForce(places(0), by_action, explained, float(np.sqrt(np.mean(left**2))))
-
-
-def _bumps(forward: Forward) -> tuple[Array, Array]:
-    """Middles of the bumps, and the weight (m^3) of each at every node, shape (nodes, bumps)."""
-    body = forward.body
-    volume = fem.assemble_vector(
-        fem.form(ufl.TestFunction(fem.functionspace(body.domain, ("Lagrange", body.degree))) * ufl.dx)
-    ).array
-    nodes = body.nodes
-    centres = scattered(nodes, _BUMPS)
-    apart = np.linalg.norm(centres[:, None] - centres[None], axis=2) + np.diag(np.full(len(centres), np.inf))
-    width = float(np.median(apart.min(axis=1)))
-    shapes = np.exp(-0.5 * (np.linalg.norm(nodes[:, None] - centres[None], axis=2) / width) ** 2)
-    return centres, shapes * volume[:, None]
 
 
 def _regions(centres: Array, volumes: Array) -> tuple[Array, Array]:

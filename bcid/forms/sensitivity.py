@@ -301,6 +301,9 @@ class Sensitivity:
             memory.reset()
         moves = [self._moves(probe, name, commanded) for probe in wanted.probes for name in probe.wanted]
         for step, (pose, frame) in enumerate(zip(poses(action), action.frames, strict=True)):
+            if int(frame) not in states:
+                # It could not be followed any further.
+                break
             equilibrium.set_state(pose, states[int(frame)])
             for memory in weak_form.probed.values():
                 memory.dt.value = max(pose.time - equilibrium.time, 1e-9) if memory.moving.value else LONG

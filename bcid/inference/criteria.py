@@ -25,3 +25,7 @@ SURPRISE = 0.01
 MAY_BE = 0.01
 # How often the forward model cannot follow the true set to the end: what a set that fails has for it before the measurement.
 FAILS_FOR_THE_TRUE = 0.01
+# What is at least this probable is told as certain, and what is less as open.
+CERTAIN = 0.95
+# A residual that is so many times the noise is not explained by it, where it cannot be asked whether something is missing.
+FAR = 2.0

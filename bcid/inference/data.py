@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,17 +35,20 @@ class Data:
     def __init__(self, scene: Scene, measurement: Measurement) -> None:
         columns = [scene.fiducial_names.index(name) for name in measurement.fiducial_names]
         shape = (len(measurement.positions), len(scene.fiducials), 3)
-        measured, sigma = np.full(shape, np.nan), np.full(shape, np.nan)
-        measured[:, columns] = measurement.positions
+        self.measured, self._sigma = np.full(shape, np.nan), np.full(shape, np.nan)
+        self.measured[:, columns] = measurement.positions
         stated = measurement.sigma(scene.noise_sigma)
         if stated is not None:
-            sigma[:, columns] = stated
+            self._sigma[:, columns] = stated
         self.scene, self.measurement = scene, measurement
-        self.measured = measured
-        self.mask = np.isfinite(measured)
-        self.about = np.where(self.mask, measured, scene.rest)
-        self.values, self.sigma = measured[self.mask], sigma[self.mask]
         self.stated = stated is not None
+        self.about = np.where(np.isfinite(self.measured), self.measured, scene.rest)
+        self._take(np.isfinite(self.measured))
+
+    def _take(self, mask: NDArray[np.bool_]) -> None:
+        scene, measurement = self.scene, self.measurement
+        self.mask: NDArray[np.bool_] = mask
+        self.values, self.sigma = self.measured[mask], self._sigma[mask]
         frames, fiducials, axes = np.nonzero(self.mask)
         names = measurement.action_names
         actions = np.array([names.index(str(name)) for name in measurement.data["action"].values])
@@ -57,6 +62,12 @@ class Data:
 
     def __len__(self) -> int:
         return len(self.values)
+
+    def within(self, frames: NDArray[np.bool_]) -> Data:
+        """The values of some frames, (frames,), alone."""
+        other = copy(self)
+        other._take(self.mask & frames[:, None, None])
+        return other
 
     def vector(self, positions: Array) -> Array:
         """The visible coordinates of positions (frames, fiducials, 3), shape (n,)."""

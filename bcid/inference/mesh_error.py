@@ -44,6 +44,12 @@ class MeshError:
         return cls(np.zeros(shape), np.zeros(shape), False)
 
     @classmethod
+    def beyond(cls, coarse: Array, fine: Array, gain: float) -> MeshError:
+        """The same where the finer of the two is the working level."""
+        difference = fine - coarse
+        return cls(np.asarray(difference / gain), np.asarray(difference / min(gain, _SINGULAR)), True)
+
+    @classmethod
     def between(cls, coarse: Array, fine: Array, gain: float) -> MeshError:
         """From predictions on the working level and a finer one: Richardson's extrapolation.
 

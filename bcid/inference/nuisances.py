@@ -8,7 +8,7 @@ for the algebra).
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,14 @@ class NuisanceModes:
     def none(cls, count: int) -> NuisanceModes:
         """Nothing is wrong."""
         return cls(np.zeros((count, 3)), np.zeros((count, 0)), (), {})
+
+    def at(self, rows: NDArray[np.bool_]) -> NuisanceModes:
+        """Of some of the values."""
+        return replace(self, markers=self.markers[rows], common=self.common[rows])
+
+    def beside(self, columns: Array) -> NuisanceModes:
+        """With something that is not told of besides, of one standard deviation, (n, m), m."""
+        return replace(self, common=np.hstack([self.common, columns]), names=(*self.names, *[""] * columns.shape[1]))
 
     def without(self, names: Collection[str]) -> NuisanceModes:
         """Without those of some names, of which that of the markers is none."""
@@ -107,17 +115,17 @@ class Nuisances:
             turned = self._camera(data)
             columns += list(turned.T)
             names += ["camera"] * turned.shape[1]
-        markers = np.zeros((len(data), 3))
+        markers: Array = np.zeros((len(data), 3))
         if found.places is not None:
             markers = np.nan_to_num(found.places[data.mask]) * float(sizes.markers or 0.0)
         # What does not matter here, as the grip where no gripper moves, is not told of.
         felt = [number for number, column in enumerate(columns) if column.any()]
-        common = np.column_stack([columns[number] for number in felt] or [np.zeros((len(data), 0))])
+        matrix = np.column_stack([columns[number] for number in felt] or [np.zeros((len(data), 0))])
         names = [names[number] for number in felt]
         stated = {
             name: float(getattr(sizes, name)) for name in (MARKERS, *dict.fromkeys(names)) if getattr(sizes, name)
         }
-        return NuisanceModes(markers, common, tuple(names), stated)
+        return NuisanceModes(markers, matrix, tuple(names), stated)
 
     def _camera(self, data: Data) -> Array:
         variance = np.radians(float(self.sizes.camera or 0.0)) ** 2

@@ -35,15 +35,27 @@ class Posterior:
     patches: dict[str, float]
 
     @classmethod
-    def of(cls, evaluated: Evaluated, best: Candidate, errors: Mapping[int, float]) -> Posterior:
+    def of(
+        cls,
+        evaluated: Evaluated,
+        best: Candidate,
+        errors: Mapping[int, float],
+        weighed: Mapping[Candidate, float] | None = None,
+    ) -> Posterior:
         """Posterior over everything that was evaluated, around the `best` set, which must be known on every level used.
 
-        `errors` gives the error of the model, m, on each of the levels used (see `model_errors`).
+        Args:
+            evaluated: holds the outcomes.
+            best: that fits best.
+            errors: of the model, m, on each of the levels used (see `model_errors`).
+            weighed: logarithms of the evidence of the sets that were weighed; others are at most as likely as the least of them.
         """
+        weighed = weighed or {}
+        least = min(weighed.values(), default=0.0)
         logs = {
-            c: log_likelihood(o, evaluated.outcomes[o.level, best], evaluated.misfit, errors[o.level])
+            c: min(log_likelihood(o, evaluated.outcomes[o.level, best], evaluated.misfit, errors[o.level]), least)
             for c, o in finest(evaluated, max(errors)).items()
-        }
+        } | dict(weighed)
         probability = dict(zip(logs, softmax(list(logs.values())).tolist(), strict=True))
         return cls(probability, {patch: _marginal(probability.items(), patch) for patch in evaluated.patches})
 

@@ -9,9 +9,6 @@ from bcid.report import exploration_picture as exploration
 from bcid.report.found import Found
 from bcid.report.text import amount, chance, listed, model_name, patches, plain
 
-# A residual of more noises than this is not explained.
-_EXPLAINED = 2.0
-
 
 @dataclass(frozen=True)
 class Verdict:
@@ -118,10 +115,11 @@ def _identification(found: Found, d: dict[str, Any]) -> Verdict:
     doubts = _remarks(d)
     if not noise:
         doubts.append("No noise is stated: whether this set explains the measurement cannot be told.")
-    if noise and d["rms"] > _EXPLAINED * noise:
+    if noise and not d.get("explains", True):
         sentence = f"No set of anchors explains this measurement: the best, {patches(d['anchored'])}, misses it by "
         sentence += f"{d['rms']:.3g} {unit}, where the noise is {noise:.3g} {unit}."
         doubts.append("Probabilities compare the sets with each other only; see bcid explain for what may be missing.")
+    doubts += [f"{text[0].upper()}{text[1:]}." for one in d.get("nuisances", ()) if (text := one["used_up"])]
     doubts += [
         f"{patches(names)} could not be followed to the end, and may be the answer by the frames before."
         for names in d.get("unfollowed", ())

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ from bcid.scene import Scene
 from bcid.search.scheduler import counter, share
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 # What was computed is shared, and can be stored, at the latest after so many candidates per team.
 _BATCH = 64
 # Relative accuracy of a rough solution, and by how much more a set must lose for it to be told from that.
@@ -92,6 +93,7 @@ class Evaluator:
         self._leaders: dict[int, Any] = {}
         self._positions: dict[tuple[int, Candidate], Array] = {}
         self._kept: dict[int, tuple[float, Candidate, Prediction]] = {}
+        self._again: dict[int, int] = {}
 
     @property
     def patches(self) -> list[str]:
@@ -281,6 +283,37 @@ class Evaluator:
             known = prediction.states
             yield prediction
 
+    def together(self, level: int) -> bool:
+        """Whether a level's mesh is so large that ranks would share it, if there were several; collective."""
+        return bool(self.forward(level).body.unknowns > self.per_rank)
+
+    def each(
+        self, level: int, candidates: Sequence[Candidate], work: Callable[[Forward, Candidate, Prediction], T]
+    ) -> dict[Candidate, T]:
+        """What `work` makes of the predictions of candidates, with states; collective, the same on every rank.
+
+        Ranks must not share the level's mesh (see `together`).
+        """
+        forward, kept = self.forward(level), self._kept.get(level)
+        mine: dict[Candidate, T] = {}
+        error: BcidError | None = None
+        tickets = counter(self.comm)
+        for candidate in share(candidates, tickets):
+            try:
+                if kept is not None and kept[1] == candidate:
+                    prediction = kept[2]
+                else:
+                    *_, prediction = self._passes(forward, candidate)
+                mine[candidate] = work(forward, candidate, prediction)
+            except (BcidError, MemoryError) as caught:
+                error = caught if isinstance(caught, BcidError) else MachineError(SHORT_OF_MEMORY)
+                break
+        tickets.close()
+        agree(self.comm, error)
+        found = {candidate: made for part in self.comm.allgather(mine) for candidate, made in part.items()}
+        self._again[level] = self._again.get(level, 0) + len(found)
+        return {candidate: found[candidate] for candidate in candidates}
+
     def positions(self, level: int, candidate: Candidate) -> Array:
         """Predicted fiducial positions of one candidate, shape (frames, fiducials, 3), m; collective."""
         key = level, candidate
@@ -295,7 +328,7 @@ class Evaluator:
 
     def evaluations(self) -> dict[int, float]:
         """Forward trajectories computed per level, in whole-trajectory equivalents."""
-        counts: dict[int, float] = {}
+        counts: dict[int, float] = {level: float(count) for level, count in self._again.items()}
         for (level, _), outcome in sorted(self.outcomes.items(), key=lambda item: (item[0][0], sorted(item[0][1]))):
             counts[level] = counts.get(level, 0.0) + outcome.share
         return counts

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,10 @@ from bcid.forms.forward import Prediction
 from bcid.forms.mesh.patches import divided, first_level
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
-from bcid.inference.criteria import MAY_BE
+from bcid.inference import nuisance_text
+from bcid.inference.criteria import CERTAIN, FAR, MAY_BE
+from bcid.inference.likelihood import NuisanceEstimate
+from bcid.inference.mesh_error import MeshError
 from bcid.inference.outcome import Candidate, Outcome, label
 from bcid.inference.posterior import Posterior, classes, finest, interest, log_likelihood, model_errors
 from bcid.measurement import Measurement
@@ -26,6 +30,7 @@ from bcid.search.climb import ODDS, climb, neighbours, rank
 from bcid.search.evaluator import Evaluator
 from bcid.search.seeds import above, all_candidates, maxima, perturbed, random_seeds
 from bcid.search.termination import SETTLED, Stop, Termination
+from bcid.search.weighing import Weighing, Weight
 
 CERTIFY = ("auto", "yes", "no")
 # With more patches every set is looked at only when that is asked for, and with many more not at all.
@@ -139,6 +144,9 @@ class Identification:
         failures: sets for which the forward model found no acceptable equilibrium, with the reason.
         seconds: time spent.
         remarks: what is odd about the measurement.
+        missing: probability that something is missing in the model with these anchors (see `bcid.inference.unknown_force`); None
+            where the mesh is too large for that to be asked.
+        nuisances: what the data say of each thing that the scene may have slightly wrong.
     """
 
     anchored: tuple[str, ...]
@@ -158,11 +166,20 @@ class Identification:
     failures: dict[str, str]
     seconds: float
     remarks: tuple[str, ...] = ()
+    missing: float | None = None
+    nuisances: tuple[NuisanceEstimate, ...] = ()
 
     @property
     def unfollowed(self) -> list[Alternative]:
         """The sets that could not be followed to the end and may be the one all the same."""
         return [other for other in self.alternatives if other.failure and other.probability > MAY_BE]
+
+    @property
+    def explains(self) -> bool:
+        """Whether the reported set may be all there is: nothing more is certainly missing."""
+        if self.missing is not None:
+            return self.missing < CERTAIN
+        return self.noise is None or self.rms <= FAR * self.noise
 
     def to_json(self, length: float = 1e-3) -> dict[str, Any]:
         """The content of `identification.json`; lengths are given in units of `length` (m)."""
@@ -187,6 +204,9 @@ class Identification:
             "failures": self.failures,
             "unfollowed": [list(other.anchored) for other in self.unfollowed],
             "remarks": list(self.remarks),
+            "missing": self.missing,
+            "explains": self.explains,
+            "nuisances": nuisance_text.to_json(self.nuisances),
         }
 
 
@@ -219,6 +239,7 @@ def identify(
     known: Iterable[Outcome] = (),
     keep: Callable[[list[Outcome]], None] | None = None,
     start: Sequence[Candidate] = (),
+    mesh: MeshError | None = None,
 ) -> Identification:
     """Find the anchored patches; collective on `comm`, with the same result for any number of ranks.
 
@@ -233,6 +254,7 @@ def identify(
         known: outcomes of an interrupted search with the same input: they are not computed again.
         keep: called with the outcomes of each batch as they come, on every rank.
         start: sets to climb from on the first level, instead of random ones.
+        mesh: what is left of the error of the mesh, where that is known and a single level is used.
 
     Raises:
         InputError: scene, measurement or options do not fit each other.
@@ -248,7 +270,8 @@ def identify(
     try:
         # A level that is passed over counts as climbed on: climbing on a finer one instead would cost many times as much.
         climbed = max(1, options.coarsest + options.climbed - level)
-        search = _Search(evaluator, replace(options, coarsest=level, climbed=climbed), progress or Silent(), start)
+        chosen = replace(options, coarsest=level, climbed=climbed)
+        search = _Search(evaluator, chosen, progress or Silent(), start, partial(Weighing, mesh=mesh))
         for reason in passed:
             search.say(f"not used: {reason}")
         return replace(search.run(), remarks=evaluator.measurement.remarks)
@@ -260,9 +283,15 @@ class _Search:
     """The stages of one identification."""
 
     def __init__(
-        self, evaluator: Evaluator, options: IdentifyOptions, progress: Progress, start: Sequence[Candidate] = ()
+        self,
+        evaluator: Evaluator,
+        options: IdentifyOptions,
+        progress: Progress,
+        start: Sequence[Candidate] = (),
+        weighing: Callable[[Evaluator, Sequence[int], Candidate], Weighing] | None = None,
     ) -> None:
         self.evaluator, self.options, self.progress, self.start = evaluator, options, progress, start
+        self.weighing = weighing
         self.rng = np.random.default_rng(options.random_state)
         self.stages: list[str] = []
         self.levels: list[int] = []
@@ -431,35 +460,75 @@ class _Search:
         for level in self.levels:
             self.evaluator.evaluate(level, {winner.candidate: math.inf})
 
-    def result(self, best: Sequence[Outcome], seconds: float) -> Identification:
-        evaluator, winner = self.evaluator, best[-1]
-        self.complete(winner)
-        errors = model_errors(evaluator, winner.candidate, self.levels)
-        belief = Posterior.of(evaluator, winner.candidate, errors)
-        solved = sum(not evaluator.outcomes[level, winner.candidate].failed for level in self.levels)
+    def result(self, best: list[Outcome], seconds: float) -> Identification:
+        evaluator, nearest = self.evaluator, best[-1]
+        self.complete(nearest)
+        errors = model_errors(evaluator, nearest.candidate, self.levels)
+        scales = self.weighing(evaluator, self.levels, nearest.candidate) if self.weighing else None
+        try:
+            weighed = self.weigh(scales, nearest, errors) if scales else {}
+            winner = self.likeliest(weighed, nearest)
+            weight = scales.weight(scales.levels[-1], winner) if scales and weighed else None
+            alike = scales.classes(scales.levels[-1], _likely(weighed)) if scales and weighed else None
+        finally:
+            if scales:
+                scales.destroy()
+        outcome = evaluator.evaluate(nearest.level, {winner: math.inf})[winner]
+        self.complete(outcome)
+        belief = Posterior.of(evaluator, nearest.candidate, errors, weighed)
+        if alike is None:
+            alike = classes(evaluator, nearest.level, errors[nearest.level], ODDS)
         return Identification(
-            anchored=self.names(winner.candidate),
-            probability=belief.probability[winner.candidate],
+            anchored=self.names(winner),
+            probability=belief.probability[winner],
             patches=belief.patches,
-            rms=winner.rms,
+            rms=outcome.rms,
             noise=evaluator.misfit.noise,
-            discretisation=errors[winner.level] if solved > 1 else None,
-            certified=self.certified(winner.level),
+            discretisation=self.discretisation(errors, nearest, weight),
+            certified=self.certified(nearest.level),
             evaluations=evaluator.evaluations(),
-            looked_at=self.looked_at(winner.level),
-            alternatives=self.alternatives(belief, winner, errors),
-            classes=tuple(
-                tuple(self.names(c) for c in members)
-                for members in classes(evaluator, winner.level, errors[winner.level], ODDS)
-            ),
+            looked_at=self.looked_at(nearest.level),
+            alternatives=self.alternatives(belief, outcome),
+            classes=tuple(tuple(self.names(c) for c in members) for members in alike),
             levels=tuple(self.levels),
             stages=tuple(self.stages),
-            prediction=evaluator.predict(winner.level, winner.candidate),
+            prediction=evaluator.predict(nearest.level, winner),
             failures={
                 self.name(c): o.reason for (_, c), o in sorted(evaluator.outcomes.items(), key=_order) if o.failed
             },
             seconds=seconds,
+            missing=weight.evidence.missing if weight else None,
+            nuisances=tuple(weight.told) if weight else (),
         )
+
+    def likeliest(self, weighed: dict[Candidate, float], nearest: Outcome) -> Candidate:
+        """The set that is reported: of those that can be followed to the end."""
+        for candidate in sorted(weighed, key=lambda c: (-weighed[c], len(c), sorted(c))):
+            if self.evaluator.evaluate(nearest.level, {candidate: math.inf})[candidate].complete:
+                return candidate
+        return nearest.candidate
+
+    def weigh(self, scales: Weighing, nearest: Outcome, errors: dict[int, float]) -> dict[Candidate, float]:
+        """Logarithms of the evidence of the sets that may be the one."""
+        evaluator = self.evaluator
+
+        def log(outcome: Outcome) -> float:
+            best = evaluator.outcomes[outcome.level, nearest.candidate]
+            return log_likelihood(outcome, best, evaluator.misfit, errors[outcome.level])
+
+        known = {c: (-log(o), rank(o)) for c, o in finest(evaluator, self.levels[-1]).items()}
+        weighed = scales.run(sorted(known, key=lambda c: known[c]), lambda c: neighbours(c, evaluator.patches))
+        if weighed:
+            self.say(
+                f"{len(weighed)} sets weighed with what the scene may have slightly wrong and with an unknown force"
+            )
+        return weighed
+
+    def discretisation(self, errors: dict[int, float], nearest: Outcome, weight: Weight | None) -> float | None:
+        """RMS error of the model on the last level, m, or None where only one level was solved."""
+        if sum(not self.evaluator.outcomes[level, nearest.candidate].failed for level in self.levels) < 2:
+            return None
+        return weight.errors.mesh.rms if weight else errors[nearest.level]
 
     def looked_at(self, level: int) -> dict[str, int]:
         """What became of all sets of patches on a level."""
@@ -478,16 +547,15 @@ class _Search:
         counts = self.looked_at(level)
         return not counts["failed"] and not counts["not"]
 
-    def alternatives(
-        self, belief: Posterior, winner: Outcome, errors: dict[int, float], count: int = 8
-    ) -> tuple[Alternative, ...]:
+    def alternatives(self, belief: Posterior, winner: Outcome, count: int = 8) -> tuple[Alternative, ...]:
         evaluator = self.evaluator
         others = [o for c, o in finest(evaluator, self.levels[-1]).items() if c != winner.candidate]
-        best = {o.candidate: evaluator.outcomes[o.level, winner.candidate] for o in others}
-        likely = sorted(
-            others, key=lambda o: (-log_likelihood(o, best[o.candidate], evaluator.misfit, errors[o.level]), rank(o))
+        others = [o for o in others if (o.level, winner.candidate) in evaluator.outcomes]
+        likely = sorted(others, key=lambda o: (-belief.probability[o.candidate], rank(o)))
+        return tuple(
+            self.alternative(o, evaluator.outcomes[o.level, winner.candidate], belief.probability[o.candidate])
+            for o in likely[:count]
         )
-        return tuple(self.alternative(o, best[o.candidate], belief.probability[o.candidate]) for o in likely[:count])
 
     def alternative(self, other: Outcome, best: Outcome, probability: float) -> Alternative:
         """A set beside the best one, both on the same level."""
@@ -503,6 +571,11 @@ class _Search:
             int(both.sum()),
             other.reason,
         )
+
+
+def _likely(logs: dict[Candidate, float]) -> dict[Candidate, float]:
+    """The sets that are not `ODDS` times less likely than the best."""
+    return {c: log for c, log in logs.items() if log > -math.log(ODDS)}
 
 
 def _order(item: tuple[tuple[int, Candidate], Outcome]) -> tuple[int, int, list[str]]:

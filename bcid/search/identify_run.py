@@ -20,6 +20,7 @@ from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.mesh.check import measures
 from bcid.forms.mesh.patches import divided, first_level
 from bcid.forms.model import check_physics
+from bcid.inference import nuisance_text
 from bcid.inference.outcome import Outcome, label
 from bcid.measurement import AXES, WRENCH, Measurement
 from bcid.scene import Scene
@@ -27,8 +28,6 @@ from bcid.search.identify import Identification, IdentifyOptions
 from bcid.search.refine import Refinement, check_rounds, identify_refined
 
 MAKES = ("identification.json", "prediction.nc", "body.nc", "summary.txt", "picture.png", "paraview/")
-# A residual that is so many times the noise is not explained by it.
-FAR = 2.0
 
 
 def run_identification(
@@ -197,6 +196,7 @@ def summary(scene: Scene, measurement: Measurement, found: Identification, round
         "",
         f"The model misses the measurement by {found.rms / unit:.3g} {length} per coordinate (RMS); {noise}.",
         mesh,
+        *_besides(found),
         f"Compared: {len(measurement.action_names)} action(s), {frames} frames, {fiducials} fiducials.",
         "",
         "Probability that a patch is anchored:",
@@ -231,6 +231,14 @@ def summary(scene: Scene, measurement: Measurement, found: Identification, round
     return "\n".join(lines) + "\n"
 
 
+def _besides(found: Identification) -> list[str]:
+    """What was allowed for besides noise and mesh, and whether that is all."""
+    if found.missing is None:
+        return []
+    missing = f"Something is missing in the model besides, or it is wrong there: probability {percent(found.missing)}."
+    return [*nuisance_text.allowed(found.nuisances), missing]
+
+
 def _confused(scene: Scene, found: Identification) -> list[str]:
     """Other sets that these data cannot tell from the reported one."""
     others = next((members[1:] for members in found.classes if found.anchored in members), ())
@@ -254,7 +262,7 @@ def odd(remarks: Iterable[str]) -> list[str]:
 
 def _warning(found: Identification) -> list[str]:
     """What must stand above the result: that the model does not explain the data, or that this cannot be told."""
-    return [*_open(found), *_unexplained(found)]
+    return [*_open(found), *_unexplained(found), *nuisance_text.warnings(found.nuisances)]
 
 
 def _open(found: Identification) -> list[str]:
@@ -277,10 +285,11 @@ def _unexplained(found: Identification) -> list[str]:
             "WARNING: no noise is known: whether a set explains this measurement cannot be told; the best misses it by "
             f"{found.rms * 1e3:.3g} mm. State noise_sigma.",
         ]
-    if found.rms <= FAR * found.noise:
+    if found.explains:
         return []
     return [
         f"WARNING: no set explains this measurement: the best misses it by {found.rms / found.noise:.1f} times the noise.",
-        "Probabilities compare the sets with each other only. The mesh is too coarse, a physical effect is missing, or units,",
-        "frames, grasp or material are not what the scene says.",
+        "The mesh is too coarse, a physical effect is missing (bcid explain), or units, frames, grasp or material are not what",
+        "the scene says. Probabilities compare the sets with each other only"
+        + (", with an unknown smooth force in place of what is missing." if found.missing else "."),
     ]

@@ -133,6 +133,7 @@ def identification() -> dict[str, Any]:
         "rms": 0.21,
         "noise_rms": 0.2,
         "certified": True,
+        "explains": True,
         "alternatives": [{"anchored": ["left", "right"], "probability": 0.02, "rms": 0.3, "level": 1, "stopped": True}],
         "length_unit": "mm",
     }

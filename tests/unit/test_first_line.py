@@ -12,6 +12,7 @@ import pytest
 from bcid import Measurement, Scene
 from bcid.comparison import diagnosis_text as words
 from bcid.forms.mesh import level_mesh
+from bcid.inference.likelihood import NuisanceEstimate
 from bcid.measurement import Units
 from bcid.search.identify import Identification
 from bcid.search.identify_run import inputs_in_words, summary
@@ -59,6 +60,21 @@ def test_a_residual_far_above_the_noise_stands_first() -> None:
     lines = told(rms=14e-3, noise=1e-4)
     assert lines[0] == "WARNING: no set explains this measurement: the best misses it by 140.0 times the noise."
     assert any(line.startswith("Anchored patches") for line in lines)
+
+
+def test_what_the_scene_may_have_wrong_is_no_alarm() -> None:
+    """A residual of three times the noise may be explained all the same, and a small one may not be."""
+    markers = NuisanceEstimate("markers", 0.4e-3, 0.35e-3, 2.1, 48)
+    lines = told(rms=9e-4, missing=0.07, nuisances=(markers,))
+    assert lines[0].startswith("Anchored patches")
+    assert (
+        "Allowed for in the scene, as standard deviations (and what these data make likely): markers 0.4 mm (0.35 mm)."
+        in lines
+    )
+    assert "Something is missing in the model besides, or it is wrong there: probability 7.00 %." in lines
+    lines = told(rms=4e-4, missing=0.999, nuisances=(replace(markers, most=6.0),))
+    assert lines[0] == "WARNING: no set explains this measurement: the best misses it by 1.3 times the noise."
+    assert any(line.startswith("WARNING: markers would have to sit up to 2.4 mm from where") for line in lines)
 
 
 def test_an_unknown_noise_stands_first() -> None:

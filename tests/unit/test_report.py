@@ -95,7 +95,7 @@ def test_identified(tmp_path: Path) -> None:
 
 def test_a_set_that_explains_nothing(tmp_path: Path) -> None:
     folder = runs.identified(tmp_path / "run")
-    runs.rewrite(folder, "identification.json", json.dumps(runs.identification() | {"rms": 1.4}))
+    runs.rewrite(folder, "identification.json", json.dumps(runs.identification() | {"rms": 1.4, "explains": False}))
     assert "No set of anchors explains this measurement" in said(tmp_path, folder)
 
 

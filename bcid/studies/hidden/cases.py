@@ -9,13 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from itertools import combinations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bcid.measurement import Action
 from bcid.scene.motions import about_x, actions
+
+if TYPE_CHECKING:
+    from bcid.studies.hidden.inexact import Inexact
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator
@@ -117,7 +120,10 @@ class Hidden:
 
 @dataclass(frozen=True)
 class Case:
-    """One case of the study; `noise` in m. `attempt` counts how often it was drawn anew because it could not be solved."""
+    """One case of the study; `noise` in m. `attempt` counts how often it was drawn anew because it could not be solved.
+
+    `inexact` is what its scene states wrongly, if anything.
+    """
 
     seed: int
     index: int
@@ -127,6 +133,12 @@ class Case:
     motions: tuple[Motion, ...]
     noise: float
     hidden: tuple[Hidden, ...]
+    inexact: Inexact | None = None
+
+    @property
+    def made(self) -> list[Action]:
+        """The motions as the gripper really makes them."""
+        return self.inexact.actions(self.actions) if self.inexact else self.actions
 
     @property
     def actions(self) -> list[Action]:

@@ -28,6 +28,7 @@ from bcid.studies.hidden.score import scores, table
 
 SCENE = "examples/scenes/slab_hidden.toml"
 MAKE = "bcid.studies.hidden.truth:make"
+MAKE_INEXACT = "bcid.studies.hidden.truth:make_inexact"
 _MAKES = ("cases/", "results/", "logs/", "hidden.json", "table.txt", "degradation.png")
 DIAGNOSE = "bcid.comparison.compare_runs:run_explain"
 

@@ -22,6 +22,7 @@ from bcid.base.run_folder import write_whole
 from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import Forward
+from bcid.forms.mesh import level_mesh
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.simulate import recorded
 from bcid.forms.solver.equilibrium import Settings
@@ -31,6 +32,7 @@ from bcid.measurement import Action
 from bcid.scene import Level, Scene
 from bcid.studies.hidden import outside
 from bcid.studies.hidden.cases import NOISE, Case, Hidden, draw, generator
+from bcid.studies.hidden.inexact import Inexact
 
 Array = NDArray[np.float64]
 
@@ -51,7 +53,12 @@ INVISIBLE = 0.05
 ATTEMPTS = 6
 
 
-def make(folder: Path, seed: int, index: int, scene_file: Path, least: float) -> None:
+def make_inexact(folder: Path, seed: int, index: int, scene_file: Path, least: float) -> None:
+    """As `make`, of bodies of which the scene has everything slightly wrong (see `bcid.studies.hidden.inexact`)."""
+    make(folder, seed, index, scene_file, least, inexact=True)
+
+
+def make(folder: Path, seed: int, index: int, scene_file: Path, least: float, inexact: bool = False) -> None:
     """Write `measurement/` and, apart from it, `truth.json` into the folder of a case; what is there already stays.
 
     Sizes are drawn from `least` on, in units of noise.
@@ -65,6 +72,9 @@ def make(folder: Path, seed: int, index: int, scene_file: Path, least: float) ->
     reasons = []
     for attempt in range(ATTEMPTS):
         case = draw(seed, index, attempt, least)
+        if inexact:
+            wrong = Inexact.draw(generator(seed, 7, index, attempt), scene, len(case.motions))
+            case = replace(case, inexact=wrong)
         try:
             truth = compute(scene, case)
         except SolveError as error:
@@ -128,6 +138,7 @@ def compute(scene: Scene, case: Case, true: Level = TRUE, coarse: Level = COARSE
     Raises:
         SolveError: a trajectory cannot be followed, the body buckles, or nothing could be seen of an effect.
     """
+    stated, scene = scene, case.inexact.scene(scene) if case.inexact else scene
     _check_stable(scene, case, coarse)
     terms = _doses(scene, case, coarse)
     rough, positions = (_positions(scene, case, level, terms) for level in (coarse, true))
@@ -141,14 +152,15 @@ def compute(scene: Scene, case: Case, true: Level = TRUE, coarse: Level = COARSE
     sizes = [size * case.noise / noise for size in sizes]
     if sizes and min(sizes) < INVISIBLE:
         raise SolveError(f"a hidden effect moves the fiducials by no more than {INVISIBLE} of the noise")
-    return Truth(positions, terms, tuple(sizes), noise)
+    seen = case.inexact.seen(stated, positions) if case.inexact else positions
+    return Truth(seen, terms, tuple(sizes), noise)
 
 
 def _check_stable(scene: Scene, case: Case, coarse: Level) -> None:
     """Refuse motions in which the plain body passes an instability: which way it buckles is a matter of chance."""
-    forward = _forward(scene, coarse, ())
+    forward = _forward(scene, case, coarse, ())
     try:
-        trajectories = forward.predict(case.anchors, case.actions).trajectories
+        trajectories = forward.predict(case.anchors, case.made).trajectories
     finally:
         forward.destroy()
     for t in trajectories:
@@ -185,10 +197,10 @@ def _positions(scene: Scene, case: Case, level: Level, terms: Sequence[Term]) ->
     """Noise-free positions in the commanded frames (frames, fiducials, 3), m."""
     count = sum(len(action) for action in case.actions)
     actions, extra = [], count
-    for action in case.actions:
+    for action in case.made:
         actions.append(halved(action, extra))
         extra += len(action) - 1
-    forward = _forward(scene, level, terms)
+    forward = _forward(scene, case, level, terms)
     try:
         prediction = forward.predict(case.anchors, actions)
     finally:
@@ -198,11 +210,12 @@ def _positions(scene: Scene, case: Case, level: Level, terms: Sequence[Term]) ->
     return prediction.positions[:count]
 
 
-def _forward(scene: Scene, level: Level, terms: Sequence[Term]) -> Forward:
+def _forward(scene: Scene, case: Case, level: Level, terms: Sequence[Term]) -> Forward:
     model = Model.of(scene)
     for term in terms:
         model = model + term
-    return Forward(replace(scene, levels=(level,)), 0, model=model, settings=ACCURACY)
+    mesh = case.inexact.mesh(scene, level_mesh(scene, level)) if case.inexact else None
+    return Forward(replace(scene, levels=(level,)), 0, model=model, settings=ACCURACY, mesh=mesh)
 
 
 # -- terms
@@ -213,9 +226,9 @@ def _doses(scene: Scene, case: Case, coarse: Level) -> tuple[Term, ...]:
     """Doses whose sizes are the targets, as nearly as their bounds allow, each on its own."""
     if not case.hidden:
         return ()
-    plain = _forward(scene, coarse, ())
+    plain = _forward(scene, case, coarse, ())
     try:
-        without = plain.predict(case.anchors, case.actions)
+        without = plain.predict(case.anchors, case.made)
     finally:
         plain.destroy()
     if without.failure:
@@ -226,11 +239,11 @@ def _doses(scene: Scene, case: Case, coarse: Level) -> tuple[Term, ...]:
 def _dose(scene: Scene, case: Case, hidden: Hidden, without: Array, coarse: Level) -> Term:
     model = Model.of(scene)
     most = largest(hidden, model)
-    forward = _forward(scene, coarse, (term_of(hidden, min(1.0, most), model),))
+    forward = _forward(scene, case, coarse, (term_of(hidden, min(1.0, most), model),))
 
     def size(amount: float) -> float | None:
         forward.set_model(model + term_of(hidden, amount, model))
-        found = forward.predict(case.anchors, case.actions)
+        found = forward.predict(case.anchors, case.made)
         return None if found.failure else rms(found.positions - without) / case.noise
 
     try:

@@ -1,0 +1,59 @@
+"""Nuisances in words and numbers, as summaries and results tell them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from bcid.base.units import for_people
+from bcid.inference.likelihood import NuisanceEstimate
+
+# What is off.
+_OFF = {
+    "markers": "markers would have to sit {} from where the scene has them",
+    "dimensions": "the body would have to be larger or smaller than the scene has it by {}",
+    "borders": "patches would have to end {} from where the scene has it",
+    "grip": "the gripper would have to be {} from where it is reported",
+    "grip_turn": "the gripper would have to be turned by {} against what is reported",
+    "camera": "the measured frame would have to be turned by {}",
+    "poisson": "Poisson's ratio would have to be off by {}",
+}
+_UNITS = {"markers": "m", "borders": "m", "grip": "m", "grip_turn": "deg", "camera": "deg"}
+
+
+def used_up(one: NuisanceEstimate) -> str:
+    """That a nuisance is larger than the scene says."""
+    off = _OFF[one.name].format(f"up to {_amount(one, one.most * one.size)}")
+    return f"{off}, where {_amount(one, one.size)} is allowed for (a standard deviation)"
+
+
+def warnings(told: Sequence[NuisanceEstimate]) -> list[str]:
+    """Lines of a summary on what is larger than the scene says."""
+    return [f"WARNING: {used_up(one)}." for one in told if one.used_up]
+
+
+def allowed(told: Sequence[NuisanceEstimate]) -> list[str]:
+    """A line of a summary: what the scene may have wrong, and what of it these data make likely."""
+    if not told:
+        return []
+    parts = [f"{one.name} {_amount(one, one.size)} ({_amount(one, one.found)})" for one in told]
+    return [
+        f"Allowed for in the scene, as standard deviations (and what these data make likely): {', '.join(parts)}.",
+    ]
+
+
+def to_json(told: Sequence[NuisanceEstimate]) -> list[dict[str, Any]]:
+    """As results hold them."""
+    return [
+        {"name": n.name, "stddev": n.size, "likely": n.found, "most_sigmas": n.most}
+        | {"used_up": used_up(n) if n.used_up else ""}
+        for n in told
+    ]
+
+
+def _amount(one: NuisanceEstimate, value: float) -> str:
+    """A value of a nuisance with its unit: "0.41 mm", "2 %"."""
+    if one.name == "dimensions":
+        return f"{100 * value:.2g} %"
+    shown, _, unit = for_people(value, None, _UNITS.get(one.name, "1"))
+    return f"{shown:.2g}" if unit == "1" else f"{shown:.2g} {unit}"

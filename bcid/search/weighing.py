@@ -1,0 +1,268 @@
+"""Weighing the likely sets by the one likelihood, with what the scene may have wrong and with what may be missing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.base.errors import SolveError
+from bcid.forms.force_bumps import bumps
+from bcid.forms.forward import Forward, Prediction
+from bcid.forms.sensitivity import Sensitivity
+from bcid.inference.criteria import FAILS_FOR_THE_TRUE
+from bcid.inference.data import Data
+from bcid.inference.likelihood import Errors, NuisanceEstimate
+from bcid.inference.mesh_error import MeshError
+from bcid.inference.nuisances import NuisanceModes, Nuisances
+from bcid.inference.outcome import Candidate
+from bcid.inference.posterior import gain
+from bcid.inference.unknown_force import MISSING, Evidence, courses
+from bcid.search.climb import ODDS
+from bcid.search.evaluator import Evaluator
+
+Array = NDArray[np.float64]
+# An unknown force is carried by so many bumps.
+_BUMPS = 16
+# So many sets are weighed at a time.
+_BATCH = 4
+# Odds from which on two sets count as told apart.
+_TELLING = 20.0
+
+
+@dataclass(frozen=True)
+class Pan:
+    """What weighing a set on a level takes.
+
+    Attributes:
+        positions: predicted, shape (frames, fiducials, 3), m; NaN from where it could not be followed.
+        modes: of the nuisances, in the frames that were followed.
+        slopes: movements per unit of each force in these frames, shape (n, forces), m.
+        failed: whether it could not be followed to the end.
+    """
+
+    positions: Array
+    modes: NuisanceModes
+    slopes: Array
+    failed: bool
+
+    @property
+    def frames(self) -> NDArray[np.bool_]:
+        """The frames that were followed."""
+        return np.asarray(np.isfinite(self.positions).all(axis=(1, 2)))
+
+
+@dataclass(frozen=True)
+class Weight:
+    """What weighing says of a set.
+
+    Attributes:
+        evidence: in all frames that it was compared in.
+        errors: of the residual, with an unknown force where something is more likely missing than not.
+        residual: measured minus predicted, shape (n,), m.
+    """
+
+    evidence: Evidence
+    errors: Errors
+    residual: Array
+
+    @property
+    def told(self) -> list[NuisanceEstimate]:
+        """What the data say of each thing that the scene may have slightly wrong."""
+        return self.errors.told(self.residual)
+
+
+class Weighing:
+    """Weighs sets on the levels that a search used. Methods are collective.
+
+    Args:
+        evaluator: which has evaluated the `best` set on all these levels.
+        levels: that were used, coarsest first.
+        best: that fits best.
+        mesh: what is left of the error of the mesh, where a single level was used; without it nothing can be weighed there: sets
+            that are held by more move less, and would be taken for the likelier ones on a mesh that is too stiff.
+    """
+
+    def __init__(
+        self, evaluator: Evaluator, levels: Sequence[int], best: Candidate, mesh: MeshError | None = None
+    ) -> None:
+        self.evaluator, self.best, self.known = evaluator, best, mesh
+        self.data = Data(evaluator.scene, evaluator.measurement)
+        self.solved = [level for level in levels if not evaluator.outcomes[level, best].failed]
+        # Sensitivities are not made on a mesh that ranks share.
+        self.levels = [level for level in self.solved if not evaluator.together(level)]
+        if len(self.solved) == 1 and mesh is None:
+            self.levels = []
+        self._seen = np.asarray(self.data.mask.any(axis=(1, 2)))
+        self._pans: dict[tuple[int, Candidate], Pan] = {}
+        self._weighed: dict[tuple[int, Candidate, bytes | None], Weight] = {}
+        self._sensitivities: dict[int, Sensitivity] = {}
+        self._nuisances: dict[int, Nuisances] = {}
+        self._meshes: dict[int, MeshError] = {}
+        self._weights: dict[int, Array] = {}
+
+    def run(
+        self, order: Sequence[Candidate], near: Callable[[Candidate], Iterable[Candidate]]
+    ) -> dict[Candidate, float]:
+        """Logarithms of the evidence of the sets that were weighed, against the likeliest of them.
+
+        They are weighed on the coarsest level a few at a time, until the last few hold next to nothing; those that remain,
+        and are not `ODDS` times less likely than the likeliest, on the finest.
+
+        Args:
+            order: the sets, the likeliest first as far as it is known.
+            near: the sets around one: they are weighed too when it is the likeliest.
+        """
+        if not self.levels:
+            return {}
+        coarse, fine = self.levels[0], self.levels[-1]
+        found: dict[Candidate, float] = {}
+        waiting = list(order)
+        while waiting:
+            batch, waiting = waiting[:_BATCH], waiting[_BATCH:]
+            found = self.relative(coarse, [*found, *batch])
+            top = max(found, key=lambda c: found[c])
+            around = [c for c in near(top) if c not in found]
+            if max(found[c] for c in batch) < -math.log(ODDS) and (not around or self.alone(found)):
+                break
+            waiting = list(dict.fromkeys([*(around if top in batch else []), *waiting]))
+            waiting = [c for c in waiting if c not in found]
+        likely = [c for c, log in found.items() if log > -math.log(ODDS)]
+        if fine == coarse:
+            return found
+        finely = self.relative(fine, likely)
+        return {c: log for c, log in found.items() if c not in finely} | finely
+
+    def alone(self, found: dict[Candidate, float]) -> bool:
+        """Whether the likeliest set has no rival."""
+        return sum(log > -math.log(ODDS) for log in found.values()) == 1
+
+    def relative(self, level: int, candidates: Sequence[Candidate]) -> dict[Candidate, float]:
+        """Logarithms of the evidence against the likeliest, each in the frames that both could be followed in."""
+        self._fill(level, candidates)
+        pans = {c: self._pans[level, c] for c in candidates}
+        whole = [c for c, pan in pans.items() if not pan.failed] or [max(pans, key=lambda c: int(pans[c].frames.sum()))]
+        alone = {c: self.weight(level, c).evidence.total for c in whole}
+        best = max(alone, key=lambda c: (alone[c], -len(c), sorted(c)))
+        found = {c: value - alone[best] for c, value in alone.items()}
+        for c in candidates:
+            if c not in found:
+                both = pans[c].frames & pans[best].frames
+                totals = [self.weight(level, one, both).evidence.total if both.any() else 0.0 for one in (c, best)]
+                found[c] = totals[0] - totals[1] + math.log(FAILS_FOR_THE_TRUE)
+        most = max(found.values())
+        return {c: found[c] - most for c in candidates}
+
+    def weight(self, level: int, candidate: Candidate, frames: NDArray[np.bool_] | None = None) -> Weight:
+        """Of a set that was weighed on a level, in all frames that it could be followed in or some of them."""
+        key = level, candidate, None if frames is None else frames.tobytes()
+        if key not in self._weighed:
+            self._weighed[key] = self._weight(level, candidate, frames)
+        return self._weighed[key]
+
+    def _weight(self, level: int, candidate: Candidate, frames: NDArray[np.bool_] | None) -> Weight:
+        self._fill(level, [candidate])
+        pan = self._pans[level, candidate]
+        followed = self.data.within(pan.frames)
+        data = followed if frames is None else followed.within(frames)
+        rows = np.ones(len(followed), bool) if frames is None else frames[followed.frame]
+        mesh = self._mesh(level)
+        residual = data.values - data.vector(pan.positions + mesh.correction)
+        errors = Errors(data, self._sigma[data.mask], mesh, pan.modes.at(rows))
+        moved = courses(data, pan.slopes[rows])
+        evidence = Evidence.of(errors, residual, moved, self._unit(level))
+        if evidence.missing > MISSING:
+            errors = Errors(data, errors.sigma, mesh, errors.nuisances.beside(evidence.size * moved))
+        return Weight(evidence, errors, residual)
+
+    def classes(self, level: int, logs: dict[Candidate, float]) -> list[list[Candidate]]:
+        """Sets that the measured motions cannot tell apart, of those that are likely.
+
+        Two belong together when, if one of them were the true set, the data would be expected to favour it by less than
+        `_TELLING` to one: half the squared distance of their predictions, in units of their errors, is the expected logarithm of
+        that ratio. Each class is built around its likeliest set, which comes first; so do the likelier classes.
+        """
+        known = [c for c in logs if not self._pans[level, c].failed]
+        known.sort(key=lambda c: (-logs[c], len(c), sorted(c)))
+        errors = self.weight(level, known[0]).errors if known else None
+        found: list[list[Candidate]] = []
+        for candidate in known:
+            here = self._pans[level, candidate].positions
+            for others in found:
+                assert errors is not None
+                apart = errors.whiten(self.data.vector(here - self._pans[level, others[0]].positions))
+                if 0.5 * float(apart @ apart) <= math.log(_TELLING):
+                    others.append(candidate)
+                    break
+            else:
+                found.append([candidate])
+        return found
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        for sensitivity in self._sensitivities.values():
+            sensitivity.destroy()
+
+    # -- what it takes
+
+    @cached_property
+    def _sigma(self) -> Array:
+        """Standard deviation of every value, (frames, fiducials, 3), m; as the best set's residual tells where none is stated."""
+        level = self.levels[-1]
+        positions = self.evaluator.positions(level, self.best) + self._mesh(level).correction
+        return self.data.spread(self.data.noise(self.data.values - self.data.vector(positions)))
+
+    def _unit(self, level: int) -> float:
+        """Shear modulus per size of the body, N/m^3."""
+        forward = self.evaluator.forward(level)
+        size = float(np.linalg.norm(np.ptp(forward.mesh.points, axis=0)))
+        model = forward.model
+        return float(model.law.shear(model.law.complete(model.values))) / size
+
+    def _mesh(self, level: int) -> MeshError:
+        """Error of a level's mesh, as the best set's predictions on the levels tell."""
+
+        def at(one: int) -> Array:
+            return self.evaluator.positions(one, self.best)
+
+        if level not in self._meshes:
+            last = self.solved[-1]
+            if len(self.solved) == 1:
+                assert self.known is not None
+                self._meshes[level] = self.known
+            elif level == last:
+                before = self.solved[-2]
+                self._meshes[level] = MeshError.beyond(at(before), at(last), gain(self.evaluator, before, last))
+            else:
+                self._meshes[level] = MeshError.between(at(level), at(last), gain(self.evaluator, level, last))
+        return self._meshes[level]
+
+    def _fill(self, level: int, candidates: Iterable[Candidate]) -> None:
+        """Predict sets, with the sensitivities that weighing takes."""
+        todo = [c for c in dict.fromkeys(candidates) if (level, c) not in self._pans]
+        if todo:
+            self._pans |= {(level, c): pan for c, pan in self.evaluator.each(level, todo, self._pan).items()}
+
+    def _pan(self, forward: Forward, candidate: Candidate, prediction: Prediction) -> Pan:
+        level = forward.level
+        if level not in self._sensitivities:
+            self._sensitivities[level] = Sensitivity(forward)
+            self._nuisances[level] = Nuisances(forward.scene, forward.mesh)
+            self._weights[level] = bumps(forward, _BUMPS)[1]
+        nuisances = self._nuisances[level]
+        wanted = replace(nuisances.wanted(forward.model, candidate), forces=self._weights[level])
+        actions, failed = self.evaluator.actions, prediction.failure is not None
+        followed = np.asarray(np.isfinite(prediction.positions).all(axis=(1, 2)))
+        data = self.data.within(followed)
+        try:
+            found = self._sensitivities[level].of(candidate, actions, prediction, wanted, None, self._seen & followed)
+        except SolveError:
+            # Where the tangent says nothing, neither nuisances nor an unknown force do.
+            return Pan(prediction.positions, NuisanceModes.none(len(data)), np.zeros((len(data), 1)), failed)
+        assert found.forces is not None
+        slopes = np.asarray(found.forces[data.mask], dtype=float).reshape(len(data), math.prod(found.forces.shape[3:]))
+        return Pan(prediction.positions, nuisances.modes(data, found, wanted), slopes, failed)

@@ -1,0 +1,192 @@
+"""Weighing sets: the evidence of an unknown force, sets that fail on the way, and when enough was weighed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal
+
+from bcid.forms import effect_trial as trial
+from bcid.forms.simulate import recorded
+from bcid.inference.criteria import FAILS_FOR_THE_TRUE
+from bcid.inference.data import Data
+from bcid.inference.likelihood import Errors
+from bcid.inference.mesh_error import MeshError
+from bcid.inference.nuisances import NuisanceModes
+from bcid.inference.outcome import Candidate
+from bcid.inference.unknown_force import _SIZES, MISSING, Evidence, courses
+from bcid.measurement import Action, Measurement
+from bcid.search.climb import ODDS
+from bcid.search.weighing import _BATCH, Pan, Weighing
+
+Array = NDArray[np.float64]
+SCENE = trial.scene()
+SIGMA = 0.2e-3
+STEPS = 6
+TRUE = frozenset("2")
+UNIT = 1e3
+
+
+def measurement(positions: Array | None = None, seed: int = 0) -> Measurement:
+    """Two pulls in which the markers rest, seen with noise."""
+    number = np.arange(STEPS)
+    turns = np.tile([1.0, 0.0, 0.0, 0.0], (STEPS, 1))
+    way = 1e-3 * number[:, None] * np.array([[1.0, 0.0, 0.0]])
+    pulls = [Action(str(i + 1), i * STEPS + number, number, "gripper", way, turns) for i in range(2)]
+    seen = np.tile(SCENE.rest, (2 * STEPS, 1, 1)) if positions is None else positions
+    return recorded(SCENE, pulls, seen, SIGMA, np.random.default_rng(seed))
+
+
+def slopes(data: Data) -> Array:
+    """Movements per unit of three forces, which grow along an action."""
+    return 1e-6 * data.progress[:, None] * np.random.default_rng(4).normal(size=(12, 3))[data.fiducial * 3 + data.axis]
+
+
+def errors(data: Data) -> Errors:
+    common = 0.3e-3 * np.random.default_rng(6).normal(size=(len(data), 2))
+    modes = NuisanceModes(np.zeros((len(data), 3)), common, ("grip", "grip"), {"grip": 0.3e-3})
+    return Errors(data, data.sigma, MeshError.unknown(data.mask.shape), modes)
+
+
+# -- the evidence
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def test_the_evidence_is_that_of_a_gaussian_averaged_over_sizes() -> None:
+    data = Data(SCENE, measurement())
+    known, moved = errors(data), courses(data, slopes(data))
+    assert moved.shape == (len(data), 3 * 3)
+    residual = data.values - data.vector(np.tile(SCENE.rest, (2 * STEPS, 1, 1)))
+    found = Evidence.of(known, residual, moved, UNIT)
+    base = np.diag(data.sigma**2) + known.nuisances.common @ known.nuisances.common.T
+    constant = len(data) / 2 * math.log(2 * math.pi)
+    assert found.plain == pytest.approx(multivariate_normal(cov=base).logpdf(residual) + constant, rel=1e-9)
+    each = [
+        multivariate_normal(cov=base + (size * UNIT) ** 2 * moved @ moved.T).logpdf(residual) + constant
+        for size in _SIZES
+    ]
+    assert found.forced == pytest.approx(logsumexp(each) - math.log(len(each)), rel=1e-9)
+    assert found.size == pytest.approx(UNIT * _SIZES[int(np.argmax(each))])
+    assert found.total == pytest.approx(
+        np.logaddexp(found.plain + math.log(1 - MISSING), found.forced + math.log(MISSING))
+    )
+
+
+@pytest.mark.parametrize(("pushed", "missing"), [(0.0, False), (3e3, True)])
+def test_what_a_force_does_is_missed_and_noise_is_not(pushed: float, missing: bool) -> None:
+    data = Data(SCENE, measurement())
+    residual = data.values - data.vector(np.tile(SCENE.rest, (2 * STEPS, 1, 1)))
+    found = Evidence.of(errors(data), residual + pushed * slopes(data)[:, 1], courses(data, slopes(data)), UNIT)
+    assert (found.missing > 0.95) == missing
+    assert missing or found.missing < 0.5
+
+
+def test_both_levels_tell_the_same_limit() -> None:
+    coarse, fine = np.random.default_rng(2).normal(size=(2, 4, 3, 3))
+    below, here = MeshError.between(coarse, fine, 3.0), MeshError.beyond(coarse, fine, 3.0)
+    assert coarse + below.correction == pytest.approx(fine + here.correction)
+    assert below.left == pytest.approx(here.left)
+
+
+def test_some_frames_alone() -> None:
+    data = Data(SCENE, measurement())
+    frames = np.arange(2 * STEPS) < 4
+    part = data.within(frames)
+    rows = frames[data.frame]
+    assert part.values == pytest.approx(data.values[rows])
+    assert (part.fiducial == data.fiducial[rows]).all()
+    assert part.progress.max() == 1.0
+    assert len(data) == 2 * STEPS * 12
+
+
+# -- sets
+# ------------------------------------------------------------------------------------------------------------------
+
+
+class Bench:
+    """Stands in for an `Evaluator`: every set misses by a shift of its own, and may fail from a frame on."""
+
+    def __init__(self, shifts: Mapping[Candidate, float], fails: Mapping[Candidate, int] | None = None) -> None:
+        self.scene, self.measurement = SCENE, measurement()
+        self.shifts, self.fails = shifts, fails or {}
+        self.outcomes = {(0, c): SimpleNamespace(failed=c in self.fails) for c in shifts}
+        self.weighed: list[Candidate] = []
+
+    def together(self, _level: int) -> bool:
+        return False
+
+    def forward(self, _level: int) -> Any:
+        law = SimpleNamespace(shear=lambda _: UNIT, complete=lambda values: values)
+        return SimpleNamespace(
+            mesh=SimpleNamespace(points=np.array([[0.0, 0, 0], [1.0, 0, 0]])),
+            model=SimpleNamespace(law=law, values={}),
+        )
+
+    def positions(self, _level: int, candidate: Candidate) -> Array:
+        found = np.tile(SCENE.rest, (2 * STEPS, 1, 1)) + self.shifts[candidate]
+        found[self.fails.get(candidate, len(found)) :] = np.nan
+        return found
+
+    def each(self, level: int, candidates: Sequence[Candidate], _work: object) -> dict[Candidate, Pan]:
+        self.weighed += candidates
+        found = {}
+        for candidate in candidates:
+            positions = self.positions(level, candidate)
+            data = Data(SCENE, self.measurement).within(np.isfinite(positions).all(axis=(1, 2)))
+            none = NuisanceModes.none(len(data))
+            found[candidate] = Pan(positions, none, np.zeros((len(data), 1)), candidate in self.fails)
+        return found
+
+
+def scales(bench: Bench, best: Candidate = TRUE) -> Weighing:
+    exact = MeshError.unknown((2 * STEPS, len(SCENE.fiducials), 3))
+    return Weighing(bench, [0], best, exact)  # type: ignore[arg-type]
+
+
+def test_on_a_mesh_of_which_nothing_is_known_nothing_is_weighed() -> None:
+    weighing = Weighing(Bench({TRUE: 0.0}), [0], TRUE)  # type: ignore[arg-type]
+    assert weighing.run([TRUE], lambda _: ()) == {}
+
+
+def test_a_set_that_fails_late_is_weighed_in_the_frames_before() -> None:
+    """In these it does as well as the other; that it failed counts once, however many frames are missing."""
+    other = frozenset("3")
+    for first in (4, 10):
+        bench = Bench({TRUE: 0.0, other: 0.0}, {other: first})
+        found = scales(bench).relative(0, [TRUE, other])
+        assert found == {TRUE: 0.0, other: pytest.approx(math.log(FAILS_FOR_THE_TRUE))}
+    bench = Bench({TRUE: 3e-3, other: 0.0}, {other: 4})
+    found = scales(bench).relative(0, [TRUE, other])
+    assert found[other] == 0.0 > found[TRUE], "what fits far better before it fails may be the one"
+    assert scales(Bench({other: 0.0}, {other: 4}), other).levels == [], "the best set failed everywhere"
+
+
+def test_weighing_ends_when_the_last_hold_nothing() -> None:
+    sets = [frozenset({str(i)}) for i in range(20)]
+    far = {c: 1e-3 * (1 + i) for i, c in enumerate(sets)} | {TRUE: 0.0}
+    bench = Bench(far)
+    order = [TRUE, *(c for c in sets if c != TRUE)]
+    found = scales(bench).run(order, lambda _: ())
+    assert found[TRUE] == 0.0
+    assert all(log < -math.log(ODDS) for c, log in found.items() if c != TRUE)
+    assert len(bench.weighed) == 2 * _BATCH
+    # What is around the likeliest is weighed as well, while more than one is likely.
+    near = frozenset("9")
+    bench = Bench({c: 0.0 if c in (TRUE, near, sets[0]) else shift for c, shift in far.items()})
+    found = scales(bench).run(order[:_BATCH], lambda c: [near] if c == TRUE else [])
+    assert found[near] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_sets_that_predict_the_same_are_one_class() -> None:
+    alike, other = frozenset("3"), frozenset("4")
+    bench = Bench({TRUE: 0.0, alike: 1e-6, other: 2e-3})
+    weighing = scales(bench)
+    logs = weighing.relative(0, [TRUE, alike, other])
+    assert [set(members) for members in weighing.classes(0, logs)] == [{TRUE, alike}, {other}]

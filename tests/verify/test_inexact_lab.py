@@ -1,0 +1,39 @@
+"""Two measurements of an independent code in which everything that a scene states is slightly wrong: `tests/data/lab2`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bcid import Measurement, Scene
+from bcid.search.identify import Identification, IdentifyOptions, identify
+
+
+def identified(project: Path, body: str, finest: int) -> Identification:
+    folder = project / "tests" / "data" / "lab2"
+    scene, measurement = Scene.read(folder / f"scenes/{body}.toml"), Measurement.read(folder / f"nuisance-{body}")
+    return identify(scene, measurement, options=IdentifyOptions(finest=finest, certify="no", seeds=4, climbed=1))
+
+
+def test_a_body_of_which_nothing_is_hidden_is_explained(project: Path) -> None:
+    """The best set misses by 2.8 times the noise, and yet nothing is missing."""
+    assert (found := identified(project, "block", 1)).noise
+    assert found.anchored == ("1", "6")
+    assert found.probability > 0.99
+    assert found.rms > 2.5 * found.noise
+    assert found.explains
+    assert found.missing is not None
+    assert found.missing < 0.5
+    assert not any(one.used_up for one in found.nuisances)
+
+
+@pytest.mark.slow
+def test_the_anchors_are_seen_although_gravity_is_missing(project: Path) -> None:
+    """Others fit the measurement better; weighed with an unknown force in the place of gravity, the true ones are found."""
+    found = identified(project, "organ", 1)
+    assert found.anchored == ("1", "4")
+    assert found.probability > 0.95
+    assert "best {4 5}" in found.stages[1]
+    assert not found.explains
+    assert not any(one.used_up for one in found.nuisances)
