@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -29,6 +30,7 @@ from bcid.forms.forward import check_geometry
 from bcid.forms.mesh import level_mesh
 from bcid.forms.mesh.patches import divided
 from bcid.forms.model import Model, Term, check_physics
+from bcid.inference.followed import as_far_as_followed
 from bcid.measurement import Measurement
 from bcid.scene import Scene
 from bcid.search import identify_run
@@ -65,9 +67,13 @@ def identify(
     """
     comm = comm or _alone()
     body, seen = _inputs(scene, measurement, comm)
-    done = identify_refined(body, seen, comm, options, refine, model, progress=progress)
-    mesh = level_mesh(done.scene, body.levels[done.found.levels[-1]], comm)
-    return IdentifyResult(identify_run.documents(seen, done, mesh), "identify")
+
+    def work(seen: Measurement) -> IdentifyResult:
+        done = identify_refined(body, seen, comm, options, refine, model, progress=progress)
+        mesh = level_mesh(done.scene, body.levels[done.found.levels[-1]], comm)
+        return IdentifyResult(identify_run.documents(seen, done, mesh), "identify")
+
+    return as_far_as_followed(seen, work)
 
 
 def compare(
@@ -95,7 +101,7 @@ def compare(
     """
     comm = comm or _alone()
     source = _source(scene, measurement, comm, model, anchors, free)
-    return _diagnosed("compare", source, comm, level, progress, lambda predictor: compared(predictor, source))
+    return _diagnosed("compare", source, comm, level, progress, compared)
 
 
 def diagnose(
@@ -122,7 +128,7 @@ def diagnose(
     """
     comm = comm or _alone()
     source = _source(scene, measurement, comm, model, anchors, free, effects)
-    return _diagnosed("diagnose", source, comm, level, progress, lambda predictor: diagnosed(predictor, source, only))
+    return _diagnosed("diagnose", source, comm, level, progress, partial(diagnosed, only=only))
 
 
 def fit(
@@ -156,9 +162,8 @@ def fit(
     if not terms and not free:
         raise InputError('fit: nothing to do; name an effect, as add=["gravity"], or a number, as free=["young"]')
     check_terms(source, terms, free, fixed)
-    return _diagnosed(
-        "fit", source, comm, level, progress, lambda predictor: refitted(predictor, source, terms, free, fixed)
-    )
+    work = partial(refitted, terms=terms, free=free, fixed=fixed)
+    return _diagnosed("fit", source, comm, level, progress, work)
 
 
 def explain(
@@ -183,9 +188,7 @@ def explain(
     """
     comm, chosen = comm or _alone(), options or ExplainOptions()
     source = _source(scene, measurement, comm, model, None, (), effects)
-    return _diagnosed(
-        "explain", source, comm, chosen.level, progress, lambda predictor: explained(predictor, source, chosen)
-    )
+    return _diagnosed("explain", source, comm, chosen.level, progress, partial(explained, options=chosen))
 
 
 def explore(
@@ -280,12 +283,16 @@ def _diagnosed(
     comm: Comm,
     level: int | None,
     progress: Progress | None,
-    work: Callable[[Predictor], Diagnosis],
+    work: Callable[[Predictor, Source], Diagnosis],
 ) -> DiagnosisResult:
-    predictor = Predictor(source.scene, source.measurement, comm, level, progress=progress)
-    try:
-        done = work(predictor)
-        content: dict[str, Any] = collect(predictor, done)
-        return DiagnosisResult(diagnosis_documents(source, done, content), command)
-    finally:
-        predictor.destroy()
+    def attempt(seen: Measurement) -> DiagnosisResult:
+        here = replace(source, measurement=seen)
+        predictor = Predictor(here.scene, seen, comm, level, progress=progress)
+        try:
+            done = work(predictor, here)
+            content: dict[str, Any] = collect(predictor, done)
+            return DiagnosisResult(diagnosis_documents(here, done, content), command)
+        finally:
+            predictor.destroy()
+
+    return as_far_as_followed(source.measurement, attempt)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,8 @@ from bcid.comparison.output import collect, documents
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.source import Source, find_effect, from_files, from_run
 from bcid.comparison.written_term import parsed_term
+from bcid.inference.followed import as_far_as_followed
+from bcid.measurement import Measurement
 
 MAKES = (
     *("diagnosis.json", "model.json", "identification.json", "residuals.nc", "body.nc", "where.json", "summary.txt"),
@@ -36,8 +38,7 @@ def run_compare(
 ) -> Path:
     """Is the model of a run adequate, and where does it fail? Collective; returns the folder written."""
     source = from_run(folder, files, comm)
-    work = partial(compared, source=source)
-    return _written("compare", source, output, {"level": level}, comm, overwrite, level, work, progress)
+    return _written("compare", source, output, {"level": level}, comm, overwrite, level, compared, progress)
 
 
 def run_diagnose(
@@ -55,7 +56,7 @@ def run_diagnose(
     for name in only or ():
         find_effect(name, source.own)
     options = {"level": level, "only": list(only) if only else None}
-    work = partial(diagnosed, source=source, only=only)
+    work = partial(diagnosed, only=only)
     return _written("diagnose", source, output, options, comm, overwrite, level, work, progress)
 
 
@@ -82,7 +83,7 @@ def run_fit(
     terms = [parsed_term(text, source) for text in add]
     check_terms(source, terms, free, fixed)
     options = {"level": level, "add": list(add), "free": list(free), "fixed": list(fixed)}
-    work = partial(refitted, source=source, terms=terms, free=free, fixed=fixed)
+    work = partial(refitted, terms=terms, free=free, fixed=fixed)
     return _written("fit", source, output, options, comm, overwrite, level, work, progress)
 
 
@@ -104,7 +105,7 @@ def run_explain(
     if progress is not None:
         for text in source.measurement.remarks:
             progress.say(f"look at this first: {text}")
-    work = partial(explained, source=source, options=chosen)
+    work = partial(explained, options=chosen)
     return _written("explain", source, folder, asdict(chosen), comm, overwrite, chosen.level, work, progress)
 
 
@@ -116,20 +117,25 @@ def _written(
     comm: Comm,
     overwrite: bool,
     level: int | None,
-    work: Callable[[Predictor], Diagnosis],
+    work: Callable[[Predictor, Source], Diagnosis],
     progress: Progress | None,
 ) -> Path:
     levels = len(source.scene.levels)
     if level is not None and not 0 <= level < levels:
         raise InputError(f"--level {level}: the scene has levels 0 to {levels - 1}")
     with running(comm, folder, command, source.inputs(options), MAKES, overwrite) as run:
-        predictor = Predictor(source.scene, source.measurement, comm, level, progress=progress)
-        try:
-            done = work(predictor)
-            content = collect(predictor, done)
-            on_root(comm, lambda: _write(run, source, predictor, done, content))
-        finally:
-            predictor.destroy()
+
+        def attempt(seen: Measurement) -> None:
+            here = replace(source, measurement=seen)
+            predictor = Predictor(here.scene, seen, comm, level, progress=progress)
+            try:
+                done = work(predictor, here)
+                content = collect(predictor, done)
+                on_root(comm, lambda: _write(run, here, predictor, done, content))
+            finally:
+                predictor.destroy()
+
+        as_far_as_followed(source.measurement, attempt)
     return folder
 
 

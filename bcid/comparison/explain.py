@@ -26,6 +26,7 @@ from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
+from bcid.inference.followed import NotFollowed
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.outcome import label
 from bcid.search.identify import Identification, IdentifyOptions, identify
@@ -216,19 +217,29 @@ class _Loop:
         """The likely anchor sets as the plain model sees them on the coarsest level, the likeliest first."""
         options = IdentifyOptions(certify="no", seeds=_SEEDS, finest=0)
         # A set with which the body buckles takes long and is seldom the one: no step is halved for it.
-        predictor, _ = self.predictor.thinned(STEPS, Settings(rtol=1e-6, halvings=0))
-        found = identify(
-            predictor.whole,
-            predictor.measurement,
-            predictor.comm,
-            options,
-            self.model,
-            predictor.settings,
-            Steps(predictor.progress),
-        )
+        predictor, frames = self.predictor.thinned(STEPS, Settings(rtol=1e-6, halvings=0))
+        try:
+            found = identify(
+                predictor.whole,
+                predictor.measurement,
+                predictor.comm,
+                options,
+                self.model,
+                predictor.settings,
+                Steps(predictor.progress),
+            )
+        except NotFollowed as error:
+            raise NotFollowed(str(error), error.remark, self.came_to(frames[error.frames])) from None
         self.predictor.count("coarse", sum(found.evaluations.values()))
         near = [a.anchored for a in found.alternatives if a.rms < _NEAR * a.best_rms]
         return [frozenset(names) for names in [found.anchored, *near[: _STARTS - 1]]]
+
+    def came_to(self, frames: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which of all frames were come to, where these were."""
+        found = np.zeros(len(self.predictor.data.mask), dtype=bool)
+        for action in self.predictor.actions:
+            found[action.frames] = action.frames <= max(np.intersect1d(action.frames, frames), default=-1)
+        return found
 
     def settle(self, fitted: Fit) -> tuple[Fit, Identification | None]:
         """Fit, error of the mesh and anchors, until none of them changes the others.

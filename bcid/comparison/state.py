@@ -12,6 +12,7 @@ from bcid.base.errors import SolveError
 from bcid.comparison.predictor import MeasurementPrediction, Predictor
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
+from bcid.inference.followed import NotFollowed
 from bcid.inference.likelihood import Errors, NuisanceEstimate
 from bcid.inference.mesh_error import MeshError
 
@@ -49,11 +50,16 @@ class State:
         """Predict and compare; collective. Without `mesh` the ladder is asked for its error.
 
         Raises:
-            SolveError: the model cannot be followed to the end.
+            NotFollowed: the model cannot be followed to the end; `SolveError` where only some steps are.
         """
         prediction = prediction or predictor.predict(model, anchors, keep=True)
         if prediction.failure:
-            raise SolveError(f"{model.name} with {' '.join(sorted(anchors)) or 'no anchor'}: {prediction.failure}")
+            who = f"{model.name} with {' '.join(sorted(anchors)) or 'no anchor'}"
+            message = f"{who}: {prediction.failure}"
+            if predictor.thin:
+                raise SolveError(message)
+            came = np.asarray(np.isfinite(prediction.positions).all(axis=(1, 2)))
+            raise NotFollowed(message, f"{who} cannot be followed", came)
         mesh = predictor.mesh_error(model, anchors, prediction) if mesh is None else mesh
         residual = predictor.data.values - predictor.data.vector(prediction.positions + mesh.correction)
         nuisances = predictor.nuisances(model, anchors, prediction)

@@ -78,7 +78,8 @@ class Evaluator:
             self.progress.say(f"look at this first: {text}")
         self.keep = keep
         self._stored: dict[tuple[int, Candidate], list[Outcome]] = {}
-        for outcome in known:
+        # Of a measurement that was compared up to another step they say nothing.
+        for outcome in (one for one in known if len(one.by_frame) == len(measurement.positions)):
             self._stored.setdefault((outcome.level, outcome.candidate), []).append(outcome)
         self.misfit = Misfit(scene, measurement)
         self.actions = measurement.actions

@@ -10,6 +10,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bcid.base.collective import Comm
 from bcid.base.errors import InputError, SolveError, nearest
@@ -20,6 +21,7 @@ from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference import nuisance_text
 from bcid.inference.criteria import CERTAIN, FAR, MAY_BE
+from bcid.inference.followed import NotFollowed
 from bcid.inference.likelihood import NuisanceEstimate
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.outcome import Candidate, Outcome, label
@@ -258,7 +260,7 @@ def identify(
 
     Raises:
         InputError: scene, measurement or options do not fit each other.
-        SolveError: the forward model failed for every set.
+        NotFollowed: the forward model failed for every set.
     """
     from mpi4py import MPI
 
@@ -342,8 +344,11 @@ class _Search:
     def best(self, level: int) -> Outcome:
         found = [o for (at, _), o in self.evaluator.outcomes.items() if at == level and o.complete]
         if not found:
-            reason = next(o.reason for (at, _), o in self.evaluator.outcomes.items() if at == level and o.failed)
-            raise SolveError(f"level {level}: the forward model failed for every anchor set tried; the first: {reason}")
+            failed = [o for (at, _), o in self.evaluator.outcomes.items() if at == level and o.failed]
+            message = (
+                f"level {level}: the forward model failed for every anchor set tried; the first: {failed[0].reason}"
+            )
+            raise NotFollowed(message, "no anchor set can be followed", _furthest(failed))
         return min(found, key=rank)
 
     def note(self, level: int, best: Outcome) -> None:
@@ -576,6 +581,13 @@ class _Search:
 def _likely(logs: dict[Candidate, float]) -> dict[Candidate, float]:
     """The sets that are not `ODDS` times less likely than the best."""
     return {c: log for c, log in logs.items() if log > -math.log(ODDS)}
+
+
+def _furthest(failed: Sequence[Outcome]) -> NDArray[np.bool_]:
+    """The frames that half of the sets came to, or, where each fails in another action, those that one set came to."""
+    came: NDArray[np.bool_] = np.isfinite(np.array([outcome.by_frame for outcome in failed]))
+    half = np.asarray(came.mean(axis=0) >= 0.5)
+    return np.asarray(came[came.sum(axis=1).argmax()]) if half.all() else half
 
 
 def _order(item: tuple[tuple[int, Candidate], Outcome]) -> tuple[int, int, list[str]]:

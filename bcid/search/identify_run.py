@@ -21,6 +21,7 @@ from bcid.forms.mesh.check import measures
 from bcid.forms.mesh.patches import divided, first_level
 from bcid.forms.model import check_physics
 from bcid.inference import nuisance_text
+from bcid.inference.followed import as_far_as_followed
 from bcid.inference.outcome import Outcome, label
 from bcid.measurement import AXES, WRENCH, Measurement
 from bcid.scene import Scene
@@ -60,9 +61,13 @@ def run_identification(
         if known:
             progress.say(f"going on with an interrupted run: {len(known)} evaluations are there already")
         keep = _keeper(run, comm)
-        done = identify_refined(scene, measurement, comm, options, refine, progress=progress, known=known, keep=keep)
-        mesh = level_mesh(done.scene, scene.levels[done.found.levels[-1]], comm)
-        on_root(comm, lambda: _write(run, measurement, done, mesh, names, comm.size))
+
+        def work(seen: Measurement) -> None:
+            done = identify_refined(scene, seen, comm, options, refine, progress=progress, known=known, keep=keep)
+            mesh = level_mesh(done.scene, scene.levels[done.found.levels[-1]], comm)
+            on_root(comm, lambda: _write(run, seen, done, mesh, names, comm.size))
+
+        as_far_as_followed(measurement, work)
     return folder
 
 

@@ -9,10 +9,14 @@ import pytest
 
 from bcid.base.errors import InputError, SolveError
 from bcid.base.progress import Silent
+from bcid.forms import effect_trial as trial
+from bcid.forms.simulate import recorded
 from bcid.forms.solver.status import Status
 from bcid.inference.criteria import FAILS_FOR_THE_TRUE
+from bcid.inference.followed import NotFollowed, as_far_as_followed
 from bcid.inference.outcome import Candidate, Outcome, label
 from bcid.inference.posterior import Posterior, classes, finest, interest, log_likelihood, model_errors
+from bcid.measurement import Action, Measurement
 from bcid.search.climb import ODDS, climb, neighbours
 from bcid.search.evaluator import Evaluator
 from bcid.search.identify import IdentifyOptions, _Search
@@ -478,3 +482,38 @@ def test_the_stages_end_as_the_paper_has_it(stop: str, apart: float, levels: tup
 def test_a_rule_that_makes_no_sense_is_refused(text: str, told: str) -> None:
     with pytest.raises(InputError, match=told):
         Stop.parse(text)
+
+
+def test_a_measurement_is_looked_at_as_far_as_it_can_be_followed() -> None:
+    """Nothing is reported of frames to which no set comes; where nothing is left, that is told."""
+    number = np.arange(4)
+    turns = np.tile([1.0, 0.0, 0.0, 0.0], (4, 1))
+    scene = trial.scene()
+    pulls = [
+        Action(str(i + 1), 4 * i + number, number, "gripper", 1e-3 * number[:, None] * [1, 0, 0], turns) for i in (0, 1)
+    ]
+    whole = recorded(scene, pulls, np.tile(scene.rest, (8, 1, 1)), 1e-4, np.random.default_rng(0))
+    tried: list[int] = []
+
+    def work(seen: Measurement) -> Measurement:
+        tried.append(len(seen.positions))
+        came = np.array([True] * 6 + [False] * 2)[: tried[-1]]
+        if tried[-1] > 6:
+            raise NotFollowed("it buckles", "no anchor set can be followed", came)
+        return seen
+
+    found = as_far_as_followed(whole, work)
+    assert tried == [8, 6]
+    assert [len(action) for action in found.actions] == [4, 2]
+    assert found.remarks[-1] == "action 2 is compared up to step 1 only: no anchor set can be followed any further"
+    error = NotFollowed("it buckles", "nothing can be followed", np.array([True, *[False] * 3, *[True] * 4]))
+    assert [action.name for action in error.before(whole).actions] == ["2"]
+    with pytest.raises(NotFollowed, match="it buckles"):
+        NotFollowed("it buckles", "", np.array([True, *[False] * 7])).before(whole)
+
+
+def test_where_every_set_fails_it_is_told_how_far_they_came() -> None:
+    evaluator = Landscape(lambda _: math.inf)
+    with pytest.raises(NotFollowed) as caught:
+        search(evaluator)
+    assert caught.value.frames.tolist() == [True, False]
