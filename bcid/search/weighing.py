@@ -28,8 +28,8 @@ from bcid.search.evaluator import Evaluator
 Array = NDArray[np.float64]
 # An unknown force is carried by so many bumps.
 _BUMPS = 16
-# So many sets are weighed at a time.
-_BATCH = 4
+# So many sets are weighed at a time, and at most on the coarsest level and on the finest: where more are likely, little is decided.
+_BATCH, _MOST, _FINELY = 4, 32, 8
 # Odds from which on two sets count as told apart.
 _TELLING = 20.0
 
@@ -110,8 +110,8 @@ class Weighing:
     ) -> dict[Candidate, float]:
         """Logarithms of the evidence of the sets that were weighed, against the likeliest of them.
 
-        They are weighed on the coarsest level a few at a time, until the last few hold next to nothing; those that remain,
-        and are not `ODDS` times less likely than the likeliest, on the finest.
+        They are weighed on the coarsest level a few at a time, until the last few hold next to nothing; the likeliest of those that
+        are not `ODDS` times less likely than the best, on the finest.
 
         Args:
             order: the sets, the likeliest first as far as it is known.
@@ -122,7 +122,7 @@ class Weighing:
         coarse, fine = self.levels[0], self.levels[-1]
         found: dict[Candidate, float] = {}
         waiting = list(order)
-        while waiting:
+        while waiting and len(found) < _MOST:
             batch, waiting = waiting[:_BATCH], waiting[_BATCH:]
             found = self.relative(coarse, [*found, *batch])
             top = max(found, key=lambda c: found[c])
@@ -131,11 +131,12 @@ class Weighing:
                 break
             waiting = list(dict.fromkeys([*(around if top in batch else []), *waiting]))
             waiting = [c for c in waiting if c not in found]
-        likely = [c for c, log in found.items() if log > -math.log(ODDS)]
+        ordered = sorted(found, key=lambda c: (-found[c], len(c), sorted(c)))
         if fine == coarse:
             return found
-        finely = self.relative(fine, likely)
-        return {c: log for c, log in found.items() if c not in finely} | finely
+        finely = self.relative(fine, [c for c in ordered[:_FINELY] if found[c] > -math.log(ODDS)])
+        # The others keep their distance from the set that was the best on the coarsest level.
+        return {c: found[c] + finely[ordered[0]] for c in ordered if c not in finely} | finely
 
     def alone(self, found: dict[Candidate, float]) -> bool:
         """Whether the likeliest set has no rival."""
@@ -186,7 +187,7 @@ class Weighing:
         `_TELLING` to one: half the squared distance of their predictions, in units of their errors, is the expected logarithm of
         that ratio. Each class is built around its likeliest set, which comes first; so do the likelier classes.
         """
-        known = [c for c in logs if not self._pans[level, c].failed]
+        known = [c for c in logs if (level, c) in self._pans and not self._pans[level, c].failed]
         known.sort(key=lambda c: (-logs[c], len(c), sorted(c)))
         errors = self.weight(level, known[0]).errors if known else None
         found: list[list[Candidate]] = []

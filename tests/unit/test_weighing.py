@@ -24,7 +24,7 @@ from bcid.inference.outcome import Candidate
 from bcid.inference.unknown_force import _SIZES, MISSING, Evidence, courses
 from bcid.measurement import Action, Measurement
 from bcid.search.climb import ODDS
-from bcid.search.weighing import _BATCH, Pan, Weighing
+from bcid.search.weighing import _BATCH, _MOST, Pan, Weighing
 
 Array = NDArray[np.float64]
 SCENE = trial.scene()
@@ -190,3 +190,10 @@ def test_sets_that_predict_the_same_are_one_class() -> None:
     weighing = scales(bench)
     logs = weighing.relative(0, [TRUE, alike, other])
     assert [set(members) for members in weighing.classes(0, logs)] == [{TRUE, alike}, {other}]
+
+
+def test_where_all_are_likely_not_all_are_weighed() -> None:
+    sets = [frozenset({str(i)}) for i in range(60)]
+    bench = Bench(dict.fromkeys([TRUE, *sets], 0.0))
+    found = scales(bench).run([TRUE, *(c for c in sets if c != TRUE)], lambda _: ())
+    assert len(bench.weighed) == len(found) == _MOST
