@@ -309,7 +309,8 @@ def _warnings(
 def held_out(fitted: Fit) -> float | None:
     """RMS residual, m, when each action is predicted from a fit to the others; collective.
 
-    The fit without an action is one Gauss-Newton step from the fit to all, with its Jacobian. None with one action only.
+    The fit without an action is one Gauss-Newton step from the fit to all, with its Jacobian. None with one action only, and
+    where a fit to the others cannot be followed.
     """
     state = fitted.state
     data, predictor = state.predictor.data, state.predictor
@@ -330,7 +331,8 @@ def held_out(fitted: Fit) -> float | None:
         moved = np.clip(x + step, bounds[:, 0], bounds[:, 1])
         values = {c.name: c.allowed(float(at)) for c, at in zip(fitted.coordinates, moved, strict=True)}
         prediction = predictor.predict(state.model.with_values(values), state.anchors, actions=[action])
-        positions = prediction.positions if not prediction.failure else state.prediction.positions
-        residual = data.values - data.vector(positions + state.errors.mesh.correction)
+        if prediction.failure:
+            return None
+        residual = data.values - data.vector(prediction.positions + state.errors.mesh.correction)
         squares += float(np.sum(residual[data.action == number] ** 2))
     return float(np.sqrt(squares / len(data)))

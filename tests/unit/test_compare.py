@@ -221,6 +221,7 @@ class Toy:
     shapes: Mapping[str, Array]
     left_out: tuple[str, ...] = ()
     progress: Progress = field(default_factory=Silent)
+    fails: str = ""
 
     @property
     def scene(self) -> Scene:
@@ -245,7 +246,8 @@ class Toy:
         seen = np.full_like(positions, np.nan)
         for action in self.actions if actions is None else actions:
             seen[action.frames] = positions[action.frames]
-        return MeasurementPrediction(seen, {})
+        failed = self.fails in [action.name for action in actions or ()]
+        return MeasurementPrediction(seen, {}, "it buckles" if failed else "")
 
     def sensitivities(
         self, _model: Model, _anchors: object, _reply: MeasurementPrediction, wanted: Wanted
@@ -379,6 +381,9 @@ def test_a_linear_model_is_fitted_and_predicts_what_it_was_not_fitted_to() -> No
         without = np.linalg.lstsq(table[~own], away[~own], rcond=None)[0]
         squares += float(np.sum((away - table @ without)[own] ** 2))
     assert held_out(fitted) == pytest.approx(np.sqrt(squares / len(away)), rel=1e-4)
+    # What cannot be predicted from the others is not known: the fit to all is no substitute.
+    failing = replace(made, fails="2")
+    assert held_out(replace(fitted, state=replace(fitted.state, predictor=failing))) is None
 
 
 @pytest.mark.parametrize("stiffness", [1e5, 1e8])
