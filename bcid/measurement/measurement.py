@@ -7,6 +7,7 @@ docs/measurement.md.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -142,6 +143,12 @@ class Measurement(Contents):
         if self.frame_error is not None:
             arrays |= {"frame_centre": self.frame_error.centre, "frame_covariance": self.frame_error.covariance}
         return fingerprint({"noise": self.noise_sigma, "wrench": self.wrench_sigma, **arrays})
+
+    def without(self, names: Collection[str]) -> Measurement:
+        """The same with nothing seen of some fiducials."""
+        data = self.data.copy(deep=True)
+        data["position"][{"fiducial": [self.fiducial_names.index(name) for name in names]}] = np.nan
+        return replace(self, data=data)
 
     def check(self, scene: Scene) -> list[str]:
         """Refuse names that the scene does not have, and what cannot be a measurement of it; says what is odd.

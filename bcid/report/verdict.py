@@ -120,6 +120,8 @@ def _identification(found: Found, d: dict[str, Any]) -> Verdict:
         sentence += f"{d['rms']:.3g} {unit}, where the noise is {noise:.3g} {unit}."
         doubts.append("Probabilities compare the sets with each other only; see bcid explain for what may be missing.")
     doubts += [f"{text[0].upper()}{text[1:]}." for one in d.get("nuisances", ()) if (text := one["used_up"])]
+    if d.get("astray"):
+        doubts.append(f"Left out, for they do not go with the body: fiducials {', '.join(d['astray'])}.")
     doubts += [
         f"{patches(names)} could not be followed to the end, and may be the answer by the frames before."
         for names in d.get("unfollowed", ())

@@ -148,6 +148,7 @@ class Identification:
         remarks: what is odd about the measurement.
         missing: probability that something is missing in the model with these anchors (see `bcid.inference.unknown_force`); None
             where the mesh is too large for that to be asked.
+        astray: fiducials that do not go with the body, and were left out.
         nuisances: what the data say of each thing that the scene may have slightly wrong.
     """
 
@@ -169,6 +170,7 @@ class Identification:
     seconds: float
     remarks: tuple[str, ...] = ()
     missing: float | None = None
+    astray: tuple[str, ...] = ()
     nuisances: tuple[NuisanceEstimate, ...] = ()
 
     @property
@@ -207,6 +209,7 @@ class Identification:
             "unfollowed": [list(other.anchored) for other in self.unfollowed],
             "remarks": list(self.remarks),
             "missing": self.missing,
+            "astray": list(self.astray),
             "explains": self.explains,
             "nuisances": nuisance_text.to_json(self.nuisances),
         }
@@ -276,9 +279,15 @@ def identify(
         search = _Search(evaluator, chosen, progress or Silent(), start, partial(Weighing, mesh=mesh))
         for reason in passed:
             search.say(f"not used: {reason}")
-        return replace(search.run(), remarks=evaluator.measurement.remarks)
+        found = replace(search.run(), remarks=evaluator.measurement.remarks)
     finally:
         evaluator.destroy()
+    if not found.astray or mesh is not None:
+        return replace(found, astray=())
+    # Whoever goes astray has led the search astray as well.
+    others = measurement.without(found.astray)
+    again = identify(scene, others, comm, options, model, settings, progress, start=start)
+    return replace(again, remarks=found.remarks, astray=(*found.astray, *again.astray))
 
 
 class _Search:
@@ -475,6 +484,7 @@ class _Search:
             winner = self.likeliest(weighed, nearest)
             weight = scales.weight(scales.levels[-1], winner) if scales and weighed else None
             alike = scales.classes(scales.levels[-1], _likely(weighed)) if scales and weighed else None
+            astray = scales.astray(scales.levels[-1], winner) if scales and weighed else ()
         finally:
             if scales:
                 scales.destroy()
@@ -504,6 +514,7 @@ class _Search:
             seconds=seconds,
             missing=weight.evidence.missing if weight else None,
             nuisances=tuple(weight.told) if weight else (),
+            astray=astray,
         )
 
     def likeliest(self, weighed: dict[Candidate, float], nearest: Outcome) -> Candidate:

@@ -267,7 +267,17 @@ def odd(remarks: Iterable[str]) -> list[str]:
 
 def _warning(found: Identification) -> list[str]:
     """What must stand above the result: that the model does not explain the data, or that this cannot be told."""
-    return [*_open(found), *_unexplained(found), *nuisance_text.warnings(found.nuisances)]
+    return [*_astray(found), *_open(found), *_unexplained(found), *nuisance_text.warnings(found.nuisances)]
+
+
+def _astray(found: Identification) -> list[str]:
+    """That some fiducials were left out."""
+    if not found.astray:
+        return []
+    return [
+        f"WARNING: fiducial(s) {', '.join(found.astray)} do not go with the body, whatever set holds it and whatever smooth "
+        "force acts: swapped, or misplaced? They are left out."
+    ]
 
 
 def _open(found: Identification) -> list[str]:

@@ -30,6 +30,8 @@ Array = NDArray[np.float64]
 _BUMPS = 16
 # So many sets are weighed at a time, and at most on the coarsest level and on the finest: where more are likely, little is decided.
 _BATCH, _MOST, _FINELY = 4, 32, 8
+# How often a fiducial goes astray.
+_ASTRAY = 0.01
 # Odds from which on two sets count as told apart.
 _TELLING = 20.0
 
@@ -179,6 +181,24 @@ class Weighing:
         if evidence.missing > MISSING:
             errors = Errors(data, errors.sigma, mesh, errors.nuisances.beside(evidence.size * moved))
         return Weight(evidence, errors, residual)
+
+    def astray(self, level: int, candidate: Candidate) -> tuple[str, ...]:
+        """Fiducials that do not go with the body, whatever of the above acts: names that were swapped, marks that came off.
+
+        One that is astray may be anywhere: its values have a density of one per size of the body. Of its share of chi-square r^T
+        C^-1 r the others have taken what they explain. More than every fourth are no mistake of single ones.
+        """
+        weight = self.weight(level, candidate)
+        data, errors = weight.errors.data, weight.errors
+        shares = weight.residual * errors.rough(weight.residual) / errors.sigma**2
+        size = float(np.linalg.norm(np.ptp(self.evaluator.forward(level).mesh.points, axis=0)))
+        names = self.evaluator.scene.fiducial_names
+        taken, lost = (
+            np.bincount(data.fiducial, values, minlength=len(names))
+            for values in (0.5 * shares, np.log(size / errors.sigma))
+        )
+        found = np.flatnonzero(taken > lost - math.log(_ASTRAY))
+        return tuple(names[i] for i in found) if 0 < len(found) <= len(np.unique(data.fiducial)) / 4 else ()
 
     def classes(self, level: int, logs: dict[Candidate, float]) -> list[list[Candidate]]:
         """Sets that the measured motions cannot tell apart, of those that are likely.

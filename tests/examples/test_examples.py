@@ -191,7 +191,7 @@ def test_the_lab_measurements_are_identified(name: str, anchored: str) -> None:
 
     scene = Scene.read(EXAMPLES / "scenes/slab.toml")
     measurement = Measurement.read(EXAMPLES / "measurements" / name)
-    found = identify(scene, measurement, options=IdentifyOptions(certify="no"))
+    found = identify(scene, measurement, options=IdentifyOptions(certify="no", seeds=8))
     assert found.anchored == tuple(anchored)
     assert found.probability > 0.99
     assert found.rms < 1.1 * found.noise

@@ -197,3 +197,13 @@ def test_where_all_are_likely_not_all_are_weighed() -> None:
     bench = Bench(dict.fromkeys([TRUE, *sets], 0.0))
     found = scales(bench).run([TRUE, *(c for c in sets if c != TRUE)], lambda _: ())
     assert len(bench.weighed) == len(found) == _MOST
+
+
+def test_a_fiducial_that_does_not_go_with_the_body_is_astray() -> None:
+    """One of four that jumps by 20 mm; not when two do, which is no mistake of single ones, and not for half a millimetre."""
+    for count, shift, astray in ((1, 20e-3, 1), (2, 20e-3, 0), (1, 0.5e-3, 0)):
+        bench = Bench({TRUE: 0.0})
+        positions = bench.measurement.positions.copy()
+        positions[STEPS:, :count, 2] += shift
+        bench.measurement = measurement(positions)
+        assert scales(bench).astray(0, TRUE) == tuple(SCENE.fiducial_names[:astray])
