@@ -101,7 +101,7 @@ class Weighing:
             self.levels = []
         self._seen = np.asarray(self.data.mask.any(axis=(1, 2)))
         self._pans: dict[tuple[int, Candidate], Pan] = {}
-        self._weighed: dict[tuple[int, Candidate, bytes | None], Weight] = {}
+        self._evidence: dict[tuple[int, Candidate, bytes], float] = {}
         self._sensitivities: dict[int, Sensitivity] = {}
         self._nuisances: dict[int, Nuisances] = {}
         self._meshes: dict[int, MeshError] = {}
@@ -149,25 +149,26 @@ class Weighing:
         self._fill(level, candidates)
         pans = {c: self._pans[level, c] for c in candidates}
         whole = [c for c, pan in pans.items() if not pan.failed] or [max(pans, key=lambda c: int(pans[c].frames.sum()))]
-        alone = {c: self.weight(level, c).evidence.total for c in whole}
+        alone = {c: self.evidence(level, c, pans[c].frames) for c in whole}
         best = max(alone, key=lambda c: (alone[c], -len(c), sorted(c)))
         found = {c: value - alone[best] for c, value in alone.items()}
         for c in candidates:
             if c not in found:
                 both = pans[c].frames & pans[best].frames
-                totals = [self.weight(level, one, both).evidence.total if both.any() else 0.0 for one in (c, best)]
+                totals = [self.evidence(level, one, both) if both.any() else 0.0 for one in (c, best)]
                 found[c] = totals[0] - totals[1] + math.log(FAILS_FOR_THE_TRUE)
         most = max(found.values())
         return {c: found[c] - most for c in candidates}
 
+    def evidence(self, level: int, candidate: Candidate, frames: NDArray[np.bool_]) -> float:
+        """Logarithm of the evidence of a set in some frames; a weight is too large to be kept."""
+        key = level, candidate, frames.tobytes()
+        if key not in self._evidence:
+            self._evidence[key] = self.weight(level, candidate, frames).evidence.total
+        return self._evidence[key]
+
     def weight(self, level: int, candidate: Candidate, frames: NDArray[np.bool_] | None = None) -> Weight:
         """Of a set that was weighed on a level, in all frames that it could be followed in or some of them."""
-        key = level, candidate, None if frames is None else frames.tobytes()
-        if key not in self._weighed:
-            self._weighed[key] = self._weight(level, candidate, frames)
-        return self._weighed[key]
-
-    def _weight(self, level: int, candidate: Candidate, frames: NDArray[np.bool_] | None) -> Weight:
         self._fill(level, [candidate])
         pan = self._pans[level, candidate]
         followed = self.data.within(pan.frames)
