@@ -9,6 +9,9 @@ from bcid.report import exploration_picture as exploration
 from bcid.report.found import Found
 from bcid.report.text import amount, chance, listed, model_name, patches, plain
 
+# Of a run that does not say itself whether the set explains the measurement: a residual of so many times the noise does not.
+_EXPLAINED = 2.0
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -115,7 +118,7 @@ def _identification(found: Found, d: dict[str, Any]) -> Verdict:
     doubts = _remarks(d)
     if not noise:
         doubts.append("No noise is stated: whether this set explains the measurement cannot be told.")
-    if noise and not d.get("explains", True):
+    if noise and not d.get("explains", d["rms"] <= _EXPLAINED * noise):
         sentence = f"No set of anchors explains this measurement: the best, {patches(d['anchored'])}, misses it by "
         sentence += f"{d['rms']:.3g} {unit}, where the noise is {noise:.3g} {unit}."
         doubts.append("Probabilities compare the sets with each other only; see bcid explain for what may be missing.")
@@ -129,6 +132,8 @@ def _identification(found: Found, d: dict[str, Any]) -> Verdict:
     numbers = [("anchored", " ".join(d["anchored"]) or "none"), ("probability", chance(d["probability"]))]
     numbers.append(("residual", f"{d['rms']:.3g} {unit}"))
     numbers += [("noise", f"{noise:.3g} {unit}")] if noise else []
+    if d.get("missing") is not None:
+        numbers.append(("something is missing", chance(d["missing"])))
     numbers.append(("certified", "yes" if d["certified"] else "no"))
     return Verdict(sentence, numbers, doubts)
 

@@ -97,6 +97,17 @@ def test_a_set_that_explains_nothing(tmp_path: Path) -> None:
     folder = runs.identified(tmp_path / "run")
     runs.rewrite(folder, "identification.json", json.dumps(runs.identification() | {"rms": 1.4, "explains": False}))
     assert "No set of anchors explains this measurement" in said(tmp_path, folder)
+    # A residual of three times the noise may be explained by what the scene has slightly wrong.
+    told = {"rms": 0.6, "explains": True, "missing": 0.12, "astray": ["6", "11"]}
+    runs.rewrite(folder, "identification.json", json.dumps(runs.identification() | told))
+    text = said(tmp_path, folder)
+    assert "The slab is held at patch left" in text
+    assert "something is missing 12.00 %" in text
+    assert "they do not go with the body: fiducials 6, 11" in text
+    written = runs.identification() | {"rms": 1.4}
+    del written["explains"]
+    runs.rewrite(folder, "identification.json", json.dumps(written))
+    assert "No set of anchors explains this measurement" in said(tmp_path, folder)
 
 
 def test_lengths_of_a_measurement_in_metres_are_shown_in_mm(tmp_path: Path) -> None:
