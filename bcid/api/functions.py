@@ -13,7 +13,7 @@ from bcid.api.results import DiagnosisResult, ExploreResult, IdentifyResult
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError, nearest
 from bcid.base.progress import Progress
-from bcid.comparison.diagnosis import Diagnosis, check_terms, compared, diagnosed, explained, refitted
+from bcid.comparison.diagnosis import Diagnosis, check_terms, compared, diagnosed, explained, on_predictor, refitted
 from bcid.comparison.explain import ExplainOptions
 from bcid.comparison.output import collect
 from bcid.comparison.output import documents as diagnosis_documents
@@ -285,14 +285,8 @@ def _diagnosed(
     progress: Progress | None,
     work: Callable[[Predictor, Source], Diagnosis],
 ) -> DiagnosisResult:
-    def attempt(seen: Measurement) -> DiagnosisResult:
-        here = replace(source, measurement=seen)
-        predictor = Predictor(here.scene, seen, comm, level, progress=progress)
-        try:
-            done = work(predictor, here)
-            content: dict[str, Any] = collect(predictor, done)
-            return DiagnosisResult(diagnosis_documents(here, done, content), command)
-        finally:
-            predictor.destroy()
+    def use(predictor: Predictor, here: Source, done: Diagnosis) -> DiagnosisResult:
+        content: dict[str, Any] = collect(predictor, done)
+        return DiagnosisResult(diagnosis_documents(here, done, content), command)
 
-    return as_far_as_followed(source.measurement, attempt)
+    return on_predictor(source, comm, level, progress, work, use)

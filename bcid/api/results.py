@@ -174,7 +174,7 @@ class IdentifyResult(Result):
     @property
     def missing(self) -> float | None:
         """Probability that something is missing in the model besides; None where the mesh is too large for that to be asked."""
-        found = self.found["missing"]
+        found = self.found.get("missing")
         return None if found is None else float(found)
 
     @property

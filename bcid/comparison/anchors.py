@@ -13,7 +13,8 @@ from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.outcome import Candidate
-from bcid.search.identify import Identification, IdentifyOptions, identify
+from bcid.search.identification import Identification
+from bcid.search.identify import IdentifyOptions, identify
 
 # A set with which the body would buckle again and again is given up early.
 _SETTINGS = Settings(rtol=1e-7, halvings=0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,14 +12,12 @@ from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError
 from bcid.base.progress import Progress
 from bcid.base.run_folder import RunFolder, running
-from bcid.comparison.diagnosis import Diagnosis, check_terms, compared, diagnosed, explained, refitted
+from bcid.comparison.diagnosis import Diagnosis, check_terms, compared, diagnosed, explained, on_predictor, refitted
 from bcid.comparison.explain import ExplainOptions
 from bcid.comparison.output import collect, documents
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.source import Source, find_effect, from_files, from_run
 from bcid.comparison.written_term import parsed_term
-from bcid.inference.followed import as_far_as_followed
-from bcid.measurement import Measurement
 
 MAKES = (
     *("diagnosis.json", "model.json", "identification.json", "residuals.nc", "body.nc", "where.json", "summary.txt"),
@@ -125,17 +123,11 @@ def _written(
         raise InputError(f"--level {level}: the scene has levels 0 to {levels - 1}")
     with running(comm, folder, command, source.inputs(options), MAKES, overwrite) as run:
 
-        def attempt(seen: Measurement) -> None:
-            here = replace(source, measurement=seen)
-            predictor = Predictor(here.scene, seen, comm, level, progress=progress)
-            try:
-                done = work(predictor, here)
-                content = collect(predictor, done)
-                on_root(comm, lambda: _write(run, here, predictor, done, content))
-            finally:
-                predictor.destroy()
+        def use(predictor: Predictor, here: Source, done: Diagnosis) -> None:
+            content = collect(predictor, done)
+            on_root(comm, lambda: _write(run, here, predictor, done, content))
 
-        as_far_as_followed(source.measurement, attempt)
+        on_predictor(source, comm, level, progress, work, use)
     return folder
 
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
+from bcid.base.collective import Comm
 from bcid.base.errors import InputError, nearest
+from bcid.base.progress import Progress
 from bcid.comparison.adequacy import judge
 from bcid.comparison.buckled_frames import leave_out
 from bcid.comparison.explain import ExplainOptions, Explanation, Rung, explain
@@ -22,7 +25,11 @@ from bcid.comparison.variants import neutral_values
 from bcid.comparison.where import MissingForce, missing_force
 from bcid.forms import effects
 from bcid.forms.model import Model, Term
+from bcid.inference.followed import as_far_as_followed
 from bcid.inference.outcome import label
+from bcid.measurement import Measurement
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -40,6 +47,34 @@ class Diagnosis:
     where: MissingForce | None
     explanation: Explanation | None = None
     pulls: tuple[Pull, ...] = ()
+
+
+def on_predictor(
+    source: Source,
+    comm: Comm,
+    level: int | None,
+    progress: Progress | None,
+    work: Callable[[Predictor, Source], Diagnosis],
+    use: Callable[[Predictor, Source, Diagnosis], T],
+) -> T:
+    """What `use` makes of the diagnosis of a source's measurement, or of as much of it as can be followed; collective.
+
+    Args:
+        source: scene, measurement and model; `work` and `use` get it with the measurement that was followed.
+        comm, level, progress: of the predictor.
+        work: makes the diagnosis.
+        use: while the predictor is there.
+    """
+
+    def attempt(seen: Measurement) -> T:
+        here = replace(source, measurement=seen)
+        predictor = Predictor(here.scene, seen, comm, level, progress=progress)
+        try:
+            return use(predictor, here, work(predictor, here))
+        finally:
+            predictor.destroy()
+
+    return as_far_as_followed(source.measurement, attempt)
 
 
 def compared(predictor: Predictor, source: Source) -> Diagnosis:

@@ -29,7 +29,8 @@ from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.followed import NotFollowed
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.outcome import label
-from bcid.search.identify import Identification, IdentifyOptions, identify
+from bcid.search.identification import Identification
+from bcid.search.identify import IdentifyOptions, identify
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]

@@ -25,7 +25,8 @@ from bcid.inference.followed import as_far_as_followed
 from bcid.inference.outcome import Outcome, label
 from bcid.measurement import AXES, WRENCH, Measurement
 from bcid.scene import Scene
-from bcid.search.identify import Identification, IdentifyOptions
+from bcid.search.identification import Identification
+from bcid.search.identify import IdentifyOptions
 from bcid.search.refine import Refinement, check_rounds, identify_refined
 
 MAKES = ("identification.json", "prediction.nc", "body.nc", "summary.txt", "picture.png", "paraview/")

@@ -21,7 +21,8 @@ from bcid.inference.posterior import gain
 from bcid.measurement import Measurement
 from bcid.scene import Region, Scene
 from bcid.search.evaluator import Evaluator
-from bcid.search.identify import Identification, IdentifyOptions, identify
+from bcid.search.identification import Identification
+from bcid.search.identify import IdentifyOptions, identify
 
 # A patch is undecided when its probability is further than this from both 0 and 1.
 _UNDECIDED = 0.02

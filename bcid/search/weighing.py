@@ -21,7 +21,7 @@ from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes, Nuisances
 from bcid.inference.outcome import Candidate
 from bcid.inference.posterior import gain
-from bcid.inference.unknown_force import MISSING, Evidence, courses
+from bcid.inference.unknown_force import Evidence, courses
 from bcid.search.climb import ODDS
 from bcid.search.evaluator import Evaluator
 
@@ -64,7 +64,7 @@ class Weight:
 
     Attributes:
         evidence: in all frames that it was compared in.
-        errors: of the residual, with an unknown force where something is more likely missing than not.
+        errors: of the residual, with an unknown force where that makes the measurement likelier.
         residual: measured minus predicted, shape (n,), m.
     """
 
@@ -179,7 +179,7 @@ class Weighing:
         errors = Errors(data, self._sigma[data.mask], mesh, pan.modes.at(rows))
         moved = courses(data, pan.slopes[rows])
         evidence = Evidence.of(errors, residual, moved, self._unit(level))
-        if evidence.missing > MISSING:
+        if evidence.forced > evidence.plain:
             errors = Errors(data, errors.sigma, mesh, errors.nuisances.beside(evidence.size * moved))
         return Weight(evidence, errors, residual)
 

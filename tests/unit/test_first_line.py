@@ -14,7 +14,7 @@ from bcid.comparison import diagnosis_text as words
 from bcid.forms.mesh import level_mesh
 from bcid.inference.likelihood import NuisanceEstimate
 from bcid.measurement import Units
-from bcid.search.identify import Identification
+from bcid.search.identification import Identification
 from bcid.search.identify_run import inputs_in_words, summary
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -17,7 +17,8 @@ from bcid.forms.simulate import simulate
 from bcid.inference.criteria import CERTAIN
 from bcid.measurement import Action
 from bcid.scene import Level
-from bcid.search.identify import Identification, IdentifyOptions, identify
+from bcid.search.identification import Identification
+from bcid.search.identify import IdentifyOptions, identify
 
 Array = NDArray[np.float64]
 ANCHORED = ("1", "3")

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from bcid import Measurement, Scene
-from bcid.search.identify import Identification, IdentifyOptions, identify
+from bcid.search.identification import Identification
+from bcid.search.identify import IdentifyOptions, identify
 
 
 def identified(project: Path, body: str, *start: frozenset[str]) -> Identification:

@@ -24,7 +24,8 @@ from bcid.inference.posterior import Posterior, model_errors
 from bcid.scene import Scene
 from bcid.scene.motions import motion
 from bcid.search.evaluator import Evaluator
-from bcid.search.identify import Identification, IdentifyOptions, _Search
+from bcid.search.identification import Identification
+from bcid.search.identify import IdentifyOptions, _Search
 from bcid.search.seeds import all_candidates
 
 PATCHES = ("1", "3", "4", "7")

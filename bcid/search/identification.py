@@ -1,0 +1,121 @@
+"""What an identification found."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from bcid.forms.forward import Prediction
+from bcid.inference import nuisance_text
+from bcid.inference.criteria import CERTAIN, FAR, MAY_BE
+from bcid.inference.likelihood import NuisanceEstimate
+
+
+@dataclass(frozen=True)
+class Identification:
+    """The anchored patches and how sure that is; lengths in m.
+
+    Attributes:
+        anchored: names of the anchored patches, in the scene's order.
+        probability: of this set among all visited ones.
+        patches: probability that each patch is anchored.
+        rms, noise: RMS residual of the set on the finest level used, and the stated noise (None if unknown).
+        discretisation: RMS error of the model on that level, as far as the ladder and the residual tell; None with one level.
+        certified: whether every set of patches was looked at on the finest level used, and the model could be solved for each.
+        evaluations: forward trajectories per level, in whole-trajectory equivalents.
+        looked_at: on the finest level used, how many sets were evaluated in full, stopped when they had lost, failed, or
+            were not looked at.
+        alternatives: the next best sets, best first.
+        classes: the likely sets on the finest level used, in classes that these data cannot tell apart (see
+            `bcid.inference.posterior.classes`); the first holds the reported set.
+        levels: the levels used.
+        stages: what happened on each level, in words.
+        prediction: of the reported set on the finest level used.
+        failures: sets for which the forward model found no acceptable equilibrium, with the reason.
+        seconds: time spent.
+        remarks: what is odd about the measurement.
+        missing: probability that something is missing in the model with these anchors (see `bcid.inference.unknown_force`); None
+            where the mesh is too large for that to be asked.
+        astray: fiducials that do not go with the body, and were left out.
+        nuisances: what the data say of each thing that the scene may have slightly wrong.
+    """
+
+    anchored: tuple[str, ...]
+    probability: float
+    patches: dict[str, float]
+    rms: float
+    noise: float | None
+    discretisation: float | None
+    certified: bool
+    evaluations: dict[int, float]
+    looked_at: dict[str, int]
+    alternatives: tuple[Alternative, ...]
+    classes: tuple[tuple[tuple[str, ...], ...], ...]
+    levels: tuple[int, ...]
+    stages: tuple[str, ...]
+    prediction: Prediction
+    failures: dict[str, str]
+    seconds: float
+    remarks: tuple[str, ...] = ()
+    missing: float | None = None
+    astray: tuple[str, ...] = ()
+    nuisances: tuple[NuisanceEstimate, ...] = ()
+
+    @property
+    def unfollowed(self) -> list[Alternative]:
+        """The sets that could not be followed to the end and may be the one all the same."""
+        return [other for other in self.alternatives if other.failure and other.probability > MAY_BE]
+
+    @property
+    def explains(self) -> bool:
+        """Whether the reported set may be all there is: nothing more is certainly missing."""
+        if self.missing is not None:
+            return self.missing < CERTAIN
+        return self.noise is None or self.rms <= FAR * self.noise
+
+    def to_json(self, length: float = 1e-3) -> dict[str, Any]:
+        """The content of `identification.json`; lengths are given in units of `length` (m)."""
+        others = [
+            asdict(a) | {"anchored": list(a.anchored), "rms": a.rms / length, "best_rms": a.best_rms / length}
+            for a in self.alternatives
+        ]
+        return {
+            "anchored": list(self.anchored),
+            "probability": self.probability,
+            "patches": self.patches,
+            "rms": self.rms / length,
+            "noise_rms": None if self.noise is None else self.noise / length,
+            "discretisation_rms": None if self.discretisation is None else self.discretisation / length,
+            "certified": self.certified,
+            "evaluations": {str(level): round(count, 3) for level, count in self.evaluations.items()},
+            "looked_at": self.looked_at,
+            "alternatives": others,
+            "classes": [[list(names) for names in members] for members in self.classes],
+            "levels": list(self.levels),
+            "stages": list(self.stages),
+            "failures": self.failures,
+            "unfollowed": [list(other.anchored) for other in self.unfollowed],
+            "remarks": list(self.remarks),
+            "missing": self.missing,
+            "astray": list(self.astray),
+            "explains": self.explains,
+            "nuisances": nuisance_text.to_json(self.nuisances),
+        }
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """A set that was considered: its probability and RMS residual (m) on the finest level it was evaluated on.
+
+    `rms` and `best_rms`, that of the reported set, are over the `frames` in which both are known. `stopped` says that its
+    evaluation ended as soon as it had lost, `failure` why it could not be followed any further ("": it could).
+    """
+
+    anchored: tuple[str, ...]
+    probability: float
+    rms: float
+    level: int
+    stopped: bool
+    best_rms: float
+    frames: int
+    failure: str = ""
