@@ -610,7 +610,7 @@ def _add_study(commands: Any) -> None:
         help="files: every N-th trial from the I-th, as one of N jobs that share the run folder",
     )
     parser.add_argument("--predict-only", action="store_true", help="files: only what all trials share")
-    parser.add_argument("--cases", type=int, default=100, metavar="N", help="number of cases of hidden (100)")
+    parser.add_argument("--cases", type=int, default=400, metavar="N", help="number of cases of hidden (400)")
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of what is random (0)")
     parser.add_argument("--trials", type=int, default=30, metavar="N", help="of each setting of exploration (30)")
     parser.add_argument(
@@ -624,7 +624,13 @@ def _add_study(commands: Any) -> None:
         "--least", type=float, default=0.5, metavar="SIZE", help="of an effect of hidden, in units of noise (0.5)"
     )
     parser.add_argument(
-        "--inexact", action="store_true", help="hidden: of bodies of which the scene has everything slightly wrong"
+        "--bodies", metavar="NAMES", help="of hidden, as slab,finger (those and gallbladder take turns)"
+    )
+    parser.add_argument(
+        "--conditions",
+        choices=("all", "exact", "inexact"),
+        default="all",
+        help="hidden: everything as the scene states it, everything but the noise slightly wrong, or all conditions in turns (all)",
     )
     _add_output(parser, picture=False)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -437,10 +438,13 @@ def _studies(arguments: argparse.Namespace) -> Callable[..., Path]:
 
 
 def _study_hidden(arguments: argparse.Namespace, how: Workers, progress: Progress) -> Path:
-    from bcid.studies.hidden.hidden_study import MAKE, MAKE_INEXACT, HiddenOptions, run_hidden
+    from bcid.studies.hidden.hidden_study import HiddenOptions, run_hidden
 
-    make = MAKE_INEXACT if arguments.inexact else MAKE
-    options = HiddenOptions(arguments.cases, arguments.seed, how.jobs, how.limit, arguments.least, make)
+    options = HiddenOptions(
+        arguments.cases, arguments.seed, how.jobs, how.limit, arguments.least, conditions=arguments.conditions
+    )
+    if arguments.bodies is not None:
+        options = replace(options, bodies=tuple(name.strip() for name in arguments.bodies.split(",")))
     return run_hidden(arguments.output, options, progress=progress, overwrite=arguments.overwrite, comm=how.comm)
 
 

@@ -1,4 +1,4 @@
-"""One case of the hidden study: make the measurement, then diagnose it, given only that and the scene."""
+"""One case of the hidden study: make the measurement, then diagnose it, given only that and its scene file."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from typing import Any
 from bcid.base.errors import BcidError, MachineError
 from bcid.base.progress import Silent
 from bcid.base.run_folder import RunFolder
+from bcid.studies.hidden.case_scene import FILE as SCENE
+from bcid.studies.hidden.drawing import Choice
 
 
 class CaseError(BcidError):
@@ -21,19 +23,19 @@ class CaseError(BcidError):
 def maker(job: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
     """The function that makes a case, for `bcid.studies.engine.dispatch`.
 
-    `job` holds the folder `cases`, the `scene` file, `seed`, the `least` size of an effect, and the functions `make` and
-    `diagnose` as "module:name"; a task holds the `index`.
+    `job` holds the folder `cases`, what they are drawn from (the fields of `Choice`), and the functions `make` and `diagnose`
+    as "module:name"; a task holds the `index`.
     """
     make, diagnose = function(job["make"]), function(job["diagnose"])
-    scene = Path(job["scene"])
+    choice = Choice(job["seed"], job["least"], tuple(job["bodies"]), job["conditions"])
 
     def case(task: Mapping[str, Any]) -> dict[str, Any]:
         folder = Path(job["cases"]) / f"{task['index']:04d}"
         with _stage("measurement"):
-            make(folder, job["seed"], task["index"], scene, job["least"])
+            make(folder, task["index"], choice)
         began, began_cpu = time.perf_counter(), time.process_time()
         with _stage("diagnosis"):
-            diagnosis = diagnosed(diagnose, folder, scene)
+            diagnosis = diagnosed(diagnose, folder)
         seconds, cpu = time.perf_counter() - began, time.process_time() - began_cpu
         return {"diagnosis": diagnosis, "seconds": round(seconds, 3), "cpu_seconds": round(cpu, 3)}
 
@@ -59,12 +61,12 @@ def function(name: str) -> Callable[..., Any]:
     return found
 
 
-def diagnosed(run_explain: Callable[..., Path], folder: Path, scene: Path) -> dict[str, Any]:
-    """Diagnose the measurement of a case; a run that was interrupted goes on."""
+def diagnosed(run_explain: Callable[..., Path], folder: Path) -> dict[str, Any]:
+    """Diagnose the measurement of a case, given that and its scene file alone; a run that was interrupted goes on."""
     from mpi4py import MPI
 
     run = folder / "diagnosis"
     if not ((run / "run.json").is_file() and RunFolder.open(run).record["state"] == "finished"):
-        run = run_explain(scene, folder / "measurement", run, None, MPI.COMM_SELF, Silent(), False)
+        run = run_explain(folder / SCENE, folder / "measurement", run, None, MPI.COMM_SELF, Silent(), False)
     result: dict[str, Any] = RunFolder.open(run).read_json("diagnosis.json")
     return result

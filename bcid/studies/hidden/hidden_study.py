@@ -1,7 +1,8 @@
 """The hidden study: does a diagnosis find what was hidden in measurements whose truth it cannot see?
 
-RUN/cases/0007/measurement/   what the diagnosis gets, besides the scene file
-RUN/cases/0007/truth.json     what is hidden: effects, parameters, anchors, sizes
+RUN/cases/0007/scene.toml     what the diagnosis gets: the scene file, and the geometry beside it
+RUN/cases/0007/measurement/   and the measurement
+RUN/cases/0007/truth.json     what is hidden: effects, parameters, anchors, sizes, conditions
 RUN/cases/0007/diagnosis/     its run folder
 RUN/logs/0007.txt             what the process of the case said
 RUN/results/0007.json         the diagnosis of a case that is done, or why there is none
@@ -15,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from bcid.base.collective import Comm, on_root
-from bcid.base.errors import InputError
+from bcid.base.errors import InputError, nearest
 from bcid.base.fingerprint import file_fingerprint
 from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import RunFolder, running
@@ -23,12 +24,12 @@ from bcid.base.shipped import shipped
 from bcid.base.text_file import read_json
 from bcid.studies.engine.dispatch import dispatch
 from bcid.studies.engine.work import Work, Workers, read_result
+from bcid.studies.hidden.bodies import BODIES, check_bodies
 from bcid.studies.hidden.cases import SIZES
+from bcid.studies.hidden.conditions import CONDITIONS
 from bcid.studies.hidden.score import scores, table
 
-SCENE = "examples/scenes/slab_hidden.toml"
 MAKE = "bcid.studies.hidden.truth:make"
-MAKE_INEXACT = "bcid.studies.hidden.truth:make_inexact"
 _MAKES = ("cases/", "results/", "logs/", "hidden.json", "table.txt", "degradation.png")
 DIAGNOSE = "bcid.comparison.compare_runs:run_explain"
 
@@ -43,14 +44,18 @@ class HiddenOptions:
         jobs: child processes at a time.
         limit: CPU seconds that a case may take.
         least: size that effects are drawn from, in units of noise; the largest is 10.
+        bodies: names of those that take turns.
+        conditions: one of `bcid.studies.hidden.conditions.CONDITIONS`.
         make, diagnose: functions as "module:name": `bcid.studies.hidden.truth.make` and the diagnosis.
     """
 
-    cases: int = 100
+    cases: int = 400
     seed: int = 0
     jobs: int = 2
     limit: float = 900.0
     least: float = SIZES[0]
+    bodies: tuple[str, ...] = tuple(BODIES)
+    conditions: str = "all"
     make: str = MAKE
     diagnose: str = DIAGNOSE
 
@@ -63,12 +68,20 @@ class HiddenOptions:
             raise InputError(f"--limit {self.limit:g}: must be a positive number of seconds")
         if not SIZES[0] <= self.least < SIZES[1]:
             raise InputError(f"--least {self.least:g}: must be a size from {SIZES[0]:g} to below {SIZES[1]:g} noises")
+        if self.conditions not in CONDITIONS:
+            raise InputError(f"--conditions {self.conditions}: {nearest(self.conditions, CONDITIONS)}")
+        check_bodies(self.bodies)
+
+    @property
+    def drawn_from(self) -> dict[str, Any]:
+        """What the cases depend on besides their number."""
+        plain = {name: getattr(self, name) for name in ("seed", "least", "conditions")}
+        return plain | {"bodies": list(self.bodies)}
 
 
 def run_hidden(
     folder: Path,
     options: HiddenOptions,
-    scene: Path | None = None,
     progress: Progress | None = None,
     overwrite: bool = False,
     comm: Comm | None = None,
@@ -82,23 +95,19 @@ def run_hidden(
     """
     progress = progress or Silent()
     options.check()
-    scene = scene or shipped(SCENE)
-    if not scene.is_file():
-        raise InputError(f"{scene}: no such scene file")
-    inputs = {name: getattr(options, name) for name in ("cases", "seed", "limit", "least", "make", "diagnose")}
-    inputs |= {"scene": file_fingerprint(scene)}
+    inputs = {name: getattr(options, name) for name in ("cases", "limit", "make", "diagnose")} | options.drawn_from
+    inputs |= {"scenes": [file_fingerprint(shipped(BODIES[name].scene)) for name in options.bodies]}
     with running(comm, folder, "study hidden", inputs, _MAKES, overwrite) as run:
         path = on_root(comm, folder.resolve)
-        work = Work("bcid.studies.hidden.case:maker", _job(path, options, scene), path / "results")
+        work = Work("bcid.studies.hidden.case:maker", _job(path, options), path / "results")
         tasks = {f"{index:04d}": {"index": index} for index in range(options.cases)}
         dispatch(work, tasks, Workers(comm, options.jobs, options.limit, tries=3, fresh=True), progress)
         on_root(comm, lambda: _conclude(run, options))
     return folder
 
 
-def _job(path: Path, options: HiddenOptions, scene: Path) -> dict[str, Any]:
-    plain = {name: getattr(options, name) for name in ("seed", "least", "make", "diagnose")}
-    return plain | {"cases": str(path / "cases"), "scene": str(scene.resolve())}
+def _job(path: Path, options: HiddenOptions) -> dict[str, Any]:
+    return options.drawn_from | {"make": options.make, "diagnose": options.diagnose, "cases": str(path / "cases")}
 
 
 def _read(path: Path, index: int) -> dict[str, Any]:

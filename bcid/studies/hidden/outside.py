@@ -11,12 +11,11 @@ import ufl
 from bcid.forms.effects.effect import BodyEffect, Constants, Point
 from bcid.forms.parameter import Amount, Shape
 
-# Stiffness of a sound bond and of the ball, Pa/m; that of the slab across its thickness is 1.5e6.
+# Stiffness of a sound bond and of the ball, Pa/m; a body of 15 kPa that is 10 mm thick has 1.5e6.
 RIGID = 1.5e8
 HARD = 3e6
-# How far above the slab's top (y = 10 mm) the ball waits when its reach is zero, m: further than any lift.
+# How far above the body's top the ball waits when its reach is zero, m: further than any lift.
 CLEARANCE = 0.030
-_TOP = 0.010
 # Of a patch that has peeled wholly the bond keeps this part.
 _LEFT = 1e-5
 
@@ -51,7 +50,7 @@ permanent_set = BodyEffect(
 
 def _penetration(point: Point, c: Constants) -> Any:
     """How deep a point is inside the ball, m; 0 outside."""
-    height = _TOP + CLEARANCE - c["reach"] + c["radius"]
+    height = c["top"] + CLEARANCE - c["reach"] + c["radius"]
     away = point.X + point.u - ufl.as_vector((c["cx"], height, c["cz"]))
     return ufl.max_value(c["radius"] - ufl.sqrt(ufl.inner(away, away) + 1e-20), 0.0)
 
@@ -68,6 +67,7 @@ obstacle = BodyEffect(
         Amount("reach", "m", "how far the ball comes down", lower=0.0, upper=CLEARANCE, neutral=0.0, scale=0.02),
         Shape("cx", "m", "x of its centre"),
         Shape("cz", "m", "z of its centre"),
+        Shape("top", "m", "height (y) of the body's top"),
         Shape("radius", "m", "of the ball", lower=0.0, open_lower=True, scale=0.03),
     ),
     about="a rigid ball above the body, which it meets when it is lifted",

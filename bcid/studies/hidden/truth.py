@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError
 from bcid.base.run_folder import write_whole
+from bcid.base.shipped import shipped
 from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import Forward
@@ -31,13 +32,14 @@ from bcid.forms.solver.trajectory import between, poses
 from bcid.measurement import Action
 from bcid.scene import Level, Scene
 from bcid.studies.hidden import outside
-from bcid.studies.hidden.cases import NOISE, Case, Hidden, draw, generator
+from bcid.studies.hidden.case_scene import write_scene
+from bcid.studies.hidden.cases import NOISE, Case, Hidden
+from bcid.studies.hidden.chance import generator
+from bcid.studies.hidden.drawing import Choice, draw
 from bcid.studies.hidden.inexact import Inexact
 
 Array = NDArray[np.float64]
 
-TRUE = Level(degree=3, element_size=0.014)
-COARSE = Level(degree=2, element_size=0.020)
 ACCURACY = Settings(rtol=1e-6, halvings=3)
 # A term is searched until its size is this near the target (relative), with so many trajectories at most.
 NEAR, MOST = 0.1, 7
@@ -45,102 +47,119 @@ NEAR, MOST = 0.1, 7
 CLEAR = 0.95
 # An effect is not made larger than so many terms: beyond it would be rigid, and nothing more would be seen.
 DOSES = 20.0
-# Two meshes that differ by more, m, follow different branches: the slab buckles, and its shape is a matter of chance.
+# Two meshes that differ by more, m, follow different branches: the body buckles, and its shape is a matter of chance.
 BRANCHED = 4e-4
 # A smaller effect is none, in units of noise: an obstacle that is not met.
 INVISIBLE = 0.05
+# Whether a patch is anchored is not asked for where that moves the fiducials by less, in units of noise.
+ASKED = 1.0
 # A case that cannot be solved, or hides nothing, is drawn anew so often.
 ATTEMPTS = 6
 
 
-def make_inexact(folder: Path, seed: int, index: int, scene_file: Path, least: float) -> None:
-    """As `make`, of bodies of which the scene has everything slightly wrong (see `bcid.studies.hidden.inexact`)."""
-    make(folder, seed, index, scene_file, least, inexact=True)
-
-
-def make(folder: Path, seed: int, index: int, scene_file: Path, least: float, inexact: bool = False) -> None:
-    """Write `measurement/` and, apart from it, `truth.json` into the folder of a case; what is there already stays.
-
-    Sizes are drawn from `least` on, in units of noise.
+def make(folder: Path, index: int, choice: Choice) -> None:
+    """Write `scene.toml`, `measurement/` and, apart from them, `truth.json` into the folder of a case; what is there stays.
 
     Raises:
         SolveError: none of the attempts could be solved.
     """
     if (folder / "measurement").is_dir():
         return
-    scene = Scene.read(scene_file, physics=check_physics)
     reasons = []
     for attempt in range(ATTEMPTS):
-        case = draw(seed, index, attempt, least)
-        if inexact:
-            wrong = Inexact.draw(generator(seed, 7, index, attempt), scene, len(case.motions))
-            case = replace(case, inexact=wrong)
+        case = draw(choice, index, attempt)
+        file = shipped(case.body.scene)
+        scene = Scene.read(file, physics=check_physics)
+        if case.conditions.nuisances:
+            mesh = level_mesh(replace(scene, levels=(case.body.coarse,)), case.body.coarse)
+            rng = generator(choice.seed, 7, index, attempt)
+            case = replace(case, inexact=Inexact.draw(rng, scene, mesh, len(case.motions)))
         try:
             truth = compute(scene, case)
         except SolveError as error:
             reasons.append(str(error))
             continue
-        rng = generator(seed, 6, index, attempt)
+        rng = generator(choice.seed, 6, index, attempt)
         times = np.concatenate([action.clock for action in case.actions])
         seen = recorded(scene, case.actions, truth.positions, truth.noise, rng, times, f"hidden study, case {index}")
         write_whole(folder / "truth.json", json.dumps(truth.to_json(case), indent=1) + "\n")
-        seen.write(folder / "measurement")
+        write_scene(folder, file, case.conditions, truth.noise)
+        # What is known of the noise stands in the scene.
+        replace(seen, noise_sigma=None).write(folder / "measurement")
         return
-    raise SolveError(f"case {index} of seed {seed} could not be made in {ATTEMPTS} attempts: {'; '.join(reasons)}")
+    raise SolveError(
+        f"case {index} of seed {choice.seed} could not be made in {ATTEMPTS} attempts: {'; '.join(reasons)}"
+    )
 
 
 @dataclass(frozen=True)
 class Truth:
-    """Noise-free positions (frames, fiducials, 3), m, the terms that act, their sizes in units of noise, and the noise, m."""
+    """What really happens in a case.
+
+    Attributes:
+        positions: noise-free (frames, fiducials, 3), m.
+        terms: that act.
+        sizes: theirs, in units of noise.
+        noise: m.
+        toggles: by how much it moves the fiducials (RMS, m) whether a patch is anchored; NaN where that cannot be computed.
+        stated: the model of the scene.
+    """
 
     positions: Array
     terms: tuple[Term, ...]
     sizes: tuple[float, ...]
     noise: float
+    toggles: Mapping[str, float]
+    stated: Model
 
     def to_json(self, case: Case) -> dict[str, Any]:
         """What the scoring needs to know, without any need of the catalogue."""
         pairs = zip(case.hidden, self.terms, self.sizes, strict=True)
         return {
             "index": case.index,
+            "body": case.body.name,
+            "conditions": asdict(case.conditions),
             "kind": case.kind,
             "anchored": list(case.anchors),
+            "not_asked": [patch for patch, moved in self.toggles.items() if moved < ASKED * self.noise],
             "noise": self.noise,
             "size": min(self.sizes, default=0.0),
-            "effects": [_effect_json(hidden, term, size) for hidden, term, size in pairs],
+            "effects": [self._effect(hidden, term, size) for hidden, term, size in pairs],
+            "toggles": {patch: None if math.isnan(moved) else moved for patch, moved in self.toggles.items()},
             "case": case.to_json(),
         }
 
-
-def _effect_json(hidden: Hidden, term: Term, size: float) -> dict[str, Any]:
-    parameters = {
-        p.name: {
-            "value": term.values[p.name],
-            "unit": p.unit,
-            # JSON has no infinity.
-            "neutral": None if p.neutral is None or p.reciprocal else p.neutral,
-            "role": "amount" if p.neutral is not None else "shape",
-            "reciprocal": p.reciprocal,
-            "scale": p.scale,
-            "period": p.period,
+    def _effect(self, hidden: Hidden, term: Term, size: float) -> dict[str, Any]:
+        parameters = {
+            p.name: {
+                "value": term.values[p.name],
+                "unit": p.unit,
+                # JSON has no infinity.
+                "neutral": None if p.neutral is None or p.reciprocal else self.stated.neutral(p),
+                "role": "amount" if p.neutral is not None else "shape",
+                "reciprocal": p.reciprocal,
+                "scale": p.scale,
+                "period": p.period,
+            }
+            for p in term.effect.parameters
         }
-        for p in term.effect.parameters
-    }
-    names = {"effect": hidden.effect, "outside": hidden.outside, "place": hidden.place}
-    return names | {"target": hidden.target, "size": size, "parameters": parameters}
+        names = {"effect": hidden.effect, "outside": hidden.outside, "place": hidden.place}
+        return names | {"target": hidden.target, "size": size, "parameters": parameters}
 
 
-def compute(scene: Scene, case: Case, true: Level = TRUE, coarse: Level = COARSE) -> Truth:
+def compute(scene: Scene, case: Case, true: Level | None = None, coarse: Level | None = None) -> Truth:
     """Find the terms on the coarse level, then the positions and the sizes reached on the true one.
 
-    Both levels must agree roughly.
+    Both levels must agree roughly; those of the body are taken where none are given.
 
     Raises:
-        SolveError: a trajectory cannot be followed, the body buckles, or nothing could be seen of an effect.
+        SolveError: a trajectory cannot be followed, the body buckles, or nothing could be seen of an effect or a patch.
     """
+    true, coarse = true or case.body.true, coarse or case.body.coarse
     stated, scene = scene, case.inexact.scene(scene) if case.inexact else scene
-    _check_stable(scene, case, coarse)
-    terms = _doses(scene, case, coarse)
+    plain, toggles = _plain(scene, case, coarse)
+    case = replace(case, noise=visible(case, toggles))
+    terms = tuple(_dose(scene, case, hidden, plain, coarse) for hidden in case.hidden)
     rough, positions = (_positions(scene, case, level, terms) for level in (coarse, true))
     if rms(rough - positions) > BRANCHED:
         raise SolveError(f"two meshes differ by {rms(rough - positions) * 1e3:.2g} mm: the body buckles")
@@ -153,19 +172,40 @@ def compute(scene: Scene, case: Case, true: Level = TRUE, coarse: Level = COARSE
     if sizes and min(sizes) < INVISIBLE:
         raise SolveError(f"a hidden effect moves the fiducials by no more than {INVISIBLE} of the noise")
     seen = case.inexact.seen(stated, positions) if case.inexact else positions
-    return Truth(seen, terms, tuple(sizes), noise)
+    return Truth(seen, terms, tuple(sizes), noise, toggles, Model.of(stated))
 
 
-def _check_stable(scene: Scene, case: Case, coarse: Level) -> None:
-    """Refuse motions in which the plain body passes an instability: which way it buckles is a matter of chance."""
+def _plain(scene: Scene, case: Case, coarse: Level) -> tuple[Array, dict[str, float]]:
+    """Positions of the plain body (frames, fiducials, 3), m, and by how much each patch moves them (RMS, m).
+
+    Motions in which it passes an instability are refused: which way it buckles is a matter of chance.
+    """
     forward = _forward(scene, case, coarse, ())
     try:
-        trajectories = forward.predict(case.anchors, case.made).trajectories
+        plain = forward.predict(case.anchors, case.made)
+        for t in plain.trajectories:
+            if t.status is not Status.CONVERGED or t.halvings or t.factorisations > 4 + t.steps // 2:
+                raise SolveError("the plain body passes an instability")
+        toggled = {patch: set(case.anchors) ^ {patch} for patch in scene.patches}
+        return plain.positions, {
+            # Nothing would hold a body without its only anchor.
+            patch: rms(forward.predict(sorted(others), case.made).positions - plain.positions) if others else math.nan
+            for patch, others in toggled.items()
+        }
     finally:
         forward.destroy()
-    for t in trajectories:
-        if t.status is not Status.CONVERGED or t.halvings or t.factorisations > 4 + t.steps // 2:
-            raise SolveError("the plain body passes an instability")
+
+
+def visible(case: Case, toggles: Mapping[str, float]) -> float:
+    """The noise, m, lowered as far as the range of noises allows until it shows of every anchor that it is one.
+
+    Raises:
+        SolveError: an anchor cannot be seen.
+    """
+    moved = min((toggles[patch] for patch in case.anchors if not math.isnan(toggles[patch])), default=math.inf)
+    if moved < ASKED * NOISE[0]:
+        raise SolveError(f"one of the anchors moves the fiducials by no more than {moved * 1e3:.2g} mm")
+    return min(case.noise, moved / ASKED)
 
 
 def quieter(case: Case, sizes: Sequence[float]) -> float:
@@ -220,20 +260,6 @@ def _forward(scene: Scene, case: Case, level: Level, terms: Sequence[Term]) -> F
 
 # -- terms
 # ------------------------------------------------------------------------------------------------------------------
-
-
-def _doses(scene: Scene, case: Case, coarse: Level) -> tuple[Term, ...]:
-    """Doses whose sizes are the targets, as nearly as their bounds allow, each on its own."""
-    if not case.hidden:
-        return ()
-    plain = _forward(scene, case, coarse, ())
-    try:
-        without = plain.predict(case.anchors, case.made)
-    finally:
-        plain.destroy()
-    if without.failure:
-        raise SolveError(without.failure.reason)
-    return tuple(_dose(scene, case, hidden, without.positions, coarse) for hidden in case.hidden)
 
 
 def _dose(scene: Scene, case: Case, hidden: Hidden, without: Array, coarse: Level) -> Term:
