@@ -20,7 +20,7 @@ from bcid.studies.exploration.exploration_trials import (
     SEEN,
     STRATEGIES,
 )
-from bcid.studies.hidden.score import wilson
+from bcid.studies.hidden.wilson import wilson
 
 # Of answers given at 95 %, so many shall be right.
 CALIBRATED = 0.93

@@ -27,7 +27,8 @@ from bcid.studies.engine.work import Work, Workers, read_result
 from bcid.studies.hidden.bodies import BODIES, check_bodies
 from bcid.studies.hidden.cases import SIZES
 from bcid.studies.hidden.conditions import CONDITIONS
-from bcid.studies.hidden.score import scores, table
+from bcid.studies.hidden.score import scores
+from bcid.studies.hidden.score_table import table
 
 MAKE = "bcid.studies.hidden.truth:make"
 _MAKES = ("cases/", "results/", "logs/", "hidden.json", "table.txt", "degradation.png")

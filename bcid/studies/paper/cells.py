@@ -13,7 +13,7 @@ import numpy as np
 from bcid.base.errors import MachineError
 from bcid.base.run_folder import writing
 from bcid.studies.engine.work import read_result
-from bcid.studies.hidden.score import wilson
+from bcid.studies.hidden.wilson import wilson
 from bcid.studies.paper.study_file import StudyFile, Trial
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bcid.inference.outcome import label
-from bcid.studies.hidden.score import wilson
+from bcid.studies.hidden.wilson import wilson
 from bcid.studies.paper.cells import Row, mean_calls, rounds, time_range, wrong_answers
 from bcid.studies.paper.condition import named, written
 from bcid.studies.paper.study_file import StudyFile

@@ -1,0 +1,87 @@
+"""Whether the numbers of an adopted effect are those of the hidden one, and whether their intervals hold the truth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+Json = Mapping[str, Any]
+NEAR, DEGREES = 0.2, 15.0
+# Half a 95 % interval in standard errors.
+_HALF = 1.96
+
+
+def parameters_right(truth: Json, diagnosis: Json) -> bool:
+    """Whether the adopted effect has the amounts, direction and place of the hidden one."""
+    effect = truth["effects"][0]
+    entry = adopted(diagnosis, effect["effect"])
+    if entry is None or entry.get("place", "") != effect["place"]:
+        return False
+    found = {name: _value(value) for name, value in entry["parameters"].items()}
+    return set(effect["parameters"]) <= set(found) and _amounts_right(effect, found) and _shapes_right(effect, found)
+
+
+def adopted(diagnosis: Json, effect: str) -> Json | None:
+    """What the model of a diagnosis has of an effect."""
+    entries = diagnosis.get("adopted", ())
+    return next((entry for entry in entries if str(entry["effect"]).split("(")[0] == effect), None)
+
+
+def intervals_hold(truth: Json, diagnosis: Json) -> tuple[bool, ...]:
+    """For each amount of the hidden effects that were adopted at their places whether its 95 % interval holds the truth."""
+    held: list[bool] = []
+    for effect in truth["effects"]:
+        entry = adopted(diagnosis, effect["effect"])
+        if entry is not None and entry.get("place", "") == effect["place"]:
+            amounts = {n: p for n, p in effect["parameters"].items() if p["role"] == "amount"}
+            held += [_holds(entry["parameters"].get(name, {}), p) for name, p in amounts.items()]
+    return tuple(held)
+
+
+def _holds(found: Json, p: Json) -> bool:
+    """Whether value and standard error go with the truth; of a reciprocal parameter its reciprocal is normal."""
+    value, error, true = found.get("value"), found.get("stderr"), p["value"]
+    if value is None or error is None or (p["reciprocal"] and value == 0):
+        return False
+    if p["reciprocal"]:
+        value, error, true = 1 / value, error / value**2, 1 / true
+    return bool(abs(value - true) <= _HALF * error)
+
+
+def _value(written: Any) -> float:
+    value = written["value"] if isinstance(written, Mapping) else written
+    return math.nan if value is None else float(value)
+
+
+def _amounts_right(effect: Json, found: Mapping[str, float]) -> bool:
+    """Their vector, in units of their scales from the neutral values, is within 20 % in length and 15 degrees in direction."""
+    amounts = {n: p for n, p in effect["parameters"].items() if p["role"] == "amount"}
+    if any(p["reciprocal"] for p in amounts.values()):
+        return all(abs(found[n] / p["value"] - 1) <= NEAR for n, p in amounts.items())
+    true, seen = (
+        np.array([(values[n] - p["neutral"]) / p["scale"] for n, p in amounts.items()])
+        for values in ({n: p["value"] for n, p in amounts.items()}, found)
+    )
+    length = float(np.linalg.norm(true))
+    if not abs(np.linalg.norm(seen) - length) <= NEAR * length:
+        return False
+    cosine = float(true @ seen) / (length * float(np.linalg.norm(seen)))
+    return cosine >= math.cos(math.radians(DEGREES))
+
+
+def _shapes_right(effect: Json, found: Mapping[str, float]) -> bool:
+    """Angles within 15 degrees; a centre no further off than the radius. Time constants and radii are not asked for."""
+    parameters = effect["parameters"]
+    for name, p in parameters.items():
+        if p["role"] == "shape" and p["unit"] == "deg":
+            period = p["period"] or 360.0
+            off = abs((found[name] - p["value"] + period / 2) % period - period / 2)
+            if not off <= DEGREES:
+                return False
+    # Through the thickness a centre cannot be seen.
+    centre = [n for n in ("cx", "cz") if n in parameters]
+    off = math.sqrt(sum((found[n] - parameters[n]["value"]) ** 2 for n in centre))
+    return not centre or off <= parameters["radius"]["value"]

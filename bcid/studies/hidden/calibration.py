@@ -1,0 +1,48 @@
+"""Are the told probabilities right as often as they say?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bcid.studies.hidden.judge import SURE, anchors_right, anchors_told, verdict_right
+from bcid.studies.hidden.wilson import rate
+
+BINS = (0.0, 0.5, 0.7, 0.9, 0.95, 0.99, 1.0)
+# A probability that an answer is right, and whether it is.
+Told = tuple[float, bool]
+
+
+def told(result: Mapping[str, Any]) -> list[Told]:
+    """Of the verdict and of the anchored set of a case, as far as its diagnosis tells them."""
+    truth, diagnosis = result["truth"], result["diagnosis"]
+    if truth is None or diagnosis is None:
+        return []
+    found = []
+    if diagnosis.get("verdict_probability") is not None:
+        found.append((float(diagnosis["verdict_probability"]), verdict_right(truth, diagnosis)))
+    anchors = anchors_told(truth, diagnosis)
+    if anchors is not None:
+        found.append((anchors, anchors_right(truth, diagnosis)))
+    return found
+
+
+def calibration(results: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """Told and found by bins of what was told, their expected difference, and how many of the sure answers are wrong."""
+    every = [pair for result in results for pair in told(result)]
+    place = np.clip(np.digitize([p for p, _ in every], BINS) - 1, 0, len(BINS) - 2)
+    bins = [_bin(k, [pair for at, pair in zip(place, every, strict=True) if at == k]) for k in range(len(BINS) - 1)]
+    error = sum(b["count"] * abs(b["told"] - b["rate"]) for b in bins if b["count"])
+    return {
+        "count": len(every),
+        "expected_error": error / len(every) if every else None,
+        "sure_and_wrong": rate([not right for p, right in every if p >= SURE]),
+        "bins": bins,
+    }
+
+
+def _bin(k: int, pairs: Sequence[Told]) -> dict[str, Any]:
+    told_on_average = float(np.mean([p for p, _ in pairs])) if pairs else None
+    return {"from": BINS[k], "to": BINS[k + 1], "told": told_on_average} | rate([right for _, right in pairs])
