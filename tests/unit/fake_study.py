@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bcid.base.run_folder import RunFolder, write_whole
+from bcid.studies.hidden.drawing import Choice
 
 # What the stand-ins have done, one line each.
 CALLS = "FAKE_STUDY_CALLS"
@@ -14,9 +15,15 @@ CALLS = "FAKE_STUDY_CALLS"
 SLEEP = "FAKE_STUDY_SLEEP"
 
 
-def make(folder: Path, seed: int, index: int, scene: Path, least: float) -> None:
+def make(folder: Path, index: int, choice: Choice) -> None:
     truth = {"index": index, "kind": "none", "anchored": ["1"], "noise": 2e-4, "size": 0.0, "effects": []}
-    write_whole(folder / "truth.json", json.dumps(truth))
+    about = {
+        "body": choice.bodies[0],
+        "not_asked": [],
+        "conditions": {"noise": "right", "nuisances": False, "mesh": "fine"},
+    }
+    write_whole(folder / "truth.json", json.dumps(truth | about))
+    write_whole(folder / "scene.toml", "")
     (folder / "measurement").mkdir(exist_ok=True)
 
 
@@ -25,6 +32,8 @@ def diagnose(
 ) -> Path:
     """Case 1 raises, case 3 dies, case 5 hangs, case 6 computes for ever."""
     assert measurement.is_dir()
+    assert scene == measurement.parent / "scene.toml"
+    assert scene.is_file()
     assert not list(measurement.iterdir())
     index = int(measurement.parent.name)
     with open(os.environ[CALLS], "a", encoding="utf-8") as calls:

@@ -8,7 +8,8 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,22 @@ import numpy as np
 import pytest
 
 from bcid.base.errors import InputError
+from bcid.base.shipped import shipped
 from bcid.measurement import Measurement
+from bcid.scene import Level, Scene
+from bcid.scene.uncertainty import Uncertainty
 from bcid.studies.hidden import cases
+from bcid.studies.hidden.bodies import BODIES, FINGER, GALLBLADDER, SLAB
+from bcid.studies.hidden.calibration import calibration
+from bcid.studies.hidden.case_scene import write_scene
+from bcid.studies.hidden.conditions import Conditions
+from bcid.studies.hidden.drawing import Choice, Plan, draw, plan
 from bcid.studies.hidden.hidden_study import HiddenOptions, _read, run_hidden
-from bcid.studies.hidden.score import judge, scores, table, wilson
+from bcid.studies.hidden.judge import judge, verdict_right
+from bcid.studies.hidden.score import scores
+from bcid.studies.hidden.score_table import table
+from bcid.studies.hidden.study_body import StudyBody
+from bcid.studies.hidden.wilson import wilson
 from benchmarks.reliability.kills import alive
 
 HERE = Path(__file__).resolve().parent
@@ -29,40 +42,81 @@ HERE = Path(__file__).resolve().parent
 # ------------------------------------------------------------------------------------------------------------------
 
 
-def test_a_case_depends_on_seed_and_index_alone() -> None:
-    assert cases.draw(3, 17) == cases.draw(3, 17)
-    assert cases.draw(3, 17) != cases.draw(4, 17)
-    assert cases.draw(3, 17).noise != cases.draw(3, 17, attempt=1).noise
-    assert cases.plan(3, 17) == (cases.draw(3, 17, 1).kind, tuple(h.effect for h in cases.draw(3, 17, 1).hidden))
+def of(body: str, conditions: str = "all", seed: int = 0) -> Choice:
+    return Choice(seed=seed, bodies=(body,), conditions=conditions)
 
 
-def test_kinds_and_effects_are_balanced() -> None:
-    plans = [cases.plan(0, i) for i in range(360)]
-    assert Counter(kind for kind, _ in plans) == {"none": 72, "one": 180, "two": 36, "outside": 72}
-    ones = Counter(names[0] for kind, names in plans if kind == "one")
-    assert ones == dict.fromkeys(cases.CATALOGUE, 10)
-    assert Counter(names[0] for kind, names in plans if kind == "outside") == dict.fromkeys(cases.OUTSIDE, 24)
-    twos = Counter(name for kind, names in plans if kind == "two" for name in names)
-    assert twos == dict.fromkeys(cases.CATALOGUE, 4)
-    assert all(len(set(names)) == 2 for kind, names in plans if kind == "two")
+def test_a_case_depends_on_the_choice_and_its_index_alone() -> None:
+    first, again = draw(Choice(3), 17), draw(Choice(3), 17, attempt=1)
+    assert first == draw(Choice(3), 17)
+    assert first != draw(Choice(4), 17)
+    assert first.noise != again.noise
+    for case in (first, again):
+        about = Plan(case.body, case.conditions, case.kind, tuple(h.effect for h in case.hidden))
+        assert plan(Choice(3), 17) == about
+
+
+def test_bodies_take_turns() -> None:
+    assert [plan(Choice(), i).body.name for i in range(4)] == ["slab", "gallbladder", "finger", "slab"]
+    assert [plan(Choice(bodies=("finger", "slab")), i).body.name for i in range(3)] == ["finger", "slab", "finger"]
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=list(BODIES))
+def test_kinds_and_effects_of_a_body_are_balanced(body: StudyBody) -> None:
+    count = 20 * len(body.catalogue)
+    plans = [plan(of(body.name), i) for i in range(count)]
+    kinds = Counter(p.kind for p in plans)
+    assert kinds == {"none": count / 5, "one": count / 2, "two": count / 10, "outside": count / 5}
+    ones = Counter(p.effects[0] for p in plans if p.kind == "one")
+    assert ones == dict.fromkeys(body.catalogue, 10)
+    strange = Counter(p.effects[0] for p in plans if p.kind == "outside")
+    assert set(strange) == set(cases.OUTSIDE)
+    assert max(strange.values()) - min(strange.values()) <= 1
+    twos = [p.effects for p in plans if p.kind == "two"]
+    assert all(len(set(names)) == 2 for names in twos)
+    assert set(chain.from_iterable(twos)) == set(body.catalogue)
+
+
+def test_a_body_that_lies_on_nothing_has_no_effects_of_a_support() -> None:
+    missing = {"foundation", "support_contact", "support_friction"}
+    assert set(SLAB.catalogue) - set(GALLBLADDER.catalogue) == missing
+    for body in BODIES.values():
+        assert body.supported == bool(Scene.read(shipped(body.scene)).support)
+
+
+def test_conditions_take_turns() -> None:
+    under = Counter(plan(of("finger"), i).conditions for i in range(48))
+    ways = [(noise, on, mesh) for noise in ("right", "unstated") for on in (False, True) for mesh in ("fine", "coarse")]
+    assert all(under[Conditions(*way)] == 4 for way in ways)
+    wrong = [c for c in under if c.noise in ("half", "double")]
+    assert len(wrong) == 8
+    assert all(under[c] == 2 for c in wrong)
+    assert {plan(of("slab", "exact"), i).conditions for i in range(9)} == {Conditions("right", False, "fine")}
+    assert {plan(of("slab", "inexact"), i).conditions for i in range(9)} == {Conditions("right", True, "fine")}
 
 
 def test_only_the_sizes_change_when_the_small_ones_are_left_out() -> None:
-    every, large = cases.draw(5, 3), cases.draw(5, 3, least=4.0)
+    large_ones = Choice(5, least=4.0)
+    every, large = draw(Choice(5), 3), draw(large_ones, 3)
     assert replace(large, hidden=()) == replace(every, hidden=())
     assert [replace(h, target=0.0) for h in large.hidden] == [replace(h, target=0.0) for h in every.hidden]
-    assert min(h.target for i in range(60) for h in cases.draw(5, i, least=4.0).hidden) >= 4.0
+    assert min(h.target for i in range(60) for h in draw(large_ones, i).hidden) >= 4.0
 
 
-def test_cases_keep_their_ranges() -> None:
-    for index in range(60):
-        case = cases.draw(5, index)
-        assert case.anchors in cases.sound_sets("peeling" in {h.effect for h in case.hidden})
+@pytest.mark.parametrize("body", BODIES.values(), ids=list(BODIES))
+def test_cases_keep_their_ranges(body: StudyBody) -> None:
+    for index in range(40):
+        case = draw(of(body.name, seed=5), index)
+        assert case.body is body
+        assert case.anchors in body.sets("peeling" in {h.effect for h in case.hidden})
         assert cases.NOISE[0] <= case.noise <= cases.NOISE[1]
         assert all(cases.SIZES[0] <= h.target <= cases.SIZES[1] for h in case.hidden)
         assert len(case.motions) in (4, 5)
         assert any(motion.back for motion in case.motions)
-        assert {"x", "up"} <= {motion.direction for motion in case.motions}
+        directions = {motion.direction for motion in case.motions}
+        assert {body.pull, body.lift} <= directions
+        assert directions & set(body.across)
+        assert not {p for m in case.motions for p in body.beside.get(m.grasp, ())} & set(case.anchors)
         clock = np.concatenate([action.clock for action in case.actions])
         assert (np.diff(clock) > 0).all()
         for action, motion in zip(case.actions, case.motions, strict=True):
@@ -72,8 +126,55 @@ def test_cases_keep_their_ranges() -> None:
             assert reach[-1] == pytest.approx(0.0 if motion.back else motion.amplitude)
 
 
+@pytest.mark.parametrize("body", BODIES.values(), ids=list(BODIES))
+def test_a_body_and_its_scene_go_together(body: StudyBody) -> None:
+    scene = Scene.read(shipped(body.scene))
+    assert scene.noise_sigma is None
+    assert scene.uncertainty == Uncertainty()
+    assert set(chain.from_iterable(body.sound)) == set(scene.patches)
+    assert set(scene.grasps) == set(body.grasps)
+    assert all(scene.grasps[name].centre == pytest.approx(middle) for name, middle in body.grasps.items())
+    assert scene.fiducial_names == [str(i + 1) for i in range(body.fiducials)]
+    assert {*body.across, body.pull, body.lift} <= set(body.ways)
+    for way in body.ways.values():
+        assert np.linalg.norm(way.along) == pytest.approx(1.0, abs=1e-3)
+    assert all(set(s) - {p} and tuple(sorted(set(s) - {p})) in body.sound for s in body.sets(True) for p in s)
+    assert all(level.degree == 2 for level in scene.levels)
+    assert body.true.degree == 3
+
+
+# -- what the diagnosis gets
+# ------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("conditions", "stated", "larger"),
+    [
+        (Conditions("right", False, "fine"), 0.2e-3, 1.0),
+        (Conditions("unstated", True, "coarse"), None, 1.4),
+        (Conditions("half", False, "coarse"), 0.1e-3, 1.4),
+        (Conditions("double", True, "fine"), 0.4e-3, 1.0),
+    ],
+)
+def test_a_scene_states_what_its_user_knows(
+    tmp_path: Path, conditions: Conditions, stated: float | None, larger: float
+) -> None:
+    for body in BODIES.values():
+        write_scene(tmp_path / body.name, shipped(body.scene), conditions, 0.2e-3)
+        own, seen = Scene.read(shipped(body.scene)), Scene.read(tmp_path / body.name / "scene.toml")
+        assert seen.noise_sigma == (None if stated is None else pytest.approx(stated))
+        sizes = [level.element_size for level in own.levels]
+        assert [level.element_size for level in seen.levels] == pytest.approx([sizes[0], sizes[1] * larger])
+        assert seen.geometry.read_bytes() == own.geometry.read_bytes()
+        assert seen.geometry.parent == tmp_path / body.name
+        assert seen.fiducials == own.fiducials
+
+
 # -- scores
 # ------------------------------------------------------------------------------------------------------------------
+
+
+EXACT, WRONG, ON = Conditions(), Conditions("half"), Conditions(nuisances=True)
 
 
 def parameter(value: float, role: str = "amount", **more: Any) -> dict[str, Any]:
@@ -81,16 +182,20 @@ def parameter(value: float, role: str = "amount", **more: Any) -> dict[str, Any]
     return plain | {"value": value, "role": role} | more
 
 
-def result(kind: str, effects: list[dict[str, Any]], size: float = 5.0, **diagnosis: Any) -> dict[str, Any]:
+def result(
+    kind: str, effects: list[dict[str, Any]], size: float = 5.0, under: Conditions = EXACT, **diagnosis: Any
+) -> dict[str, Any]:
+    effects = [one | {"size": size} for one in effects]
     truth = {"kind": kind, "anchored": ["3", "4"], "noise": 2e-4, "size": size, "effects": effects}
+    truth |= {"body": "slab", "not_asked": ["2"], "conditions": asdict(under)}
     answer = {
         "adequate": False,
         "verdict": "gravity",
         "anchored": ["4", "3"],
         "first_ranked": ["gravity", "fibres", "viscosity"],
-        "adopted": [{"effect": "gravity", "place": "", "parameters": {"weight": {"value": 11.0}}}],
+        "adopted": adopted("gravity", weight=11.0),
         "held_out_rms": 0.21,
-        "noise_rms": 0.2,
+        "noise_rms": 0.1,
     }
     state = {"index": 0, "state": "done", "reason": "", "seconds": 2.0, "cpu_seconds": 1.5}
     return state | {"truth": truth, "diagnosis": answer | diagnosis}
@@ -101,7 +206,9 @@ def effect(name: str = "gravity", place: str = "", **parameters: dict[str, Any])
 
 
 def adopted(name: str, place: str = "", **values: float) -> list[dict[str, Any]]:
-    return [{"effect": name, "place": place, "parameters": {n: {"value": v} for n, v in values.items()}}]
+    """With standard errors of a tenth."""
+    parameters = {n: {"value": v, "stderr": abs(v) / 10} for n, v in values.items()}
+    return [{"effect": name, "place": place, "parameters": parameters}]
 
 
 GRAVITY = [effect()]
@@ -153,27 +260,123 @@ SPRING = [effect("soft_anchor", "3", stiffness=parameter(1e5, neutral=None, reci
             {"adopted": adopted("soft_anchor", "4", stiffness=1e5)},
         ),
         ("held out", "one", GRAVITY, {}, {"held_out_rms": 0.25}),
+        ("intervals", "one", GRAVITY, {}, {"adopted": adopted("gravity", weight=12.6)}),
+        (
+            "intervals",
+            "one",
+            SPRING,
+            {"verdict": "soft_anchor(3)", "adopted": adopted("soft_anchor", "3", stiffness=1.19e5)},
+            # On the scale of the stiffness itself this one would hold.
+            {"verdict": "soft_anchor(3)", "adopted": adopted("soft_anchor", "3", stiffness=1.243e5)},
+        ),
         ("adequate", "none", [], {"adequate": True, "verdict": "none"}, {}),
         ("not misnamed", "outside", [effect("peeling")], {"verdict": "unknown"}, {}),
         ("both", "two", [effect(), effect("fibres")], {"verdict": "gravity+fibres"}, {}),
         ("anchors", "outside", [effect("peeling")], {}, {"anchored": ["3"]}),
+        ("anchors", "none", [], {"anchored": ["2", "3", "4"]}, {"anchored": ["1", "3", "4"]}),
     ],
 )
 def test_each_goal_is_met_and_missed(
     goal: str, kind: str, effects: list[dict[str, Any]], right: dict[str, Any], wrong: dict[str, Any]
 ) -> None:
     good, bad = result(kind, effects, **right), result(kind, effects, **wrong)
-    assert judge(good)[goal] is True
-    assert judge(bad)[goal] is False
-    assert judge(result(kind, effects) | {"diagnosis": None, "state": "timeout"})[goal] is False
+    assert judge(good)[goal] == (True,)
+    assert judge(bad)[goal] == (False,)
+    assert judge(result(kind, effects) | {"diagnosis": None, "state": "timeout"})[goal] == (False,)
     found = scores([good, good, bad])["rates"][goal]
     assert (found["met"], found["count"]) == (2, 3)
+
+
+@pytest.mark.parametrize(
+    ("goal", "under", "right", "wrong"),
+    [
+        ("named, inexact", ON, {}, {"verdict": "fibres"}),
+        ("no false name, inexact", ON, {"verdict": "unknown"}, {"verdict": "gravity+fibres"}),
+        ("settled, inexact", ON, {"anchored": ["3"], "anchors_probability": 0.94}, {"anchored": ["3"]}),
+        ("held out, inexact", ON, {}, {"held_out_rms": 0.25}),
+        ("noise told", WRONG, {"noise_doubt": "half the residual"}, {"noise_doubt": ""}),
+        ("noise trusted", Conditions(), {"noise_doubt": ""}, {"noise_doubt": "half the residual"}),
+    ],
+)
+def test_goals_of_some_conditions(goal: str, under: Conditions, right: dict[str, Any], wrong: dict[str, Any]) -> None:
+    good, bad = (result("one", GRAVITY, under=under, **diagnosis) for diagnosis in (right, wrong))
+    other = result("one", GRAVITY, under=Conditions("unstated"), **right)
+    found = scores([good, good, bad, other])
+    assert (found["rates"][goal]["met"], found["rates"][goal]["count"]) == (2, 3)
+    assert found["rates"]["named"]["count"] == (1 if under.nuisances else 4)
+
+
+def test_what_a_diagnosis_does_not_say_is_not_asked() -> None:
+    assert judge(result("one", GRAVITY, under=WRONG))["noise told"] == ()
+    assert judge(result("one", GRAVITY, verdict="unknown"))["intervals"] == ()
+    assert judge(result("one", GRAVITY, adopted=[]))["intervals"] == ()
+    assert scores([result("one", GRAVITY)])["calibration"]["count"] == 0
+    assert "No diagnosis told how probable" in table(scores([result("one", GRAVITY)]))
+
+
+def test_rates_that_shall_lie_in_a_range() -> None:
+    good, bad = result("none", [], adequate=True, verdict="none"), result("none", [], verdict="none")
+    reached = [scores([good] * (100 - n) + [bad] * n)["rates"]["adequate"]["reached"] for n in (0, 5, 8)]
+    assert reached == [False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("kind", "effects", "size", "verdict", "right"),
+    [
+        ("one", GRAVITY, 5.0, "gravity", True),
+        ("one", GRAVITY, 5.0, "gravity+fibres", False),
+        ("one", GRAVITY, 5.0, "none", False),
+        ("one", GRAVITY, 5.0, "unknown", False),
+        ("one", GRAVITY, 2.0, "none", True),
+        ("one", GRAVITY, 2.0, "gravity", True),
+        ("one", GRAVITY, 2.0, "fibres", False),
+        ("none", [], 0.0, "none", True),
+        ("none", [], 0.0, "unknown", False),
+        ("outside", [effect("peeling")], 5.0, "unknown", True),
+        ("outside", [effect("peeling")], 5.0, "none", False),
+        ("outside", [effect("peeling")], 2.0, "none", True),
+        ("outside", [effect("peeling")], 2.0, "gravity", False),
+    ],
+)
+def test_whether_a_verdict_is_right(
+    kind: str, effects: list[dict[str, Any]], size: float, verdict: str, right: bool
+) -> None:
+    case = result(kind, effects, size, verdict=verdict)
+    assert verdict_right(case["truth"], case["diagnosis"]) is right
+
+
+def test_the_smaller_of_two_effects_may_be_missed() -> None:
+    case = result("two", [effect(), effect("fibres")])
+    case["truth"]["effects"][1]["size"] = 2.0
+    for verdict, right in (("gravity", True), ("gravity+fibres", True), ("fibres", False)):
+        assert verdict_right(case["truth"], {"verdict": verdict}) is right
+
+
+def test_calibration_compares_what_is_told_with_what_is_right() -> None:
+    right = result("one", GRAVITY, verdict_probability=0.92, anchors_probability=1.0)
+    wrong = result("one", GRAVITY, verdict="fibres", verdict_probability=0.92, anchored=["1"], anchors_probability=0.97)
+    found = calibration([right, wrong])
+    assert [b["count"] for b in found["bins"]] == [0, 0, 0, 2, 1, 1]
+    assert [b["rate"] for b in found["bins"][3:]] == [0.5, 0.0, 1.0]
+    assert found["expected_error"] == pytest.approx((2 * 0.42 + 0.97) / 4)
+    assert (found["sure_and_wrong"]["met"], found["sure_and_wrong"]["count"]) == (1, 2)
+    text = table(scores([right, wrong]))
+    assert "expected calibration error 0.453 (goal 0.05: NO)" in text
+    assert "told with 95 % or more and wrong: 1 of 2" in text
+
+
+def test_sets_that_differ_in_what_is_not_asked_are_told_together() -> None:
+    sets = [(["3", "4"], 0.5), (["2", "3", "4"], 0.46), (["3"], 0.04)]
+    hypotheses = [{"anchored": s, "effects": [], "unknown": False, "probability": p} for s, p in sets]
+    case = result("none", [], anchors_probability=0.5, probabilities={"hypotheses": hypotheses})
+    assert calibration([case])["bins"][4]["told"] == pytest.approx(0.96)
 
 
 def test_goals_ask_only_for_effects_that_can_be_seen() -> None:
     found = scores([result("one", GRAVITY), result("one", GRAVITY, size=1.5, verdict="none")])
     assert (found["rates"]["named"]["met"], found["rates"]["named"]["count"]) == (1, 1)
     assert found["by_size"][1]["rates"]["named"]["rate"] == 0.0
+    assert found["by_body"]["slab"]["named"]["count"] == 1
     assert found["confusion"] == {"gravity": {"gravity": 1}, "gravity, small": {"none": 1}}
 
 
@@ -188,6 +391,13 @@ def test_the_table_names_what_is_missed_and_what_failed() -> None:
     assert "50%" in text
     assert "NO" in text
     assert "no such thing" in text
+    assert "median 2 (goal 20: yes)" in text
+
+
+def test_a_case_that_ran_out_of_time_took_longest() -> None:
+    late = result("one", GRAVITY) | {"state": "timeout", "diagnosis": None, "cpu_seconds": 0.0}
+    assert scores([result("one", GRAVITY)] * 3 + [late])["cpu_seconds"] == {"median": 1.5, "largest": None}
+    assert "largest out of time (goal 120: NO)" in table(scores([result("one", GRAVITY), late]))
 
 
 # -- processes
@@ -272,8 +482,14 @@ def test_a_study_that_was_killed_goes_on(
 
 
 def test_options_are_checked(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--cases 0: must be at least 1"):
-        run_hidden(tmp_path / "run", HiddenOptions(0))
+    for wrong, said in (
+        (HiddenOptions(0), "--cases 0: must be at least 1"),
+        (HiddenOptions(bodies=("slap",)), "no body 'slap'; did you mean 'slab'"),
+        (HiddenOptions(bodies=("slab", "slab")), "--bodies slab,slab: one is named twice"),
+        (HiddenOptions(conditions="exactly"), "--conditions exactly: did you mean 'exact'"),
+    ):
+        with pytest.raises(InputError, match=said):
+            run_hidden(tmp_path / "run", wrong)
     assert not (tmp_path / "run").exists()
 
 
@@ -295,11 +511,9 @@ def test_the_dose_is_found_that_has_the_wanted_size() -> None:
 
 
 def test_an_effect_at_its_bounds_gets_less_noise() -> None:
-    from dataclasses import replace
-
     from bcid.studies.hidden.truth import quieter
 
-    case = replace(cases.draw(0, 0), noise=4e-4, hidden=(cases.Hidden("gravity", 5.0),))
+    case = replace(draw(Choice(), 0), noise=4e-4, hidden=(cases.Hidden("gravity", 5.0),))
     assert quieter(case, [4.8]) == 4e-4
     assert quieter(case, [2.5]) == pytest.approx(2e-4)
     assert quieter(case, [0.1]) == cases.NOISE[0]
@@ -309,7 +523,7 @@ def test_an_effect_at_its_bounds_gets_less_noise() -> None:
 def test_half_steps_keep_the_commanded_frames() -> None:
     from bcid.studies.hidden.truth import halved
 
-    action = cases.draw(0, 1).actions[1]
+    action = draw(Choice(), 1).actions[1]
     fine = halved(action, 100)
     assert len(fine) == 2 * len(action) - 1
     assert list(fine.frames[::2]) == list(action.frames)
@@ -318,21 +532,107 @@ def test_half_steps_keep_the_commanded_frames() -> None:
     assert fine.translation[1] == pytest.approx(action.translation[:2].mean(axis=0))
 
 
+def test_an_anchor_that_cannot_be_seen_is_not_asked_for() -> None:
+    from bcid.base.errors import SolveError
+    from bcid.studies.hidden.truth import visible
+
+    case = replace(draw(Choice(), 0), anchors=("1", "2"), noise=4e-4)
+    assert visible(case, {"1": 5e-4, "2": 6e-4, "3": 0.0}) == 4e-4
+    assert visible(case, {"1": 5e-4, "2": 2e-4, "3": 0.0}) == 2e-4
+    assert visible(case, {"1": float("nan"), "2": 9e-4}) == 4e-4
+    with pytest.raises(SolveError):
+        visible(case, {"1": 5e-4, "2": 0.5e-4})
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=list(BODIES))
+def test_a_laboratory_has_everything_slightly_wrong(body: StudyBody) -> None:
+    from bcid.forms.mesh import level_mesh
+    from bcid.forms.mesh.body_mesh import volumes
+    from bcid.forms.model import Model
+    from bcid.studies.hidden.inexact import Inexact
+
+    scene = Scene.read(shipped(body.scene))
+    scene = replace(scene, levels=(body.coarse,))
+    mesh = level_mesh(scene, body.coarse)
+    for seed in range(3):
+        wrong = Inexact.draw(np.random.default_rng(seed), scene, mesh, 2)
+        moved = wrong.mesh(scene, mesh)
+        assert volumes(moved.points, moved.cells).min() > 0.2 * volumes(mesh.points, mesh.cells).min()
+        assert moved.volume == pytest.approx(mesh.volume * wrong.thickness, rel=0.01)
+        shifts = np.array(wrong.markers)
+        assert 0.2e-3 < np.sqrt(np.mean(shifts**2)) < 0.6e-3
+        true = wrong.scene(scene)
+        model, stated = Model.of(true), Model.of(scene)
+        constants, own = model.law.complete(model.values), stated.law.complete(stated.values)
+        assert model.law.name != stated.law.name
+        ratio = own["poisson"] + wrong.poisson
+        assert model.law.shear(constants) == pytest.approx(own["young"] / (2 + 2 * ratio))
+        assert model.law.bulk(constants) == pytest.approx(own["young"] / (3 - 6 * ratio))
+
+
+def test_markers_stay_on_the_surface_and_borders_move() -> None:
+    from bcid.forms.mesh import level_mesh
+    from bcid.studies.hidden.inexact import Inexact
+
+    scene = replace(Scene.read(shipped(FINGER.scene)), levels=(FINGER.coarse,))
+    mesh = level_mesh(scene, FINGER.coarse)
+    wrong = replace(Inexact.draw(np.random.default_rng(0), scene, mesh, 1), borders=(1e-3, -1e-3), thickness=1.0)
+    # The top is flat, and y points up.
+    assert np.abs(np.array(wrong.markers)[:, 1]).max() < 1e-12
+    shift = wrong.mesh(scene, mesh).points - mesh.points
+    patch = np.unique(mesh.groups["patch_5"])
+    assert 0.5e-3 < np.abs(shift[patch, 0]).max() <= 1e-3
+    assert np.abs(shift[:, 1]).max() < 1e-12
+    assert np.allclose(mesh.points.min(axis=0), (mesh.points + shift).min(axis=0))
+
+
+def reduced(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """Coarse elements and short motions, so that a case is made in seconds."""
+    import bcid.studies.hidden.drawing as drawing
+
+    body = BODIES[name]
+    quick = replace(
+        body,
+        true=Level(3, body.coarse.element_size * 1.25),
+        coarse=Level(2, body.coarse.element_size * 1.25),
+        sound=(body.sound[0],),
+    )
+    monkeypatch.setitem(drawing.BODIES, name, quick)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("body", list(BODIES))
+def test_a_case_of_each_body_can_be_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str) -> None:
+    from bcid.studies.hidden import truth
+
+    choice = of(body, "inexact")
+    index = next(i for i in range(400) if plan(choice, i).effects == ("camera_offset",))
+    reduced(monkeypatch, body)
+    truth.make(tmp_path, index, choice)
+    told = json.loads((tmp_path / "truth.json").read_text())
+    assert told["body"] == body
+    assert told["conditions"] == {"noise": "right", "nuisances": True, "mesh": "fine"}
+    assert told["effects"][0]["size"] == pytest.approx(told["effects"][0]["target"], rel=0.4)
+    assert not set(told["not_asked"]) & set(told["anchored"])
+    scene, seen = Scene.read(tmp_path / "scene.toml"), Measurement.read(tmp_path / "measurement")
+    assert seen.noise_sigma is None
+    assert scene.noise_sigma == pytest.approx(told["noise"], rel=1e-3)
+    assert [str(name) for name in seen.data["fiducial"].values] == scene.fiducial_names
+
+
 @pytest.mark.slow
 def test_the_same_case_is_the_same_measurement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from bcid.scene import Level
     from bcid.studies.hidden import truth
-    from bcid.studies.hidden.hidden_study import SCENE
 
-    index = next(i for i in range(40) if cases.plan(0, i) == ("one", ("time_lag",)))
-    monkeypatch.setattr(truth.compute, "__defaults__", (Level(3, 0.025), Level(2, 0.025)))
+    choice = of("finger", "exact")
+    index = next(i for i in range(400) if plan(choice, i).effects == ("time_lag",))
+    reduced(monkeypatch, "finger")
     for name in ("a", "b"):
-        truth.make(tmp_path / name, 0, index, SCENE, cases.SIZES[0])
-    for file in ("measurement/fiducials.csv", "measurement/grasps.csv", "measurement/measurement.toml", "truth.json"):
+        truth.make(tmp_path / name, index, choice)
+    files = sorted(file.relative_to(tmp_path / "a") for file in (tmp_path / "a").rglob("*") if file.is_file())
+    assert len(files) == 6
+    for file in files:
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
-    told = json.loads((tmp_path / "a/truth.json").read_text())
-    assert told["effects"][0]["size"] == pytest.approx(told["effects"][0]["target"], rel=0.3)
-    seen = Measurement.read(tmp_path / "a/measurement")
-    assert seen.noise_sigma == pytest.approx(told["noise"])
-    everything = "".join(file.read_text() for file in (tmp_path / "a/measurement").iterdir())
-    assert not [name for name in (*cases.CATALOGUE, *cases.OUTSIDE) if name in everything]
+    shown = "".join(file.read_text() for file in (tmp_path / "a/measurement").iterdir())
+    shown += (tmp_path / "a/scene.toml").read_text()
+    assert not [name for name in (*SLAB.catalogue, *cases.OUTSIDE) if name in shown]

@@ -59,9 +59,7 @@ SLAB = StudyBody(
 GALLBLADDER = StudyBody(
     name="gallbladder",
     scene="examples/scenes/gallbladder_hidden.toml",
-    sound=_sets(
-        "1 2 3 4 5 6 12 13 14 15 16 23 24 25 26 34 35 36 45 46 56 125 135 136 236 245 246 346"
-    ),
+    sound=_sets("1 2 3 4 5 6 12 13 14 15 16 23 24 25 26 34 35 36 45 46 56 125 135 136 236 245 246 346"),
     grasps={"neck": (0.0732, 0.0113, 0.0083)},
     ways={
         # The neck points up and to the side.
