@@ -109,7 +109,7 @@ def test_cases_keep_their_ranges(body: StudyBody) -> None:
         case = draw(of(body.name, seed=5), index)
         assert case.body is body
         assert case.anchors in body.sets("peeling" in {h.effect for h in case.hidden})
-        assert cases.NOISE[0] <= case.noise <= cases.NOISE[1]
+        assert body.noise[0] <= case.noise <= body.noise[1]
         assert all(cases.SIZES[0] <= h.target <= cases.SIZES[1] for h in case.hidden)
         assert len(case.motions) in (4, 5)
         assert any(motion.back for motion in case.motions)
@@ -516,7 +516,7 @@ def test_an_effect_at_its_bounds_gets_less_noise() -> None:
     case = replace(draw(Choice(), 0), noise=4e-4, hidden=(cases.Hidden("gravity", 5.0),))
     assert quieter(case, [4.8]) == 4e-4
     assert quieter(case, [2.5]) == pytest.approx(2e-4)
-    assert quieter(case, [0.1]) == cases.NOISE[0]
+    assert quieter(case, [0.1]) == SLAB.noise[0]
     assert quieter(replace(case, hidden=()), []) == 4e-4
 
 

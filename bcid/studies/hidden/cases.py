@@ -23,9 +23,8 @@ Array = NDArray[np.float64]
 KINDS = ("none", "one", "two", "outside")
 OUTSIDE = ("permanent_set", "obstacle", "peeling")
 
-# Size of a hidden effect in units of noise, and noise in m.
+# Size of a hidden effect in units of noise.
 SIZES = (0.5, 10.0)
-NOISE = (1e-4, 5e-4)
 # Between two actions the body rests so long, s: the clock runs on.
 PAUSE = 5.0
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bcid.studies.hidden.bodies import BODIES
-from bcid.studies.hidden.cases import NOISE, OUTSIDE, SIZES, Case, Hidden, Motion
+from bcid.studies.hidden.cases import OUTSIDE, SIZES, Case, Hidden, Motion
 from bcid.studies.hidden.chance import Rng, generator, in_turn, log_uniform
 from bcid.studies.hidden.conditions import CONDITIONS, Conditions
 from bcid.studies.hidden.recipes import recipe
@@ -64,7 +64,7 @@ def draw(choice: Choice, index: int, attempt: int = 0) -> Case:
     rng = generator(choice.seed, 1, index, attempt)
     anchors = _anchors(rng, made.body, peeled="peeling" in made.effects)
     motions = _motions(rng, made.body, anchors)
-    noise = log_uniform(rng, *NOISE)
+    noise = log_uniform(rng, *made.body.noise)
     case = Case(choice.seed, index, attempt, made.body, made.conditions, made.kind, anchors, motions, noise, ())
     return replace(case, hidden=tuple(_hidden(rng, name, case, choice.least) for name in made.effects))
 

@@ -20,7 +20,7 @@ Judged = Sequence[tuple[Json, Verdicts]]
 
 SIZE_BINS = (0.5, 1.0, 2.0, 3.0, 5.0, 20.0)
 # Noise, mm.
-NOISE_BINS = (0.1, 0.2, 0.3, 0.4, 0.5)
+NOISE_BINS = (0.02, 0.05, 0.1, 0.2, 0.3, 0.5)
 
 
 @dataclass(frozen=True)

@@ -75,6 +75,7 @@ class StudyBody:
         ways: directions by name.
         pull, lift: names of the ways that every case has.
         across: names of ways of which every case has one.
+        noise: range of standard deviations of the coordinates, m.
         axis: unit vector of the axis of twists.
         twist: range of their angles, degrees.
         fiducials: how many the scene has; they are numbered from 1.
@@ -100,6 +101,7 @@ class StudyBody:
     obstacle: Obstacle
     true: Level
     coarse: Level
+    noise: Range = (1e-4, 5e-4)
     twist: Range = (10.0, 30.0)
     plane: tuple[str, ...] = ("x", "z")
     supported: bool = True
