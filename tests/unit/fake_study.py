@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bcid.base.run_folder import RunFolder, write_whole
-from bcid.studies.hidden.drawing import Choice
+from bcid.studies.hidden.drawing import CaseChoice
 
 # What the stand-ins have done, one line each.
 CALLS = "FAKE_STUDY_CALLS"
@@ -15,7 +15,7 @@ CALLS = "FAKE_STUDY_CALLS"
 SLEEP = "FAKE_STUDY_SLEEP"
 
 
-def make(folder: Path, index: int, choice: Choice) -> None:
+def make(folder: Path, index: int, choice: CaseChoice) -> None:
     truth = {"index": index, "kind": "none", "anchored": ["1"], "noise": 2e-4, "size": 0.0, "effects": []}
     about = {
         "body": choice.bodies[0],

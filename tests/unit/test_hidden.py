@@ -23,15 +23,15 @@ from bcid.scene import Level, Scene
 from bcid.scene.uncertainty import Uncertainty
 from bcid.studies.hidden import cases
 from bcid.studies.hidden.bodies import BODIES, FINGER, GALLBLADDER, SLAB
-from bcid.studies.hidden.calibration import calibration
 from bcid.studies.hidden.case_scene import write_scene
 from bcid.studies.hidden.conditions import Conditions
-from bcid.studies.hidden.drawing import Choice, Plan, draw, plan
+from bcid.studies.hidden.drawing import CaseChoice, Plan, draw, plan
 from bcid.studies.hidden.hidden_study import HiddenOptions, _read, run_hidden
 from bcid.studies.hidden.judge import judge, verdict_right
 from bcid.studies.hidden.score import scores
 from bcid.studies.hidden.score_table import table
 from bcid.studies.hidden.study_body import StudyBody
+from bcid.studies.hidden.told import calibration
 from bcid.studies.hidden.wilson import wilson
 from benchmarks.reliability.kills import alive
 
@@ -42,23 +42,23 @@ HERE = Path(__file__).resolve().parent
 # ------------------------------------------------------------------------------------------------------------------
 
 
-def of(body: str, conditions: str = "all", seed: int = 0) -> Choice:
-    return Choice(seed=seed, bodies=(body,), conditions=conditions)
+def of(body: str, conditions: str = "all", seed: int = 0) -> CaseChoice:
+    return CaseChoice(seed=seed, bodies=(body,), conditions=conditions)
 
 
 def test_a_case_depends_on_the_choice_and_its_index_alone() -> None:
-    first, again = draw(Choice(3), 17), draw(Choice(3), 17, attempt=1)
-    assert first == draw(Choice(3), 17)
-    assert first != draw(Choice(4), 17)
+    first, again = draw(CaseChoice(3), 17), draw(CaseChoice(3), 17, attempt=1)
+    assert first == draw(CaseChoice(3), 17)
+    assert first != draw(CaseChoice(4), 17)
     assert first.noise != again.noise
     for case in (first, again):
         about = Plan(case.body, case.conditions, case.kind, tuple(h.effect for h in case.hidden))
-        assert plan(Choice(3), 17) == about
+        assert plan(CaseChoice(3), 17) == about
 
 
 def test_bodies_take_turns() -> None:
-    assert [plan(Choice(), i).body.name for i in range(4)] == ["slab", "gallbladder", "finger", "slab"]
-    assert [plan(Choice(bodies=("finger", "slab")), i).body.name for i in range(3)] == ["finger", "slab", "finger"]
+    assert [plan(CaseChoice(), i).body.name for i in range(4)] == ["slab", "gallbladder", "finger", "slab"]
+    assert [plan(CaseChoice(bodies=("finger", "slab")), i).body.name for i in range(3)] == ["finger", "slab", "finger"]
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=list(BODIES))
@@ -96,8 +96,8 @@ def test_conditions_take_turns() -> None:
 
 
 def test_only_the_sizes_change_when_the_small_ones_are_left_out() -> None:
-    large_ones = Choice(5, least=4.0)
-    every, large = draw(Choice(5), 3), draw(large_ones, 3)
+    large_ones = CaseChoice(5, least=4.0)
+    every, large = draw(CaseChoice(5), 3), draw(large_ones, 3)
     assert replace(large, hidden=()) == replace(every, hidden=())
     assert [replace(h, target=0.0) for h in large.hidden] == [replace(h, target=0.0) for h in every.hidden]
     assert min(h.target for i in range(60) for h in draw(large_ones, i).hidden) >= 4.0
@@ -513,7 +513,7 @@ def test_the_dose_is_found_that_has_the_wanted_size() -> None:
 def test_an_effect_at_its_bounds_gets_less_noise() -> None:
     from bcid.studies.hidden.truth import quieter
 
-    case = replace(draw(Choice(), 0), noise=4e-4, hidden=(cases.Hidden("gravity", 5.0),))
+    case = replace(draw(CaseChoice(), 0), noise=4e-4, hidden=(cases.Hidden("gravity", 5.0),))
     assert quieter(case, [4.8]) == 4e-4
     assert quieter(case, [2.5]) == pytest.approx(2e-4)
     assert quieter(case, [0.1]) == SLAB.noise[0]
@@ -523,7 +523,7 @@ def test_an_effect_at_its_bounds_gets_less_noise() -> None:
 def test_half_steps_keep_the_commanded_frames() -> None:
     from bcid.studies.hidden.truth import halved
 
-    action = draw(Choice(), 1).actions[1]
+    action = draw(CaseChoice(), 1).actions[1]
     fine = halved(action, 100)
     assert len(fine) == 2 * len(action) - 1
     assert list(fine.frames[::2]) == list(action.frames)
@@ -536,7 +536,7 @@ def test_an_anchor_that_cannot_be_seen_is_not_asked_for() -> None:
     from bcid.base.errors import SolveError
     from bcid.studies.hidden.truth import visible
 
-    case = replace(draw(Choice(), 0), anchors=("1", "2"), noise=4e-4)
+    case = replace(draw(CaseChoice(), 0), anchors=("1", "2"), noise=4e-4)
     assert visible(case, {"1": 5e-4, "2": 6e-4, "3": 0.0}) == 4e-4
     assert visible(case, {"1": 5e-4, "2": 2e-4, "3": 0.0}) == 2e-4
     assert visible(case, {"1": float("nan"), "2": 9e-4}) == 4e-4

@@ -13,7 +13,7 @@ from bcid.base.errors import BcidError, MachineError
 from bcid.base.progress import Silent
 from bcid.base.run_folder import RunFolder
 from bcid.studies.hidden.case_scene import FILE as SCENE
-from bcid.studies.hidden.drawing import Choice
+from bcid.studies.hidden.drawing import CaseChoice
 
 
 class CaseError(BcidError):
@@ -23,11 +23,11 @@ class CaseError(BcidError):
 def maker(job: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
     """The function that makes a case, for `bcid.studies.engine.dispatch`.
 
-    `job` holds the folder `cases`, what they are drawn from (the fields of `Choice`), and the functions `make` and `diagnose`
+    `job` holds the folder `cases`, what they are drawn from (the fields of `CaseChoice`), and the functions `make` and `diagnose`
     as "module:name"; a task holds the `index`.
     """
     make, diagnose = function(job["make"]), function(job["diagnose"])
-    choice = Choice(job["seed"], job["least"], tuple(job["bodies"]), job["conditions"])
+    choice = CaseChoice(job["seed"], job["least"], tuple(job["bodies"]), job["conditions"])
 
     def case(task: Mapping[str, Any]) -> dict[str, Any]:
         folder = Path(job["cases"]) / f"{task['index']:04d}"

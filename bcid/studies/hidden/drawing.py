@@ -25,7 +25,7 @@ _COUNTS = {1: 0.15, 2: 0.4, 3: 0.3, 4: 0.15}
 
 
 @dataclass(frozen=True)
-class Choice:
+class CaseChoice:
     """What cases are drawn from.
 
     Attributes:
@@ -58,7 +58,7 @@ class Plan:
     effects: tuple[str, ...]
 
 
-def draw(choice: Choice, index: int, attempt: int = 0) -> Case:
+def draw(choice: CaseChoice, index: int, attempt: int = 0) -> Case:
     """Case `index` of a study."""
     made = plan(choice, index)
     rng = generator(choice.seed, 1, index, attempt)
@@ -69,7 +69,7 @@ def draw(choice: Choice, index: int, attempt: int = 0) -> Case:
     return replace(case, hidden=tuple(_hidden(rng, name, case, choice.least) for name in made.effects))
 
 
-def plan(choice: Choice, index: int) -> Plan:
+def plan(choice: CaseChoice, index: int) -> Plan:
     """Bodies take turns; every twenty cases of a body hold the same kinds, and its effects and conditions take turns."""
     turn, place = divmod(index, len(choice.bodies))
     body = BODIES[choice.bodies[place]]

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from bcid.studies.hidden.calibration import calibration
 from bcid.studies.hidden.judge import QUESTIONS, VISIBLE, Verdicts, hidden, judge, named
+from bcid.studies.hidden.told import calibration
 from bcid.studies.hidden.wilson import rate
 
 Json = Mapping[str, Any]
@@ -24,7 +24,7 @@ NOISE_BINS = (0.02, 0.05, 0.1, 0.2, 0.3, 0.5)
 
 
 @dataclass(frozen=True)
-class Goal:
+class RateGoal:
     """A rate that shall be reached.
 
     Attributes:
@@ -47,22 +47,22 @@ class Goal:
 
 
 GOALS = {
-    "named": Goal("named", 0.95, nuisances=False),
-    "first": Goal("first", 0.90, nuisances=False),
-    "first two": Goal("first two", 0.99, nuisances=False),
-    "parameters": Goal("parameters", 0.90, nuisances=False),
-    "intervals": Goal("intervals", 0.93, 0.97, noise=("right", "unstated")),
-    "held out": Goal("held out", 0.95, nuisances=False),
-    "adequate": Goal("adequate", 0.93, 0.97, noise=("right",)),
-    "not misnamed": Goal("not misnamed", 0.95),
-    "both": Goal("both", 0.70, nuisances=False),
-    "anchors": Goal("anchors", 0.95, nuisances=False),
-    "named, inexact": Goal("named", 0.85, nuisances=True),
-    "settled, inexact": Goal("settled", 0.97, nuisances=True),
-    "no false name, inexact": Goal("no false name", 0.95, nuisances=True),
-    "held out, inexact": Goal("held out", None, nuisances=True),
-    "noise told": Goal("noise told", 0.95),
-    "noise trusted": Goal("noise trusted", 0.95),
+    "named": RateGoal("named", 0.95, nuisances=False),
+    "first": RateGoal("first", 0.90, nuisances=False),
+    "first two": RateGoal("first two", 0.99, nuisances=False),
+    "parameters": RateGoal("parameters", 0.90, nuisances=False),
+    "intervals": RateGoal("intervals", 0.93, 0.97, noise=("right", "unstated")),
+    "held out": RateGoal("held out", 0.95, nuisances=False),
+    "adequate": RateGoal("adequate", 0.93, 0.97, noise=("right",)),
+    "not misnamed": RateGoal("not misnamed", 0.95),
+    "both": RateGoal("both", 0.70, nuisances=False),
+    "anchors": RateGoal("anchors", 0.95, nuisances=False),
+    "named, inexact": RateGoal("named", 0.85, nuisances=True),
+    "settled, inexact": RateGoal("settled", 0.97, nuisances=True),
+    "no false name, inexact": RateGoal("no false name", 0.95, nuisances=True),
+    "held out, inexact": RateGoal("held out", None, nuisances=True),
+    "noise told": RateGoal("noise told", 0.95),
+    "noise trusted": RateGoal("noise trusted", 0.95),
 }
 # Expected calibration error, part of the sure answers that are wrong, and CPU seconds of a diagnosis, at most.
 CALIBRATED, SURE_AND_WRONG, MEDIAN, LARGEST = 0.05, 0.03, 20.0, 120.0
@@ -92,7 +92,7 @@ def scores(results: Sequence[Json]) -> dict[str, Any]:
     }
 
 
-def _reached(goal: Goal, asked: Judged) -> dict[str, Any]:
+def _reached(goal: RateGoal, asked: Judged) -> dict[str, Any]:
     answers = list(chain.from_iterable(v[goal.question] for t, v in asked if goal.asks(t)))
     found = rate(answers)
     met = None

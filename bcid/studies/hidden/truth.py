@@ -35,7 +35,7 @@ from bcid.studies.hidden import outside
 from bcid.studies.hidden.case_scene import write_scene
 from bcid.studies.hidden.cases import Case, Hidden
 from bcid.studies.hidden.chance import generator
-from bcid.studies.hidden.drawing import Choice, draw
+from bcid.studies.hidden.drawing import CaseChoice, draw
 from bcid.studies.hidden.inexact import Inexact
 
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ ASKED = 1.0
 ATTEMPTS = 6
 
 
-def make(folder: Path, index: int, choice: Choice) -> None:
+def make(folder: Path, index: int, choice: CaseChoice) -> None:
     """Write `scene.toml`, `measurement/` and, apart from them, `truth.json` into the folder of a case; what is there stays.
 
     Raises:
