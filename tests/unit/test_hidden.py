@@ -9,7 +9,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict, replace
-from itertools import chain
+from itertools import chain, combinations
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +54,15 @@ def test_a_case_depends_on_the_choice_and_its_index_alone() -> None:
     for case in (first, again):
         about = Plan(case.body, case.conditions, case.kind, tuple(h.effect for h in case.hidden))
         assert plan(CaseChoice(3), 17) == about
+
+
+def test_seeds_and_bodies_differ() -> None:
+    plans = [
+        [plan(of(body, seed=seed), i) for i in range(20)] for body, seed in (("slab", 0), ("finger", 0), ("slab", 1))
+    ]
+    for first, second in combinations(plans, 2):
+        assert [p.kind for p in first] != [p.kind for p in second]
+        assert [p.conditions for p in first] != [p.conditions for p in second]
 
 
 def test_bodies_take_turns() -> None:
@@ -355,13 +364,14 @@ def test_the_smaller_of_two_effects_may_be_missed() -> None:
 def test_calibration_compares_what_is_told_with_what_is_right() -> None:
     right = result("one", GRAVITY, verdict_probability=0.92, anchors_probability=1.0)
     wrong = result("one", GRAVITY, verdict="fibres", verdict_probability=0.92, anchored=["1"], anchors_probability=0.97)
-    found = calibration([right, wrong])
-    assert [b["count"] for b in found["bins"]] == [0, 0, 0, 2, 1, 1]
-    assert [b["rate"] for b in found["bins"][3:]] == [0.5, 0.0, 1.0]
-    assert found["expected_error"] == pytest.approx((2 * 0.42 + 0.97) / 4)
+    modest = result("one", GRAVITY, anchors_probability=0.6)
+    found = calibration([right, wrong, modest])
+    assert [b["count"] for b in found["bins"]] == [0, 1, 0, 2, 1, 1]
+    assert [b["rate"] for b in found["bins"] if b["count"]] == [1.0, 0.5, 0.0, 1.0]
+    assert found["expected_error"] == pytest.approx((0.4 + 2 * 0.42 + 0.97) / 5)
     assert (found["sure_and_wrong"]["met"], found["sure_and_wrong"]["count"]) == (1, 2)
-    text = table(scores([right, wrong]))
-    assert "expected calibration error 0.453 (goal 0.05: NO)" in text
+    text = table(scores([right, wrong, modest]))
+    assert "expected calibration error 0.442 (goal 0.05: NO)" in text
     assert "told with 95 % or more and wrong: 1 of 2" in text
 
 
