@@ -107,6 +107,11 @@ class Case:
     inexact: Inexact | None = None
 
     @property
+    def quietest(self) -> float:
+        """The smallest noise that it may have, m."""
+        return self.body.noises(self.conditions.nuisances)[0]
+
+    @property
     def made(self) -> list[Action]:
         """The motions as the gripper really makes them."""
         return self.inexact.actions(self.actions) if self.inexact else self.actions

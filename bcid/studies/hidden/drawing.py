@@ -64,7 +64,7 @@ def draw(choice: CaseChoice, index: int, attempt: int = 0) -> Case:
     rng = generator(choice.seed, 1, index, attempt)
     anchors = _anchors(rng, made.body, peeled="peeling" in made.effects)
     motions = _motions(rng, made.body, anchors)
-    noise = log_uniform(rng, *made.body.noise)
+    noise = log_uniform(rng, *made.body.noises(made.conditions.nuisances))
     case = Case(choice.seed, index, attempt, made.body, made.conditions, made.kind, anchors, motions, noise, ())
     return replace(case, hidden=tuple(_hidden(rng, name, case, choice.least) for name in made.effects))
 

@@ -16,6 +16,8 @@ CATALOGUE = (
     "active_stress", "viscosity", "soft_anchor", "foundation", "support_contact", "support_friction", "grasp_slip",
     "grasp_offset", "camera_offset", "time_lag", "marker_fault",
 )  # fmt: skip
+# Usual standard deviations of the coordinates, m.
+NOISE = (1e-4, 5e-4)
 # What only a body that lies on something can have.
 _OF_SUPPORT = frozenset({"foundation", "support_contact", "support_friction"})
 
@@ -75,7 +77,7 @@ class StudyBody:
         ways: directions by name.
         pull, lift: names of the ways that every case has.
         across: names of ways of which every case has one.
-        noise: range of standard deviations of the coordinates, m.
+        noise: range of standard deviations of the coordinates, m, where the scene is exact.
         axis: unit vector of the axis of twists.
         twist: range of their angles, degrees.
         fiducials: how many the scene has; they are numbered from 1.
@@ -101,7 +103,7 @@ class StudyBody:
     obstacle: Obstacle
     true: Level
     coarse: Level
-    noise: Range = (1e-4, 5e-4)
+    noise: Range = NOISE
     twist: Range = (10.0, 30.0)
     plane: tuple[str, ...] = ("x", "z")
     supported: bool = True
@@ -111,6 +113,10 @@ class StudyBody:
     def catalogue(self) -> tuple[str, ...]:
         """The effects that it can have."""
         return tuple(name for name in CATALOGUE if self.supported or name not in _OF_SUPPORT)
+
+    def noises(self, nuisances: bool) -> Range:
+        """Range of the noise, m: to look closely does not help where much else is wrong."""
+        return NOISE if nuisances else self.noise
 
     def sets(self, peeled: bool = False) -> Sets:
         """The sound sets; with `peeled` those that hold the body without any one of their patches too."""

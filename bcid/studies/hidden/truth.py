@@ -203,7 +203,7 @@ def visible(case: Case, toggles: Mapping[str, float]) -> float:
         SolveError: an anchor cannot be seen.
     """
     moved = min((toggles[patch] for patch in case.anchors if not math.isnan(toggles[patch])), default=math.inf)
-    if moved < ASKED * case.body.noise[0]:
+    if moved < ASKED * case.quietest:
         raise SolveError(f"one of the anchors moves the fiducials by no more than {moved * 1e3:.2g} mm")
     return min(case.noise, moved / ASKED)
 
@@ -212,7 +212,7 @@ def quieter(case: Case, sizes: Sequence[float]) -> float:
     """The noise, m, lowered where an effect at its bounds falls short of its target, as far as the range of noises allows."""
     reached = [size / hidden.target for size, hidden in zip(sizes, case.hidden, strict=True)]
     short = min([1.0, *reached])
-    return case.noise if short > 1 - 2 * NEAR else max(case.body.noise[0], case.noise * short)
+    return case.noise if short > 1 - 2 * NEAR else max(case.quietest, case.noise * short)
 
 
 def rms(shift: Array) -> float:
