@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from bcid.forms.forward import Forward
 
 Array = NDArray[np.float64]
+# An unknown force is carried by so many bumps.
+BUMPS = 16
 
 
 def bumps(forward: Forward, count: int) -> tuple[Array, Array]:
@@ -33,3 +35,10 @@ def scattered(points: Array, count: int) -> Array:
         chosen.append(int(distance.argmax()))
         distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
     return np.asarray(points[chosen])
+
+
+def force_unit(forward: Forward) -> float:
+    """Shear modulus per size of the body, N/m^3: what the density of an unknown force is measured in."""
+    size = float(np.linalg.norm(np.ptp(forward.mesh.points, axis=0)))
+    model = forward.model
+    return float(model.law.shear(model.law.complete(model.values))) / size

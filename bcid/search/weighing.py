@@ -11,23 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError
-from bcid.forms.force_bumps import bumps
+from bcid.forms.force_bumps import BUMPS, bumps, force_unit
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.sensitivity import Sensitivity
-from bcid.inference.criteria import FAILS_FOR_THE_TRUE
 from bcid.inference.data import Data
 from bcid.inference.likelihood import Errors, NuisanceEstimate
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes, Nuisances
 from bcid.inference.outcome import Candidate
 from bcid.inference.posterior import gain
+from bcid.inference.relative import relative
 from bcid.inference.unknown_force import Evidence, courses
 from bcid.search.climb import ODDS
 from bcid.search.evaluator import Evaluator
 
 Array = NDArray[np.float64]
-# An unknown force is carried by so many bumps.
-_BUMPS = 16
 # So many sets are weighed at a time, and at most on the coarsest level and on the finest: where more are likely, little is decided.
 _BATCH, _MOST, _FINELY = 4, 32, 8
 # How often a fiducial goes astray.
@@ -148,17 +146,10 @@ class Weighing:
         """Logarithms of the evidence against the likeliest, each in the frames that both could be followed in."""
         self._fill(level, candidates)
         pans = {c: self._pans[level, c] for c in candidates}
-        whole = [c for c, pan in pans.items() if not pan.failed] or [max(pans, key=lambda c: int(pans[c].frames.sum()))]
-        alone = {c: self.evidence(level, c, pans[c].frames) for c in whole}
-        best = max(alone, key=lambda c: (alone[c], -len(c), sorted(c)))
-        found = {c: value - alone[best] for c, value in alone.items()}
-        for c in candidates:
-            if c not in found:
-                both = pans[c].frames & pans[best].frames
-                totals = [self.evidence(level, one, both) if both.any() else 0.0 for one in (c, best)]
-                found[c] = totals[0] - totals[1] + math.log(FAILS_FOR_THE_TRUE)
-        most = max(found.values())
-        return {c: found[c] - most for c in candidates}
+        failed = {c for c, pan in pans.items() if pan.failed}
+        return relative(
+            {c: pan.frames for c, pan in pans.items()}, failed, lambda c, frames: self.evidence(level, c, frames)
+        )
 
     def evidence(self, level: int, candidate: Candidate, frames: NDArray[np.bool_]) -> float:
         """Logarithm of the evidence of a set in some frames; a weight is too large to be kept."""
@@ -178,7 +169,7 @@ class Weighing:
         residual = data.values - data.vector(pan.positions + mesh.correction)
         errors = Errors(data, self._sigma[data.mask], mesh, pan.modes.at(rows))
         moved = courses(data, pan.slopes[rows])
-        evidence = Evidence.of(errors, residual, moved, self._unit(level))
+        evidence = Evidence.of(errors, residual, moved, force_unit(self.evaluator.forward(level)))
         if evidence.forced > evidence.plain:
             errors = Errors(data, errors.sigma, mesh, errors.nuisances.beside(evidence.size * moved))
         return Weight(evidence, errors, residual)
@@ -238,13 +229,6 @@ class Weighing:
         positions = self.evaluator.positions(level, self.best) + self._mesh(level).correction
         return self.data.spread(self.data.noise(self.data.values - self.data.vector(positions)))
 
-    def _unit(self, level: int) -> float:
-        """Shear modulus per size of the body, N/m^3."""
-        forward = self.evaluator.forward(level)
-        size = float(np.linalg.norm(np.ptp(forward.mesh.points, axis=0)))
-        model = forward.model
-        return float(model.law.shear(model.law.complete(model.values))) / size
-
     def _mesh(self, level: int) -> MeshError:
         """Error of a level's mesh, as the best set's predictions on the levels tell."""
 
@@ -274,7 +258,7 @@ class Weighing:
         if level not in self._sensitivities:
             self._sensitivities[level] = Sensitivity(forward)
             self._nuisances[level] = Nuisances(forward.scene, forward.mesh)
-            self._weights[level] = bumps(forward, _BUMPS)[1]
+            self._weights[level] = bumps(forward, BUMPS)[1]
         nuisances = self._nuisances[level]
         wanted = replace(nuisances.wanted(forward.model, candidate), forces=self._weights[level])
         actions, failed = self.evaluator.actions, prediction.failure is not None
