@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bcid.exploration.information import Expected, information, noise_free
+from bcid.exploration.motion import profile
 from bcid.exploration.moves import Move, cost, limits_of
-from bcid.exploration.predictions import PullPrediction
-from bcid.exploration.update import BeliefUpdate, PosteriorSummary, profile, weights
-from bcid.inference.hypotheses import Hypothesis, Spread, entropy
+from bcid.exploration.predictions import PullPrediction, key_of
+from bcid.exploration.update import BeliefUpdate, PosteriorSummary, weights
+from bcid.forms.simulate import recorded
+from bcid.inference.data import LEAST_NOISE, Data
+from bcid.inference.hypotheses import Hypothesis, entropy
+from bcid.inference.likelihood import Errors
+from bcid.inference.mesh_error import MeshError
 from bcid.measurement import Action
 
 Array = NDArray[np.float64]
@@ -113,6 +118,7 @@ class Chooser:
     samples: int
     noise: float
     random_state: int
+    _expected_values: dict[str, Data] = field(default_factory=dict, init=False, repr=False)
 
     def choose(self, view: PosteriorSummary, last: Move | None) -> Choice:
         """The next pull after `last`."""
@@ -252,18 +258,46 @@ class Chooser:
 
     def _in_errors(self, move: Move, predicted: Sequence[PullPrediction], view: PosteriorSummary) -> Shown:
         positions = np.array([np.nan_to_num(f.positions) for f in predicted])
-        return self._scaled(positions, [f.loose for f in predicted], self._action(move), view)
+        return self._scaled(positions, [f.loose for f in predicted], self._action(move), view, True)
 
     def _scaled(
-        self, positions: Array, loose: Sequence[Sequence[Array]], action: Action, view: PosteriorSummary
+        self,
+        positions: Array,
+        loose: Sequence[Sequence[Array]],
+        action: Action,
+        view: PosteriorSummary,
+        modes: bool,
     ) -> Shown:
         """Predictions (hypotheses, frames, fiducials, 3), m, and what is loose of them, in units of their errors."""
         rest = self.inference.scene.rest
-        motion = float(np.sqrt(np.mean((positions - rest) ** 2)))
-        spread = Spread(profile(action, self.inference.scene), self.noise, view.error * motion)
-        means = np.array([spread.whiten(p - rest).ravel() for p in positions])
-        columns = [[spread.whiten(np.nan_to_num(c)).ravel() for c in own] for own in loose]
+        errors = self._errors(positions, action, view, modes)
+        means = errors.whiten(np.array([(p - rest).ravel() for p in positions]).T).T
+        columns = [[errors.whiten(np.nan_to_num(c).ravel()) for c in own] for own in loose]
         return Shown(means, tuple(np.array(own).reshape(-1, means.shape[1]) for own in columns))
+
+    def _errors(self, positions: Array, action: Action, view: PosteriorSummary, modes: bool) -> Errors:
+        """Errors of a pull to come, about predictions (hypotheses, frames, fiducials, 3), m.
+
+        With `modes` also of what the likeliest set's scene may have slightly wrong.
+        """
+        inference, data = self.inference, self._data(action)
+        # Along the motion, as large as the mesh has left in other pulls, whatever its shape.
+        moved = np.sqrt(np.mean((positions - inference.scene.rest) ** 2, axis=0))
+        mesh = replace(MeshError.unknown(data.mask.shape), left=view.error * moved, known=view.error > 0)
+        sigma = np.full(len(data), max(self.noise, LEAST_NOISE))
+        return Errors(data, sigma, mesh, inference.modes(view, action, data) if modes else None)
+
+    def _data(self, action: Action) -> Data:
+        """The values of a pull to come, all of which are seen; about where the body is at rest."""
+        scene, seen, key = self.inference.scene, self.inference.seen, key_of(action)
+        # The frame of the first pull is that of the others.
+        if key not in self._expected_values or not seen:
+            rest = np.tile(scene.rest, (len(action), 1, 1))
+            measured = recorded(scene, [action], rest, 0.0, np.random.default_rng(0), action.clock)
+            error = seen[0].frame_error if seen else None
+            measured = replace(measured, frame_error=error)
+            self._expected_values[key] = Data(scene, measured, profile(action, scene))
+        return self._expected_values[key]
 
     def _linear(self, options: list[Option], view: PosteriorSummary) -> list[Option]:
         """The options with what the linear response of every hypothesis with a part in the belief promises."""
@@ -279,7 +313,7 @@ class Chooser:
             found = responses[option.move.grasp]
             positions = np.array([extended(f.positions, action, size) for f in found])
             loose = [[extended(c, action, size) for c in f.loose] for f in found]
-            result.append(replace(option, expected=self._expected(self._scaled(positions, loose, action, view), p)))
+            result.append(replace(option, expected=self._expected(self._scaled(positions, loose, action, view, False), p)))
         return result
 
     def _expected(self, shown: Shown, p: Array) -> Expected:

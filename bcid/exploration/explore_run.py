@@ -29,13 +29,14 @@ from bcid.exploration.loop import (
 from bcid.exploration.moves import Move
 from bcid.exploration.predictions import PullPredictor
 from bcid.exploration.robots import Folder, Robot, Simulated
-from bcid.exploration.update import MISSED, PosteriorSummary, believed
+from bcid.exploration.update import PosteriorSummary, believed
 from bcid.forms.forward import check_geometry
 from bcid.forms.mesh import level_mesh
 from bcid.forms.mesh.check import measures
 from bcid.forms.mesh.patches import divided
 from bcid.forms.model import check_physics
 from bcid.forms.written_effects import with_effects
+from bcid.inference.criteria import CERTAIN
 from bcid.inference.hypotheses import Hypothesis, entropy
 from bcid.measurement import Measurement
 from bcid.scene import Scene
@@ -212,7 +213,8 @@ def exploration_json(scene: Scene, found: Exploration) -> dict[str, Any]:
         "amounts": amounts(view),
         "entropy": view.entropy,
         "rms": _finite(view.rms * 1e3),
-        "missed": view.missed,
+        "missed": _finite(view.missed),
+        "missing": view.missing,
         "length_unit": "mm",
         "remarks": list(found.remarks),
         "not_allowed": [{"pull": str(o.move), "reason": o.forbidden} for o in found.options if o.forbidden],
@@ -235,7 +237,8 @@ def _step_json(scene: Scene, step: Step) -> dict[str, Any]:
         "belief": [_named(h, scene) | {"probability": p} for h, p in likely],
         "patches": step.view.patches,
         "effects": step.view.effects,
-        "missed": step.view.missed,
+        "missed": _finite(step.view.missed),
+        "missing": step.view.missing,
         "before": None if step.ahead is None else str(step.ahead),
         "options": [
             {
@@ -332,10 +335,11 @@ def summary(scene: Scene, options: ExploreOptions, found: Exploration) -> str:
             lines.append(f"  {name} = {value:.4g} +- {error:.2g} {unit}")
     if options.effects:
         lines += ["", *_about_effects(options, found)]
-    if view.missed > MISSED:
+    if view.missing >= CERTAIN:
         lines += [
             "",
-            f"WARNING: nothing explains what was seen: the best hypothesis misses it by {view.missed:.1f} times noise and mesh.",
+            f"WARNING: something is missing in the model, or it is wrong: probability {percent(view.missing)}. The likeliest "
+            f"hypothesis misses what was seen by {view.missed:.1f} times its errors.",
             "A physical effect is missing, or frames, grasp or material are not what the scene says: see `bcid explain`.",
         ]
     forbidden = [option for option in found.options if option.forbidden]

@@ -73,7 +73,7 @@ def information(
     """Information of a pull.
 
     Args:
-        predictions: shape (hypotheses, values), in units of their errors (see `Spread.whiten`).
+        predictions: shape (hypotheses, values), in units of their errors (see `Errors.whiten`).
         probabilities: shape (hypotheses,), summing to one.
         samples: how many measurements are drawn, shared among the hypotheses by their probabilities; two for each at least.
         random_state: of the noise. Pulls are compared with the same noise.

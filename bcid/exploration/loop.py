@@ -17,8 +17,9 @@ from bcid.exploration.moves import Move, cost, limits_of, moves
 from bcid.exploration.predictions import PullPredictor
 from bcid.exploration.rival_effects import RivalEffects
 from bcid.exploration.robots import Robot
-from bcid.exploration.update import MISSED, BeliefUpdate, PosteriorSummary
+from bcid.exploration.update import BeliefUpdate, PosteriorSummary
 from bcid.forms import effects
+from bcid.inference.criteria import CERTAIN
 from bcid.inference.hypotheses import Hypothesis
 from bcid.measurement import Measurement
 from bcid.scene import Scene
@@ -220,7 +221,7 @@ class _Loop:
         limits = limits_of(self.scene)
         while True:
             if self.steps and view.certainty >= self.options.confidence:
-                return Exploration(DECIDED if view.missed <= MISSED else UNEXPLAINED, view, tuple(self.steps))
+                return Exploration(DECIDED if view.missing < CERTAIN else UNEXPLAINED, view, tuple(self.steps))
             began, count = time.perf_counter(), self._predicted()
             last = self.steps[-1].move if self.steps else None
             choice = self._choose(view, last)
@@ -315,6 +316,6 @@ class _Loop:
             if p > 1e-3
         )
         doubt = ""
-        if step.view.missed > MISSED:
-            doubt = f"; NOTHING explains what was seen ({step.view.missed:.1f} times noise and mesh)"
+        if step.view.missing >= CERTAIN:
+            doubt = f"; SOMETHING IS MISSING ({percent(step.view.missing)})"
         self.progress.say(f"  {step.gained:.2f} bits gained; {shown}{doubt}; {step.seconds:.1f} s of computing")

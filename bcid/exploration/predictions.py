@@ -9,10 +9,12 @@ import json
 import math
 import os
 import socket
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from operator import itemgetter
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,17 +25,23 @@ from bcid.base.fingerprint import fingerprint
 from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import writing
 from bcid.base.text_file import parse_json
+from bcid.exploration.motion import back, there
+from bcid.exploration.pull_tangent import Differentiator, PullTangent
+from bcid.forms.force_bumps import force_unit
 from bcid.forms.forward import Forward
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
 from bcid.forms.solver.buckling import NEAR_BUCKLING, linear_buckling, smallest_eigenvalue, two_states
 from bcid.forms.solver.equilibrium import Settings
 from bcid.forms.solver.trajectory import poses
+from bcid.inference.nuisances import Nuisances
 from bcid.measurement import Action
 from bcid.scene import Scene
+from bcid.scene.uncertainty import Uncertainty
 from bcid.search.identify_run import scene_fingerprint
 from bcid.search.scheduler import counter, share
 
+T = TypeVar("T")
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
 Task = tuple[Anchored, Action]
@@ -114,13 +122,15 @@ class PullPredictor:
         self.evaluations = 0
         self.asked: set[tuple[str, Anchored]] = set()
         self._known: dict[tuple[str, Anchored], PullPrediction] = {}
+        # With whether forces were asked for.
+        self._tangents: dict[tuple[str, Anchored], tuple[bool, PullTangent | None]] = {}
         self._forwards: dict[str, Forward] = {}
         self._mesh: BodyMesh | None = None
         self._read: set[str] = set()
-        # What a robot may do changes no prediction.
+        # What a robot may do, and how well the scene is known, changes no prediction.
         about = {
             "format": _FORMAT,
-            "scene": scene_fingerprint(replace(scene, limits=None)),
+            "scene": scene_fingerprint(replace(scene, limits=None, uncertainty=Uncertainty())),
             "level": level,
             "model": self.model.name,
         }
@@ -169,25 +179,69 @@ class PullPredictor:
     ) -> dict[tuple[str, Anchored], PullPrediction]:
         for model in {model.name: model for _, (_, model) in todo}.values():
             self.forward(model)
-        mine: list[tuple[int, PullPrediction]] = []
-        error = None
-        tickets = counter(self.comm)
-        for i in share(range(len(todo)), tickets):
-            # They are handed out in order: those before this one are done, or nearly.
+
+        def one(i: int) -> PullPrediction:
             self.progress.step(f"predicting pulls on level {self.level}", done + i, total)
             (anchors, action), model = todo[i][1]
+            return predicted(self.forward(model), anchors, action, detailed)
+
+        fresh = {key: found for (key, _), found in zip(todo, self._shared(len(todo), one), strict=True)}
+        self._known |= fresh
+        self.evaluations += len(fresh)
+        return fresh
+
+    def _shared(self, count: int, work: Callable[[int], T]) -> list[T]:
+        """Work on so many things, each on some rank; the results on every rank, in order."""
+        mine: list[tuple[int, T]] = []
+        error = None
+        tickets = counter(self.comm)
+        # They are handed out in order: those before this one are done, or nearly.
+        for i in share(range(count), tickets):
             try:
-                mine.append((i, predicted(self.forward(model), anchors, action, detailed)))
+                mine.append((i, work(i)))
             except BcidError as caught:
                 error = caught
                 break
         tickets.close()
         agree(self.comm, error)
-        found = sorted((item for part in self.comm.allgather(mine) for item in part), key=lambda item: item[0])
-        fresh = {todo[i][0]: predicted for i, predicted in found}
-        self._known |= fresh
-        self.evaluations += len(fresh)
-        return fresh
+        return [found for _, found in sorted((p for part in self.comm.allgather(mine) for p in part), key=itemgetter(0))]
+
+    def differentiate(self, tasks: Iterable[Task], forces: bool = True) -> list[PullTangent | None]:
+        """What small changes of the own model do to pulls, in order, with or without an unknown force; collective.
+
+        None where a pull cannot be followed. Each is computed once.
+        """
+        tasks = list(tasks)
+        keys = self._keys(tasks, [self.model] * len(tasks))
+        missing = {k: task for k, task in zip(keys, tasks, strict=True) if not self._told(k, forces)}
+        todo = list(missing.items())
+        differentiator = self._differentiator
+
+        def one(i: int) -> PullTangent | None:
+            self.forward()
+            return differentiator.of(*todo[i][1], forces)
+
+        if todo:
+            found = self._shared(len(todo), one)
+            self._tangents |= {key: (forces, tangent) for (key, _), tangent in zip(todo, found, strict=True)}
+        return [self._tangents[k][1] for k in keys]
+
+    def _told(self, key: tuple[str, Anchored], forces: bool) -> bool:
+        return key in self._tangents and self._tangents[key][0] >= forces
+
+    @cached_property
+    def _differentiator(self) -> Differentiator:
+        return Differentiator(self.forward())
+
+    @property
+    def nuisances(self) -> Nuisances:
+        """What the scene may have slightly wrong; collective where it is built."""
+        return self._differentiator.nuisances
+
+    @property
+    def force_unit(self) -> float:
+        """Unit of the density of an unknown force, N/m^3; collective where the forward model is built."""
+        return force_unit(self.forward())
 
     def forward(self, model: Model | None = None) -> Forward:
         """The forward model of these parts, with their values, private to the process; collective where it is built."""
@@ -245,6 +299,8 @@ class PullPredictor:
 
     def destroy(self) -> None:
         """Free the PETSc objects of this process."""
+        if "_differentiator" in self.__dict__:
+            self._differentiator.destroy()
         for forward in self._forwards.values():
             forward.destroy()
         self._forwards.clear()
@@ -278,32 +334,12 @@ def predicted(forward: Forward, anchors: Anchored, action: Action, detailed: boo
 
     A way back that repeats the way there is not computed, unless an effect depends on time, or remembers.
     """
-    count = _turning(action) if forward.model.steady else len(action)
-    there = replace(
-        action,
-        frames=np.arange(count),
-        steps=action.steps[:count],
-        translation=action.translation[:count],
-        rotation=action.rotation[:count],
-        loads={place: load[:count] for place, load in action.loads.items()},
-        times=action.clock[:count],
-    )
-    prediction = forward.predict(anchors, [there], keep=detailed)
-    frames = np.minimum(np.arange(len(action)), len(action) - 1 - np.arange(len(action)))
-    frames = frames if count < len(action) else np.arange(len(action))
-    result = PullPrediction(prediction.positions[frames])
+    first = there(action, forward.model.steady)
+    prediction = forward.predict(anchors, [first], keep=detailed)
+    result = PullPrediction(prediction.positions[back(action, forward.model.steady)])
     if not detailed or prediction.failure or prediction.states is None:
         return result
-    return _with_details(forward, anchors, there, prediction.states, result)
-
-
-def _turning(action: Action) -> int:
-    """Number of steps to where the motion turns and goes the same way back; all steps where it does not."""
-    same = np.allclose(action.translation, action.translation[::-1], atol=1e-9) and np.allclose(
-        action.rotation, action.rotation[::-1], atol=1e-9
-    )
-    loaded = any(not np.allclose(load, load[::-1]) for load in action.loads.values())
-    return len(action) // 2 + 1 if same and not loaded and len(action) % 2 else len(action)
+    return _with_details(forward, anchors, first, prediction.states, result)
 
 
 def _with_details(

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from bcid.base.collective import Comm
@@ -27,6 +26,7 @@ from bcid.comparison.joint import NEARLY, Proposal, propose
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.rivals import Rival, at_a_glance, refit
 from bcid.comparison.state import State
+from bcid.exploration.joined import joined
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
 from bcid.inference.hypotheses import Anchored, Hypothesis
@@ -65,7 +65,7 @@ class Fitted:
         """The model with the likeliest numbers: what the pulls do not tell is as it was expected."""
         apart, size = self._before
         numbers = self.fitted.state.model.constants()
-        back = size * np.linalg.solve(self._precision(1.0), apart / size) if len(size) else apart
+        back = size * np.linalg.solve(self._precision, apart / size) if len(size) else apart
         at = {c.name: c.of(numbers[c.name]) - b for c, b in zip(self.fitted.coordinates, back, strict=True)}
         return self.fitted.state.model.with_values({c.name: c.allowed(at[c.name]) for c in self.fitted.coordinates})
 
@@ -84,15 +84,16 @@ class Fitted:
         """RMS residual in units of its errors."""
         return math.sqrt(self.chi2 / len(self.fitted.state.predictor.data))
 
-    def log(self, scale: float) -> float:
-        """Logarithm of the evidence, with chi-square divided by `scale`."""
+    @cached_property
+    def log(self) -> float:
+        """Logarithm of the evidence, where nothing is missing besides."""
         apart, size = self._before
-        precision = self._precision(scale)
+        precision = self._precision
         z = apart / size
         # G (1 + G)^-1 = 1 - (1 + G)^-1.
         surprise = float(z @ (z - np.linalg.solve(precision, z)))
         occam = float(np.linalg.slogdet(precision)[1])
-        return -0.5 * (self.chi2 / scale + surprise + occam) - self._volume
+        return -0.5 * (self.chi2 + surprise + occam) - self._volume
 
     @cached_property
     def deviating(self) -> list[Model]:
@@ -102,7 +103,7 @@ class Fitted:
         if not coordinates:
             return []
         _, size = self._before
-        covariance = size[:, None] * np.linalg.inv(self._precision(max(1.0, self.missed**2))) * size
+        covariance = size[:, None] * np.linalg.inv(self._precision) * size
         found = []
         for column in np.linalg.cholesky(covariance).T:
             # Where the limit of a number is near it deviates to the other side.
@@ -133,11 +134,12 @@ class Fitted:
         known = [_believed(c, self.begun, c.of(numbers[c.name])) for c in self.fitted.coordinates]
         return np.array([a for a, _ in known]), np.array([s for _, s in known])
 
-    def _precision(self, scale: float) -> Array:
+    @cached_property
+    def _precision(self) -> Array:
         """1 + G."""
         _, size = self._before
         jacobian = self.fitted.jacobian * size
-        return np.asarray(np.eye(len(size)) + jacobian.T @ jacobian / scale)
+        return np.asarray(np.eye(len(size)) + jacobian.T @ jacobian)
 
 
 def _believed(c: Coordinate, begun: Model, at: float) -> tuple[float, float]:
@@ -194,7 +196,7 @@ class RivalEffects:
         found: dict[Hypothesis, Fitted] = {}
         for name, candidates in glanced.items():
             fits = [Fitted(Hypothesis(f.state.anchors, name), f, begun) for f in _settled(base, candidates)]
-            for one in sorted(fits, key=lambda one: one.log(1.0)):
+            for one in sorted(fits, key=lambda one: one.log):
                 found[one.hypothesis] = one
                 self._sets[name] = one.hypothesis.anchors
         predictor.drop([begun, *(f.model for f in found.values())])
@@ -284,16 +286,3 @@ def _fitted(base: State, rough: State, anchors: Anchored) -> Fit | None:
         return fit(State.of(base.predictor, rough.model, anchors), rough.free, most=8)
     except SolveError:
         return None
-
-
-def joined(pulls: Sequence[Measurement], scene: Scene) -> Measurement:
-    """Measurements of one action each as one measurement, its actions numbered from 1."""
-    parts = []
-    for number, pull in enumerate(pulls, start=1):
-        sigma = pull.sigma(scene.noise_sigma)
-        data = pull.data.assign_coords(action=("frame", [str(number)] * pull.data.sizes["frame"]))
-        if sigma is not None:
-            data["sigma"] = (data["position"].dims, np.broadcast_to(sigma, data["position"].shape))
-        parts.append(data)
-    whole = xr.concat(parts, dim="frame", join="outer")
-    return replace(pulls[0], data=whole)

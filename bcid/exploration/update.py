@@ -10,14 +10,18 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.exploration import pull_tangent
 from bcid.exploration.predictions import Anchored, PullPrediction, PullPredictor
+from bcid.exploration.pull_errors import Allowance, PullErrors, allowance
+from bcid.exploration.pull_tangent import PullTangent
 from bcid.exploration.rival_effects import Fitted, RivalEffects
-from bcid.inference.hypotheses import Belief, Hypothesis, Spread, effects, entropy, normalised, patches
+from bcid.inference.criteria import CERTAIN
+from bcid.inference.data import Data
+from bcid.inference.hypotheses import Hypothesis, effects, entropy, normalised, patches
 from bcid.inference.mesh_error import MeshError
-from bcid.inference.misfit import Misfit
+from bcid.inference.nuisances import NuisanceModes
 from bcid.measurement import Action, Measurement
 from bcid.scene import Scene
-from bcid.scene.rotation import as_rotation
 from bcid.search.climb import neighbours
 from bcid.search.seeds import all_candidates, random_seeds
 
@@ -28,58 +32,12 @@ _ENUMERATED, _RANDOM = 10, 64
 _ASLEEP = 25.0
 # Sets with more than this probability are compared on the fine level too, so many at most, and their neighbours looked at.
 _CONTENDS, _CONTENDERS = 0.01, 4
-# A body that may buckle in a pull is taken to go anywhere within this part of its motion.
-_ANYWHERE = 0.5
 # Between levels that hardly differ nothing can be extrapolated.
 _LEAST_GAIN = 0.5
 # Before anything was seen the error of the mesh is taken as this part of the motion.
 _FIRST_ERROR = 0.03
 # Before any pull it is as likely that no effect acts as that one of the rivals does.
 NONE = 0.5
-# The best set misses what was seen by more than this many times what noise and mesh explain: no set does explain it.
-MISSED = 1.5
-
-
-@dataclass(frozen=True)
-class Pulled:
-    """A pull that was seen.
-
-    Attributes:
-        action: as the gripper really moved; frames numbered from 0.
-        misfit: the comparison with what was seen.
-        profile: part of the motion that is done in each frame.
-        motion: RMS motion of the fiducials, m.
-    """
-
-    action: Action
-    misfit: Misfit
-    profile: Array
-    motion: float
-
-    @classmethod
-    def of(cls, scene: Scene, measurement: Measurement) -> Pulled:
-        """From a measurement that holds one action."""
-        action, misfit = measurement.actions[0], Misfit(scene, measurement)
-        return cls(action, misfit, profile(action, scene), misfit.motion_rms)
-
-
-@dataclass(frozen=True)
-class Meshed:
-    """What the fine level says of a prediction: what to add to it, (frames, fiducials, 3), m, and the RMS of what is left, m."""
-
-    correction: Array
-    left: float
-
-
-def profile(action: Action, scene: Scene) -> Array:
-    """Distance of the gripper from rest in each frame, as part of the largest; shape (frames,).
-
-    A turn counts by how far it would move the nearest fiducial.
-    """
-    far = scene.rest - np.array(scene.grasps[action.grasp].centre) if action.grasp else np.zeros((1, 3))
-    turned = (as_rotation(action.rotation) * as_rotation(action.rotation[0]).inv()).magnitude()
-    way = np.linalg.norm(action.translation, axis=1) + turned * np.linalg.norm(far, axis=1).min()
-    return np.asarray(way / max(float(way.max()), 1e-12))
 
 
 @dataclass(frozen=True)
@@ -92,7 +50,8 @@ class PosteriorSummary:
         effects: probability of each rival effect, and of none ("").
         entropy: bits.
         rms: RMS residual of the likeliest hypothesis, m; NaN before anything was seen.
-        missed: the same in units of what noise and mesh explain.
+        missed: the same in units of what noise, mesh, and what the scene may have slightly wrong explain.
+        missing: probability that something is missing in the model besides (see `bcid.inference.unknown_force`).
         error: RMS error of the mesh at the end of a pull, as part of its motion.
         fitted: the hypotheses with an effect, with their numbers.
     """
@@ -103,6 +62,7 @@ class PosteriorSummary:
     entropy: float
     rms: float
     missed: float
+    missing: float
     error: float
     fitted: dict[Hypothesis, Fitted] = field(default_factory=dict)
 
@@ -143,30 +103,41 @@ class BeliefUpdate:
         else:
             sets = random_seeds(names, _RANDOM, np.random.default_rng(random_state))
         self.sets: dict[Anchored, None] = dict.fromkeys(sets)
-        self.pulls: list[Pulled] = []
+        self.pulls: list[Action] = []
         self.seen: list[Measurement] = []
-        # By pull and set: predictions, the error of the mesh where it is known, chi-square and volume of the errors.
+        # By pull and set: predictions, and the error of the mesh where it is known; None where the fine level cannot be followed.
         self._predicted: list[dict[Anchored, PullPrediction]] = []
-        self._meshed: list[dict[Anchored, Meshed]] = []
-        self._compared: dict[int, dict[Anchored, tuple[float, float]]] = {}
+        self._meshes: list[dict[Anchored, MeshError | None]] = []
+        self._errors: PullErrors | None = None
+        # Odds of the sets and those that contended, before the last pull.
+        self._before: dict[Anchored, float] = {}
+        self._contended: list[Anchored] = []
         # The hypotheses that were fitted, and to how many pulls.
         self._fitted: tuple[int, list[Fitted]] = 0, []
-        # What chi-squares are divided by.
-        self._scale = 1.0
 
     def add(self, measurement: Measurement) -> None:
-        """Take what was seen of a pull."""
-        self.pulls.append(Pulled.of(self.scene, measurement))
+        """Take what was seen of a pull; collective."""
+        if self._errors is not None:
+            self._before, self._contended = self._relative(), self._contending()
+        self.pulls.append(measurement.actions[0])
         self.seen.append(measurement)
         self._predicted.append({})
-        self._meshed.append({})
+        self._meshes.append({})
+        self._errors = PullErrors(self.scene, self.seen, self.predictor.force_unit)
+        for pull, known in enumerate(self._predicted):
+            self._tell({(pull, anchors): predicted for anchors, predicted in known.items()})
 
     def view(self) -> PosteriorSummary:
         """What is believed now."""
-        view = self._look()
-        while self.pulls and (self._wake() or self._grow() or self._fit() or self._refine(view)):
-            view = self._look()
-        return view
+        while self.pulls and (self._wake() or self._refine() or self._grow() or self._fit() or self._doubt()):
+            pass
+        return self._look()
+
+    @property
+    def errors(self) -> PullErrors:
+        """The errors of the pulls so far; there must have been one."""
+        assert self._errors is not None
+        return self._errors
 
     def predict(
         self,
@@ -189,6 +160,14 @@ class BeliefUpdate:
             found |= dict(zip(acting, self._loosely([view.fitted[h] for h in acting], action, detailed), strict=True))
         return [found[h] for h in hypotheses]
 
+    def modes(self, view: PosteriorSummary, action: Action, data: Data) -> NuisanceModes | None:
+        """What the scene may have slightly wrong does to the values of a pull to come; collective.
+
+        With the likeliest set. None where its tangent says nothing.
+        """
+        (tangent,) = self.predictor.differentiate([(view.best.anchors, action)], forces=False)
+        return None if tangent is None else pull_tangent.modes(self.predictor.nuisances, data, [tangent])
+
     def _finely(
         self, view: PosteriorSummary, hypotheses: Sequence[Hypothesis], action: Action, detailed: bool
     ) -> list[PullPrediction]:
@@ -210,27 +189,77 @@ class BeliefUpdate:
     # -- which sets are looked at
     # --------------------------------------------------------------------------------------------------------------
 
+    def _relative(self) -> dict[Anchored, float]:
+        """Logarithms of the odds of the sets; as before the last pull as long as nothing is known of its errors."""
+        told = self.errors.allowed or (self._predicted[-1] and not any(map(self.errors.followed, self.sets)))
+        if self._before and not told:
+            return {a: self._before.get(a, 0.0) for a in self.sets}
+        return self.errors.relative(list(self.sets))
+
     def _wake(self) -> bool:
         """Predict what is not known of sets that are not asleep; whether there was anything."""
-        relative = self._belief(self._scale).relative()
-        awake = [a for a in self.sets if relative.get(a, 0.0) > -_ASLEEP]
+        relative = self._relative()
+        awake = [a for a in self.sets if relative[a] > -_ASLEEP]
         todo = [(i, a) for i in range(len(self.pulls)) for a in awake if a not in self._predicted[i]]
-        found = self.predictor.predict((a, self.pulls[i].action) for i, a in todo)
-        self._take(zip(todo, found, strict=True))
+        found = self.predictor.predict((a, self.pulls[i]) for i, a in todo)
+        self._tell(dict(zip(todo, found, strict=True)))
         return bool(todo)
 
-    def _take(self, found: Iterable[tuple[tuple[int, Anchored], PullPrediction]]) -> None:
-        """Keep predictions; what was compared with the pulls they belong to is no longer true."""
-        for key, predicted in found:
-            self._predicted[key[0]][key[1]] = predicted
-            self._compared.pop(key[0], None)
+    def _tell(self, found: Mapping[tuple[int, Anchored], PullPrediction]) -> None:
+        """Keep predictions of sets for pulls."""
+        for (pull, anchors), predicted in found.items():
+            self._predicted[pull][anchors] = predicted
+            adrift = predicted.detailed and predicted.buckles and not predicted.failed
+            self.errors.predicted(anchors, pull, predicted.positions, adrift)
 
-    def _fit(self) -> bool:
-        """Fit the rival effects to all pulls, each with the sets that go with it; whether that was not done yet."""
-        if self.rivals is None or self._fitted[0] == len(self.pulls):
-            return False
-        self._fitted = len(self.pulls), self.rivals.look(self.seen, self._contending())
-        return True
+    def _contending(self) -> list[Anchored]:
+        """The likely sets, where no effect acts, of those that were followed in all pulls; the likeliest first."""
+        followed = [a for a in self.sets if self.errors.followed(a)]
+        if not self.errors.allowed:
+            # What can be told without their errors is which of those that contended before is the likeliest.
+            first = [a for a in self._contended if a in followed] or followed
+            odds = self.errors.relative(first)
+            return sorted(odds, key=lambda a: (-odds[a], len(a), sorted(a)))[:1]
+        known = normalised({Hypothesis(a): value for a, value in self._relative().items()})
+        return [h.anchors for h, p in known.items() if p > _CONTENDS and self.errors.followed(h.anchors)][:_CONTENDERS]
+
+    def _refine(self) -> bool:
+        """Learn the errors about the sets that contend, where they are not known; whether there was any."""
+        fresh = [a for a in self._contending() if a not in self.errors.allowed]
+        every = [(i, a) for i in range(len(self.pulls)) for a in fresh]
+        self._detail(every)
+        if self.fine is not None:
+            rough = [(i, a) for i, a in every if a not in self._meshes[i]]
+            for (i, a), finely in zip(rough, self.fine.predict((a, self.pulls[i]) for i, a in rough), strict=True):
+                self._meshes[i][a] = self._mesh_error(self._predicted[i][a], finely)
+        tangents = dict(zip(every, self.predictor.differentiate((a, self.pulls[i]) for i, a in every), strict=True))
+        for a in fresh:
+            self.errors.allow(a, self._allowance(a, [tangents[i, a] for i in range(len(self.pulls))]))
+        return bool(fresh)
+
+    def _detail(self, asked: Iterable[tuple[int, Anchored]]) -> bool:
+        """Learn whether the body may buckle in pulls with sets; whether there was any of which that was not known."""
+        soft = [(i, a) for i, a in asked if a in self._predicted[i] and not self._predicted[i][a].detailed]
+        found = self.predictor.predict(((a, self.pulls[i]) for i, a in soft), detailed=True)
+        self._tell(dict(zip(soft, found, strict=True)))
+        return bool(soft)
+
+    def _allowance(self, anchors: Anchored, tangents: Sequence[PullTangent | None]) -> Allowance:
+        """What is known of the errors about a set; where the tangent says nothing, neither nuisances nor an unknown force do."""
+        data, places = self.errors.data, self.errors.places
+        meshes = {i: known[anchors] for i, known in enumerate(self._meshes) if anchors in known}
+        told = next((t for t in tangents if t is not None), None)
+        if told is None:
+            nothing = Allowance.nothing(data)
+            return allowance(data, meshes, places, nothing.modes, nothing.slopes)
+        shapes = [self.errors.data.measured[place].shape for place in places]
+        whole = [t or pull_tangent.nothing(shape, told) for t, shape in zip(tangents, shapes, strict=True)]
+        modes = pull_tangent.modes(self.predictor.nuisances, data, whole)
+        return allowance(data, meshes, places, modes, pull_tangent.slopes(data, whole))
+
+    def _mesh_error(self, working: PullPrediction, finely: PullPrediction) -> MeshError | None:
+        """From the predictions of both levels; None where the fine one fails: there the body may go anywhere."""
+        return None if finely.failed else MeshError.between(working.positions, finely.positions, self._gain)
 
     def _grow(self) -> bool:
         """Take the neighbours of sets that contend among the hypotheses; whether there was any."""
@@ -239,65 +268,37 @@ class BeliefUpdate:
         self.sets |= dict.fromkeys(fresh)
         return bool(fresh)
 
-    def _refine(self, view: PosteriorSummary) -> bool:
-        """Predict the sets that contend on the fine level, and whether the body may buckle with them; whether there was any."""
-        todo = [(i, a) for i in range(len(self.pulls)) for a in self._contending()]
-        if view.missed > MISSED:
-            # Where nothing explains what was seen, the body may have buckled with any of the sets.
-            todo = [(i, a) for i in range(len(self.pulls)) for a in self.sets]
-        soft = [(i, a) for i, a in todo if a in self._predicted[i] and not self._predicted[i][a].detailed]
-        found = self.predictor.predict(((a, self.pulls[i].action) for i, a in soft), detailed=True)
-        self._take(zip(soft, found, strict=True))
-        rough = [(i, a) for i in range(len(self.pulls)) for a in self._contending() if a not in self._meshed[i]]
-        if self.fine is not None and rough:
-            finely = self.fine.predict((a, self.pulls[i].action) for i, a in rough)
-            for (i, a), predicted in zip(rough, finely, strict=True):
-                self._meshed[i][a] = self._mesh_error(i, a, predicted)
-                self._compared.pop(i, None)
-            return True
-        return bool(soft)
+    def _fit(self) -> bool:
+        """Fit the rival effects to all pulls, each with the sets that go with it; whether that was not done yet."""
+        if self.rivals is None or self._fitted[0] == len(self.pulls):
+            return False
+        self._fitted = len(self.pulls), self.rivals.look(self.seen, self._contending())
+        return True
 
-    def _mesh_error(self, pull: int, anchors: Anchored, finely: PullPrediction) -> Meshed:
-        """From the predictions of both levels; where the fine one fails the working one may be anywhere."""
-        if finely.failed:
-            return Meshed(np.zeros((1, 1, 1)), _ANYWHERE * self.pulls[pull].motion)
-        error = MeshError.between(self._predicted[pull][anchors].positions, finely.positions, self._gain)
-        return Meshed(error.correction, error.rms)
-
-    def _contending(self) -> list[Anchored]:
-        """The likely sets, where no effect acts."""
-        known = normalised({Hypothesis(a): value for a, value in self._belief(None).relative().items()})
-        return [h.anchors for h, p in known.items() if p > _CONTENDS][:_CONTENDERS]
+    def _doubt(self) -> bool:
+        """Where something is missing, learn whether the body may have buckled with any of the sets; whether that was not known."""
+        if self._look().missing < CERTAIN:
+            return False
+        return self._detail([(i, a) for i in range(len(self.pulls)) for a in self.sets])
 
     # -- what they say
     # --------------------------------------------------------------------------------------------------------------
 
     def _look(self) -> PosteriorSummary:
         """What the pulls say as far as they were predicted; before the first one nothing is known."""
-        best = self._best()
         names = self.rivals.names if self.rivals else ()
-        if best is None:
+        if not self.pulls:
             even = {Hypothesis(a): 1.0 / len(self.sets) for a in self.sets}
             prior = believed(names)
             bits = math.log2(len(self.sets)) + entropy(prior.values())
-            return PosteriorSummary(even, patches(even, self.scene.patches), prior, bits, math.nan, 0.0, _FIRST_ERROR)
-        fitted = self._fitted[1] if self._fitted[0] == len(self.pulls) else []
-        top = max(fitted, key=lambda f: f.log(1.0), default=None)
-        if top is not None and top.hypothesis.effect:
-            rms, missed = top.rms, top.missed
-        else:
-            rms, missed = self._rms(best), self._missed(best)
-        # What no hypothesis explains makes all of them less sure of themselves.
-        scale = self._scale = max(1.0, missed**2)
-        logs = {Hypothesis(a): value for a, value in self._belief(scale).relative().items()}
-        plain = [f for f in fitted if not f.hypothesis.effect and f.hypothesis in logs]
-        acting = {f.hypothesis: f for f in fitted if f.hypothesis.effect} if plain else {}
-        if acting:
-            # Both know the best set: through it the sets alone and those with an effect are compared.
-            shared = max(plain, key=lambda f: logs[f.hypothesis])
-            apart = logs[shared.hypothesis] - shared.log(scale) + math.log(believed(names)[names[0]] / NONE)
-            logs |= {h: f.log(scale) + apart for h, f in acting.items()}
-        known = normalised(logs)
+            return PosteriorSummary(even, patches(even, self.scene.patches), prior, bits, math.nan, 0, 0, _FIRST_ERROR)
+        logs = {Hypothesis(a): value for a, value in self._relative().items()}
+        acting = self._acting(logs)
+        known = normalised(logs | acting)
+        fitted = {f.hypothesis: f for f in self._fitted[1] if f.hypothesis in acting}
+        rms, missed = self._misses(next(iter(known)), fitted)
+        missing = math.fsum(p * self.errors.missing(h.anchors) for h, p in known.items() if h not in acting)
+        error = self._relative_error(next(h.anchors for h in known if h not in acting))
         return PosteriorSummary(
             known,
             patches(known, self.scene.patches),
@@ -305,81 +306,31 @@ class BeliefUpdate:
             entropy(known.values()),
             rms,
             missed,
-            self._relative_error(best),
-            acting,
+            missing,
+            error,
+            fitted,
         )
 
-    def _belief(self, scale: float | None) -> Belief:
-        """Odds of the sets, with all chi-squares divided by `scale`; by default by what the best set leaves."""
-        best, belief = self._best(), Belief()
-        if best is None:
-            return belief
-        scale = max(1.0, self._missed(best) ** 2) if scale is None else scale
-        for i in self._looked_at:
-            belief.add(i, {a: -0.5 * chi2 / scale - volume for a, (chi2, volume) in self._compare(i).items()})
-        return belief
+    def _acting(self, logs: Mapping[Hypothesis, float]) -> dict[Hypothesis, float]:
+        """Logarithms of the odds of the hypotheses with an effect, beside those of the sets alone.
 
-    @property
-    def _looked_at(self) -> list[int]:
-        """The pulls that something was predicted for."""
-        return [i for i, known in enumerate(self._predicted) if known]
+        Both know the likeliest set: through it, where nothing is missing, they are compared.
+        """
+        if self.rivals is None or self._fitted[0] != len(self.pulls):
+            return {}
+        plain = [f for f in self._fitted[1] if not f.hypothesis.effect and f.hypothesis.anchors in self.errors.allowed]
+        if not plain:
+            return {}
+        shared, prior = max(plain, key=lambda f: logs[f.hypothesis]), believed(self.rivals.names)
+        apart = logs[shared.hypothesis] + self.errors.plain(shared.hypothesis.anchors) - shared.log
+        found = {f.hypothesis: f.log + apart for f in self._fitted[1] if f.hypothesis.effect}
+        return {h: value + math.log(prior[h.effect] / NONE) for h, value in found.items()}
 
-    def _missed(self, anchors: Anchored) -> float:
-        """What a set misses in units of its errors."""
-        values = sum(self.pulls[i].misfit.values for i in self._looked_at)
-        return math.sqrt(sum(self._compare(i)[anchors][0] for i in self._looked_at) / values)
-
-    def _rms(self, anchors: Anchored) -> float:
-        """What a set misses, m."""
-        values = sum(self.pulls[i].misfit.values for i in self._looked_at)
-        squares = sum(float(np.nansum(self._differences(i, anchors) ** 2)) for i in self._looked_at)
-        return math.sqrt(squares / values)
-
-    def _compare(self, pull: int) -> dict[Anchored, tuple[float, float]]:
-        """Chi-square and logarithm of the volume of the errors of every set that was predicted for a pull."""
-        if pull not in self._compared:
-            found = {}
-            for anchors, predicted in self._predicted[pull].items():
-                if predicted.failed:
-                    found[anchors] = math.inf, 0.0
-                    continue
-                spread, difference = self.spread(pull, anchors), self._differences(pull, anchors)
-                chi2 = float(np.sum(spread.whiten(difference) ** 2))
-                found[anchors] = chi2, spread.log_volume(np.isfinite(difference))
-            self._compared[pull] = found
-        return self._compared[pull]
-
-    def _best(self) -> Anchored | None:
-        """The likeliest of the sets that were compared with all pulls that were looked at."""
-        compared = [self._compare(i) for i in self._looked_at]
-        total: dict[Anchored, float] = {}
-        for anchors in self.sets if compared else ():
-            if all(anchors in found for found in compared):
-                total[anchors] = sum(0.5 * found[anchors][0] + found[anchors][1] for found in compared)
-        solved = {a: value for a, value in total.items() if math.isfinite(value)}
-        return min(solved, key=lambda a: (solved[a], len(a), sorted(a)), default=None)
-
-    def _differences(self, pull: int, anchors: Anchored) -> Array:
-        """Seen minus predicted, with the error of the mesh taken out, (frames, fiducials, 3), m; NaN where nothing was seen."""
-        seen = self.pulls[pull]
-        return np.asarray(
-            seen.misfit.measured - self._predicted[pull][anchors].positions - self._mesh(pull, anchors).correction
-        )
-
-    def spread(self, pull: int, anchors: Anchored) -> Spread:
-        """Errors of a pull about a set's prediction."""
-        seen, predicted = self.pulls[pull], self._predicted[pull][anchors]
-        error = self._mesh(pull, anchors).left
-        if predicted.detailed and predicted.buckles:
-            error = max(error, _ANYWHERE * seen.motion)
-        return Spread(seen.profile, seen.misfit.noise or 0.0, error)
-
-    def _mesh(self, pull: int, anchors: Anchored) -> Meshed:
-        """Error of the mesh in a pull: of the set itself, or of the set most like it of which it is known."""
-        known = self._meshed[pull]
-        if anchors in known or not known:
-            return known.get(anchors, Meshed(np.zeros((1, 1, 1)), 0.0))
-        return known[min(known, key=lambda a: (len(a ^ anchors), sorted(a)))]
+    def _misses(self, best: Hypothesis, fitted: Mapping[Hypothesis, Fitted]) -> tuple[float, float]:
+        """What the likeliest hypothesis misses, m, and in units of its errors; NaN where nothing can be predicted."""
+        if best in fitted:
+            return fitted[best].rms, fitted[best].missed
+        return self.errors.rms(best.anchors), self.errors.missed(best.anchors)
 
     @cached_property
     def _gain(self) -> float:
@@ -388,12 +339,12 @@ class BeliefUpdate:
         coarse, fine = (p.forward().body.unknowns for p in (self.predictor, self.fine))
         return max(float((fine / coarse) ** (2 / 3)) - 1, _LEAST_GAIN)
 
-    def _relative_error(self, best: Anchored) -> float:
+    def _relative_error(self, likely: Anchored) -> float:
         """RMS error that the mesh leaves, as part of the motion, over all pulls."""
         if self.fine is None:
             return 0.0
-        known = [self._mesh(i, best).left / max(p.motion, 1e-12) for i, p in enumerate(self.pulls) if self._meshed[i]]
-        return float(np.mean(known)) if known else _FIRST_ERROR
+        left = self.errors.left(likely)
+        return _FIRST_ERROR if left is None else left
 
 
 def believed(names: Sequence[str]) -> dict[str, float]:

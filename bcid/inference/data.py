@@ -12,7 +12,7 @@ from bcid.scene import Scene
 
 Array = NDArray[np.float64]
 # Without a stated noise and with too few steps to see it, m.
-_LEAST_NOISE = 1e-6
+LEAST_NOISE = 1e-6
 
 
 class Data:
@@ -21,6 +21,7 @@ class Data:
     Args:
         scene: the scene.
         measurement: must fit the scene.
+        done: part of its action's motion that is done in each frame, shape (frames,), where it does not grow with the steps.
 
     Attributes:
         mask: which of (frames, fiducials, 3) were seen.
@@ -29,10 +30,10 @@ class Data:
         sigma: standard deviation of each, m; NaN when none is stated.
         action, frame, step, fiducial, axis: labels, shape (n,); actions and fiducials as numbers.
         trajectory: number of the (action, fiducial, axis) it belongs to, shape (n,).
-        progress: part of its action that is done, 0 at step 0 and 1 at the last step seen, shape (n,).
+        progress: part of its action that is done, shape (n,): 0 at step 0 and, unless it is given, 1 at the last step seen.
     """
 
-    def __init__(self, scene: Scene, measurement: Measurement) -> None:
+    def __init__(self, scene: Scene, measurement: Measurement, done: Array | None = None) -> None:
         columns = [scene.fiducial_names.index(name) for name in measurement.fiducial_names]
         shape = (len(measurement.positions), len(scene.fiducials), 3)
         self.measured, self._sigma = np.full(shape, np.nan), np.full(shape, np.nan)
@@ -40,7 +41,7 @@ class Data:
         stated = measurement.sigma(scene.noise_sigma)
         if stated is not None:
             self._sigma[:, columns] = stated
-        self.scene, self.measurement = scene, measurement
+        self.scene, self.measurement, self._done = scene, measurement, done
         self.stated = stated is not None
         self.about = np.where(np.isfinite(self.measured), self.measured, scene.rest)
         self._take(np.isfinite(self.measured))
@@ -57,6 +58,9 @@ class Data:
         key = (self.action * len(scene.fiducials) + fiducials) * 3 + axes
         _, self.trajectory = np.unique(key, return_inverse=True)
         self.actions = names
+        if self._done is not None:
+            self.progress = self._done[frames]
+            return
         last = np.array([self.step[self.action == a].max(initial=1) for a in range(len(names))])
         self.progress = self.step / last[self.action]
 
@@ -83,7 +87,7 @@ class Data:
         """Standard deviation of every value, m; estimated from the residual (m) when none is stated."""
         if self.stated:
             return self.sigma
-        return np.full(len(self), max(estimate_noise(self, residual), _LEAST_NOISE))
+        return np.full(len(self), max(estimate_noise(self, residual), LEAST_NOISE))
 
 
 def estimate_noise(data: Data, residual: Array) -> float:

@@ -40,6 +40,7 @@ from bcid.forms.written_effects import with_effects
 from bcid.inference.hypotheses import Hypothesis
 from bcid.measurement import Action
 from bcid.scene import Level, Scene
+from bcid.scene.uncertainty import Uncertainty
 from bcid.search.seeds import all_candidates
 from bcid.studies.engine.dispatch import dispatch
 from bcid.studies.engine.work import Work, Workers, read_result
@@ -114,10 +115,10 @@ def run_study(
 
 
 def _scene(file: Path) -> Scene:
-    """The scene with one amplitude, as in the paper."""
+    """The scene with one amplitude, as in the paper; the robots' body is exactly as it is stated."""
     scene = Scene.read(file, physics=check_physics)
     limits = scene.limits and replace(scene.limits, amplitudes=scene.limits.amplitudes[:1])
-    return replace(scene, limits=limits)
+    return replace(scene, limits=limits, uncertainty=Uncertainty.none())
 
 
 def _pulls(scene: Scene, made: Sequence[ExplorationTrial]) -> dict[str, dict[str, Any]]:

@@ -1,0 +1,57 @@
+"""A pull that leads back the way it came: its way there, and which frames of it are seen again on the way back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.measurement import Action
+from bcid.scene import Scene
+from bcid.scene.rotation import as_rotation
+
+Array = NDArray[np.float64]
+
+
+def there(action: Action, steady: bool) -> Action:
+    """The motion up to where it turns and goes the same way back, frames numbered from 0; all of it where it does not.
+
+    Nor where the body is not `steady`: its state depends on time, or on what was before.
+    """
+    count = _turning(action) if steady else len(action)
+    return replace(
+        action,
+        frames=np.arange(count),
+        steps=action.steps[:count],
+        translation=action.translation[:count],
+        rotation=action.rotation[:count],
+        loads={place: load[:count] for place, load in action.loads.items()},
+        times=action.clock[:count],
+    )
+
+
+def back(action: Action, steady: bool) -> NDArray[np.int64]:
+    """For each frame of a motion, that of the way there in which the body is the same; shape (frames,)."""
+    frames = np.arange(len(action))
+    return np.minimum(frames, frames[::-1]) if len(there(action, steady)) < len(action) else frames
+
+
+def _turning(action: Action) -> int:
+    """Number of steps to where the motion turns and goes the same way back; all steps where it does not."""
+    same = np.allclose(action.translation, action.translation[::-1], atol=1e-9) and np.allclose(
+        action.rotation, action.rotation[::-1], atol=1e-9
+    )
+    loaded = any(not np.allclose(load, load[::-1]) for load in action.loads.values())
+    return len(action) // 2 + 1 if same and not loaded and len(action) % 2 else len(action)
+
+
+def profile(action: Action, scene: Scene) -> Array:
+    """Distance of the gripper from rest in each frame, as part of the largest; shape (frames,).
+
+    A turn counts by how far it would move the nearest fiducial.
+    """
+    far = scene.rest - np.array(scene.grasps[action.grasp].centre) if action.grasp else np.zeros((1, 3))
+    turned = (as_rotation(action.rotation) * as_rotation(action.rotation[0]).inv()).magnitude()
+    way = np.linalg.norm(action.translation, axis=1) + turned * np.linalg.norm(far, axis=1).min()
+    return np.asarray(way / max(float(way.max()), 1e-12))

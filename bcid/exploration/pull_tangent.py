@@ -1,0 +1,127 @@
+"""What small changes do to a pull: where the scene may be slightly wrong, and what an unknown force would move."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.base.errors import SolveError
+from bcid.exploration.motion import back, there
+from bcid.forms.force_bumps import BUMPS, bumps
+from bcid.forms.forward import Forward
+from bcid.forms.sensitivity import Sensitivities, Sensitivity, Wanted
+from bcid.inference.data import Data
+from bcid.inference.nuisances import NuisanceModes, Nuisances
+from bcid.measurement import Action
+
+Array = NDArray[np.float64]
+Anchored = frozenset[str]
+
+
+@dataclass(frozen=True)
+class PullTangent:
+    """Sensitivities of a set in a pull, and what was asked for; frames as in the pull."""
+
+    found: Sensitivities
+    wanted: Wanted
+
+
+class Differentiator:
+    """Differentiates pulls on one level. Local to the process.
+
+    Args:
+        forward: of the level, whose mesh is not shared.
+    """
+
+    def __init__(self, forward: Forward) -> None:
+        self.forward, self.nuisances = forward, Nuisances(forward.scene, forward.mesh)
+        self._sensitivity: Sensitivity | None = None
+        self._forces: Array | None = None
+
+    def of(self, anchors: Anchored, action: Action, forces: bool) -> PullTangent | None:
+        """Of a set in a pull, with or without those to an unknown force; None where it cannot be followed to the end."""
+        if self._sensitivity is None:
+            self._sensitivity, self._forces = Sensitivity(self.forward), bumps(self.forward, BUMPS)[1]
+        wanted = self.nuisances.wanted(self.forward.model, anchors)
+        wanted = replace(wanted, forces=self._forces) if forces else wanted
+        if not (wanted.probes or wanted.law or wanted.places or forces):
+            return PullTangent(Sensitivities([], {}), wanted)
+        first, mirror = there(action, self.forward.model.steady), back(action, self.forward.model.steady)
+        prediction = self.forward.predict(anchors, [first], keep=True)
+        if prediction.failure or prediction.states is None:
+            return None
+        states = {frame: prediction.states[int(same)] for frame, same in enumerate(mirror)}
+        whole = replace(prediction, positions=prediction.positions[mirror], states=states)
+        numbered = replace(action, frames=np.arange(len(action)))
+        # A gripper that is off is so at the end as well, where it is back at rest.
+        seen = np.arange(len(action)) < len(first)
+        seen[-1] = True
+        try:
+            found = self._sensitivity.of(anchors, [numbered], whole, wanted, None, seen)
+        except SolveError:
+            return None
+        return PullTangent(_at(found, np.where(seen, np.arange(len(action)), mirror)), wanted)
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        if self._sensitivity is not None:
+            self._sensitivity.destroy()
+
+
+def _at(found: Sensitivities, frames: NDArray[np.int64]) -> Sensitivities:
+    """The same with its frames chosen anew."""
+    return Sensitivities(
+        [{name: array[frames] for name, array in one.items()} for one in found.probes],
+        {name: array[frames] for name, array in found.law.items()},
+        None,
+        None if found.forces is None else found.forces[frames],
+        None if found.places is None else found.places[frames],
+    )
+
+
+def _together(parts: Sequence[Sensitivities]) -> Sensitivities:
+    """Sensitivities of one set in several pulls as those in one measurement."""
+    first = parts[0]
+    names = [list(one) for one in first.probes]
+    whole = [{n: np.concatenate([p.probes[i][n] for p in parts]) for n in own} for i, own in enumerate(names)]
+    law = {name: np.concatenate([p.law[name] for p in parts]) for name in first.law}
+    forces = [p.forces for p in parts if p.forces is not None]
+    places = [p.places for p in parts if p.places is not None]
+    return Sensitivities(
+        whole, law, None, np.concatenate(forces) if forces else None, np.concatenate(places) if places else None
+    )
+
+
+def modes(nuisances: Nuisances, data: Data, tangents: Sequence[PullTangent]) -> NuisanceModes:
+    """What nuisances do to the values of pulls, of each of which the tangent is given, in the order of their frames."""
+    return nuisances.modes(data, _together([t.found for t in tangents]), tangents[0].wanted)
+
+
+def slopes(data: Data, tangents: Sequence[PullTangent]) -> Array:
+    """Movements of the values of pulls, (n, forces), m per N/m^3 of each force along each axis."""
+    found = _together([t.found for t in tangents]).forces
+    if found is None:
+        return np.zeros((len(data), 0))
+    return np.nan_to_num(np.asarray(found[data.mask], dtype=float).reshape(len(data), -1))
+
+
+def nothing(shape: tuple[int, ...], like: PullTangent) -> PullTangent:
+    """A tangent of a pull of which nothing is known: positions (frames, fiducials, 3) that nothing moves."""
+
+    def zeros(array: Mapping[str, Array]) -> dict[str, Array]:
+        return {name: np.zeros(shape) for name in array}
+
+    forces, places = like.found.forces, like.found.places
+    return PullTangent(
+        Sensitivities(
+            [zeros(one) for one in like.found.probes],
+            zeros(like.found.law),
+            None,
+            None if forces is None else np.zeros((*shape, *forces.shape[3:]), np.float32),
+            None if places is None else np.zeros((*shape, 3)),
+        ),
+        like.wanted,
+    )
