@@ -313,7 +313,9 @@ class Chooser:
             found = responses[option.move.grasp]
             positions = np.array([extended(f.positions, action, size) for f in found])
             loose = [[extended(c, action, size) for c in f.loose] for f in found]
-            result.append(replace(option, expected=self._expected(self._scaled(positions, loose, action, view, False), p)))
+            result.append(
+                replace(option, expected=self._expected(self._scaled(positions, loose, action, view, False), p))
+            )
         return result
 
     def _expected(self, shown: Shown, p: Array) -> Expected:

@@ -204,7 +204,9 @@ class PullPredictor:
                 break
         tickets.close()
         agree(self.comm, error)
-        return [found for _, found in sorted((p for part in self.comm.allgather(mine) for p in part), key=itemgetter(0))]
+        return [
+            found for _, found in sorted((p for part in self.comm.allgather(mine) for p in part), key=itemgetter(0))
+        ]
 
     def differentiate(self, tasks: Iterable[Task], forces: bool = True) -> list[PullTangent | None]:
         """What small changes of the own model do to pulls, in order, with or without an unknown force; collective.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from bcid.exploration.joined import joined
 from bcid.exploration.motion import profile
+from bcid.exploration.predictions import key_of
 from bcid.inference.criteria import FAR
 from bcid.inference.data import Data
 from bcid.inference.likelihood import Errors
@@ -89,6 +91,9 @@ class PullErrors:
         self.unit = unit
         done = [profile(action, scene) for action in whole.actions]
         self.data = Data(scene, whole, np.concatenate(done))
+        motions = [key_of(action) for action in whole.actions]
+        # For each pull the first one with the same motion.
+        self._first = np.array([motions.index(motion) for motion in motions])
         self.places = [slice(int(a.frames[0]), int(a.frames[-1]) + 1) for a in whole.actions]
         moved = self.data.measured - scene.rest
         self.motions = [float(np.sqrt(np.nanmean(moved[place] ** 2))) for place in self.places]
@@ -230,7 +235,7 @@ class PullErrors:
             frames = np.ones(len(self.data.mask), bool)
             errors = self._errors_of(anchors, self._drifting(anchors, anchors), frames, 0.0)
             residual = self._residual(anchors, errors.data, anchors)
-            moved = courses(errors.data, self._allowed[anchors].slopes)
+            moved = self._courses(errors.data, self._allowed[anchors].slopes)
             evidence = Evidence.of(errors, residual, moved, self.unit)
             self._weighed[anchors] = found = Weighed(evidence, 0.0)
             likeliest = self._likelihood(anchors, anchors, frames)
@@ -256,13 +261,19 @@ class PullErrors:
             data, rows = self.data.within(frames), frames[self.data.frame]
             modes, sigma = allowed.modes.at(rows), self._sigma[rows]
             if force:
-                modes = modes.beside(force * courses(data, allowed.slopes[rows]))
+                modes = modes.beside(force * self._courses(data, allowed.slopes[rows]))
             for pull in sorted(drifting):
                 modes = modes.beside(_anywhere(data, pull, _ANYWHERE * self.motions[pull]))
                 rough = np.where(data.action == pull, _ROUGH * _ANYWHERE * self.motions[pull] * data.progress, 0.0)
                 sigma = np.hypot(sigma, rough)
             self._errors[key] = Errors(data, sigma, allowed.mesh, modes)
         return self._errors[key]
+
+    def _courses(self, data: Data, slopes: Array) -> Array:
+        """What an unknown force moves, see `courses`; it is the same in pulls that are the same."""
+        alike = copy(data)
+        alike.action = self._first[data.action]
+        return courses(alike, slopes)
 
     @cached_property
     def _nothing(self) -> Allowance:

@@ -21,15 +21,15 @@ from bcid.exploration.information import coordinates, information, noise_free
 from bcid.exploration.loop import BUDGET, DECIDED, INSEPARABLE, UNEXPLAINED, ExploreOptions, explore
 from bcid.exploration.moves import Move, cost, limits_of, moves
 from bcid.exploration.predictions import PullPrediction, key_of
-from bcid.exploration.robots import Folder
 from bcid.exploration.pull_errors import Allowance, allowance
 from bcid.exploration.pull_tangent import PullTangent
+from bcid.exploration.robots import Folder
 from bcid.exploration.update import BeliefUpdate
-from bcid.forms.simulate import recorded
 from bcid.forms.sensitivity import Sensitivities, Wanted
+from bcid.forms.simulate import recorded
 from bcid.inference.criteria import CERTAIN
 from bcid.inference.data import Data
-from bcid.inference.hypotheses import Hypothesis, effects, entropy, normalised, patches
+from bcid.inference.hypotheses import Hypothesis, effects, entropy, patches
 from bcid.inference.nuisances import NuisanceModes
 from bcid.inference.relative import relative
 from bcid.measurement import Action, Measurement
