@@ -213,6 +213,18 @@ def test_the_pulls_are_one_measurement() -> None:
     assert found[sets[1]] - found[sets[0]] == pytest.approx(logs[1] - logs[0], rel=1e-6)
 
 
+def test_an_unknown_force_is_the_same_in_pulls_that_are_the_same() -> None:
+    body = MadeUp(scene(), by_count)
+    errors = pulled(body, body, "12", ("+x", "+y", "+x")).errors
+    moved = errors._courses(errors.data, np.ones((len(errors.data), 1)))
+    # In all pulls alike, and along those of either kind.
+    assert moved.shape[1] == 3
+    assert (moved[errors.data.action == 0, 1] == moved[errors.data.action == 2, 1]).all()
+    # It grows with the motion, and is gone where the gripper is back.
+    assert moved[errors.data.step == 4, 1].max() == 1.0
+    assert (moved[errors.data.step == 8, 1:] == 0).all()
+
+
 def test_a_gripper_that_may_be_off_tells_less_in_every_pull_anew() -> None:
     body = MadeUp(scene(), by_count)
     body.slack = 2e-3

@@ -116,6 +116,29 @@ def test_the_way_back_is_not_computed_and_the_same(coarse_scene: Path) -> None:
     predictor.destroy()
 
 
+def test_a_gripper_that_is_off_shows_on_the_way_back_as_well(coarse_scene: Path) -> None:
+    """The tangent along a pull and back, half of which is computed, against a gripper that is really off."""
+    scene = Scene.read(coarse_scene)
+    predictor = PullPredictor(scene, 0, MPI.COMM_SELF)
+    assert scene.limits is not None
+    action, anchors, step = moves(scene)[0].action(scene.limits), frozenset("34"), 1e-4
+    (tangent,) = predictor.differentiate([(anchors, action)])
+    assert tangent is not None
+    number = next(i for i, probe in enumerate(tangent.wanted.probes) if probe.effect.name == "grip")
+    found = tangent.found.probes[number]["y"]
+    off = np.where((action.steps > 0)[:, None], [0.0, step, 0.0], 0.0)
+    more, less = (
+        predictor.forward().predict(anchors, [replace(action, translation=action.translation + sign * off)]).positions
+        for sign in (1, -1)
+    )
+    np.testing.assert_allclose(found, (more - less) / (2 * step), atol=2e-3)
+    assert np.abs(found[-1]).max() > 0.1
+    assert tangent.found.forces is not None
+    assert tangent.found.forces.shape[:3] == (len(action), len(scene.fiducials), 3)
+    np.testing.assert_array_equal(tangent.found.forces[1], tangent.found.forces[-2])
+    predictor.destroy()
+
+
 def test_a_body_that_has_buckled_is_told(coarse_scene: Path) -> None:
     """Pushed at its corner the slab bends aside on a path that never gets soft; pulled and lifted it does not."""
     scene = Scene.read(coarse_scene)
