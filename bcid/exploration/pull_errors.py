@@ -20,7 +20,7 @@ from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes
 from bcid.inference.relative import relative
-from bcid.inference.unknown_force import MISSING, Evidence, courses
+from bcid.inference.unknown_force import Evidence, courses
 from bcid.measurement import Measurement
 from bcid.scene import Scene
 
@@ -165,10 +165,15 @@ class PullErrors:
             return float(self.missed(anchors) > FAR)
         return self._weigh(like).evidence.missing
 
-    def plain(self, anchors: Anchored) -> float:
-        """Logarithm of the probability that nothing is missing besides a set that was weighed, against its evidence."""
-        found = self._weigh(anchors).evidence
-        return found.plain + math.log(1 - MISSING) - found.total
+    def besides(self, anchors: Anchored, errors: Errors, residual: Array) -> Evidence | None:
+        """Evidence of a residual (n,), m, of all values, without and with an unknown force besides what was fitted.
+
+        The force moves the body as it does with the set most like these anchors; None where no force can be asked for.
+        """
+        like = self.like(anchors)
+        if like is None or not self._allowed[like].slopes.any():
+            return None
+        return Evidence.of(errors, residual, self._courses(self.data, self._allowed[like].slopes), self.unit)
 
     def missed(self, anchors: Anchored) -> float:
         """RMS residual of a set in units of its errors, where no force acts; NaN where it cannot be followed."""

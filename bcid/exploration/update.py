@@ -15,11 +15,12 @@ from bcid.exploration.predictions import Anchored, PullPrediction, PullPredictor
 from bcid.exploration.pull_errors import Allowance, PullErrors, allowance
 from bcid.exploration.pull_tangent import PullTangent
 from bcid.exploration.rival_effects import Fitted, RivalEffects
-from bcid.inference.criteria import CERTAIN
+from bcid.inference.criteria import CERTAIN, FAR
 from bcid.inference.data import Data
 from bcid.inference.hypotheses import Hypothesis, effects, entropy, normalised, patches
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes
+from bcid.inference.unknown_force import Evidence
 from bcid.measurement import Action, Measurement
 from bcid.scene import Scene
 from bcid.search.climb import neighbours
@@ -297,7 +298,7 @@ class BeliefUpdate:
         known = normalised(logs | acting)
         fitted = {f.hypothesis: f for f in self._fitted[1] if f.hypothesis in acting}
         rms, missed = self._misses(next(iter(known)), fitted)
-        missing = math.fsum(p * self.errors.missing(h.anchors) for h, p in known.items() if h not in acting)
+        missing = math.fsum(p * self._missing(h, fitted) for h, p in known.items())
         error = self._relative_error(next(h.anchors for h in known if h not in acting))
         return PosteriorSummary(
             known,
@@ -314,7 +315,8 @@ class BeliefUpdate:
     def _acting(self, logs: Mapping[Hypothesis, float]) -> dict[Hypothesis, float]:
         """Logarithms of the odds of the hypotheses with an effect, beside those of the sets alone.
 
-        Both know the likeliest set: through it, where nothing is missing, they are compared.
+        Both know the likeliest set: through it they are compared, with an unknown force as a rival besides; without one a set
+        that misses what was seen by far would say little of the others.
         """
         if self.rivals is None or self._fitted[0] != len(self.pulls):
             return {}
@@ -322,9 +324,26 @@ class BeliefUpdate:
         if not plain:
             return {}
         shared, prior = max(plain, key=lambda f: logs[f.hypothesis]), believed(self.rivals.names)
-        apart = logs[shared.hypothesis] + self.errors.plain(shared.hypothesis.anchors) - shared.log
-        found = {f.hypothesis: f.log + apart for f in self._fitted[1] if f.hypothesis.effect}
+        apart = logs[shared.hypothesis] - self._evidence(shared)
+        found = {f.hypothesis: self._evidence(f) + apart for f in self._fitted[1] if f.hypothesis.effect}
         return {h: value + math.log(prior[h.effect] / NONE) for h, value in found.items()}
+
+    def _besides(self, fitted: Fitted) -> Evidence | None:
+        """What the pulls say of an unknown force besides a fitted hypothesis."""
+        state = fitted.fitted.state
+        return self.errors.besides(fitted.hypothesis.anchors, state.errors, state.residual)
+
+    def _evidence(self, fitted: Fitted) -> float:
+        """Logarithm of the evidence of a fitted hypothesis, with an unknown force as a rival besides."""
+        found = self._besides(fitted)
+        return fitted.log if found is None else fitted.log + found.total - found.plain
+
+    def _missing(self, hypothesis: Hypothesis, fitted: Mapping[Hypothesis, Fitted]) -> float:
+        """Probability that something is missing besides a hypothesis."""
+        if hypothesis not in fitted:
+            return self.errors.missing(hypothesis.anchors)
+        found = self._besides(fitted[hypothesis])
+        return float(fitted[hypothesis].missed > FAR) if found is None else found.missing
 
     def _misses(self, best: Hypothesis, fitted: Mapping[Hypothesis, Fitted]) -> tuple[float, float]:
         """What the likeliest hypothesis misses, m, and in units of its errors; NaN where nothing can be predicted."""
