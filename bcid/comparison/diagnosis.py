@@ -14,10 +14,9 @@ from bcid.comparison.adequacy import judge
 from bcid.comparison.buckled_frames import leave_out
 from bcid.comparison.explain import ExplainOptions, Explanation, Rung, explain
 from bcid.comparison.fit import Fit, fit, held_out
-from bcid.comparison.joint import promised
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import rank
-from bcid.comparison.rivals import contest
+from bcid.comparison.rivals import best_first, contest, promoted, refit
 from bcid.comparison.separate import Pull, separating_pulls
 from bcid.comparison.source import Source
 from bcid.comparison.state import State
@@ -94,7 +93,9 @@ def diagnosed(predictor: Predictor, source: Source, only: Sequence[str] | None =
     predictor.progress.say("ranking the effects by what they would explain")
     ranking = rank(fitted.state, effects.catalogue(only, source.own))
     predictor.progress.say("fitting the most promising of them")
-    rivals = contest(fitted.state, promised(fitted.state, ranking), ExplainOptions().fitted)
+    begun, known = fitted.state.model, effects.catalogue(only, source.own)
+    found = contest(fitted.state, begun, known, (), 1, ExplainOptions().fitted)
+    rivals = best_first(r for r in (promoted(one, fitted.state, begun) for one in found if one.names) if r)
     rung = Rung(fitted, adequacy, held_out(fitted), ranking, tuple(rivals))
     return Diagnosis((rung,), None if adequacy.adequate else missing_force(fitted.state))
 
@@ -133,7 +134,7 @@ def explained(predictor: Predictor, source: Source, options: ExplainOptions) -> 
     where = None if found.last.adequacy.adequate else missing_force(found.last.state)
     if where is None and len(found.rungs) > 1:
         where = missing_force(found.rungs[0].state)
-    return Diagnosis(found.rungs, where, found, tuple(_pulls(found) if found.ambiguous else []))
+    return Diagnosis(found.rungs, where, found, tuple(_pulls(found) if found.open else []))
 
 
 def check_terms(source: Source, terms: Sequence[Term], free: Sequence[str], fixed: Sequence[str]) -> None:
@@ -176,8 +177,8 @@ def _added(state: State, one: Term) -> State:
     """The model with an effect, begun where its sensitivity says, unless the user gave values."""
     given = one.values != neutral_values(state.model, one.effect)
     if not given:
-        found = promised(state, rank(replace(state, free=()), [one.effect]))
-        rivals = contest(state, [p for p in found if p.place == one.place or not one.place], ExplainOptions().fitted)
+        row = rank(replace(state, free=()), [one.effect], place=one.place or None).rows[0]
+        rivals = refit(state, row, state.model, 1)
         if rivals:
             return rivals[0].fitted.state
     moved = {
@@ -190,6 +191,7 @@ def _added(state: State, one: Term) -> State:
 
 
 def _pulls(found: Explanation) -> list[Pull]:
-    """Pulls that tell the adopted effect from the next best."""
-    best, other = found.rungs[-2].rivals[0], next(r for r in found.rungs[-2].rivals if r.effect == found.ambiguous[0])
-    return separating_pulls(best.fitted.state, other.fitted.state)[:5]
+    """Pulls that tell the last model from the next best, of those that were compared with all steps."""
+    last = found.last.state
+    others = [r for r in found.rivals if (r.fitted.state.model.name, r.anchors) != (last.model.name, last.anchors)]
+    return separating_pulls(last, others[0].fitted.state)[:5] if others else []

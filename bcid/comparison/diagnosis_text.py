@@ -16,9 +16,11 @@ from bcid.comparison.state import State
 from bcid.comparison.where import MissingForce
 from bcid.forms.model import Term
 from bcid.inference import nuisance_text
-from bcid.inference.criteria import FAR
+from bcid.inference.criteria import CERTAIN, FAR
 from bcid.inference.outcome import label
 
+# A hypothesis with a smaller probability is not told.
+_LITTLE = 0.005
 # A force that explains a smaller share of what is beyond noise is none.
 _NOTHING = 0.1
 # A pull separates two explanations when their predictions are so many times the noise apart.
@@ -53,6 +55,27 @@ def warning(rung: Rung) -> list[str]:
             f"({1e3 * state.rms:.3g} mm where it is {1e3 * state.noise:.3g} mm)."
         )
     return lines + nuisance_text.warnings(state.told)
+
+
+def noise_doubt(found: Explanation) -> str:
+    """Why the noise that is stated is not believed; "" where it is, or where none is stated."""
+    if found.noise is None or not found.last.state.predictor.data.stated:
+        return ""
+    share = found.noise.factor
+    return (
+        f"the noise is stated as {found.noise.sigma / share * 1e3:.3g} mm, but what is left of it, smooth parts aside, "
+        f"is {share:.2g} times as large ({found.noise.sigma * 1e3:.3g} mm), which is taken instead"
+    )
+
+
+def beliefs(found: Explanation) -> list[str]:
+    """Probabilities of verdicts, sets and hypotheses."""
+    names = list(found.last.state.predictor.whole.patches)
+    effects = ", ".join(f"{name} {percent(p)}" for name, p in found.odds.verdicts.items() if p > _LITTLE)
+    lines = [f"How probable: {effects}."]
+    likely = [(h, p) for h, p in found.odds.probabilities.items() if p > _LITTLE][:6]
+    lines += [f"  {h.label(names)}{' and something unknown' if h.unknown else ''}: {percent(p)}" for h, p in likely]
+    return lines
 
 
 def verdict(state: State, adequacy: Adequacy, unit: float, name: str) -> list[str]:
@@ -171,34 +194,59 @@ def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull]
     held = anchors(last.state)
     if found.verdict == "none":
         return [
-            f"The plain model is adequate: it misses the measurement by {last.state.rms / unit:.3g} {name}, which noise "
-            f"({last.state.noise / unit:.3g}), the mesh and what the scene may have slightly wrong explain. Nothing is missing "
-            f"that these data could show. Anchored: {held}."
+            f"Nothing is missing that these data could show ({percent(found.probability)}). The plain model misses the measurement "
+            f"by {last.state.rms / unit:.3g} {name}; noise ({last.state.noise / unit:.3g}), the mesh and what the scene may have "
+            f"slightly wrong {'explain that' if last.adequacy.adequate else 'do not quite explain that'}. {_held(found, held)}",
+            *_open(found, pulls),
         ]
     if found.verdict == "unknown":
         best = last.state.model.name if len(found.rungs) > 1 else "none of them"
         return [
             f"None of the known effects explains this measurement: {last.state.rms / unit:.3g} {name} are left where the noise is "
             f"{last.state.noise / unit:.3g} (the closest: {best}).",
-            "Look where the force that would explain it acts. Probabilities and values below are those of a model that fails.",
+            "Look where the force that would explain it acts. Values below are those of a model that fails.",
+            _held(found, held),
+            *_open(found, pulls),
         ]
     errors = last.fitted.stderr
     lines = [
-        f"Missing in the plain model: {' and '.join(found.verdict.split('+'))}. The error falls from "
-        f"{first.state.rms / unit:.3g} to {last.state.rms / unit:.3g} {name} (noise {last.state.noise / unit:.3g}). "
-        f"Anchored: {held}."
+        f"Missing in the plain model: {' and '.join(found.verdict.split('+'))} ({percent(found.probability)}). The error falls "
+        f"from {first.state.rms / unit:.3g} to {last.state.rms / unit:.3g} {name} (noise {last.state.noise / unit:.3g}). "
+        f"{_held(found, held)}"
     ]
+    if first.state.anchors != last.state.anchors:
+        same = [
+            r
+            for r in found.rungs
+            if not r.state.model.added(first.state.model) and r.state.anchors == last.state.anchors
+        ]
+        alone = f"; with {held} it leaves {same[0].state.rms / unit:.3g} {name}" if same else ""
+        lines.append(
+            f"  Alone, the plain model does best with {anchors(first.state)}{alone}: the rest is the effect's."
+        )
     for one in last.state.model.terms:
         own = {n.removeprefix(f"{one.label}."): e for n, e in errors.items() if n.startswith(f"{one.label}.")}
         if own:
             lines.append("  " + term(one, own))
     lines += [f"  Note: {text}" for text in last.fitted.warnings]
+    return lines + _open(found, pulls)
+
+
+def _held(found: Explanation, held: str) -> str:
+    return f"Anchored: {held} ({percent(found.held_by)})."
+
+
+def _open(found: Explanation, pulls: Sequence[Pull]) -> list[str]:
+    """What these data leave open, and the pull that would tell."""
+    if not found.open:
+        return []
+    lines = []
     if found.ambiguous:
-        lines.append(f"These data cannot tell it from: {', '.join(found.ambiguous)}.")
-        if pulls and pulls[0].sigmas >= _SEPARATE:
-            lines.append(f"The pull that would separate them best: {pulls[0].text}.")
-        elif pulls:
-            lines.append(
-                "No pull along an axis would separate them: they do the same, or need another kind of experiment."
-            )
+        lines.append(f"These data cannot tell {found.verdict} from: {', '.join(found.ambiguous)}.")
+    if found.held_by < CERTAIN:
+        lines.append("These data do not tell for certain which patches hold the body.")
+    if pulls and pulls[0].sigmas >= _SEPARATE:
+        lines.append(f"The pull that would separate the two likeliest models best: {pulls[0].text}.")
+    elif pulls:
+        lines.append("No pull along an axis would separate them: they do the same, or need another kind of experiment.")
     return lines

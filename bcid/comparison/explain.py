@@ -1,32 +1,35 @@
-"""The whole loop: anchors, adequacy, the missing effect, its fit, and again, until adequate or unknown."""
+"""The whole loop: anchors and effects as hypotheses, weighed together, until one is found, or none explains the data."""
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError
 from bcid.base.progress import Steps
-from bcid.base.units import p_value
+from bcid.base.units import p_value, percent
 from bcid.comparison import anchors as anchor_search
 from bcid.comparison.adequacy import Adequacy, judge
 from bcid.comparison.buckled_frames import leave_out
-from bcid.comparison.fit import Fit, fit, held_out
-from bcid.comparison.joint import NEARLY, propose
+from bcid.comparison.fit import Fit, held_out
 from bcid.comparison.predictor import Predictor
-from bcid.comparison.ranking import SIGNIFICANT, Ranking, rank
-from bcid.comparison.rivals import STEPS, Rival, at_a_glance, contest, explained, explains
+from bcid.comparison.ranking import Ranking, rank
+from bcid.comparison.rivals import STEPS, Rival, best_first, contest, promoted
 from bcid.comparison.state import State
+from bcid.comparison.told_anchors import told_anchors
 from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
+from bcid.inference.criteria import CERTAIN, NEARLY_ALL
+from bcid.inference.data import Noise, told_noise
 from bcid.inference.followed import NotFollowed
+from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.outcome import label
 from bcid.search.identification import Identification
@@ -34,16 +37,12 @@ from bcid.search.identify import IdentifyOptions, identify
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
-# Two explanations whose chi-square differs by less (with a penalty for their numbers) cannot be told apart: odds of 20 to 1.
-_ODDS = 20.0
-_TELLING = 2 * math.log(_ODDS)
-# The coarsest level is climbed from random seeds. What that misses is found when sets and effects are looked at together,
-# which begins with so many of the best sets.
-_SEEDS, _STARTS = 2, 2
-# Such a set leaves at most so many times the RMS residual of the best one.
-_NEAR = 1.6
-# An effect is adopted when it explains at least this part of what noise and mesh leave open.
-_LEAST_SHARE = 0.5
+# The coarsest level is climbed from random seeds; so many of the sets that leave least are looked at closely.
+_SEEDS, _STARTS = 2, 8
+# Where no set can be followed in these steps, they are halved so often.
+_HALVINGS = 3
+# So many hypotheses are fitted to all steps, those that are exp(_UNLIKELY) times less likely than the best left out.
+_PROMOTED, _UNLIKELY = 3, 12.0
 
 
 @dataclass(frozen=True)
@@ -53,8 +52,8 @@ class ExplainOptions:
     Attributes:
         level: fine level (see `Predictor`); by default the last with at most 40,000 unknowns.
         effects: effects that may be adopted together at most.
-        fitted: candidates that are refitted at each step, on a few steps of each action.
-        sets: anchor sets that are looked at together with the effects, at each step.
+        fitted: effects that are refitted at each step, on a few steps of each action.
+        sets: anchor sets that are weighed, at each step.
         only: names of the effects to look at; all by default.
     """
 
@@ -74,7 +73,7 @@ class Rung:
         adequacy: the verdict on it.
         held_out: RMS residual when each action is predicted from the others, m, or None.
         ranking: what it lacks, if it was asked.
-        rivals: refitted candidates for the next rung, best first.
+        rivals: refitted candidates for what it lacks, best first.
     """
 
     fitted: Fit
@@ -94,21 +93,50 @@ class Explanation:
     """What the loop found.
 
     Attributes:
-        verdict: name of the effect adopted, several joined by "+"; "none" if the plain model is adequate, "unknown" if
-            nothing in the catalogue makes it so, or nearly.
-        rungs: the ladder of models.
+        verdict: name of the effect adopted, several joined by "+"; "none" if the plain model is adequate, "unknown" if nothing in
+            the catalogue explains the data, or nearly.
+        odds: what is believed of all hypotheses.
+        rungs: the ladder of models: the plain one with the set that is likeliest alone, with that of the last model where it is
+            another, and with the effects that were adopted.
         identification: anchors with the last model on the working level.
-        ambiguous: names of effects that explain as much as the one adopted last.
+        rivals: the hypotheses that were compared with all steps, best first.
+        noise: what the residual says of the noise, where that is not what is stated, or nothing is.
         trajectories: forward trajectories on the coarse, working and fine levels.
         seconds: time spent.
     """
 
     verdict: str
+    odds: HypothesisOdds
     rungs: tuple[Rung, ...]
     identification: Identification
-    ambiguous: tuple[str, ...]
+    rivals: tuple[Rival, ...]
+    noise: Noise | None
     trajectories: dict[str, float]
     seconds: float
+
+    @property
+    def probability(self) -> float:
+        """Of the verdict."""
+        return (
+            self.odds.verdicts[self.verdict] if self.verdict in ("none", "unknown") else self.odds.named(self.verdict)
+        )
+
+    @property
+    def held_by(self) -> float:
+        """Probability of the anchors of the last model."""
+        return self.odds.held_by(self.last.state.anchors)
+
+    @property
+    def open(self) -> bool:
+        """Whether verdict or anchors are not certain."""
+        return min(self.probability, self.held_by) < CERTAIN
+
+    @property
+    def ambiguous(self) -> tuple[str, ...]:
+        """Other verdicts that have a part in the belief, where none has nearly all of it."""
+        if self.probability >= CERTAIN:
+            return ()
+        return tuple(name for name, p in self.odds.verdicts.items() if name != self.verdict and p > 1 - CERTAIN)
 
     @property
     def last(self) -> Rung:
@@ -139,86 +167,56 @@ def explain(
     return _Loop(predictor, options, model or Model.of(predictor.scene), known).run()
 
 
-def simplest(found: Identification) -> Anchored:
-    """The smallest of the sets that cannot be told apart: what need not be held is not said to be."""
-    likely = [
-        other for other in found.alternatives if _ODDS * other.probability > found.probability and not other.failure
-    ]
-    alike = [found.anchored, *found.classes[0], *(other.anchored for other in likely)]
-    return min(map(frozenset, alike), key=len)
-
-
-@dataclass
 class _Loop:
-    predictor: Predictor
-    options: ExplainOptions
-    model: Model
-    known: list[Effect]
-    seen: list[Anchored] = field(default_factory=list)
+    def __init__(self, predictor: Predictor, options: ExplainOptions, model: Model, known: list[Effect]) -> None:
+        self.predictor, self.options, self.model, self.known = predictor, options, model, known
+        self.starts: list[Anchored] = []
+        # Hypotheses compared with all steps, and with a few: the logarithms of these are relative to those.
+        self.full: list[Rival] = []
+        self.thin: list[Rival] = []
 
     # -- the loop
     # --------------------------------------------------------------------------------------------------------------
 
     def run(self) -> Explanation:
         start = time.perf_counter()
-        fitted, identification = self.settle(self.begun())
-        rungs = [self.rung(fitted)]
-        while len(rungs) <= self.options.effects and not self.settled(rungs):
-            ranking, rivals, moved = self.candidates(rungs[-1].fitted)
-            if moved is not None:
-                fitted, identification = self.settle(moved)
-                rungs[-1] = self.rung(fitted)
-                continue
-            rungs[-1] = replace(rungs[-1], ranking=ranking, rivals=tuple(rivals))
-            if not rivals or not self.worthwhile(rivals[0], rungs[-1]):
-                break
-            fitted, identification = self.settle(rivals[0].fitted)
-            fitted = self.pruned(fitted)
-            rungs.append(self.rung(fitted))
-        return Explanation(
-            self.verdict(rungs),
-            tuple(rungs),
-            identification or self.around(rungs[-1].state),
-            self.ambiguous(rungs),
-            dict(self.predictor.trajectories),
-            time.perf_counter() - start,
-        )
+        base = self.noised(self.begun())
+        self.stage(base, self.options.sets)
+        while self.unsettled() and self.deeper():
+            pass
+        return self.explanation(self.best(), time.perf_counter() - start)
 
-    def settled(self, rungs: list[Rung]) -> bool:
-        """Whether nothing is missing: the model is adequate, and of the plain one no effect is significant all the same."""
-        if not rungs[-1].adequacy.adequate or len(rungs) > 1:
-            return rungs[-1].adequacy.adequate
-        if rungs[-1].ranking is None:
-            rungs[-1] = replace(rungs[-1], ranking=rank(rungs[-1].state, self.known))
-        ranking = rungs[-1].ranking
-        assert ranking is not None
-        return all(row.p_value >= SIGNIFICANT for row in ranking.rows)
-
-    def begun(self) -> Fit:
-        """The model with the likely anchors, on what was seen before the body buckles with them."""
+    def begun(self) -> State:
+        """The model with a likely set, on what was seen before the body buckles with it."""
         self.step("looking for the likely anchors on a coarse mesh")
         first = self.followed(self.first_anchors())
         for one in leave_out(self.predictor, self.model, first[0]):
             self.say(str(one))
         if self.predictor.left_out:
             first = self.followed(self.first_anchors())
-        self.seen = first[1:]
-        self.step(f"fitting {self.model.name}")
-        return fit(State.of(self.predictor, self.model, first[0]), ())
+        self.starts = first
+        return State.of(self.predictor, self.model, first[0])
 
     def followed(self, sets: list[Anchored]) -> list[Anchored]:
-        """Those with which the working level can be followed; where there is none, the best of the sets around them."""
-        found = [s for s in sets if not self.predictor.predict(self.model, s, keep=True).failure]
-        if found:
-            return found
+        """Those from the first with which the working level can be followed; where there is none, the best around them."""
+        for number, anchors in enumerate(sets):
+            if not self.predictor.predict(self.model, anchors, keep=True).failure:
+                return sets[number:]
         nothing = MeshError.unknown(self.predictor.data.mask.shape)
         return [frozenset(anchor_search.search(self.predictor, self.model, nothing, sets, "no").anchored)]
 
     def first_anchors(self) -> list[Anchored]:
         """The likely anchor sets as the plain model sees them on the coarsest level, the likeliest first."""
+        # A set with which the body buckles takes long and is seldom the one: steps are only halved where no set can be followed.
+        try:
+            return self.climbed(0)
+        except NotFollowed:
+            return self.climbed(_HALVINGS)
+
+    def climbed(self, halvings: int) -> list[Anchored]:
+        """The likely sets on the coarsest level, with a few steps of each action that may be halved so often."""
         options = IdentifyOptions(certify="no", seeds=_SEEDS, finest=0)
-        # A set with which the body buckles takes long and is seldom the one: no step is halved for it.
-        predictor, frames = self.predictor.thinned(STEPS, Settings(rtol=1e-6, halvings=0))
+        predictor, frames = self.predictor.thinned(STEPS, Settings(rtol=1e-6, halvings=halvings))
         try:
             found = identify(
                 predictor.whole,
@@ -232,8 +230,7 @@ class _Loop:
         except NotFollowed as error:
             raise NotFollowed(str(error), error.remark, self.came_to(frames[error.frames])) from None
         self.predictor.count("coarse", sum(found.evaluations.values()))
-        near = [a.anchored for a in found.alternatives if a.rms < _NEAR * a.best_rms]
-        return [frozenset(names) for names in [found.anchored, *near[: _STARTS - 1]]]
+        return [frozenset(names) for names in [found.anchored, *(a.anchored for a in found.alternatives)]][:_STARTS]
 
     def came_to(self, frames: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Which of all frames were come to, where these were."""
@@ -242,142 +239,192 @@ class _Loop:
             found[action.frames] = action.frames <= max(np.intersect1d(action.frames, frames), default=-1)
         return found
 
-    def settle(self, fitted: Fit) -> tuple[Fit, Identification | None]:
-        """Fit, error of the mesh and anchors, until none of them changes the others.
+    def noised(self, base: State) -> State:
+        """The state with the noise that its residual has where none is stated, or where that is surprisingly another."""
+        found = told_noise(self.predictor.data, base.rough_values)
+        data = self.predictor.data
+        if found is None or (data.stated and not found.surprising):
+            return base
+        if not data.stated:
+            # What the mesh leaves is no more known than so: of smooth data without noise nothing would ever be doubted.
+            found = replace(found, sigma=max(found.sigma, base.errors.mesh.rms))
+        self.predictor.believe(found)
+        self.say(f"the measurement has a noise of {found.sigma * 1e3:.3g} mm")
+        return State.of(self.predictor, self.model, base.anchors, base.errors.mesh, base.free, base.prediction)
 
-        Every set of anchors is looked at once where the model is nearly adequate. Where it is not, its best set says little:
-        the sets are then looked at together with the effects.
+    # -- hypotheses
+    # --------------------------------------------------------------------------------------------------------------
+
+    def stage(self, base: State, sets: int) -> None:
+        """Weigh so many sets, and effects, beside a model, and fit the likeliest to all steps."""
+        self.say(f"weighing anchor sets and effects beside {base.model.name}")
+        found = contest(base, self.model, self.lacking(base), self.starts, sets, self.options.fitted)
+        if found[0].anchors != base.anchors:
+            with suppress(SolveError):
+                base = State.of(self.predictor, base.model, found[0].anchors, None, base.free)
+        self.promote(found, base)
+
+    def lacking(self, base: State) -> list[Effect]:
+        """The effects that a model does not have."""
+        have = {term.effect.name for term in base.model.added(self.model)}
+        return [effect for effect in self.known if effect.name not in have]
+
+    def promote(self, found: Sequence[Rival], base: State) -> None:
+        """Fit the likeliest to all steps, and the likeliest without an effect."""
+        chosen: list[Rival] = []
+        own = tuple(term.effect.name for term in base.model.added(self.model))
+        for rival in found:
+            near = rival.log > found[0].log - _UNLIKELY and len(chosen) < _PROMOTED
+            first_alone = rival.names == own and not any(r.names == rival.names for r in chosen)
+            if near or first_alone:
+                chosen.append(rival)
+        fitted: list[tuple[Rival, Rival]] = []
+        for number, rival in enumerate(chosen):
+            self.step("hypotheses fitted to all steps", number, len(chosen))
+            again = promoted(rival, base, self.model)
+            if again is None:
+                continue
+            fitted.append((rival, again))
+            self.say(
+                f"  {again.fitted.state.model.name}, anchors {self.name(again.anchors)}: {again.fitted.state.rms * 1e3:.3g} mm"
+            )
+        left = _most_left([*self.full, *(again for _, again in fitted)])
+        fitted = [(rough, again.allowing(left, self.model)) for rough, again in fitted]
+        full = {(r.names, r.anchors): r for _, r in fitted}
+        full |= {(r.names, r.anchors): r.allowing(left, self.model) for r in self.full}
+        self.full = best_first(full.values())
+        if fitted:
+            # What was compared on a few steps keeps its distance from what was compared on both, with the same effects or none.
+            alone = next((pair for pair in fitted if pair[1].names == own), fitted[0])
+            alike = {fine.names: (rough, fine) for rough, fine in reversed(fitted)}
+            done = {id(rough) for rough, _ in fitted}
+            for rival in found:
+                if id(rival) not in done:
+                    rough, fine = alike.get(rival.names, alone)
+                    self.thin.append(rival.shifted(fine.log - rough.log))
+        self.predictor.drop([self.model, *(rival.fitted.state.model for rival in self.full)])
+
+    @property
+    def odds(self) -> HypothesisOdds:
+        """What is believed of all hypotheses.
+
+        The error of the mesh has a shape that is guessed. Where it is not small beside the noise, a power of the
+        likelihood counts (the coarsened posterior of Miller & Dunson, J. Am. Stat. Assoc. 114, 2019), the noise's part of both.
         """
-        identification = None
-        # A trajectory of a model that remembers costs several times as much.
-        certify = "no" if fitted.state.model.remembers else "auto"
-        for _ in range(3):
-            if fitted.state.errors.mesh.about != (fitted.state.model.name, fitted.state.anchors):
-                fitted = self.corrected(fitted)
-            state = fitted.state
-            if state.chi2 > NEARLY * len(self.predictor.data):
-                break
-            identification = anchor_search.search(
-                self.predictor, state.model, state.errors.mesh, [state.anchors], certify
+        state = self.full[0].fitted.state
+        power = state.noise**2 / (state.noise**2 + _rms(_most_left(self.full)) ** 2)
+        logs: dict[Hypothesis, float] = {}
+        for rival in (*self.full, *self.thin):
+            for hypothesis, log in rival.tempered(power).items():
+                logs.setdefault(hypothesis, log)
+        return HypothesisOdds.of(logs)
+
+    def unsettled(self) -> bool:
+        """Whether a further effect is to be looked for: something unknown acts besides the best hypothesis."""
+        return self.odds.best.unknown and len(self.full[0].names) < self.options.effects
+
+    def deeper(self) -> bool:
+        """Look for a further effect beside the likeliest model; whether there was one to look beside."""
+        tried = {rival.names for rival in self.full if len(rival.names) > 1}
+        singles = [rival for rival in self.full if len(rival.names) == 1]
+        if not singles or tried or singles[0].log < max(r.log for r in self.full if not r.names):
+            return False
+        best = singles[0]
+        self.stage(best.fitted.state, 1)
+        return True
+
+    def best(self) -> Rival:
+        """The likeliest of the hypotheses that were compared with all steps."""
+        full = {h: p for h, p in self.odds.probabilities.items() if any(h in r.logs for r in self.full)}
+        told = HypothesisOdds(full).best
+        return next(r for r in self.full if told in r.logs)
+
+    # -- the answer
+    # --------------------------------------------------------------------------------------------------------------
+
+    def explanation(self, best: Rival, seconds: float) -> Explanation:
+        plain = next(r for r in self.full if not r.names)
+        rungs = [self.rung(plain)]
+        if best.names and best.anchors != plain.anchors:
+            same = next((r for r in self.full if not r.names and r.anchors == best.anchors), None)
+            same = same or promoted(
+                replace(plain, fitted=Fit.at(replace(plain.fitted.state, anchors=best.anchors))),
+                plain.fitted.state,
+                self.model,
             )
-            found = simplest(identification)
-            if found == state.anchors:
-                break
-            other = fit(State.of(self.predictor, state.model, found, state.errors.mesh, state.free), state.free)
-            if other.state.deviance >= state.deviance + _TELLING:
-                break
-            self.seen.append(state.anchors)
-            self.say(f"with {state.model.name} the anchors are {self.name(found)}, not {self.name(state.anchors)}")
-            fitted, certify = other, "no"
-        return fitted, identification
+            rungs += [self.rung(same)] if same else []
+        asked = replace(
+            rungs[-1], ranking=rank(rungs[-1].state, self.known, strict=False), rivals=tuple(self.singles())
+        )
+        rungs[-1] = asked
+        if len(best.names) > 1:
+            first = next((r for r in self.full if r.names == best.names[:1]), None)
+            rungs += [self.rung(first)] if first else []
+        if best.names:
+            rungs.append(self.rung(best))
+        unknown = self.odds.best.unknown
+        if unknown and not (best.names and explains(rungs[0].fitted, rungs[-1].fitted)):
+            verdict = "unknown"
+        else:
+            verdict = "+".join(best.names) or "none"
+        found = Explanation(
+            verdict,
+            self.odds,
+            tuple(rungs),
+            told_anchors(best_first([*self.full, *self.thin]), self.odds, best, seconds),
+            tuple(self.full),
+            self.predictor.noise,
+            dict(self.predictor.trajectories),
+            seconds,
+        )
+        self.say(
+            f"{verdict}, {percent(found.probability)}; anchors {self.name(best.anchors)}, {percent(found.held_by)}"
+        )
+        return found
 
-    def around(self, state: State) -> Identification:
-        """The anchors around those of a model that is not adequate."""
-        return anchor_search.search(self.predictor, state.model, state.errors.mesh, [state.anchors], "no")
+    def singles(self) -> list[Rival]:
+        """The hypotheses with one effect, the likeliest first."""
+        return best_first(r for r in [*self.full, *self.thin] if len(r.names) == 1)
 
-    def corrected(self, fitted: Fit) -> Fit:
-        """Fit again with the error of the mesh of the fitted model, until the fitted numbers stay."""
-        for _ in range(2):
-            state = fitted.state
-            self.step(f"the error of the mesh with {state.model.name}")
-            mesh = self.predictor.mesh_error(state.model, state.anchors, state.prediction)
-            again = fit(
-                State.of(self.predictor, state.model, state.anchors, mesh, state.free, state.prediction), state.free
-            )
-            before, after = (np.array([c.of(f.values[c.name]) for c in f.coordinates]) for f in (fitted, again))
-            errors = np.sqrt(np.diag(again.covariance)) if len(after) else np.zeros(0)
-            fitted = again
-            if not np.any(np.abs(after - before) > 0.5 * np.maximum(errors, 1e-12)):
-                break
-        return fitted
-
-    def rung(self, fitted: Fit) -> Rung:
-        adequacy = judge(fitted.state)
-        apart = held_out(fitted)
-        state = fitted.state
+    def rung(self, rival: Rival) -> Rung:
+        state, adequacy = rival.fitted.state, judge(rival.fitted.state)
         verdict = "adequate" if adequacy.adequate else f"not adequate ({p_value(adequacy.p_value)})"
         self.say(
             f"{state.model.name}, anchors {self.name(state.anchors)}: residual {state.rms * 1e3:.3g} mm, "
             f"noise {state.noise * 1e3:.3g} mm, mesh {state.errors.mesh.rms * 1e3:.2g} mm: {verdict}"
         )
-        return Rung(fitted, adequacy, apart)
-
-    # -- candidates
-    # -----------------------------------------------------------------------------------------------------------
-
-    def candidates(self, fitted: Fit) -> tuple[Ranking, list[Rival], Fit | None]:
-        """Rank what is missing, for the anchors at hand and for others, and refit the most promising.
-
-        Where other anchors alone explain more than any effect does, the model with them comes last.
-        """
-        state = fitted.state
-        self.say("ranking the effects by what they would explain, with these anchors and with others")
-        ranking = rank(state, self.known, strict=False)
-        proposals = at_a_glance(state, 0, lambda thin: propose(thin, self.seen, self.options.sets, self.known))
-        here = min((p.left for p in proposals if p.anchors == state.anchors and p.effect is None), default=math.inf)
-        best = proposals[0]
-        if best.effect is None and best.left < here - _TELLING and best.anchors not in self.seen:
-            self.seen.append(best.anchors)
-            try:
-                moved = fit(State.of(self.predictor, state.model, best.anchors, None, state.free), state.free)
-                self.say(f"other anchors explain more than any effect: {self.name(best.anchors)}")
-                return ranking, [], moved
-            except SolveError:
-                pass
-        rivals = contest(state, proposals, self.options.fitted)
-        for rival in rivals:
-            self.say(
-                f"  with {rival.term.label}, anchors {self.name(rival.anchors)}: {rival.fitted.state.rms * 1e3:.3g} mm"
-            )
-        self.predictor.drop([fitted.state.model, *(r.fitted.state.model for r in rivals)])
-        return ranking, rivals, None
-
-    def worthwhile(self, rival: Rival, before: Rung) -> bool:
-        """Whether a rival explains enough to be believed: what is missing besides may be large, but not much larger.
-
-        Of an adequate model nothing needs to be explained: there a scan must pay for all that it tried.
-        """
-        least = 2.0
-        if before.adequacy.adequate and before.ranking is not None:
-            least = 2 * math.log(before.ranking.tried / SIGNIFICANT)
-        return explained(before.fitted, rival.fitted) > _LEAST_SHARE and rival.bic < before.fitted.bic - least
-
-    def pruned(self, fitted: Fit) -> Fit:
-        """Without effects that a later one has made needless."""
-        state = fitted.state
-        added = state.model.added(self.model)
-        for term in added if len(added) > 1 else ():
-            model = state.model.without(term.label)
-            names = [name for name in state.free if name not in term.free]
-            less = fit(State.of(self.predictor, model, state.anchors, state.errors.mesh), names)
-            if less.bic <= fitted.bic:
-                self.say(f"{term.label} is not needed any more")
-                return self.pruned(less)
-        return fitted
-
-    # -- the verdict
-    # ----------------------------------------------------------------------------------------------------------
-
-    def verdict(self, rungs: Sequence[Rung]) -> str:
-        last = rungs[-1]
-        added = [term.effect.name for term in last.state.model.added(self.model)]
-        if not explains(rungs[0].fitted, last.fitted, last.adequacy.adequate):
-            return "unknown"
-        return "+".join(dict.fromkeys(added)) or "none"
-
-    def ambiguous(self, rungs: Sequence[Rung]) -> tuple[str, ...]:
-        """Rivals of the effect adopted last that explain as much."""
-        if len(rungs) < 2 or not rungs[-2].rivals:
-            return ()
-        best = rungs[-2].rivals[0]
-        near = [r.effect for r in rungs[-2].rivals[1:] if r.bic - best.bic < _TELLING]
-        return tuple(name for name in dict.fromkeys(near) if name != best.effect)
+        apart = rival.held_out if rival.held_out is not None else held_out(rival.fitted)
+        return Rung(rival.fitted, adequacy, apart)
 
     def say(self, text: str) -> None:
         self.predictor.progress.say(text)
 
-    def step(self, work: str) -> None:
-        self.predictor.progress.step(work)
+    def step(self, work: str, done: int = 0, total: int = 0) -> None:
+        self.predictor.progress.step(work, done, total)
 
     def name(self, anchors: Anchored) -> str:
         return label(anchors, self.predictor.scene.patches)
+
+
+def _most_left(rivals: Sequence[Rival]) -> Array:
+    """What may be left of the error of the mesh where it is largest, (frames, fiducials, 3), m.
+
+    Hypotheses are compared with that: what an unknown force does on a mesh is no more exact than what a known one does, and none
+    gains by being seen more exactly.
+    """
+    return max((rival.fitted.state.errors.mesh for rival in rivals), key=lambda mesh: mesh.rms).left
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.nanmean(values**2)))
+
+
+def explained(before: Fit, after: Fit) -> float:
+    """Which part of a model's chi-square beyond that of its errors another one explains."""
+    values = len(before.state.predictor.data)
+    return (before.state.chi2 - after.state.chi2) / max(before.state.chi2 - values, 1e-9)
+
+
+def explains(before: Fit, after: Fit) -> bool:
+    """Whether what was added to a model may be named although something is missing besides: it explains nearly all."""
+    return explained(before, after) > NEARLY_ALL

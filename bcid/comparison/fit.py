@@ -16,7 +16,6 @@ from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.forms.parameter import Parameter
 from bcid.forms.sensitivity import Probe, Wanted
-from bcid.inference.criteria import bic
 
 Array = NDArray[np.float64]
 # A step that moves no number by more than this part of its scale ends the fit.
@@ -114,10 +113,10 @@ class Fit:
     warnings: tuple[str, ...]
     evaluations: int
 
-    @property
-    def bic(self) -> float:
-        """Bayesian information criterion of the fit, see `bcid.inference.criteria.bic`."""
-        return bic(self.state.deviance, len(self.state.predictor.data), len(self.coordinates))
+    @classmethod
+    def at(cls, state: State) -> Fit:
+        """A model as it is, of which nothing was fitted."""
+        return cls(state, (), np.zeros((0, 0)), np.zeros((len(state.predictor.data), 0)), (), 0)
 
     @property
     def values(self) -> dict[str, float]:
@@ -249,7 +248,7 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL)
     start = replace(start, errors=start.errors.without(names))
     problem = _Problem(start, chosen)
     if not chosen:
-        return Fit(replace(start, free=()), (), np.zeros((0, 0)), np.zeros((len(start.predictor.data), 0)), (), 0)
+        return Fit.at(replace(start, free=()))
     numbers = start.model.constants()
     lower, upper = (np.array(b) for b in zip(*(c.bounds for c in chosen), strict=True))
     scale = np.array([c.scale for c in chosen])
@@ -270,7 +269,7 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL)
     )
     x = result.x * scale
     model, prediction = problem.prediction(x)
-    state = State(start.predictor, model, start.anchors, prediction, start.errors, tuple(names))
+    state = replace(start, model=model, prediction=prediction, free=tuple(names))
     jacobian = np.asarray(result.jac) / scale
     covariance, loose = _covariance(jacobian, scale)
     warnings = _warnings(chosen, x, lower, upper, scale, loose)

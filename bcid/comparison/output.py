@@ -13,19 +13,22 @@ from bcid.base.units import unit_factor
 from bcid.comparison import diagnosis_text
 from bcid.comparison.adequacy import FALSE_ALARMS, groups, judge
 from bcid.comparison.diagnosis import Diagnosis
-from bcid.comparison.explain import Rung
+from bcid.comparison.explain import Explanation, Rung, explains
 from bcid.comparison.fit import Fit
 from bcid.comparison.predictor import Predictor, joined
 from bcid.comparison.ranking import Ranking
-from bcid.comparison.rivals import Rival, explains
+from bcid.comparison.rivals import Rival
 from bcid.comparison.source import Source
 from bcid.comparison.where import MissingForce
 from bcid.forms.model import Term
 from bcid.inference import nuisance_text
+from bcid.inference.hypotheses import patches
 from bcid.measurement import AXES
 from bcid.search.identify_run import body_parts, inputs_in_words, odd
 
 MODEL_FORMAT = "bcid-model/1"
+# So many of the likeliest hypotheses are told.
+_HYPOTHESES = 12
 
 
 def collect(predictor: Predictor, done: Diagnosis) -> dict[str, Any]:
@@ -103,13 +106,13 @@ def diagnosis_json(done: Diagnosis, unit: float) -> dict[str, Any]:
     else:
         added = "+".join(dict.fromkeys(d.effect.name for d in state.model.terms if _seen(last.fitted, d)))
         adequate = last.adequacy.adequate
-        named = explains(done.rungs[0].fitted, last.fitted, adequate) if added else adequate
+        named = adequate or (bool(added) and explains(done.rungs[0].fitted, last.fitted))
         verdict = (added or "none") if named else "unknown"
         if asked is not None and asked.rivals and not adequate:
             first = asked.rivals[0]
-            named = explains(last.fitted, first.fitted, judge(first.fitted.state).adequate)
+            named = judge(first.fitted.state).adequate or explains(last.fitted, first.fitted)
             verdict = first.effect if named else "unknown"
-    return {
+    return (beliefs(found, order) if found is not None else {}) | {
         "adequate": last.adequacy.adequate,
         "p_value": last.adequacy.p_value,
         "false_alarm_rate": FALSE_ALARMS,
@@ -153,6 +156,30 @@ def diagnosis_json(done: Diagnosis, unit: float) -> dict[str, Any]:
             }
             for rung in done.rungs
         ],
+    }
+
+
+def beliefs(found: Explanation, order: list[str]) -> dict[str, Any]:
+    """How probable verdict, anchors and the likeliest hypotheses are."""
+    odds = found.odds
+    hypotheses = [
+        {
+            "anchored": sorted(h.anchors, key=order.index),
+            "effects": h.effect.split("+") if h.effect else [],
+            "unknown": h.unknown,
+            "probability": p,
+        }
+        for h, p in list(odds.probabilities.items())[:_HYPOTHESES]
+    ]
+    return {
+        "verdict_probability": found.probability,
+        "anchors_probability": found.held_by,
+        "probabilities": {
+            "effects": odds.verdicts,
+            "patches": patches(odds.probabilities, order),
+            "hypotheses": hypotheses,
+        },
+        "noise_doubt": diagnosis_text.noise_doubt(found),
     }
 
 
@@ -265,7 +292,10 @@ def summary(done: Diagnosis, shares: Mapping[str, float], remarks: Sequence[str]
     unit, name = 1e-3, "mm"
     lines = [*odd(remarks), *diagnosis_text.warning(done.rungs[-1])]
     if done.explanation is not None:
+        doubt = diagnosis_text.noise_doubt(done.explanation)
+        lines += [f"WARNING: {doubt}."] if doubt else []
         lines += [*diagnosis_text.conclusion(done.explanation, unit, name, done.pulls), ""]
+        lines += [*diagnosis_text.beliefs(done.explanation), ""]
     lines += ["The ladder of models:", *diagnosis_text.ladder(done.rungs, unit, name), ""]
     if shares:
         parts = ", ".join(f"{label} {share / unit:.3g} {name}" for label, share in shares.items())

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from bcid.base.collective import Comm, agree, in_turns
 from bcid.base.errors import BcidError, InputError
 from bcid.base.progress import Progress, Silent
+from bcid.forms.force_bumps import BUMPS, bumps
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
 from bcid.forms.sensitivity import Sensitivities, Sensitivity, Wanted
 from bcid.forms.solver.equilibrium import Settings
-from bcid.inference.data import Data
+from bcid.inference.data import Data, Noise
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes, Nuisances
 from bcid.measurement import Action, Measurement
@@ -31,8 +32,8 @@ _LEAST_GAIN = 0.5
 _AFFORDABLE = 40_000
 # The working mesh has elements so many times as large as those of the fine one.
 _COARSER = 3.0
-# So many of the last predictions are kept: what only changes the picture needs no other.
-_KEPT = 5
+# So many of the last predictions are kept: what only changes the picture needs no other; of a few steps, many more.
+_KEPT, _KEPT_THIN = 5, 64
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,7 @@ class Predictor:
         whole: the scene as it was given.
         fine_level: number of the fine level in its ladder.
         data: the measured values.
+        noise: that is believed instead of the stated one; None as long as that is.
         left_out: what of the measurement is not compared, and why, in words.
         thin: whether only some steps of each action are followed.
         trajectories: forward trajectories by level ("working", "fine"), in whole-trajectory equivalents.
@@ -94,6 +96,7 @@ class Predictor:
         self.settings = settings or Settings(rtol=1e-7, halvings=3)
         self.progress = progress or Silent()
         self.thin = False
+        self.noise: Noise | None = None
         self.data = Data(scene, measurement)
         self.left_out: tuple[str, ...] = ()
         self.actions = measurement.actions
@@ -104,11 +107,21 @@ class Predictor:
         self._sensitivities: dict[tuple[int, str], Sensitivity] = {}
         self._meshes: dict[int, BodyMesh] = {}
         self._nuisances: Nuisances | None = None
+        self._weights: Array | None = None
 
     def look_at(self, measurement: Measurement, left_out: tuple[str, ...] = ()) -> None:
         """Compare with what else was seen of the same motions."""
         self.measurement, self.left_out = measurement, left_out
-        self.data = Data(self.whole, measurement)
+        self.data = self._seen(measurement)
+
+    def believe(self, noise: Noise) -> None:
+        """Take another noise than the stated one from now on, or one where none is stated."""
+        self.noise = noise
+        self.data = self._seen(self.measurement)
+
+    def _seen(self, measurement: Measurement) -> Data:
+        data = Data(self.whole, measurement)
+        return data if self.noise is None else data.with_noise(self.noise)
 
     def repeating(self, measurement: Measurement) -> Predictor:
         """A predictor of another measurement of the same body; meshes and forward models are shared."""
@@ -181,6 +194,7 @@ class Predictor:
         level: int | None = None,
         actions: Iterable[Action] | None = None,
         keep: bool = False,
+        patient: bool = True,
     ) -> MeasurementPrediction:
         """What the model shows with these patches anchored.
 
@@ -190,21 +204,25 @@ class Predictor:
             level: mesh level; the working level by default.
             actions: only these; all by default.
             keep: keep the states, for `sensitivities`.
+            patient: halve steps that fail, as the settings say, and go on with the other actions where one cannot be followed.
         """
         actions = self.actions if actions is None else list(actions)
         level = self.level if level is None else level
         key = level, mechanical(model), frozenset(anchors), tuple(action.name for action in actions)
         known = next((prediction for k, kept, prediction in self._predictions if k == key and kept >= keep), None)
         if known is None:
-            known = self._followed(*key[:3], actions, keep)
-            self._predictions = [*self._predictions[-_KEPT:], (key, keep, known)]
+            known = self._followed(*key[:3], actions, keep, patient)
+            if known.failure and not patient:
+                return known
+            self._predictions = [*self._predictions[-(_KEPT_THIN if self.thin else _KEPT) :], (key, keep, known)]
         return replace(known, positions=self._pictured(model, known.positions, level))
 
     def _followed(
-        self, level: int, model: Model, anchors: frozenset[str], actions: list[Action], keep: bool
+        self, level: int, model: Model, anchors: frozenset[str], actions: list[Action], keep: bool, patient: bool
     ) -> MeasurementPrediction:
         """Prediction before effects on the picture."""
         forward = self.forward(model, level)
+        forward.equilibrium.settings = self.settings if patient else replace(self.settings, halvings=0)
         positions = np.full(self.data.mask.shape, np.nan)
         parts, failure, error = {}, "", None
         for action in self.mine(actions):
@@ -216,6 +234,8 @@ class Predictor:
             positions[action.frames] = part.positions[action.frames]
             parts[action.name] = part
             failure = failure or (part.failure.reason if part.failure else "")
+            if failure and not patient:
+                break
         agree(self.comm, error)
         gathered = self.comm.allgather((positions, failure))
         share = sum(len(a) for a in actions) / self._steps
@@ -259,12 +279,21 @@ class Predictor:
         gathered = [part for parts in self.comm.allgather(parts) for part in parts]
         return _merged(gathered)
 
-    def nuisances(self, model: Model, anchors: Iterable[str], prediction: MeasurementPrediction) -> NuisanceModes:
-        """What the scene may have slightly wrong does to the measured values; the prediction must have kept its states."""
+    def disturbances(
+        self, model: Model, anchors: Iterable[str], prediction: MeasurementPrediction
+    ) -> tuple[NuisanceModes, Array]:
+        """What the scene may have slightly wrong does to the measured values, and what an unknown force does, shape (n, forces), m.
+
+        The prediction must have kept its states.
+        """
+        forward = self.forward(model)
         if self._nuisances is None:
-            self._nuisances = Nuisances(self.scene, self.forward(model).mesh)
-        wanted = self._nuisances.wanted(model, anchors)
-        return self._nuisances.modes(self.data, self.sensitivities(model, anchors, prediction, wanted), wanted)
+            self._nuisances, self._weights = Nuisances(self.scene, forward.mesh), bumps(forward, BUMPS)[1]
+        wanted = replace(self._nuisances.wanted(model, anchors), forces=self._weights)
+        found = self.sensitivities(model, anchors, prediction, wanted)
+        assert found.forces is not None
+        slopes = np.nan_to_num(found.forces[self.data.mask].astype(float)).reshape(len(self.data), -1)
+        return self._nuisances.modes(self.data, found, wanted), slopes
 
     def _whole(self, part: Prediction) -> Prediction:
         """A part's positions in the frames of the whole measurement."""

@@ -9,15 +9,19 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
+from scipy.special import logsumexp
 from scipy.stats import chi2, ncx2
 
 from bcid.base.errors import InputError
 from bcid.comparison.fit import columns, coordinates
+from bcid.comparison.priors import log_share, log_variants, one_sided, visible
 from bcid.comparison.state import State
 from bcid.comparison.variants import Variant, all_variants
 from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Term
+from bcid.inference.criteria import SEEN
+from bcid.inference.evidence import ANY, log_gains
 
 Array = NDArray[np.float64]
 # What two explanations leave different must exceed this (chi-square) for them to be told apart.
@@ -47,6 +51,8 @@ class Row:
         confounded_with: effects that explain the same.
         explained: what it explains of the scaled residual, shape (n,).
         tried: variants tried.
+        gain: logarithm of how much likelier the effect makes the data, all variants and amounts counted; minus infinity where
+            these data cannot show it.
     """
 
     effect: str
@@ -60,32 +66,39 @@ class Row:
     identifiable: bool
     explained: Array
     tried: int
+    gain: float
     confounded_with: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Ranking:
-    """All dormant effects, the one that explains most first.
+    """All dormant effects, the likeliest first.
 
     Attributes:
         rows: the effects.
         excluded: effects that cannot act here, with the reason in words.
         tried: number of variants tried over all effects.
-        left: chi-square that a refit of the model's own numbers would leave.
     """
 
     rows: tuple[Row, ...]
     excluded: dict[str, str] = field(default_factory=dict)
     tried: int = 0
-    left: float = math.inf
 
 
-def rank(state: State, known: Sequence[Effect] | None = None, strict: bool = True) -> Ranking:
+def rank(
+    state: State,
+    known: Sequence[Effect] | None = None,
+    strict: bool = True,
+    place: str | None = None,
+    least: float = SEEN,
+) -> Ranking:
     """Rank the effects that the model lacks; collective.
 
     Args:
         state: the model at its optimum.
         known: the effects to look at; the whole catalogue by default.
+        least: how well an effect must be seen, see `bcid.comparison.priors.visible`.
+        place: where the effects act; everywhere they can by default.
         strict: refuse a model that is not at its optimum (what a refit of it could explain is projected out anyway).
 
     Raises:
@@ -95,13 +108,13 @@ def rank(state: State, known: Sequence[Effect] | None = None, strict: bool = Tru
     if strict:
         check_optimum(state, present)
     candidates, excluded = dormant(state, effects.catalogue() if known is None else known)
+    candidates = [(effect, at) for effect, at in candidates if place is None or at == place]
     variants = all_variants(state, candidates)
     basis = _orthonormal(present)
     tried = max(sum(_effective(v) for v in variants.values()), 1)
-    rows = [_row(state, name, found, basis, tried) for name, found in variants.items() if found]
-    rows.sort(key=lambda row: (-(row.score - 2 * row.dof), row.effect))
-    left = float(np.sum(_projected(state.scaled, basis) ** 2))
-    return Ranking(tuple(_confusions(rows)), excluded, tried, left)
+    rows = [_row(state, name, found, basis, tried, least) for name, found in variants.items() if found]
+    rows.sort(key=lambda row: (-row.gain, -row.score, row.effect))
+    return Ranking(tuple(_confusions(rows)), excluded, tried)
 
 
 def dormant(state: State, known: Iterable[Effect]) -> tuple[list[tuple[Effect, str]], dict[str, str]]:
@@ -173,18 +186,16 @@ def _effective(variants: Sequence[Variant]) -> int:
     return max(1, int((sizes > 0.05 * sizes[0]).sum() / variants[0].sensitivity.shape[1])) if sizes[0] > 0 else 1
 
 
-def _row(state: State, name: str, variants: Sequence[Variant], basis: Array, tried: int) -> Row:
-    """The best variant of an effect."""
+def _row(state: State, name: str, variants: Sequence[Variant], basis: Array, tried: int, least: float) -> Row:
+    """An effect with its best variant."""
     residual = state.scaled
     residual = residual - basis @ (basis.T @ residual)
-    best, most = variants[0], -1.0
-    for variant in variants:
-        gain = _free_gain(_projected(variant.sensitivity, basis), residual)
-        if gain > most:
-            step, gain = _bounded(variant, _projected(variant.sensitivity, basis), residual)
-            if gain > most:
-                best, most = variant, gain
-    left = _projected(best.sensitivity, basis)
+    stacked = _projected(np.hstack([v.sensitivity for v in variants]), basis)
+    gains = _gains(state, variants, stacked, residual, least)
+    evidence = float(logsumexp(gains)) + log_variants(len(variants))
+    at = int(np.argmax(gains)) if np.isfinite(gains).any() else 0
+    width = len(variants[0].amounts)
+    best, left = variants[at], stacked[:, at * width : (at + 1) * width]
     step, gain = _bounded(best, left, residual)
     values = dict(best.term.values)
     for c, move in zip(best.amounts, step, strict=True):
@@ -220,18 +231,30 @@ def _row(state: State, name: str, variants: Sequence[Variant], basis: Array, tri
         identifiable,
         explained,
         len(variants),
+        evidence,
     )
+
+
+def _gains(state: State, variants: Sequence[Variant], stacked: Array, residual: Array, least: float) -> Array:
+    """How much likelier each variant makes the data, as logarithms; `stacked` are their sensitivities, one after the other."""
+    amounts = variants[0].amounts
+    columns = stacked.reshape(len(stacked), len(variants), len(amounts))
+    scale = np.array([c.scale for c in amounts])
+    shown = np.sqrt(np.mean(np.sum((columns * scale) ** 2, axis=0), axis=1))
+    factors = None if state.predictor.data.stated else ANY
+    found = np.full(len(variants), -np.inf)
+    # Variants that show as much of their amounts are judged together.
+    counts = np.array([len(visible(float(one), least)) for one in shown])
+    for count in np.unique(counts[counts > 0]):
+        some = np.flatnonzero(counts == count)
+        widths = visible(float(shown[some].min()), least)[:, None] * scale
+        logs = log_gains(residual, columns[:, some], widths, one_sided(amounts), factors)
+        found[some] = logs + log_share(len(widths))
+    return found
 
 
 def _projected(sensitivity: Array, basis: Array) -> Array:
     return sensitivity - basis @ (basis.T @ sensitivity) if basis.shape[1] else sensitivity
-
-
-def _free_gain(left: Array, residual: Array) -> float:
-    """Fall of chi-square without bounds: an upper limit of that with bounds."""
-    right = left.T @ residual
-    solution = np.linalg.lstsq(left.T @ left, right, rcond=1e-10)[0]
-    return float(right @ solution)
 
 
 def _bounded(variant: Variant, left: Array, residual: Array) -> tuple[Array, float]:

@@ -1,83 +1,125 @@
-"""Effects as candidates for what is missing: refitted, each with its set of anchors, and put in order."""
+"""Candidates for what is missing: effects fitted to a model, each with its set of anchors, and their evidence."""
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, SolveError
-from bcid.comparison.anchors import search
 from bcid.comparison.fit import Fit, fit, held_out
-from bcid.comparison.joint import NEARLY, Proposal
+from bcid.comparison.hypothesis_search import HypothesisSearch, Look, Promise, weighed
 from bcid.comparison.ranking import Row, rank
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model, Term
 from bcid.forms.solver.equilibrium import Settings
+from bcid.inference.criteria import SEEN
+from bcid.inference.hypotheses import Hypothesis, log_prior
+from bcid.inference.unknown_force import Evidence
 
+Array = NDArray[np.float64]
 Anchored = frozenset[str]
 Found = TypeVar("Found")
 # Many sets and effects are looked at in so many steps of each action besides rest.
 STEPS = 2
-# When another is nearly adequate, a candidate is not refitted that is expected to leave more than this chi-square per value.
-_FAR = 4.0
-# A model explains what is missing when it explains this part of what noise and mesh leave open, adequate or not: then
-# something small is missing besides.
-_NEARLY_ALL = 0.95
-# So many of the candidates are compared with all steps; the best, and what leaves no more than so many times as much, is
-# fitted to them.
-_PROMOTED, _CLOSE = 2, 1.15
-# The best candidate's set of anchors and its numbers are improved in turn, so often at most, unless it leaves less than so
-# many times the noise (chi-square per value).
-_MOVES, _DONE = 3, 1.1
 # Candidates are refitted to this relative change of chi-square.
 _ROUGH = 3e-3
 # A reciprocal or a direction may need a start away from the neutral value: part of the way to the expected value.
 _CAUTION = (1.0, 0.5, 0.2)
+# Where one explains all, an effect is not fitted that promises to be exp(_FAR) times less likely.
+_FAR = 60.0
+# With the numbers of the best candidate sets are searched again, so often and with so many sets at most.
+_MOVES, _WEIGHED = 3, 5
 
 
 @dataclass(frozen=True)
 class Rival:
-    """A candidate that was refitted: a set of anchors and an effect added to the model before.
+    """A hypothesis that was fitted: a set of anchors, and the effects added to the model that was begun with.
 
     Attributes:
-        effect: name of the effect.
-        term: fitted.
-        anchors: the set.
+        names: of the effects, one after the other; none for the model as it was.
         fitted: the fit.
-        bic: of the fit, see `Fit.bic`.
-        held_out: RMS residual when each action is predicted from the others, m, for the best rivals.
+        evidence: of it, with and without an unknown force besides.
+        known: how many effects may act.
+        held_out: RMS residual when each action is predicted from the others, m, where that was asked.
     """
 
-    effect: str
-    term: Term
-    anchors: Anchored
+    names: tuple[str, ...]
     fitted: Fit
-    bic: float
+    evidence: Evidence
+    known: int
     held_out: float | None = None
 
-    def with_fit(self, fitted: Fit) -> Rival:
-        """The same candidate fitted again."""
-        return replace(self, term=fitted.state.model.terms[-1], fitted=fitted, bic=fitted.bic)
+    @property
+    def anchors(self) -> Anchored:
+        """The set."""
+        return self.fitted.state.anchors
+
+    @property
+    def term(self) -> Term:
+        """The effect that was added last."""
+        return self.fitted.state.model.terms[-1]
+
+    @property
+    def effect(self) -> str:
+        """Its name."""
+        return self.names[-1]
+
+    @property
+    def logs(self) -> dict[Hypothesis, float]:
+        """Logarithms of evidence and prior, without and with an unknown force besides."""
+        return self.tempered(1.0)
+
+    def tempered(self, power: float) -> dict[Hypothesis, float]:
+        """The same with a power of the evidence."""
+        name, count = "+".join(self.names), len(self.names)
+        return {
+            Hypothesis(self.anchors, name): power * self.evidence.plain + log_prior(count, False, self.known),
+            Hypothesis(self.anchors, name, True): power * self.evidence.forced + log_prior(count, True, self.known),
+        }
+
+    def shifted(self, log: float) -> Rival:
+        """The same with so much more evidence."""
+        return replace(
+            self, evidence=replace(self.evidence, plain=self.evidence.plain + log, forced=self.evidence.forced + log)
+        )
+
+    def allowing(self, left: Array, begun: Model) -> Rival:
+        """The same with what may be left of the error of the mesh as it is with another hypothesis, (frames, fiducials, 3), m."""
+        old = self.fitted.state
+        state = old.with_mesh(replace(old.errors.mesh, left=left))
+        raw = [old.errors.unwhiten(column) for column in self.fitted.jacobian.T]
+        moved = [state.errors.whiten(column) for column in raw]
+        jacobian = np.column_stack([*moved, np.zeros((len(old.predictor.data), 0))])
+        return replace(self, evidence=weighed(state, begun, jacobian))
+
+    @property
+    def complete(self) -> bool:
+        """Whether it is likelier that nothing else acts: no other hypothesis can do much better then."""
+        plain, forced = self.logs.values()
+        return plain > forced
+
+    @property
+    def log(self) -> float:
+        """Of both together."""
+        plain, forced = self.logs.values()
+        return float(np.logaddexp(plain, forced))
+
+    @classmethod
+    def of(cls, fitted: Fit, begun: Model, known: int, least: float = SEEN) -> Rival:
+        """Of a fit of a model that was begun from another; `least` as in `bcid.comparison.priors.visible`."""
+        names = tuple(term.effect.name for term in fitted.state.model.added(begun))
+        return cls(names, fitted, weighed(fitted.state, begun, fitted.jacobian, least), known)
 
 
-def contest(state: State, proposals: Iterable[Proposal], most: int) -> list[Rival]:
-    """Refit the most promising effects to a few steps of each action, and the best of these to all; best first; collective.
-
-    Args:
-        state: the model that the effects are added to, compared with all steps.
-        proposals: effects and sets of anchors.
-        most: how many are refitted.
-    """
-    waiting = list(proposals)
-    glanced = at_a_glance(state, 2, lambda thin: refit_candidates(thin, waiting, most))
-    promising = [promoted(rival, state, glanced[0]) for rival in glanced[:_PROMOTED]]
-    return sorted((rival for rival in promising if rival), key=lambda rival: rival.bic)
+def best_first(rivals: Iterable[Rival]) -> list[Rival]:
+    """The likeliest first."""
+    return sorted(rivals, key=lambda r: (-r.log, len(r.names), len(r.anchors), sorted(r.anchors), r.names))
 
 
 def at_a_glance(state: State, halvings: int, work: Callable[[State], Found]) -> Found:
@@ -92,108 +134,119 @@ def at_a_glance(state: State, halvings: int, work: Callable[[State], Found]) -> 
         thin.predictor.destroy()
 
 
-def explained(before: Fit, after: Fit) -> float:
-    """Which part of a model's chi-square beyond that of noise and mesh another one explains."""
-    values = len(before.state.predictor.data)
-    return (before.state.chi2 - after.state.chi2) / max(before.state.chi2 - values, 1e-9)
+def contest(
+    state: State, begun: Model, known: Sequence[Effect], starts: Iterable[Anchored], sets: int, most: int
+) -> list[Rival]:
+    """Sets and effects on a few steps of each action, the likeliest fitted; best first; collective.
 
-
-def explains(before: Fit, after: Fit, adequate: bool) -> bool:
-    """Whether what was added to a model may be named: the model is adequate with it, or it explains nearly all."""
-    return adequate or explained(before, after) > _NEARLY_ALL
-
-
-def refit_candidates(state: State, proposals: Iterable[Proposal], most: int) -> list[Rival]:
-    """Add the most promising effects to a model, each with its set of anchors, and refit all; best first; collective.
-
-    At most `most` are refitted; the best of them also goes to other sets, when its numbers make them fit better.
+    Args:
+        state: the model with the set that is begun with, compared with all steps.
+        begun: the model without effects that were added.
+        known: the effects that may be missing.
+        starts: further sets to begin with.
+        sets: how many sets are weighed; with one set that of the state alone.
+        most: how many effects are refitted.
     """
-    rivals: list[Rival] = []
-    waiting = [(p.effect, p) for p in sorted(proposals, key=lambda p: p.left / p.values) if p.effect is not None]
-    # What an effect promises is linear in its amount, which a large one is not: each has its best set tried first, and then
-    # the one that turns out best competes with itself on another set.
+
+    def work(thin: State) -> list[Rival]:
+        search = HypothesisSearch(thin, begun, known, sets)
+        promises = search.run(starts) if sets > 1 else search.alone()
+        return refitted(promises, begun, known, most)
+
+    return at_a_glance(state, 2, work)
+
+
+def refitted(promises: Sequence[Promise], begun: Model, known: Sequence[Effect], most: int) -> list[Rival]:
+    """The models alone, and the most promising effects with their sets fitted; best first; collective.
+
+    What an effect promises is linear in its amount, which a large one is not: each has its best set tried first, and then the one
+    that turns out best competes with itself on other sets.
+    """
+    count = len(known)
+    rivals = [_alone(p.look, begun, count) for p in promises if p.row is None]
     tried: set[str] = set()
-    for effect, proposal in waiting:
-        if effect.name in tried or len(rivals) >= most - 1 or _hopeless(proposal, rivals):
+    for promise in promises:
+        row, best = promise.row, best_first(rivals)[0]
+        if row is None or row.effect in tried or len(tried) >= most or not math.isfinite(row.gain):
             continue
-        tried.add(effect.name)
-        state.predictor.progress.step("candidates refitted", len(tried) - 1, most, f"now {effect.name}")
-        rivals += refit(state, effect, proposal.anchors)
-    if not rivals:
-        return []
-    best = min(rivals, key=lambda rival: rival.bic)
-    others = (p.anchors for effect, p in waiting if effect == best.term.effect and p.anchors != best.anchors)
-    for anchors in itertools.islice(others, 1):
-        rivals += refit(state, best.term.effect, anchors)
-    best = min(rivals, key=lambda rival: rival.bic)
-    return sorted([*_moved(best), *rivals], key=lambda rival: rival.bic)
+        if tried and best.complete and promise.log < best.log - _FAR:
+            break
+        tried.add(row.effect)
+        promise.look.state.predictor.progress.step("candidates refitted", len(tried) - 1, most, f"now {row.effect}")
+        rivals += refit(promise.look.state, row, begun, count)
+    best = best_first(rivals)[0]
+    if best.names:
+        rivals += moved(best, begun, count)
+    return best_first(rivals)
 
 
-def _moved(rival: Rival) -> list[Rival]:
-    """A rival on the sets that are climbed to with its fitted numbers in place, as long as they leave less.
+def _alone(look: Look, begun: Model, known: int) -> Rival:
+    """A model as it is, with a set."""
+    state = look.state
+    names = tuple(term.effect.name for term in state.model.added(begun))
+    return Rival(names, Fit.at(state), look.evidence, known)
 
-    Where it leaves next to nothing the set is looked at later, on all steps.
-    """
+
+def moved(rival: Rival, begun: Model, known: int, least: float = SEEN) -> list[Rival]:
+    """The best rival on sets around its own with its numbers in place, and fitted anew where that is likelier."""
     found: list[Rival] = []
+    best = rival
     for _ in range(_MOVES):
-        state = rival.fitted.state
-        if state.chi2 < _DONE * len(state.predictor.data):
+        state = best.fitted.state
+        search = HypothesisSearch(state, begun, (), _WEIGHED, least)
+        others = [p for p in search.around() if p.anchors != best.anchors]
+        found += [_alone(p.look, begun, known) for p in others]
+        if not others or others[0].log <= best.log:
             break
         try:
-            anchors = frozenset(search(state.predictor, state.model, state.errors.mesh, [state.anchors], "no").anchored)
-            if anchors == state.anchors:
-                break
-            start = State.of(state.predictor, state.model, anchors, state.errors.mesh)
-            again = fit(start, state.free, most=8, ftol=_ROUGH)
+            again = Rival.of(fit(others[0].look.state, state.free, most=8, ftol=_ROUGH), begun, known, least)
         except SolveError:
             break
-        if again.bic >= rival.bic:
+        found.append(again)
+        if again.log <= best.log:
             break
-        rival = replace(rival.with_fit(again), anchors=anchors)
-        found.append(rival)
+        best = again
     return found
 
 
-def promoted(rival: Rival, state: State, best: Rival) -> Rival | None:
-    """A rival that was fitted to a part of the steps, with all that the state looks at; None if that cannot be followed.
+def promoted(rival: Rival, full: State, begun: Model, least: float = SEEN) -> Rival | None:
+    """A rival that was fitted to a part of the steps, with all of them and the error of the mesh of its own; None if it fails.
 
-    Unless it is far from the best one it is fitted again, with an error of the mesh of its own.
+    An effect may stand for what the mesh has wrong with another model: its own tells.
     """
-    model = rival.fitted.state.model
-    far = rival.bic > _CLOSE * best.bic
-    if any(p.onset for p in rival.term.effect.parameters):
-        # In which frame it begins is only known once all are looked at.
-        fits = [found.fitted for found in refit(state, rival.term.effect, rival.anchors)]
-    else:
-        try:
-            start = State.of(state.predictor, model, rival.anchors, state.errors.mesh if far else None)
-            fits = [fit(start, rival.fitted.state.free, most=1 if far else 8)]
-        except (SolveError, InputError):
-            fits = []
-    return replace(rival.with_fit(fits[0]), held_out=held_out(fits[0])) if fits else None
-
-
-def _hopeless(proposal: Proposal, rivals: Sequence[Rival]) -> bool:
-    """Whether a rival explains nearly all already, and this effect does not promise to come near that."""
-    best = min((r.fitted.state.chi2 / len(r.fitted.state.predictor.data) for r in rivals), default=math.inf)
-    return best < NEARLY and proposal.left > _FAR * proposal.values
-
-
-def refit(state: State, effect: Effect, anchors: Anchored) -> list[Rival]:
-    """Add an effect, begin at what is expected of it, and fit everything together; nothing if that cannot be followed."""
+    model, free = rival.fitted.state.model, rival.fitted.state.free
+    alike = (full.model.name, full.anchors) == (model.name, rival.anchors)
+    mesh = full.errors.mesh if alike else None
+    onset = rival.names and any(p.onset for p in rival.term.effect.parameters)
     try:
-        base = State.of(state.predictor, state.model, anchors, state.errors.mesh, state.free)
-    except SolveError:
-        return []
-    row = rank(base, [effect], strict=False).rows[0]
+        if onset:
+            # In which frame it begins is only known once all are looked at.
+            base = State.of(
+                full.predictor,
+                model.without(rival.term.label),
+                rival.anchors,
+                full.errors.mesh if rival.anchors == full.anchors else None,
+            )
+            rows = rank(base, [rival.term.effect], strict=False).rows
+            again = refit(base, rows[0], begun, rival.known, least)
+            return replace(again[0], held_out=held_out(again[0].fitted)) if again else None
+        start = State.of(full.predictor, model, rival.anchors, mesh)
+        found = fit(start, free, most=8)
+    except (SolveError, InputError):
+        return None
+    return replace(Rival.of(found, begun, rival.known, least), held_out=held_out(found))
+
+
+def refit(state: State, row: Row, begun: Model, known: int, least: float = SEEN) -> list[Rival]:
+    """Add an effect, begin at what is expected of it, and fit everything together; nothing if that cannot be followed."""
     for part in _CAUTION:
         try:
-            term = _careful(row, base.model, part)
-            start = State.of(base.predictor, base.model + term, base.anchors, base.errors.mesh)
+            term = _careful(row, state.model, part)
+            start = State.of(state.predictor, state.model + term, state.anchors, state.errors.mesh)
             again = fit(start, (*state.free, *term.free), most=8, ftol=_ROUGH)
         except (SolveError, InputError):
             continue
-        return [Rival(row.effect, again.state.model.terms[-1], base.anchors, again, again.bic)]
+        return [Rival.of(again, begun, known, least)]
     return []
 
 

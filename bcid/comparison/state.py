@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -10,11 +10,15 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError
 from bcid.comparison.predictor import MeasurementPrediction, Predictor
+from bcid.forms.force_bumps import force_unit
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
+from bcid.inference.evidence import Force, Numbers
 from bcid.inference.followed import NotFollowed
 from bcid.inference.likelihood import Errors, NuisanceEstimate
 from bcid.inference.mesh_error import MeshError
+from bcid.inference.nuisances import stood_for
+from bcid.inference.unknown_force import Evidence, courses, unknown_force
 
 Array = NDArray[np.float64]
 
@@ -27,6 +31,7 @@ class State:
         model, anchors: the hypothesis.
         prediction: its prediction on the working level, with states.
         errors: covariance of the residual.
+        slopes: what an unknown force in each frame does to the values, shape (n, forces), m.
         free: numbers of the model, by full name, that were fitted to the data.
     """
 
@@ -35,6 +40,7 @@ class State:
     anchors: frozenset[str]
     prediction: MeasurementPrediction
     errors: Errors
+    slopes: Array
     free: tuple[str, ...] = ()
 
     @classmethod
@@ -62,14 +68,19 @@ class State:
             raise NotFollowed(message, f"{who} cannot be followed", came)
         mesh = predictor.mesh_error(model, anchors, prediction) if mesh is None else mesh
         residual = predictor.data.values - predictor.data.vector(prediction.positions + mesh.correction)
-        nuisances = predictor.nuisances(model, anchors, prediction)
+        nuisances, slopes = predictor.disturbances(model, anchors, prediction)
         errors = Errors(predictor.data, predictor.data.noise(residual), mesh, nuisances)
-        return cls(predictor, model, anchors, prediction, errors, free)
+        return cls(predictor, model, anchors, prediction, errors.without(stood_for(model)), slopes, free)
 
     def thinned(self, steps: int, settings: Settings) -> State:
         """The same hypothesis in a few steps of each action (see `Predictor.thinned`), whose predictor is to be destroyed."""
         predictor, frames = self.predictor.thinned(steps, settings)
         return State.of(predictor, self.model, self.anchors, self.errors.mesh.at(frames), self.free)
+
+    def with_mesh(self, mesh: MeshError) -> State:
+        """The same with another error of the mesh."""
+        errors = Errors(self.predictor.data, self.errors.sigma, mesh, self.errors.nuisances)
+        return replace(self, errors=errors)
 
     @property
     def predicted(self) -> Array:
@@ -105,6 +116,16 @@ class State:
         """What a hypothesis pays for the errors that it allows for besides the noise, in units of chi-square."""
         return 2 * (self.errors.log_volume - float(np.sum(np.log(self.errors.sigma))))
 
+    def evidence(self, numbers: Numbers | None = None) -> Evidence:
+        """How likely the data are, with and without an unknown force; `numbers` are what was unknown of the model."""
+        return Evidence.of(self.errors, self.residual, self.force, numbers)
+
+    @cached_property
+    def force(self) -> Force:
+        """An unknown force, in units of the errors."""
+        unit = force_unit(self.predictor.forward(self.model))
+        return unknown_force(self.errors, courses(self.predictor.data, self.slopes), unit)
+
     @property
     def rms(self) -> float:
         """RMS residual per coordinate, m."""
@@ -114,6 +135,14 @@ class State:
     def rough(self) -> float:
         """RMS per coordinate of what is left once mesh, frame and nuisances are allowed for, m."""
         return float(np.sqrt(np.mean(self.errors.rough(self.residual) ** 2)))
+
+    @property
+    def rough_values(self) -> Array:
+        """The part of the residual that is most likely noise whatever is missing: an unknown force is allowed for too, (n,), m."""
+        size, moved = self.evidence().size, courses(self.predictor.data, self.slopes)
+        errors, data = self.errors, self.predictor.data
+        wider = Errors(data, errors.sigma, errors.mesh, errors.nuisances.beside(size * moved))
+        return wider.rough(self.residual)
 
     @cached_property
     def told(self) -> list[NuisanceEstimate]:

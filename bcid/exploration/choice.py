@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.exploration.information import Expected, information, noise_free
-from bcid.exploration.motion import profile
 from bcid.exploration.moves import Move, cost, limits_of
 from bcid.exploration.predictions import PullPrediction, key_of
 from bcid.exploration.update import BeliefUpdate, PosteriorSummary, weights
@@ -296,7 +295,7 @@ class Chooser:
             measured = recorded(scene, [action], rest, 0.0, np.random.default_rng(0), action.clock)
             error = seen[0].frame_error if seen else None
             measured = replace(measured, frame_error=error)
-            self._expected_values[key] = Data(scene, measured, profile(action, scene))
+            self._expected_values[key] = Data(scene, measured)
         return self._expected_values[key]
 
     def _linear(self, options: list[Option], view: PosteriorSummary) -> list[Option]:

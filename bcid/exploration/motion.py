@@ -8,10 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.measurement import Action
-from bcid.scene import Scene
-from bcid.scene.rotation import as_rotation
-
-Array = NDArray[np.float64]
 
 
 def there(action: Action, steady: bool) -> Action:
@@ -44,14 +40,3 @@ def _turning(action: Action) -> int:
     )
     loaded = any(not np.allclose(load, load[::-1]) for load in action.loads.values())
     return len(action) // 2 + 1 if same and not loaded and len(action) % 2 else len(action)
-
-
-def profile(action: Action, scene: Scene) -> Array:
-    """Distance of the gripper from rest in each frame, as part of the largest; shape (frames,).
-
-    A turn counts by how far it would move the nearest fiducial.
-    """
-    far = scene.rest - np.array(scene.grasps[action.grasp].centre) if action.grasp else np.zeros((1, 3))
-    turned = (as_rotation(action.rotation) * as_rotation(action.rotation[0]).inv()).magnitude()
-    way = np.linalg.norm(action.translation, axis=1) + turned * np.linalg.norm(far, axis=1).min()
-    return np.asarray(way / max(float(way.max()), 1e-12))

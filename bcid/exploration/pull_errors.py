@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,15 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.exploration.joined import joined
-from bcid.exploration.motion import profile
-from bcid.exploration.predictions import key_of
 from bcid.inference.criteria import FAR
 from bcid.inference.data import Data
 from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes
 from bcid.inference.relative import relative
-from bcid.inference.unknown_force import Evidence, courses
+from bcid.inference.unknown_force import Evidence, courses, unknown_force
 from bcid.measurement import Measurement
 from bcid.scene import Scene
 
@@ -89,11 +86,7 @@ class PullErrors:
     def __init__(self, scene: Scene, seen: Sequence[Measurement], unit: float) -> None:
         whole = joined(seen, scene)
         self.unit = unit
-        done = [profile(action, scene) for action in whole.actions]
-        self.data = Data(scene, whole, np.concatenate(done))
-        motions = [key_of(action) for action in whole.actions]
-        # For each pull the first one with the same motion.
-        self._first = np.array([motions.index(motion) for motion in motions])
+        self.data = Data(scene, whole)
         self.places = [slice(int(a.frames[0]), int(a.frames[-1]) + 1) for a in whole.actions]
         moved = self.data.measured - scene.rest
         self.motions = [float(np.sqrt(np.nanmean(moved[place] ** 2))) for place in self.places]
@@ -165,16 +158,6 @@ class PullErrors:
             return float(self.missed(anchors) > FAR)
         return self._weigh(like).evidence.missing
 
-    def besides(self, anchors: Anchored, errors: Errors, residual: Array) -> Evidence | None:
-        """Evidence of a residual (n,), m, of all values, without and with an unknown force besides what was fitted.
-
-        The force moves the body as it does with the set most like these anchors; None where no force can be asked for.
-        """
-        like = self.like(anchors)
-        if like is None or not self._allowed[like].slopes.any():
-            return None
-        return Evidence.of(errors, residual, self._courses(self.data, self._allowed[like].slopes), self.unit)
-
     def missed(self, anchors: Anchored) -> float:
         """RMS residual of a set in units of its errors, where no force acts; NaN where it cannot be followed."""
         frames = self._frames(anchors)
@@ -240,8 +223,8 @@ class PullErrors:
             frames = np.ones(len(self.data.mask), bool)
             errors = self._errors_of(anchors, self._drifting(anchors, anchors), frames, 0.0)
             residual = self._residual(anchors, errors.data, anchors)
-            moved = self._courses(errors.data, self._allowed[anchors].slopes)
-            evidence = Evidence.of(errors, residual, moved, self.unit)
+            moved = courses(errors.data, self._allowed[anchors].slopes)
+            evidence = Evidence.of(errors, residual, unknown_force(errors, moved, self.unit))
             self._weighed[anchors] = found = Weighed(evidence, 0.0)
             likeliest = self._likelihood(anchors, anchors, frames)
             self._weighed[anchors] = Weighed(found.evidence, evidence.total - likeliest)
@@ -266,19 +249,13 @@ class PullErrors:
             data, rows = self.data.within(frames), frames[self.data.frame]
             modes, sigma = allowed.modes.at(rows), self._sigma[rows]
             if force:
-                modes = modes.beside(force * self._courses(data, allowed.slopes[rows]))
+                modes = modes.beside(force * courses(data, allowed.slopes[rows]))
             for pull in sorted(drifting):
                 modes = modes.beside(_anywhere(data, pull, _ANYWHERE * self.motions[pull]))
-                rough = np.where(data.action == pull, _ROUGH * _ANYWHERE * self.motions[pull] * data.progress, 0.0)
+                rough = np.where(data.action == pull, _ROUGH * _ANYWHERE * self.motions[pull] * data.way, 0.0)
                 sigma = np.hypot(sigma, rough)
             self._errors[key] = Errors(data, sigma, allowed.mesh, modes)
         return self._errors[key]
-
-    def _courses(self, data: Data, slopes: Array) -> Array:
-        """What an unknown force moves, see `courses`; it is the same in pulls that are the same."""
-        alike = copy(data)
-        alike.action = self._first[data.action]
-        return courses(alike, slopes)
 
     @cached_property
     def _nothing(self) -> Allowance:
@@ -312,7 +289,7 @@ def _anywhere(data: Data, pull: int, size: float) -> Array:
     """Every trajectory of a pull may be off by itself, in proportion to the motion, shape (n, trajectories), m."""
     rows = data.action == pull
     along = data.trajectory[:, None] == np.unique(data.trajectory[rows])
-    return np.where(along, size * data.progress[:, None], 0.0)
+    return np.where(along, size * data.way[:, None], 0.0)
 
 
 def allowance(

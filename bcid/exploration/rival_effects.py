@@ -1,19 +1,14 @@
 """Rival effects: each is fitted to all pulls, with the anchor sets that go with it, and its evidence is compared with theirs.
 
-The evidence of a hypothesis with unknown numbers is the likelihood averaged over what was believed of them before, here in
-Laplace's approximation (MacKay 2003, chapter 28): with chi-square X at the best fit, J the derivative of the residual in
-units of its errors, S the standard deviations believed before, G = S J'J S, and z the way from what was expected in units of S,
-
-    log Z = -X/2 - z' G (1 + G)^-1 z / 2 - log det(1 + G) / 2 - log det(errors) / 2 .
-
-So an effect that could have been seen and was not loses, and one that these pulls would not show keeps its chance.
+An effect that could have been seen and was not loses, and one that these pulls would not show keeps its chance (see
+`bcid.inference.evidence`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -21,29 +16,29 @@ from numpy.typing import NDArray
 
 from bcid.base.collective import Comm
 from bcid.base.errors import SolveError
-from bcid.comparison.fit import Coordinate, Fit, fit
-from bcid.comparison.joint import NEARLY, Proposal, propose
+from bcid.comparison.fit import Fit
+from bcid.comparison.hypothesis_search import HypothesisSearch
 from bcid.comparison.predictor import Predictor
-from bcid.comparison.rivals import Rival, at_a_glance, refit
+from bcid.comparison.priors import expected
+from bcid.comparison.rivals import Rival, at_a_glance, best_first, moved, promoted, refit
 from bcid.comparison.state import State
 from bcid.exploration.joined import joined
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
 from bcid.inference.hypotheses import Anchored, Hypothesis
+from bcid.inference.unknown_force import Evidence
 from bcid.measurement import Measurement
 from bcid.scene import Scene
 
 Array = NDArray[np.float64]
-# Sets looked at together with the effects, and in a climb with the numbers of one, at most; how often that is repeated.
-_SETS, _AROUND, _AGAIN = 56, 80, 3
+# Sets weighed together with the effects at most.
+_SETS = 28
 # An effect is fitted with so many sets that promise much, and kept with so many.
-_TRIED, _KEPT = 3, 3
+_TRIED, _KEPT = 2, 3
 # A set is kept with odds of at least exp(-_NEAR) against the best one of the effect, as a few steps of each pull tell.
 _NEAR = 10.0
-# An effect that a few steps of each pull put so far behind the best one (half of chi-square) is not fitted with other sets.
-_FAR = 100.0
-# Before any pull an amount is expected within so many notable ones of nothing.
-_AMOUNT = 2.0
+# What these pulls do not show may show in those to come: it keeps its chance.
+_UNSEEN = 0.0
 
 
 @dataclass(frozen=True)
@@ -52,13 +47,23 @@ class Fitted:
 
     Attributes:
         hypothesis: set and effect.
-        fitted: the fit.
+        rival: the fit, and its evidence with and without an unknown force besides.
         begun: the model without the effect.
     """
 
     hypothesis: Hypothesis
-    fitted: Fit
+    rival: Rival
     begun: Model
+
+    @property
+    def evidence(self) -> Evidence:
+        """Of the hypothesis, with and without an unknown force besides."""
+        return self.rival.evidence
+
+    @property
+    def fitted(self) -> Fit:
+        """The fit."""
+        return self.rival.fitted
 
     @cached_property
     def model(self) -> Model:
@@ -74,26 +79,10 @@ class Fitted:
         """RMS residual, m."""
         return self.fitted.state.rms
 
-    @cached_property
-    def chi2(self) -> float:
-        """Chi-square."""
-        return self.fitted.state.chi2
-
     @property
     def missed(self) -> float:
         """RMS residual in units of its errors."""
-        return math.sqrt(self.chi2 / len(self.fitted.state.predictor.data))
-
-    @cached_property
-    def log(self) -> float:
-        """Logarithm of the evidence, where nothing is missing besides."""
-        apart, size = self._before
-        precision = self._precision
-        z = apart / size
-        # G (1 + G)^-1 = 1 - (1 + G)^-1.
-        surprise = float(z @ (z - np.linalg.solve(precision, z)))
-        occam = float(np.linalg.slogdet(precision)[1])
-        return -0.5 * (self.chi2 + surprise + occam) - self._volume
+        return math.sqrt(self.fitted.state.chi2 / len(self.fitted.state.predictor.data))
 
     @cached_property
     def deviating(self) -> list[Model]:
@@ -124,33 +113,16 @@ class Fitted:
         return next(c.parameter.unit for c in self.fitted.coordinates if c.name == name)
 
     @cached_property
-    def _volume(self) -> float:
-        return self.fitted.state.errors.log_volume
-
-    @cached_property
     def _before(self) -> tuple[Array, Array]:
         """How far the fitted coordinates are from what was expected, and its standard deviation."""
-        numbers = self.fitted.state.model.constants()
-        known = [_believed(c, self.begun, c.of(numbers[c.name])) for c in self.fitted.coordinates]
-        return np.array([a for a, _ in known]), np.array([s for _, s in known])
+        return expected(self.fitted.state, self.begun)
 
     @cached_property
     def _precision(self) -> Array:
-        """1 + G."""
+        """Of the numbers, in units of what was believed before, (p, p)."""
         _, size = self._before
         jacobian = self.fitted.jacobian * size
         return np.asarray(np.eye(len(size)) + jacobian.T @ jacobian)
-
-
-def _believed(c: Coordinate, begun: Model, at: float) -> tuple[float, float]:
-    """Of a coordinate, how far it is from what was expected before any pull, and the standard deviation of that."""
-    p = c.parameter
-    if p.prior is not None:
-        return at - p.prior[0], p.prior[1]
-    if p.period is not None:
-        return 0.0, p.period / math.sqrt(12)
-    neutral = 0.0 if p.reciprocal else begun.neutral(p)
-    return (0.0 if neutral is None else at - neutral), _AMOUNT * c.scale
 
 
 class RivalEffects:
@@ -187,34 +159,17 @@ class RivalEffects:
         ]
         if not alone:
             return []
-        plain = [Fitted(Hypothesis(s.anchors), fit(s, ()), begun) for s in alone]
-        base = min(alone, key=lambda state: state.deviance)
-        others = [state.anchors for state in alone if state is not base]
         acting = [e for e in self.effects if not (e.needs and e.needs(self.scene, measurement))]
-        proposals = at_a_glance(base, 0, lambda thin: propose(thin, others, _SETS, acting))
-        glanced = at_a_glance(base, 2, lambda thin: self._glanced(thin, acting, proposals))
-        found: dict[Hypothesis, Fitted] = {}
-        for name, candidates in glanced.items():
-            fits = [Fitted(Hypothesis(f.state.anchors, name), f, begun) for f in _settled(base, candidates)]
-            for one in sorted(fits, key=lambda one: one.log):
-                found[one.hypothesis] = one
-                self._sets[name] = one.hypothesis.anchors
-        predictor.drop([begun, *(f.model for f in found.values())])
-        return [*plain, *found.values()]
-
-    def _glanced(
-        self, thin: State, effects: Sequence[Effect], proposals: Sequence[Proposal]
-    ) -> dict[str, list[tuple[Rival, list[Anchored]]]]:
-        """Effects fitted to a few steps of each pull, the best fit first, with the sets that may go with its numbers."""
-        found, least = {}, math.inf
-        for effect in effects:
-            promising = [p.anchors for p in proposals if p.effect is not None and p.effect.name == effect.name]
-            known = [self._sets[effect.name]] if effect.name in self._sets else []
-            sets = list(dict.fromkeys([*known, thin.anchors, *promising]))[:_TRIED]
-            rivals = sorted((r for a in sets for r in refit(thin, effect, a)), key=lambda rival: rival.bic)
-            least = min([least, *(r.bic for r in rivals)])
-            best = [_climbed(r) if r.bic < least + 2 * _FAR else (r, [r.anchors]) for r in rivals[:1]]
-            found[effect.name] = [*best, *((r, [r.anchors]) for r in rivals)]
+        plain = best_first(Rival.of(Fit.at(s), begun, len(acting)) for s in alone)
+        base, others = plain[0].fitted.state, [rival.anchors for rival in plain[1:]]
+        glanced = at_a_glance(base, 2, lambda thin: _glanced(thin, begun, acting, others))
+        found = [Fitted(Hypothesis(r.anchors), r, begun) for r in plain]
+        for name, rivals in glanced.items():
+            fitted = best_first(r for r in (promoted(one, base, begun, _UNSEEN) for one in rivals) if r)
+            found += [Fitted(Hypothesis(r.anchors, name), r, begun) for r in fitted]
+            if fitted:
+                self._sets[name] = fitted[0].anchors
+        predictor.drop([begun, *(f.model for f in found)])
         return found
 
     def destroy(self) -> None:
@@ -230,59 +185,18 @@ def _followed(predictor: Predictor, model: Model, anchors: Anchored) -> State | 
         return None
 
 
-def _climbed(rival: Rival) -> tuple[Rival, list[Anchored]]:
-    """A rival on the set that it climbs to, its numbers fitted to each, and the sets there that do as well."""
-    near = _near(rival)
-    for _ in range(_AGAIN):
-        if near[0] == rival.anchors:
-            break
-        state = rival.fitted.state
-        try:
-            # The error of the mesh was that of another set, which may have been far from this one.
-            moved = fit(State.of(state.predictor, state.model, near[0]), state.free, most=8)
-        except SolveError:
-            break
-        if moved.bic >= rival.bic:
-            break
-        rival = replace(rival.with_fit(moved), anchors=near[0])
-        near = _near(rival)
-    return rival, near
-
-
-def _near(rival: Rival) -> list[Anchored]:
-    """The sets that do as well as a rival's own with its numbers, which are refitted to each by their tangent.
-
-    Where the rival is not nearly adequate a climb patch by patch may have ended too early: patches are exchanged too.
-    """
-    state, every = rival.fitted.state, frozenset(rival.fitted.state.predictor.scene.patches)
-    poor = state.chi2 > NEARLY * len(state.predictor.data)
-    exchanged = [
-        rival.anchors - {a} | {b} for a in sorted(rival.anchors) for b in sorted(every - rival.anchors) if poor
-    ]
-    around = propose(state, exchanged, _AROUND, [])
-    least = min((p.left for p in around), default=math.inf)
-    near = [p.anchors for p in around if p.left < least + 2 * _NEAR and _at_its_place(rival, p.anchors)]
-    return list(dict.fromkeys([*near[:_KEPT], rival.anchors]))
-
-
-def _at_its_place(rival: Rival, anchors: Anchored) -> bool:
-    """Whether the effect can act where it does, with other anchors."""
-    places = rival.term.effect.places
-    return places is None or rival.term.place in places(rival.fitted.state.predictor.scene, anchors)
-
-
-def _settled(base: State, candidates: Iterable[tuple[Rival, list[Anchored]]]) -> list[Fit]:
-    """The best of an effect's fits with all steps, for the sets that may go with it."""
-    for rival, sets in candidates:
-        fits = [f for f in (_fitted(base, rival.fitted.state, anchors) for anchors in sets) if f]
-        if fits:
-            return fits
-    return []
-
-
-def _fitted(base: State, rough: State, anchors: Anchored) -> Fit | None:
-    """A rough fit once more, with all steps and the error of the mesh that goes with it; None if it cannot be followed."""
-    try:
-        return fit(State.of(base.predictor, rough.model, anchors), rough.free, most=8)
-    except SolveError:
-        return None
+def _glanced(
+    thin: State, begun: Model, effects: Sequence[Effect], others: Iterable[Anchored]
+) -> dict[str, list[Rival]]:
+    """Effects fitted to a few steps of each pull, each with the sets that may go with it, the best first."""
+    promises = HypothesisSearch(thin, begun, effects, _SETS, _UNSEEN).run(others)
+    found = {}
+    for effect in effects:
+        chosen = [p for p in promises if p.row is not None and p.row.effect == effect.name and math.isfinite(p.log)]
+        rivals = [r for p in chosen[:_TRIED] if p.row for r in refit(p.look.state, p.row, begun, len(effects), _UNSEEN)]
+        if rivals:
+            rivals += moved(best_first(rivals)[0], begun, len(effects), _UNSEEN)
+            ordered = best_first(rivals)
+            near = {r.anchors: r for r in reversed(ordered) if r.log > ordered[0].log - _NEAR}
+            found[effect.name] = best_first(near.values())[:_KEPT]
+    return found

@@ -15,12 +15,11 @@ from bcid.exploration.predictions import Anchored, PullPrediction, PullPredictor
 from bcid.exploration.pull_errors import Allowance, PullErrors, allowance
 from bcid.exploration.pull_tangent import PullTangent
 from bcid.exploration.rival_effects import Fitted, RivalEffects
-from bcid.inference.criteria import CERTAIN, FAR
+from bcid.inference.criteria import CERTAIN
 from bcid.inference.data import Data
 from bcid.inference.hypotheses import Hypothesis, effects, entropy, normalised, patches
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes
-from bcid.inference.unknown_force import Evidence
 from bcid.measurement import Action, Measurement
 from bcid.scene import Scene
 from bcid.search.climb import neighbours
@@ -324,26 +323,15 @@ class BeliefUpdate:
         if not plain:
             return {}
         shared, prior = max(plain, key=lambda f: logs[f.hypothesis]), believed(self.rivals.names)
-        apart = logs[shared.hypothesis] - self._evidence(shared)
-        found = {f.hypothesis: self._evidence(f) + apart for f in self._fitted[1] if f.hypothesis.effect}
+        apart = logs[shared.hypothesis] - shared.evidence.total
+        found = {f.hypothesis: f.evidence.total + apart for f in self._fitted[1] if f.hypothesis.effect}
         return {h: value + math.log(prior[h.effect] / NONE) for h, value in found.items()}
-
-    def _besides(self, fitted: Fitted) -> Evidence | None:
-        """What the pulls say of an unknown force besides a fitted hypothesis."""
-        state = fitted.fitted.state
-        return self.errors.besides(fitted.hypothesis.anchors, state.errors, state.residual)
-
-    def _evidence(self, fitted: Fitted) -> float:
-        """Logarithm of the evidence of a fitted hypothesis, with an unknown force as a rival besides."""
-        found = self._besides(fitted)
-        return fitted.log if found is None else fitted.log + found.total - found.plain
 
     def _missing(self, hypothesis: Hypothesis, fitted: Mapping[Hypothesis, Fitted]) -> float:
         """Probability that something is missing besides a hypothesis."""
         if hypothesis not in fitted:
             return self.errors.missing(hypothesis.anchors)
-        found = self._besides(fitted[hypothesis])
-        return float(fitted[hypothesis].missed > FAR) if found is None else found.missing
+        return fitted[hypothesis].evidence.missing
 
     def _misses(self, best: Hypothesis, fitted: Mapping[Hypothesis, Fitted]) -> tuple[float, float]:
         """What the likeliest hypothesis misses, m, and in units of its errors; NaN where nothing can be predicted."""

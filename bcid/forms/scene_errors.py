@@ -1,4 +1,4 @@
-"""What a scene has slightly wrong, as effects: how large the body is, where a patch ends, where the gripper holds it.
+"""What a scene has slightly wrong, as effects: how large the body is, where patches end, how it stiffens, where it is gripped.
 
 They are made as the effects of the catalogue are, so that their sensitivities come from the same forms. A body that at
 rest is X + e V(X), where the scene has X, stores the law's energy at I + grad u . G per volume dX / det G, with
@@ -76,6 +76,19 @@ border = BodyEffect(
 )
 
 
+def _stiffening(point: Point, c: Mapping[str, Any]) -> Any:
+    return c["part"] * point.shear * point.kin.I1bar_minus_3**2
+
+
+law_form = BodyEffect(
+    name="law_form",
+    parameters=(Amount("part", "1", "coefficient of (I1bar - 3)^2 in shear moduli", neutral=0.0, scale=0.05),),
+    about="the law has another form at large strains than the scene says",
+    acts_on="material",
+    energy=_stiffening,
+)
+
+
 def _misplaced(action: Action, values: Mapping[str, float]) -> Action:
     """What the gripper really did: from step 1 on it is off by the same everywhere."""
     if not action.grasp:
@@ -147,6 +160,11 @@ class Outline:
 def dimensions() -> list[Term]:
     """The body's extent along each axis."""
     return [Term(dimension, {"part": 0.0} | {f"d{name}": float(name == axis) for name in _AXES}) for axis in _AXES]
+
+
+def law_form_term() -> Term:
+    """The form of the law."""
+    return Term(law_form, {"part": 0.0})
 
 
 def grip_term() -> Term:

@@ -1,23 +1,4 @@
-"""Criteria that decide, each with its source, and the thresholds of verdicts."""
-
-from __future__ import annotations
-
-import math
-
-
-def bic(deviance: float, values: int, fitted: int) -> float:
-    """Bayesian information criterion: deviance + fitted * ln(values).
-
-    Schwarz, Ann. Statist. 6 (1978) 461-464. Of two models the one with the smaller value is preferred; the difference is
-    twice the logarithm of the odds, for many values.
-
-    Args:
-        deviance: minus twice the logarithm of the likelihood; what all models have in common may be left out of it.
-        values: number of measured values.
-        fitted: number of fitted numbers.
-    """
-    return deviance + fitted * math.log(values)
-
+"""The thresholds of verdicts."""
 
 # What chance alone does less often than this is a surprise: false alarms of tests of many numbers together (Bonferroni).
 SURPRISE = 0.01
@@ -29,3 +10,9 @@ FAILS_FOR_THE_TRUE = 0.01
 CERTAIN = 0.95
 # A residual that is so many times the noise is not explained by it, where it cannot be asked whether something is missing.
 FAR = 2.0
+# What moves the markers by less than this part of the noise (RMS) is not looked for: nothing is said of it.
+NOTABLE = 0.5
+# An amount is seen where its standard deviation before the data is so many times that after: what is smaller is told as nothing.
+SEEN = 3.0
+# A model may be named although something is missing besides when it explains this part of what its errors leave open.
+NEARLY_ALL = 0.95

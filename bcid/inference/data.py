@@ -2,17 +2,44 @@
 
 from __future__ import annotations
 
+import math
 from copy import copy
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
-from bcid.measurement import Measurement
+from bcid.inference.criteria import SURPRISE
+from bcid.measurement import Action, Measurement
 from bcid.scene import Scene
+from bcid.scene.rotation import as_rotation
 
 Array = NDArray[np.float64]
 # Without a stated noise and with too few steps to see it, m.
 LEAST_NOISE = 1e-6
+# Standard deviation of Gaussian values per median of their sizes.
+_PER_MEDIAN = 1.4826
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What a residual says of the noise.
+
+    Attributes:
+        sigma: standard deviation that it has, m.
+        factor: how many times the stated one that is; 1 where none is stated.
+        error: standard error of the logarithm of both.
+    """
+
+    sigma: float
+    factor: float
+    error: float
+
+    @property
+    def surprising(self) -> bool:
+        """Whether chance lets expect no such difference from what is stated."""
+        return bool(2 * norm.sf(abs(math.log(self.factor)) / self.error) < SURPRISE)
 
 
 class Data:
@@ -21,19 +48,22 @@ class Data:
     Args:
         scene: the scene.
         measurement: must fit the scene.
-        done: part of its action's motion that is done in each frame, shape (frames,), where it does not grow with the steps.
 
     Attributes:
         mask: which of (frames, fiducials, 3) were seen.
         about: measured positions (frames, fiducials, 3), m, and the place at rest where nothing was seen.
         values: measured positions, shape (n,), m.
-        sigma: standard deviation of each, m; NaN when none is stated.
+        sigma: standard deviation of each, m; NaN where it is not known.
+        stated: whether that is what measurement or scene say, and not an estimate.
         action, frame, step, fiducial, axis: labels, shape (n,); actions and fiducials as numbers.
         trajectory: number of the (action, fiducial, axis) it belongs to, shape (n,).
-        progress: part of its action that is done, shape (n,): 0 at step 0 and, unless it is given, 1 at the last step seen.
+        progress: part of its action that is done, 0 at step 0 and 1 at the last step seen, shape (n,).
+        way: how far the gripper is from where it began, as part of the furthest of the action, shape (n,); the progress where
+            nothing is gripped.
+        motion: number of the first action in which the gripper moves alike, shape (n,).
     """
 
-    def __init__(self, scene: Scene, measurement: Measurement, done: Array | None = None) -> None:
+    def __init__(self, scene: Scene, measurement: Measurement) -> None:
         columns = [scene.fiducial_names.index(name) for name in measurement.fiducial_names]
         shape = (len(measurement.positions), len(scene.fiducials), 3)
         self.measured, self._sigma = np.full(shape, np.nan), np.full(shape, np.nan)
@@ -41,9 +71,15 @@ class Data:
         stated = measurement.sigma(scene.noise_sigma)
         if stated is not None:
             self._sigma[:, columns] = stated
-        self.scene, self.measurement, self._done = scene, measurement, done
+        self.scene, self.measurement = scene, measurement
         self.stated = stated is not None
         self.about = np.where(np.isfinite(self.measured), self.measured, scene.rest)
+        self._ways, self._alike = np.full(shape[0], np.nan), np.zeros(shape[0], dtype=np.int64)
+        moved = measurement.actions
+        for action in moved:
+            if action.grasp:
+                self._ways[action.frames] = way(action, scene)
+            self._alike[action.frames] = next(k for k, other in enumerate(moved) if same_motion(other, action))
         self._take(np.isfinite(self.measured))
 
     def _take(self, mask: NDArray[np.bool_]) -> None:
@@ -58,11 +94,10 @@ class Data:
         key = (self.action * len(scene.fiducials) + fiducials) * 3 + axes
         _, self.trajectory = np.unique(key, return_inverse=True)
         self.actions = names
-        if self._done is not None:
-            self.progress = self._done[frames]
-            return
         last = np.array([self.step[self.action == a].max(initial=1) for a in range(len(names))])
         self.progress = self.step / last[self.action]
+        self.motion = self._alike[frames]
+        self.way = np.where(np.isfinite(self._ways[frames]), self._ways[frames], self.progress)
 
     def __len__(self) -> int:
         return len(self.values)
@@ -71,6 +106,15 @@ class Data:
         """The values of some frames, (frames,), alone."""
         other = copy(self)
         other._take(self.mask & frames[:, None, None])
+        return other
+
+    def with_noise(self, noise: Noise) -> Data:
+        """The same values with another noise than the stated one, or with one where none is stated."""
+        other = copy(self)
+        other._sigma = self._sigma.copy()
+        sigma = self._sigma * noise.factor if self.stated else np.full_like(self._sigma, noise.sigma)
+        other._sigma[:] = np.where(np.isfinite(self.measured), sigma, np.nan)
+        other._take(self.mask)
         return other
 
     def vector(self, positions: Array) -> Array:
@@ -84,10 +128,55 @@ class Data:
         return result
 
     def noise(self, residual: Array) -> Array:
-        """Standard deviation of every value, m; estimated from the residual (m) when none is stated."""
-        if self.stated:
+        """Standard deviation of every value, m; estimated from the residual (m) when none is known."""
+        if np.isfinite(self.sigma).all():
             return self.sigma
         return np.full(len(self), max(estimate_noise(self, residual), LEAST_NOISE))
+
+
+def way(action: Action, scene: Scene) -> Array:
+    """Distance of the gripper from rest in each frame, as part of the largest, shape (frames,).
+
+    A turn counts by how far it would move the nearest fiducial.
+    """
+    far = scene.rest - np.array(scene.grasps[action.grasp].centre) if action.grasp else np.zeros((1, 3))
+    turned = (as_rotation(action.rotation) * as_rotation(action.rotation[0]).inv()).magnitude()
+    gone = np.linalg.norm(action.translation, axis=1) + turned * np.linalg.norm(far, axis=1).min()
+    return np.asarray(gone / max(float(gone.max()), 1e-12))
+
+
+def same_motion(one: Action, other: Action) -> bool:
+    """Whether the gripper moves alike in two actions, under the same loads."""
+    if (one.grasp, len(one), set(one.loads)) != (other.grasp, len(other), set(other.loads)):
+        return False
+    pairs = [
+        (one.translation, other.translation),
+        (one.rotation, other.rotation),
+        (one.clock - one.clock[0], other.clock - other.clock[0]),
+    ]
+    pairs += [(one.loads[place], other.loads[place]) for place in one.loads]
+    return all(np.allclose(a, b, rtol=0.0, atol=1e-9) for a, b in pairs)
+
+
+def told_noise(data: Data, rough: Array) -> Noise | None:
+    """The noise that the part of a residual has that is like noise, (n,), m; None without three steps in a row.
+
+    From the median of the sizes of second differences along each trajectory: what is smooth drops out, and what jumps counts once.
+    The standard error is that of a median of Gaussian values, half as many as there are differences, for neighbours go together.
+    """
+    scale = np.where(np.isfinite(data.sigma), data.sigma, 1.0) if data.stated else np.ones(len(data))
+    found = [np.diff(values, 2) for values in _along_trajectories(data, rough / scale) if len(values) > 2]
+    if not found:
+        return None
+    differences = np.abs(np.concatenate(found)) / math.sqrt(6)
+    factor = max(float(_PER_MEDIAN * np.median(differences)), 1e-12)
+    sigma = factor * (float(np.sqrt(np.mean(data.sigma**2))) if data.stated else 1.0)
+    return Noise(sigma, factor if data.stated else 1.0, 1.17 / math.sqrt(max(len(differences) / 2, 1.0)))
+
+
+def _along_trajectories(data: Data, values: Array) -> list[Array]:
+    order = np.lexsort((data.step, data.trajectory))
+    return np.split(values[order], np.flatnonzero(np.diff(data.trajectory[order])) + 1)
 
 
 def estimate_noise(data: Data, residual: Array) -> float:
@@ -95,11 +184,7 @@ def estimate_noise(data: Data, residual: Array) -> float:
 
     Without three steps in a row the RMS of the residual stands for it.
     """
-    found = []
-    for number in range(int(data.trajectory.max()) + 1):
-        values = residual[data.trajectory == number]
-        if len(values) > 2:
-            found.append(np.diff(values, 2) / np.sqrt(6))
+    found = [np.diff(values, 2) / np.sqrt(6) for values in _along_trajectories(data, residual) if len(values) > 2]
     if not found:
         return float(np.sqrt(np.mean(residual**2)))
     return float(np.sqrt(np.mean(np.concatenate(found) ** 2)))

@@ -11,23 +11,42 @@ from scipy.special import softmax
 from bcid.inference.outcome import label
 
 Anchored = frozenset[str]
+# Before the data are looked at, so many of the known effects are expected to act, each as likely as the others; and something that
+# is not known with this probability.
+EXPECTED, UNKNOWN = 0.7, 0.15
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """What holds the body, and the name of the effect that acts besides; "" for none."""
+    """What holds the body, what acts besides ("gravity", "gravity+fibres"; "": nothing), and whether something unknown does too."""
 
     anchors: Anchored
     effect: str = ""
+    unknown: bool = False
 
     @property
-    def order(self) -> tuple[bool, int, list[str], str]:
+    def order(self) -> tuple[bool, bool, int, list[str], str]:
         """The simpler of two that are as likely comes first."""
-        return bool(self.effect), len(self.anchors), sorted(self.anchors), self.effect
+        return bool(self.effect), self.unknown, len(self.anchors), sorted(self.anchors), self.effect
+
+    @property
+    def verdict(self) -> str:
+        """As it is told: the effect, "none" or "unknown"."""
+        return "unknown" if self.unknown else self.effect or "none"
 
     def label(self, names: Iterable[str]) -> str:
         """As in tables: "{3 4} + gravity"; patches in the order of `names`."""
         return label(self.anchors, names) + (f" + {self.effect}" if self.effect else "")
+
+
+def log_prior(effects: int, unknown: bool, known: int = 18) -> float:
+    """Logarithm of the prior odds, against nothing, of so many named effects of the `known` ones, and something unknown besides.
+
+    Every effect acts with the same probability, whatever else does.
+    """
+    each = EXPECTED / max(known, 1)
+    odds = effects * math.log(each / (1 - min(each, 0.5)))
+    return odds + (math.log(UNKNOWN / (1 - UNKNOWN)) if unknown else 0.0)
 
 
 def normalised(logs: Mapping[Hypothesis, float]) -> dict[Hypothesis, float]:
@@ -36,6 +55,44 @@ def normalised(logs: Mapping[Hypothesis, float]) -> dict[Hypothesis, float]:
         return {}
     shares = softmax(list(logs.values())).tolist()
     return dict(sorted(zip(logs, shares, strict=True), key=lambda item: (-item[1], item[0].order)))
+
+
+@dataclass(frozen=True)
+class HypothesisOdds:
+    """What is believed of hypotheses, the likeliest first.
+
+    Attributes:
+        probabilities: of each; they sum to one.
+    """
+
+    probabilities: dict[Hypothesis, float]
+
+    @classmethod
+    def of(cls, logs: Mapping[Hypothesis, float]) -> HypothesisOdds:
+        """From logarithms of evidence and prior."""
+        return cls(normalised(logs))
+
+    @property
+    def verdicts(self) -> dict[str, float]:
+        """Probability of each effect or pair of effects, of "none" and of "unknown", the likeliest first."""
+        found = {"none": 0.0, "unknown": 0.0}
+        for h, p in self.probabilities.items():
+            found[h.verdict] = found.get(h.verdict, 0.0) + p
+        return dict(sorted(found.items(), key=lambda item: (-item[1], item[0])))
+
+    @property
+    def best(self) -> Hypothesis:
+        """The likeliest hypothesis of the likeliest verdict."""
+        verdict = next(iter(self.verdicts))
+        return next(h for h in self.probabilities if h.verdict == verdict)
+
+    def named(self, effect: str) -> float:
+        """Probability that these effects act, whatever else does."""
+        return min(1.0, math.fsum(p for h, p in self.probabilities.items() if h.effect == effect))
+
+    def held_by(self, anchors: Anchored) -> float:
+        """Probability of a set."""
+        return min(1.0, math.fsum(p for h, p in self.probabilities.items() if h.anchors == anchors))
 
 
 def entropy(probabilities: Iterable[float]) -> float:

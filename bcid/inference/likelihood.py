@@ -210,4 +210,4 @@ def _along(data: Data, rows: NDArray[np.int64], left: Array, sizes: dict[int, fl
 
 def _growing(data: Data, rows: NDArray[np.int64], amount: float) -> Array:
     """What a fiducial has in common in all actions, along each axis."""
-    return np.where(data.axis[rows, None] == np.arange(3), amount * data.progress[rows, None], 0.0)
+    return np.where(data.axis[rows, None] == np.arange(3), amount * data.way[rows, None], 0.0)

@@ -17,6 +17,7 @@ _OFF = {
     "grip_turn": "the gripper would have to be turned by {} against what is reported",
     "camera": "the measured frame would have to be turned by {}",
     "poisson": "Poisson's ratio would have to be off by {}",
+    "law": "the law would have to stiffen or soften with strain by {} shear moduli, as the coefficient of (I1bar - 3)^2",
 }
 _UNITS = {"markers": "m", "borders": "m", "grip": "m", "grip_turn": "deg", "camera": "deg"}
 

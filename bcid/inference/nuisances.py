@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bcid.forms.mesh import BodyMesh
 from bcid.forms.model import Model
-from bcid.forms.scene_errors import Outline, dimensions, grip_term
+from bcid.forms.scene_errors import Outline, dimensions, grip_term, law_form_term
 from bcid.forms.sensitivity import Probe, Sensitivities, Wanted
 from bcid.inference.data import Data
 from bcid.measurement.frame_error import FrameError
@@ -63,6 +63,11 @@ class NuisanceModes:
         return NuisanceModes(self.markers, self.common[:, kept], tuple(self.names[n] for n in kept), sizes)
 
 
+def stood_for(model: Model) -> frozenset[str]:
+    """The nuisances that effects of a model take the place of."""
+    return frozenset(term.effect.instead_of for term in model.terms if term.effect.instead_of)
+
+
 class Nuisances:
     """The nuisances of a scene with a mesh of its body.
 
@@ -84,6 +89,7 @@ class Nuisances:
         if self.sizes.borders:
             outlines = [self._outlines[patch] for patch in sorted(anchors)]
             probes += [Probe(term, ("distance",)) for outline in outlines if outline for term in outline.terms]
+        probes += [Probe(law_form_term(), ("part",))] if self.sizes.law else []
         grip = grip_term()
         wanted = (("grip", "xyz"), ("grip_turn", ("rx", "ry", "rz")))
         probes += [Probe(grip, tuple(names)) for name, names in wanted if getattr(self.sizes, name)]
@@ -95,7 +101,11 @@ class Nuisances:
         columns: list[Array] = []
         names: list[str] = []
         sizes = self.sizes
-        of_effect = {"dimension": ("dimensions", sizes.dimensions), "border": ("borders", sizes.borders)}
+        of_effect = {
+            "dimension": ("dimensions", sizes.dimensions),
+            "border": ("borders", sizes.borders),
+            "law_form": ("law", sizes.law),
+        }
         for probe, arrays in zip(wanted.probes, found.probes, strict=True):
             for parameter, array in arrays.items():
                 column = np.nan_to_num(data.vector(array))

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
+from bcid.inference.criteria import NOTABLE
 from bcid.inference.data import Data
+from bcid.inference.evidence import ANY, LARGER, Force, Numbers, likeliest_size, log_evidence
 from bcid.inference.likelihood import Errors
 
 Array = NDArray[np.float64]
@@ -23,16 +24,36 @@ Array = NDArray[np.float64]
 _SIZES = np.logspace(-4, 1, 21)
 # How often something is missing in a model that was taken for complete.
 MISSING = 0.5
+# Where the way back does not mirror the way there, what grows with time differs from what grows with the way by this part.
+_APART = 0.2
 
 
 def courses(data: Data, slopes: Array) -> Array:
     """Movements (n, m), m per unit of each force, from the `slopes` (n, forces) of forces that act in a frame.
 
-    Each may act in all frames alike, and grow along every action.
+    Each may act in all frames alike, grow along an action with the gripper's way, and where that leads back also with time; it is
+    the same in actions that are the same.
     """
     parts: list[Array] = [np.ones(len(data))]
-    parts += [np.where(data.action == number, data.progress, 0.0) for number in np.unique(data.action)]
+    for number in np.unique(data.motion):
+        inside = data.motion == number
+        parts.append(np.where(inside, data.way, 0.0))
+        if np.abs(data.way - data.progress)[inside].max() > _APART:
+            parts.append(np.where(inside, data.progress, 0.0))
     return np.hstack([slopes * part[:, None] for part in parts])
+
+
+def unknown_force(errors: Errors, moved: Array, unit: float) -> Force:
+    """A force of any size that moves the markers by a notable part of the noise: of a smaller one nothing is said.
+
+    Args:
+        errors: of all else.
+        moved: movements (n, m), m per unit of force, see `courses`.
+        unit: of the force's density: shear modulus per size of the body.
+    """
+    most = math.sqrt(float(np.mean(np.sum(moved**2, axis=1) / errors.sigma**2)))
+    sizes = _SIZES * unit
+    return Force.of(errors.whiten(moved), sizes[sizes * most >= min(NOTABLE, float(sizes[-1]) * most)])
 
 
 @dataclass(frozen=True)
@@ -50,29 +71,25 @@ class Evidence:
     size: float
 
     @classmethod
-    def of(cls, errors: Errors, residual: Array, moved: Array, unit: float) -> Evidence:
+    def of(cls, errors: Errors, residual: Array, force: Force, numbers: Numbers | None = None) -> Evidence:
         """Of a residual (n,), m.
+
+        What is missing need not be a force: the same is asked with errors that are larger by any factor, and both count alike.
 
         Args:
             errors: of all else.
             residual: measured minus predicted.
-            moved: movements (n, m), m per unit of force, see `courses`.
-            unit: of the force's density: shear modulus per size of the body.
+            force: in units of these errors.
+            numbers: what is unknown of the hypothesis; nothing by default.
         """
-        scaled, columns = errors.whiten(residual), errors.whiten(moved)
-        # With columns C = U S V^T, (I + a^2 C C^T) has the eigenvalues 1 + a^2 s^2 along U, and 1 beside.
-        squares, axes = np.linalg.eigh(columns.T @ columns)
-        kept = squares > 1e-12 * max(squares.max(initial=0.0), 1e-300)
-        squares, axes = squares[kept], axes[:, kept]
-        along = (axes.T @ (columns.T @ scaled)) ** 2 / squares
-        beside, volume = float(scaled @ scaled) - float(along.sum()), errors.log_volume
-        found = []
-        for size in _SIZES * unit:
-            widths = 1 + size**2 * squares
-            found.append(-0.5 * (beside + float(np.sum(along / widths + np.log(widths)))) - volume)
-        plain = -0.5 * float(scaled @ scaled) - volume
-        forced = float(logsumexp(found)) - math.log(len(found))
-        return cls(plain, forced, float(_SIZES[int(np.argmax(found))] * unit))
+        scaled, known = errors.whiten(residual), numbers or Numbers.none(len(residual))
+        stated, volume = errors.data.stated, errors.log_volume
+        plain = log_evidence(scaled, known, None, None if stated else ANY)
+        as_large, larger = (
+            log_evidence(scaled, known, force, factors) for factors in ((None, LARGER) if stated else (ANY, ANY))
+        )
+        forced = np.logaddexp(as_large, larger)
+        return cls(plain - volume, float(forced) - math.log(2) - volume, likeliest_size(scaled, force))
 
     @property
     def total(self) -> float:

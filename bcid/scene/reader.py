@@ -246,7 +246,9 @@ class SceneFile:
 
     def uncertainty(self, table: Mapping[str, Any]) -> Uncertainty:
         """How well the scene knows what it states."""
-        units = dict.fromkeys(LENGTHS, "m") | dict.fromkeys(ANGLES, "deg") | {"dimensions": "", "poisson": ""}
+        units = (
+            dict.fromkeys(LENGTHS, "m") | dict.fromkeys(ANGLES, "deg") | {"dimensions": "", "poisson": "", "law": ""}
+        )
         self.unknown(table, tuple(units), "uncertainty.")
         return Uncertainty(
             **{name: self.positive(table, f"uncertainty.{name}", unit, zero=True) for name, unit in units.items()}

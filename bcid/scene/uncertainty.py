@@ -13,6 +13,7 @@ _USUAL = {
     "grip_turn": 0.5,
     "camera": 0.2,
     "poisson": 0.03,
+    "law": 0.05,
 }
 LENGTHS = ("markers", "borders", "grip")
 ANGLES = ("grip_turn", "camera")
@@ -32,6 +33,7 @@ class Uncertainty:
         grip_turn: of its rotation likewise, about each axis, deg.
         camera: of the directions of the measured frame's axes, deg; a measurement that states the error of its frame knows better.
         poisson: of Poisson's ratio.
+        law: of its form at large strains: of the coefficient of (I1bar - 3)^2 in its energy, in units of the shear modulus.
     """
 
     markers: float | None = None
@@ -41,6 +43,7 @@ class Uncertainty:
     grip_turn: float | None = None
     camera: float | None = None
     poisson: float | None = None
+    law: float | None = None
 
     @classmethod
     def none(cls) -> Uncertainty:

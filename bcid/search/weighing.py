@@ -21,7 +21,7 @@ from bcid.inference.nuisances import NuisanceModes, Nuisances
 from bcid.inference.outcome import Candidate
 from bcid.inference.posterior import gain
 from bcid.inference.relative import relative
-from bcid.inference.unknown_force import Evidence, courses
+from bcid.inference.unknown_force import Evidence, courses, unknown_force
 from bcid.search.climb import ODDS
 from bcid.search.evaluator import Evaluator
 
@@ -169,7 +169,8 @@ class Weighing:
         residual = data.values - data.vector(pan.positions + mesh.correction)
         errors = Errors(data, self._sigma[data.mask], mesh, pan.modes.at(rows))
         moved = courses(data, pan.slopes[rows])
-        evidence = Evidence.of(errors, residual, moved, force_unit(self.evaluator.forward(level)))
+        force = unknown_force(errors, moved, force_unit(self.evaluator.forward(level)))
+        evidence = Evidence.of(errors, residual, force)
         if evidence.forced > evidence.plain:
             errors = Errors(data, errors.sigma, mesh, errors.nuisances.beside(evidence.size * moved))
         return Weight(evidence, errors, residual)

@@ -32,6 +32,7 @@ from bcid.inference.data import Data
 from bcid.inference.hypotheses import Hypothesis, effects, entropy, patches
 from bcid.inference.nuisances import NuisanceModes
 from bcid.inference.relative import relative
+from bcid.inference.unknown_force import courses
 from bcid.measurement import Action, Measurement
 from bcid.scene import Grasp, Level, Limits, Material, Region, Scene
 
@@ -206,7 +207,8 @@ def test_the_pulls_are_one_measurement() -> None:
     sets = [frozenset("12"), frozenset("2")]
     for anchors in sets:
         errors.allow(anchors, allowance(errors.data, {}, errors.places, modes, np.zeros((len(common), 0))))
-    found = errors.relative(sets)
+    every = np.ones(len(errors.data.mask), bool)
+    found = {anchors: errors._likelihood(anchors, anchors, every) for anchors in sets}
     gauss = multivariate_normal(cov=np.diag(errors.data.sigma**2) + common @ common.T)
     moved = [np.concatenate([inference._predicted[i][a].positions for i in (0, 1)]) for a in sets]
     logs = [gauss.logpdf(errors.data.values - errors.data.vector(positions)) for positions in moved]
@@ -216,13 +218,14 @@ def test_the_pulls_are_one_measurement() -> None:
 def test_an_unknown_force_is_the_same_in_pulls_that_are_the_same() -> None:
     body = MadeUp(scene(), by_count)
     errors = pulled(body, body, "12", ("+x", "+y", "+x")).errors
-    moved = errors._courses(errors.data, np.ones((len(errors.data), 1)))
-    # In all pulls alike, and along those of either kind.
-    assert moved.shape[1] == 3
+    moved = courses(errors.data, np.ones((len(errors.data), 1)))
+    # In all pulls alike, and along those of either kind with the way and with time.
+    assert moved.shape[1] == 5
     assert (moved[errors.data.action == 0, 1] == moved[errors.data.action == 2, 1]).all()
     # It grows with the motion, and is gone where the gripper is back.
     assert moved[errors.data.step == 4, 1].max() == 1.0
-    assert (moved[errors.data.step == 8, 1:] == 0).all()
+    assert (moved[errors.data.step == 8][:, [1, 3]] == 0).all()
+    assert moved[errors.data.step == 8, 2].max() == 1.0
 
 
 def test_a_gripper_that_may_be_off_tells_less_in_every_pull_anew() -> None:

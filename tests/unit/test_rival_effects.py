@@ -14,6 +14,8 @@ from scipy.stats import norm
 from bcid.base.errors import InputError
 from bcid.comparison.fit import fit
 from bcid.comparison.predictor import Predictor
+from bcid.comparison.priors import of_state, visible
+from bcid.comparison.rivals import Rival
 from bcid.comparison.state import State
 from bcid.exploration.explore_run import run_exploration
 from bcid.exploration.information import information
@@ -66,17 +68,23 @@ def test_evidence_is_the_likelihood_averaged_over_what_was_believed(heavy: tuple
     predictor = Predictor(scene, seen, MPI.COMM_SELF)
     anchors, plain = frozenset("34"), Model.of(scene)
     start = State.of(predictor, plain + Term("gravity", {"weight": 1000.0}), anchors)
-    one = Fitted(Hypothesis(anchors, "gravity"), fit(start, ["gravity.weight"]), plain)
+    one = Fitted(Hypothesis(anchors, "gravity"), Rival.of(fit(start, ["gravity.weight"]), plain, 1, 0.0), plain)
     value, error = one.amounts["gravity.weight"]
     assert value == pytest.approx(WEIGHT, abs=4 * error)
-    sigma = 2 * effects.effect("gravity").parameters[0].scale
+    numbers = of_state(one.fitted.state, plain, one.fitted.jacobian, 0.0)
+    assert numbers is not None
+    assert len(numbers.widths) == len(visible(1.0, 0.0))
+    assert numbers.log_prior == 0.0
     at = value + error * np.linspace(-5, 5, 21)
     chi2 = [
         State.of(predictor, start.model.with_values({"gravity.weight": w}), anchors, start.errors.mesh).chi2 for w in at
     ]
-    averaged = simpson(np.exp(-0.5 * (np.array(chi2) - one.chi2)) * norm.pdf(at, 0.0, sigma), x=at)
+    # A weight is not negative: half of the prior is left.
+    believed = np.mean([2 * norm.pdf(at, 0.0, width) for width in numbers.widths[:, 0]], axis=0)
+    best = one.fitted.state.chi2
+    averaged = simpson(np.exp(-0.5 * (np.array(chi2) - best)) * believed, x=at)
     volume = start.errors.log_volume
-    assert one.log == pytest.approx(-0.5 * one.chi2 - volume + math.log(averaged), abs=0.05)
+    assert one.evidence.plain == pytest.approx(-0.5 * best - volume + math.log(averaged), abs=0.05)
     predictor.destroy()
 
 
@@ -86,11 +94,15 @@ def test_what_the_pulls_do_not_tell_stays_as_it_was_expected(heavy: tuple[Scene,
     predictor = Predictor(scene, seen, MPI.COMM_SELF)
     anchors, plain = frozenset("34"), Model.of(scene)
     nothing = MeshError.unknown(predictor.data.mask.shape)
-    alone = Fitted(Hypothesis(anchors), fit(State.of(predictor, plain, anchors, nothing), ()), plain)
+    alone = Rival.of(fit(State.of(predictor, plain, anchors, nothing), ()), plain, 1)
     loose = plain + Term("soft_anchor", {"stiffness": 3e4}, place="2")
     one = fit(State.of(predictor, loose, anchors, nothing), ["soft_anchor(2).stiffness"])
-    dormant = Fitted(Hypothesis(anchors, "soft_anchor"), one, plain)
-    assert dormant.log == pytest.approx(alone.log, abs=1e-6)
+    dormant = Fitted(Hypothesis(anchors, "soft_anchor"), Rival.of(one, plain, 1, 0.0), plain)
+    # It may be at either patch or at both.
+    ways = math.log(len(("", *anchors)))
+    assert dormant.evidence.plain + ways == pytest.approx(alone.evidence.plain, abs=1e-6)
+    # Where nothing is to come, what cannot be seen is no explanation.
+    assert Rival.of(one, plain, 1).evidence.plain == -math.inf
     assert dormant.model.constants()["soft_anchor(2).stiffness"] > 1e9
     predictor.destroy()
 

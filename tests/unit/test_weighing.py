@@ -15,13 +15,14 @@ from scipy.stats import multivariate_normal
 
 from bcid.forms import effect_trial as trial
 from bcid.forms.simulate import recorded
-from bcid.inference.criteria import FAILS_FOR_THE_TRUE
+from bcid.inference.criteria import FAILS_FOR_THE_TRUE, NOTABLE
 from bcid.inference.data import Data
+from bcid.inference.evidence import LARGER
 from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes
 from bcid.inference.outcome import Candidate
-from bcid.inference.unknown_force import _SIZES, MISSING, Evidence, courses
+from bcid.inference.unknown_force import _SIZES, MISSING, Evidence, courses, unknown_force
 from bcid.measurement import Action, Measurement
 from bcid.search.climb import ODDS
 from bcid.search.weighing import _BATCH, _MOST, Pan, Weighing
@@ -62,18 +63,27 @@ def errors(data: Data) -> Errors:
 def test_the_evidence_is_that_of_a_gaussian_averaged_over_sizes() -> None:
     data = Data(SCENE, measurement())
     known, moved = errors(data), courses(data, slopes(data))
-    assert moved.shape == (len(data), 3 * 3)
+    # Both pulls are alike.
+    assert moved.shape == (len(data), 3 * 2)
     residual = data.values - data.vector(np.tile(SCENE.rest, (2 * STEPS, 1, 1)))
-    found = Evidence.of(known, residual, moved, UNIT)
+    force = unknown_force(known, moved, UNIT)
+    found = Evidence.of(known, residual, force)
     base = np.diag(data.sigma**2) + known.nuisances.common @ known.nuisances.common.T
     constant = len(data) / 2 * math.log(2 * math.pi)
     assert found.plain == pytest.approx(multivariate_normal(cov=base).logpdf(residual) + constant, rel=1e-9)
-    each = [
-        multivariate_normal(cov=base + (size * UNIT) ** 2 * moved @ moved.T).logpdf(residual) + constant
-        for size in _SIZES
+    # A force that hardly moves a marker is none.
+    shown = np.sqrt(np.mean(np.sum(moved**2, axis=1) / data.sigma**2))
+    assert force.sizes == pytest.approx([UNIT * size for size in _SIZES if UNIT * size * shown >= NOTABLE])
+    assert 0 < len(force.sizes) < len(_SIZES)
+    covariances = [base + size**2 * moved @ moved.T for size in force.sizes]
+    each = [multivariate_normal(cov=c).logpdf(residual) + constant for c in covariances]
+    assert found.size == pytest.approx(force.sizes[int(np.argmax(each))])
+    # Nor need what is missing be a force: all errors may be larger.
+    larger = [
+        multivariate_normal(cov=factor**2 * c).logpdf(residual) + constant for c in covariances for factor in LARGER
     ]
-    assert found.forced == pytest.approx(logsumexp(each) - math.log(len(each)), rel=1e-9)
-    assert found.size == pytest.approx(UNIT * _SIZES[int(np.argmax(each))])
+    expected = [logsumexp(logs) - math.log(len(logs)) for logs in (each, larger)]
+    assert found.forced == pytest.approx(np.logaddexp(*expected) - math.log(2), rel=1e-9)
     assert found.total == pytest.approx(
         np.logaddexp(found.plain + math.log(1 - MISSING), found.forced + math.log(MISSING))
     )
@@ -83,7 +93,9 @@ def test_the_evidence_is_that_of_a_gaussian_averaged_over_sizes() -> None:
 def test_what_a_force_does_is_missed_and_noise_is_not(pushed: float, missing: bool) -> None:
     data = Data(SCENE, measurement())
     residual = data.values - data.vector(np.tile(SCENE.rest, (2 * STEPS, 1, 1)))
-    found = Evidence.of(errors(data), residual + pushed * slopes(data)[:, 1], courses(data, slopes(data)), UNIT)
+    known = errors(data)
+    force = unknown_force(known, courses(data, slopes(data)), UNIT)
+    found = Evidence.of(known, residual + pushed * slopes(data)[:, 1], force)
     assert (found.missing > 0.95) == missing
     assert missing or found.missing < 0.5
 

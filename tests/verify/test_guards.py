@@ -20,10 +20,9 @@ from bcid.comparison.adequacy import judge
 from bcid.comparison.buckled_frames import buckled, leave_out
 from bcid.comparison.explain import ExplainOptions, explain
 from bcid.comparison.fit import fit
-from bcid.comparison.joint import promised, propose
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import rank
-from bcid.comparison.rivals import refit_candidates
+from bcid.comparison.rivals import contest, promoted
 from bcid.comparison.separate import separating_pulls
 from bcid.comparison.state import State
 from bcid.forms import effects
@@ -84,11 +83,11 @@ def test_no_effect_makes_up_for_a_wrong_anchor_set(predictor: Predictor) -> None
     assert not judge(wrong).adequate
     ranking = rank(wrong, effects.catalogue(FEW))
     assert ranking.rows[0].p_value < 1e-6
-    rivals = refit_candidates(wrong, promised(wrong, ranking), 3)
-    stayed = [rival for rival in rivals if rival.anchors == wrong.anchors]
+    rivals = contest(wrong, wrong.model, effects.catalogue(FEW), (), 1, 3)
+    stayed = [promoted(rival, wrong, wrong.model) for rival in rivals if rival.names and rival.anchors == wrong.anchors]
     assert stayed
     for rival in stayed:
-        assert not judge(rival.fitted.state).adequate, rival.effect
+        assert rival is None or not judge(rival.fitted.state).adequate, rival.effect
 
 
 def test_the_loop_finds_the_anchors_and_no_effect(predictor: Predictor) -> None:
@@ -105,16 +104,12 @@ def test_anchors_and_effects_are_rivals(slab: Scene) -> None:
     predictor = Predictor(slab, measurement, MPI.COMM_SELF, level=1)
     seeming = at(predictor, frozenset({"1", "2", "3", "4"}))
     assert seeming.chi2 < at(predictor, anchored).chi2
-    thin = seeming.thinned(2, Settings(rtol=1e-6))
-    (here, *_) = promised(thin, rank(thin, effects.catalogue(FEW), strict=False))
-    (best, *others) = propose(thin, [], 24, effects.catalogue(FEW))
-    assert best.effect is slip.effect
-    assert best.anchors == anchored
-    assert best.left < here.left - 2 * math.log(20.0)
-    (rival, *_) = refit_candidates(seeming, [best, *others], 3)
+    (rival, *others) = contest(seeming, seeming.model, effects.catalogue(FEW), (), 24, 3)
+    assert rival.names == ("grasp_slip",)
     assert rival.anchors == anchored
+    assert rival.complete
+    assert all(other.log < rival.log - math.log(20.0) for other in others if other.anchors == seeming.anchors)
     assert rival.term.values["lag"] == pytest.approx(0.6, abs=0.05)
-    thin.predictor.destroy()
     predictor.destroy()
 
 
@@ -163,7 +158,7 @@ def test_effects_that_do_the_same_are_not_told_apart(slab: Scene) -> None:
     weight = Term(effects.effect("gravity"), {"weight": 800.0})
     model = Model.of(slab) + weight
     anchored = frozenset({"3", "4"})
-    predictor = Predictor(slab, simulate(slab, anchored, pulls(), level=1, model=model), MPI.COMM_SELF, level=1)
+    predictor = Predictor(slab, simulate(slab, anchored, pulls(), level=2, model=model), MPI.COMM_SELF, level=1)
     other = replace(weight.effect, name="heaviness")
     both = ("gravity", "heaviness")
     ranking = rank(at(predictor, anchored), effects.catalogue(both, [other]))
@@ -173,11 +168,11 @@ def test_effects_that_do_the_same_are_not_told_apart(slab: Scene) -> None:
     }
     found = explain(predictor, ExplainOptions(level=1, only=both), more=[other])
     assert found.verdict in both
-    assert found.ambiguous == tuple(name for name in both if name != found.verdict)
-    rivals = found.rungs[0].rivals
-    separating = separating_pulls(*(next(r for r in rivals if r.effect == name).fitted.state for name in both))
+    assert next(name for name in both if name != found.verdict) in found.ambiguous
+    rivals = found.rivals
+    separating = separating_pulls(*(next(r for r in rivals if r.names == (name,)).fitted.state for name in both))
     text = " ".join(words.conclusion(found, 1e-3, "mm", separating))
-    assert f"cannot tell it from: {found.ambiguous[0]}" in text
+    assert f"cannot tell {found.verdict} from: {', '.join(found.ambiguous)}" in text
     assert "No pull" in text
     predictor.destroy()
 

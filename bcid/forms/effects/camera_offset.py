@@ -39,4 +39,5 @@ effect = ObservationEffect(
     about="the measured frame is turned, shifted or scaled",
     acts_on="observation",
     observe=observe,
+    instead_of="camera",
 )

@@ -38,4 +38,5 @@ effect = BodyEffect(
     acts_on="material",
     constants=lambda c: {"poisson": c["poisson"]},
     needs=needs,
+    instead_of="poisson",
 )

@@ -117,6 +117,7 @@ class Effect:
         about: one phrase.
         places: the places it can act at, given scene and anchors; by default it has none.
         needs: why it cannot act in a scene and measurement, in words; "" if it can.
+        instead_of: what the scene may have slightly wrong (a name of `bcid.scene.uncertainty`) that this is when it is large.
     """
 
     name: str
@@ -124,6 +125,7 @@ class Effect:
     about: str
     places: Callable[[Scene, frozenset[str]], list[str]] | None = None
     needs: Callable[[Scene, Measurement], str] | None = None
+    instead_of: str = ""
 
     # What an effect of a kind does not do.
 

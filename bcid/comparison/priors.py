@@ -1,0 +1,129 @@
+"""What is believed of the numbers of an effect before the data are looked at."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.comparison.fit import Coordinate, columns, coordinates
+from bcid.comparison.state import State
+from bcid.forms.model import Model
+from bcid.inference.criteria import SEEN
+from bcid.inference.evidence import Numbers
+
+Array = NDArray[np.float64]
+# Standard deviations of an amount, in notable ones: from a tenth of one to ten, all equally likely, which makes heavy tails.
+_AMOUNTS: Array = np.geomspace(0.1, 10.0, 7, dtype=float)
+# Where a single one is needed it is this.
+_TYPICAL = 2.0
+# A time constant or a radius lies within so many times the values that are tried, in either direction.
+_BEYOND = 2.0
+# Onsets, places and directions are counted; another number lies within so many notable changes of where it was found.
+_ELSE = 3.0
+
+
+def visible(shown: float, least: float = SEEN) -> Array:
+    """Sizes of the amounts of an effect that these data could show, in notable ones; none where they could show none.
+
+    Args:
+        shown: by how many standard deviations a notable amount moves the data.
+        least: an amount is seen where it moves the data by so many; a smaller one is told as nothing. With 0 it keeps its chance.
+    """
+    return _AMOUNTS[_AMOUNTS * shown >= least]
+
+
+def log_share(count: int) -> float:
+    """Logarithm of the probability of being visible, where so many of the sizes are."""
+    return math.log(count / len(_AMOUNTS))
+
+
+def of_state(state: State, begun: Model, jacobian: Array | None = None, least: float = SEEN) -> Numbers | None:
+    """Numbers of a model that were fitted; None where these data could not show the amounts. Collective.
+
+    Args:
+        state: the model with these numbers.
+        begun: the model that has none of them.
+        jacobian: change of the scaled residual with each number, shape (n, p), where it is known.
+        least: see `visible`.
+    """
+    if not state.free:
+        return Numbers.none(len(state.predictor.data))
+    chosen, numbers = coordinates(state.model, state.free), state.model.constants()
+    if jacobian is None:
+        found = columns(state.predictor, state.model, state.anchors, state.prediction, chosen)
+        moved = state.errors.whiten(found)
+    else:
+        moved = -jacobian
+    amount = np.array([c.parameter.neutral is not None for c in chosen], dtype=bool)
+    scale = np.array([c.scale for c in chosen])
+    share = 0.0
+    sizes: Array = np.ones(1)
+    if amount.any():
+        sizes = visible(math.sqrt(float(np.mean(np.sum((moved * scale)[:, amount] ** 2, axis=0)))), least)
+        if not len(sizes):
+            return None
+        share = log_share(len(sizes))
+    apart = np.array([_apart(c, numbers[c.name], begun) for c in chosen])
+    widths = np.array([_width(c, numbers[c.name], state) for c in chosen])
+    table = np.where(amount, sizes[:, None] * scale, widths)
+    return Numbers(moved, apart, table, one_sided(chosen), share + log_ways(state, begun))
+
+
+def expected(state: State, begun: Model) -> tuple[Array, Array]:
+    """How far fitted coordinates are from what was expected of them, and a typical standard deviation of that, each (p,)."""
+    numbers, chosen = state.model.constants(), coordinates(state.model, state.free)
+    apart = np.array([_apart(c, numbers[c.name], begun) for c in chosen])
+    widths = [
+        _TYPICAL * c.scale if c.parameter.neutral is not None else _width(c, numbers[c.name], state) for c in chosen
+    ]
+    return apart, np.array(widths)
+
+
+def log_ways(state: State, begun: Model) -> float:
+    """Of how the added effects act where that is no number of a fit: at a place, from a frame on, with a period or without."""
+    found = 0.0
+    for term in state.model.added(begun):
+        effect = term.effect
+        places = len(effect.places(state.predictor.scene, state.anchors)) if effect.places else 1
+        frames = len(state.predictor.data.mask) if any(p.onset for p in effect.parameters) else 1
+        periodic = 2 if any(p.off is not None for p in effect.parameters) else 1
+        found += log_variants(places * frames * periodic)
+    return found
+
+
+def one_sided(chosen: Sequence[Coordinate]) -> NDArray[np.bool_]:
+    """Which numbers are amounts that cannot be below their neutral value."""
+    found = [p.neutral is not None and (p.reciprocal or p.lower == p.neutral) for p in (c.parameter for c in chosen)]
+    return np.array(found, dtype=bool)
+
+
+def log_variants(count: int) -> float:
+    """Of one of so many ways in which an effect may act."""
+    return -math.log(max(count, 1))
+
+
+def _apart(c: Coordinate, value: float, begun: Model) -> float:
+    """How far a coordinate is from what was expected."""
+    neutral = begun.neutral(c.parameter)
+    if neutral is None:
+        return 0.0
+    return c.of(value) - (0.0 if c.parameter.reciprocal else neutral)
+
+
+def _width(c: Coordinate, value: float, state: State) -> float:
+    """Standard deviation of a number that is no amount: uniform over where it can be, from where it was found."""
+    p = c.parameter
+    if p.prior is not None:
+        return p.prior[1]
+    if p.period is not None:
+        return p.period / math.sqrt(12)
+    if p.unit == "m":
+        points = state.predictor.forward(state.model).mesh.points
+        return float(np.linalg.norm(np.ptp(points, axis=0))) / 6
+    if len(p.scan) > 1:
+        # Uniform in its logarithm over the values that are tried.
+        return value * math.log(max(p.scan) / min(p.scan) * _BEYOND**2) / math.sqrt(12)
+    return _ELSE * c.scale

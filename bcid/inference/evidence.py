@@ -1,0 +1,179 @@
+"""Evidence: how likely a measurement is under a hypothesis, integrated over its unknown numbers and over an unknown force.
+
+With a residual r at numbers a, in units of its errors, J its derivative and S the standard deviations believed before, the
+model is linear about a: the residual at the values m that were expected is r + J (a - m), and its covariance I + J S^2 J'. So
+
+    log Z = - |r + J (a - m)|^2 / 2 + b' M^-1 b / 2 - log det(M) / 2,    M = 1 + S J'J S,    b = S J' (r + J (a - m)),
+
+which is Laplace's approximation about a fit (MacKay, Information Theory, 2003, chapter 28; Kass & Raftery, J. Am. Stat. Assoc. 90,
+1995), and the score test where the numbers were not fitted. S is not known: it is averaged over the rows of a table.
+
+An unknown force is a part of the covariance with very many columns F: the same algebra in the basis in which F F' is diagonal.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import log_ndtr, logsumexp
+
+Array = NDArray[np.float64]
+# Where no noise is stated all errors are known but for a common factor: it may be any of these. Where what is missing is no force
+# errors are larger than stated, by any of those.
+ANY: Array = np.geomspace(0.7, 20.0, 30, dtype=float)
+LARGER: Array = np.geomspace(1.0, 20.0, 30, dtype=float)
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Unknown numbers of a hypothesis.
+
+    Attributes:
+        columns: change of the predicted values per unit of each number, in units of their errors, shape (n, p).
+        apart: the numbers minus what was expected of them, shape (p,).
+        widths: standard deviations that are equally likely, one row each, shape (rows, p).
+        positive: which numbers cannot be below what was expected of them, shape (p,).
+        log_prior: logarithm of the prior probability of what is no number: a place, a first frame; and of the rows that are left.
+    """
+
+    columns: Array
+    apart: Array
+    widths: Array
+    positive: NDArray[np.bool_]
+    log_prior: float = 0.0
+
+    @classmethod
+    def none(cls, count: int) -> Numbers:
+        """Nothing is unknown."""
+        return cls(np.zeros((count, 0)), np.zeros(0), np.zeros((1, 0)), np.zeros(0, bool))
+
+
+@dataclass(frozen=True)
+class Force:
+    """An unknown force, in the basis in which what it does to the values is independent.
+
+    Attributes:
+        basis: orthonormal, shape (n, k).
+        squares: variance along each of its directions per unit of the force's variance, shape (k,).
+        sizes: standard deviations of the force that are equally likely, shape (m,).
+    """
+
+    basis: Array
+    squares: Array
+    sizes: Array
+
+    @classmethod
+    def of(cls, columns: Array, sizes: Array) -> Force:
+        """Of columns (n, forces), in units of the errors per unit of force."""
+        squares, axes = np.linalg.eigh(columns.T @ columns)
+        kept = squares > 1e-10 * max(float(squares.max(initial=0.0)), 1e-300)
+        squares, axes = squares[kept], axes[:, kept]
+        return cls(columns @ axes / np.sqrt(squares), squares, sizes)
+
+
+@dataclass(frozen=True)
+class _Products:
+    """Products of residual and columns with the inverse of the covariance, and half the logarithm of its determinant."""
+
+    rr: float
+    rj: Array
+    jj: Array
+    volume: float
+
+
+def log_evidence(scaled: Array, numbers: Numbers, force: Force | None = None, factors: Array | None = None) -> float:
+    """Logarithm of the density of a residual, without that of its errors alone and the constant of n values.
+
+    Args:
+        scaled: the residual at the numbers, in units of its errors, shape (n,).
+        numbers: what is unknown of the hypothesis.
+        force: acts besides, integrated over its size.
+        factors: by which the errors may be larger than they are taken for, all equally likely; they are known by default.
+    """
+    products = [_alone(scaled, numbers.columns)] if force is None else _forced(scaled, numbers.columns, force)
+    squares, volumes, inside = zip(*(_integrated(p, numbers) for p in products), strict=True)
+    found = _density(np.concatenate(squares), np.concatenate(volumes), len(scaled), factors) + np.concatenate(inside)
+    return float(logsumexp(found)) - math.log(len(found)) + numbers.log_prior
+
+
+def log_gains(
+    scaled: Array, columns: Array, widths: Array, positive: NDArray[np.bool_], factors: Array | None = None
+) -> Array:
+    """Of many variants of an effect, each with as many amounts, how much likelier they make a residual: shape (variants,).
+
+    Args:
+        scaled: the residual, in units of its errors, shape (n,).
+        columns: what the amounts of each variant do, shape (n, variants, amounts).
+        widths: standard deviations of the amounts that are equally likely, shape (rows, amounts).
+        positive: which amounts cannot be negative, shape (amounts,).
+        factors: as of `log_evidence`.
+    """
+    count, amounts = len(scaled), columns.shape[2]
+    rr, rj = float(scaled @ scaled), np.einsum("n,nva->va", scaled, columns)
+    jj = np.einsum("nva,nvb->vab", columns, columns, optimize=True)
+    found = []
+    for width in widths:
+        matrix = np.eye(amounts) + width[:, None] * jj * width
+        right = width * rj
+        solved = np.linalg.solve(matrix, right[..., None])[..., 0]
+        squares = np.maximum(rr - np.sum(right * solved, axis=1), 0.0)
+        logs = _density(squares, 0.5 * np.linalg.slogdet(matrix)[1], count, factors)
+        if positive.any():
+            deviation = np.sqrt(np.diagonal(np.linalg.inv(matrix), axis1=1, axis2=2))
+            logs = logs + np.sum((log_ndtr(solved / deviation) + math.log(2))[:, positive], axis=1)
+        found.append(logs)
+    nothing = float(_density(np.array([rr]), np.zeros(1), count, factors)[0])
+    return np.asarray(logsumexp(found, axis=0)) - math.log(len(found)) - nothing
+
+
+def likeliest_size(scaled: Array, force: Force) -> float:
+    """The standard deviation of an unknown force that makes a residual likeliest."""
+    none = np.zeros((len(scaled), 0))
+    logs = [-0.5 * p.rr - p.volume for p in _forced(scaled, none, force)]
+    return float(force.sizes[int(np.argmax(logs))])
+
+
+def _alone(scaled: Array, columns: Array) -> _Products:
+    return _Products(float(scaled @ scaled), columns.T @ scaled, columns.T @ columns, 0.0)
+
+
+def _forced(scaled: Array, columns: Array, force: Force) -> list[_Products]:
+    """For each size of the force."""
+    plain = _alone(scaled, columns)
+    r, j = force.basis.T @ scaled, force.basis.T @ columns
+    found = []
+    for size in force.sizes:
+        widths = 1 + size**2 * force.squares
+        lost = 1 - 1 / widths
+        rr = plain.rr - float(r @ (lost * r))
+        rj, jj = plain.rj - j.T @ (lost * r), plain.jj - j.T @ (lost[:, None] * j)
+        found.append(_Products(rr, rj, jj, 0.5 * float(np.sum(np.log(widths)))))
+    return found
+
+
+def _integrated(p: _Products, numbers: Numbers) -> tuple[Array, Array, Array]:
+    """Squares, volumes and logarithm of the share within bounds, for each row of widths."""
+    apart = numbers.apart
+    there = p.rj + p.jj @ apart
+    squares, volumes, inside = (np.zeros(len(numbers.widths)) for _ in range(3))
+    for row, width in enumerate(numbers.widths):
+        matrix = np.eye(len(width)) + width[:, None] * p.jj * width
+        right = width * there
+        solved = np.linalg.solve(matrix, right)
+        squares[row] = max(p.rr + 2 * float(apart @ p.rj) + float(apart @ p.jj @ apart) - float(right @ solved), 0.0)
+        volumes[row] = p.volume + 0.5 * float(np.linalg.slogdet(matrix)[1])
+        if numbers.positive.any():
+            deviation = np.sqrt(np.diag(np.linalg.inv(matrix)))
+            shares = log_ndtr(solved / deviation) + math.log(2)
+            inside[row] = float(np.sum(shares[numbers.positive]))
+    return squares, volumes, inside
+
+
+def _density(squares: Array, volumes: Array, count: int, factors: Array | None) -> Array:
+    if factors is None:
+        return np.asarray(-0.5 * squares - volumes)
+    every = -0.5 * squares[:, None] / factors**2 - count * np.log(factors)
+    return np.asarray(logsumexp(every, axis=1) - math.log(len(factors)) - volumes)

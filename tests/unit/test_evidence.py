@@ -1,0 +1,164 @@
+"""Evidence against Gaussians written out in full, and what is believed of hypotheses."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import quad
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal, norm
+
+from bcid.inference.data import Data, Noise, told_noise
+from bcid.inference.evidence import ANY, Force, Numbers, likeliest_size, log_evidence, log_gains
+from bcid.inference.hypotheses import EXPECTED, UNKNOWN, Hypothesis, HypothesisOdds, log_prior, patches
+
+Array = NDArray[np.float64]
+COUNT = 60
+RNG = np.random.default_rng(1)
+COLUMNS = RNG.normal(size=(COUNT, 2))
+PUSHES = RNG.normal(size=(COUNT, 9))
+RESIDUAL = RNG.normal(size=COUNT) + COLUMNS @ [2.0, -1.0]
+WIDTHS = np.array([[0.5, 1.0], [3.0, 6.0]])
+CONSTANT = COUNT / 2 * math.log(2 * math.pi)
+
+
+def numbers(apart: Array | None = None, positive: bool = False) -> Numbers:
+    return Numbers(
+        COLUMNS, np.zeros(2) if apart is None else apart, WIDTHS, np.array([positive, False]), math.log(0.25)
+    )
+
+
+def written_out(residual: Array, widths: Array, pushes: Array | None = None) -> float:
+    """The density with the full covariance."""
+    covariance = np.eye(COUNT) + (COLUMNS * widths**2) @ COLUMNS.T
+    covariance += 0.0 if pushes is None else pushes @ pushes.T
+    return float(multivariate_normal(cov=covariance).logpdf(residual)) + CONSTANT
+
+
+def test_numbers_are_integrated_over() -> None:
+    expected = logsumexp([written_out(RESIDUAL, row) for row in WIDTHS]) - math.log(2) + math.log(0.25)
+    assert log_evidence(RESIDUAL, numbers()) == pytest.approx(expected)
+
+
+def test_about_a_fit_the_same_is_found() -> None:
+    """The model is linear: whether the residual is that of the fit or that without the effect does not matter."""
+    best = np.linalg.lstsq(COLUMNS, RESIDUAL, rcond=None)[0]
+    assert log_evidence(RESIDUAL - COLUMNS @ best, numbers(best)) == pytest.approx(log_evidence(RESIDUAL, numbers()))
+
+
+def test_a_force_is_integrated_over_with_the_numbers() -> None:
+    sizes = np.array([0.1, 0.7])
+    force = Force.of(PUSHES, sizes)
+    each = [written_out(RESIDUAL, row, size * PUSHES) for size in sizes for row in WIDTHS]
+    found = log_evidence(RESIDUAL, numbers(), force)
+    assert found == pytest.approx(logsumexp(each) - math.log(4) + math.log(0.25))
+    pushed = RNG.normal(size=COUNT) + 0.7 * PUSHES @ RNG.normal(size=9)
+    assert likeliest_size(pushed, force) == 0.7
+
+
+def test_an_amount_that_cannot_be_negative() -> None:
+    """Against the integral over the half of the prior that is left."""
+    column, width = COLUMNS[:, :1], np.array([[1.5]])
+    for sign in (1.0, -1.0):
+        residual = sign * RESIDUAL
+        one = Numbers(column, np.zeros(1), width, np.array([True]))
+
+        def density(amount: float, residual: Array = residual) -> float:
+            squares = float(np.sum((residual - amount * column[:, 0]) ** 2) - np.sum(residual**2))
+            return 2 * float(norm.pdf(amount, scale=1.5)) * math.exp(-0.5 * squares)
+
+        integral = math.log(quad(density, 0, 30, points=[0.5, 1, 2, 4])[0])
+        nothing = log_evidence(residual, Numbers.none(COUNT))
+        assert log_evidence(residual, one) - nothing == pytest.approx(integral, abs=1e-6)
+
+
+def test_many_variants_at_once() -> None:
+    """Each as by itself."""
+    stacked = np.stack([COLUMNS, COLUMNS[:, ::-1], RNG.normal(size=(COUNT, 2))], axis=1)
+    positive = np.array([False, True])
+    gains = log_gains(RESIDUAL, stacked, WIDTHS, positive)
+    for gain, columns in zip(gains, np.moveaxis(stacked, 1, 0), strict=True):
+        alone = Numbers(columns, np.zeros(2), WIDTHS, positive)
+        nothing = log_evidence(RESIDUAL, Numbers.none(COUNT))
+        assert gain == pytest.approx(log_evidence(RESIDUAL, alone) - nothing)
+
+
+def test_errors_that_are_known_but_for_a_factor() -> None:
+    none = Numbers.none(COUNT)
+    for factor in (1.0, 5.0):
+        values = [multivariate_normal(cov=one**2 * np.eye(COUNT)).logpdf(factor * RESIDUAL) + CONSTANT for one in ANY]
+        found = log_evidence(factor * RESIDUAL, none, factors=ANY)
+        assert found == pytest.approx(logsumexp(values) - math.log(len(values)))
+    # Errors five times as large as stated are no surprise then, and a great one else.
+    assert log_evidence(5 * RESIDUAL, none, factors=ANY) > log_evidence(5 * RESIDUAL, none) + 100
+
+
+@pytest.mark.parametrize("larger", [1 / 3, 3.0])
+def test_a_prior_that_is_three_times_as_wide_changes_little(larger: float) -> None:
+    plain, wider = numbers(), Numbers(COLUMNS, np.zeros(2), larger * WIDTHS, np.zeros(2, bool), math.log(0.25))
+    assert log_evidence(RESIDUAL, wider) == pytest.approx(log_evidence(RESIDUAL, plain), abs=3.0)
+
+
+# -- hypotheses
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def test_the_prior_of_hypotheses() -> None:
+    """Every effect acts with the same probability, whatever else does."""
+    each, unknown = EXPECTED / 18, UNKNOWN / (1 - UNKNOWN)
+    assert log_prior(0, False) == 0.0
+    assert log_prior(1, False) == pytest.approx(math.log(each / (1 - each)))
+    assert log_prior(2, True) == pytest.approx(2 * math.log(each / (1 - each)) + math.log(unknown))
+
+
+def test_what_is_believed_is_told_by_verdict_and_by_patch() -> None:
+    a, b = frozenset("12"), frozenset("13")
+    odds = HypothesisOdds.of(
+        {
+            Hypothesis(a): math.log(0.3),
+            Hypothesis(a, "gravity"): math.log(0.25),
+            Hypothesis(b, "gravity"): math.log(0.2),
+            Hypothesis(b, "gravity", True): math.log(0.15),
+            Hypothesis(b, "", True): math.log(0.1),
+        }
+    )
+    assert odds.verdicts == pytest.approx({"gravity": 0.45, "none": 0.3, "unknown": 0.25})
+    assert odds.best == Hypothesis(a, "gravity")
+    assert odds.named("gravity") == pytest.approx(0.6)
+    assert odds.held_by(b) == pytest.approx(0.45)
+    assert patches(odds.probabilities, "123") == pytest.approx({"1": 1.0, "2": 0.55, "3": 0.45})
+
+
+# -- the noise of a residual
+# ------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("factor", "surprising"), [(1.0, False), (2.0, True), (0.5, True)])
+def test_a_noise_that_is_stated_wrongly_is_seen(factor: float, surprising: bool) -> None:
+    from tests.unit.test_compare import SIGMA, actions, data_of, rest
+
+    made = actions(steps=20)
+    data = data_of(rest(made), made)
+    residual = factor * SIGMA * np.random.default_rng(2).normal(size=len(data))
+    # One fiducial that jumps is no noise.
+    residual[(data.fiducial == 0) & (data.frame > 30)] += 5e-3
+    found = told_noise(data, residual + 1e-3 * data.progress**2)
+    assert found is not None
+    assert found.surprising == surprising
+    assert found.sigma == pytest.approx(factor * SIGMA, rel=0.15)
+    believed = data.with_noise(found)
+    assert believed.sigma == pytest.approx(np.full(len(data), found.sigma))
+    assert believed.stated
+    assert data.sigma == pytest.approx(np.full(len(data), SIGMA))
+
+
+def test_where_no_noise_is_stated_one_can_be_believed() -> None:
+    from tests.unit.test_compare import actions, data_of, rest
+
+    made = actions()
+    data: Data = data_of(rest(made), made, None).with_noise(Noise(3e-4, 1.0, 0.1))
+    assert not data.stated
+    assert data.noise(np.zeros(len(data))) == pytest.approx(np.full(len(data), 3e-4))
