@@ -9,10 +9,13 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from bcid.comparison.state import State
+from bcid.inference.criteria import SURPRISE
 
 Array = NDArray[np.float64]
 # Share of adequate models that may be called inadequate.
 FALSE_ALARMS = 0.05
+# The test that finds a frame from which on nothing fits.
+BREAKING = "from a frame on"
 
 
 @dataclass(frozen=True)
@@ -123,7 +126,38 @@ def _describing(state: State) -> list[Finding]:
         p = float(norm.sf(grows * np.sqrt(len(data))))
         found.append(Finding("growth with amplitude", p, f"its square correlates with the way by {grows:.2f}"))
     found += _hysteresis(state)
-    return found
+    broken = breaking(state)
+    return [*found, broken] if broken is not None else found
+
+
+def breaking(state: State) -> Finding | None:
+    """The frame from which on the residual is larger than before, where there is one and what is before fits.
+
+    The likeliest place of a change of the residual's variance in time: twice the logarithm of the likelihood ratio against no
+    change, compared with chi-square for each place that was tried.
+    """
+    data, scaled = state.predictor.data, state.scaled
+    frames = np.unique(data.frame)
+    squares = np.array([float(np.sum(scaled[data.frame == frame] ** 2)) for frame in frames])
+    counts = np.array([int(np.sum(data.frame == frame)) for frame in frames])
+    if len(frames) < 3:
+        return None
+    before, after = np.cumsum(squares)[:-1], np.cumsum(squares[::-1])[::-1][1:]
+    few, many = np.cumsum(counts)[:-1], np.cumsum(counts[::-1])[::-1][1:]
+    means = np.maximum([before / few, after / many], 1e-12)
+    ratio = counts.sum() * np.log(squares.sum() / counts.sum()) - few * np.log(means[0]) - many * np.log(means[1])
+    at = int(np.argmax(np.where(means[1] > means[0], ratio, -np.inf)))
+    p = min(1.0, len(frames) * float(chi2.sf(ratio[at], 1)))
+    fits = float(chi2.sf(before[at], int(few[at]))) >= FALSE_ALARMS
+    if not fits or p >= SURPRISE or means[1][at] <= means[0][at]:
+        return None
+    row = int(np.flatnonzero(data.frame == frames[at + 1])[0])
+    where = f"step {data.step[row]} of action {data.actions[data.action[row]]}"
+    text = (
+        f"from {where} on it is {np.sqrt(means[1][at]):.2f} times what noise and mesh explain, before that "
+        f"{np.sqrt(means[0][at]):.2f} times"
+    )
+    return Finding(BREAKING, p, text)
 
 
 def _hysteresis(state: State) -> list[Finding]:

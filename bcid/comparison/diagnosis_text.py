@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bcid.base.units import for_people, p_value, percent, significance, uncertain
-from bcid.comparison.adequacy import Adequacy, groups
+from bcid.comparison.adequacy import BREAKING, Adequacy, groups
 from bcid.comparison.explain import Explanation, Rung
 from bcid.comparison.ranking import Ranking, Row
 from bcid.comparison.rivals import Rival
@@ -19,6 +19,8 @@ from bcid.inference import nuisance_text
 from bcid.inference.criteria import CERTAIN, FAR
 from bcid.inference.outcome import label
 
+# Verdicts that are no effects.
+_OTHERS = {"none": "nothing missing", "unknown": "something unknown"}
 # A hypothesis with a smaller probability is not told.
 _LITTLE = 0.005
 # A force that explains a smaller share of what is beyond noise is none.
@@ -204,6 +206,7 @@ def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull]
         return [
             f"None of the known effects explains this measurement: {last.state.rms / unit:.3g} {name} are left where the noise is "
             f"{last.state.noise / unit:.3g} (the closest: {best}).",
+            *_breaks(last),
             "Look where the force that would explain it acts. Values below are those of a model that fails.",
             _held(found, held),
             *_open(found, pulls),
@@ -232,6 +235,15 @@ def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull]
     return lines + _open(found, pulls)
 
 
+def _breaks(rung: Rung) -> list[str]:
+    """From when on the model fails, where it fits before: something came off, slipped or jumped."""
+    found = [f for f in rung.adequacy.findings if f.name == BREAKING]
+    return [
+        f"It fits at first and fails later: {one.text}. Something may have come off, slipped or jumped then."
+        for one in found
+    ]
+
+
 def _held(found: Explanation, held: str) -> str:
     return f"Anchored: {held} ({percent(found.held_by)})."
 
@@ -242,7 +254,8 @@ def _open(found: Explanation, pulls: Sequence[Pull]) -> list[str]:
         return []
     lines = []
     if found.ambiguous:
-        lines.append(f"These data cannot tell {found.verdict} from: {', '.join(found.ambiguous)}.")
+        others = [_OTHERS.get(name, name) for name in found.ambiguous]
+        lines.append(f"These data cannot tell {_OTHERS.get(found.verdict, found.verdict)} from: {', '.join(others)}.")
     if found.held_by < CERTAIN:
         lines.append("These data do not tell for certain which patches hold the body.")
     if pulls and pulls[0].sigmas >= _SEPARATE:

@@ -22,6 +22,7 @@ from bcid.comparison.source import Source
 from bcid.comparison.where import MissingForce
 from bcid.forms.model import Term
 from bcid.inference import nuisance_text
+from bcid.inference.criteria import CERTAIN
 from bcid.inference.hypotheses import patches
 from bcid.measurement import AXES
 from bcid.search.identify_run import body_parts, inputs_in_words, odd
@@ -174,6 +175,7 @@ def beliefs(found: Explanation, order: list[str]) -> dict[str, Any]:
     return {
         "verdict_probability": found.probability,
         "anchors_probability": found.held_by,
+        "anchors_certain": found.held_by >= CERTAIN,
         "probabilities": {
             "effects": odds.verdicts,
             "patches": patches(odds.probabilities, order),

@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from bcid.base.units import percent
 from bcid.report import exploration_picture as exploration
 from bcid.report.found import Found
 from bcid.report.text import amount, chance, listed, model_name, patches, plain
 
+# Verdicts that are no effects.
+_OTHERS = {"none": "nothing missing", "unknown": "something unknown"}
 # Of a run that does not say itself whether the set explains the measurement: a residual of so many times the noise does not.
 _EXPLAINED = 2.0
 
@@ -60,8 +63,9 @@ def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
     first, last = ladder[0], ladder[-1]
     left = f"{last['rms']:.3g} {unit}, where the noise is {noise:.3g} {unit}"
     if d["verdict"] == "none":
+        word = "adequate" if d["adequate"] else "not quite adequate, though nothing is seen to be missing"
         sentence = (
-            f"{held}, and the {model_name(last['model'])} model is adequate: it misses the measurement by {left} and the scene may "
+            f"{held}, and the {model_name(last['model'])} model is {word}: it misses the measurement by {left} and the scene may "
             "be slightly wrong."
         )
     elif d["verdict"] == "unknown" and d["ranking"]:
@@ -81,6 +85,9 @@ def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
         sentence = f"{held}, and {lacks} {effects}: {after} (noise {noise:.3g} {unit})."
     numbers = [("error before", f"{first['rms']:.3g} {unit}")] if len(ladder) > 1 else []
     numbers += [("error after" if numbers else "error", f"{last['rms']:.3g} {unit}"), ("noise", f"{noise:.3g} {unit}")]
+    for name, key in (("probability", "verdict_probability"), ("of the anchors", "anchors_probability")):
+        if key in d:
+            numbers.append((name, percent(d[key])))
     if d.get("held_out_rms") is not None:
         numbers.append(("held out", f"{d['held_out_rms']:.3g} {unit}"))
     for one in d["adopted"]:
@@ -94,8 +101,13 @@ def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
             0,
             "No noise is stated: it was estimated from the measurement itself, and whether a model is adequate rests on that.",
         )
+    if d.get("noise_doubt"):
+        doubts.insert(0, f"{d['noise_doubt'][0].upper()}{d['noise_doubt'][1:]}.")
     if d["cannot_be_told_from"]:
-        doubts.append(f"These data cannot tell it from {listed([plain(n) for n in d['cannot_be_told_from']])}.")
+        others = [_OTHERS.get(n) or plain(n) for n in d["cannot_be_told_from"]]
+        doubts.append(f"These data cannot tell it from {listed(others)}.")
+    if not d.get("anchors_certain", True):
+        doubts.append("These data do not tell for certain which patches hold the body.")
     return Verdict(sentence, numbers, doubts)
 
 

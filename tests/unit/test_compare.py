@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 
 from bcid.base.progress import Progress, Silent
-from bcid.comparison.adequacy import judge
+from bcid.comparison.adequacy import breaking, judge
 from bcid.comparison.explain import explains
 from bcid.comparison.fit import Coordinate, _covariance, fit, held_out
 from bcid.comparison.predictor import MeasurementPrediction
@@ -285,6 +285,21 @@ def test_what_a_fiducial_misses_in_all_actions_is_an_alarm() -> None:
     adequacy = judge(state)
     assert not adequacy.adequate
     assert min(adequacy.findings[:3], key=lambda f: f.p_value).name == "bias"
+
+
+@pytest.mark.parametrize("first", [None, 13])
+def test_the_frame_from_which_on_nothing_fits_is_found(first: int | None) -> None:
+    made = actions()
+    data = data_of(rest(made), made)
+    state = state_of(Toy(data, made, {}), Model.of(SCENE))
+    data.values = data.vector(rest(made)) + np.random.default_rng(13).normal(0, SIGMA, len(data))
+    if first is not None:
+        data.values += np.where(data.frame >= first, 2 * SIGMA, 0.0)
+    found = breaking(state)
+    assert (found is None) == (first is None)
+    if found is not None and first is not None:
+        action, step = divmod(first, len(made[0]))
+        assert f"from step {step} of action {action + 1} on" in found.text
 
 
 # -- ranking
