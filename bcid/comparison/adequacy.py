@@ -149,7 +149,8 @@ def breaking(state: State) -> Finding | None:
     at = int(np.argmax(np.where(means[1] > means[0], ratio, -np.inf)))
     p = min(1.0, len(frames) * float(chi2.sf(ratio[at], 1)))
     fits = float(chi2.sf(before[at], int(few[at]))) >= FALSE_ALARMS
-    if not fits or p >= SURPRISE or means[1][at] <= means[0][at]:
+    fails = float(chi2.sf(after[at], int(many[at]))) < SURPRISE
+    if not (fits and fails and p < SURPRISE):
         return None
     row = int(np.flatnonzero(data.frame == frames[at + 1])[0])
     where = f"step {data.step[row]} of action {data.actions[data.action[row]]}"

@@ -195,6 +195,44 @@ def test_a_marker_that_jumped_is_named(slab: Scene, plain: Measurement) -> None:
     predictor.destroy()
 
 
+# -- what made an answer wrong, or "unknown", and certain
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def test_a_stress_that_comes_and_goes_is_named(slab: Scene) -> None:
+    model = Model.of(slab) + Term("active_stress", {"amplitude": 1200.0, "angle": 40.0, "period": 9.0})
+    predictor = Predictor(slab, simulate(slab, ANCHORED, pulls(), level=2, model=model), MPI.COMM_SELF, level=1)
+    found = explain(predictor, ExplainOptions(level=1))
+    assert found.verdict == "active_stress"
+    assert found.last.state.anchors == ANCHORED
+    values = found.last.fitted.values
+    assert values["active_stress.amplitude"] == pytest.approx(1200.0, rel=0.2)
+    assert values["active_stress.angle"] == pytest.approx(40.0, abs=10.0)
+    predictor.destroy()
+
+
+def test_a_noise_that_is_stated_as_half_is_told(slab: Scene, plain: Measurement) -> None:
+    predictor = Predictor(slab, replace(plain, noise_sigma=NOISE / 2), MPI.COMM_SELF, level=1)
+    found = explain(predictor, ExplainOptions(level=1, only=FEW))
+    assert found.noise is not None
+    assert found.noise.factor == pytest.approx(2.0, rel=0.2)
+    assert "stated as 0.1 mm" in words.noise_doubt(found)
+    assert (found.verdict, found.last.state.anchors) == ("none", ANCHORED)
+    predictor.destroy()
+
+
+def test_without_a_noise_nothing_is_certain_of_what_is_not_there(slab: Scene) -> None:
+    """Smooth data, of which the second differences say that there is no noise."""
+    smooth = simulate(slab, ANCHORED, pulls(), level=2, noise=0.0)
+    scene = replace(slab, noise_sigma=None)
+    predictor = Predictor(scene, replace(smooth, noise_sigma=None), MPI.COMM_SELF, level=1)
+    found = explain(predictor, ExplainOptions(level=1, only=FEW))
+    assert found.last.state.anchors == ANCHORED
+    assert found.verdict == "none" or found.probability < 0.95
+    assert words.noise_doubt(found) == ""
+    predictor.destroy()
+
+
 # -- a body that buckles
 # ------------------------------------------------------------------------------------------------------------------
 
