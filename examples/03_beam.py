@@ -26,10 +26,9 @@ from bcid.base.units import uncertain
 from bcid.comparison import diagnosis_text
 from bcid.comparison.adequacy import Adequacy, judge
 from bcid.comparison.fit import Fit, fit
-from bcid.comparison.joint import promised
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import Ranking, Row, rank
-from bcid.comparison.rivals import Rival, contest
+from bcid.comparison.rivals import Rival, fitted_beside
 from bcid.comparison.state import State
 from bcid.forms import effects
 from bcid.forms.model import Model, Term
@@ -92,7 +91,7 @@ def main() -> Found:
 
     plain = State.of(predictor, Model.of(scene), CLAMPED)
     verdict, ranking = judge(plain), rank(plain)
-    rivals = contest(plain, promised(plain, ranking), 3)
+    rivals = fitted_beside(plain, effects.catalogue(), 3)
     show(diagnosis_text.verdict(plain, verdict, 1e-3, "mm"))
     show(["", "What it lacks:", *diagnosis_text.table(ranking, rivals, plain.rms, 1e-3, "mm", 6)])
     for rival in rivals:

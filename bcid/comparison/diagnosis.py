@@ -16,7 +16,7 @@ from bcid.comparison.explain import ExplainOptions, Explanation, Rung, explain
 from bcid.comparison.fit import Fit, fit, held_out
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import rank
-from bcid.comparison.rivals import best_first, contest, promoted, refit
+from bcid.comparison.rivals import fitted_beside, refit
 from bcid.comparison.separate import Pull, separating_pulls
 from bcid.comparison.source import Source
 from bcid.comparison.state import State
@@ -93,9 +93,7 @@ def diagnosed(predictor: Predictor, source: Source, only: Sequence[str] | None =
     predictor.progress.say("ranking the effects by what they would explain")
     ranking = rank(fitted.state, effects.catalogue(only, source.own))
     predictor.progress.say("fitting the most promising of them")
-    begun, known = fitted.state.model, effects.catalogue(only, source.own)
-    found = contest(fitted.state, begun, known, (), 1, ExplainOptions().fitted)
-    rivals = best_first(r for r in (promoted(one, fitted.state, begun) for one in found if one.names) if r)
+    rivals = fitted_beside(fitted.state, effects.catalogue(only, source.own), ExplainOptions().fitted)
     rung = Rung(fitted, adequacy, held_out(fitted), ranking, tuple(rivals))
     return Diagnosis((rung,), None if adequacy.adequate else missing_force(fitted.state))
 

@@ -156,6 +156,13 @@ def contest(
     return at_a_glance(state, 2, work)
 
 
+def fitted_beside(state: State, known: Sequence[Effect], most: int) -> list[Rival]:
+    """The most promising effects, so many at most, fitted beside a model with its set, to all steps; best first; collective."""
+    found = contest(state, state.model, known, (), 1, most)
+    here = [rival for rival in found if rival.names and rival.anchors == state.anchors]
+    return best_first(rival for rival in (promoted(one, state, state.model) for one in here) if rival)
+
+
 def refitted(promises: Sequence[Promise], begun: Model, known: Sequence[Effect], most: int) -> list[Rival]:
     """The models alone, and the most promising effects with their sets fitted; best first; collective.
 

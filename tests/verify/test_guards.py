@@ -22,7 +22,7 @@ from bcid.comparison.explain import ExplainOptions, explain
 from bcid.comparison.fit import fit
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import rank
-from bcid.comparison.rivals import contest, promoted
+from bcid.comparison.rivals import contest, fitted_beside
 from bcid.comparison.separate import separating_pulls
 from bcid.comparison.state import State
 from bcid.forms import effects
@@ -83,11 +83,11 @@ def test_no_effect_makes_up_for_a_wrong_anchor_set(predictor: Predictor) -> None
     assert not judge(wrong).adequate
     ranking = rank(wrong, effects.catalogue(FEW))
     assert ranking.rows[0].p_value < 1e-6
-    rivals = contest(wrong, wrong.model, effects.catalogue(FEW), (), 1, 3)
-    stayed = [promoted(rival, wrong, wrong.model) for rival in rivals if rival.names and rival.anchors == wrong.anchors]
+    stayed = fitted_beside(wrong, effects.catalogue(FEW), 3)
     assert stayed
     for rival in stayed:
-        assert rival is None or not judge(rival.fitted.state).adequate, rival.effect
+        assert rival.anchors == wrong.anchors
+        assert not judge(rival.fitted.state).adequate, rival.effect
 
 
 def test_the_loop_finds_the_anchors_and_no_effect(predictor: Predictor) -> None:
