@@ -288,6 +288,9 @@ class _Loop:
             self.say(
                 f"  {again.fitted.state.model.name}, anchors {self.name(again.anchors)}: {again.fitted.state.rms * 1e3:.3g} mm"
             )
+        if not any(rival.names == own for rival in (*self.full, *(again for _, again in fitted))):
+            # Whatever else cannot be followed: the model that was begun with was.
+            self.full.append(Rival.of(Fit.at(base), self.model, len(self.known)))
         left = _most_left([*self.full, *(again for _, again in fitted)])
         fitted = [(rough, again.allowing(left, self.model)) for rough, again in fitted]
         full = {(r.names, r.anchors): r for _, r in fitted}
@@ -321,17 +324,16 @@ class _Loop:
 
     def unsettled(self) -> bool:
         """Whether a further effect is to be looked for: something unknown acts besides the best hypothesis."""
-        return self.odds.best.unknown and len(self.full[0].names) < self.options.effects
+        return self.odds.best.unknown
 
     def deeper(self) -> bool:
         """Look for a further effect beside the likeliest model; whether there was one to look beside."""
-        tried = {rival.names for rival in self.full if len(rival.names) > 1}
-        singles = [rival for rival in self.full if len(rival.names) == 1]
-        if not singles or tried or singles[0].log < max(r.log for r in self.full if not r.names):
+        depth = max(len(rival.names) for rival in self.full)
+        best = next(rival for rival in self.full if len(rival.names) == depth)
+        if not best.names or best is not self.full[0] or depth >= self.options.effects:
             return False
-        best = singles[0]
         self.stage(best.fitted.state, 1)
-        return True
+        return max(len(rival.names) for rival in self.full) > depth
 
     def best(self) -> Rival:
         """The likeliest of the hypotheses that were compared with all steps."""

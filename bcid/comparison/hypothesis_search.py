@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -218,9 +219,14 @@ class HypothesisSearch:
         if data is state.predictor.data:
             return Evidence.of(state.errors, residual, state.force).total
         rows = np.isin(state.predictor.data.frame, np.unique(data.frame))
-        moved = state.evidence().size * courses(data, state.slopes[rows])
+        moved = self._size * courses(data, state.slopes[rows])
         modes = state.errors.nuisances.at(rows).beside(moved)
         return Errors(data, state.errors.sigma[rows], state.errors.mesh, modes).log_likelihood(residual)
+
+    @cached_property
+    def _size(self) -> float:
+        """The likeliest size of an unknown force with the set that was begun with."""
+        return self.base.evidence().size
 
     def _behind(self, positions: Array) -> float:
         """By how much less likely a set is than the one that was begun with, as far as it was followed; 0 where that is nowhere."""
