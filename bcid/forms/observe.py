@@ -150,6 +150,14 @@ class Observer:
         along = np.hstack(slopes) if slopes else np.zeros((3, 0))
         return csr_matrix((values, (rows, columns)), shape), [csr_matrix((v, (rows, columns)), shape) for v in along]
 
+    def of_unknowns(self) -> csr_matrix:
+        """From unknowns to movements of the fiducials, shape (3 * fiducials, unknowns), of a body that is not shared over ranks."""
+        columns = self.matrix.tocoo()
+        dofs = self.body.displacement_dofs.reshape(-1, 3)
+        rows = (3 * columns.row[:, None] + np.arange(3)).ravel()
+        shape = 3 * len(self.rest), self.body.unknowns
+        return csr_matrix((np.repeat(columns.data, 3), (rows, dofs[columns.col].ravel())), shape)
+
     def gradients(self, displacement: Array) -> Array:
         """Deformation gradients at the fiducials, shape (fiducials, 3, 3), of a body that is not shared over ranks."""
         return np.eye(3) + np.stack([slope @ displacement for slope in self.slopes], axis=-1)

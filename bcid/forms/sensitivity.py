@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from hashlib import blake2b
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,8 @@ from bcid.measurement import Action
 Array = NDArray[np.float64]
 # Step of a difference, in units of a parameter's scale, of what is a function and no form: motions, pictures, envelopes.
 _STEP = 1e-3
+# Responses of the latest states are kept, up to this size.
+_KEPT_BYTES = 128e6
 
 
 @dataclass(frozen=True)
@@ -122,19 +125,13 @@ class Sensitivity:
         self.forward = forward
         self.equilibrium = forward.equilibrium
         self.model = forward.model
-        body = forward.body
-        columns = forward.observer.matrix.tocoo()
-        dofs = body.displacement_dofs.reshape(-1, 3)
-        rows = (3 * columns.row[:, None] + np.arange(3)).ravel()
-        where = dofs[columns.col].ravel()
-        count = len(self.equilibrium.u.x.array)
-        shape = (3 * len(forward.observer.rest), count)
-        self.observe = sp.csr_matrix((np.repeat(columns.data, 3), (rows, where)), shape=shape)
+        self.observe = forward.observer.of_unknowns()
         self.weak_form = self.equilibrium.weak_form
         self._derivatives: dict[str, Any] = {}
         self._cells: Any = None
         self._matrix: Any = None
         self._mass: dict[str, Any] = {}
+        self._kept: dict[bytes, Array] = {}
 
     # -- one step
     # ------------------------------------------------------------------------------------------------------------
@@ -145,6 +142,32 @@ class Sensitivity:
         right = self.observe.T.toarray()
         right[equilibrium.supports.prescribed] = 0.0
         return equilibrium.factor.solve_block(right, transpose=not equilibrium.model.symmetric)
+
+    def _factorise(self) -> None:
+        if self.equilibrium.verify() is Status.LINEAR_SOLVER:
+            raise SolveError("the tangent of a converged step could not be factorised")
+
+    def _state_key(self, pose: Pose) -> bytes:
+        """What the tangent at the present state depends on; where it remembers, that is more than this, and nothing is kept."""
+        equilibrium = self.equilibrium
+        numbers = [float(c.value) for c in (*equilibrium.weak_form.anchored.values(), *self._numbers())]
+        parts = (
+            equilibrium.u.x.array,
+            equilibrium.supports.prescribed,
+            np.array([*numbers, pose.load_factor, pose.time]),
+        )
+        return blake2b(b"".join(part.tobytes() for part in parts)).digest()
+
+    def _numbers(self) -> list[Any]:
+        return [self.weak_form.constants[name] for name in self.model.constants() if name in self.weak_form.constants]
+
+    def _keep(self, key: bytes, responses: Array) -> None:
+        """For a later question about the same state."""
+        if self.equilibrium.model.remembers:
+            return
+        self._kept[key] = responses
+        while sum(kept.nbytes for kept in self._kept.values()) > _KEPT_BYTES and len(self._kept) > 1:
+            self._kept.pop(next(iter(self._kept)))
 
     def _assemble(self, form: Any) -> Array:
         vector = fem.assemble_vector(form)
@@ -364,8 +387,12 @@ class Sensitivity:
         fields = result.stiffness is not None or result.forces is not None
         if not causes and not fields:
             return
-        if equilibrium.verify() is Status.LINEAR_SOLVER:
-            raise SolveError("the tangent of a converged step could not be factorised")
+        key = self._state_key(pose)
+        responses = self._kept.get(key)
+        if responses is None:
+            self._factorise()
+        elif any(cause.increment is not None for cause in causes):
+            equilibrium.tangent.assemble()
         columns = np.zeros((len(equilibrium.u.x.array), len(causes)))
         direct = np.zeros((3 * fiducials, len(causes)))
         for j, cause in enumerate(causes):
@@ -374,7 +401,9 @@ class Sensitivity:
                 columns[:, j] += equilibrium.tangent.times(cause.increment)
                 direct[:, j] = self.observe @ cause.increment
         columns[equilibrium.supports.prescribed] = 0.0
-        responses = self._responses() if fields or len(causes) > 3 * fiducials else None
+        if responses is None and (fields or len(causes) > 3 * fiducials):
+            responses = self._responses()
+            self._keep(key, responses)
         if responses is None:
             moved = direct - self.observe @ equilibrium.factor.solve_block(columns)
         else:

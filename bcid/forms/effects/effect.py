@@ -208,6 +208,12 @@ class Effect:
         return any((self.stiffness, self.growth, self.reshaped, self.constants))
 
     @property
+    def smooth(self) -> bool:
+        """Whether what it does changes along an action as smoothly as the motion does."""
+        jumps = any(p.onset for p in self.parameters)
+        return not (jumps or self.memory or self.uses_past or self.envelope or self.observe)
+
+    @property
     def amounts(self) -> tuple[Parameter, ...]:
         """The parameters that say how much there is of it."""
         return tuple(p for p in self.parameters if p.neutral is not None)

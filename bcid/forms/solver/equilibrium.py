@@ -381,9 +381,14 @@ class Equilibrium:
     def _unfactored(self) -> Status:
         return Status.OUT_OF_MEMORY if self.factor.starved else Status.LINEAR_SOLVER
 
-    def verify(self) -> Status:
-        """Factorise the tangent of the present state and look at its pivots: `CONVERGED` or `UNSTABLE`."""
+    def verify(self, springs: float = 0.0) -> Status:
+        """Factorise the tangent of the present state and look at its pivots: `CONVERGED` or `UNSTABLE`.
+
+        With `springs`, every node is held besides by one of this part of the tangent's own stiffness.
+        """
         self._assemble_tangent()
+        if springs:
+            self.tangent.stiffen(springs)
         if not self.factor.refresh():
             return self._unfactored()
         return Status.UNSTABLE if self.factor.negative else Status.CONVERGED

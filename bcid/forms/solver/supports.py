@@ -109,6 +109,11 @@ class Supports:
             self._made[key] = self.body.dirichlet(region, what, value, axis)
         return self._made[key]
 
+    def nodes(self, patch: str) -> NDArray[np.int64]:
+        """Numbers of this rank's nodes that an anchored patch holds; collective when it is first asked about."""
+        held = self._condition(f"patch {patch}", self.scene.patches.get(patch), None).dof_indices()[0]
+        return np.unique(np.flatnonzero(np.isin(self.body.displacement_dofs, held)) // 3)
+
     # -- where it is held, and how loaded
     # ---------------------------------------------------------------------------------------------------------------
 

@@ -98,6 +98,12 @@ class Tangent:
         self._values[self._unit] = 1.0
         self.matrix.stateIncrease()
 
+    def stiffen(self, part: float) -> None:
+        """Add a part of the mean stiffness of an unknown to the diagonal, until it is assembled again; collective."""
+        diagonal = self.matrix.getDiagonal()
+        self.matrix.shift(part * diagonal.norm(PETSc.NormType.NORM_1) / diagonal.getSize())
+        diagonal.destroy()
+
     def times(self, change: Array) -> Array:
         """Product of the full matrix, as it was last assembled, with a change of all unknowns; one rank only."""
         return np.asarray(self._blocked @ change)

@@ -1,0 +1,217 @@
+"""What every set of anchors would show, to first order about one set that was followed.
+
+With K the tangent while nothing but the gripper holds the body, r the reactions of the anchors at the state u, and B the
+tractions that the patches may exert, a set S that holds its patches in the mean against all its tractions moves the body by
+
+    K du + B_S l = -r,    B_S' (u + du) = 0,    so that    du = -K^-1 r - K^-1 B_S (B_S' K^-1 B_S)^-1 B_S' (u - K^-1 r).
+
+The products with K^-1 cost one factorisation and one block of triangular solves per step, and every set after that a small
+dense system: the dual substructuring of Farhat & Roux (Int. J. Numer. Meth. Eng. 32 (1991) 1205). A patch that springs hold
+yields to its tractions. Tractions are polynomials on each patch; what that leaves out of a reaction is the same with and
+without du, and only differences to the set that was followed are told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from numpy.typing import NDArray
+
+from bcid.base.errors import InputError, SolveError
+from bcid.forms.forward import Forward, Prediction
+from bcid.forms.solver.status import Status
+from bcid.forms.solver.trajectory import poses
+from bcid.measurement import Action
+
+Array = NDArray[np.float64]
+# A body that nothing holds but anchors is held by springs of this part of its own stiffness besides.
+_SPRINGS = 1e-9
+# Patches that exert the same tractions need no more than one of them.
+_ALIKE = 1e-12
+
+
+@dataclass(frozen=True)
+class StepTangent:
+    """One step of a trajectory.
+
+    Attributes:
+        compliance: B' K^-1 B, and that of springs, shape (tractions, tractions).
+        apart: B' (u - K^-1 r), shape (tractions,).
+        shown: movement of the fiducials by K^-1 B, shape (3 * fiducials, tractions), m.
+        freed: movement of the fiducials by -K^-1 r, shape (3 * fiducials,), m.
+    """
+
+    compliance: Array
+    apart: Array
+    shown: Array
+    freed: Array
+
+
+@dataclass(frozen=True)
+class SetTangent:
+    """All sets of anchors about one of them.
+
+    Attributes:
+        anchors: the set that was followed.
+        tractions: numbers of the tractions of each patch.
+        steps: what is known in each frame that was reached and has a change.
+        shape: (frames, fiducials, 3).
+    """
+
+    anchors: frozenset[str]
+    tractions: dict[str, NDArray[np.int64]]
+    steps: dict[int, StepTangent]
+    shape: tuple[int, ...]
+
+    def moved(self, anchors: Iterable[str]) -> Array:
+        """By how much the fiducials are elsewhere with another set, shape (frames, fiducials, 3), m."""
+        result = np.zeros(self.shape)
+        result[list(self.steps)] = self._held(anchors) - self._here
+        return result
+
+    @cached_property
+    def _here(self) -> Array:
+        return self._held(self.anchors)
+
+    @cached_property
+    def _stacked(self) -> StepTangent:
+        """All steps as one, the step as the first axis."""
+        parts = [[getattr(step, f.name) for step in self.steps.values()] for f in fields(StepTangent)]
+        return StepTangent(*(np.array(part) for part in parts))
+
+    def _held(self, anchors: Iterable[str]) -> Array:
+        """Movement of the fiducials where these patches hold, (steps, fiducials, 3), m."""
+        chosen = np.concatenate([np.zeros(0, np.int64), *(self.tractions[patch] for patch in sorted(anchors))])
+        steps = self._stacked
+        moved = steps.freed
+        if len(chosen) and len(self.steps):
+            matrix = steps.compliance[:, chosen[:, None], chosen]
+            scale = 1 / np.sqrt(np.maximum(np.abs(np.diagonal(matrix, axis1=1, axis2=2)), 1e-300))
+            scaled = scale[:, :, None] * matrix * scale[:, None, :] + _ALIKE * np.eye(len(chosen))
+            right = (scale * steps.apart[:, chosen])[..., None]
+            held = scale[..., None] * np.linalg.solve(scaled, right)
+            moved = moved - (steps.shown[:, :, chosen] @ held)[..., 0]
+        return moved.reshape(len(self.steps), *self.shape[1:])
+
+
+class SetTangents:
+    """Linearises the prediction of one `Forward`, which must not share its mesh. Local to the process.
+
+    Args:
+        forward: the level and model.
+
+    Attributes:
+        tractions: numbers of the tractions of each patch.
+    """
+
+    def __init__(self, forward: Forward) -> None:
+        if forward.comm.size > 1:
+            raise ValueError("SetTangents: the mesh must not be shared over ranks")
+        self.forward = forward
+        self._observe = forward.observer.of_unknowns()
+        parts = {name: self._of_patch(name) for name in forward.scene.patches}
+        ends = np.cumsum([shapes.shape[1] for shapes, _ in parts.values()])
+        self.tractions = {
+            name: np.arange(end - shapes.shape[1], end)
+            for (name, (shapes, _)), end in zip(parts.items(), ends, strict=True)
+        }
+        self._shapes, self._columns = (self._of_unknowns(columns) for columns in zip(*parts.values(), strict=True))
+
+    def _of_unknowns(self, parts: Sequence[Array]) -> Array:
+        """Columns of displacement components, side by side, as columns of unknowns."""
+        found = np.zeros((len(self.forward.equilibrium.u.x.array), sum(part.shape[1] for part in parts)))
+        found[self.forward.body.displacement_dofs] = np.hstack(parts)
+        return found
+
+    def _of_patch(self, name: str) -> tuple[Array, Array]:
+        """Shapes of tractions on a patch, and the nodal forces of unit ones, each (3 * nodes, tractions)."""
+        body, weak_form = self.forward.body, self.forward.equilibrium.weak_form
+        nodes = self.forward.equilibrium.supports.nodes(name)
+        away = body.nodes[nodes] - body.nodes[nodes].mean(axis=0)
+        axes = np.linalg.svd(away, full_matrices=False)[2][:2]
+        x, y = (away @ axes.T / max(float(np.abs(away).max(initial=0.0)), 1e-300)).T
+        shapes = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+        # A patch of few nodes has no more shapes than nodes.
+        basis, sizes, _ = np.linalg.svd(shapes, full_matrices=False)
+        shapes = basis[:, sizes > 1e-6 * sizes.max(initial=0.0)]
+        columns = np.zeros((len(body.nodes), 3, shapes.shape[1], 3))
+        for axis in range(3):
+            columns[nodes, axis, :, axis] = shapes
+        flat = columns.reshape(3 * len(body.nodes), -1)
+        try:
+            measure = weak_form.surface(name)
+        except InputError:
+            return flat, flat
+        u, v = ufl.TrialFunction(body.displacement_space), ufl.TestFunction(body.displacement_space)
+        return flat, np.asarray(fem.assemble_matrix(fem.form(ufl.inner(u, v) * measure)).to_scipy() @ flat)
+
+    def of(self, actions: Sequence[Action], prediction: Prediction, seen: NDArray[np.bool_]) -> dict[int, StepTangent]:
+        """The steps of some actions, from the states that their prediction kept; by frame.
+
+        Args:
+            actions: as commanded.
+            prediction: with its states.
+            seen: in which frames it is wanted, shape (frames,).
+
+        Raises:
+            SolveError: a tangent could not be factorised.
+        """
+        states = prediction.states
+        if states is None:
+            raise ValueError("SetTangents: the states are needed; predict with keep=True")
+        equilibrium, found = self.forward.equilibrium, {}
+        for commanded in actions:
+            action = self.forward.model.driven(commanded)
+            equilibrium.hold((), action.grasp)
+            for pose, frame in zip(poses(action), map(int, action.frames), strict=True):
+                if frame not in states:
+                    break
+                equilibrium.set_state(pose, states[frame])
+                if seen[frame] and states[frame].any():
+                    found[frame] = self._step()
+                equilibrium.accept(pose)
+        return found
+
+    def _step(self) -> StepTangent:
+        equilibrium, dofs = self.forward.equilibrium, self.forward.body.displacement_dofs
+        held = equilibrium.supports.prescribed
+        reactions = np.asarray(equilibrium.forces())
+        reactions[dofs] -= equilibrium.supports.external
+        columns = self._columns.copy()
+        columns[held] = 0.0
+        reactions[held] = 0.0
+        if equilibrium.verify(_SPRINGS) is Status.LINEAR_SOLVER:
+            raise SolveError("the tangent of a converged step could not be factorised")
+        found = equilibrium.factor.solve_block(np.column_stack([columns, reactions]))
+        by_traction, by_reactions = found[:, :-1], found[:, -1]
+        return StepTangent(
+            columns.T @ by_traction + self._yielding(),
+            columns.T @ (equilibrium.u.x.array - by_reactions),
+            np.asarray(self._observe @ by_traction),
+            np.asarray(-(self._observe @ by_reactions)),
+        )
+
+    def _yielding(self) -> Array:
+        """Compliance of the patches that springs hold where they are anchored, shape (tractions, tractions)."""
+        equilibrium = self.forward.equilibrium
+        found = np.zeros((self._columns.shape[1],) * 2)
+        sprung = self.forward.model.freed(self.tractions)
+        if not sprung:
+            return found
+        free = equilibrium.tangent.times(self._shapes)
+        for name in sorted(sprung):
+            # One after the other: patches may share nodes.
+            equilibrium.weak_form.anchored[name].value = 1.0
+            equilibrium.tangent.assemble()
+            equilibrium.weak_form.anchored[name].value = 0.0
+            own = self.tractions[name]
+            shapes, columns = self._shapes[:, own], self._columns[:, own]
+            springs = shapes.T @ (equilibrium.tangent.times(shapes) - free[:, own])
+            area = shapes.T @ columns
+            found[np.ix_(own, own)] = area @ np.linalg.pinv(springs, hermitian=True) @ area
+        return found
