@@ -162,16 +162,23 @@ def percent(probability: float) -> str:
     return f"{100 * probability:.2f} %"
 
 
-def uncertain(value: float, error: float | None = None) -> str:
-    """A value with its standard error, to as many digits as that has meaning: "1257.6 ± 9.4"."""
+# The standard error of a number of which the data tell nothing is larger.
+_UNTOLD = 1e50
+
+
+def uncertain(value: float, error: float | None = None, unit: str = "1") -> str:
+    """A value with its standard error, to as many digits as that has meaning: "1257.6 ± 9.4 mm"."""
+    after = "" if unit == "1" else f" {unit}"
     if not math.isfinite(value):
-        return "infinite"
+        return "infinite" + after
     if error is None or not math.isfinite(error) or error <= 0:
-        return f"{value:.4g}".replace("-", "−")
+        return f"{value:.4g}{after}".replace("-", "−")
+    if error > _UNTOLD:
+        return "cannot be told"
     places = max(0, 1 - math.floor(math.log10(error)))
     if places > 6 or abs(value) >= 1e7:
-        return f"{value:.4g} ± {error:.2g}".replace("-", "−")
-    return f"{value:.{places}f} ± {error:.{places}f}".replace("-", "−")
+        return f"{value:.4g} ± {error:.2g}{after}".replace("-", "−")
+    return f"{value:.{places}f} ± {error:.{places}f}{after}".replace("-", "−")
 
 
 # Units of the arrays that bcid writes, by name of the variable.

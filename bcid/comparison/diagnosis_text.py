@@ -39,7 +39,7 @@ def term(one: Term, errors: dict[str, float]) -> str:
     parts = []
     for p in one.effect.parameters:
         value, error, unit = for_people(one.values[p.name], errors.get(p.name), p.unit)
-        parts.append(f"{p.name} = {uncertain(value, error)}{'' if unit == '1' else f' {unit}'}")
+        parts.append(f"{p.name} = {uncertain(value, error, unit)}")
     return f"{one.label}: {', '.join(parts)}"
 
 

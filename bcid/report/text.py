@@ -65,7 +65,7 @@ def amount(name: str, number: dict[str, Any]) -> str:
         return f"{plain(name)}: cannot be told"
     value, error, unit = for_people(value, error, unit)
     shown = unit.replace("^3", "³").replace("^2", "²")
-    return f"{plain(name)} = {uncertain(value, error)}{'' if unit == '1' else f' {shown}'}"
+    return f"{plain(name)} = {uncertain(value, error, shown)}"
 
 
 def duration(seconds: float) -> str:

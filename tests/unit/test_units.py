@@ -5,7 +5,17 @@ import math
 import pytest
 
 from bcid.base.errors import InputError
-from bcid.base.units import for_people, p_value, parse_unit, quantities, quantity, show, significance, unit_factor
+from bcid.base.units import (
+    for_people,
+    p_value,
+    parse_unit,
+    quantities,
+    quantity,
+    show,
+    significance,
+    uncertain,
+    unit_factor,
+)
 
 
 @pytest.mark.parametrize(
@@ -80,3 +90,14 @@ def test_lengths_are_shown_in_mm() -> None:
     assert for_people(0.0012, 1e-4, "m") == pytest.approx((1.2, 0.1, "mm"))
     assert for_people(5.0, None, "kPa") == (5.0, None, "kPa")
     assert for_people(2e-3, None, "m")[1] is None
+
+
+def test_a_number_is_told_with_its_error_and_unit() -> None:
+    assert uncertain(1257.62, 9.41, "N") == "1257.6 ± 9.4 N"
+    assert uncertain(-2.7, 3.1, "deg") == "−2.7 ± 3.1 deg"
+    assert uncertain(0.5) == "0.5"
+    assert uncertain(math.inf, 1.0, "Pa/m") == "infinite Pa/m"
+
+
+def test_of_a_number_of_which_nothing_is_known_no_error_is_told() -> None:
+    assert uncertain(14198.0, 1e100, "Pa") == "cannot be told"
