@@ -17,9 +17,21 @@ from bcid.comparison import anchors as anchor_search
 from bcid.comparison.adequacy import Adequacy, judge
 from bcid.comparison.buckled_frames import leave_out
 from bcid.comparison.fit import Fit, held_out
+from bcid.comparison.hypothesis_search import HypothesisSearch
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import Ranking, rank
-from bcid.comparison.rivals import STEPS, Rival, best_first, contest, promoted
+from bcid.comparison.rivals import (
+    GLANCE,
+    STEPS,
+    UNLIKELY,
+    WORTH,
+    Contest,
+    Rival,
+    best_first,
+    contest,
+    promoted,
+    shown_about,
+)
 from bcid.comparison.state import State
 from bcid.comparison.told_anchors import told_anchors
 from bcid.forms import effects
@@ -41,8 +53,8 @@ Anchored = frozenset[str]
 _SEEDS, _STARTS = 2, 8
 # Where no set can be followed in these steps, they are halved so often.
 _HALVINGS = 3
-# So many hypotheses are fitted to all steps, those that are exp(_UNLIKELY) times less likely than the best left out.
-_PROMOTED, _UNLIKELY = 3, 12.0
+# So many hypotheses are fitted to all steps, and the best on so many other sets.
+_PROMOTED, _MOVED = 3, 3
 
 
 @dataclass(frozen=True)
@@ -171,9 +183,15 @@ class _Loop:
     def __init__(self, predictor: Predictor, options: ExplainOptions, model: Model, known: list[Effect]) -> None:
         self.predictor, self.options, self.model, self.known = predictor, options, model, known
         self.starts: list[Anchored] = []
-        # Hypotheses compared with all steps, and with a few: the logarithms of these are relative to those.
+        # Hypotheses compared with all steps, each with the error of the mesh as its own ladder has it, and all with the same; and
+        # those compared with a few: the logarithms of these are relative to those.
+        self.own: list[Rival] = []
         self.full: list[Rival] = []
         self.thin: list[Rival] = []
+        # Logarithms of evidence and of prior odds: of other sets as the tangent of the best shows them in all steps, and of effects
+        # that were not worth a fit.
+        self.shown: dict[Hypothesis, tuple[float, float]] = {}
+        self.promised: dict[Hypothesis, tuple[float, float]] = {}
 
     # -- the loop
     # --------------------------------------------------------------------------------------------------------------
@@ -182,7 +200,7 @@ class _Loop:
         start = time.perf_counter()
         base = self.noised(self.begun())
         self.stage(base, self.options.sets)
-        while self.unsettled() and self.deeper():
+        while self.deeper():
             pass
         return self.explanation(self.best(), time.perf_counter() - start)
 
@@ -206,12 +224,29 @@ class _Loop:
         return [frozenset(anchor_search.search(self.predictor, self.model, nothing, sets, "no").anchored)]
 
     def first_anchors(self) -> list[Anchored]:
-        """The likely anchor sets as the plain model sees them on the coarsest level, the likeliest first."""
-        # A set with which the body buckles takes long and is seldom the one: steps are only halved where no set can be followed.
-        try:
-            return self.climbed(0)
-        except NotFollowed:
-            return self.climbed(_HALVINGS)
+        """The likely anchor sets as the model sees them with something unknown besides, the likeliest first."""
+        predictor, _ = self.predictor.thinned(STEPS, GLANCE)
+        for anchors in self.openings():
+            with suppress(SolveError):
+                state = State.of(predictor, self.model, anchors, MeshError.unknown(predictor.data.mask.shape))
+                return HypothesisSearch(state, self.model, (), _STARTS).sets()
+        return self.climbed(_HALVINGS)
+
+    def openings(self) -> list[Anchored]:
+        """Sets to begin with: whatever moves where all patches hold is moved less by any other set.
+
+        Where a patch is near the gripper the body cannot be followed with it: those that are far from where it grips come next.
+        """
+        scene = self.predictor.scene
+        grips = [scene.grasps[action.grasp].centre for action in self.predictor.actions if action.grasp]
+        points = self.predictor.forward(self.model).mesh
+        away = {}
+        for name, region in scene.patches.items():
+            middle = points.points[np.unique(points.select(region, f"patch {name}"))].mean(axis=0)
+            away[name] = min((float(np.linalg.norm(middle - np.array(grip))) for grip in grips), default=0.0)
+        far = sorted(away, key=lambda name: (-away[name], name))
+        counts = dict.fromkeys((len(far), (len(far) + 1) // 2, 1, 0))
+        return [frozenset(far[:count]) for count in counts]
 
     def climbed(self, halvings: int) -> list[Anchored]:
         """The likely sets on the coarsest level, with a few steps of each action that may be halved so often."""
@@ -259,9 +294,10 @@ class _Loop:
         """Weigh so many sets, and effects, beside a model, and fit the likeliest to all steps."""
         self.say(f"weighing anchor sets and effects beside {base.model.name}")
         found = contest(base, self.model, self.lacking(base), self.starts, sets, self.options.fitted)
-        if found[0].anchors != base.anchors:
+        best = found.rivals[0]
+        if best.anchors != base.anchors:
             with suppress(SolveError):
-                base = State.of(self.predictor, base.model, found[0].anchors, None, base.free)
+                base = State.of(self.predictor, base.model, best.anchors, None, base.free)
         self.promote(found, base)
 
     def lacking(self, base: State) -> list[Effect]:
@@ -269,33 +305,38 @@ class _Loop:
         have = {term.effect.name for term in base.model.added(self.model)}
         return [effect for effect in self.known if effect.name not in have]
 
-    def promote(self, found: Sequence[Rival], base: State) -> None:
-        """Fit the likeliest to all steps, and the likeliest without an effect."""
-        chosen: list[Rival] = []
+    def promote(self, contest: Contest, base: State) -> None:
+        """Fit the likeliest to all steps, and the likeliest without an effect.
+
+        Of those with which something unknown acts besides only the first: whatever they name, the verdict is the same.
+        """
+        found, chosen = contest.rivals, list[Rival]()
         own = tuple(term.effect.name for term in base.model.added(self.model))
         for rival in found:
-            near = rival.log > found[0].log - _UNLIKELY and len(chosen) < _PROMOTED
+            near = rival.log > found[0].log - UNLIKELY and len(chosen) < _PROMOTED and (rival.complete or not chosen)
             first_alone = rival.names == own and not any(r.names == rival.names for r in chosen)
             if near or first_alone:
                 chosen.append(rival)
         fitted: list[tuple[Rival, Rival]] = []
         for number, rival in enumerate(chosen):
             self.step("hypotheses fitted to all steps", number, len(chosen))
-            again = promoted(rival, base, self.model)
+            known = next((r for r in self.own if (r.names, r.anchors) == (rival.names, rival.anchors)), None)
+            again = known or promoted(rival, base, self.model)
             if again is None:
                 continue
             fitted.append((rival, again))
-            self.say(
-                f"  {again.fitted.state.model.name}, anchors {self.name(again.anchors)}: {again.fitted.state.rms * 1e3:.3g} mm"
-            )
-        if not any(rival.names == own for rival in (*self.full, *(again for _, again in fitted))):
+            state = again.fitted.state
+            if known is None:
+                self.say(f"  {state.model.name}, anchors {self.name(again.anchors)}: {state.rms * 1e3:.3g} mm")
+        if not any(rival.names == own for rival in (*self.own, *(again for _, again in fitted))):
             # Whatever else cannot be followed: the model that was begun with was.
-            self.full.append(Rival.of(Fit.at(base), self.model, len(self.known)))
-        left = _most_left([*self.full, *(again for _, again in fitted)])
-        fitted = [(rough, again.allowing(left, self.model)) for rough, again in fitted]
-        full = {(r.names, r.anchors): r for _, r in fitted}
-        full |= {(r.names, r.anchors): r.allowing(left, self.model) for r in self.full}
-        self.full = best_first(full.values())
+            self.own.append(Rival.of(Fit.at(base), self.model, len(self.known)))
+        new = self.elsewhere(best_first([*self.own, *(again for _, again in fitted)]), base)
+        self.own = best_first({(r.names, r.anchors): r for r in (*self.own, *new, *(r for _, r in fitted))}.values())
+        left = _most_left([r for r in self.own if r.log > self.own[0].log - UNLIKELY])
+        self.full = best_first(rival.allowing(left, self.model) for rival in self.own)
+        full = {(r.names, r.anchors): r for r in self.full}
+        fitted = [(rough, full[fine.names, fine.anchors]) for rough, fine in fitted]
         if fitted:
             # What was compared on a few steps keeps its distance from what was compared on both, with the same effects or none.
             alone = next((pair for pair in fitted if pair[1].names == own), fitted[0])
@@ -305,7 +346,42 @@ class _Loop:
                 if id(rival) not in done:
                     rough, fine = alike.get(rival.names, alone)
                     self.thin.append(rival.shifted(fine.log - rough.log))
+            shift = alone[1].log - alone[0].log
+            self.promised |= {h: (log + shift, prior) for h, (log, prior) in contest.promised.items()}
         self.predictor.drop([self.model, *(rival.fitted.state.model for rival in self.full)])
+
+    def elsewhere(self, rivals: Sequence[Rival], base: State) -> list[Rival]:
+        """The best of some hypotheses on other sets, fitted where its tangent in all steps shows them to be as likely.
+
+        What it shows of the others is kept.
+        """
+        found: list[Rival] = []
+        if not rivals:
+            return found
+        best = rivals[0]
+        tried = {r.anchors for r in rivals if r.names == best.names}
+        shown = shown_about(best, self.model)
+        for _ in range(_MOVED):
+            near = [s for s in shown if s not in tried and shown[s] > shown[best.anchors] - WORTH]
+            if not near:
+                break
+            anchors = min(near, key=lambda s: (-shown[s], len(s), sorted(s)))
+            tried.add(anchors)
+            self.step("other anchor sets fitted to all steps", len(found), _MOVED)
+            again = promoted(best, base, self.model, anchors=anchors)
+            if again is None:
+                continue
+            found.append(again)
+            self.say(
+                f"  {again.fitted.state.model.name}, anchors {self.name(anchors)}: {again.fitted.state.rms * 1e3:.3g} mm"
+            )
+            if again.log > best.log:
+                best, shown = again, shown_about(again, self.model)
+        for anchors, log in shown.items():
+            moved = best.shifted(log - shown[best.anchors])
+            for hypothesis, (evidence, prior) in moved.weights.items():
+                self.shown[replace(hypothesis, anchors=anchors)] = evidence, prior
+        return found
 
     @property
     def odds(self) -> HypothesisOdds:
@@ -315,16 +391,13 @@ class _Loop:
         likelihood counts (the coarsened posterior of Miller & Dunson, J. Am. Stat. Assoc. 114, 2019), the noise's part of both.
         """
         state = self.full[0].fitted.state
-        power = state.noise**2 / (state.noise**2 + _rms(_most_left(self.full)) ** 2)
+        power = state.noise**2 / (state.noise**2 + state.errors.mesh.rms**2)
         logs: dict[Hypothesis, float] = {}
-        for rival in (*self.full, *self.thin):
-            for hypothesis, log in rival.tempered(power).items():
-                logs.setdefault(hypothesis, log)
+        weights = [rival.weights for rival in self.full]
+        weights += [self.shown, *(rival.weights for rival in self.thin), self.promised]
+        for hypothesis, (log, prior) in (item for some in weights for item in some.items()):
+            logs.setdefault(hypothesis, power * log + prior)
         return HypothesisOdds.of(logs)
-
-    def unsettled(self) -> bool:
-        """Whether a further effect is to be looked for: something unknown acts besides the best hypothesis."""
-        return self.odds.best.unknown
 
     def deeper(self) -> bool:
         """Look for a further effect beside the likeliest model; whether there was one to look beside."""
@@ -415,10 +488,6 @@ def _most_left(rivals: Sequence[Rival]) -> Array:
     gains by being seen more exactly.
     """
     return max((rival.fitted.state.errors.mesh for rival in rivals), key=lambda mesh: mesh.rms).left
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.nanmean(values**2)))
 
 
 def explained(before: Fit, after: Fit) -> float:

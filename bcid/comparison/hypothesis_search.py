@@ -10,8 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import product
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,21 +22,20 @@ from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
 from bcid.inference.criteria import SEEN
-from bcid.inference.data import Data
+from bcid.inference.evidence import Numbers
 from bcid.inference.hypotheses import log_prior
-from bcid.inference.likelihood import Errors
-from bcid.inference.unknown_force import Evidence, courses
-from bcid.search.climb import neighbours
+from bcid.inference.unknown_force import Evidence
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
-# A set is weighed when its prediction, with the errors of the set that was begun with, is not exp(_FAR) times less likely than the
-# best; so many at a time.
+# A set is looked at when it seems not exp(_FAR) times less likely than the best; so many at a time.
 _FAR, _BATCH = 12.0, 4
-# Effects are looked at with so many of the likeliest sets.
+# All sets of so many patches are compared.
+_FEW = 10
+# By this part of a movement, as a standard deviation, it differs from its tangent, and by more where it is large.
+_CURVED, _BENT = 0.1, 0.5
+# The sensitivities to effects are computed for so many sets at most.
 _RANKED = 5
-# So many exchanges of two patches are looked at.
-_EXCHANGED = 6
 _NOTHING = Evidence(-math.inf, -math.inf, 0.0)
 
 
@@ -63,12 +61,19 @@ class Promise:
     Attributes:
         look: at the set.
         row: the effect; None where the model is left as it is.
-        log: logarithm of the evidence and of the prior.
+        evidence: logarithm; of the model as it is with or without something unknown besides, each as likely as it is believed.
+        log_prior: logarithm of the prior odds; 0 where `evidence` has it.
     """
 
     look: Look
     row: Row | None
-    log: float
+    evidence: float
+    log_prior: float = 0.0
+
+    @property
+    def log(self) -> float:
+        """Of both."""
+        return self.evidence + self.log_prior
 
     @property
     def anchors(self) -> Anchored:
@@ -85,6 +90,33 @@ def weighed(state: State, begun: Model, jacobian: Array | None = None, least: fl
     return _NOTHING if numbers is None else state.evidence(numbers)
 
 
+def _all_sets(about: Anchored, patches: Sequence[str], cheap: bool) -> list[Anchored]:
+    """All sets of a few patches where they are cheap; else those that differ from one by three patches, or two of many, at most."""
+    toggled = len(patches) if cheap and len(patches) <= _FEW else 3 if len(patches) <= _FEW else 2
+    return [about ^ frozenset(s) for count in range(toggled + 1) for s in combinations(patches, count)]
+
+
+def _evidences(state: State, known: Numbers, moves: Sequence[Array]) -> list[float]:
+    """Of sets that move the fiducials elsewhere by (frames, fiducials, 3), m, than the one of a state.
+
+    How far they move them in each action is known to first order only; and the `known` numbers of the model may be others then.
+    """
+    data = state.predictor.data
+    shifts = np.column_stack([data.vector(moved) for moved in moves])
+    inside = data.action[:, None] == np.arange(len(data.actions))
+    pulled = (data.vector(state.predicted) - data.vector(np.broadcast_to(data.scene.rest, data.mask.shape))) ** 2
+    sizes = np.sqrt((inside.T @ shifts**2) / np.maximum(inside.T @ pulled, 1e-300)[:, None])
+    parts = shifts[:, :, None] * inside[:, None, :]
+    columns = state.errors.whiten(parts.reshape(len(data), -1)).reshape(parts.shape)
+    nowhere, found = np.zeros(len(data.actions)), []
+    apart, positive = np.concatenate([nowhere, known.apart]), np.concatenate([nowhere > 0, known.positive])
+    for shift, own, size in zip(shifts.T, np.moveaxis(columns, 1, 0), sizes.T, strict=True):
+        bent = np.broadcast_to(_CURVED + _BENT * np.minimum(size, 1.0) ** 2, (len(known.widths), len(size)))
+        numbers = Numbers(np.hstack([own, known.columns]), apart, np.hstack([bent, known.widths]), positive)
+        found.append(Evidence.of(state.errors, state.residual - shift, state.force, numbers).total)
+    return found
+
+
 class HypothesisSearch:
     """Looks at sets with a model, each once. Methods are collective on the ranks of the predictor.
 
@@ -99,36 +131,40 @@ class HypothesisSearch:
     def __init__(self, base: State, begun: Model, known: Sequence[Effect], most: int, least: float = SEEN) -> None:
         self.base, self.begun, self.known, self.most, self.least = base, begun, list(known), most, least
         self.looks: dict[Anchored, Look | None] = {}
-        self._glances: dict[Anchored, float] = {}
+        self._shown: dict[Anchored, dict[Anchored, float]] = {}
+        self._ranked: set[Anchored] = set()
         self._patches = list(base.predictor.scene.patches)
 
-    def run(self, starts: Iterable[Anchored]) -> list[Promise]:
+    def run(self, starts: Iterable[Anchored] = ()) -> list[Promise]:
         """Sets and effects, the likeliest first."""
-        self._look(self.base.anchors)
-        self._near(starts)
-        self._climb()
-        self._remesh()
-        for anchors in self._best_sets()[:_RANKED]:
-            self._rank(anchors)
+        self.look()
+        for anchors in starts:
+            self._look(anchors)
+        self._widen()
+        self._settle()
+        self._rank_sets()
         # With an effect another set may be the likeliest: those around it compete too.
         top = self.promises()[0].anchors
-        if top != self._best_sets()[0]:
-            self._near(neighbours(top, self._patches))
-            for anchors in self._best_sets()[:_RANKED]:
-                self._rank(anchors)
+        if top != self.best_sets()[0] and self._look_at(self._likely(top)):
+            self._rank_sets()
         return self.promises()
+
+    def sets(self) -> list[Anchored]:
+        """Some sets that are likely without effects, the likeliest first."""
+        self.look()
+        self._look_at(self._likely(self.base.anchors))
+        return self.best_sets()
 
     def alone(self) -> list[Promise]:
         """The set that was begun with, and effects."""
-        self._look(self.base.anchors)
+        self.look()
         self._rank(self.base.anchors)
         return self.promises()
 
     def around(self) -> list[Promise]:
-        """The set that was begun with, and those around it."""
-        self._look(self.base.anchors)
-        self._near(neighbours(self.base.anchors, self._patches))
-        self._near(self._exchanged(self.base.anchors))
+        """The set that was begun with, and those that are likely about it."""
+        self.look()
+        self._look_at(self._likely(self.base.anchors))
         return self.promises()
 
     def promises(self) -> list[Promise]:
@@ -142,99 +178,63 @@ class HypothesisSearch:
             alone = np.logaddexp(plain + log_prior(count, False), forced + log_prior(count, True))
             found.append(Promise(look, None, float(alone)))
             for row in look.ranking.rows if look.ranking else ():
-                found.append(Promise(look, row, plain + row.gain + log_prior(count + 1, False, len(self.known))))
+                found.append(Promise(look, row, plain + row.gain, log_prior(count + 1, False, len(self.known))))
         return sorted(found, key=lambda p: (-p.log, len(p.anchors), sorted(p.anchors), p.row.effect if p.row else ""))
 
     # -- looking
     # ------------------------------------------------------------------------------------------------------------
 
-    def _climb(self) -> None:
-        """From the likeliest set to the likeliest around it, until none is."""
-        done: set[Anchored] = set()
-        while (top := self._best_sets()[0]) not in done:
-            done.add(top)
-            self._near(neighbours(top, self._patches))
-            if self._best_sets()[0] == top:
-                self._near(self._exchanged(top))
+    def look(self) -> None:
+        """At the set that was begun with."""
+        self._look(self.base.anchors)
 
-    def _remesh(self) -> None:
-        """Take the error of the mesh of the likeliest set for all, where that is not the one that was begun with."""
-        top = self._best_sets()[0]
-        look, predictor = self.looks[top], self.base.predictor
-        if look is None or top == self.base.anchors or not self.base.errors.mesh.known:
+    def _widen(self) -> None:
+        """Look at the sets that are likely about the likeliest one, until it stays that and there are no others."""
+        while len(self.looks) < self.most and self._look_at(self._likely(self.best_sets()[0])):
+            pass
+
+    def _look_at(self, sets: Sequence[Anchored]) -> bool:
+        """Look at the first of some sets; whether there were any to look at."""
+        fresh = [s for s in sets if s not in self.looks][: min(_BATCH, max(self.most - len(self.looks), 0))]
+        for anchors in fresh:
+            self._look(anchors)
+        return bool(fresh)
+
+    def _likely(self, about: Anchored) -> list[Anchored]:
+        """The sets that may be as likely as one that was looked at, as its tangent shows them, the likeliest first."""
+        found = self.shown(about)
+        near = [s for s in found if found[s] > found[about] - _FAR]
+        return sorted(near, key=lambda s: (-found[s], len(s), sorted(s)))
+
+    def shown(self, about: Anchored) -> dict[Anchored, float]:
+        """Logarithm of the evidence of all sets, or those near by, as the tangent of one that was looked at shows them."""
+        if about not in self._shown:
+            look = self.looks[about]
+            assert look is not None
+            state = look.state
+            sets = [s for s in _all_sets(about, self._patches, state.predictor.thin) if self._acts(s)]
+            moves = state.predictor.moves(state.model, about, state.prediction, sets)
+            known = of_state(state, self.begun, None, self.least) or Numbers.none(len(state.predictor.data))
+            found = _evidences(state, known, moves)
+            self._shown[about] = dict(zip(sets, found, strict=True))
+        return self._shown[about]
+
+    def _settle(self) -> None:
+        """Take the errors of the likeliest set for all, where that is not the one that was begun with."""
+        top = self.best_sets()[0]
+        look = self.looks[top]
+        if look is None or top == self.base.anchors:
             return
-        mesh = predictor.mesh_error(look.state.model, top, look.state.prediction)
-        if not mesh.known:
-            return
+        own = look.state.with_own_errors()
         for anchors, other in self.looks.items():
             if other is not None:
-                state = other.state.with_mesh(mesh)
+                state = own if anchors == top else other.state.with_errors(own.errors.mesh, own.errors.nuisances)
                 self.looks[anchors] = Look(state, weighed(state, self.begun, least=self.least))
 
-    def _near(self, sets: Iterable[Anchored]) -> None:
-        """Weigh those of some sets that a glance does not rule out."""
-        fresh = [s for s in dict.fromkeys(sets) if s not in self.looks and s not in self._glances]
-        for number, anchors in enumerate(fresh):
-            self.base.predictor.progress.step("anchor sets at a glance", number, len(fresh))
-            self._glances[anchors] = self._glance(anchors)
-        best = self._best_sets()[0]
-        if best not in self._glances:
-            self._glances[best] = self._glance(best)
-        near = [s for s in self._glances if s not in self.looks and self._glances[s] > self._glances[best] - _FAR]
-        near.sort(key=lambda s: (-self._glances[s], len(s), sorted(s)))
-        for anchors in near[: min(_BATCH, max(self.most - len(self.looks), 0))]:
-            self._look(anchors)
-
-    def _exchanged(self, anchors: Anchored) -> list[Anchored]:
-        """Sets in which a patch is exchanged for another: the pairs of which each alone costs least."""
-        known = self._glances
-        pairs = product(sorted(anchors), (p for p in self._patches if p not in anchors))
-        cost = {(a, b): known.get(anchors - {a}, -math.inf) + known.get(anchors | {b}, -math.inf) for a, b in pairs}
-        likely = sorted((pair for pair in cost if math.isfinite(cost[pair])), key=lambda pair: (-cost[pair], pair))
-        return [anchors - {a} | {b} for a, b in likely[:_EXCHANGED]]
-
-    def _best_sets(self) -> list[Anchored]:
+    def best_sets(self) -> list[Anchored]:
+        """Those that were looked at, the likeliest first."""
         totals = {s: look.evidence.total for s, look in self.looks.items() if look is not None}
         return sorted(totals, key=lambda s: (-totals[s], len(s), sorted(s)))
-
-    def _glance(self, anchors: Anchored) -> float:
-        """Logarithm of the density of the data about a set's prediction, with the errors of the set that was begun with."""
-        state, predictor = self.base, self.base.predictor
-        if not self._acts(anchors):
-            return -math.inf
-        prediction = predictor.predict(state.model, anchors, keep=True, patient=False)
-        if prediction.failure:
-            # Halving its steps takes long: that is only done for a set that does well as far as it came.
-            if self._behind(prediction.positions) > _FAR:
-                return -math.inf
-            prediction = predictor.predict(state.model, anchors, keep=True)
-            if prediction.failure:
-                return -math.inf
-        return self._density(predictor.data, prediction.positions)
-
-    def _density(self, data: Data, positions: Array) -> float:
-        """Of the data, or some of them, about predicted positions, with the errors of the set that was begun with."""
-        state = self.base
-        residual = data.values - data.vector(positions + state.errors.mesh.correction)
-        if data is state.predictor.data:
-            return Evidence.of(state.errors, residual, state.force).total
-        rows = np.isin(state.predictor.data.frame, np.unique(data.frame))
-        moved = self._size * courses(data, state.slopes[rows])
-        modes = state.errors.nuisances.at(rows).beside(moved)
-        return Errors(data, state.errors.sigma[rows], state.errors.mesh, modes).log_likelihood(residual)
-
-    @cached_property
-    def _size(self) -> float:
-        """The likeliest size of an unknown force with the set that was begun with."""
-        return self.base.evidence().size
-
-    def _behind(self, positions: Array) -> float:
-        """By how much less likely a set is than the one that was begun with, as far as it was followed; 0 where that is nowhere."""
-        frames = np.asarray(np.isfinite(positions).all(axis=(1, 2)))
-        data = self.base.predictor.data.within(frames)
-        if not len(data):
-            return 0.0
-        return self._density(data, self.base.prediction.positions) - self._density(data, positions)
 
     def _acts(self, anchors: Anchored) -> bool:
         """Whether the model's effects can act where they do, with other anchors."""
@@ -243,17 +243,39 @@ class HypothesisSearch:
         return all(t.effect.places is None or t.place in t.effect.places(scene, anchors) for t in added)
 
     def _look(self, anchors: Anchored) -> None:
+        if anchors in self.looks:
+            return
         state = self.base
         state.predictor.progress.step("anchor sets weighed with an unknown force", len(self.looks), self.most)
         self.looks[anchors] = None
         try:
-            found = State.of(state.predictor, state.model, anchors, state.errors.mesh, state.free)
+            found = state if anchors == state.anchors else state.of_set(anchors)
         except SolveError:
             return
         self.looks[anchors] = Look(found, weighed(found, self.begun, least=self.least))
 
-    def _rank(self, anchors: Anchored) -> None:
-        """What a set lacks."""
+    def _rank_sets(self) -> None:
+        """What every set lacks: with sensitivities of its own where it is likely then, with those of the best otherwise."""
+        best = self.best_sets()[0]
+        own = self._rank(best)
+        for anchors in self.best_sets():
+            if anchors not in self._ranked:
+                self._rank(anchors, own)
+        while len(self._ranked) < _RANKED:
+            promises = self.promises()
+            near = [p.anchors for p in promises if p.row and p.log > promises[0].log - _FAR]
+            fresh = next((s for s in near if s not in self._ranked), None)
+            if fresh is None:
+                break
+            self._rank(fresh)
+
+    def _rank(self, anchors: Anchored, like: Ranking | None = None) -> Ranking | None:
+        """What a set lacks, with its own sensitivities or those of another."""
         look = self.looks[anchors]
-        if look is not None and look.ranking is None:
-            self.looks[anchors] = replace(look, ranking=rank(look.state, self.known, strict=False, least=self.least))
+        if look is not None and anchors not in self._ranked:
+            found = rank(look.state, self.known, strict=False, least=self.least, like=like)
+            self.looks[anchors] = replace(look, ranking=found)
+            if like is None:
+                self._ranked.add(anchors)
+        look = self.looks[anchors]
+        return look.ranking if look else None

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,13 @@ from numpy.typing import NDArray
 from bcid.base.collective import Comm, agree, in_turns
 from bcid.base.errors import BcidError, InputError
 from bcid.base.progress import Progress, Silent
+from bcid.comparison.knots import Knots, spread
 from bcid.forms.force_bumps import BUMPS, bumps
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
 from bcid.forms.sensitivity import Sensitivities, Sensitivity, Wanted
+from bcid.forms.set_tangent import SetTangent, SetTangents, StepTangent
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.data import Data, Noise
 from bcid.inference.mesh_error import MeshError
@@ -30,8 +33,14 @@ Array = NDArray[np.float64]
 _ORDER = 2
 _LEAST_GAIN = 0.5
 _AFFORDABLE = 40_000
+# A prediction begins at the states of another one that differs by so many patches.
+_NEAR = 2
 # The working mesh has elements so many times as large as those of the fine one.
 _COARSER = 3.0
+# A distance of positions need not be known as well as they themselves.
+_FINE_RTOL = 3e-5
+# Between steps in which the fine level is followed its distance is bent by no more than this part of the noise.
+_BENT = 0.5
 # So many of the last predictions are kept: what only changes the picture needs no other; of a few steps, many more.
 _KEPT, _KEPT_THIN = 5, 64
 
@@ -93,7 +102,7 @@ class Predictor:
         self.whole, self.measurement, self.comm = scene, measurement, comm
         self.scene = replace(scene, levels=pair(scene, self.fine_level))
         # Where a step must be halved more often the body buckles, and following it proves nothing.
-        self.settings = settings or Settings(rtol=1e-7, halvings=3)
+        self.settings = settings or Settings(rtol=1e-6, halvings=3)
         self.progress = progress or Silent()
         self.thin = False
         self.noise: Noise | None = None
@@ -105,7 +114,9 @@ class Predictor:
         self._predictions: list[tuple[Any, bool, MeasurementPrediction]] = []
         self._forwards: dict[tuple[int, str], Forward] = {}
         self._sensitivities: dict[tuple[int, str], Sensitivity] = {}
+        self._tangents: dict[tuple[int, str], SetTangents] = {}
         self._meshes: dict[int, BodyMesh] = {}
+        self._thinned: dict[tuple[bytes, Settings], Predictor] = {}
         self._nuisances: Nuisances | None = None
         self._weights: Array | None = None
 
@@ -128,25 +139,40 @@ class Predictor:
         other = copy(self)
         other.look_at(measurement)
         other.actions = measurement.actions
-        other._steps, other._predictions = sum(len(a) for a in other.actions), []
+        other._steps, other._predictions, other._thinned = sum(len(a) for a in other.actions), [], {}
         return other
 
     def thinned(self, steps: int, settings: Settings) -> tuple[Predictor, NDArray[np.int64]]:
         """A predictor that follows so many evenly spread steps of each action, and looks at rest once; and which frames these are.
 
-        It shares the meshes with this one, but solves with its own settings.
+        Each action is followed up to where it is last seen. It shares the forward models with this one, but solves with its own
+        settings. It is made once and kept.
         """
-        chosen = [a.frames[np.unique(np.linspace(0, len(a) - 1, steps + 1).round().astype(int))] for a in self.actions]
+        return self._in_steps([spread(last + 1, steps) for last in self._last()], settings)
+
+    def _in_steps(self, steps: Sequence[NDArray[np.int64]], settings: Settings) -> tuple[Predictor, NDArray[np.int64]]:
+        """The same in some steps of each action."""
+        chosen = [action.frames[some] for action, some in zip(self.actions, steps, strict=True)]
         frames = np.sort(np.concatenate(chosen))
+        key = frames.tobytes(), settings
         data = self.measurement.data.isel(frame=frames).copy(deep=True)
         rests = [int(kept[0]) for kept in chosen[1:] if len(kept) > 1]
         data["position"][{"frame": np.searchsorted(frames, rests)}] = np.nan
-        other = copy(self)
-        other.thin = True
+        if key not in self._thinned:
+            other = copy(self)
+            other.thin, other.settings = True, settings
+            other._predictions, other._thinned = [], {}
+            self._thinned[key] = other
+        other = self._thinned[key]
+        other.noise = self.noise
         other.look_at(replace(self.measurement, data=data), self.left_out)
-        other.actions, other.settings = other.measurement.actions, settings
-        other._predictions, other._forwards, other._sensitivities = [], {}, {}
+        other.actions = other.measurement.actions
         return other, frames
+
+    def _last(self) -> list[int]:
+        """The last step of each action that is seen."""
+        seen = np.asarray(self.data.mask.any(axis=(1, 2)))
+        return [int(np.flatnonzero(seen[action.frames]).max(initial=0)) for action in self.actions]
 
     @property
     def finer(self) -> int | None:
@@ -173,6 +199,7 @@ class Predictor:
         names = {mechanical(model).name for model in keep}
         for key in [key for key in self._forwards if key[1] not in names]:
             self._forwards.pop(key).destroy()
+            self._tangents.pop(key, None)
             if key in self._sensitivities:
                 self._sensitivities.pop(key).destroy()
 
@@ -194,7 +221,6 @@ class Predictor:
         level: int | None = None,
         actions: Iterable[Action] | None = None,
         keep: bool = False,
-        patient: bool = True,
     ) -> MeasurementPrediction:
         """What the model shows with these patches anchored.
 
@@ -204,38 +230,34 @@ class Predictor:
             level: mesh level; the working level by default.
             actions: only these; all by default.
             keep: keep the states, for `sensitivities`.
-            patient: halve steps that fail, as the settings say, and go on with the other actions where one cannot be followed.
         """
         actions = self.actions if actions is None else list(actions)
         level = self.level if level is None else level
         key = level, mechanical(model), frozenset(anchors), tuple(action.name for action in actions)
         known = next((prediction for k, kept, prediction in self._predictions if k == key and kept >= keep), None)
         if known is None:
-            known = self._followed(*key[:3], actions, keep, patient)
-            if known.failure and not patient:
-                return known
+            known = self._followed(*key[:3], actions, keep)
             self._predictions = [*self._predictions[-(_KEPT_THIN if self.thin else _KEPT) :], (key, keep, known)]
         return replace(known, positions=self._pictured(model, known.positions, level))
 
     def _followed(
-        self, level: int, model: Model, anchors: frozenset[str], actions: list[Action], keep: bool, patient: bool
+        self, level: int, model: Model, anchors: frozenset[str], actions: list[Action], keep: bool
     ) -> MeasurementPrediction:
         """Prediction before effects on the picture."""
         forward = self.forward(model, level)
-        forward.equilibrium.settings = self.settings if patient else replace(self.settings, halvings=0)
+        forward.equilibrium.settings = self.settings
+        near = self._near(level, model, anchors)
         positions = np.full(self.data.mask.shape, np.nan)
         parts, failure, error = {}, "", None
         for action in self.mine(actions):
             try:
-                part = forward.predict(anchors, [action], keep=keep)
+                part = forward.predict(anchors, [action], keep=keep, known=near.get(action.name))
             except BcidError as caught:
                 error = caught
                 break
             positions[action.frames] = part.positions[action.frames]
             parts[action.name] = part
             failure = failure or (part.failure.reason if part.failure else "")
-            if failure and not patient:
-                break
         agree(self.comm, error)
         gathered = self.comm.allgather((positions, failure))
         share = sum(len(a) for a in actions) / self._steps
@@ -243,6 +265,18 @@ class Predictor:
         return MeasurementPrediction(
             joined([found for found, _ in gathered]), parts, next((why for _, why in gathered if why), "")
         )
+
+    def _near(self, level: int, model: Model, anchors: frozenset[str]) -> dict[str, Mapping[int, Array]]:
+        """States to start from, by action: of the latest prediction of the same model with other numbers.
+
+        Where steps are large also of one with other anchors; small steps extrapolate as well.
+        """
+        best, found = _NEAR if self.thin else 0, {}
+        for (at, other, held, _), kept, prediction in reversed(self._predictions):
+            apart = len(held ^ anchors)
+            if kept and at == level and other.name == model.name and apart <= best:
+                best, found = apart - 1, {name: part.states for name, part in prediction.parts.items() if part.states}
+        return found
 
     def _pictured(self, model: Model, positions: Array, level: int) -> Array:
         """Positions as the camera shows them."""
@@ -258,14 +292,41 @@ class Predictor:
     def sensitivities(
         self, model: Model, anchors: Iterable[str], prediction: MeasurementPrediction, wanted: Wanted
     ) -> Sensitivities:
-        """Sensitivities along all actions of a prediction that kept its states, the same on every rank."""
+        """Sensitivities along all actions of a prediction that kept its states, the same on every rank.
+
+        What changes along an action as smoothly as the motion does is computed in a few steps, and interpolated between them.
+        """
+        known = self._known(model)
+        if known is None:
+            return self._sensitivities_in(model, anchors, prediction, wanted, None)
+        often = [probe.effect.smooth for probe in wanted.probes]
+        few = replace(wanted, probes=tuple(p for p, yes in zip(wanted.probes, often, strict=True) if yes))
+        found = self._sensitivities_in(model, anchors, prediction, few, known)
+        for array, one in product(_arrays(found), known):
+            one.fill(array)
+        if all(often):
+            return found
+        rest = Wanted(tuple(p for p, yes in zip(wanted.probes, often, strict=True) if not yes))
+        others = iter(self._sensitivities_in(model, anchors, prediction, rest, None).probes)
+        first = iter(found.probes)
+        return replace(found, probes=[next(first) if yes else next(others) for yes in often])
+
+    def _sensitivities_in(
+        self,
+        model: Model,
+        anchors: Iterable[str],
+        prediction: MeasurementPrediction,
+        wanted: Wanted,
+        known: Sequence[Knots] | None,
+    ) -> Sensitivities:
+        """Sensitivities at rest and in those steps of each action that are `known`, or in all that were seen."""
         forward = self.forward(model)
         key = self.level, forward.model.name
         if key not in self._sensitivities:
             self._sensitivities[key] = Sensitivity(forward)
         sensitivity = self._sensitivities[key]
-        error, parts, seen = None, [], np.asarray(self.data.mask.any(axis=(1, 2)))
-        mine = self.mine(self.actions)
+        seen = self._frames(known)
+        error, parts, mine = None, [], self.mine(self.actions)
         for number, action in enumerate(mine):
             if not self.thin and len(wanted.probes) > 1:
                 self.progress.step("sensitivities to effects, by action", number, len(mine))
@@ -276,24 +337,83 @@ class Predictor:
                 error = caught
                 break
         agree(self.comm, error)
-        gathered = [part for parts in self.comm.allgather(parts) for part in parts]
-        return _merged(gathered)
+        return _merged([part for parts in self.comm.allgather(parts) for part in parts])
 
     def disturbances(
-        self, model: Model, anchors: Iterable[str], prediction: MeasurementPrediction
+        self,
+        model: Model,
+        anchors: Iterable[str],
+        prediction: MeasurementPrediction,
+        nuisances: NuisanceModes | None = None,
     ) -> tuple[NuisanceModes, Array]:
         """What the scene may have slightly wrong does to the measured values, and what an unknown force does, shape (n, forces), m.
 
-        The prediction must have kept its states.
+        The prediction must have kept its states. Both are known in a few steps of each action, and interpolated between them.
+        Where `nuisances` are given these are taken.
         """
         forward = self.forward(model)
         if self._nuisances is None:
             self._nuisances, self._weights = Nuisances(self.scene, forward.mesh), bumps(forward, BUMPS)[1]
-        wanted = replace(self._nuisances.wanted(model, anchors), forces=self._weights)
+        wanted = self._nuisances.wanted(model, anchors) if nuisances is None else Wanted()
+        wanted = replace(wanted, forces=self._weights)
         found = self.sensitivities(model, anchors, prediction, wanted)
         assert found.forces is not None
         slopes = np.nan_to_num(found.forces[self.data.mask].astype(float)).reshape(len(self.data), -1)
-        return self._nuisances.modes(self.data, found, wanted), slopes
+        return nuisances or self._nuisances.modes(self.data, found, wanted), slopes
+
+    def set_tangent(self, model: Model, anchors: Iterable[str], prediction: MeasurementPrediction) -> SetTangent:
+        """What every set shows to first order about one whose prediction kept its states, the same on every rank; collective.
+
+        In all frames that are seen, or where everything is smooth in a few steps of each action.
+        """
+        forward = self.forward(model)
+        key = self.level, forward.model.name
+        if key not in self._tangents:
+            self._tangents[key] = SetTangents(forward)
+        error, seen = None, self._frames(self._known(model))
+        mine: dict[int, StepTangent] = {}
+        for action in self.mine(self.actions):
+            if action.name not in prediction.parts:
+                continue
+            try:
+                mine |= self._tangents[key].of([action], prediction.parts[action.name], seen)
+            except BcidError as caught:
+                error = caught
+                break
+        agree(self.comm, error)
+        steps: dict[int, StepTangent] = {}
+        for found in self.comm.allgather(mine):
+            steps |= found
+        shape = self.data.mask.shape
+        return SetTangent(frozenset(anchors), self._tangents[key].tractions, steps, shape)
+
+    def moves(
+        self,
+        model: Model,
+        anchors: Iterable[str],
+        prediction: MeasurementPrediction,
+        sets: Sequence[frozenset[str]],
+    ) -> list[Array]:
+        """By how much the fiducials are elsewhere with other sets, to first order, each (frames, fiducials, 3), m; collective."""
+        tangent = self.set_tangent(model, anchors, prediction)
+        moved = [tangent.moved(other) for other in sets]
+        for one, known in product(moved, self._known(model) or ()):
+            known.fill(one)
+        return moved
+
+    def _known(self, model: Model) -> list[Knots] | None:
+        """The steps of each action in which what changes with the motion need be known; None where in all."""
+        smooth = not self.thin and all(term.effect.smooth or term.effect.observe for term in model.terms)
+        return [Knots.of(action, 1) for action in self.actions] if smooth else None
+
+    def _frames(self, known: Sequence[Knots] | None) -> NDArray[np.bool_]:
+        """Rest and the frames of known steps; all that are seen where none are given."""
+        seen = np.asarray(self.data.mask.any(axis=(1, 2)))
+        if known is not None:
+            seen = np.zeros(len(seen), dtype=bool)
+            for one in known:
+                seen[one.frames[[0, *one.steps]]] = True
+        return seen
 
     def _whole(self, part: Prediction) -> Prediction:
         """A part's positions in the frames of the whole measurement."""
@@ -306,13 +426,33 @@ class Predictor:
         other = self.finer
         if other is None:
             return MeshError.unknown(self.data.mask.shape)
-        second = self.predict(model, anchors, other)
-        if second.failure or prediction.failure:
+        fine = self._finer_positions(model, anchors, prediction, other)
+        if fine is None or prediction.failure:
             return MeshError.unknown(self.data.mask.shape)
         gain = max((self._unknowns(other) / self._unknowns(self.level)) ** (_ORDER / 3) - 1, _LEAST_GAIN)
-        return replace(
-            MeshError.between(prediction.positions, second.positions, gain), about=(model.name, frozenset(anchors))
-        )
+        return replace(MeshError.between(prediction.positions, fine, gain), about=(model.name, frozenset(anchors)))
+
+    def _finer_positions(
+        self, model: Model, anchors: Iterable[str], prediction: MeasurementPrediction, level: int
+    ) -> Array | None:
+        """Positions on another level, whose distance from those of this one is smooth along an action; None where it fails.
+
+        It is followed in a few steps, between which that distance is interpolated; in all where those are too large for it or the
+        distance is too bent, and where a model remembers them.
+        """
+        if not (self.thin or model.remembers):
+            known = [Knots.of(action, 0, last) for action, last in zip(self.actions, self._last(), strict=True)]
+            few, frames = self._in_steps([k.steps for k in known], replace(self.settings, rtol=_FINE_RTOL))
+            second = few.predict(model, anchors, level, keep=True)
+            if not second.failure:
+                apart = np.full(prediction.positions.shape, np.nan)
+                apart[frames] = second.positions - prediction.positions[frames]
+                bent = max(k.fill(apart) for k in known)
+                noise = self.data.noise(self.data.vector(self.data.about - prediction.positions))
+                if bent < _BENT * float(np.sqrt(np.mean(noise**2))):
+                    return np.asarray(prediction.positions + apart)
+        second = self.predict(model, anchors, level, keep=True)
+        return None if second.failure else second.positions
 
     def count(self, what: str, trajectories: float) -> None:
         """Note forward trajectories."""
@@ -361,6 +501,12 @@ def joined(arrays: Sequence[Any]) -> Any:
         fill = np.isnan(result)
         result[fill] = other[fill]
     return result
+
+
+def _arrays(found: Sensitivities) -> list[Any]:
+    """All arrays of sensitivities, each (frames, ...)."""
+    arrays = [array for one in found.probes for array in one.values()] + list(found.law.values())
+    return [*arrays, *(a for a in (found.stiffness, found.forces, found.places) if a is not None)]
 
 
 def _merged(parts: list[Sensitivities]) -> Sensitivities:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bcid.comparison.fit import Coordinate, columns, coordinates
 from bcid.comparison.state import State
-from bcid.forms.model import Model
+from bcid.forms.model import Model, Term
 from bcid.inference.criteria import SEEN
 from bcid.inference.evidence import Numbers
 
@@ -61,15 +61,49 @@ def of_state(state: State, begun: Model, jacobian: Array | None = None, least: f
     scale = np.array([c.scale for c in chosen])
     share = 0.0
     sizes: Array = np.ones(1)
+    apart = np.array([_apart(c, numbers[c.name], begun) for c in chosen])
     if amount.any():
-        sizes = visible(math.sqrt(float(np.mean(np.sum((moved * scale)[:, amount] ** 2, axis=0)))), least)
+        sizes = visible(_least_shown(moved * scale, np.abs(apart) / scale, amount, state, begun, least), least)
         if not len(sizes):
             return None
         share = log_share(len(sizes))
-    apart = np.array([_apart(c, numbers[c.name], begun) for c in chosen])
     widths = np.array([_width(c, numbers[c.name], state) for c in chosen])
     table = np.where(amount, sizes[:, None] * scale, widths)
     return Numbers(moved, apart, table, one_sided(chosen), share + log_ways(state, begun))
+
+
+def _least_shown(
+    shown: Array, apart: Array, amount: NDArray[np.bool_], state: State, begun: Model, least: float
+) -> float:
+    """By how many standard deviations notable amounts, (n, p), move the data, of the effect, or the law, that shows least.
+
+    Of what is as large as `apart`, (p,), a further notable amount may show little: then it is what all of it does by its amount.
+    """
+    squares, found = np.sum(shown**2, axis=0), []
+    rest = amount.copy()
+    for term in state.model.added(begun):
+        names = {term.full(p.name) for p in term.effect.parameters}
+        own = np.array([name in names for name in state.free], dtype=bool) & amount
+        rest &= ~own
+        if not own.any():
+            continue
+        size = math.sqrt(float(np.mean(squares[own])))
+        if not len(visible(size, least)) and apart[own].max() > 1:
+            size = max(size, _done(state, term) / float(np.linalg.norm(apart[own])))
+        found.append(size)
+    if rest.any():
+        found.append(math.sqrt(float(np.mean(squares[rest]))))
+    return min(found)
+
+
+def _done(state: State, term: Term) -> float:
+    """By how many standard deviations an effect of a model moves the data; 0 where the model cannot be followed without it."""
+    predictor = state.predictor
+    plain = predictor.predict(state.model.without(term.label), state.anchors)
+    if plain.failure:
+        return 0.0
+    moved = predictor.data.vector(state.prediction.positions - plain.positions)
+    return float(np.linalg.norm(state.errors.whiten(moved)))
 
 
 def expected(state: State, begun: Model) -> tuple[Array, Array]:

@@ -78,11 +78,13 @@ class Ranking:
         rows: the effects.
         excluded: effects that cannot act here, with the reason in words.
         tried: number of variants tried over all effects.
+        variants: of every effect.
     """
 
     rows: tuple[Row, ...]
     excluded: dict[str, str] = field(default_factory=dict)
     tried: int = 0
+    variants: dict[str, list[Variant]] = field(default_factory=dict)
 
 
 def rank(
@@ -91,6 +93,7 @@ def rank(
     strict: bool = True,
     place: str | None = None,
     least: float = SEEN,
+    like: Ranking | None = None,
 ) -> Ranking:
     """Rank the effects that the model lacks; collective.
 
@@ -100,6 +103,7 @@ def rank(
         least: how well an effect must be seen, see `bcid.comparison.priors.visible`.
         place: where the effects act; everywhere they can by default.
         strict: refuse a model that is not at its optimum (what a refit of it could explain is projected out anyway).
+        like: of a set near by with the same errors, whose sensitivities serve.
 
     Raises:
         InputError: the model is not at its optimum: what a refit explains would be taken for a missing effect.
@@ -109,12 +113,22 @@ def rank(
         check_optimum(state, present)
     candidates, excluded = dormant(state, effects.catalogue() if known is None else known)
     candidates = [(effect, at) for effect, at in candidates if place is None or at == place]
-    variants = all_variants(state, candidates)
+    variants = all_variants(state, candidates) if like is None else _of_candidates(like, candidates)
     basis = _orthonormal(present)
     tried = max(sum(_effective(v) for v in variants.values()), 1)
     rows = [_row(state, name, found, basis, tried, least) for name, found in variants.items() if found]
     rows.sort(key=lambda row: (-row.gain, -row.score, row.effect))
-    return Ranking(tuple(_confusions(rows)), excluded, tried)
+    return Ranking(tuple(_confusions(rows)), excluded, tried, variants)
+
+
+def _of_candidates(like: Ranking, candidates: Sequence[tuple[Effect, str]]) -> dict[str, list[Variant]]:
+    """Those variants that may act here too."""
+    known = {(effect.name, place) for effect, place in candidates}
+    found = {effect.name: list[Variant]() for effect, _ in candidates}
+    for name, variants in like.variants.items():
+        if name in found:
+            found[name] = [v for v in variants if (name, v.term.place) in known]
+    return found
 
 
 def dormant(state: State, known: Iterable[Effect]) -> tuple[list[tuple[Effect, str]], dict[str, str]]:

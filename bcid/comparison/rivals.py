@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -27,14 +28,19 @@ Anchored = frozenset[str]
 Found = TypeVar("Found")
 # Many sets and effects are looked at in so many steps of each action besides rest.
 STEPS = 2
+# With these settings: a set with which steps must be halved more often is seldom the one.
+GLANCE = Settings(rtol=1e-6, halvings=2)
 # Candidates are refitted to this relative change of chi-square.
 _ROUGH = 3e-3
 # A reciprocal or a direction may need a start away from the neutral value: part of the way to the expected value.
 _CAUTION = (1.0, 0.5, 0.2)
-# Where one explains all, an effect is not fitted that promises to be exp(_FAR) times less likely.
-_FAR = 60.0
+# What is exp(UNLIKELY) times less likely is left out, and not fitted where it promises to be exp(WORTH) times less likely than the
+# best; or exp(_FAR) times where the best explains all, however rough that promise is.
+UNLIKELY, WORTH, _FAR = 12.0, 3.0, 60.0
+# The error of the mesh is that of numbers that are no more than this part of a notable change off; it is asked for so often anew.
+_FAR_OFF, _REMESHED = 0.2, 2
 # With the numbers of the best candidate sets are searched again, so often and with so many sets at most.
-_MOVES, _WEIGHED = 3, 5
+_MOVES, _WEIGHED = 4, 5
 
 
 @dataclass(frozen=True)
@@ -73,14 +79,15 @@ class Rival:
     @property
     def logs(self) -> dict[Hypothesis, float]:
         """Logarithms of evidence and prior, without and with an unknown force besides."""
-        return self.tempered(1.0)
+        return {hypothesis: evidence + prior for hypothesis, (evidence, prior) in self.weights.items()}
 
-    def tempered(self, power: float) -> dict[Hypothesis, float]:
-        """The same with a power of the evidence."""
+    @property
+    def weights(self) -> dict[Hypothesis, tuple[float, float]]:
+        """The same one by one."""
         name, count = "+".join(self.names), len(self.names)
         return {
-            Hypothesis(self.anchors, name): power * self.evidence.plain + log_prior(count, False, self.known),
-            Hypothesis(self.anchors, name, True): power * self.evidence.forced + log_prior(count, True, self.known),
+            Hypothesis(self.anchors, name): (self.evidence.plain, log_prior(count, False, self.known)),
+            Hypothesis(self.anchors, name, True): (self.evidence.forced, log_prior(count, True, self.known)),
         }
 
     def shifted(self, log: float) -> Rival:
@@ -92,7 +99,7 @@ class Rival:
     def allowing(self, left: Array, begun: Model) -> Rival:
         """The same with what may be left of the error of the mesh as it is with another hypothesis, (frames, fiducials, 3), m."""
         old = self.fitted.state
-        state = old.with_mesh(replace(old.errors.mesh, left=left))
+        state = old.with_errors(replace(old.errors.mesh, left=left))
         raw = [old.errors.unwhiten(column) for column in self.fitted.jacobian.T]
         moved = [state.errors.whiten(column) for column in raw]
         jacobian = np.column_stack([*moved, np.zeros((len(old.predictor.data), 0))])
@@ -122,22 +129,32 @@ def best_first(rivals: Iterable[Rival]) -> list[Rival]:
     return sorted(rivals, key=lambda r: (-r.log, len(r.names), len(r.anchors), sorted(r.anchors), r.names))
 
 
-def at_a_glance(state: State, halvings: int, work: Callable[[State], Found]) -> Found:
-    """Work on a state at a few steps of each action, each halved so often at most; or on itself if it needs smaller ones."""
+def at_a_glance(state: State, work: Callable[[State], Found]) -> Found:
+    """Work on a state at a few steps of each action; or on itself if it needs smaller ones."""
     try:
-        thin = state.thinned(STEPS, Settings(rtol=1e-6, halvings=halvings))
+        thin = state.thinned(STEPS, GLANCE)
     except SolveError:
         return work(state)
-    try:
-        return work(thin)
-    finally:
-        thin.predictor.destroy()
+    return work(thin)
+
+
+@dataclass(frozen=True)
+class Contest:
+    """Hypotheses that were compared on a few steps.
+
+    Attributes:
+        rivals: those that were fitted, the likeliest first.
+        promised: logarithms of evidence and of prior odds of those that do not seem worth a fit.
+    """
+
+    rivals: list[Rival]
+    promised: dict[Hypothesis, tuple[float, float]]
 
 
 def contest(
     state: State, begun: Model, known: Sequence[Effect], starts: Iterable[Anchored], sets: int, most: int
-) -> list[Rival]:
-    """Sets and effects on a few steps of each action, the likeliest fitted; best first; collective.
+) -> Contest:
+    """Sets and effects on a few steps of each action, the likeliest fitted; collective.
 
     Args:
         state: the model with the set that is begun with, compared with all steps.
@@ -148,43 +165,75 @@ def contest(
         most: how many effects are refitted.
     """
 
-    def work(thin: State) -> list[Rival]:
+    def work(thin: State) -> Contest:
         search = HypothesisSearch(thin, begun, known, sets)
         promises = search.run(starts) if sets > 1 else search.alone()
         return refitted(promises, begun, known, most)
 
-    return at_a_glance(state, 2, work)
+    return at_a_glance(state, work)
 
 
 def fitted_beside(state: State, known: Sequence[Effect], most: int) -> list[Rival]:
     """The most promising effects, so many at most, fitted beside a model with its set, to all steps; best first; collective."""
-    found = contest(state, state.model, known, (), 1, most)
+
+    def work(thin: State) -> Contest:
+        return refitted(HypothesisSearch(thin, thin.model, known, 1).alone(), thin.model, known, most, math.inf)
+
+    found = at_a_glance(state, work).rivals
     here = [rival for rival in found if rival.names and rival.anchors == state.anchors]
-    return best_first(rival for rival in (promoted(one, state, state.model) for one in here) if rival)
+    fitted = [rival for rival in (promoted(one, state, state.model) for one in here) if rival]
+    return best_first(replace(rival, held_out=held_out(rival.fitted)) for rival in fitted)
 
 
-def refitted(promises: Sequence[Promise], begun: Model, known: Sequence[Effect], most: int) -> list[Rival]:
-    """The models alone, and the most promising effects with their sets fitted; best first; collective.
+def refitted(
+    promises: Sequence[Promise], begun: Model, known: Sequence[Effect], most: int, worth: float = WORTH
+) -> Contest:
+    """The models alone, and the most promising effects with their sets fitted; collective.
 
+    An effect is worth a fit as long as something unknown acts besides the best, and where it promises to be no more than exp(worth)
+    times less likely than that, or may turn out to be.
     What an effect promises is linear in its amount, which a large one is not: each has its best set tried first, and then the one
     that turns out best competes with itself on other sets.
     """
     count = len(known)
     rivals = [_alone(p.look, begun, count) for p in promises if p.row is None]
     tried: set[str] = set()
+    states: dict[Anchored, State] = {}
     for promise in promises:
         row, best = promise.row, best_first(rivals)[0]
         if row is None or row.effect in tried or len(tried) >= most or not math.isfinite(row.gain):
             continue
-        if tried and best.complete and promise.log < best.log - _FAR:
-            break
+        if best.complete and promise.log < best.log - max(_unlikely(promise), worth):
+            continue
         tried.add(row.effect)
         promise.look.state.predictor.progress.step("candidates refitted", len(tried) - 1, most, f"now {row.effect}")
-        rivals += refit(promise.look.state, row, begun, count)
+        # Where an effect makes another set likely it is measured by the errors of that.
+        state = states.setdefault(promise.anchors, promise.look.state).with_own_errors()
+        states[promise.anchors] = state
+        rivals += refit(state, row, begun, count)
     best = best_first(rivals)[0]
-    if best.names:
+    if tried and best.names and best.names[-1] in tried:
         rivals += moved(best, begun, count)
-    return best_first(rivals)
+    promised = {}
+    for promise in promises:
+        if promise.row and promise.row.effect not in tried and math.isfinite(promise.log):
+            names = [*(term.effect.name for term in promise.look.state.model.added(begun)), promise.row.effect]
+            promised[Hypothesis(promise.anchors, "+".join(names))] = promise.evidence, promise.log_prior
+    return Contest(best_first(rivals), promised)
+
+
+def _unlikely(promise: Promise) -> float:
+    """By how much less likely a promised effect must be than one that explains all not to be worth a fit.
+
+    What its sensitivities promise holds to first order: they may be wrong by as large a part of what there is to explain as what
+    the effect does is of what the pulls do.
+    """
+    state, row = promise.look.state, promise.row
+    assert row is not None
+    data = state.predictor.data
+    pulled = data.vector(state.predicted) - data.vector(np.broadcast_to(data.scene.rest, data.mask.shape))
+    bent = float(np.linalg.norm(state.errors.unwhiten(row.explained)) / max(float(np.linalg.norm(pulled)), 1e-12))
+    return min(WORTH + bent * (max(state.chi2 - len(data), 0.0) + row.score) / 2, _FAR)
 
 
 def _alone(look: Look, begun: Model, known: int) -> Rival:
@@ -195,34 +244,47 @@ def _alone(look: Look, begun: Model, known: int) -> Rival:
 
 
 def moved(rival: Rival, begun: Model, known: int, least: float = SEEN) -> list[Rival]:
-    """The best rival on sets around its own with its numbers in place, and fitted anew where that is likelier."""
+    """The best rival on other sets with its numbers in place, and fitted anew on those that its tangent shows to be as likely."""
     found: list[Rival] = []
-    best = rival
+    best, tried, about = rival, {rival.anchors}, None
     for _ in range(_MOVES):
         state = best.fitted.state
-        search = HypothesisSearch(state, begun, (), _WEIGHED, least)
-        others = [p for p in search.around() if p.anchors != best.anchors]
-        found += [_alone(p.look, begun, known) for p in others]
-        if not others or others[0].log <= best.log:
+        if about is None or about.base is not state:
+            about = HypothesisSearch(state, begun, (), _WEIGHED, least)
+            found += [_alone(p.look, begun, known) for p in about.around() if p.anchors != best.anchors]
+        shown = about.shown(best.anchors)
+        near = [s for s in shown if s not in tried and shown[s] > shown[best.anchors] - WORTH]
+        if not near:
             break
-        try:
-            again = Rival.of(fit(others[0].look.state, state.free, most=8, ftol=_ROUGH), begun, known, least)
-        except SolveError:
-            break
-        found.append(again)
-        if again.log <= best.log:
-            break
-        best = again
-    return found
+        anchors = min(near, key=lambda s: (-shown[s], len(s), sorted(s)))
+        tried.add(anchors)
+        with suppress(SolveError):
+            again = Rival.of(fit(state.of_set(anchors), state.free, most=8, ftol=_ROUGH), begun, known, least)
+            found.append(again)
+            best = again if again.log > best.log else best
+    fitted = {id(r) for r in found if r.fitted.coordinates}
+    # Where a set was fitted that does not stand beside what was only estimated for it.
+    sets = {r.anchors for r in found if id(r) in fitted} | {rival.anchors}
+    return [r for r in found if id(r) in fitted or r.anchors not in sets]
 
 
-def promoted(rival: Rival, full: State, begun: Model, least: float = SEEN) -> Rival | None:
+def shown_about(rival: Rival, begun: Model, least: float = SEEN) -> dict[Anchored, float]:
+    """Logarithm of the evidence of sets near that of a rival, as its tangent shows them; collective."""
+    search = HypothesisSearch(rival.fitted.state, begun, (), 1, least)
+    search.look()
+    return search.shown(rival.anchors)
+
+
+def promoted(
+    rival: Rival, full: State, begun: Model, least: float = SEEN, anchors: Anchored | None = None
+) -> Rival | None:
     """A rival that was fitted to a part of the steps, with all of them and the error of the mesh of its own; None if it fails.
 
-    An effect may stand for what the mesh has wrong with another model: its own tells.
+    An effect may stand for what the mesh has wrong with another model: its own tells. With `anchors`, on another set.
     """
     model, free = rival.fitted.state.model, rival.fitted.state.free
-    alike = (full.model.name, full.anchors) == (model.name, rival.anchors)
+    anchors = rival.anchors if anchors is None else anchors
+    alike = (full.model.name, full.anchors) == (model.name, anchors)
     mesh = full.errors.mesh if alike else None
     onset = rival.names and any(p.onset for p in rival.term.effect.parameters)
     try:
@@ -231,17 +293,30 @@ def promoted(rival: Rival, full: State, begun: Model, least: float = SEEN) -> Ri
             base = State.of(
                 full.predictor,
                 model.without(rival.term.label),
-                rival.anchors,
-                full.errors.mesh if rival.anchors == full.anchors else None,
+                anchors,
+                full.errors.mesh if anchors == full.anchors else None,
             )
             rows = rank(base, [rival.term.effect], strict=False).rows
             again = refit(base, rows[0], begun, rival.known, least)
-            return replace(again[0], held_out=held_out(again[0].fitted)) if again else None
-        start = State.of(full.predictor, model, rival.anchors, mesh)
-        found = fit(start, free, most=8)
+            return again[0] if again else None
+        if anchors != rival.anchors:
+            # Its numbers will be others, and the error of the mesh with them.
+            mesh = rival.fitted.state.errors.mesh
+        found = fit(State.of(full.predictor, model, anchors, mesh), free, most=8)
+        for _ in range(_REMESHED):
+            if anchors == rival.anchors and not _elsewhere(found, model):
+                break
+            model, rival = found.state.model, replace(rival, fitted=found)
+            found = fit(found.state.with_own_errors(anew=True), free, most=4)
     except (SolveError, InputError):
         return None
-    return replace(Rival.of(found, begun, rival.known, least), held_out=held_out(found))
+    return Rival.of(found, begun, rival.known, least)
+
+
+def _elsewhere(found: Fit, model: Model) -> bool:
+    """Whether fitted numbers are so far from those of a model that the error of the mesh may be another."""
+    before, after = model.constants(), found.state.model.constants()
+    return any(abs(c.of(after[c.name]) - c.of(before[c.name])) > _FAR_OFF * c.scale for c in found.coordinates)
 
 
 def refit(state: State, row: Row, begun: Model, known: int, least: float = SEEN) -> list[Rival]:
@@ -249,7 +324,7 @@ def refit(state: State, row: Row, begun: Model, known: int, least: float = SEEN)
     for part in _CAUTION:
         try:
             term = _careful(row, state.model, part)
-            start = State.of(state.predictor, state.model + term, state.anchors, state.errors.mesh)
+            start = state.of_set(state.anchors, state.model + term)
             again = fit(start, (*state.free, *term.free), most=8, ftol=_ROUGH)
         except (SolveError, InputError):
             continue

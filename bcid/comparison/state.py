@@ -17,7 +17,7 @@ from bcid.inference.evidence import Force, Numbers
 from bcid.inference.followed import NotFollowed
 from bcid.inference.likelihood import Errors, NuisanceEstimate
 from bcid.inference.mesh_error import MeshError
-from bcid.inference.nuisances import stood_for
+from bcid.inference.nuisances import NuisanceModes, stood_for
 from bcid.inference.unknown_force import Evidence, courses, unknown_force
 
 Array = NDArray[np.float64]
@@ -52,8 +52,12 @@ class State:
         mesh: MeshError | None = None,
         free: tuple[str, ...] = (),
         prediction: MeasurementPrediction | None = None,
+        nuisances: NuisanceModes | None = None,
     ) -> State:
         """Predict and compare; collective. Without `mesh` the ladder is asked for its error.
+
+        What the scene may have slightly wrong is about the same with other anchors or small effects: `nuisances` of another state
+        may be taken.
 
         Raises:
             NotFollowed: the model cannot be followed to the end; `SolveError` where only some steps are.
@@ -68,19 +72,40 @@ class State:
             raise NotFollowed(message, f"{who} cannot be followed", came)
         mesh = predictor.mesh_error(model, anchors, prediction) if mesh is None else mesh
         residual = predictor.data.values - predictor.data.vector(prediction.positions + mesh.correction)
-        nuisances, slopes = predictor.disturbances(model, anchors, prediction)
-        errors = Errors(predictor.data, predictor.data.noise(residual), mesh, nuisances)
+        modes, slopes = predictor.disturbances(model, anchors, prediction, nuisances)
+        errors = Errors(predictor.data, predictor.data.noise(residual), mesh, modes)
         return cls(predictor, model, anchors, prediction, errors.without(stood_for(model)), slopes, free)
 
     def thinned(self, steps: int, settings: Settings) -> State:
-        """The same hypothesis in a few steps of each action (see `Predictor.thinned`), whose predictor is to be destroyed."""
+        """The same hypothesis in a few steps of each action, see `Predictor.thinned`."""
         predictor, frames = self.predictor.thinned(steps, settings)
         return State.of(predictor, self.model, self.anchors, self.errors.mesh.at(frames), self.free)
 
-    def with_mesh(self, mesh: MeshError) -> State:
-        """The same with another error of the mesh."""
-        errors = Errors(self.predictor.data, self.errors.sigma, mesh, self.errors.nuisances)
-        return replace(self, errors=errors)
+    def of_set(self, anchors: frozenset[str], model: Model | None = None) -> State:
+        """The same with other anchors, or another model, and what is slightly wrong as here; collective.
+
+        Raises:
+            SolveError: as `of`.
+        """
+        model, errors = model or self.model, self.errors
+        return State.of(self.predictor, model, anchors, errors.mesh, self.free, nuisances=errors.nuisances)
+
+    def with_own_errors(self, anew: bool = False) -> State:
+        """The same with the error of the mesh, and what is slightly wrong, as they are with these anchors; collective.
+
+        With `anew` also where they are those of these anchors, but of other numbers.
+        """
+        mesh = self.errors.mesh
+        if not mesh.known or (mesh.about[1] == self.anchors and not anew):
+            return self
+        found = self.predictor.mesh_error(self.model, self.anchors, self.prediction)
+        mesh = found if found.known else replace(mesh, about=(mesh.about[0], self.anchors))
+        return State.of(self.predictor, self.model, self.anchors, mesh, self.free, self.prediction)
+
+    def with_errors(self, mesh: MeshError, nuisances: NuisanceModes | None = None) -> State:
+        """The same with another error of the mesh, and what else is slightly wrong."""
+        nuisances = nuisances or self.errors.nuisances
+        return replace(self, errors=Errors(self.predictor.data, self.errors.sigma, mesh, nuisances))
 
     @property
     def predicted(self) -> Array:

@@ -162,7 +162,7 @@ class RivalEffects:
         acting = [e for e in self.effects if not (e.needs and e.needs(self.scene, measurement))]
         plain = best_first(Rival.of(Fit.at(s), begun, len(acting)) for s in alone)
         base, others = plain[0].fitted.state, [rival.anchors for rival in plain[1:]]
-        glanced = at_a_glance(base, 2, lambda thin: _glanced(thin, begun, acting, others))
+        glanced = at_a_glance(base, lambda thin: _glanced(thin, begun, acting, others))
         found = [Fitted(Hypothesis(r.anchors), r, begun) for r in plain]
         for name, rivals in glanced.items():
             fitted = best_first(r for r in (promoted(one, base, begun, _UNSEEN) for one in rivals) if r)

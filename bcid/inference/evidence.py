@@ -76,12 +76,15 @@ class Force:
 
 @dataclass(frozen=True)
 class _Products:
-    """Products of residual and columns with the inverse of the covariance, and half the logarithm of its determinant."""
+    """Products of residual and columns with the inverse of the covariance, and half the logarithm of its determinant, by size.
 
-    rr: float
+    Shapes (sizes,), (sizes, p), (sizes, p, p), (sizes,).
+    """
+
+    rr: Array
     rj: Array
     jj: Array
-    volume: float
+    volume: Array
 
 
 def log_evidence(scaled: Array, numbers: Numbers, force: Force | None = None, factors: Array | None = None) -> float:
@@ -93,9 +96,9 @@ def log_evidence(scaled: Array, numbers: Numbers, force: Force | None = None, fa
         force: acts besides, integrated over its size.
         factors: by which the errors may be larger than they are taken for, all equally likely; they are known by default.
     """
-    products = [_alone(scaled, numbers.columns)] if force is None else _forced(scaled, numbers.columns, force)
-    squares, volumes, inside = zip(*(_integrated(p, numbers) for p in products), strict=True)
-    found = _density(np.concatenate(squares), np.concatenate(volumes), len(scaled), factors) + np.concatenate(inside)
+    products = _alone(scaled, numbers.columns) if force is None else _forced(scaled, numbers.columns, force)
+    squares, volumes, inside = (part.ravel() for part in _integrated(products, numbers))
+    found = _density(squares, volumes, len(scaled), factors) + inside
     return float(logsumexp(found)) - math.log(len(found)) + numbers.log_prior
 
 
@@ -131,44 +134,39 @@ def log_gains(
 
 def likeliest_size(scaled: Array, force: Force) -> float:
     """The standard deviation of an unknown force that makes a residual likeliest."""
-    none = np.zeros((len(scaled), 0))
-    logs = [-0.5 * p.rr - p.volume for p in _forced(scaled, none, force)]
-    return float(force.sizes[int(np.argmax(logs))])
+    found = _forced(scaled, np.zeros((len(scaled), 0)), force)
+    return float(force.sizes[int(np.argmax(-0.5 * found.rr - found.volume))])
 
 
 def _alone(scaled: Array, columns: Array) -> _Products:
-    return _Products(float(scaled @ scaled), columns.T @ scaled, columns.T @ columns, 0.0)
+    return _Products(np.array([scaled @ scaled]), (columns.T @ scaled)[None], (columns.T @ columns)[None], np.zeros(1))
 
 
-def _forced(scaled: Array, columns: Array, force: Force) -> list[_Products]:
+def _forced(scaled: Array, columns: Array, force: Force) -> _Products:
     """For each size of the force."""
     plain = _alone(scaled, columns)
     r, j = force.basis.T @ scaled, force.basis.T @ columns
-    found = []
-    for size in force.sizes:
-        widths = 1 + size**2 * force.squares
-        lost = 1 - 1 / widths
-        rr = plain.rr - float(r @ (lost * r))
-        rj, jj = plain.rj - j.T @ (lost * r), plain.jj - j.T @ (lost[:, None] * j)
-        found.append(_Products(rr, rj, jj, 0.5 * float(np.sum(np.log(widths)))))
-    return found
+    widths = 1 + force.sizes[:, None] ** 2 * force.squares
+    lost = 1 - 1 / widths
+    rr, rj = plain.rr - lost @ r**2, plain.rj - (lost * r) @ j
+    jj = plain.jj - np.einsum("sk,kp,kq->spq", lost, j, j, optimize=True)
+    return _Products(rr, rj, jj, 0.5 * np.sum(np.log(widths), axis=1))
 
 
 def _integrated(p: _Products, numbers: Numbers) -> tuple[Array, Array, Array]:
-    """Squares, volumes and logarithm of the share within bounds, for each row of widths."""
-    apart = numbers.apart
+    """Squares, volumes and logarithm of the share within bounds, for each size and each row of widths, each (sizes, rows)."""
+    apart, widths = numbers.apart, numbers.widths
     there = p.rj + p.jj @ apart
-    squares, volumes, inside = (np.zeros(len(numbers.widths)) for _ in range(3))
-    for row, width in enumerate(numbers.widths):
-        matrix = np.eye(len(width)) + width[:, None] * p.jj * width
-        right = width * there
-        solved = np.linalg.solve(matrix, right)
-        squares[row] = max(p.rr + 2 * float(apart @ p.rj) + float(apart @ p.jj @ apart) - float(right @ solved), 0.0)
-        volumes[row] = p.volume + 0.5 * float(np.linalg.slogdet(matrix)[1])
-        if numbers.positive.any():
-            deviation = np.sqrt(np.diag(np.linalg.inv(matrix)))
-            shares = log_ndtr(solved / deviation) + math.log(2)
-            inside[row] = float(np.sum(shares[numbers.positive]))
+    matrix = np.eye(len(apart)) + widths[:, :, None] * p.jj[:, None] * widths[:, None, :]
+    right = widths * there[:, None]
+    solved = np.linalg.solve(matrix, right[..., None])[..., 0]
+    squares = p.rr + (p.rj + there) @ apart
+    squares = np.maximum(squares[:, None] - np.sum(right * solved, axis=2), 0.0)
+    volumes = p.volume[:, None] + 0.5 * np.linalg.slogdet(matrix)[1]
+    inside = np.zeros_like(squares)
+    if numbers.positive.any():
+        deviation = np.sqrt(np.diagonal(np.linalg.inv(matrix), axis1=2, axis2=3))
+        inside = np.sum((log_ndtr(solved / deviation) + math.log(2))[..., numbers.positive], axis=2)
     return squares, volumes, inside
 
 

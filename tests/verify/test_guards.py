@@ -19,21 +19,25 @@ from bcid.comparison import diagnosis_text as words
 from bcid.comparison.adequacy import judge
 from bcid.comparison.buckled_frames import buckled, leave_out
 from bcid.comparison.explain import ExplainOptions, explain
-from bcid.comparison.fit import fit
+from bcid.comparison.fit import columns, coordinates, fit
+from bcid.comparison.hypothesis_search import HypothesisSearch
 from bcid.comparison.predictor import Predictor
+from bcid.comparison.priors import of_state
 from bcid.comparison.ranking import rank
-from bcid.comparison.rivals import contest, fitted_beside
+from bcid.comparison.rivals import GLANCE, Rival, contest, fitted_beside, promoted
 from bcid.comparison.separate import separating_pulls
 from bcid.comparison.state import State
 from bcid.forms import effects
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.simulate import simulate
 from bcid.forms.solver.equilibrium import Settings
+from bcid.inference.criteria import SEEN
 from bcid.inference.mesh_error import MeshError
 from bcid.measurement import Action, Measurement
 from bcid.scene import Level, Scene
 
 ANCHORED = frozenset({"1", "3"})
+HEAVY = frozenset({"3", "4"})
 NOISE = 0.2e-3
 STEPS = 5
 FEW = ("gravity", "fibres", "grasp_slip", "stiffness_gradient", "marker_fault", "soft_anchor", "strain_stiffening")
@@ -59,6 +63,13 @@ def pulls() -> list[Action]:
 @pytest.fixture(scope="module")
 def plain(slab: Scene) -> Measurement:
     return simulate(slab, ANCHORED, pulls(), level=2)
+
+
+@pytest.fixture(scope="module")
+def heavy(slab: Scene) -> Measurement:
+    """Of a slab with a weight, held by two patches."""
+    model = Model.of(slab) + Term(effects.effect("gravity"), {"weight": 800.0})
+    return simulate(slab, HEAVY, pulls(), level=2, model=model)
 
 
 @pytest.fixture(scope="module")
@@ -104,12 +115,51 @@ def test_anchors_and_effects_are_rivals(slab: Scene) -> None:
     predictor = Predictor(slab, measurement, MPI.COMM_SELF, level=1)
     seeming = at(predictor, frozenset({"1", "2", "3", "4"}))
     assert seeming.chi2 < at(predictor, anchored).chi2
-    (rival, *others) = contest(seeming, seeming.model, effects.catalogue(FEW), (), 24, 3)
+    (rival, *others) = contest(seeming, seeming.model, effects.catalogue(FEW), (), 24, 3).rivals
     assert rival.names == ("grasp_slip",)
     assert rival.anchors == anchored
     assert rival.complete
-    assert all(other.log < rival.log - math.log(20.0) for other in others if other.anchors == seeming.anchors)
+    plain = [other for other in others if not other.names]
+    assert plain
+    assert all(other.log < rival.log - math.log(20.0) for other in plain)
     assert rival.term.values["lag"] == pytest.approx(0.6, abs=0.05)
+    predictor.destroy()
+
+
+def test_all_sets_are_seen_from_one_that_was_followed(heavy: Measurement, slab: Scene) -> None:
+    """The true set is six toggles away from that of all patches, and the plain model fits best with another one."""
+    predictor = Predictor(slab, heavy, MPI.COMM_SELF, level=1)
+    thin, _ = predictor.thinned(2, GLANCE)
+    everywhere, model = frozenset(slab.patches), Model.of(slab)
+    state = State.of(thin, model, everywhere, MeshError.unknown(thin.data.mask.shape))
+    found = HypothesisSearch(state, model, (), 8).sets()
+    assert found[0] == HEAVY
+    predictor.destroy()
+
+
+def test_the_error_of_the_mesh_is_that_of_the_numbers_that_fit(heavy: Measurement, slab: Scene) -> None:
+    """Begun at a weight far off, whose error of the mesh is another."""
+    predictor = Predictor(slab, heavy, MPI.COMM_SELF, level=1)
+    base = at(predictor, HEAVY)
+    far = base.model + Term(effects.effect("gravity"), {"weight": 2200.0})
+    begun = Rival.of(fit(State.of(predictor, far, HEAVY), ("gravity.weight",), most=1), base.model, 1)
+    found = promoted(begun, base, base.model)
+    assert found is not None
+    own = predictor.mesh_error(found.fitted.state.model, HEAVY, found.fitted.state.prediction)
+    assert found.fitted.state.errors.mesh.rms == pytest.approx(own.rms, rel=0.1)
+    assert found.fitted.values["gravity.weight"] == pytest.approx(800.0, rel=0.1)
+    predictor.destroy()
+
+
+def test_what_has_saturated_is_seen_by_all_that_it_does(heavy: Measurement, slab: Scene) -> None:
+    """A ball twenty times as stiff as the body: another notable amount shows nothing, and the ball is seen all the same."""
+    predictor = Predictor(slab, heavy, MPI.COMM_SELF, level=1)
+    ball = {"ratio": 21.0, "cx": 0.05, "cy": 0.005, "cz": 0.05, "radius": 0.03}
+    model = Model.of(slab) + Term(effects.effect("inclusion"), ball)
+    state = State.of(predictor, model, HEAVY, free=("inclusion.ratio",))
+    moved = columns(predictor, model, HEAVY, state.prediction, coordinates(model, state.free))
+    assert np.linalg.norm(state.errors.whiten(moved)) * 10 < SEEN
+    assert of_state(state, Model.of(slab)) is not None
     predictor.destroy()
 
 
@@ -154,14 +204,11 @@ def test_a_model_off_its_optimum_is_not_ranked(predictor: Predictor) -> None:
 # ------------------------------------------------------------------------------------------------------------------
 
 
-def test_effects_that_do_the_same_are_not_told_apart(slab: Scene) -> None:
-    weight = Term(effects.effect("gravity"), {"weight": 800.0})
-    model = Model.of(slab) + weight
-    anchored = frozenset({"3", "4"})
-    predictor = Predictor(slab, simulate(slab, anchored, pulls(), level=2, model=model), MPI.COMM_SELF, level=1)
-    other = replace(weight.effect, name="heaviness")
+def test_effects_that_do_the_same_are_not_told_apart(heavy: Measurement, slab: Scene) -> None:
+    predictor = Predictor(slab, heavy, MPI.COMM_SELF, level=1)
+    other = replace(effects.effect("gravity"), name="heaviness")
     both = ("gravity", "heaviness")
-    ranking = rank(at(predictor, anchored), effects.catalogue(both, [other]))
+    ranking = rank(at(predictor, HEAVY), effects.catalogue(both, [other]))
     assert {row.effect: row.confounded_with for row in ranking.rows} == {
         "gravity": ("heaviness",),
         "heaviness": ("gravity",),

@@ -1,0 +1,74 @@
+"""What other sets show, told to first order about one that was followed, against predictions of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from bcid.comparison.predictor import Predictor
+from bcid.forms.model import Model, Term, check_physics
+from bcid.forms.set_tangent import SetTangent
+from bcid.forms.simulate import simulate
+from bcid.forms.solver.equilibrium import Settings
+from bcid.measurement import Action
+from bcid.scene import Level, Scene
+
+ABOUT = frozenset({"3", "4"})
+STEPS = 3
+
+
+@pytest.fixture(scope="module")
+def slab(project: Path) -> Scene:
+    scene = Scene.read(project / "examples" / "scenes" / "slab.toml", physics=check_physics)
+    return replace(scene, levels=(Level(2, 0.05),), noise_sigma=0.2e-3)
+
+
+def pulls(reach: float) -> list[Action]:
+    """Two pulls of so many m."""
+    unturned, steps = np.tile([1.0, 0.0, 0.0, 0.0], (STEPS, 1)), np.arange(STEPS)
+    ways = {"I": (1, 0, 0), "II": (0, 1, 0.5)}
+    return [
+        Action(str(k), k * STEPS + steps, steps, grasp, reach / (STEPS - 1) * steps[:, None] * np.array(way), unturned)
+        for k, (grasp, way) in enumerate(ways.items())
+    ]
+
+
+@pytest.fixture(params=[1e-4, 1e-2], ids=["small", "large"])
+def reach(request: pytest.FixtureRequest) -> float:
+    return float(request.param)
+
+
+@pytest.fixture
+def predictor(slab: Scene, reach: float) -> Iterator[Predictor]:
+    measurement = simulate(slab, ABOUT, pulls(reach), level=0)
+    predictor = Predictor(slab, measurement, MPI.COMM_SELF, settings=Settings(rtol=1e-8))
+    yield predictor
+    predictor.destroy()
+
+
+def about(predictor: Predictor, model: Model) -> SetTangent:
+    return predictor.set_tangent(model, ABOUT, predictor.predict(model, ABOUT, keep=True))
+
+
+@pytest.mark.parametrize("soft", [False, True])
+def test_a_set_moves_the_fiducials_as_its_tangent_says(predictor: Predictor, reach: float, soft: bool) -> None:
+    """Small pulls: up to what polynomial tractions leave out of a reaction; pulls of a tenth of the body: nearly."""
+    model = Model.of(predictor.scene)
+    if soft:
+        model = model + Term("soft_anchor", {"stiffness": 1e6})
+    tangent = about(predictor, model)
+    here = predictor.predict(model, ABOUT).positions
+    for other in ("4", "1 3 4", "2 3 4", "3", "1 4", "3 4 8"):
+        anchors = frozenset(other.split())
+        moved = predictor.predict(model, anchors).positions - here
+        miss = np.sqrt(np.mean((tangent.moved(anchors) - moved) ** 2) / np.mean(moved**2))
+        assert miss < (0.06 if reach < 1e-3 else 0.15), other
+
+
+def test_nothing_moves_with_the_set_that_was_followed(predictor: Predictor) -> None:
+    assert not about(predictor, Model.of(predictor.scene)).moved(ABOUT).any()
