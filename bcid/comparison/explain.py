@@ -141,12 +141,17 @@ class Explanation:
     @property
     def open(self) -> bool:
         """Whether verdict or anchors are not certain."""
-        return min(self.probability, self.held_by) < CERTAIN
+        return min(self.certainty, self.held_by) < CERTAIN
+
+    @property
+    def certainty(self) -> float:
+        """Probability that what the verdict names acts, and perhaps more besides that these data do not show."""
+        return self.probability if self.verdict in ("none", "unknown") else self.odds.acting(self.verdict)
 
     @property
     def ambiguous(self) -> tuple[str, ...]:
         """Other verdicts that have a part in the belief, where none has nearly all of it."""
-        if self.probability >= CERTAIN:
+        if self.certainty >= CERTAIN:
             return ()
         return tuple(name for name, p in self.odds.verdicts.items() if name != self.verdict and p > 1 - CERTAIN)
 

@@ -96,9 +96,9 @@ class State:
         With `anew` also where they are those of these anchors, but of other numbers.
         """
         mesh = self.errors.mesh
-        if not mesh.known or (mesh.about[1] == self.anchors and not anew):
+        if mesh.about[1] == self.anchors and not anew:
             return self
-        found = self.predictor.mesh_error(self.model, self.anchors, self.prediction)
+        found = self.predictor.mesh_error(self.model, self.anchors, self.prediction) if mesh.known else mesh
         mesh = found if found.known else replace(mesh, about=(mesh.about[0], self.anchors))
         return State.of(self.predictor, self.model, self.anchors, mesh, self.free, self.prediction)
 

@@ -87,8 +87,13 @@ class HypothesisOdds:
         return next(h for h in self.probabilities if h.verdict == verdict)
 
     def named(self, effect: str) -> float:
-        """Probability that these effects act, whatever else does."""
+        """Probability that these effects act, and no others of those that are known."""
         return min(1.0, math.fsum(p for h, p in self.probabilities.items() if h.effect == effect))
+
+    def acting(self, effect: str) -> float:
+        """Probability that these effects act, and perhaps others besides."""
+        wanted = set(effect.split("+"))
+        return min(1.0, math.fsum(p for h, p in self.probabilities.items() if wanted <= set(h.effect.split("+"))))
 
     def held_by(self, anchors: Anchored) -> float:
         """Probability of a set."""
