@@ -496,9 +496,9 @@ def _most_left(rivals: Sequence[Rival]) -> Array:
 
 
 def explained(before: Fit, after: Fit) -> float:
-    """Which part of a model's chi-square beyond that of its errors another one explains."""
-    values = len(before.state.predictor.data)
-    return (before.state.chi2 - after.state.chi2) / max(before.state.chi2 - values, 1e-9)
+    """Which part of a model's chi-square beyond that of its errors another one explains; nothing where there is no such part."""
+    excess = before.state.chi2 - len(before.state.predictor.data)
+    return (before.state.chi2 - after.state.chi2) / excess if excess > 0 else 0.0
 
 
 def explains(before: Fit, after: Fit) -> bool:

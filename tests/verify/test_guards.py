@@ -9,6 +9,8 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +20,7 @@ from bcid.base.errors import InputError
 from bcid.comparison import diagnosis_text as words
 from bcid.comparison.adequacy import judge
 from bcid.comparison.buckled_frames import buckled, leave_out
-from bcid.comparison.explain import ExplainOptions, explain
+from bcid.comparison.explain import ExplainOptions, explain, explained, explains
 from bcid.comparison.fit import columns, coordinates, fit
 from bcid.comparison.hypothesis_search import HypothesisSearch
 from bcid.comparison.predictor import Predictor
@@ -185,6 +187,17 @@ def test_the_error_of_the_mesh_is_not_taken_for_physics(predictor: Predictor) ->
     seeing = at(predictor)
     assert judge(seeing).adequate
     assert min(row.p_value for row in rank(seeing, effects.catalogue(FEW)).rows) > 0.01
+
+
+def test_an_effect_has_no_credit_where_errors_explain_all() -> None:
+    """Chi-square may fall by much where it was no larger than errors make it."""
+
+    def fitted(chi2: float) -> Any:
+        return SimpleNamespace(state=SimpleNamespace(chi2=chi2, predictor=SimpleNamespace(data=range(1000))))
+
+    assert explained(fitted(900.0), fitted(500.0)) == 0.0
+    assert not explains(fitted(900.0), fitted(500.0))
+    assert explained(fitted(3000.0), fitted(1100.0)) == pytest.approx(0.95)
 
 
 # -- numbers that are not fitted
