@@ -11,18 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError
-from bcid.base.progress import Steps
 from bcid.base.units import p_value, percent
-from bcid.comparison import anchors as anchor_search
 from bcid.comparison.adequacy import Adequacy, judge
 from bcid.comparison.buckled_frames import leave_out
+from bcid.comparison.first_sets import first_sets
 from bcid.comparison.fit import Fit, held_out
-from bcid.comparison.hypothesis_search import HypothesisSearch
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import Ranking, rank
 from bcid.comparison.rivals import (
-    GLANCE,
-    STEPS,
     UNLIKELY,
     WORTH,
     Contest,
@@ -37,22 +33,14 @@ from bcid.comparison.told_anchors import told_anchors
 from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
-from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.criteria import CERTAIN, NEARLY_ALL
 from bcid.inference.data import Noise, told_noise
-from bcid.inference.followed import NotFollowed
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
-from bcid.inference.mesh_error import MeshError
 from bcid.inference.outcome import label
 from bcid.search.identification import Identification
-from bcid.search.identify import IdentifyOptions, identify
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
-# The coarsest level is climbed from random seeds; so many of the sets that leave least are looked at closely.
-_SEEDS, _STARTS = 2, 8
-# Where no set can be followed in these steps, they are halved so often.
-_HALVINGS = 3
 # So many hypotheses are fitted to all steps, and the best on so many other sets.
 _PROMOTED, _MOVED = 3, 3
 
@@ -211,73 +199,14 @@ class _Loop:
 
     def begun(self) -> State:
         """The model with a likely set, on what was seen before the body buckles with it."""
-        self.step("looking for the likely anchors on a coarse mesh")
-        first = self.followed(self.first_anchors())
+        self.step("looking for the likely anchors in a few steps")
+        first = first_sets(self.predictor, self.model)
         for one in leave_out(self.predictor, self.model, first[0]):
             self.say(str(one))
         if self.predictor.left_out:
-            first = self.followed(self.first_anchors())
+            first = first_sets(self.predictor, self.model)
         self.starts = first
         return State.of(self.predictor, self.model, first[0])
-
-    def followed(self, sets: list[Anchored]) -> list[Anchored]:
-        """Those from the first with which the working level can be followed; where there is none, the best around them."""
-        for number, anchors in enumerate(sets):
-            if not self.predictor.predict(self.model, anchors, keep=True).failure:
-                return sets[number:]
-        nothing = MeshError.unknown(self.predictor.data.mask.shape)
-        return [frozenset(anchor_search.search(self.predictor, self.model, nothing, sets, "no").anchored)]
-
-    def first_anchors(self) -> list[Anchored]:
-        """The likely anchor sets as the model sees them with something unknown besides, the likeliest first."""
-        predictor, _ = self.predictor.thinned(STEPS, GLANCE)
-        for anchors in self.openings():
-            with suppress(SolveError):
-                state = State.of(predictor, self.model, anchors, MeshError.unknown(predictor.data.mask.shape))
-                return HypothesisSearch(state, self.model, (), _STARTS).sets()
-        return self.climbed(_HALVINGS)
-
-    def openings(self) -> list[Anchored]:
-        """Sets to begin with: whatever moves where all patches hold is moved less by any other set.
-
-        Where a patch is near the gripper the body cannot be followed with it: those that are far from where it grips come next.
-        """
-        scene = self.predictor.scene
-        grips = [scene.grasps[action.grasp].centre for action in self.predictor.actions if action.grasp]
-        points = self.predictor.forward(self.model).mesh
-        away = {}
-        for name, region in scene.patches.items():
-            middle = points.points[np.unique(points.select(region, f"patch {name}"))].mean(axis=0)
-            away[name] = min((float(np.linalg.norm(middle - np.array(grip))) for grip in grips), default=0.0)
-        far = sorted(away, key=lambda name: (-away[name], name))
-        counts = dict.fromkeys((len(far), (len(far) + 1) // 2, 1, 0))
-        return [frozenset(far[:count]) for count in counts]
-
-    def climbed(self, halvings: int) -> list[Anchored]:
-        """The likely sets on the coarsest level, with a few steps of each action that may be halved so often."""
-        options = IdentifyOptions(certify="no", seeds=_SEEDS, finest=0)
-        predictor, frames = self.predictor.thinned(STEPS, Settings(rtol=1e-6, halvings=halvings))
-        try:
-            found = identify(
-                predictor.whole,
-                predictor.measurement,
-                predictor.comm,
-                options,
-                self.model,
-                predictor.settings,
-                Steps(predictor.progress),
-            )
-        except NotFollowed as error:
-            raise NotFollowed(str(error), error.remark, self.came_to(frames[error.frames])) from None
-        self.predictor.count("coarse", sum(found.evaluations.values()))
-        return [frozenset(names) for names in [found.anchored, *(a.anchored for a in found.alternatives)]][:_STARTS]
-
-    def came_to(self, frames: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Which of all frames were come to, where these were."""
-        found = np.zeros(len(self.predictor.data.mask), dtype=bool)
-        for action in self.predictor.actions:
-            found[action.frames] = action.frames <= max(np.intersect1d(action.frames, frames), default=-1)
-        return found
 
     def noised(self, base: State) -> State:
         """The state with the noise that its residual has where none is stated, or where that is surprisingly another."""

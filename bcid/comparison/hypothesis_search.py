@@ -151,8 +151,7 @@ class HypothesisSearch:
 
     def sets(self) -> list[Anchored]:
         """Some sets that are likely without effects, the likeliest first."""
-        self.look()
-        self._look_at(self._likely(self.base.anchors))
+        self.around()
         return self.best_sets()
 
     def alone(self) -> list[Promise]:

@@ -1,0 +1,87 @@
+"""Which sets of anchors to begin with: the likely ones as a few steps of each action show them, without knowing what is missing."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.base.errors import SolveError
+from bcid.base.progress import Steps
+from bcid.comparison import anchors as anchor_search
+from bcid.comparison.hypothesis_search import HypothesisSearch
+from bcid.comparison.predictor import Predictor
+from bcid.comparison.rivals import GLANCE, STEPS
+from bcid.comparison.state import State
+from bcid.forms.model import Model
+from bcid.forms.solver.equilibrium import Settings
+from bcid.inference.followed import NotFollowed
+from bcid.inference.mesh_error import MeshError
+from bcid.search.identify import IdentifyOptions, identify
+
+Anchored = frozenset[str]
+# So many of the likeliest sets are looked at.
+_LOOKED_AT = 8
+# Where none of them can be followed the coarsest level is climbed from so many seeds, with steps halved so often.
+_SEEDS, _HALVINGS = 2, 3
+
+
+def first_sets(predictor: Predictor, model: Model) -> list[Anchored]:
+    """Likely sets, the first of which the working level can be followed with; collective.
+
+    Raises:
+        NotFollowed: no set can be followed to the end.
+    """
+    sets = _seen(predictor, model)
+    for number, anchors in enumerate(sets):
+        if not predictor.predict(model, anchors, keep=True).failure:
+            return sets[number:]
+    nothing = MeshError.unknown(predictor.data.mask.shape)
+    return [frozenset(anchor_search.search(predictor, model, nothing, sets, "no").anchored)]
+
+
+def _seen(predictor: Predictor, model: Model) -> list[Anchored]:
+    """The likely sets with something unknown besides, the likeliest first."""
+    thin, _ = predictor.thinned(STEPS, GLANCE)
+    for anchors in _openings(predictor, model):
+        with suppress(SolveError):
+            state = State.of(thin, model, anchors, MeshError.unknown(thin.data.mask.shape))
+            return HypothesisSearch(state, model, (), _LOOKED_AT).sets()
+    return _climbed(predictor, model)
+
+
+def _openings(predictor: Predictor, model: Model) -> list[Anchored]:
+    """Sets whose tangents may be asked about all others: all patches, which hold the body firmly, and fewer and fewer of them.
+
+    Where a patch is near the gripper the body may not be followed with it: those far from where it grips stay longest.
+    """
+    scene, mesh = predictor.scene, predictor.forward(model).mesh
+    grips = [scene.grasps[action.grasp].centre for action in predictor.actions if action.grasp]
+    away = {}
+    for name, region in scene.patches.items():
+        middle = mesh.points[np.unique(mesh.select(region, f"patch {name}"))].mean(axis=0)
+        away[name] = min((float(np.linalg.norm(middle - np.array(grip))) for grip in grips), default=0.0)
+    far = sorted(away, key=lambda name: (-away[name], name))
+    counts = dict.fromkeys((len(far), (len(far) + 1) // 2, 1, 0))
+    return [frozenset(far[:count]) for count in counts]
+
+
+def _climbed(predictor: Predictor, model: Model) -> list[Anchored]:
+    """The likely sets on the coarsest level, with a few steps of each action that may be halved more often."""
+    thin, frames = predictor.thinned(STEPS, Settings(rtol=1e-6, halvings=_HALVINGS))
+    options = IdentifyOptions(certify="no", seeds=_SEEDS, finest=0)
+    try:
+        found = identify(thin.whole, thin.measurement, thin.comm, options, model, thin.settings, Steps(thin.progress))
+    except NotFollowed as error:
+        raise NotFollowed(str(error), error.remark, _came_to(predictor, frames[error.frames])) from None
+    predictor.count("coarse", sum(found.evaluations.values()))
+    return [frozenset(names) for names in [found.anchored, *(a.anchored for a in found.alternatives)]][:_LOOKED_AT]
+
+
+def _came_to(predictor: Predictor, frames: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which of all frames were come to, where these were."""
+    found = np.zeros(len(predictor.data.mask), dtype=bool)
+    for action in predictor.actions:
+        found[action.frames] = action.frames <= max(np.intersect1d(action.frames, frames), default=-1)
+    return found
