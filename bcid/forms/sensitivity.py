@@ -183,7 +183,9 @@ class Sensitivity:
 
     def _change(self, probe: Probe, name: str, time: float) -> Array | float:
         """dR/dtheta at the present state, where the effect acts as it does at a time, s."""
-        term, constants = probe.term, self.weak_form.term_constants(probe.term)
+        term = probe.term
+        self.weak_form.term_constants(term)
+        constants = {key: self.weak_form.constants[term.full(key)] for key in term.values}
         before = {key: float(constant.value) for key, constant in constants.items()}
         for key, value in self._acting(term.effect, term.values, time).items():
             if math.isfinite(value):

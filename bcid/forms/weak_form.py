@@ -11,7 +11,6 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from numpy.typing import NDArray
-from ufl.algorithms import expand_derivatives
 
 from bcid.base import compat
 from bcid.base.errors import InputError, nearest
@@ -92,13 +91,16 @@ class WeakForm:
         anchored: by patch, 1 where an anchor is replaced by what an effect does.
         memories: of the model's effects that have one, by label.
         probed: memories of effects that were asked about and are not part of the model.
-        energies, residuals: forms that add up to the model's: one for the law and one for each effect, so that an effect is
+        energies, works: forms that add up to the model's: one for the law and one for each effect, so that an effect is
             compiled once, whatever it is combined with.
     """
 
     def __init__(self, body: Body, model: Model, scene: Scene, u: Any) -> None:
         self.body, self.model, self.scene, self.u = body, model, scene, u
-        self.constants = {name: fem.Constant(body.domain, float(value)) for name, value in model.constants().items()}
+        self.constants: dict[str, fem.Constant] = {}
+        self._numbers: dict[str, Any] = {}
+        for name, value in model.constants().items():
+            self._number(name, value)
         self.anchored = {name: fem.Constant(body.domain, 0.0) for name in scene.patches}
         self.test = ufl.TestFunction(body.space)
         if body.mixed:
@@ -109,15 +111,23 @@ class WeakForm:
         self.kin = Kinematics.of(self.displacement, model.fibre_axes)
         self.memories: dict[str, Memory] = {}
         self.probed: dict[str, Memory] = {}
-        self.energies = [self.stored(model.terms)]
-        self.residuals = [ufl.derivative(self.energies[0], u, self.test)]
+        self.energies, self.works = [self.stored(model.terms)], []
         for term in model.terms:
             energy, work = self.added(term)
-            if energy is not None:
-                self.energies.append(energy)
-                self.residuals.append(ufl.derivative(energy, u, self.test))
-            if work is not None:
-                self.residuals.append(work)
+            self.energies += [] if energy is None else [energy]
+            self.works += [] if work is None else [work]
+
+    def _number(self, name: str, value: float) -> Any:
+        """A number of the model in UFL: its Constant, as a variable that forms can be differentiated by."""
+        if name not in self.constants:
+            self.constants[name] = fem.Constant(self.body.domain, float(value))
+            self._numbers[name] = ufl.variable(self.constants[name])
+        return self._numbers[name]
+
+    @property
+    def residuals(self) -> list[Any]:
+        """Forms that add up to the residual, that of the law first."""
+        return [*(ufl.derivative(energy, self.u, self.test) for energy in self.energies), *self.works]
 
     @property
     def places(self) -> dict[str, Region]:
@@ -130,11 +140,8 @@ class WeakForm:
         return ufl.Measure("dx", domain=self.body.domain, metadata={"quadrature_degree": degree})
 
     def term_constants(self, term: Term) -> dict[str, Any]:
-        """The Constants of an effect by parameter; made when it is not part of the model."""
-        for name, value in term.values.items():
-            if term.full(name) not in self.constants:
-                self.constants[term.full(name)] = fem.Constant(self.body.domain, float(value))
-        return {name: self.constants[term.full(name)] for name in term.values}
+        """The numbers of an effect by parameter, in UFL; made when it is not part of the model."""
+        return {name: self._number(term.full(name), value) for name, value in term.values.items()}
 
     def memory(self, term: Term) -> Memory:
         """What an effect remembers."""
@@ -175,7 +182,7 @@ class WeakForm:
 
     def law_constants(self, terms: Iterable[Term]) -> dict[str, Any]:
         """The law's constants, some of which effects replace."""
-        constants = {name: self.constants[name] for name in self.model.law.complete(self.model.values)}
+        constants = {name: self._numbers[name] for name in self.model.law.complete(self.model.values)}
         for term in terms:
             if term.effect.constants:
                 constants |= term.effect.constants(self.term_constants(term))
@@ -235,23 +242,22 @@ class WeakForm:
             others = [t for t in self.model.terms if t.effect.changes_law and t.label != term.label]
             stored = self.stored([*others, term])
             energy = stored if energy is None else energy + stored
-        virtual = [] if energy is None else [ufl.derivative(energy, self.u, self.test)]
-        return self._by_number([*virtual, *([] if work is None else [work])], self.term_constants(term)[name])
+        self.term_constants(term)
+        return self._by_number([energy], [work], term.full(name))
 
     def law_derivative(self, name: str) -> Any:
         """Compiled derivative of the residual by a constant of the law; None where the residual does not depend on it."""
-        return self._by_number(self.residuals, self.constants[name])
+        return self._by_number(self.energies, self.works, name)
 
-    @staticmethod
-    def _by_number(residuals: Sequence[Any], constant: Any) -> Any:
-        """The derivative of a sum of forms by a Constant, which UFL takes as that by a variable in its place."""
-        variable = ufl.variable(constant)
-        parts = [
-            expand_derivatives(ufl.diff(ufl.replace(expand_derivatives(residual), {constant: variable}), variable))
-            for residual in residuals
-        ]
-        found = [part for part in parts if not part.empty()]
-        return fem.form(sum(found[1:], start=found[0])) if found else None
+    def _by_number(self, energies: Sequence[Any], works: Sequence[Any], name: str) -> Any:
+        """Of a sum of energies and works. Energies are differentiated by the number first: that leaves the least to UFL."""
+        number, constant = self._numbers[name], self.constants[name]
+        energies, works = (
+            [f for f in forms if f is not None and constant in f.constants()] for forms in (energies, works)
+        )
+        parts = [ufl.derivative(ufl.diff(energy, number), self.u, self.test) for energy in energies]
+        parts += [ufl.diff(work, number) for work in works]
+        return fem.form(sum(parts[1:], start=parts[0])) if parts else None
 
     @cached_property
     def _surfaces(self) -> tuple[Any, list[str]]:

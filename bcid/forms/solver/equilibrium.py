@@ -99,12 +99,14 @@ class Equilibrium:
         body = self.body
         self.weak_form = WeakForm(body, self.model, self.scene, self.u)
         self._constants = self.weak_form.constants
-        tangents = [expand_derivatives(ufl.derivative(residual, self.u)) for residual in self.weak_form.residuals]
+        first, *others = self.weak_form.residuals
+        tangents = [expand_derivatives(ufl.derivative(other, self.u)) for other in others]
         with compat.compiling():
             self.energy_forms = [fem.form(energy) for energy in self.weak_form.energies]
-            self.residual_forms = [fem.form(residual) for residual in self.weak_form.residuals]
+            self.residual_forms = [fem.form(residual) for residual in (first, *others)]
             # A dead load has none.
-            self.tangent_forms = [fem.form(tangent) for tangent in tangents if not tangent.empty()]
+            found = [ufl.derivative(first, self.u), *(tangent for tangent in tangents if not tangent.empty())]
+            self.tangent_forms = [fem.form(tangent) for tangent in found]
             self._jacobian = fem.Expression(self.weak_form.kin.J, _sample_points(body.degree))
 
     @property
