@@ -27,7 +27,7 @@ class Identification:
             were not looked at.
         alternatives: the next best sets, best first.
         classes: the likely sets on the finest level used, in classes that these data cannot tell apart (see
-            `bcid.inference.posterior.classes`); the first holds the reported set.
+            `bcid.search.screening.classes`); the first holds the reported set.
         levels: the levels used.
         stages: what happened on each level, in words.
         prediction: of the reported set on the finest level used.

@@ -18,14 +18,15 @@ from bcid.forms.mesh.patches import divided, first_level
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.followed import NotFollowed
+from bcid.inference.hypotheses import HypothesisOdds, patches
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.outcome import Candidate, Outcome, label
-from bcid.inference.posterior import Posterior, classes, finest, interest, log_likelihood, model_errors
 from bcid.measurement import Measurement
 from bcid.scene import Scene
 from bcid.search.climb import ODDS, climb, neighbours, rank
 from bcid.search.evaluator import Evaluator
 from bcid.search.identification import Alternative, Identification
+from bcid.search.screening import classes, finest, level_errors, log_odds, lost_beyond, screened
 from bcid.search.seeds import above, all_candidates, maxima, perturbed, random_seeds
 from bcid.search.termination import SETTLED, Stop, Termination
 from bcid.search.weighing import Weighing, Weight
@@ -293,8 +294,8 @@ class _Search:
         while best is None or best.candidate != winner.candidate:
             winner = best or winner
             self.complete(winner)
-            error = model_errors(evaluator, winner.candidate, self.levels)[level]
-            bound = interest(winner, evaluator.misfit, ODDS * len(everything), error)
+            error = level_errors(evaluator, winner.candidate, self.levels)[level]
+            bound = lost_beyond(winner, evaluator.misfit, ODDS * len(everything), error)
             rivals = sorted(everything, key=lambda c: (len(c ^ winner.candidate), sorted(c)))
             evaluator.evaluate(level, dict.fromkeys(rivals, bound), rival=winner.candidate, last=True)
             best = self.best(level)
@@ -316,20 +317,20 @@ class _Search:
             for below in range(options.coarsest, level):
                 evaluator.evaluate(below, {best.candidate: math.inf})
             climbed = min(level, options.coarsest + options.climbed - 1)
-            around = interest(evaluator.outcomes[climbed, best.candidate], evaluator.misfit, ODDS)
+            around = lost_beyond(evaluator.outcomes[climbed, best.candidate], evaluator.misfit, ODDS)
             evaluator.evaluate(climbed, dict.fromkeys(neighbours(best.candidate, evaluator.patches), around))
-            errors = model_errors(evaluator, best.candidate, self.levels)
+            errors = level_errors(evaluator, best.candidate, self.levels)
             waiting: dict[int, list[Candidate]] = {}
             for candidate, outcome in finest(evaluator, level).items():
                 reference = evaluator.outcomes.get((outcome.level, best.candidate))
                 if outcome.level < level and reference and (outcome.level + 1, candidate) not in evaluator.outcomes:
-                    likely = log_likelihood(outcome, reference, evaluator.misfit, errors[outcome.level]) > _LEAST
+                    likely = log_odds(outcome, reference, evaluator.misfit, errors[outcome.level]) > _LEAST
                     if likely:
                         waiting.setdefault(outcome.level + 1, []).append(candidate)
             if not waiting and self.best(level).candidate == best.candidate:
                 return
             for target, candidates in sorted(waiting.items()):
-                around = interest(
+                around = lost_beyond(
                     evaluator.outcomes[target, best.candidate], evaluator.misfit, ODDS, errors.get(target, 0.0)
                 )
                 evaluator.evaluate(target, dict.fromkeys(candidates, around))
@@ -351,10 +352,10 @@ class _Search:
         if not near and abs(best[-1].rms - best[-2].rms) >= 0.05 * best[-1].rms:
             return False
         self.complete(best[-1])
-        belief = Posterior.of(
-            self.evaluator, best[-1].candidate, model_errors(self.evaluator, best[-1].candidate, self.levels)
+        belief = screened(
+            self.evaluator, best[-1].candidate, level_errors(self.evaluator, best[-1].candidate, self.levels)
         )
-        return belief.probability[best[-1].candidate] >= _DECIDED
+        return belief.held_by(best[-1].candidate) >= _DECIDED
 
     def complete(self, winner: Outcome) -> None:
         """Evaluate the winner on every level used: the belief compares the others with it."""
@@ -364,7 +365,7 @@ class _Search:
     def result(self, best: list[Outcome], seconds: float) -> Identification:
         evaluator, nearest = self.evaluator, best[-1]
         self.complete(nearest)
-        errors = model_errors(evaluator, nearest.candidate, self.levels)
+        errors = level_errors(evaluator, nearest.candidate, self.levels)
         scales = self.weighing(evaluator, self.levels, nearest.candidate) if self.weighing else None
         try:
             weighed = self.weigh(scales, nearest, errors) if scales else {}
@@ -377,13 +378,13 @@ class _Search:
                 scales.destroy()
         outcome = evaluator.evaluate(nearest.level, {winner: math.inf})[winner]
         self.complete(outcome)
-        belief = Posterior.of(evaluator, nearest.candidate, errors, weighed)
+        belief = screened(evaluator, nearest.candidate, errors, weighed)
         if alike is None:
             alike = classes(evaluator, nearest.level, errors[nearest.level], ODDS)
         return Identification(
             anchored=self.names(winner),
-            probability=belief.probability[winner],
-            patches=belief.patches,
+            probability=belief.held_by(winner),
+            patches=patches(belief.probabilities, evaluator.patches),
             rms=outcome.rms,
             noise=evaluator.misfit.noise,
             discretisation=self.discretisation(errors, nearest, weight),
@@ -417,7 +418,7 @@ class _Search:
 
         def log(outcome: Outcome) -> float:
             best = evaluator.outcomes[outcome.level, nearest.candidate]
-            return log_likelihood(outcome, best, evaluator.misfit, errors[outcome.level])
+            return log_odds(outcome, best, evaluator.misfit, errors[outcome.level])
 
         known = {c: (-log(o), rank(o)) for c, o in finest(evaluator, self.levels[-1]).items()}
         weighed = scales.run(sorted(known, key=lambda c: known[c]), lambda c: neighbours(c, evaluator.patches))
@@ -450,13 +451,13 @@ class _Search:
         counts = self.looked_at(level)
         return not counts["failed"] and not counts["not"]
 
-    def alternatives(self, belief: Posterior, winner: Outcome, count: int = 8) -> tuple[Alternative, ...]:
+    def alternatives(self, belief: HypothesisOdds, winner: Outcome, count: int = 8) -> tuple[Alternative, ...]:
         evaluator = self.evaluator
         others = [o for c, o in finest(evaluator, self.levels[-1]).items() if c != winner.candidate]
         others = [o for o in others if (o.level, winner.candidate) in evaluator.outcomes]
-        likely = sorted(others, key=lambda o: (-belief.probability[o.candidate], rank(o)))
+        likely = sorted(others, key=lambda o: (-belief.held_by(o.candidate), rank(o)))
         return tuple(
-            self.alternative(o, evaluator.outcomes[o.level, winner.candidate], belief.probability[o.candidate])
+            self.alternative(o, evaluator.outcomes[o.level, winner.candidate], belief.held_by(o.candidate))
             for o in likely[:count]
         )
 

@@ -17,12 +17,12 @@ from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.misfit import Misfit
 from bcid.inference.outcome import Candidate, Outcome, label
-from bcid.inference.posterior import gain
 from bcid.measurement import Measurement
 from bcid.scene import Region, Scene
 from bcid.search.evaluator import Evaluator
 from bcid.search.identification import Identification
 from bcid.search.identify import IdentifyOptions, identify
+from bcid.search.screening import gain
 
 # A patch is undecided when its probability is further than this from both 0 and 1.
 _UNDECIDED = 0.02

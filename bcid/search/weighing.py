@@ -19,11 +19,11 @@ from bcid.inference.likelihood import Errors, NuisanceEstimate
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes, Nuisances
 from bcid.inference.outcome import Candidate
-from bcid.inference.posterior import gain
 from bcid.inference.relative import relative
 from bcid.inference.unknown_force import Evidence, courses, unknown_force
 from bcid.search.climb import ODDS
 from bcid.search.evaluator import Evaluator
+from bcid.search.screening import gain
 
 Array = NDArray[np.float64]
 # So many sets are weighed at a time, and at most on the coarsest level and on the finest: where more are likely, little is decided.

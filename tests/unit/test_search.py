@@ -14,12 +14,13 @@ from bcid.forms.simulate import recorded
 from bcid.forms.solver.status import Status
 from bcid.inference.criteria import FAILS_FOR_THE_TRUE
 from bcid.inference.followed import NotFollowed, as_far_as_followed
+from bcid.inference.hypotheses import patches
 from bcid.inference.outcome import Candidate, Outcome, label
-from bcid.inference.posterior import Posterior, classes, finest, interest, log_likelihood, model_errors
 from bcid.measurement import Action, Measurement
 from bcid.search.climb import ODDS, climb, neighbours
 from bcid.search.evaluator import Evaluator
 from bcid.search.identify import IdentifyOptions, _Search
+from bcid.search.screening import classes, finest, level_errors, log_odds, lost_beyond, screened
 from bcid.search.seeds import above, all_candidates, maxima, perturbed, random_seeds
 from bcid.search.termination import Stop, Termination
 
@@ -191,13 +192,14 @@ def test_termination(rules: Termination, since: int, said: str | None) -> None:
 def test_belief_is_a_distribution() -> None:
     evaluator = Landscape(lambda c: VALUES + 4.0 * len(c ^ TRUE) if len(c) < 5 else math.inf)
     evaluator.evaluate(0, dict.fromkeys(all_candidates(PATCHES), math.inf))
-    belief = Posterior.of(evaluator, TRUE, {0: 0.0})  # type: ignore[arg-type]
-    assert math.fsum(belief.probability.values()) == pytest.approx(1.0)
-    whole = belief.probability[frozenset(PATCHES)] / belief.probability[TRUE]
+    belief = screened(evaluator, TRUE, {0: 0.0})  # type: ignore[arg-type]
+    assert math.fsum(belief.probabilities.values()) == pytest.approx(1.0)
+    whole = belief.held_by(frozenset(PATCHES)) / belief.held_by(TRUE)
     assert whole == pytest.approx(FAILS_FOR_THE_TRUE), "nothing is known of it"
-    one = belief.probability[frozenset("2")] / belief.probability[TRUE]
+    one = belief.held_by(frozenset("2")) / belief.held_by(TRUE)
     assert one == pytest.approx(math.exp(-2.0)), "chi-square 4 above is a likelihood ratio of exp(-2)"
-    assert belief.patches["2"] == pytest.approx(sum(p for c, p in belief.probability.items() if "2" in c))
+    with_two = [c for c in all_candidates(PATCHES) if "2" in c]
+    assert patches(belief.probabilities, "2")["2"] == pytest.approx(sum(map(belief.held_by, with_two)))
 
 
 def test_a_coarse_level_is_not_believed_beyond_its_error() -> None:
@@ -206,9 +208,9 @@ def test_a_coarse_level_is_not_believed_beyond_its_error() -> None:
     ratios = []
     for evaluator, error in ((fine, 0.0), (coarse, math.sqrt(99.0))):
         evaluator.evaluate(0, {TRUE: math.inf, frozenset("2"): math.inf})
-        assert model_errors(evaluator, TRUE, [0]) == {0: pytest.approx(error)}  # type: ignore[arg-type]
+        assert level_errors(evaluator, TRUE, [0]) == {0: pytest.approx(error)}  # type: ignore[arg-type]
         pair = evaluator.outcomes[0, frozenset("2")], evaluator.outcomes[0, TRUE]
-        ratios.append(log_likelihood(*pair, evaluator.misfit, error))  # type: ignore[arg-type]
+        ratios.append(log_odds(*pair, evaluator.misfit, error))  # type: ignore[arg-type]
     assert ratios[0] == pytest.approx(-50.0)
     assert ratios[1] == pytest.approx(-10_000 / 2 / (1 + 99 * VALUES / 60))
 
@@ -217,11 +219,11 @@ def test_the_error_of_a_level_comes_from_the_next_and_from_the_residual() -> Non
     evaluator = Landscape(distance, distance, apart=3.0)
     for level in (0, 1):
         evaluator.evaluate(level, {TRUE: math.inf})
-    assert model_errors(evaluator, TRUE, [0, 1]) == {0: 3.0, 1: 1.0}  # type: ignore[arg-type]
+    assert level_errors(evaluator, TRUE, [0, 1]) == {0: 3.0, 1: 1.0}  # type: ignore[arg-type]
     evaluator = Landscape(lambda c: 5 * VALUES, lambda c: 2 * VALUES)
     for level in (0, 1):
         evaluator.evaluate(level, {TRUE: math.inf})
-    assert model_errors(evaluator, TRUE, [0, 1]) == pytest.approx({0: 2.0, 1: 1.0})  # type: ignore[arg-type]
+    assert level_errors(evaluator, TRUE, [0, 1]) == pytest.approx({0: 2.0, 1: 1.0})  # type: ignore[arg-type]
 
 
 def test_an_error_of_the_measured_frame_counts_on_every_level() -> None:
@@ -229,7 +231,7 @@ def test_an_error_of_the_measured_frame_counts_on_every_level() -> None:
     for level in (0, 1):
         evaluator.evaluate(level, {TRUE: math.inf})
     evaluator.misfit.common = 4.0
-    assert model_errors(evaluator, TRUE, [0, 1]) == pytest.approx({0: 5.0, 1: math.sqrt(17.0)})  # type: ignore[arg-type]
+    assert level_errors(evaluator, TRUE, [0, 1]) == pytest.approx({0: 5.0, 1: math.sqrt(17.0)})  # type: ignore[arg-type]
 
 
 def test_a_best_set_that_failed_on_a_coarse_level() -> None:
@@ -238,7 +240,7 @@ def test_a_best_set_that_failed_on_a_coarse_level() -> None:
     assert found.anchored == ("2", "5")
     assert found.probability > 0.9
     evaluator.evaluate(2, {TRUE: math.inf})
-    assert model_errors(evaluator, TRUE, [0, 1, 2]) == {0: 0.0, 1: 3.0, 2: 1.0}  # type: ignore[arg-type]
+    assert level_errors(evaluator, TRUE, [0, 1, 2]) == {0: 0.0, 1: 3.0, 2: 1.0}  # type: ignore[arg-type]
 
 
 def test_a_fit_on_one_level_is_not_enough() -> None:
@@ -344,8 +346,8 @@ def test_sets_that_predict_the_same_are_one_class() -> None:
 def test_where_a_rival_may_stop() -> None:
     evaluator = Landscape(distance)
     best = evaluator.evaluate(0, {TRUE: math.inf})[TRUE]
-    assert interest(best, evaluator.misfit, ODDS) == pytest.approx(VALUES + 2 * math.log(1e6))  # type: ignore[arg-type]
-    coarse = interest(best, evaluator.misfit, ODDS, error=3.0)  # type: ignore[arg-type]
+    assert lost_beyond(best, evaluator.misfit, ODDS) == pytest.approx(VALUES + 2 * math.log(1e6))  # type: ignore[arg-type]
+    coarse = lost_beyond(best, evaluator.misfit, ODDS, error=3.0)  # type: ignore[arg-type]
     assert coarse == pytest.approx(VALUES + 2 * math.log(1e6) * (1 + 9 * VALUES / 60))
 
 

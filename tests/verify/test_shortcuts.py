@@ -20,12 +20,12 @@ from bcid.forms.solver.equilibrium import Equilibrium, Settings
 from bcid.forms.solver.factor import Factor
 from bcid.forms.solver.status import Status
 from bcid.inference.outcome import Candidate
-from bcid.inference.posterior import Posterior, model_errors
 from bcid.scene import Scene
 from bcid.scene.motions import motion
 from bcid.search.evaluator import Evaluator
 from bcid.search.identification import Identification
 from bcid.search.identify import IdentifyOptions, _Search
+from bcid.search.screening import level_errors, screened
 from bcid.search.seeds import all_candidates
 
 PATCHES = ("1", "3", "4", "7")
@@ -65,8 +65,8 @@ def everything(slab: Scene, measurement: Any) -> Iterator[tuple[dict[Candidate, 
         evaluator = Evaluator(slab, measurement, MPI.COMM_SELF, settings=EXACT)
         outcomes = evaluator.evaluate(0, dict.fromkeys(all_candidates(evaluator.patches), math.inf))
         best = min(outcomes, key=lambda c: outcomes[c].chi2)
-        belief = Posterior.of(evaluator, best, model_errors(evaluator, best, [0]))
-    yield {c: o.chi2 for c, o in outcomes.items()}, belief.probability
+        belief = screened(evaluator, best, level_errors(evaluator, best, [0]))
+    yield {c: o.chi2 for c, o in outcomes.items()}, {h.anchors: p for h, p in belief.probabilities.items()}
     evaluator.destroy()
 
 

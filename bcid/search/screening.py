@@ -1,14 +1,17 @@
-"""The probabilistic reading of a search (section 4.1 of the paper): how likely each visited anchor set is, and each patch."""
+"""Screening: which sets have lost before they are weighed, judged as they are followed, frame by frame.
+
+What a set misses more than the best one is held against a variance in which the error of the level's mesh counts as often as a
+trajectory has frames. That takes no sensitivities, and is careful: it keeps sets that weighing then refuses. Section 4.1 of the
+paper.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-
-from scipy.special import softmax
+from collections.abc import Mapping, Sequence
 
 from bcid.inference.criteria import FAILS_FOR_THE_TRUE
+from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
 from bcid.inference.misfit import Misfit
 from bcid.inference.outcome import Candidate, Evaluated, Outcome
 
@@ -18,50 +21,31 @@ _TELLING = 20.0
 _LEAST_GAIN = 0.2
 
 
-@dataclass(frozen=True)
-class Posterior:
-    """Probabilities over the visited anchor sets.
+def screened(
+    evaluated: Evaluated,
+    best: Candidate,
+    errors: Mapping[int, float],
+    weighed: Mapping[Candidate, float] | None = None,
+) -> HypothesisOdds:
+    """What is believed of everything that was evaluated, all sets being as likely before the measurement.
 
-    Each set has the likelihood of its residuals on the finest level on which it was evaluated, relative to the best set
-    on that level (see `log_likelihood`), with equal prior probabilities. A set that could not be followed to the end has that
-    of the frames before.
+    What was weighed has its evidence; other sets are at most as likely as the least likely of those, and compared with the
+    `best`, on the finest level on which each was evaluated (see `log_odds`). A set whose evaluation stopped early has an upper
+    bound.
 
-    Attributes:
-        probability: by set; sums to one. A set whose evaluation stopped early has an upper bound here.
-        patches: probability that each patch is anchored.
+    Args:
+        evaluated: holds the outcomes.
+        best: that fits best; it must be known on every level used.
+        errors: of the model, m, on each of the levels used (see `level_errors`).
+        weighed: logarithms of the evidence of the sets that were weighed.
     """
-
-    probability: dict[Candidate, float]
-    patches: dict[str, float]
-
-    @classmethod
-    def of(
-        cls,
-        evaluated: Evaluated,
-        best: Candidate,
-        errors: Mapping[int, float],
-        weighed: Mapping[Candidate, float] | None = None,
-    ) -> Posterior:
-        """Posterior over everything that was evaluated, around the `best` set, which must be known on every level used.
-
-        Args:
-            evaluated: holds the outcomes.
-            best: that fits best.
-            errors: of the model, m, on each of the levels used (see `model_errors`).
-            weighed: logarithms of the evidence of the sets that were weighed; others are at most as likely as the least of them.
-        """
-        weighed = weighed or {}
-        least = min(weighed.values(), default=0.0)
-        logs = {
-            c: min(log_likelihood(o, evaluated.outcomes[o.level, best], evaluated.misfit, errors[o.level]), least)
-            for c, o in finest(evaluated, max(errors)).items()
-        } | dict(weighed)
-        probability = dict(zip(logs, softmax(list(logs.values())).tolist(), strict=True))
-        return cls(probability, {patch: _marginal(probability.items(), patch) for patch in evaluated.patches})
-
-
-def _marginal(items: Iterable[tuple[Candidate, float]], patch: str) -> float:
-    return min(1.0, math.fsum(p for candidate, p in items if patch in candidate))
+    weighed = weighed or {}
+    least = min(weighed.values(), default=0.0)
+    logs = {
+        c: min(log_odds(o, evaluated.outcomes[o.level, best], evaluated.misfit, errors[o.level]), least)
+        for c, o in finest(evaluated, max(errors)).items()
+    } | dict(weighed)
+    return HypothesisOdds.of({Hypothesis(c): log for c, log in logs.items()})
 
 
 def finest(evaluated: Evaluated, last: int) -> dict[Candidate, Outcome]:
@@ -91,8 +75,8 @@ def spread(best: Outcome, misfit: Misfit, error: float) -> float:
     return 1.0 + (error / misfit.noise) ** 2 * misfit.values / misfit.curves
 
 
-def log_likelihood(outcome: Outcome, best: Outcome, misfit: Misfit, error: float) -> float:
-    """Logarithm of the likelihood of a set against that of the `best` one, both on the same level (see `spread`).
+def log_odds(outcome: Outcome, best: Outcome, misfit: Misfit, error: float) -> float:
+    """Logarithm of the odds of a set against the `best` one, both on the same level (see `spread`).
 
     They are compared on the frames that both could be followed to. That a set cannot be followed further speaks against it by how
     seldom that happens with the true one (`FAILS_FOR_THE_TRUE`), however many frames are missing.
@@ -117,7 +101,7 @@ def classes(evaluated: Evaluated, level: int, error: float, least: float) -> lis
     known = sorted((o for (at, _), o in evaluated.outcomes.items() if at == level and o.complete), key=lambda o: o.chi2)
     found: list[list[Candidate]] = []
     for outcome in known:
-        if log_likelihood(outcome, known[0], evaluated.misfit, error) < -math.log(least):
+        if log_odds(outcome, known[0], evaluated.misfit, error) < -math.log(least):
             continue
         variance = spread(known[0], evaluated.misfit, error) * (evaluated.misfit.noise or 1.0) ** 2
         here = evaluated.positions(level, outcome.candidate)
@@ -138,7 +122,7 @@ def beyond_noise(outcome: Outcome, misfit: Misfit) -> float:
     return math.sqrt(max(outcome.rms**2 - (misfit.noise or math.inf) ** 2, 0.0))
 
 
-def interest(best: Outcome, misfit: Misfit, odds: float, error: float = 0.0) -> float:
+def lost_beyond(best: Outcome, misfit: Misfit, odds: float, error: float = 0.0) -> float:
     """Chi-square beyond which a rival is `odds` times less likely than the `best` set on its level: there it may stop.
 
     `error` (m) is the error of the level's model; at least what the best set's residual has beyond the noise is taken.
@@ -148,7 +132,7 @@ def interest(best: Outcome, misfit: Misfit, odds: float, error: float = 0.0) -> 
     return best.chi2 + 2 * spread(best, misfit, max(error, beyond_noise(best, misfit))) * math.log(odds)
 
 
-def model_errors(evaluated: Evaluated, best: Candidate, levels: Sequence[int]) -> dict[int, float]:
+def level_errors(evaluated: Evaluated, best: Candidate, levels: Sequence[int]) -> dict[int, float]:
     """RMS error of the model on each of the levels, m; collective.
 
     On a coarser level it is how far its prediction of the best set is from the finest level's; on the finest, what
@@ -156,7 +140,7 @@ def model_errors(evaluated: Evaluated, best: Candidate, levels: Sequence[int]) -
     measured frame is added to it. Nowhere is it less than what the best set's residual has beyond the noise.
     """
     last = levels[-1]
-    # Where the model fails for the best set it tells nothing, and `log_likelihood` does not ask.
+    # Where the model fails for the best set it tells nothing, and `log_odds` does not ask.
     solved = [level for level in levels if not evaluated.outcomes[level, best].failed]
     predicted = {level: evaluated.positions(level, best) for level in solved}
     errors = dict.fromkeys(levels, 0.0)
