@@ -17,10 +17,15 @@ from bcid.comparison.where import MissingForce
 from bcid.forms.model import Term
 from bcid.inference import nuisance_text
 from bcid.inference.criteria import CERTAIN, FAR
+from bcid.inference.hypotheses import OTHERS
 from bcid.inference.outcome import label
 
 # Verdicts that are no effects.
-_OTHERS = {"none": "nothing missing", "unknown": "something unknown"}
+_OTHERS = {
+    "none": "nothing missing",
+    "unknown": "something unknown",
+    "others": "known effects that were not looked at together",
+}
 # A hypothesis with a smaller probability is not told.
 _LITTLE = 0.005
 # A force that explains a smaller share of what is beyond noise is none.
@@ -73,9 +78,10 @@ def noise_doubt(found: Explanation) -> str:
 def beliefs(found: Explanation) -> list[str]:
     """Probabilities of verdicts, sets and hypotheses."""
     names = list(found.last.state.predictor.whole.patches)
-    effects = ", ".join(f"{name} {percent(p)}" for name, p in found.odds.verdicts.items() if p > _LITTLE)
+    told = {name if name != OTHERS else _OTHERS[name]: p for name, p in found.odds.verdicts.items() if p > _LITTLE}
+    effects = ", ".join(f"{name} {percent(p)}" for name, p in told.items())
     lines = [f"How probable: {effects}."]
-    likely = [(h, p) for h, p in found.odds.probabilities.items() if p > _LITTLE][:6]
+    likely = [(h, p) for h, p in found.odds.probabilities.items() if p > _LITTLE and h.effect != OTHERS][:6]
     lines += [f"  {h.label(names)}{' and something unknown' if h.unknown else ''}: {percent(p)}" for h, p in likely]
     return lines
 

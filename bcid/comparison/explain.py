@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from bcid.base.errors import SolveError
 from bcid.base.units import p_value, percent
@@ -35,7 +37,7 @@ from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
 from bcid.inference.criteria import CERTAIN, NEARLY_ALL
 from bcid.inference.data import Noise, told_noise
-from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
+from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, moderated, with_others
 from bcid.inference.outcome import label
 from bcid.search.identification import Identification
 
@@ -181,9 +183,10 @@ class _Loop:
         self.own: list[Rival] = []
         self.full: list[Rival] = []
         self.thin: list[Rival] = []
-        # Logarithms of evidence and of prior odds: of other sets as the tangent of the best shows them in all steps, and of effects
-        # that were not worth a fit.
-        self.shown: dict[Hypothesis, tuple[float, float]] = {}
+        # Logarithms of the odds of other sets against that of a rival, as its tangent shows them in all steps.
+        self.about: Rival | None = None
+        self.shown: dict[Anchored, float] = {}
+        # Logarithms of evidence and of prior odds of effects that were not worth a fit.
         self.promised: dict[Hypothesis, tuple[float, float]] = {}
 
     # -- the loop
@@ -271,6 +274,8 @@ class _Loop:
         self.full = best_first(rival.allowing(left, self.model) for rival in self.own)
         full = {(r.names, r.anchors): r for r in self.full}
         fitted = [(rough, full[fine.names, fine.anchors]) for rough, fine in fitted]
+        # An effect that all steps could not show has no place among the others.
+        fitted = [pair for pair in fitted if all(math.isfinite(rival.log) for rival in pair)]
         if fitted:
             # What was compared on a few steps keeps its distance from what was compared on both, with the same effects or none.
             alone = next((pair for pair in fitted if pair[1].names == own), fitted[0])
@@ -287,7 +292,7 @@ class _Loop:
     def elsewhere(self, rivals: Sequence[Rival], base: State) -> list[Rival]:
         """The best of some hypotheses on other sets, fitted where its tangent in all steps shows them to be as likely.
 
-        What it shows of the others is kept.
+        What it shows of the others is kept, less what it showed too much of those.
         """
         found: list[Rival] = []
         if not rivals:
@@ -295,6 +300,7 @@ class _Loop:
         best = rivals[0]
         tried = {r.anchors for r in rivals if r.names == best.names}
         shown = shown_about(best, self.model)
+        misses: list[float] = []
         for _ in range(_MOVED):
             near = [s for s in shown if s not in tried and shown[s] > shown[best.anchors] - WORTH]
             if not near:
@@ -309,12 +315,11 @@ class _Loop:
             self.say(
                 f"  {again.fitted.state.model.name}, anchors {self.name(anchors)}: {again.fitted.state.rms * 1e3:.3g} mm"
             )
+            misses.append(again.log - best.log - (shown[anchors] - shown[best.anchors]))
             if again.log > best.log:
                 best, shown = again, shown_about(again, self.model)
-        for anchors, log in shown.items():
-            moved = best.shifted(log - shown[best.anchors])
-            for hypothesis, (evidence, prior) in moved.weights.items():
-                self.shown[replace(hypothesis, anchors=anchors)] = evidence, prior
+        self.about = best
+        self.shown = {s: moderated(log - shown[best.anchors], misses) for s, log in shown.items() if s != best.anchors}
         return found
 
     @property
@@ -326,12 +331,32 @@ class _Loop:
         """
         state = self.full[0].fitted.state
         power = state.noise**2 / (state.noise**2 + state.errors.mesh.rms**2)
-        logs: dict[Hypothesis, float] = {}
-        weights = [rival.weights for rival in self.full]
-        weights += [self.shown, *(rival.weights for rival in self.thin), self.promised]
-        for hypothesis, (log, prior) in (item for some in weights for item in some.items()):
-            logs.setdefault(hypothesis, power * log + prior)
-        return HypothesisOdds.of(logs)
+        logs = _logs([rival.weights for rival in self.full], power)
+        others = self.unfitted(logs, power)
+        for hypothesis, log in _logs([*(rival.weights for rival in self.thin), self.promised], power).items():
+            others.setdefault(hypothesis, log)
+        for hypothesis, log in others.items():
+            logs.setdefault(hypothesis, log)
+        return HypothesisOdds.of(with_others(logs))
+
+    def unfitted(self, fitted: dict[Hypothesis, float], power: float) -> dict[Hypothesis, float]:
+        """Logarithms of the odds of the sets that were not fitted to all steps.
+
+        What acts with them is believed to be what acts with those that were.
+        """
+        if self.about is None:
+            return {}
+        here = logsumexp([log for h, log in fitted.items() if h.anchors == self.about.anchors])
+        acting: dict[tuple[str, bool], list[float]] = {}
+        for h, log in fitted.items():
+            acting.setdefault((h.effect, h.unknown), []).append(log)
+        shares = {what: float(logsumexp(logs)) for what, logs in acting.items()}
+        whole = logsumexp(list(shares.values()))
+        return {
+            Hypothesis(anchors, *what): float(here + power * log + share - whole)
+            for anchors, log in self.shown.items()
+            for what, share in shares.items()
+        }
 
     def deeper(self) -> bool:
         """Look for a further effect beside the likeliest model; whether there was one to look beside."""
@@ -413,6 +438,14 @@ class _Loop:
 
     def name(self, anchors: Anchored) -> str:
         return label(anchors, self.predictor.scene.patches)
+
+
+def _logs(weights: Iterable[Mapping[Hypothesis, tuple[float, float]]], power: float) -> dict[Hypothesis, float]:
+    """Logarithms of odds from evidence, of which a power counts, and prior; of a hypothesis that comes twice the first."""
+    found: dict[Hypothesis, float] = {}
+    for hypothesis, (evidence, prior) in (item for some in weights for item in some.items()):
+        found.setdefault(hypothesis, power * evidence + prior)
+    return found
 
 
 def _most_left(rivals: Sequence[Rival]) -> Array:

@@ -25,6 +25,8 @@ _FTOL = 1e-4
 _STEP = 1e-2
 # A number is not identified when its standard error exceeds this many of its scales.
 _LOOSE = 3.0
+# The widest that is believed of an amount, in notable ones: what data tell from no larger one is taken for no larger than that.
+WIDEST = 10.0
 # Variance of a number of which nothing is seen.
 _UNKNOWN = 1e200
 
@@ -234,6 +236,9 @@ def _differences(
 def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL) -> Fit:
     """Fit numbers of a model to the data; collective.
 
+    Amounts are those of the maximum of the posterior with the widest prior, a standard deviation of `WIDEST` notable ones about
+    none: it moves only what the data hardly tell, such as the stiffness of a contact that is already as good as rigid.
+
     Args:
         start: where to begin; its covariance of errors is kept but for nuisances that are fitted.
         names: full names of the numbers.
@@ -257,10 +262,12 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL)
     if problem.prediction(inside)[1].failure:
         raise SolveError(f"{start.model.name}: {problem.prediction(inside)[1].failure}")
     # In units of their scales: the optimiser takes a step of 1e-6 for none, and a compliance may be smaller than that.
+    amounts, neutral = _amounts(start.model, chosen)
+    pull = np.eye(len(chosen))[amounts] / WIDEST
     result = least_squares(
-        lambda z: problem.residual(z * scale),
+        lambda z: np.append(problem.residual(z * scale), pull @ (z - neutral)),
         inside / scale,
-        jac=lambda z: problem.jacobian(z * scale) * scale,
+        jac=lambda z: np.vstack([problem.jacobian(z * scale) * scale, pull]),
         bounds=(lower / scale, upper / scale),
         xtol=_XTOL,
         ftol=ftol,
@@ -270,12 +277,19 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL)
     x = result.x * scale
     model, prediction = problem.prediction(x)
     state = replace(start, model=model, prediction=prediction, free=tuple(names))
-    jacobian = np.asarray(result.jac) / scale
+    jacobian = np.asarray(result.jac)[: len(start.predictor.data)] / scale
     covariance, loose = _covariance(jacobian, scale)
     warnings = _warnings(chosen, x, lower, upper, scale, loose)
     if result.status == 0:
         warnings.append(f"the fit did not settle within {most} predictions")
     return Fit(state, tuple(chosen), covariance, jacobian, tuple(warnings), problem.evaluations)
+
+
+def _amounts(model: Model, chosen: Sequence[Coordinate]) -> tuple[NDArray[np.bool_], Array]:
+    """Which numbers say how much there is of an effect, and all numbers where it has no influence, in their scales; each (p,)."""
+    neutral = [None if c.parameter.reciprocal else model.neutral(c.parameter) for c in chosen]
+    amounts = np.array([c.parameter.neutral is not None for c in chosen], dtype=bool)
+    return amounts, np.array([(value or 0.0) / c.scale for value, c in zip(neutral, chosen, strict=True)])
 
 
 def _covariance(jacobian: Array, scale: Array) -> tuple[Array, list[bool]]:

@@ -19,6 +19,7 @@ from bcid.base.errors import SolveError
 from bcid.comparison.priors import of_state
 from bcid.comparison.ranking import Ranking, Row, rank
 from bcid.comparison.state import State
+from bcid.comparison.yielding import Yielding, gives, yielding
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
 from bcid.inference.criteria import SEEN
@@ -36,6 +37,8 @@ _FEW = 10
 _CURVED, _BENT = 0.1, 0.5
 # The sensitivities to effects are computed for so many sets at most.
 _RANKED = 5
+# So many of the sets that fit best when they give are looked at; of many patches all sets are too many.
+_GIVING, _ALL = 2, 8
 _NOTHING = Evidence(-math.inf, -math.inf, 0.0)
 
 
@@ -133,6 +136,7 @@ class HypothesisSearch:
         self.looks: dict[Anchored, Look | None] = {}
         self._shown: dict[Anchored, dict[Anchored, float]] = {}
         self._ranked: set[Anchored] = set()
+        self._giving: dict[tuple[str, Anchored], Row] = {}
         self._patches = list(base.predictor.scene.patches)
 
     def run(self, starts: Iterable[Anchored] = ()) -> list[Promise]:
@@ -147,6 +151,7 @@ class HypothesisSearch:
         top = self.promises()[0].anchors
         if top != self.best_sets()[0] and self._look_at(self._likely(top)):
             self._rank_sets()
+        self._give(self.best_sets()[0])
         return self.promises()
 
     def sets(self) -> list[Anchored]:
@@ -158,6 +163,7 @@ class HypothesisSearch:
         """The set that was begun with, and effects."""
         self.look()
         self._rank(self.base.anchors)
+        self._give(self.base.anchors)
         return self.promises()
 
     def around(self) -> list[Promise]:
@@ -176,7 +182,10 @@ class HypothesisSearch:
             plain, forced = look.evidence.plain, look.evidence.forced
             alone = np.logaddexp(plain + log_prior(count, False), forced + log_prior(count, True))
             found.append(Promise(look, None, float(alone)))
-            for row in look.ranking.rows if look.ranking else ():
+            rows = [
+                self._giving.get((r.effect, look.state.anchors), r) for r in (look.ranking.rows if look.ranking else ())
+            ]
+            for row in rows:
                 found.append(Promise(look, row, plain + row.gain, log_prior(count + 1, False, len(self.known))))
         return sorted(found, key=lambda p: (-p.log, len(p.anchors), sorted(p.anchors), p.row.effect if p.row else ""))
 
@@ -267,6 +276,32 @@ class HypothesisSearch:
             if fresh is None:
                 break
             self._rank(fresh)
+
+    def _give(self, about: Anchored) -> None:
+        """Look at the sets that fit best when anchors give, as the tangent of one shows them, however soft they are."""
+        look = self.looks[about]
+        for effect in (e for e in self.known if gives(e)):
+            if look is None or not look.ranking or effect.name in look.ranking.excluded:
+                continue
+            near = _all_sets(about, self._patches, False)
+            every = _all_sets(about, self._patches, len(self._patches) <= _ALL)
+            parts = [s for s in near if len(s ^ about) <= 2 and self._acts(s)]
+            found = yielding(look.state, effect, [s for s in every if self._acts(s)], parts)
+            best = {one.anchors: one for one in reversed(found)}
+            for anchors in list(dict.fromkeys([about, *(one.anchors for one in found)]))[: _GIVING + 1]:
+                self._look(anchors)
+                if anchors in best and self.looks[anchors] is not None:
+                    self._rank(anchors, look.ranking if anchors not in self._ranked else None)
+                    self._giving[effect.name, anchors] = self._row(look, best[anchors])
+
+    def _row(self, about: Look, found: Yielding) -> Row:
+        """What it would explain that a set gives, as the tangent of another one shows it."""
+        look, effect = self.looks[found.anchors], found.term.effect.name
+        assert look is not None
+        assert look.ranking is not None
+        row = next(r for r in look.ranking.rows if r.effect == effect)
+        gain = about.evidence.plain + found.gain - look.evidence.plain
+        return replace(row, term=found.term, score=look.state.chi2 - found.chi2, explained=found.moved, gain=gain)
 
     def _rank(self, anchors: Anchored, like: Ranking | None = None) -> Ranking | None:
         """What a set lacks, with its own sensitivities or those of another."""

@@ -117,6 +117,7 @@ class Predictor:
         self._tangents: dict[tuple[int, str], SetTangents] = {}
         self._meshes: dict[int, BodyMesh] = {}
         self._thinned: dict[tuple[bytes, Settings], Predictor] = {}
+        self._about: tuple[Model, SetTangent] | None = None
         self._nuisances: Nuisances | None = None
         self._weights: Array | None = None
 
@@ -139,7 +140,8 @@ class Predictor:
         other = copy(self)
         other.look_at(measurement)
         other.actions = measurement.actions
-        other._steps, other._predictions, other._thinned = sum(len(a) for a in other.actions), [], {}
+        other._steps = sum(len(a) for a in other.actions)
+        other._predictions, other._thinned, other._about = [], {}, None
         return other
 
     def thinned(self, steps: int, settings: Settings) -> tuple[Predictor, NDArray[np.int64]]:
@@ -161,7 +163,7 @@ class Predictor:
         if key not in self._thinned:
             other = copy(self)
             other.thin, other.settings = True, settings
-            other._predictions, other._thinned = [], {}
+            other._predictions, other._thinned, other._about = [], {}, None
             self._thinned[key] = other
         other = self._thinned[key]
         other.noise = self.noise
@@ -364,8 +366,14 @@ class Predictor:
     def set_tangent(self, model: Model, anchors: Iterable[str], prediction: MeasurementPrediction) -> SetTangent:
         """What every set shows to first order about one whose prediction kept its states, the same on every rank; collective.
 
-        In all frames that are seen, or where everything is smooth in a few steps of each action.
+        In all frames that are seen, or where everything is smooth in a few steps of each action. The last is kept.
         """
+        known, model = self._about, mechanical(model)
+        if known is None or known[0] != model or known[1].anchors != frozenset(anchors):
+            known = self._about = model, self._set_tangent(model, anchors, prediction)
+        return known[1]
+
+    def _set_tangent(self, model: Model, anchors: Iterable[str], prediction: MeasurementPrediction) -> SetTangent:
         forward = self.forward(model)
         key = self.level, forward.model.name
         if key not in self._tangents:
@@ -385,7 +393,8 @@ class Predictor:
         for found in self.comm.allgather(mine):
             steps |= found
         shape = self.data.mask.shape
-        return SetTangent(frozenset(anchors), self._tangents[key].tractions, steps, shape)
+        tangents = self._tangents[key]
+        return SetTangent(frozenset(anchors), tangents.tractions, steps, shape, tangents.areas)
 
     def moves(
         self,
@@ -393,10 +402,14 @@ class Predictor:
         anchors: Iterable[str],
         prediction: MeasurementPrediction,
         sets: Sequence[frozenset[str]],
+        soft: Sequence[Mapping[str, float]] = (),
     ) -> list[Array]:
-        """By how much the fiducials are elsewhere with other sets, to first order, each (frames, fiducials, 3), m; collective."""
+        """By how much the fiducials are elsewhere with other sets, to first order, each (frames, fiducials, 3), m; collective.
+
+        `soft` has for each set the compliance of patches that give, m/Pa.
+        """
         tangent = self.set_tangent(model, anchors, prediction)
-        moved = [tangent.moved(other) for other in sets]
+        moved = [tangent.moved(*case) for case in zip(sets, soft or [{}] * len(sets), strict=True)]
         for one, known in product(moved, self._known(model) or ()):
             known.fill(one)
         return moved

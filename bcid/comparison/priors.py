@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.comparison.fit import Coordinate, columns, coordinates
+from bcid.comparison.fit import WIDEST, Coordinate, columns, coordinates
 from bcid.comparison.state import State
 from bcid.forms.model import Model, Term
 from bcid.inference.criteria import SEEN
@@ -16,7 +16,7 @@ from bcid.inference.evidence import Numbers
 
 Array = NDArray[np.float64]
 # Standard deviations of an amount, in notable ones: from a tenth of one to ten, all equally likely, which makes heavy tails.
-_AMOUNTS: Array = np.geomspace(0.1, 10.0, 7, dtype=float)
+_AMOUNTS: Array = np.geomspace(0.1, WIDEST, 7, dtype=float)
 # Where a single one is needed it is this.
 _TYPICAL = 2.0
 # A time constant or a radius lies within so many times the values that are tried, in either direction.

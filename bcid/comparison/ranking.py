@@ -21,7 +21,7 @@ from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Term
 from bcid.inference.criteria import SEEN
-from bcid.inference.evidence import ANY, log_gains
+from bcid.inference.evidence import LARGER, log_gains
 
 Array = NDArray[np.float64]
 # What two explanations leave different must exceed this (chi-square) for them to be told apart.
@@ -255,7 +255,7 @@ def _gains(state: State, variants: Sequence[Variant], stacked: Array, residual: 
     columns = stacked.reshape(len(stacked), len(variants), len(amounts))
     scale = np.array([c.scale for c in amounts])
     shown = np.sqrt(np.mean(np.sum((columns * scale) ** 2, axis=0), axis=1))
-    factors = None if state.predictor.data.stated else ANY
+    factors = None if state.predictor.data.stated else LARGER
     found = np.full(len(variants), -np.inf)
     # Variants that show as much of their amounts are judged together.
     counts = np.array([len(visible(float(one), least)) for one in shown])

@@ -303,6 +303,11 @@ def promoted(
             # Its numbers will be others, and the error of the mesh with them.
             mesh = rival.fitted.state.errors.mesh
         found = fit(State.of(full.predictor, model, anchors, mesh), free, most=8)
+        if anchors != rival.anchors:
+            there = Rival.of(found, begun, rival.known, least)
+            if there.log < rival.log - _FAR:
+                # It has lost whatever the error of the mesh is with it.
+                return there
         for _ in range(_REMESHED):
             if anchors == rival.anchors and not _elsewhere(found, model):
                 break

@@ -13,7 +13,7 @@ without du, and only differences to the set that was followed are told.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 
@@ -61,22 +61,27 @@ class SetTangent:
         tractions: numbers of the tractions of each patch.
         steps: what is known in each frame that was reached and has a change.
         shape: (frames, fiducials, 3).
+        areas: movement that goes with unit tractions on a bed of springs of unit stiffness, shape (tractions, tractions).
     """
 
     anchors: frozenset[str]
     tractions: dict[str, NDArray[np.int64]]
     steps: dict[int, StepTangent]
     shape: tuple[int, ...]
+    areas: Array
 
-    def moved(self, anchors: Iterable[str]) -> Array:
-        """By how much the fiducials are elsewhere with another set, shape (frames, fiducials, 3), m."""
+    def moved(self, anchors: Iterable[str], soft: Mapping[str, float] | None = None) -> Array:
+        """By how much the fiducials are elsewhere with another set, shape (frames, fiducials, 3), m.
+
+        `soft` has the compliance of anchored patches that springs hold instead of a rigid anchor, m/Pa.
+        """
         result = np.zeros(self.shape)
-        result[list(self.steps)] = self._held(anchors) - self._here
+        result[list(self.steps)] = self._held(anchors, soft or {}) - self._here
         return result
 
     @cached_property
     def _here(self) -> Array:
-        return self._held(self.anchors)
+        return self._held(self.anchors, {})
 
     @cached_property
     def _stacked(self) -> StepTangent:
@@ -84,13 +89,17 @@ class SetTangent:
         parts = [[getattr(step, f.name) for step in self.steps.values()] for f in fields(StepTangent)]
         return StepTangent(*(np.array(part) for part in parts))
 
-    def _held(self, anchors: Iterable[str]) -> Array:
+    def _held(self, anchors: Iterable[str], soft: Mapping[str, float]) -> Array:
         """Movement of the fiducials where these patches hold, (steps, fiducials, 3), m."""
         chosen = np.concatenate([np.zeros(0, np.int64), *(self.tractions[patch] for patch in sorted(anchors))])
         steps = self._stacked
         moved = steps.freed
         if len(chosen) and len(self.steps):
             matrix = steps.compliance[:, chosen[:, None], chosen]
+            for patch, compliance in soft.items():
+                inside = np.flatnonzero(np.isin(chosen, self.tractions[patch]))
+                own = chosen[inside]
+                matrix[:, inside[:, None], inside] += compliance * self.areas[own[:, None], own]
             scale = 1 / np.sqrt(np.maximum(np.abs(np.diagonal(matrix, axis1=1, axis2=2)), 1e-300))
             scaled = scale[:, :, None] * matrix * scale[:, None, :] + _ALIKE * np.eye(len(chosen))
             right = (scale * steps.apart[:, chosen])[..., None]
@@ -107,6 +116,7 @@ class SetTangents:
 
     Attributes:
         tractions: numbers of the tractions of each patch.
+        areas: see `SetTangent`.
     """
 
     def __init__(self, forward: Forward) -> None:
@@ -121,6 +131,9 @@ class SetTangents:
             for (name, (shapes, _)), end in zip(parts.items(), ends, strict=True)
         }
         self._shapes, self._columns = (self._of_unknowns(columns) for columns in zip(*parts.values(), strict=True))
+        self.areas = np.zeros((len(self._shapes.T),) * 2)
+        for numbers in self.tractions.values():
+            self.areas[np.ix_(numbers, numbers)] = self._shapes[:, numbers].T @ self._columns[:, numbers]
 
     def _of_unknowns(self, parts: Sequence[Array]) -> Array:
         """Columns of displacement components, side by side, as columns of unknowns."""
@@ -210,8 +223,8 @@ class SetTangents:
             equilibrium.tangent.assemble()
             equilibrium.weak_form.anchored[name].value = 0.0
             own = self.tractions[name]
-            shapes, columns = self._shapes[:, own], self._columns[:, own]
+            shapes = self._shapes[:, own]
             springs = shapes.T @ (equilibrium.tangent.times(shapes) - free[:, own])
-            area = shapes.T @ columns
+            area = self.areas[np.ix_(own, own)]
             found[np.ix_(own, own)] = area @ np.linalg.pinv(springs, hermitian=True) @ area
         return found

@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr, logsumexp
 
 Array = NDArray[np.float64]
-# Where no noise is stated all errors are known but for a common factor: it may be any of these. Where what is missing is no force
-# errors are larger than stated, by any of those.
-ANY: Array = np.geomspace(0.7, 20.0, 30, dtype=float)
+# Errors may be larger than they are taken for by any of these factors, all equally likely: where no noise is stated, and where
+# what is missing is no force.
 LARGER: Array = np.geomspace(1.0, 20.0, 30, dtype=float)
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from scipy.special import softmax
 
 from bcid.inference.outcome import label
@@ -14,6 +15,9 @@ Anchored = frozenset[str]
 # Before the data are looked at, so many of the known effects are expected to act, each as likely as the others; and something that
 # is not known with this probability.
 EXPECTED, UNKNOWN = 0.7, 0.15
+# Known effects that act together and that no search came upon look like something unknown: they are told as `OTHERS`. So often that
+# happens by the blind bench (2 of 40 cases).
+MISSED, OTHERS = 0.05, "others"
 
 
 @dataclass(frozen=True)
@@ -31,7 +35,7 @@ class Hypothesis:
 
     @property
     def verdict(self) -> str:
-        """As it is told: the effect, "none" or "unknown"."""
+        """As it is told: the effect, "none", "unknown", or "others": known effects that were not looked at together."""
         return "unknown" if self.unknown else self.effect or "none"
 
     def label(self, names: Iterable[str]) -> str:
@@ -55,6 +59,16 @@ def normalised(logs: Mapping[Hypothesis, float]) -> dict[Hypothesis, float]:
         return {}
     shares = softmax(list(logs.values())).tolist()
     return dict(sorted(zip(logs, shares, strict=True), key=lambda item: (-item[1], item[0].order)))
+
+
+def with_others(logs: Mapping[Hypothesis, float]) -> dict[Hypothesis, float]:
+    """The same with what a search did not come upon: as likely as that something unknown acts, but for the prior odds of both."""
+    found = dict(logs)
+    for h, log in logs.items():
+        if h.unknown:
+            other = Hypothesis(h.anchors, OTHERS)
+            found[other] = float(np.logaddexp(found.get(other, -math.inf), log + math.log(MISSED / UNKNOWN)))
+    return found
 
 
 @dataclass(frozen=True)
@@ -98,6 +112,19 @@ class HypothesisOdds:
     def held_by(self, anchors: Anchored) -> float:
         """Probability of a set."""
         return min(1.0, math.fsum(p for h, p in self.probabilities.items() if h.anchors == anchors))
+
+
+def moderated(apart: float, misses: Sequence[float]) -> float:
+    """Logarithm of the odds of a set against another as a tangent shows it, where that has missed others by so much.
+
+    It is taken to show too much, or too little, of this one by as much as of those on average, and by an unknown amount that varies
+    as theirs does; the odds are then nearer to even (MacKay, Neural Computation 4, 1992, 720: moderated outputs).
+    """
+    if not misses:
+        return apart
+    mean = float(np.mean(misses))
+    variance = float(np.var(misses, ddof=1)) if len(misses) > 1 else mean**2
+    return (apart + mean) / math.sqrt(1 + math.pi / 8 * variance)
 
 
 def entropy(probabilities: Iterable[float]) -> float:

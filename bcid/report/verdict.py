@@ -11,7 +11,11 @@ from bcid.report.found import Found
 from bcid.report.text import amount, chance, listed, model_name, patches, plain
 
 # Verdicts that are no effects.
-_OTHERS = {"none": "nothing missing", "unknown": "something unknown"}
+_OTHERS = {
+    "none": "nothing missing",
+    "unknown": "something unknown",
+    "others": "known effects that were not looked at together",
+}
 # Of a run that does not say itself whether the set explains the measurement: a residual of so many times the noise does not.
 _EXPLAINED = 2.0
 

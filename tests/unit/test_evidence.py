@@ -12,8 +12,19 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
 from bcid.inference.data import Data, Noise, told_noise
-from bcid.inference.evidence import ANY, Force, Numbers, likeliest_size, log_evidence, log_gains
-from bcid.inference.hypotheses import EXPECTED, UNKNOWN, Hypothesis, HypothesisOdds, log_prior, patches
+from bcid.inference.evidence import LARGER, Force, Numbers, likeliest_size, log_evidence, log_gains
+from bcid.inference.hypotheses import (
+    EXPECTED,
+    MISSED,
+    OTHERS,
+    UNKNOWN,
+    Hypothesis,
+    HypothesisOdds,
+    log_prior,
+    moderated,
+    patches,
+    with_others,
+)
 
 Array = NDArray[np.float64]
 COUNT = 60
@@ -89,11 +100,13 @@ def test_many_variants_at_once() -> None:
 def test_errors_that_are_known_but_for_a_factor() -> None:
     none = Numbers.none(COUNT)
     for factor in (1.0, 5.0):
-        values = [multivariate_normal(cov=one**2 * np.eye(COUNT)).logpdf(factor * RESIDUAL) + CONSTANT for one in ANY]
-        found = log_evidence(factor * RESIDUAL, none, factors=ANY)
+        values = [
+            multivariate_normal(cov=one**2 * np.eye(COUNT)).logpdf(factor * RESIDUAL) + CONSTANT for one in LARGER
+        ]
+        found = log_evidence(factor * RESIDUAL, none, factors=LARGER)
         assert found == pytest.approx(logsumexp(values) - math.log(len(values)))
     # Errors five times as large as stated are no surprise then, and a great one else.
-    assert log_evidence(5 * RESIDUAL, none, factors=ANY) > log_evidence(5 * RESIDUAL, none) + 100
+    assert log_evidence(5 * RESIDUAL, none, factors=LARGER) > log_evidence(5 * RESIDUAL, none) + 100
 
 
 @pytest.mark.parametrize("larger", [1 / 3, 3.0])
@@ -130,6 +143,30 @@ def test_what_is_believed_is_told_by_verdict_and_by_patch() -> None:
     assert odds.named("gravity") == pytest.approx(0.6)
     assert odds.held_by(b) == pytest.approx(0.45)
     assert patches(odds.probabilities, "123") == pytest.approx({"1": 1.0, "2": 0.55, "3": 0.45})
+
+
+def test_what_was_not_looked_at_shares_the_odds_of_something_unknown() -> None:
+    a, b = frozenset("12"), frozenset("13")
+    logs = {
+        Hypothesis(a): 0.0,
+        Hypothesis(a, "", True): 1.0,
+        Hypothesis(a, "gravity", True): 2.0,
+        Hypothesis(b, "", True): 3.0,
+    }
+    found = with_others(logs)
+    assert {h: log for h, log in found.items() if h.effect != OTHERS} == logs
+    share = math.log(MISSED / UNKNOWN)
+    assert found[Hypothesis(a, OTHERS)] == pytest.approx(np.logaddexp(1.0, 2.0) + share)
+    assert found[Hypothesis(b, OTHERS)] == pytest.approx(3.0 + share)
+    verdicts = HypothesisOdds.of(found).verdicts
+    assert verdicts[OTHERS] / verdicts["unknown"] == pytest.approx(MISSED / UNKNOWN)
+
+
+def test_what_a_tangent_tells_counts_by_how_far_it_missed() -> None:
+    assert moderated(-4.0, []) == -4.0
+    assert moderated(-4.0, [-10.0, -10.0, -10.0]) == pytest.approx(-14.0)
+    assert -0.2 < moderated(-4.0, [-100.0, 95.0, -10.0]) < 0.0
+    assert moderated(-4.0, [-10.0]) == pytest.approx(-14.0 / math.sqrt(1 + math.pi / 8 * 100))
 
 
 # -- the noise of a residual

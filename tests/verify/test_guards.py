@@ -271,6 +271,29 @@ def test_a_stress_that_comes_and_goes_is_named(slab: Scene) -> None:
     predictor.destroy()
 
 
+def test_anchors_that_give_are_named_with_their_set(slab: Scene) -> None:
+    """So soft that the sensitivity to a compliance from none says nothing of them, and a wrong rigid set fits best."""
+    true = frozenset("13")
+    model = Model.of(slab) + Term("soft_anchor", {"stiffness": 2e5})
+    predictor = Predictor(slab, simulate(slab, true, pulls(), level=2, model=model), MPI.COMM_SELF, level=1)
+    found = explain(predictor, ExplainOptions(level=1, only=FEW))
+    assert (found.verdict, found.last.state.anchors) == ("soft_anchor", true)
+    assert found.last.fitted.values["soft_anchor.stiffness"] == pytest.approx(2e5, rel=0.2)
+    predictor.destroy()
+
+
+def test_an_amount_that_cannot_be_told_from_a_smaller_one_stays_near_none(slab: Scene) -> None:
+    """A foundation that is as good as rigid: any larger stiffness does the same, and a fit must not run away with it."""
+    scene = replace(slab, support="3")
+    stiff = [Model.of(scene) + Term("foundation", {"stiffness": k}, place="sheared") for k in (1e9, 1e6)]
+    measured = simulate(scene, {"1"}, pulls(), level=1, model=stiff[0])
+    predictor = Predictor(scene, measured, MPI.COMM_SELF, level=1)
+    start = State.of(predictor, stiff[1], frozenset("1"), MeshError.unknown(predictor.data.mask.shape))
+    found = fit(start, ("foundation(sheared).stiffness",), most=20)
+    assert found.values["foundation(sheared).stiffness"] < 3e6
+    predictor.destroy()
+
+
 def test_a_noise_that_is_stated_as_half_is_told(slab: Scene, plain: Measurement) -> None:
     predictor = Predictor(slab, replace(plain, noise_sigma=NOISE / 2), MPI.COMM_SELF, level=1)
     found = explain(predictor, ExplainOptions(level=1, only=FEW))

@@ -70,5 +70,25 @@ def test_a_set_moves_the_fiducials_as_its_tangent_says(predictor: Predictor, rea
         assert miss < (0.06 if reach < 1e-3 else 0.15), other
 
 
+def test_a_set_that_gives_moves_the_fiducials_as_a_rigid_one_tells(predictor: Predictor, reach: float) -> None:
+    """From a rigid set to springs, however soft, on another."""
+    tangent, here = (
+        about(predictor, Model.of(predictor.scene)),
+        predictor.predict(Model.of(predictor.scene), ABOUT).positions,
+    )
+    for stiffness in (5e4, 5e5, 5e6):
+        soft = Model.of(predictor.scene) + Term("soft_anchor", {"stiffness": stiffness})
+        for anchors in (ABOUT, frozenset("134")):
+            moved = predictor.predict(soft, anchors).positions - here
+            told = tangent.moved(anchors, dict.fromkeys(anchors, 1 / stiffness))
+            miss = np.sqrt(np.mean((told - moved) ** 2) / np.mean(moved**2))
+            assert miss < (0.08 if reach < 1e-3 else 0.2), (stiffness, anchors)
+
+
+def test_no_compliance_is_a_rigid_anchor(predictor: Predictor) -> None:
+    tangent = about(predictor, Model.of(predictor.scene))
+    assert tangent.moved(frozenset("134"), {"1": 0.0}) == pytest.approx(tangent.moved(frozenset("134")), abs=1e-15)
+
+
 def test_nothing_moves_with_the_set_that_was_followed(predictor: Predictor) -> None:
     assert not about(predictor, Model.of(predictor.scene)).moved(ABOUT).any()
