@@ -231,7 +231,7 @@ class LadderModel:
         anchored: names of the anchored patches.
         rms: RMS residual per coordinate, m.
         held_out_rms: the same where each action is predicted from the others, m, or None.
-        adequate: whether noise and error of the mesh explain what is left.
+        adequate: whether noise and error of the mesh explain what is left; None where that cannot be told: no noise is stated.
         p_value: of that.
     """
 
@@ -239,7 +239,7 @@ class LadderModel:
     anchored: tuple[str, ...]
     rms: float
     held_out_rms: float | None
-    adequate: bool
+    adequate: bool | None
     p_value: float
 
 
@@ -254,9 +254,9 @@ class DiagnosisResult(Result):
         return str(self.found["verdict"])
 
     @property
-    def adequate(self) -> bool:
-        """Whether noise and error of the mesh explain what the last model leaves."""
-        return bool(self.found["adequate"])
+    def adequate(self) -> bool | None:
+        """Whether noise and error of the mesh explain what the last model leaves; None where no noise is stated to tell that by."""
+        return self.found["adequate"]
 
     @property
     def anchored(self) -> tuple[str, ...]:
@@ -291,7 +291,7 @@ class DiagnosisResult(Result):
                 tuple(m["anchored"]),
                 float(m["rms"]) * self._length,
                 self._metres(m["held_out_rms"]),
-                bool(m["adequate"]),
+                m["adequate"],
                 float(m["p_value"]),
             )
             for m in self.found["ladder"]
@@ -308,7 +308,7 @@ class DiagnosisResult(Result):
         if self.command == "explain":
             return super().headline
         last = self.ladder[-1]
-        word = "adequate" if last.adequate else "not adequate"
+        word = {True: "adequate", False: "not adequate", None: "nothing speaks against it"}[last.adequate]
         misses = f"misses by {last.rms * 1e3:.3g} mm (noise {self.noise * 1e3:.3g})"
         return f"{last.model}, anchors {_set(last.anchored)}: {misses}, {word}"
 

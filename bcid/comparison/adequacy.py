@@ -14,6 +14,8 @@ from bcid.inference.criteria import SURPRISE
 Array = NDArray[np.float64]
 # Share of adequate models that may be called inadequate.
 FALSE_ALARMS = 0.05
+# What is said of a model that nothing speaks against where no noise is stated.
+UNTOLD = "nothing speaks against it"
 # The test that finds a frame from which on nothing fits.
 BREAKING = "from a frame on"
 
@@ -43,11 +45,23 @@ class Adequacy:
         adequate: whether the residual is what noise and mesh leave.
         p_value: of the verdict; below `FALSE_ALARMS` the model is not adequate.
         findings: the single tests.
+        stated: whether the noise is stated, and not only estimated from the residual that is judged.
     """
 
     adequate: bool
     p_value: float
     findings: tuple[Finding, ...]
+    stated: bool = True
+
+    @property
+    def told(self) -> bool | None:
+        """Whether the model is adequate; None where that cannot be told: the noise was estimated from what is judged by it."""
+        return None if self.adequate and not self.stated else self.adequate
+
+    @property
+    def word(self) -> str:
+        """The same in words."""
+        return {True: "adequate", False: "not adequate", None: UNTOLD}[self.told]
 
 
 def judge(state: State) -> Adequacy:
@@ -58,7 +72,7 @@ def judge(state: State) -> Adequacy:
     findings += [Finding("left out", 1.0, text) for text in state.predictor.left_out]
     deciding = [f.p_value for f in findings if f.decides]
     p = min(1.0, len(deciding) * min(deciding))
-    return Adequacy(p >= FALSE_ALARMS, p, tuple(findings))
+    return Adequacy(p >= FALSE_ALARMS, p, tuple(findings), state.predictor.data.stated)
 
 
 def _size(state: State) -> Finding:

@@ -54,7 +54,7 @@ def warning(rung: Rung) -> list[str]:
     if not state.predictor.data.stated:
         lines.append(
             f"WARNING: no noise is known: {1e3 * state.noise:.3g} mm is only estimated from the measurement itself, "
-            "and whether a model is adequate rests on that. State noise_sigma."
+            "so that no model can be called adequate. State noise_sigma."
         )
     if state.rms > FAR * state.noise and not rung.adequacy.adequate:
         lines.append(
@@ -91,9 +91,10 @@ def verdict(state: State, adequacy: Adequacy, unit: float, name: str) -> list[st
     mesh = state.errors.mesh
     known = f"{mesh.rms / unit:.2g} {name}" if mesh.known else "not known"
     stated = "stated" if state.predictor.data.stated else "estimated from the measurement"
-    word = "ADEQUATE" if adequacy.adequate else "NOT ADEQUATE"
+    is_so = "is " if adequacy.told is not None else ""
+    untold = "" if is_so else "; whether it is adequate cannot be told without a stated noise"
     lines = [
-        f"{state.model.name} with anchors {anchors(state)} is {word} ({p_value(adequacy.p_value)}).",
+        f"{state.model.name} with anchors {anchors(state)} {is_so}{adequacy.word.upper()} ({p_value(adequacy.p_value)}{untold}).",
         f"  It misses the measurement by {state.rms / unit:.3g} {name} per coordinate (RMS), {state.rough / unit:.3g} of it like "
         f"noise; noise {state.noise / unit:.3g} {name} ({stated}), error of the mesh {known}.",
         *(f"  {line}" for line in nuisance_text.allowed(state.told)),
@@ -190,7 +191,7 @@ def ladder(rungs: Sequence[Rung], unit: float, name: str) -> list[str]:
         apart = (
             "" if rung.held_out is None else f", actions predicted from the others {rung.held_out / unit:.3g} {name}"
         )
-        word = "adequate" if rung.adequacy.adequate else "not adequate"
+        word = rung.adequacy.word
         noise = f"noise {rung.state.noise / unit:.3g}"
         lines.append(f"  {rung.state.model.name:44s} {rung.state.rms / unit:.3g} {name} ({noise}{apart}): {word}")
     return lines

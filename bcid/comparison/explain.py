@@ -422,7 +422,7 @@ class _Loop:
 
     def rung(self, rival: Rival) -> Rung:
         state, adequacy = rival.fitted.state, judge(rival.fitted.state)
-        verdict = "adequate" if adequacy.adequate else f"not adequate ({p_value(adequacy.p_value)})"
+        verdict = f"{adequacy.word} ({p_value(adequacy.p_value)})" if adequacy.told is False else adequacy.word
         self.say(
             f"{state.model.name}, anchors {self.name(state.anchors)}: residual {state.rms * 1e3:.3g} mm, "
             f"noise {state.noise * 1e3:.3g} mm, mesh {state.errors.mesh.rms * 1e3:.2g} mm: {verdict}"

@@ -114,7 +114,7 @@ def diagnosis_json(done: Diagnosis, unit: float) -> dict[str, Any]:
             named = judge(first.fitted.state).adequate or explains(last.fitted, first.fitted)
             verdict = first.effect if named else "unknown"
     return (beliefs(found, order) if found is not None else {}) | {
-        "adequate": last.adequacy.adequate,
+        "adequate": last.adequacy.told,
         "p_value": last.adequacy.p_value,
         "false_alarm_rate": FALSE_ALARMS,
         "rms": state.rms / unit,
@@ -152,7 +152,7 @@ def diagnosis_json(done: Diagnosis, unit: float) -> dict[str, Any]:
                 "anchored": sorted(rung.state.anchors, key=order.index),
                 "rms": rung.state.rms / unit,
                 "held_out_rms": None if rung.held_out is None else rung.held_out / unit,
-                "adequate": rung.adequacy.adequate,
+                "adequate": rung.adequacy.told,
                 "p_value": rung.adequacy.p_value,
             }
             for rung in done.rungs

@@ -131,7 +131,7 @@ def where_figure(found: dict[str, Any], where: dict[str, Any], body: xr.Dataset,
         images.append(arrows_picture(*view, to_mm * starts, scale * forces, _SIZE, texts))
         titles.append(_said_of(action, places, parts[action]))
     figure = _panels(images, titles)
-    first = found["ladder"][0 if found["adequate"] else -1]
+    first = found["ladder"][-1 if found["adequate"] is False else 0]
     if not shown:
         head(
             figure,

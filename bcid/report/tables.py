@@ -76,7 +76,7 @@ def ladder_table(d: dict[str, Any]) -> Table:
     rows, exact = [], []
     for rung in d["ladder"]:
         names = " ".join(rung["anchored"]) or "none"
-        adequate = "yes" if rung["adequate"] else "no"
+        adequate = {True: "yes", False: "no", None: "not known"}[rung["adequate"]]
         numbers = [_number(rung["rms"]), _number(rung["held_out_rms"]), significance(rung["p_value"])]
         rows.append([model_name(rung["model"]), names, *numbers, adequate])
         exact.append([rung["model"], names, rung["rms"], rung["held_out_rms"], rung["p_value"], adequate])

@@ -41,7 +41,7 @@ def conclusion(found: dict[str, Any]) -> str:
     if found["verdict"] == "unknown":
         return "none of the known effects explains it" if found["ranking"] else "the model is not adequate"
     if found["verdict"] == "none":
-        return "the plain model is adequate"
+        return "nothing is seen to be missing" if found["adequate"] is None else "the plain model is adequate"
     effects = " and ".join(plain(name) for name in found["verdict"].split("+"))
     return f"adequate with {effects}" if found["adequate"] else f"missing: {effects}"
 

@@ -67,9 +67,13 @@ def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
     first, last = ladder[0], ladder[-1]
     left = f"{last['rms']:.3g} {unit}, where the noise is {noise:.3g} {unit}"
     if d["verdict"] == "none":
-        word = "adequate" if d["adequate"] else "not quite adequate, though nothing is seen to be missing"
+        word = {
+            True: "is adequate",
+            False: "is not quite adequate, though nothing is seen to be missing",
+            None: "has nothing against it",
+        }[d["adequate"]]
         sentence = (
-            f"{held}, and the {model_name(last['model'])} model is {word}: it misses the measurement by {left} and the scene may "
+            f"{held}, and the {model_name(last['model'])} model {word}: it misses the measurement by {left} and the scene may "
             "be slightly wrong."
         )
     elif d["verdict"] == "unknown" and d["ranking"]:
@@ -103,7 +107,7 @@ def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
     if not d.get("noise_stated", True):
         doubts.insert(
             0,
-            "No noise is stated: it was estimated from the measurement itself, and whether a model is adequate rests on that.",
+            "No noise is stated: it was estimated from the measurement itself, so that no model can be called adequate.",
         )
     if d.get("noise_doubt"):
         doubts.insert(0, f"{d['noise_doubt'][0].upper()}{d['noise_doubt'][1:]}.")

@@ -145,6 +145,7 @@ def test_what_is_odd_and_an_unknown_noise_stand_in_the_report(tmp_path: Path) ->
     ("more", "sentence"),
     [
         ({"verdict": "none", "ladder": [runs.rung("neo_hooke", 0.2, True)]}, "the neo-Hookean model is adequate"),
+        ({"verdict": "none", "adequate": None}, "the neo-Hookean + gravity model has nothing against it"),
         ({"verdict": "unknown"}, "None of the known effects explains this measurement"),
         ({"verdict": "unknown", "ranking": []}, "model is not adequate: it misses the measurement by 0.21 mm"),
         (

@@ -312,6 +312,7 @@ def test_without_a_noise_nothing_is_certain_of_what_is_not_there(slab: Scene) ->
     found = explain(predictor, ExplainOptions(level=1, only=FEW))
     assert found.last.state.anchors == ANCHORED
     assert found.verdict == "none" or found.probability < 0.95
+    assert found.last.adequacy.told is not True, "by a noise that was estimated from it nothing is adequate"
     assert words.noise_doubt(found) == ""
     predictor.destroy()
 
