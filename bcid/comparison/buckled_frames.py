@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.comparison.predictor import MeasurementPrediction, Predictor
+from bcid.comparison.kept_predictions import MeasurementPrediction
+from bcid.comparison.predictor import Predictor
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model
 from bcid.forms.solver.buckling import APART, NEAR_BUCKLING, smallest_eigenvalue, stable_state

@@ -14,6 +14,7 @@ from bcid.comparison.adequacy import judge
 from bcid.comparison.buckled_frames import leave_out
 from bcid.comparison.explain import ExplainOptions, Explanation, Rung, explain
 from bcid.comparison.fit import Fit, fit, held_out
+from bcid.comparison.mesh_ladder import mesh_error
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import rank
 from bcid.comparison.rivals import fitted_beside, refit
@@ -120,7 +121,7 @@ def refitted(
         state = _added(state, one)
     names = numbers_to_fit(state.model, source, free, fixed)
     again = fit(state, names)
-    mesh = predictor.mesh_error(again.state.model, again.state.anchors, again.state.prediction)
+    mesh = mesh_error(predictor, again.state.model, again.state.anchors, again.state.prediction)
     again = fit(State.of(predictor, again.state.model, again.state.anchors, mesh, names, again.state.prediction), names)
     rungs.append(Rung(again, judge(again.state), held_out(again)))
     return Diagnosis(tuple(rungs), missing_force(again.state))

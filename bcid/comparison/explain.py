@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from bcid.base.errors import SolveError
 from bcid.base.units import p_value, percent
 from bcid.comparison.adequacy import Adequacy, judge
 from bcid.comparison.buckled_frames import leave_out
+from bcid.comparison.compared import Compared
 from bcid.comparison.first_sets import first_sets
 from bcid.comparison.fit import Fit, held_out
 from bcid.comparison.predictor import Predictor
@@ -37,7 +36,7 @@ from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
 from bcid.inference.criteria import CERTAIN, NEARLY_ALL
 from bcid.inference.data import Noise, told_noise
-from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, moderated, with_others
+from bcid.inference.hypotheses import HypothesisOdds, moderated
 from bcid.inference.outcome import label
 from bcid.search.identification import Identification
 
@@ -178,16 +177,7 @@ class _Loop:
     def __init__(self, predictor: Predictor, options: ExplainOptions, model: Model, known: list[Effect]) -> None:
         self.predictor, self.options, self.model, self.known = predictor, options, model, known
         self.starts: list[Anchored] = []
-        # Hypotheses compared with all steps, each with the error of the mesh as its own ladder has it, and all with the same; and
-        # those compared with a few: the logarithms of these are relative to those.
-        self.own: list[Rival] = []
-        self.full: list[Rival] = []
-        self.thin: list[Rival] = []
-        # Logarithms of the odds of other sets against that of a rival, as its tangent shows them in all steps.
-        self.about: Rival | None = None
-        self.shown: dict[Anchored, float] = {}
-        # Logarithms of evidence and of prior odds of effects that were not worth a fit.
-        self.promised: dict[Hypothesis, tuple[float, float]] = {}
+        self.compared = Compared()
 
     # -- the loop
     # --------------------------------------------------------------------------------------------------------------
@@ -198,7 +188,7 @@ class _Loop:
         self.stage(base, self.options.sets)
         while self.deeper():
             pass
-        return self.explanation(self.best(), time.perf_counter() - start)
+        return self.explanation(self.compared.best(), time.perf_counter() - start)
 
     def begun(self) -> State:
         """The model with a likely set, on what was seen before the body buckles with it."""
@@ -254,10 +244,10 @@ class _Loop:
             first_alone = rival.names == own and not any(r.names == rival.names for r in chosen)
             if near or first_alone:
                 chosen.append(rival)
-        fitted: list[tuple[Rival, Rival]] = []
+        compared, fitted = self.compared, list[tuple[Rival, Rival]]()
         for number, rival in enumerate(chosen):
             self.step("hypotheses fitted to all steps", number, len(chosen))
-            known = next((r for r in self.own if (r.names, r.anchors) == (rival.names, rival.anchors)), None)
+            known = compared.like(rival)
             again = known or promoted(rival, base, self.model)
             if again is None:
                 continue
@@ -265,29 +255,13 @@ class _Loop:
             state = again.fitted.state
             if known is None:
                 self.say(f"  {state.model.name}, anchors {self.name(again.anchors)}: {state.rms * 1e3:.3g} mm")
-        if not any(rival.names == own for rival in (*self.own, *(again for _, again in fitted))):
+        rivals = [*compared.own, *(again for _, again in fitted)]
+        if not any(rival.names == own for rival in rivals):
             # Whatever else cannot be followed: the model that was begun with was.
-            self.own.append(Rival.of(Fit.at(base), self.model, len(self.known)))
-        new = self.elsewhere(best_first([*self.own, *(again for _, again in fitted)]), base)
-        self.own = best_first({(r.names, r.anchors): r for r in (*self.own, *new, *(r for _, r in fitted))}.values())
-        left = _most_left([r for r in self.own if r.log > self.own[0].log - UNLIKELY])
-        self.full = best_first(rival.allowing(left, self.model) for rival in self.own)
-        full = {(r.names, r.anchors): r for r in self.full}
-        fitted = [(rough, full[fine.names, fine.anchors]) for rough, fine in fitted]
-        # An effect that all steps could not show has no place among the others.
-        fitted = [pair for pair in fitted if all(math.isfinite(rival.log) for rival in pair)]
-        if fitted:
-            # What was compared on a few steps keeps its distance from what was compared on both, with the same effects or none.
-            alone = next((pair for pair in fitted if pair[1].names == own), fitted[0])
-            alike = {fine.names: (rough, fine) for rough, fine in reversed(fitted)}
-            done = {id(rough) for rough, _ in fitted}
-            for rival in found:
-                if id(rival) not in done:
-                    rough, fine = alike.get(rival.names, alone)
-                    self.thin.append(rival.shifted(fine.log - rough.log))
-            shift = alone[1].log - alone[0].log
-            self.promised |= {h: (log + shift, prior) for h, (log, prior) in contest.promised.items()}
-        self.predictor.drop([self.model, *(rival.fitted.state.model for rival in self.full)])
+            rivals.append(Rival.of(Fit.at(base), self.model, len(self.known)))
+        compared.add([*rivals, *self.elsewhere(best_first(rivals), base)], self.model)
+        compared.add_roughly(contest, [rough for rough, _ in fitted], own)
+        self.predictor.drop([self.model, *(rival.fitted.state.model for rival in self.compared.full)])
 
     def elsewhere(self, rivals: Sequence[Rival], base: State) -> list[Rival]:
         """The best of some hypotheses on other sets, fitted where its tangent in all steps shows them to be as likely.
@@ -318,69 +292,29 @@ class _Loop:
             misses.append(again.log - best.log - (shown[anchors] - shown[best.anchors]))
             if again.log > best.log:
                 best, shown = again, shown_about(again, self.model)
-        self.about = best
-        self.shown = {s: moderated(log - shown[best.anchors], misses) for s, log in shown.items() if s != best.anchors}
-        return found
-
-    @property
-    def odds(self) -> HypothesisOdds:
-        """What is believed of all hypotheses.
-
-        The error of the mesh has a shape that is guessed. Where it is not small beside the noise, a power of the
-        likelihood counts (the coarsened posterior of Miller & Dunson, J. Am. Stat. Assoc. 114, 2019), the noise's part of both.
-        """
-        state = self.full[0].fitted.state
-        power = state.noise**2 / (state.noise**2 + state.errors.mesh.rms**2)
-        logs = _logs([rival.weights for rival in self.full], power)
-        others = self.unfitted(logs, power)
-        for hypothesis, log in _logs([*(rival.weights for rival in self.thin), self.promised], power).items():
-            others.setdefault(hypothesis, log)
-        for hypothesis, log in others.items():
-            logs.setdefault(hypothesis, log)
-        return HypothesisOdds.of(with_others(logs))
-
-    def unfitted(self, fitted: dict[Hypothesis, float], power: float) -> dict[Hypothesis, float]:
-        """Logarithms of the odds of the sets that were not fitted to all steps.
-
-        What acts with them is believed to be what acts with those that were.
-        """
-        if self.about is None:
-            return {}
-        here = logsumexp([log for h, log in fitted.items() if h.anchors == self.about.anchors])
-        acting: dict[tuple[str, bool], list[float]] = {}
-        for h, log in fitted.items():
-            acting.setdefault((h.effect, h.unknown), []).append(log)
-        shares = {what: float(logsumexp(logs)) for what, logs in acting.items()}
-        whole = logsumexp(list(shares.values()))
-        return {
-            Hypothesis(anchors, *what): float(here + power * log + share - whole)
-            for anchors, log in self.shown.items()
-            for what, share in shares.items()
+        self.compared.about = best
+        self.compared.shown = {
+            s: moderated(log - shown[best.anchors], misses) for s, log in shown.items() if s != best.anchors
         }
+        return found
 
     def deeper(self) -> bool:
         """Look for a further effect beside the likeliest model; whether there was one to look beside."""
-        depth = max(len(rival.names) for rival in self.full)
-        best = next(rival for rival in self.full if len(rival.names) == depth)
-        if not best.names or best is not self.full[0] or depth >= self.options.effects:
+        depth = max(len(rival.names) for rival in self.compared.full)
+        best = next(rival for rival in self.compared.full if len(rival.names) == depth)
+        if not best.names or best is not self.compared.full[0] or depth >= self.options.effects:
             return False
         self.stage(best.fitted.state, 1)
-        return max(len(rival.names) for rival in self.full) > depth
-
-    def best(self) -> Rival:
-        """The likeliest of the hypotheses that were compared with all steps."""
-        full = {h: p for h, p in self.odds.probabilities.items() if any(h in r.logs for r in self.full)}
-        told = HypothesisOdds(full).best
-        return next(r for r in self.full if told in r.logs)
+        return max(len(rival.names) for rival in self.compared.full) > depth
 
     # -- the answer
     # --------------------------------------------------------------------------------------------------------------
 
     def explanation(self, best: Rival, seconds: float) -> Explanation:
-        plain = next(r for r in self.full if not r.names)
+        plain = next(r for r in self.compared.full if not r.names)
         rungs = [self.rung(plain)]
         if best.names and best.anchors != plain.anchors:
-            same = next((r for r in self.full if not r.names and r.anchors == best.anchors), None)
+            same = next((r for r in self.compared.full if not r.names and r.anchors == best.anchors), None)
             same = same or promoted(
                 replace(plain, fitted=Fit.at(replace(plain.fitted.state, anchors=best.anchors))),
                 plain.fitted.state,
@@ -392,21 +326,21 @@ class _Loop:
         )
         rungs[-1] = asked
         if len(best.names) > 1:
-            first = next((r for r in self.full if r.names == best.names[:1]), None)
+            first = next((r for r in self.compared.full if r.names == best.names[:1]), None)
             rungs += [self.rung(first)] if first else []
         if best.names:
             rungs.append(self.rung(best))
-        unknown = self.odds.best.unknown
+        unknown = self.compared.odds.best.unknown
         if unknown and not (best.names and explains(rungs[0].fitted, rungs[-1].fitted)):
             verdict = "unknown"
         else:
             verdict = "+".join(best.names) or "none"
         found = Explanation(
             verdict,
-            self.odds,
+            self.compared.odds,
             tuple(rungs),
-            told_anchors(best_first([*self.full, *self.thin]), self.odds, best, seconds),
-            tuple(self.full),
+            told_anchors(best_first([*self.compared.full, *self.compared.thin]), self.compared.odds, best, seconds),
+            tuple(self.compared.full),
             self.predictor.noise,
             dict(self.predictor.trajectories),
             seconds,
@@ -418,7 +352,7 @@ class _Loop:
 
     def singles(self) -> list[Rival]:
         """The hypotheses with one effect, the likeliest first."""
-        return best_first(r for r in [*self.full, *self.thin] if len(r.names) == 1)
+        return best_first(r for r in [*self.compared.full, *self.compared.thin] if len(r.names) == 1)
 
     def rung(self, rival: Rival) -> Rung:
         state, adequacy = rival.fitted.state, judge(rival.fitted.state)
@@ -438,23 +372,6 @@ class _Loop:
 
     def name(self, anchors: Anchored) -> str:
         return label(anchors, self.predictor.scene.patches)
-
-
-def _logs(weights: Iterable[Mapping[Hypothesis, tuple[float, float]]], power: float) -> dict[Hypothesis, float]:
-    """Logarithms of odds from evidence, of which a power counts, and prior; of a hypothesis that comes twice the first."""
-    found: dict[Hypothesis, float] = {}
-    for hypothesis, (evidence, prior) in (item for some in weights for item in some.items()):
-        found.setdefault(hypothesis, power * evidence + prior)
-    return found
-
-
-def _most_left(rivals: Sequence[Rival]) -> Array:
-    """What may be left of the error of the mesh where it is largest, (frames, fiducials, 3), m.
-
-    Hypotheses are compared with that: what an unknown force does on a mesh is no more exact than what a known one does, and none
-    gains by being seen more exactly.
-    """
-    return max((rival.fitted.state.errors.mesh for rival in rivals), key=lambda mesh: mesh.rms).left
 
 
 def explained(before: Fit, after: Fit) -> float:

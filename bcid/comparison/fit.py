@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from bcid.base.errors import InputError, SolveError, nearest
-from bcid.comparison.predictor import MeasurementPrediction, Predictor
+from bcid.comparison.kept_predictions import MeasurementPrediction
+from bcid.comparison.predictor import Predictor
 from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.forms.parameter import Parameter

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from bcid.base.collective import Comm, agree, in_turns
 from bcid.base.errors import BcidError, InputError
 from bcid.base.progress import Progress, Silent
+from bcid.comparison.kept_predictions import KeptPredictions, MeasurementPrediction, PredictionKey
 from bcid.comparison.knots import Knots, spread
+from bcid.comparison.levels import affordable, pair
 from bcid.forms.force_bumps import BUMPS, bumps
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.mesh import BodyMesh, level_mesh
@@ -23,41 +25,11 @@ from bcid.forms.sensitivity import Sensitivities, Sensitivity, Wanted
 from bcid.forms.set_tangent import SetTangent, SetTangents, StepTangent
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.data import Data, Noise
-from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes, Nuisances
 from bcid.measurement import Action, Measurement
-from bcid.scene import Level, Scene
+from bcid.scene import Scene
 
 Array = NDArray[np.float64]
-# Elements twice as small leave a quarter of the error.
-_ORDER = 2
-_LEAST_GAIN = 0.5
-_AFFORDABLE = 40_000
-# A prediction begins at the states of another one that differs by so many patches.
-_NEAR = 2
-# The working mesh has elements so many times as large as those of the fine one.
-_COARSER = 3.0
-# A distance of positions need not be known as well as they themselves.
-_FINE_RTOL = 3e-5
-# Between steps in which the fine level is followed its distance is bent by no more than this part of the noise.
-_BENT = 0.5
-# So many of the last predictions are kept: what only changes the picture needs no other; of a few steps, many more.
-_KEPT, _KEPT_THIN = 5, 64
-
-
-@dataclass(frozen=True)
-class MeasurementPrediction:
-    """Prediction of a model: positions the same on every rank, states where they were computed.
-
-    Attributes:
-        positions: shape (frames, fiducials, 3), m; NaN in frames that could not be reached.
-        parts: this rank's own predictions, by action.
-        failure: why it could not be followed to the end, or "".
-    """
-
-    positions: Array
-    parts: dict[str, Prediction]
-    failure: str = ""
 
 
 class Predictor:
@@ -111,7 +83,7 @@ class Predictor:
         self.actions = measurement.actions
         self.trajectories: dict[str, float] = {}
         self._steps = sum(len(a) for a in self.actions)
-        self._predictions: list[tuple[Any, bool, MeasurementPrediction]] = []
+        self._kept = KeptPredictions(self.thin)
         self._forwards: dict[tuple[int, str], Forward] = {}
         self._sensitivities: dict[tuple[int, str], Sensitivity] = {}
         self._tangents: dict[tuple[int, str], SetTangents] = {}
@@ -141,7 +113,7 @@ class Predictor:
         other.look_at(measurement)
         other.actions = measurement.actions
         other._steps = sum(len(a) for a in other.actions)
-        other._predictions, other._thinned, other._about = [], {}, None
+        other._kept, other._thinned, other._about = KeptPredictions(other.thin), {}, None
         return other
 
     def thinned(self, steps: int, settings: Settings) -> tuple[Predictor, NDArray[np.int64]]:
@@ -150,9 +122,9 @@ class Predictor:
         Each action is followed up to where it is last seen. It shares the forward models with this one, but solves with its own
         settings. It is made once and kept.
         """
-        return self._in_steps([spread(last + 1, steps) for last in self._last()], settings)
+        return self.in_steps([spread(last + 1, steps) for last in self.last_seen()], settings)
 
-    def _in_steps(self, steps: Sequence[NDArray[np.int64]], settings: Settings) -> tuple[Predictor, NDArray[np.int64]]:
+    def in_steps(self, steps: Sequence[NDArray[np.int64]], settings: Settings) -> tuple[Predictor, NDArray[np.int64]]:
         """The same in some steps of each action."""
         chosen = [action.frames[some] for action, some in zip(self.actions, steps, strict=True)]
         frames = np.sort(np.concatenate(chosen))
@@ -163,7 +135,7 @@ class Predictor:
         if key not in self._thinned:
             other = copy(self)
             other.thin, other.settings = True, settings
-            other._predictions, other._thinned, other._about = [], {}, None
+            other._kept, other._thinned, other._about = KeptPredictions(thin=True), {}, None
             self._thinned[key] = other
         other = self._thinned[key]
         other.noise = self.noise
@@ -171,7 +143,7 @@ class Predictor:
         other.actions = other.measurement.actions
         return other, frames
 
-    def _last(self) -> list[int]:
+    def last_seen(self) -> list[int]:
         """The last step of each action that is seen."""
         seen = np.asarray(self.data.mask.any(axis=(1, 2)))
         return [int(np.flatnonzero(seen[action.frames]).max(initial=0)) for action in self.actions]
@@ -235,25 +207,23 @@ class Predictor:
         """
         actions = self.actions if actions is None else list(actions)
         level = self.level if level is None else level
-        key = level, mechanical(model), frozenset(anchors), tuple(action.name for action in actions)
-        known = next((prediction for k, kept, prediction in self._predictions if k == key and kept >= keep), None)
+        key = PredictionKey(level, mechanical(model), frozenset(anchors), tuple(action.name for action in actions))
+        known = self._kept.of(key, keep)
         if known is None:
-            known = self._followed(*key[:3], actions, keep)
-            self._predictions = [*self._predictions[-(_KEPT_THIN if self.thin else _KEPT) :], (key, keep, known)]
+            known = self._followed(key, actions, keep)
+            self._kept.add(key, keep, known)
         return replace(known, positions=self._pictured(model, known.positions, level))
 
-    def _followed(
-        self, level: int, model: Model, anchors: frozenset[str], actions: list[Action], keep: bool
-    ) -> MeasurementPrediction:
+    def _followed(self, key: PredictionKey, actions: list[Action], keep: bool) -> MeasurementPrediction:
         """Prediction before effects on the picture."""
-        forward = self.forward(model, level)
+        forward = self.forward(key.model, key.level)
         forward.equilibrium.settings = self.settings
-        near = self._near(level, model, anchors)
+        near = self._kept.near(key)
         positions = np.full(self.data.mask.shape, np.nan)
         parts, failure, error = {}, "", None
         for action in self.mine(actions):
             try:
-                part = forward.predict(anchors, [action], keep=keep, known=near.get(action.name))
+                part = forward.predict(key.anchors, [action], keep=keep, known=near.get(action.name))
             except BcidError as caught:
                 error = caught
                 break
@@ -263,22 +233,10 @@ class Predictor:
         agree(self.comm, error)
         gathered = self.comm.allgather((positions, failure))
         share = sum(len(a) for a in actions) / self._steps
-        self.count("fine" if level else "working", share)
+        self.count("fine" if key.level else "working", share)
         return MeasurementPrediction(
             joined([found for found, _ in gathered]), parts, next((why for _, why in gathered if why), "")
         )
-
-    def _near(self, level: int, model: Model, anchors: frozenset[str]) -> dict[str, Mapping[int, Array]]:
-        """States to start from, by action: of the latest prediction of the same model with other numbers.
-
-        Where steps are large also of one with other anchors; small steps extrapolate as well.
-        """
-        best, found = _NEAR if self.thin else 0, {}
-        for (at, other, held, _), kept, prediction in reversed(self._predictions):
-            apart = len(held ^ anchors)
-            if kept and at == level and other.name == model.name and apart <= best:
-                best, found = apart - 1, {name: part.states for name, part in prediction.parts.items() if part.states}
-        return found
 
     def _pictured(self, model: Model, positions: Array, level: int) -> Array:
         """Positions as the camera shows them."""
@@ -434,44 +392,12 @@ class Predictor:
         positions[: len(part.positions)] = part.positions
         return replace(part, positions=positions)
 
-    def mesh_error(self, model: Model, anchors: Iterable[str], prediction: MeasurementPrediction) -> MeshError:
-        """What the next level of the ladder says of the working level's error."""
-        other = self.finer
-        if other is None:
-            return MeshError.unknown(self.data.mask.shape)
-        fine = self._finer_positions(model, anchors, prediction, other)
-        if fine is None or prediction.failure:
-            return MeshError.unknown(self.data.mask.shape)
-        gain = max((self._unknowns(other) / self._unknowns(self.level)) ** (_ORDER / 3) - 1, _LEAST_GAIN)
-        return replace(MeshError.between(prediction.positions, fine, gain), about=(model.name, frozenset(anchors)))
-
-    def _finer_positions(
-        self, model: Model, anchors: Iterable[str], prediction: MeasurementPrediction, level: int
-    ) -> Array | None:
-        """Positions on another level, whose distance from those of this one is smooth along an action; None where it fails.
-
-        It is followed in a few steps, between which that distance is interpolated; in all where those are too large for it or the
-        distance is too bent, and where a model remembers them.
-        """
-        if not (self.thin or model.remembers):
-            known = [Knots.of(action, 0, last) for action, last in zip(self.actions, self._last(), strict=True)]
-            few, frames = self._in_steps([k.steps for k in known], replace(self.settings, rtol=_FINE_RTOL))
-            second = few.predict(model, anchors, level, keep=True)
-            if not second.failure:
-                apart = np.full(prediction.positions.shape, np.nan)
-                apart[frames] = second.positions - prediction.positions[frames]
-                bent = max(k.fill(apart) for k in known)
-                noise = self.data.noise(self.data.vector(self.data.about - prediction.positions))
-                if bent < _BENT * float(np.sqrt(np.mean(noise**2))):
-                    return np.asarray(prediction.positions + apart)
-        second = self.predict(model, anchors, level, keep=True)
-        return None if second.failure else second.positions
-
     def count(self, what: str, trajectories: float) -> None:
         """Note forward trajectories."""
         self.trajectories[what] = self.trajectories.get(what, 0.0) + trajectories
 
-    def _unknowns(self, level: int) -> int:
+    def unknowns(self, level: int) -> int:
+        """Of a level that was predicted with."""
         return self._meshes[level].unknowns(self.scene.levels[level].degree, False)
 
     def destroy(self) -> None:
@@ -482,29 +408,6 @@ class Predictor:
 def mechanical(model: Model) -> Model:
     """The model without effects that only change the picture."""
     return replace(model, terms=tuple(d for d in model.terms if d.effect.mechanical or d.effect.drive))
-
-
-def affordable(scene: Scene, comm: Comm) -> int:
-    """The last level of a ladder with at most `_AFFORDABLE` unknowns; collective."""
-    mixed = scene.material.formulation == "mixed"
-    for number in reversed(range(1, len(scene.levels))):
-        level = scene.levels[number]
-        if level_mesh(scene, level, comm).unknowns(level.degree, mixed) <= _AFFORDABLE:
-            return number
-    return 0
-
-
-def pair(scene: Scene, fine: int) -> tuple[Level, ...]:
-    """Working level and fine level: elements of the same degree, three times as large and as they are.
-
-    A mesh file cannot be made coarser than it is: there the level below serves, if it has the same degree.
-    """
-    level = scene.levels[fine]
-    if level.element_size is not None:
-        return replace(level, element_size=_COARSER * level.element_size), level
-    if level.refinements > 0:
-        return replace(level, refinements=level.refinements - 1), level
-    return (level,)
 
 
 def joined(arrays: Sequence[Any]) -> Any:

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError
-from bcid.comparison.predictor import MeasurementPrediction, Predictor
+from bcid.comparison.kept_predictions import MeasurementPrediction
+from bcid.comparison.mesh_ladder import mesh_error
+from bcid.comparison.predictor import Predictor
 from bcid.forms.force_bumps import force_unit
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
@@ -70,7 +72,7 @@ class State:
                 raise SolveError(message)
             came = np.asarray(np.isfinite(prediction.positions).all(axis=(1, 2)))
             raise NotFollowed(message, f"{who} cannot be followed", came)
-        mesh = predictor.mesh_error(model, anchors, prediction) if mesh is None else mesh
+        mesh = mesh_error(predictor, model, anchors, prediction) if mesh is None else mesh
         residual = predictor.data.values - predictor.data.vector(prediction.positions + mesh.correction)
         modes, slopes = predictor.disturbances(model, anchors, prediction, nuisances)
         errors = Errors(predictor.data, predictor.data.noise(residual), mesh, modes)
@@ -98,7 +100,7 @@ class State:
         mesh = self.errors.mesh
         if mesh.about[1] == self.anchors and not anew:
             return self
-        found = self.predictor.mesh_error(self.model, self.anchors, self.prediction) if mesh.known else mesh
+        found = mesh_error(self.predictor, self.model, self.anchors, self.prediction) if mesh.known else mesh
         mesh = found if found.known else replace(mesh, about=(mesh.about[0], self.anchors))
         return State.of(self.predictor, self.model, self.anchors, mesh, self.free, self.prediction)
 

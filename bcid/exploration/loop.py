@@ -11,7 +11,7 @@ from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError, nearest
 from bcid.base.progress import Progress, Silent
 from bcid.base.units import percent
-from bcid.comparison.predictor import affordable, pair
+from bcid.comparison.levels import affordable, pair
 from bcid.exploration.choice import CRITERIA, Choice, Chooser, Option
 from bcid.exploration.moves import Move, cost, limits_of, moves
 from bcid.exploration.predictions import PullPredictor

@@ -15,8 +15,8 @@ from scipy.stats import multivariate_normal
 from bcid.base.progress import Progress, Silent
 from bcid.comparison.adequacy import breaking, judge
 from bcid.comparison.explain import explains
-from bcid.comparison.fit import Coordinate, _covariance, fit, held_out
-from bcid.comparison.predictor import MeasurementPrediction
+from bcid.comparison.fit import WIDEST, Coordinate, _covariance, fit, held_out
+from bcid.comparison.kept_predictions import MeasurementPrediction
 from bcid.comparison.ranking import _bounded, rank
 from bcid.comparison.state import State
 from bcid.comparison.variants import Variant, _harmonics
@@ -384,8 +384,12 @@ def test_a_linear_model_is_fitted_and_predicts_what_it_was_not_fitted_to() -> No
     fitted = fit(state_of(made, model.with_values({"gravity.weight": 1000.0, "camera_offset.scale": 1.0})), names)
     table = np.column_stack([made.data.vector(made.shapes[name]) for name in names])
     away = made.data.values - made.data.vector(rest(made.actions))
-    best = np.linalg.lstsq(table, away, rcond=None)[0]
-    assert list(fitted.values.values()) == pytest.approx(best, rel=1e-6)
+    assert list(fitted.values.values()) == pytest.approx(np.linalg.lstsq(table, away, rcond=None)[0], rel=1e-3)
+    parameters = [next(p for p in term.effect.parameters if term.full(p.name) in names) for term in model.terms]
+    pull = np.diag([1 / (WIDEST * p.scale) for p in parameters])
+    right = np.append(away / SIGMA, pull @ [p.neutral for p in parameters])
+    best = np.linalg.lstsq(np.vstack([table / SIGMA, pull]), right, rcond=None)[0]
+    assert list(fitted.values.values()) == pytest.approx(best, rel=1e-7)
     assert list(fitted.stderr.values()) == pytest.approx(
         SIGMA * np.sqrt(np.diag(np.linalg.inv(table.T @ table))), rel=1e-6
     )

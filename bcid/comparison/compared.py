@@ -1,0 +1,130 @@
+"""The hypotheses that were compared, and what is believed of all of them together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from bcid.comparison.rivals import UNLIKELY, Contest, Rival, best_first
+from bcid.forms.model import Model
+from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, with_others
+
+Array = NDArray[np.float64]
+Anchored = frozenset[str]
+
+
+@dataclass
+class Compared:
+    """Hypotheses as far as they were compared.
+
+    Attributes:
+        own: those that were compared with all steps, each with the error of the mesh as its own ladder has it, the likeliest first.
+        full: the same, all with what may be left of that error where it is largest among them.
+        thin: those that were compared with a few steps; their logarithms are relative to the former.
+        about: the one whose tangent was asked about other sets in all steps.
+        shown: logarithms of the odds of these sets against it.
+        promised: logarithms of evidence and of prior odds of effects that were not worth a fit.
+    """
+
+    own: list[Rival] = field(default_factory=list)
+    full: list[Rival] = field(default_factory=list)
+    thin: list[Rival] = field(default_factory=list)
+    about: Rival | None = None
+    shown: dict[Anchored, float] = field(default_factory=dict)
+    promised: dict[Hypothesis, tuple[float, float]] = field(default_factory=dict)
+
+    def like(self, rival: Rival) -> Rival | None:
+        """The same effects on the same set, compared with all steps."""
+        return next((r for r in self.own if (r.names, r.anchors) == (rival.names, rival.anchors)), None)
+
+    def add(self, rivals: Iterable[Rival], begun: Model) -> None:
+        """What was compared with all steps; of what comes twice the latest counts. `begun` is the model without added effects."""
+        self.own = best_first({(r.names, r.anchors): r for r in (*self.own, *rivals)}.values())
+        left = _most_left([r for r in self.own if r.log > self.own[0].log - UNLIKELY])
+        self.full = best_first(rival.allowing(left, begun) for rival in self.own)
+
+    def add_roughly(self, contest: Contest, also: Sequence[Rival], own: tuple[str, ...]) -> None:
+        """What was compared with a few steps.
+
+        It keeps its distance from what was compared `also` with all, with the same effects or those of the model that was looked
+        beside (`own`).
+        """
+        full = {(r.names, r.anchors): r for r in self.full}
+        pairs = [(rough, full[rough.names, rough.anchors]) for rough in also if (rough.names, rough.anchors) in full]
+        # An effect that all steps could not show has no place among the others.
+        pairs = [pair for pair in pairs if all(math.isfinite(rival.log) for rival in pair)]
+        if not pairs:
+            return
+        alone = next((pair for pair in pairs if pair[1].names == own), pairs[0])
+        alike = {fine.names: (rough, fine) for rough, fine in reversed(pairs)}
+        done = {id(rough) for rough in also}
+        for rival in contest.rivals:
+            if id(rival) not in done:
+                rough, fine = alike.get(rival.names, alone)
+                self.thin.append(rival.shifted(fine.log - rough.log))
+        shift = alone[1].log - alone[0].log
+        self.promised |= {h: (log + shift, prior) for h, (log, prior) in contest.promised.items()}
+
+    @property
+    def odds(self) -> HypothesisOdds:
+        """What is believed of all hypotheses.
+
+        The error of the mesh has a shape that is guessed. Where it is not small beside the noise, a power of the
+        likelihood counts (the coarsened posterior of Miller & Dunson, J. Am. Stat. Assoc. 114, 2019), the noise's part of both.
+        """
+        state = self.full[0].fitted.state
+        power = state.noise**2 / (state.noise**2 + state.errors.mesh.rms**2)
+        logs = _logs([rival.weights for rival in self.full], power)
+        others = self._unfitted(logs, power)
+        for hypothesis, log in _logs([*(rival.weights for rival in self.thin), self.promised], power).items():
+            others.setdefault(hypothesis, log)
+        for hypothesis, log in others.items():
+            logs.setdefault(hypothesis, log)
+        return HypothesisOdds.of(with_others(logs))
+
+    def _unfitted(self, fitted: dict[Hypothesis, float], power: float) -> dict[Hypothesis, float]:
+        """Logarithms of the odds of the sets that were not fitted to all steps.
+
+        What acts with them is believed to be what acts with those that were.
+        """
+        if self.about is None:
+            return {}
+        here = logsumexp([log for h, log in fitted.items() if h.anchors == self.about.anchors])
+        acting: dict[tuple[str, bool], list[float]] = {}
+        for h, log in fitted.items():
+            acting.setdefault((h.effect, h.unknown), []).append(log)
+        shares = {what: float(logsumexp(logs)) for what, logs in acting.items()}
+        whole = logsumexp(list(shares.values()))
+        return {
+            Hypothesis(anchors, *what): float(here + power * log + share - whole)
+            for anchors, log in self.shown.items()
+            for what, share in shares.items()
+        }
+
+    def best(self) -> Rival:
+        """The likeliest of the hypotheses that were compared with all steps."""
+        full = {h: p for h, p in self.odds.probabilities.items() if any(h in r.logs for r in self.full)}
+        told = HypothesisOdds(full).best
+        return next(r for r in self.full if told in r.logs)
+
+
+def _logs(weights: Iterable[Mapping[Hypothesis, tuple[float, float]]], power: float) -> dict[Hypothesis, float]:
+    """Logarithms of odds from evidence, of which a power counts, and prior; of a hypothesis that comes twice the first."""
+    found: dict[Hypothesis, float] = {}
+    for hypothesis, (evidence, prior) in (item for some in weights for item in some.items()):
+        found.setdefault(hypothesis, power * evidence + prior)
+    return found
+
+
+def _most_left(rivals: Sequence[Rival]) -> Array:
+    """What may be left of the error of the mesh where it is largest, (frames, fiducials, 3), m.
+
+    Hypotheses are compared with that: what an unknown force does on a mesh is no more exact than what a known one does, and none
+    gains by being seen more exactly.
+    """
+    return max((rival.fitted.state.errors.mesh for rival in rivals), key=lambda mesh: mesh.rms).left
