@@ -182,12 +182,16 @@ class HypothesisSearch:
             plain, forced = look.evidence.plain, look.evidence.forced
             alone = np.logaddexp(plain + log_prior(count, False), forced + log_prior(count, True))
             found.append(Promise(look, None, float(alone)))
-            rows = [
-                self._giving.get((r.effect, look.state.anchors), r) for r in (look.ranking.rows if look.ranking else ())
-            ]
-            for row in rows:
+            for row in self._rows(look):
                 found.append(Promise(look, row, plain + row.gain, log_prior(count + 1, False, len(self.known))))
         return sorted(found, key=lambda p: (-p.log, len(p.anchors), sorted(p.anchors), p.row.effect if p.row else ""))
+
+    def _rows(self, look: Look) -> list[Row]:
+        """What a set may lack; that its anchors give, as far as that was looked at, only where they were found to give best."""
+        rows = list(look.ranking.rows) if look.ranking else []
+        given = {effect for effect, _ in self._giving}
+        others = [row for row in rows if row.effect not in given]
+        return others + [row for (_, anchors), row in self._giving.items() if anchors == look.state.anchors]
 
     # -- looking
     # ------------------------------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from bcid.comparison.fit import Fit, fit, held_out
 from bcid.comparison.hypothesis_search import HypothesisSearch, Look, Promise, weighed
 from bcid.comparison.ranking import Row, rank
 from bcid.comparison.state import State
+from bcid.comparison.yielding import gives
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model, Term
 from bcid.forms.solver.equilibrium import Settings
@@ -193,30 +194,35 @@ def refitted(
     An effect is worth a fit as long as something unknown acts besides the best, and where it promises to be no more than exp(worth)
     times less likely than that, or may turn out to be.
     What an effect promises is linear in its amount, which a large one is not: each has its best set tried first, and then the one
-    that turns out best competes with itself on other sets.
+    that turns out best competes with itself on other sets. Anchors that give do so at a place, which goes with the set: these are
+    tried with each set that was looked at for them.
     """
     count = len(known)
     rivals = [_alone(p.look, begun, count) for p in promises if p.row is None]
-    tried: set[str] = set()
+    tried: set[tuple[str, Anchored | None]] = set()
     states: dict[Anchored, State] = {}
     for promise in promises:
         row, best = promise.row, best_first(rivals)[0]
-        if row is None or row.effect in tried or len(tried) >= most or not math.isfinite(row.gain):
+        if row is None:
+            continue
+        what = row.effect, promise.anchors if gives(row.term.effect) else None
+        if what in tried or len(tried) >= most or not math.isfinite(row.gain):
             continue
         if best.complete and promise.log < best.log - max(_unlikely(promise), worth):
             continue
-        tried.add(row.effect)
+        tried.add(what)
         promise.look.state.predictor.progress.step("candidates refitted", len(tried) - 1, most, f"now {row.effect}")
         # Where an effect makes another set likely it is measured by the errors of that.
         state = states.setdefault(promise.anchors, promise.look.state).with_own_errors()
         states[promise.anchors] = state
         rivals += refit(state, row, begun, count)
     best = best_first(rivals)[0]
-    if tried and best.names and best.names[-1] in tried:
+    fitted = {effect for effect, _ in tried}
+    if best.names and best.names[-1] in fitted:
         rivals += moved(best, begun, count)
     promised = {}
     for promise in promises:
-        if promise.row and promise.row.effect not in tried and math.isfinite(promise.log):
+        if promise.row and promise.row.effect not in fitted and math.isfinite(promise.log):
             names = [*(term.effect.name for term in promise.look.state.model.added(begun)), promise.row.effect]
             promised[Hypothesis(promise.anchors, "+".join(names))] = promise.evidence, promise.log_prior
     return Contest(best_first(rivals), promised)
