@@ -308,7 +308,7 @@ class DiagnosisResult(Result):
         if self.command == "explain":
             return super().headline
         last = self.ladder[-1]
-        word = {True: "adequate", False: "not adequate", None: "nothing speaks against it"}[last.adequate]
+        word = {True: "adequate", False: "not adequate", None: "nothing against it"}[last.adequate]
         misses = f"misses by {last.rms * 1e3:.3g} mm (noise {self.noise * 1e3:.3g})"
         return f"{last.model}, anchors {_set(last.anchored)}: {misses}, {word}"
 

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 # Share of adequate models that may be called inadequate.
 FALSE_ALARMS = 0.05
 # What is said of a model that nothing speaks against where no noise is stated.
-UNTOLD = "nothing speaks against it"
+UNTOLD = "nothing against it"
 # The test that finds a frame from which on nothing fits.
 BREAKING = "from a frame on"
 

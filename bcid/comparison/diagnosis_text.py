@@ -91,10 +91,11 @@ def verdict(state: State, adequacy: Adequacy, unit: float, name: str) -> list[st
     mesh = state.errors.mesh
     known = f"{mesh.rms / unit:.2g} {name}" if mesh.known else "not known"
     stated = "stated" if state.predictor.data.stated else "estimated from the measurement"
-    is_so = "is " if adequacy.told is not None else ""
-    untold = "" if is_so else "; whether it is adequate cannot be told without a stated noise"
+    known_so = adequacy.told is not None
+    is_so = "is" if known_so else "has"
+    untold = "" if known_so else "; whether it is adequate cannot be told without a stated noise"
     lines = [
-        f"{state.model.name} with anchors {anchors(state)} {is_so}{adequacy.word.upper()} ({p_value(adequacy.p_value)}{untold}).",
+        f"{state.model.name} with anchors {anchors(state)} {is_so} {adequacy.word.upper()} ({p_value(adequacy.p_value)}{untold}).",
         f"  It misses the measurement by {state.rms / unit:.3g} {name} per coordinate (RMS), {state.rough / unit:.3g} of it like "
         f"noise; noise {state.noise / unit:.3g} {name} ({stated}), error of the mesh {known}.",
         *(f"  {line}" for line in nuisance_text.allowed(state.told)),
