@@ -287,12 +287,15 @@ class HypothesisSearch:
         for effect in (e for e in self.known if gives(e)):
             if look is None or not look.ranking or effect.name in look.ranking.excluded:
                 continue
-            near = _all_sets(about, self._patches, False)
+            close = _all_sets(about, self._patches, False)
             every = _all_sets(about, self._patches, len(self._patches) <= _ALL)
-            parts = [s for s in near if len(s ^ about) <= 2 and self._acts(s)]
+            parts = [s for s in close if len(s ^ about) <= 2 and self._acts(s)]
             found = yielding(look.state, effect, [s for s in every if self._acts(s)], parts)
             best = {one.anchors: one for one in reversed(found)}
-            for anchors in list(dict.fromkeys([about, *(one.anchors for one in found)]))[: _GIVING + 1]:
+            # Where nothing is missing other sets must be as likely.
+            least = -_FAR if look.evidence.plain > look.evidence.forced else -np.inf
+            near = list(dict.fromkeys(one.anchors for one in found if one.gain > least))[:_GIVING]
+            for anchors in dict.fromkeys([about, *near]):
                 self._look(anchors)
                 if anchors in best and self.looks[anchors] is not None:
                     self._rank(anchors, look.ranking if anchors not in self._ranked else None)
