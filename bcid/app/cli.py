@@ -548,6 +548,7 @@ def _add_simulate(commands: Any) -> None:
     )
     parser.add_argument("--random-state", type=_seed, default=0, metavar="N", help="of the noise (0)")
     parser.add_argument("--wrench", action="store_true", help="also record force and torque of the gripper")
+    parser.add_argument("--wrench-noise", metavar='"0.02 N"', help="the same with noise of this standard deviation")
     _add_quiet(parser)
 
 

@@ -249,20 +249,25 @@ def explore(arguments: argparse.Namespace, comm: Comm) -> None:
     _finish(folder, arguments, comm, progress)
 
 
-def _noise(text: str | None) -> float | None:
-    """A standard deviation, m; None where the option is not given."""
-    noise = _length(text, "--noise")
+def _noise(text: str | None, option: str = "--noise", unit: str = "m") -> float | None:
+    """A standard deviation in a unit; None where the option is not given."""
+    noise = _quantity(text, option, unit)
     if noise is not None and noise < 0:
-        raise InputError(f"--noise '{text}': must not be negative")
+        raise InputError(f"{option} '{text}': must not be negative")
     return noise
 
 
 def _length(text: str | None, option: str) -> float | None:
     """A length, m; None where the option is not given."""
+    return _quantity(text, option, "m")
+
+
+def _quantity(text: str | None, option: str, unit: str) -> float | None:
+    """A number in a unit; None where the option is not given."""
     from bcid.base.units import quantity
 
     try:
-        return None if text is None else quantity(text, "m")
+        return None if text is None else quantity(text, unit)
     except InputError as error:
         raise InputError(f"{option}: {error}") from None
 
@@ -387,7 +392,9 @@ def simulate(arguments: argparse.Namespace, comm: Comm) -> None:
         actions = motion(arguments.motion, grasp, 1, *shape)
     progress = _progress(arguments, comm.rank)
     progress.say(f"simulating {len(actions)} action(s), {sum(len(a) for a in actions)} steps")
-    made = make(scene, anchors, actions, arguments.level, noise, random_state, comm, None, arguments.wrench, times)
+    felt = _noise(arguments.wrench_noise, "--wrench-noise", "N")
+    wrench = arguments.wrench or felt is not None
+    made = make(scene, anchors, actions, arguments.level, noise, random_state, comm, None, wrench, times, felt or 0.0)
     on_root(comm, lambda: made.write(arguments.output))
     if comm.rank == 0:
         print(f"{arguments.output}: {len(made.positions)} frames of {len(made.fiducial_names)} fiducials")

@@ -108,7 +108,7 @@ def _slow(state: State) -> Finding:
 def _bias(state: State) -> Finding:
     """A constant of every fiducial and axis over all actions, and one that grows with the way the fiducial has gone."""
     data = state.predictor.data
-    way = np.linalg.norm(state.predicted - data.scene.rest, axis=2)[data.frame, data.fiducial]
+    way = np.linalg.norm(state.predicted - data.rest, axis=2)[data.frame, data.fiducial]
     shapes = np.column_stack([np.ones(len(data)), way / max(float(way.max()), 1e-12)])
     total, dof = _projected(state, data.fiducial * 3 + data.axis, shapes)
     dof = max(dof - len(state.free), 1)
@@ -134,7 +134,7 @@ def _describing(state: State) -> list[Finding]:
         value = float(np.sum(scaled[rest] ** 2))
         p = float(chi2.sf(value, int(rest.sum())))
         found.append(Finding("error at rest", p, f"at step 0 it is {np.sqrt(value / rest.sum()):.2f} times noise"))
-    way = np.linalg.norm(state.predicted - data.scene.rest, axis=2)[data.frame, data.fiducial]
+    way = np.linalg.norm(state.predicted - data.rest, axis=2)[data.frame, data.fiducial]
     if np.ptp(way) > 0:
         grows = float(np.corrcoef(way, scaled**2)[0, 1])
         p = float(norm.sf(grows * np.sqrt(len(data))))
@@ -211,6 +211,6 @@ def groups(state: State) -> dict[str, dict[str, float]]:
     return {
         "action": by(data.action, dict(enumerate(data.actions))),
         "step": by(data.step, {}),
-        "fiducial": by(data.fiducial, dict(enumerate(data.scene.fiducial_names))),
+        "fiducial": by(data.fiducial, dict(enumerate(data.names))),
         "axis": by(data.axis, dict(enumerate("xyz"))),
     }

@@ -199,6 +199,12 @@ class _Loop:
         if self.predictor.left_out:
             first = first_sets(self.predictor, self.model)
         self.starts = first
+        base = State.of(self.predictor, self.model, first[0])
+        stiffness = Fit.at(base).stiffness
+        if stiffness is None:
+            return base
+        # About the stiffness that the forces tell what acts besides is nearly linear.
+        self.model = self.model.with_values(stiffness.values)
         return State.of(self.predictor, self.model, first[0])
 
     def noised(self, base: State) -> State:

@@ -17,6 +17,8 @@ from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.forms.parameter import Parameter
 from bcid.forms.sensitivity import Probe, Wanted
+from bcid.inference.nuisances import STIFFNESS
+from bcid.inference.stiffness import Stiffness
 
 Array = NDArray[np.float64]
 # A step that moves no number by more than this part of its scale ends the fit.
@@ -120,6 +122,16 @@ class Fit:
     def at(cls, state: State) -> Fit:
         """A model as it is, of which nothing was fitted."""
         return cls(state, (), np.zeros((0, 0)), np.zeros((len(state.predictor.data), 0)), (), 0)
+
+    @property
+    def stiffness(self) -> Stiffness | None:
+        """How stiff the body is, where forces are measured and none of the law's constants was fitted."""
+        state, constants = self.state, self.state.model.stiffnesses
+        if set(constants) & set(state.free):
+            return None
+        columns = [-state.errors.unwhiten(column) for column in self.jacobian.T]
+        fitted = np.column_stack(columns) if columns else None
+        return Stiffness.of(state.errors, state.residual, constants, fitted)
 
     @property
     def values(self) -> dict[str, float]:
@@ -251,7 +263,9 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL)
         SolveError: the model cannot be followed at its start.
     """
     chosen = coordinates(start.model, names)
-    start = replace(start, errors=start.errors.without(names))
+    # What is fitted is not integrated over besides; a stiffness of the law is any of its constants that is one.
+    stiffness = [STIFFNESS] if set(names) & set(start.model.stiffnesses) else []
+    start = replace(start, errors=start.errors.without([*names, *stiffness]))
     problem = _Problem(start, chosen)
     if not chosen:
         return Fit.at(replace(start, free=()))
@@ -348,5 +362,5 @@ def held_out(fitted: Fit) -> float | None:
         if prediction.failure:
             return None
         residual = data.values - data.vector(prediction.positions + state.errors.mesh.correction)
-        squares += float(np.sum(residual[data.action == number] ** 2))
-    return float(np.sqrt(squares / len(data)))
+        squares += float(np.sum(residual[data.of_position & (data.action == number)] ** 2))
+    return float(np.sqrt(squares / data.of_position.sum()))

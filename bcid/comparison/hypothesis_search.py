@@ -107,7 +107,7 @@ def _evidences(state: State, known: Numbers, moves: Sequence[Array]) -> list[flo
     data = state.predictor.data
     shifts = np.column_stack([data.vector(moved) for moved in moves])
     inside = data.action[:, None] == np.arange(len(data.actions))
-    pulled = (data.vector(state.predicted) - data.vector(np.broadcast_to(data.scene.rest, data.mask.shape))) ** 2
+    pulled = (data.vector(state.predicted) - data.vector(np.broadcast_to(data.rest, data.mask.shape))) ** 2
     sizes = np.sqrt((inside.T @ shifts**2) / np.maximum(inside.T @ pulled, 1e-300)[:, None])
     parts = shifts[:, :, None] * inside[:, None, :]
     columns = state.errors.whiten(parts.reshape(len(data), -1)).reshape(parts.shape)

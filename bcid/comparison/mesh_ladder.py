@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -12,7 +13,7 @@ from bcid.comparison.kept_predictions import MeasurementPrediction
 from bcid.comparison.knots import Knots
 from bcid.comparison.predictor import Predictor
 from bcid.forms.model import Model
-from bcid.inference.mesh_error import MeshError
+from bcid.inference.mesh_error import MeshError, gains
 
 Array = NDArray[np.float64]
 # Elements twice as small leave a quarter of the error.
@@ -32,9 +33,10 @@ def mesh_error(
     fine = None if finer is None else _finer_positions(predictor, model, anchors, prediction, finer)
     if finer is None or fine is None or prediction.failure:
         return MeshError.unknown(predictor.data.mask.shape)
-    unknowns = predictor.unknowns(finer) / predictor.unknowns(predictor.level)
-    gain = max(unknowns ** (_ORDER / 3) - 1, _LEAST_GAIN)
-    return replace(MeshError.between(prediction.positions, fine, gain), about=(model.name, frozenset(anchors)))
+    refinement = (predictor.unknowns(finer) / predictor.unknowns(predictor.level)) ** (1 / 3)
+    gain = max(refinement**_ORDER - 1, _LEAST_GAIN)
+    error = MeshError.between(prediction.positions, fine, gains(gain, refinement, predictor.data.kinds))
+    return replace(error, about=(model.name, frozenset(anchors)), fiducials=len(predictor.scene.fiducials))
 
 
 def _finer_positions(
@@ -53,10 +55,14 @@ def _finer_positions(
         if not second.failure:
             apart = np.full(prediction.positions.shape, np.nan)
             apart[frames] = second.positions - prediction.positions[frames]
-            bent = max(k.fill(apart) for k in known)
             data = predictor.data
             noise = data.noise(data.vector(data.about - prediction.positions))
-            if bent < _BENT * float(np.sqrt(np.mean(noise**2))):
-                return np.asarray(prediction.positions + apart)
+            # One number for positions, forces and torques each: of a marker that is not seen no noise is known.
+            kinds = {kind: float(np.sqrt(np.mean(noise[data.kind == kind] ** 2))) for kind in np.unique(data.kind)}
+            units = np.array([kinds.get(kind, math.inf) for kind in data.kinds])[:, None]
+            apart /= units
+            bent = max(k.fill(apart) for k in known)
+            if bent < _BENT:
+                return np.asarray(prediction.positions + apart * units)
     second = predictor.predict(model, anchors, level, keep=True)
     return None if second.failure else second.positions

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from bcid.base.units import unit_factor
 from bcid.comparison import diagnosis_text
@@ -20,14 +21,17 @@ from bcid.comparison.ranking import Ranking
 from bcid.comparison.rivals import Rival
 from bcid.comparison.source import Source
 from bcid.comparison.where import MissingForce
+from bcid.forms.gripper_force import ROWS
 from bcid.forms.model import Term
 from bcid.inference import nuisance_text
 from bcid.inference.criteria import CERTAIN
+from bcid.inference.data import Data
 from bcid.inference.hypotheses import patches
-from bcid.measurement import AXES
-from bcid.search.identify_run import body_parts, inputs_in_words, odd
+from bcid.measurement import AXES, WRENCH
+from bcid.search.identify_run import body_parts, inputs_in_words, odd, stiffness_in_words
 
 MODEL_FORMAT = "bcid-model/1"
+Array = NDArray[np.float64]
 # So many of the likeliest hypotheses are told.
 _HYPOTHESES = 12
 
@@ -38,7 +42,7 @@ def collect(predictor: Predictor, done: Diagnosis) -> dict[str, Any]:
     parts = {}
     for one in state.model.terms:
         without = predictor.predict(state.model.without(one.label), state.anchors)
-        parts[one.label] = state.prediction.positions - without.positions
+        parts[one.label] = (state.prediction.positions - without.positions)[:, : len(predictor.scene.fiducials)]
     forward = predictor.forward(state.model)
     displacement = np.full((len(predictor.data.mask), len(forward.mesh.points), 3), np.nan)
     energy = displacement[..., 0].copy()
@@ -98,7 +102,7 @@ def finite(value: float | None) -> float | None:
 def diagnosis_json(done: Diagnosis, unit: float) -> dict[str, Any]:
     """The content of `diagnosis.json`; lengths in units of `unit` (m)."""
     last = done.rungs[-1]
-    state = last.state
+    state, stiffness = last.state, last.fitted.stiffness
     asked = next((rung for rung in done.rungs if rung.ranking is not None), None)
     order = list(state.predictor.whole.patches)
     found = done.explanation
@@ -122,6 +126,7 @@ def diagnosis_json(done: Diagnosis, unit: float) -> dict[str, Any]:
         "noise_stated": state.predictor.data.stated,
         "rough_rms": state.rough / unit,
         "nuisances": nuisance_text.to_json(state.told),
+        "stiffness": stiffness.to_json() if stiffness else None,
         "discretisation_rms": state.errors.mesh.rms / unit if state.errors.mesh.known else None,
         "held_out_rms": None if last.held_out is None else last.held_out / unit,
         "anchored": sorted(state.anchors, key=order.index),
@@ -258,30 +263,47 @@ def where_json(found: MissingForce, unit: float) -> dict[str, Any]:
 
 
 def residual_dataset(done: Diagnosis, parts: dict[str, Any]) -> xr.Dataset:
-    """Measured and predicted positions of the first and the last model, and what each effect contributes (m), by frame."""
+    """Measured and predicted positions of the first and the last model, and what each effect contributes (m), by frame.
+
+    Where force and torque were measured, they too (N, N m).
+    """
     first, last = done.rungs[0].state, done.rungs[-1].state
     data, dims = last.predictor.data, ("frame", "fiducial", "axis")
     measurement = last.predictor.measurement.data
+    arrays = {
+        "measured": data.measured,
+        "predicted_first": first.predicted,
+        "predicted": last.predicted,
+        "sigma": data.spread(last.errors.sigma),
+        "mesh_error": last.errors.mesh.left,
+    }
+    count = len(data.scene.fiducials)
     content: dict[str, Any] = {
-        "measured": (dims, data.measured),
-        "predicted_first": (dims, first.predicted),
-        "predicted": (dims, last.predicted),
-        "sigma": (dims, data.spread(last.errors.sigma)),
-        "mesh_error": (dims, last.errors.mesh.left),
+        **{name: (dims, array[:, :count]) for name, array in arrays.items()},
+        **_wrenches(data, arrays),
         "rest": (dims[1:], data.scene.rest),
         "grasp": ("frame", measurement["grasp"].values.astype(str)),
     }
     for number, (label, part) in enumerate(parts.items()):
         content[f"part_{number}"] = (dims, part, {"effect": label})
-    coords = {
+    coords: dict[str, Any] = {
         "fiducial": data.scene.fiducial_names,
         "axis": AXES,
+        **({"component": WRENCH} if data.forces else {}),
         "action": ("frame", measurement["action"].values.astype(str)),
         "step": ("frame", measurement["step"].values),
         "time": ("frame", measurement["time"].values),
     }
     attrs = {"model_first": first.model.name, "model": last.model.name}
     return xr.Dataset(content, coords, attrs)
+
+
+def _wrenches(data: Data, arrays: Mapping[str, Array]) -> dict[str, Any]:
+    """Force and torque of arrays whose last rows they are."""
+    if data.forces is None:
+        return {}
+    dims = "frame", "component"
+    return {f"wrench_{name}": (dims, data.forces.wrenches(array[:, -ROWS:])) for name, array in arrays.items()}
 
 
 def summary(done: Diagnosis, shares: Mapping[str, float], remarks: Sequence[str] = ()) -> list[str]:
@@ -304,6 +326,8 @@ def summary(done: Diagnosis, shares: Mapping[str, float], remarks: Sequence[str]
         lines += [f"What each effect adds to the positions (RMS): {parts}.", ""]
     for rung in done.rungs:
         lines += [*diagnosis_text.verdict(rung.state, rung.adequacy, unit, name), ""]
+        told = stiffness_in_words(rung.fitted.stiffness)
+        lines += [*told, ""] if told else []
         if rung.fitted.coordinates:
             lines += [f"  {diagnosis_text.term(d, _own(rung.fitted, d))}" for d in rung.state.model.terms]
             lines += [f"  Note: {text}" for text in rung.fitted.warnings] + [""]

@@ -19,6 +19,7 @@ from bcid.comparison.knots import Knots, spread
 from bcid.comparison.levels import affordable, pair
 from bcid.forms.force_bumps import BUMPS, bumps
 from bcid.forms.forward import Forward, Prediction
+from bcid.forms.gripper_force import ForceScale
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
 from bcid.forms.sensitivity import Sensitivities, Sensitivity, Wanted
@@ -78,7 +79,8 @@ class Predictor:
         self.progress = progress or Silent()
         self.thin = False
         self.noise: Noise | None = None
-        self.data = Data(scene, measurement)
+        self.forces = ForceScale.of(scene, measurement)
+        self.data = Data(scene, measurement, self.forces)
         self.left_out: tuple[str, ...] = ()
         self.actions = measurement.actions
         self.trajectories: dict[str, float] = {}
@@ -104,7 +106,7 @@ class Predictor:
         self.data = self._seen(self.measurement)
 
     def _seen(self, measurement: Measurement) -> Data:
-        data = Data(self.whole, measurement)
+        data = Data(self.whole, measurement, self.forces)
         return data if self.noise is None else data.with_noise(self.noise)
 
     def repeating(self, measurement: Measurement) -> Predictor:
@@ -131,7 +133,8 @@ class Predictor:
         key = frames.tobytes(), settings
         data = self.measurement.data.isel(frame=frames).copy(deep=True)
         rests = [int(kept[0]) for kept in chosen[1:] if len(kept) > 1]
-        data["position"][{"frame": np.searchsorted(frames, rests)}] = np.nan
+        for name in {"position", "wrench"} & set(data):
+            data[name][{"frame": np.searchsorted(frames, rests)}] = np.nan
         if key not in self._thinned:
             other = copy(self)
             other.thin, other.settings = True, settings
@@ -163,7 +166,7 @@ class Predictor:
             self._forwards[key] = in_turns(
                 self.comm,
                 self.comm.rank == 0,
-                lambda: Forward(self.scene, level, None, model, self.settings, self._meshes[level]),
+                lambda: Forward(self.scene, level, None, model, self.settings, self._meshes[level], self.forces),
             )
         self._forwards[key].set_model(model)
         return self._forwards[key]
@@ -244,9 +247,10 @@ class Predictor:
             return positions
         forward = self.forward(model, level)
         seen = positions.copy()
+        count = len(self.scene.fiducials)
         for action in self.actions:
             for step, frame in enumerate(action.frames):
-                seen[frame] = model.observed(positions[frame], forward.frame(action, step))
+                seen[frame, :count] = model.observed(positions[frame, :count], forward.frame(action, step))
         return seen
 
     def sensitivities(
@@ -313,13 +317,14 @@ class Predictor:
         """
         forward = self.forward(model)
         if self._nuisances is None:
-            self._nuisances, self._weights = Nuisances(self.scene, forward.mesh), bumps(forward, BUMPS)[1]
+            self._nuisances, self._weights = Nuisances(self.scene, forward.mesh, self.data), bumps(forward, BUMPS)[1]
         wanted = self._nuisances.wanted(model, anchors) if nuisances is None else Wanted()
         wanted = replace(wanted, forces=self._weights)
         found = self.sensitivities(model, anchors, prediction, wanted)
         assert found.forces is not None
         slopes = np.nan_to_num(found.forces[self.data.mask].astype(float)).reshape(len(self.data), -1)
-        return nuisances or self._nuisances.modes(self.data, found, wanted), slopes
+        positions = prediction.positions
+        return nuisances or self._nuisances.modes(self.data, found, wanted, model, positions), slopes
 
     def set_tangent(self, model: Model, anchors: Iterable[str], prediction: MeasurementPrediction) -> SetTangent:
         """What every set shows to first order about one whose prediction kept its states, the same on every rank; collective.

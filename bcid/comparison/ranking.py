@@ -240,7 +240,7 @@ def _row(state: State, name: str, variants: Sequence[Variant], basis: Array, tri
         gain,
         dof,
         min(1.0, float(chi2.sf(gain, dof)) * tried),
-        float(np.sqrt(np.mean(after**2))),
+        state.predictor.data.rms(after),
         power if math.isfinite(power) else 1.0,
         identifiable,
         explained,

@@ -237,7 +237,7 @@ def _unlikely(promise: Promise) -> float:
     state, row = promise.look.state, promise.row
     assert row is not None
     data = state.predictor.data
-    pulled = data.vector(state.predicted) - data.vector(np.broadcast_to(data.scene.rest, data.mask.shape))
+    pulled = data.vector(state.predicted) - data.vector(np.broadcast_to(data.rest, data.mask.shape))
     bent = float(np.linalg.norm(state.errors.unwhiten(row.explained)) / max(float(np.linalg.norm(pulled)), 1e-12))
     return min(WORTH + bent * (max(state.chi2 - len(data), 0.0) + row.score) / 2, _FAR)
 

@@ -155,13 +155,13 @@ class State:
 
     @property
     def rms(self) -> float:
-        """RMS residual per coordinate, m."""
-        return float(np.sqrt(np.mean(self.residual**2)))
+        """RMS residual per coordinate of a position, m."""
+        return self.predictor.data.rms(self.residual)
 
     @property
     def rough(self) -> float:
         """RMS per coordinate of what is left once mesh, frame and nuisances are allowed for, m."""
-        return float(np.sqrt(np.mean(self.errors.rough(self.residual) ** 2)))
+        return self.predictor.data.rms(self.errors.rough(self.residual))
 
     @property
     def rough_values(self) -> Array:
@@ -178,5 +178,5 @@ class State:
 
     @property
     def noise(self) -> float:
-        """RMS of the noise, m."""
-        return float(np.sqrt(np.mean(self.errors.sigma**2)))
+        """RMS of the noise of positions, m."""
+        return self.predictor.data.rms(self.errors.sigma)

@@ -82,7 +82,7 @@ def missing_force(state: State) -> MissingForce:
 
     left = state.residual - np.hstack(blocks) @ amounts
     by_action = {name: places(i + 1) for i, name in enumerate(names)}
-    return MissingForce(places(0), by_action, explained, float(np.sqrt(np.mean(left**2))))
+    return MissingForce(places(0), by_action, explained, data.rms(left))
 
 
 def _regions(centres: Array, volumes: Array) -> tuple[Array, Array]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from bcid.base.collective import Comm
 from bcid.forms.effects.effect import Frame
+from bcid.forms.gripper_force import ROWS, ForceScale, GripperForce
 from bcid.forms.length_unit import check_length_unit
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.mesh.body import Body
@@ -33,7 +34,8 @@ class Prediction:
     """Fiducial trajectories of one candidate.
 
     Attributes:
-        positions: shape (frames, fiducials, 3), m; NaN in frames that were not reached.
+        positions: shape (frames, fiducials, 3), m, with two further rows where force and torque of the gripper are asked for
+            (see `bcid.forms.gripper_force`); NaN in frames that were not reached.
         trajectories: how each action went.
         states: this rank's unknowns in each frame that was reached, when they were asked for.
         wrench: force (N) and torque (N m) of the gripper, shape (frames, 6); NaN in frames that were not reached, zero
@@ -92,6 +94,7 @@ class Forward:
         model: the model; by default the scene's.
         settings: accuracy and patience of the solver.
         mesh: the level's mesh, if it was made already.
+        forces: what force and torque of the gripper are divided by, where they are predicted beside the fiducials.
     """
 
     def __init__(
@@ -102,6 +105,7 @@ class Forward:
         model: Model | None = None,
         settings: Settings | None = None,
         mesh: BodyMesh | None = None,
+        forces: ForceScale | None = None,
     ) -> None:
         from mpi4py import MPI
 
@@ -112,6 +116,7 @@ class Forward:
         self.body = Body(comm, self.mesh, scene.levels[level].degree, self.model.mixed)
         self.equilibrium = Equilibrium(self.body, self.model, scene, settings)
         self.observer = Observer(self.body, scene.fiducials, fiducial_limit(scene, self.mesh), scene.source)
+        self.gripper_force = GripperForce(self.equilibrium, forces) if forces else None
 
     @cached_property
     def strain_energy(self) -> StrainEnergy:
@@ -145,7 +150,7 @@ class Forward:
             known: states that are nearly right by frame, as a rougher prediction has kept them: where to start from.
         """
         frames = 1 + max(int(action.frames.max()) for action in actions)
-        positions = np.full((frames, len(self.observer.rest), 3), np.nan)
+        positions = np.full((frames, self.rows, 3), np.nan)
         states: dict[int, Array] = {}
         equilibrium = self.equilibrium
         equilibrium.rtol = equilibrium.settings.rtol if rtol is None else rtol
@@ -154,9 +159,9 @@ class Forward:
             action = self.model.driven(commanded)
             equilibrium.hold(anchors, action.grasp)
 
-            def seen(step: int, _pose: Pose, action: Action = action) -> bool | None:
+            def seen(step: int, pose: Pose, action: Action = action) -> bool | None:
                 frame = int(action.frames[step])
-                positions[frame] = self.model.observed(self.fiducials(), self.frame(action, step))
+                positions[frame] = self._shown(pose, self.frame(action, step))
                 if keep:
                     states[frame] = equilibrium.u.x.array.copy()
                 return None if watch is None else watch(frame, positions[frame])
@@ -190,6 +195,16 @@ class Forward:
                     energy[frame] = self.strain_energy.at_mesh_nodes()
                     self.equilibrium.accept(pose)
         return replace(prediction, wrench=wrench, displacement=displacement, energy=energy)
+
+    @property
+    def rows(self) -> int:
+        """How many rows a predicted frame has: fiducials, and force and torque where they are predicted."""
+        return len(self.observer.rest) + (ROWS if self.gripper_force else 0)
+
+    def _shown(self, pose: Pose, frame: Frame) -> Array:
+        """What is measured of the present state, shape (rows, 3), m; collective."""
+        seen = self.model.observed(self.fiducials(), frame)
+        return seen if self.gripper_force is None else np.vstack([seen, self.gripper_force.rows(pose)])
 
     def fiducials(self) -> Array:
         """Positions of the fiducials (fiducials, 3), m, in the present state; collective."""

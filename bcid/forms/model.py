@@ -246,6 +246,12 @@ class Model:
         return positions
 
     @property
+    def stiffnesses(self) -> dict[str, float]:
+        """Constants of the law that are stiffnesses, Pa: without known forces only what they are to each other matters."""
+        constants = self.law.complete(self.values)
+        return {p.name: float(constants[p.name]) for p in self.law.parameters if p.unit == "Pa" and constants[p.name]}
+
+    @property
     def remembers(self) -> bool:
         """Whether an equilibrium depends on the ones before it."""
         return any(term.effect.memory or term.effect.uses_past for term in self.terms)

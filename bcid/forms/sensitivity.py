@@ -4,6 +4,9 @@ With K the tangent at a converged step, C the matrix that observes the fiducials
 fiducials move by -C K^-1 dR; a change du_a of prescribed displacements moves them by C_a du_a - C K^-1 K_fa du_a. The
 products C K^-1 cost one factorisation and one block of triangular solves per step and serve every effect, place and
 direction: a further one costs an assembly of dR, which is a form that UFL derives from the residual.
+
+Force and torque of the gripper are sums L' R of the residual where it holds: they change by L' (dR + K du), so that C has the
+rows L' K for them, and what acts where it holds is felt directly.
 """
 
 from __future__ import annotations
@@ -80,6 +83,8 @@ class Wanted:
 class Sensitivities:
     """Change of every fiducial's position per unit of a parameter, m; NaN in frames that were not asked for.
 
+    Force and torque of the gripper are two fiducials more where they are predicted.
+
     Attributes:
         probes: by probe and parameter, shape (frames, fiducials, 3). For a parameter whose neutral value is infinite it is
             per unit of its reciprocal.
@@ -104,12 +109,33 @@ def _parameter(effect: Effect, name: str) -> Parameter:
 class Cause:
     """What moves the fiducials: a change of the residual and one of what is prescribed (None: none), by shape (unknowns,).
 
-    `target`, shape (fiducials, 3), is where the movement is added.
+    `target`, shape (rows, 3), is where the movement is added; `turned`, shape (6,), m, what force and torque change by as the
+    gripper itself moves.
     """
 
     target: Array
     force: Array | float
     increment: Array | None = None
+    turned: Array | float = 0.0
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What is measured of a state, to first order.
+
+    Attributes:
+        observe: of movements of the unknowns, shape (3 * rows, unknowns).
+        levers: of forces where the gripper holds, shape (unknowns, 6 or 0).
+    """
+
+    observe: Any
+    levers: Array
+
+    def direct(self, forces: Any) -> Array:
+        """Change by forces (unknowns, n) on what is held, shape (3 * rows, n), m."""
+        found = np.zeros((self.observe.shape[0], forces.shape[1]))
+        found[len(found) - self.levers.shape[1] :] = (forces.T @ self.levers).T
+        return found
 
 
 class Sensitivity:
@@ -136,10 +162,18 @@ class Sensitivity:
     # -- one step
     # ------------------------------------------------------------------------------------------------------------
 
-    def _responses(self) -> Array:
-        """G = K^-1 C^T at the present state, zero where something is held, shape (unknowns, 3 * fiducials)."""
+    def _shown(self, pose: Pose) -> Observed:
+        """At the present state, whose tangent was assembled last."""
+        gripper = self.forward.gripper_force
+        if gripper is None:
+            return Observed(self.observe, np.zeros((self.observe.shape[1], 0)))
+        levers = gripper.levers(pose)
+        return Observed(gripper.beside(self.observe, levers), levers)
+
+    def _responses(self, shown: Observed) -> Array:
+        """G = K^-1 C^T at the present state, zero where something is held, shape (unknowns, 3 * rows)."""
         equilibrium = self.equilibrium
-        right = self.observe.T.toarray()
+        right = shown.observe.T.toarray()
         right[equilibrium.supports.prescribed] = 0.0
         return equilibrium.factor.solve_block(right, transpose=not equilibrium.model.symmetric)
 
@@ -372,17 +406,19 @@ class Sensitivity:
     ) -> None:
         """All sensitivities in one frame."""
         equilibrium, forward = self.equilibrium, self.forward
-        fiducials = len(forward.observer.rest)
         places = forward.observer.positions(equilibrium.displacement())
         seen = self._seen(places, action, step)
         if result.places is not None:
-            result.places[frame] = seen(forward.observer.gradients(equilibrium.displacement()))
+            result.places[frame] = 0.0
+            result.places[frame, : len(places)] = forward.observer.gradients(equilibrium.displacement())
+            result.places[frame] = seen(result.places[frame])
         causes: list[Cause] = []
         asked = [(p, name, out[name]) for p, out in zip(wanted.probes, result.probes, strict=True) for name in p.wanted]
         for (probe, name, out), pairs in zip(asked, moves, strict=True):
-            out[frame] = self._pictured(probe, name, places, action, step) if probe.effect.observe else 0.0
-            pair = pairs[step] if pairs else None
-            causes += [Cause(out[frame], *c) for c in self._of_probe(probe, name, anchors, pose, pair)]
+            out[frame] = 0.0
+            if probe.effect.observe:
+                out[frame, : len(places)] = self._pictured(probe, name, places, action, step)
+            causes += self._of_probe(probe, name, anchors, pose, pairs[step] if pairs else None, out[frame])
         for name in wanted.law:
             result.law[name][frame] = 0.0
             causes.append(Cause(result.law[name][frame], self._change_of_law(name)))
@@ -393,57 +429,77 @@ class Sensitivity:
         responses = self._kept.get(key)
         if responses is None:
             self._factorise()
-        elif any(cause.increment is not None for cause in causes):
+        elif forward.gripper_force or any(cause.increment is not None for cause in causes):
             equilibrium.tangent.assemble()
+        shown = self._shown(pose)
         columns = np.zeros((len(equilibrium.u.x.array), len(causes)))
-        direct = np.zeros((3 * fiducials, len(causes)))
+        moved = np.zeros((3 * forward.rows, len(causes)))
         for j, cause in enumerate(causes):
             columns[:, j] = cause.force
             if cause.increment is not None:
                 columns[:, j] += equilibrium.tangent.times(cause.increment)
-                direct[:, j] = self.observe @ cause.increment
+                moved[: self.observe.shape[0], j] = self.observe @ cause.increment
+                moved[self.observe.shape[0] :, j] = cause.turned
+        moved += shown.direct(columns)
         columns[equilibrium.supports.prescribed] = 0.0
-        if responses is None and (fields or len(causes) > 3 * fiducials):
-            responses = self._responses()
+        if responses is None and (fields or len(causes) > 3 * forward.rows):
+            responses = self._responses(shown)
             self._keep(key, responses)
         if responses is None:
-            moved = direct - self.observe @ equilibrium.factor.solve_block(columns)
+            moved -= shown.observe @ equilibrium.factor.solve_block(columns)
         else:
-            moved = direct - responses.T @ columns
+            moved -= responses.T @ columns
         for cause, change in zip(causes, moved.T, strict=True):
-            cause.target[:] += seen(change.reshape(fiducials, 3))
+            cause.target[:] += seen(change.reshape(-1, 3))
         if responses is None:
             return
         if result.stiffness is not None:
+            stiffer = self._stiffness_matrix()
             free = np.ones(len(responses), dtype=bool)
             free[equilibrium.supports.prescribed] = False
-            softened = -(responses.T @ (self._stiffness_matrix().multiply(free[:, None]).tocsc()))
+            softened = shown.direct(stiffer) - (responses.T @ (stiffer.multiply(free[:, None]).tocsc()))
             result.stiffness[frame] = self._all_seen(seen, np.asarray(softened))
         if result.forces is not None and wanted.forces is not None:
             dofs = forward.body.displacement_dofs.reshape(-1, 3)
-            pushed = np.stack([responses[dofs[:, axis]].T @ wanted.forces for axis in range(3)], axis=-1)
-            shaped = pushed.reshape(3 * fiducials, -1)
-            result.forces[frame] = self._all_seen(seen, shaped).reshape(fiducials, 3, -1, 3)
+            # What acts where the gripper holds is felt by it alone.
+            felt = responses.copy()
+            felt[:, len(felt.T) - shown.levers.shape[1] :] -= shown.levers
+            pushed = np.stack([felt[dofs[:, axis]].T @ wanted.forces for axis in range(3)], axis=-1)
+            shaped = pushed.reshape(3 * forward.rows, -1)
+            result.forces[frame] = self._all_seen(seen, shaped).reshape(forward.rows, 3, -1, 3)
 
     def _of_probe(
-        self, probe: Probe, name: str, anchors: frozenset[str], pose: Pose, pair: tuple[Pose, Pose] | None
-    ) -> list[tuple[Array | float, Array | None]]:
-        """What a unit of a parameter changes at the present state: residual, and prescribed displacements."""
-        equilibrium, parameter = self.equilibrium, _parameter(probe.effect, name)
-        found: list[tuple[Array | float, Array | None]] = []
+        self,
+        probe: Probe,
+        name: str,
+        anchors: frozenset[str],
+        pose: Pose,
+        pair: tuple[Pose, Pose] | None,
+        target: Array,
+    ) -> list[Cause]:
+        """What a unit of a parameter changes at the present state."""
+        parameter = _parameter(probe.effect, name)
+        found: list[Cause] = []
         value = probe.term.values[name]
         if parameter.reciprocal and not math.isfinite(value):
-            forces = equilibrium.forces()
-            forces[self.forward.body.displacement_dofs] -= equilibrium.supports.external
-            found.append((0.0, self._yielding(probe.term.place, anchors, np.asarray(forces))))
+            forces = self._loaded_forces()
+            found.append(Cause(target, 0.0, self._yielding(probe.term.place, anchors, forces)))
         elif probe.effect.mechanical:
             scale = -(value**2) if parameter.reciprocal else 1.0
-            found.append((scale * self._change(probe, name, pose.time), None))
+            found.append(Cause(target, scale * self._change(probe, name, pose.time)))
         if pair is not None:
             width = 2 * _STEP * parameter.scale
             loads: Array | float = np.asarray(-self._loaded(*pair) / width) if pose.loads else 0.0
-            found.append((loads, np.asarray(self._gripped(*pair) / width)))
+            gripper = self.forward.gripper_force
+            turned = np.asarray(gripper.turned(self._loaded_forces(), *pair) / width) if gripper else 0.0
+            found.append(Cause(target, loads, np.asarray(self._gripped(*pair) / width), turned))
         return found
+
+    def _loaded_forces(self) -> Array:
+        """Internal minus all external nodal forces, in the order of the unknowns, N."""
+        forces = np.asarray(self.equilibrium.forces())
+        forces[self.forward.body.displacement_dofs] -= self.equilibrium.supports.external
+        return forces
 
     @staticmethod
     def _all_seen(seen: Any, columns: Array) -> Array:
@@ -456,11 +512,12 @@ class Sensitivity:
         if not any(term.effect.observe for term in model.terms):
             return lambda change: change
         frame = self.forward.frame(action, step)
-        jacobian = np.zeros((len(places), 3, 3))
+        # No picture shows force and torque.
+        jacobian = np.tile(np.eye(3), (self.forward.rows, 1, 1))
         for axis in range(3):
             shift = np.zeros(3)
             shift[axis] = 1e-6
-            jacobian[:, :, axis] = (
+            jacobian[: len(places), :, axis] = (
                 model.observed(places + shift, frame) - model.observed(places - shift, frame)
             ) / 2e-6
         return lambda change: np.einsum("iab,ib...->ia...", jacobian, change)

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from bcid.base.errors import InputError, SolveError
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.solver.status import Status
+from bcid.forms.solver.supports import Pose
 from bcid.forms.solver.trajectory import poses
 from bcid.measurement import Action
 
@@ -42,8 +43,8 @@ class StepTangent:
     Attributes:
         compliance: B' K^-1 B, and that of springs, shape (tractions, tractions).
         apart: B' (u - K^-1 r), shape (tractions,).
-        shown: movement of the fiducials by K^-1 B, shape (3 * fiducials, tractions), m.
-        freed: movement of the fiducials by -K^-1 r, shape (3 * fiducials,), m.
+        shown: movement of the fiducials (and change of force and torque, see `Forward`) by K^-1 B, shape (3 * rows, tractions), m.
+        freed: the same by -K^-1 r, shape (3 * rows,), m.
     """
 
     compliance: Array
@@ -60,7 +61,7 @@ class SetTangent:
         anchors: the set that was followed.
         tractions: numbers of the tractions of each patch.
         steps: what is known in each frame that was reached and has a change.
-        shape: (frames, fiducials, 3).
+        shape: (frames, rows, 3).
         areas: movement that goes with unit tractions on a bed of springs of unit stiffness, shape (tractions, tractions).
     """
 
@@ -186,27 +187,30 @@ class SetTangents:
                     break
                 equilibrium.set_state(pose, states[frame])
                 if seen[frame] and states[frame].any():
-                    found[frame] = self._step()
+                    found[frame] = self._step(pose)
                 equilibrium.accept(pose)
         return found
 
-    def _step(self) -> StepTangent:
+    def _step(self, pose: Pose) -> StepTangent:
         equilibrium, dofs = self.forward.equilibrium, self.forward.body.displacement_dofs
         held = equilibrium.supports.prescribed
         reactions = np.asarray(equilibrium.forces())
         reactions[dofs] -= equilibrium.supports.external
-        columns = self._columns.copy()
+        columns, gripper = self._columns.copy(), self.forward.gripper_force
         columns[held] = 0.0
         reactions[held] = 0.0
         if equilibrium.verify(_SPRINGS) is Status.LINEAR_SOLVER:
             raise SolveError("the tangent of a converged step could not be factorised")
         found = equilibrium.factor.solve_block(np.column_stack([columns, reactions]))
         by_traction, by_reactions = found[:, :-1], found[:, -1]
+        observe = self._observe
+        if gripper is not None:
+            observe = gripper.beside(observe, gripper.levers(pose))
         return StepTangent(
             columns.T @ by_traction + self._yielding(),
             columns.T @ (equilibrium.u.x.array - by_reactions),
-            np.asarray(self._observe @ by_traction),
-            np.asarray(-(self._observe @ by_reactions)),
+            np.asarray(observe @ by_traction),
+            np.asarray(-(observe @ by_reactions)),
         )
 
     def _yielding(self) -> Array:

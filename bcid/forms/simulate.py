@@ -32,6 +32,7 @@ def simulate(
     model: Model | None = None,
     wrench: bool = False,
     times: Array | None = None,
+    wrench_noise: float = 0.0,
 ) -> Measurement:
     """What the fiducials of a scene would show; the mesh is shared by the ranks of `comm`, and the result is the same on all.
 
@@ -45,7 +46,8 @@ def simulate(
         comm: MPI communicator; COMM_SELF by default.
         model: the model; by default the scene's.
         times: of the frames, s; by default one second per step.
-        wrench: also record force and torque of the gripper (without noise).
+        wrench: also record force and torque of the gripper.
+        wrench_noise: standard deviation of the white noise added to a force, N; that of a torque is in proportion to the largest.
 
     Raises:
         SolveError: the forward model found no acceptable equilibrium; nothing is made up for the rest.
@@ -65,10 +67,24 @@ def simulate(
     text = f"simulated: scene {scene.name}, level {level}, anchors {' '.join(sorted(anchors)) or 'none'}"
     made = recorded(scene, actions, prediction.positions, sigma, np.random.default_rng(random_state), times, text)
     if wrench:
-        data = made.data.assign_coords(component=WRENCH)
-        data["wrench"] = (("frame", "component"), prediction.wrench)
-        made = replace(made, data=data)
+        assert prediction.wrench is not None
+        # Positions have the same noise with and without forces.
+        made = with_wrenches(made, prediction.wrench, wrench_noise, np.random.default_rng([random_state, 1]))
     return made
+
+
+def with_wrenches(made: Measurement, wrenches: Array, sigma: float, rng: np.random.Generator) -> Measurement:
+    """A measurement with force (N) and torque (N m) of the gripper, shape (frames, 6), besides, with white noise.
+
+    `sigma` is that of a force, N; that of a torque is in proportion to the largest.
+    """
+    data = made.data.assign_coords(component=WRENCH)
+    if sigma:
+        force, torque = (float(np.abs(wrenches[:, part]).max()) for part in (slice(3), slice(3, 6)))
+        noise = sigma * np.repeat([1.0, torque / max(force, 1e-30)], 3)
+        wrenches = wrenches + rng.normal(0.0, 1.0, wrenches.shape) * noise
+    data["wrench"] = (("frame", "component"), wrenches)
+    return replace(made, data=data, wrench_sigma=sigma or None)
 
 
 def recorded(

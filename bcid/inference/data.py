@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from bcid.forms.gripper_force import ROWS, ForceScale
 from bcid.inference.criteria import SURPRISE
+from bcid.inference.force_noise import force_noise
 from bcid.measurement import Action, Measurement
 from bcid.scene import Scene
 from bcid.scene.rotation import as_rotation
@@ -45,17 +47,24 @@ class Noise:
 class Data:
     """Every visible coordinate of a measurement, in one vector, with the labels needed to group them.
 
+    Force and torque of the gripper, where they were measured, are two rows more beside the fiducials, see
+    `bcid.forms.gripper_force`.
+
     Args:
         scene: the scene.
         measurement: must fit the scene.
+        forces: what force and torque are divided by; None where they do not count.
 
     Attributes:
-        mask: which of (frames, fiducials, 3) were seen.
-        about: measured positions (frames, fiducials, 3), m, and the place at rest where nothing was seen.
+        mask: which of (frames, rows, 3) were seen.
+        names: of the rows.
+        rest: what they show at rest, shape (rows, 3), m.
+        about: measured values (frames, rows, 3), m, and those at rest where nothing was seen.
         values: measured positions, shape (n,), m.
         sigma: standard deviation of each, m; NaN where it is not known.
-        stated: whether that is what measurement or scene say, and not an estimate.
-        action, frame, step, fiducial, axis: labels, shape (n,); actions and fiducials as numbers.
+        stated: whether that is what measurement or scene say of positions, and not an estimate.
+        action, frame, step, fiducial, axis: labels, shape (n,); actions and fiducials (or rows) as numbers.
+        kind: of each value, shape (n,): 0 a position, 1 a force, 2 a torque.
         trajectory: number of the (action, fiducial, axis) it belongs to, shape (n,).
         progress: part of its action that is done, 0 at step 0 and 1 at the last step seen, shape (n,).
         way: how far the gripper is from where it began, as part of the furthest of the action, shape (n,); the progress where
@@ -63,17 +72,22 @@ class Data:
         motion: number of the first action in which the gripper moves alike, shape (n,).
     """
 
-    def __init__(self, scene: Scene, measurement: Measurement) -> None:
+    def __init__(self, scene: Scene, measurement: Measurement, forces: ForceScale | None = None) -> None:
         columns = [scene.fiducial_names.index(name) for name in measurement.fiducial_names]
-        shape = (len(measurement.positions), len(scene.fiducials), 3)
+        self.names = [*scene.fiducial_names, *(["force", "torque"] if forces else [])]
+        shape = (len(measurement.positions), len(self.names), 3)
         self.measured, self._sigma = np.full(shape, np.nan), np.full(shape, np.nan)
         self.measured[:, columns] = measurement.positions
         stated = measurement.sigma(scene.noise_sigma)
         if stated is not None:
             self._sigma[:, columns] = stated
-        self.scene, self.measurement = scene, measurement
+        self.scene, self.measurement, self.forces = scene, measurement, forces
         self.stated = stated is not None
-        self.about = np.where(np.isfinite(self.measured), self.measured, scene.rest)
+        self.rest = np.zeros(shape[1:])
+        self.rest[: len(scene.fiducials)] = scene.rest
+        if forces is not None:
+            self._take_forces(forces)
+        self.about = np.where(np.isfinite(self.measured), self.measured, self.rest)
         self._ways, self._alike = np.full(shape[0], np.nan), np.zeros(shape[0], dtype=np.int64)
         moved = measurement.actions
         for action in moved:
@@ -82,8 +96,18 @@ class Data:
             self._alike[action.frames] = next(k for k, other in enumerate(moved) if same_motion(other, action))
         self._take(np.isfinite(self.measured))
 
+    def _take_forces(self, forces: ForceScale) -> None:
+        """Force and torque as the last rows, where something is gripped."""
+        gripped = np.zeros(len(self.measured), dtype=bool)
+        for action in self.measurement.actions:
+            gripped[action.frames] = bool(action.grasp)
+        rows = forces.rows(self.measurement.wrenches)
+        self.measured[gripped, -ROWS:] = rows[gripped]
+        noise = np.repeat(force_noise(self.measurement), 3)
+        self._sigma[:, -ROWS:] = forces.rows(noise)
+
     def _take(self, mask: NDArray[np.bool_]) -> None:
-        scene, measurement = self.scene, self.measurement
+        measurement = self.measurement
         self.mask: NDArray[np.bool_] = mask
         self.values, self.sigma = self.measured[mask], self._sigma[mask]
         frames, fiducials, axes = np.nonzero(self.mask)
@@ -91,7 +115,8 @@ class Data:
         actions = np.array([names.index(str(name)) for name in measurement.data["action"].values])
         self.frame, self.fiducial, self.axis = frames, fiducials, axes
         self.action, self.step = actions[frames], measurement.data["step"].values[frames]
-        key = (self.action * len(scene.fiducials) + fiducials) * 3 + axes
+        self.kind = self.kinds[fiducials]
+        key = (self.action * len(self.names) + fiducials) * 3 + axes
         _, self.trajectory = np.unique(key, return_inverse=True)
         self.actions = names
         last = np.array([self.step[self.action == a].max(initial=1) for a in range(len(names))])
@@ -111,18 +136,18 @@ class Data:
     def with_noise(self, noise: Noise) -> Data:
         """The same values with another noise than the stated one, or with one where none is stated."""
         other = copy(self)
-        other._sigma = self._sigma.copy()
+        other._sigma, count = self._sigma.copy(), len(self.scene.fiducials)
         sigma = self._sigma * noise.factor if self.stated else np.full_like(self._sigma, noise.sigma)
-        other._sigma[:] = np.where(np.isfinite(self.measured), sigma, np.nan)
+        other._sigma[:, :count] = np.where(np.isfinite(self.measured), sigma, np.nan)[:, :count]
         other._take(self.mask)
         return other
 
     def vector(self, positions: Array) -> Array:
-        """The visible coordinates of positions (frames, fiducials, 3), shape (n,)."""
+        """The visible ones of values (frames, rows, 3), shape (n,)."""
         return np.asarray(positions[self.mask])
 
     def spread(self, vector: Array) -> Array:
-        """A vector of values back in shape (frames, fiducials, 3), NaN where nothing was seen."""
+        """A vector of values back in shape (frames, rows, 3), NaN where nothing was seen."""
         result = np.full(self.mask.shape, np.nan)
         result[self.mask] = vector
         return result
@@ -131,7 +156,33 @@ class Data:
         """Standard deviation of every value, m; estimated from the residual (m) when none is known."""
         if np.isfinite(self.sigma).all():
             return self.sigma
-        return np.full(len(self), max(estimate_noise(self, residual), LEAST_NOISE))
+        estimated = max(estimate_noise(self, residual), LEAST_NOISE)
+        return np.where(self.of_position, estimated, self.sigma)
+
+    @property
+    def kinds(self) -> NDArray[np.int64]:
+        """Kind of each row, shape (rows,), see `kind`."""
+        return np.maximum(np.arange(len(self.names)) - len(self.scene.fiducials) + 1, 0)
+
+    @property
+    def of_position(self) -> NDArray[np.bool_]:
+        """Which values are positions, shape (n,)."""
+        return self.kind == 0
+
+    def moved(self, displacements: Array) -> Array:
+        """What displacements (frames, fiducials, 3, k), m, of points do to the values, (n, k), m; to force and torque nothing."""
+        whole = np.zeros((*self.mask.shape, displacements.shape[-1]))
+        whole[:, : len(self.scene.fiducials)] = displacements
+        return np.asarray(whole[self.mask])
+
+    @property
+    def points(self) -> Array:
+        """Those of `about` that are positions, (frames, fiducials, 3), m."""
+        return self.about[:, : len(self.scene.fiducials)]
+
+    def rms(self, vector: Array) -> float:
+        """Root mean square of those of values (n,) that are positions."""
+        return float(np.sqrt(np.mean(vector[self.of_position] ** 2)))
 
 
 def way(action: Action, scene: Scene) -> Array:
@@ -170,12 +221,14 @@ def told_noise(data: Data, rough: Array) -> Noise | None:
         return None
     differences = np.abs(np.concatenate(found)) / math.sqrt(6)
     factor = max(float(_PER_MEDIAN * np.median(differences)), 1e-12)
-    sigma = factor * (float(np.sqrt(np.mean(data.sigma**2))) if data.stated else 1.0)
+    sigma = factor * (data.rms(data.sigma) if data.stated else 1.0)
     return Noise(sigma, factor if data.stated else 1.0, 1.17 / math.sqrt(max(len(differences) / 2, 1.0)))
 
 
 def _along_trajectories(data: Data, values: Array) -> list[Array]:
+    """Values (n,) along each trajectory of a position."""
     order = np.lexsort((data.step, data.trajectory))
+    order = order[data.of_position[order]]
     return np.split(values[order], np.flatnonzero(np.diff(data.trajectory[order])) + 1)
 
 
@@ -186,5 +239,5 @@ def estimate_noise(data: Data, residual: Array) -> float:
     """
     found = [np.diff(values, 2) / np.sqrt(6) for values in _along_trajectories(data, residual) if len(values) > 2]
     if not found:
-        return float(np.sqrt(np.mean(residual**2)))
+        return data.rms(residual)
     return float(np.sqrt(np.mean(np.concatenate(found) ** 2)))

@@ -7,6 +7,7 @@ common to all. Whitening by it, its determinant and its inverse cost no more tha
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
@@ -17,13 +18,15 @@ from scipy.stats import norm
 from bcid.inference.criteria import SURPRISE
 from bcid.inference.data import Data
 from bcid.inference.mesh_error import MeshError
-from bcid.inference.nuisances import MARKERS, NuisanceModes
+from bcid.inference.nuisances import MARKERS, STIFFNESS, NuisanceModes
 
 Array = NDArray[np.float64]
 # How far the error of the mesh may be from what the ladder says: of each action as a whole, and of a single trajectory.
 _OF_ACTION = 0.5
 _OF_TRAJECTORY = 0.5
 _OF_FIDUCIAL = 1.5
+# A mesh is too stiff everywhere: of all forces and torques together.
+_OF_FORCES = 0.5
 # Columns that are smaller than this part of the noise are left out.
 _NEGLIGIBLE = 1e-6
 
@@ -104,7 +107,8 @@ class Errors:
         self._single: list[_LowRank] = []
         for rows, columns in self._of_fiducials(data.vector(mesh.left)):
             self._single.append(_LowRank.of(rows, columns / sigma[rows, None]))
-        common = np.column_stack([self._of_actions(data.vector(mesh.left)), self._of_frame(), self.nuisances.common])
+        self._modes = self._of_nuisances()
+        common = np.column_stack([self._of_actions(data.vector(mesh.left)), self._of_frame(), self._modes])
         scaled = common / sigma[:, None]
         for part in self._single:
             part.apply(scaled)
@@ -118,29 +122,43 @@ class Errors:
     # -- columns, m
 
     def _of_actions(self, left: Array) -> Array:
-        """The factor of each action's extrapolation."""
+        """The factor of each action's extrapolation, and that of forces."""
         found = [
             np.where(self.data.action == number, _OF_ACTION * left, 0.0) for number in range(len(self.data.actions))
         ]
+        found.append(np.where(self.data.kind > 0, _OF_FORCES * left, 0.0))
         return np.column_stack([column for column in found if column.any()] or [np.zeros((len(self.data), 0))])
+
+    def _of_nuisances(self) -> Array:
+        """Those of all values; the error of the mesh in a force grows with the stiffness of the body as the force does."""
+        modes, names = self.nuisances.common, self.nuisances.names
+        if STIFFNESS not in names:
+            return modes
+        corrected = np.where(self.data.kind > 0, self.data.vector(self.mesh.correction), 0.0)
+        stiffness = np.array(names) == STIFFNESS
+        return np.asarray(modes + np.outer(self.nuisances.sizes[STIFFNESS] * corrected, stiffness))
 
     def _of_frame(self) -> Array:
         """What an error of the measured frame does to all values together."""
         error = self.data.measurement.frame_error
         if error is None:
             return np.zeros((len(self.data), 0))
-        return np.asarray(error.modes(self.data.about)[self.data.mask])
+        return self.data.moved(error.modes(self.data.points))
 
     def _of_fiducials(self, left: Array) -> Iterator[tuple[NDArray[np.int64], Array]]:
         """What each fiducial has for itself: the rest of the mesh's error, and where it sits on the body."""
         data, markers = self.data, self.nuisances.markers
-        sizes = {a: float(np.sqrt(np.mean(left[data.action == a] ** 2))) for a in np.unique(data.action)}
-        common = float(np.sqrt(np.mean(left**2))) * _OF_FIDUCIAL
+        sizes, common = {}, {}
+        for kind in np.unique(data.kind):
+            alike = data.kind == kind
+            common[kind] = float(np.sqrt(np.mean(left[alike] ** 2))) * _OF_FIDUCIAL
+            for a in np.unique(data.action[alike]):
+                sizes[kind, a] = float(np.sqrt(np.mean(left[alike & (data.action == a)] ** 2)))
         order = np.argsort(data.fiducial, kind="stable")
         for rows in np.split(order, np.flatnonzero(np.diff(data.fiducial[order])) + 1):
             columns = [markers[rows]] if markers[rows].any() else []
-            if common > 0:
-                columns += [_along(data, rows, left, sizes), _growing(data, rows, common)]
+            if common[data.kind[rows[0]]] > 0:
+                columns += [_along(data, rows, left, sizes), _growing(data, rows, common[data.kind[rows[0]]])]
             if columns:
                 yield rows, np.hstack(columns)
 
@@ -180,25 +198,42 @@ class Errors:
     def told(self, residual: Array) -> list[NuisanceEstimate]:
         """What a residual (n,), m, says of every nuisance: the mean of its values given the data."""
         weighed = self.rough(residual) / self.sigma**2
-        common = self.nuisances.common.T @ weighed
+        common = self._modes.T @ weighed
         names = np.array(self.nuisances.names)
         of_markers = np.zeros((int(self.data.fiducial.max()) + 1, 3))
         np.add.at(of_markers, self.data.fiducial, self.nuisances.markers * weighed[:, None])
         found = []
+        seen = np.unique(self.data.fiducial[self.data.of_position])
         for name, size in self.nuisances.sizes.items():
-            values = of_markers[np.unique(self.data.fiducial)] if name == MARKERS else common[names == name]
+            values = of_markers[seen] if name == MARKERS else common[names == name]
             rms, most = float(np.sqrt(np.mean(values**2))), float(np.abs(values).max())
             found.append(NuisanceEstimate(name, size, size * rms, most, values.size))
         return found
 
+    def estimate(self, residual: Array, name: str, fitted: Array | None = None) -> tuple[float, float] | None:
+        """Mean and standard deviation of a nuisance of one number, given a residual (n,), m; None where it is not allowed for.
 
-def _along(data: Data, rows: NDArray[np.int64], left: Array, sizes: dict[int, float]) -> Array:
+        `fitted` are columns (n, p), m, of numbers that were fitted to the same data: they could be others with it.
+        """
+        if name not in self.nuisances.names:
+            return None
+        column = self._modes[:, self.nuisances.names.index(name)]
+        others, size = self.without([name]), self.nuisances.sizes[name]
+        seen, scaled = others.whiten(column), others.whiten(residual)
+        if fitted is not None and fitted.size:
+            basis = np.linalg.svd(others.whiten(fitted), full_matrices=False)[0]
+            seen = seen - basis @ (basis.T @ seen)
+        variance = 1 / (1 + float(seen @ seen))
+        return size * variance * float(seen @ scaled), size * math.sqrt(variance)
+
+
+def _along(data: Data, rows: NDArray[np.int64], left: Array, sizes: dict[tuple[int, int], float]) -> Array:
     """A constant and a slope along each trajectory, as large as what the mesh leaves of it."""
     columns = []
     for number in np.unique(data.trajectory[rows]):
         members = np.flatnonzero(data.trajectory[rows] == number)
         own = np.sqrt(np.mean(left[rows[members]] ** 2))
-        amount = _OF_TRAJECTORY * max(own, sizes[data.action[rows[members[0]]]])
+        amount = _OF_TRAJECTORY * max(own, sizes[data.kind[rows[0]], data.action[rows[members[0]]]])
         shape = np.zeros((len(rows), 2))
         # At rest there is no error; it grows with the motion.
         along = np.linspace(0.0, 1.0, len(members)) if len(members) > 1 else np.ones(1)

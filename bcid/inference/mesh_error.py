@@ -11,6 +11,22 @@ Array = NDArray[np.float64]
 # Where patches end, convergence is of little more than first order: by so much the difference of two meshes with a ratio
 # of three exceeds the error of the finer one.
 _SINGULAR = 3.0
+# Between levels that hardly differ nothing can be extrapolated.
+_LEAST_OF_FORCES = 0.5
+
+
+def gains(positions: float, refinement: float, kinds: NDArray[np.int64]) -> Array:
+    """By how much the distance of two levels exceeds the error of the finer one, for rows of some kinds, shape (rows, 1).
+
+    Of forces it is as of first order: they are derivatives of the energy, whose error is the square of that of the strains, and
+    those are singular where patches and grasp end (Strang & Fix, An Analysis of the Finite Element Method, 1973, chapter 8).
+
+    Args:
+        positions: that of positions.
+        refinement: how many times smaller elements are.
+        kinds: 0 for positions, 1 and 2 for force and torque.
+    """
+    return np.where(kinds == 0, positions, min(max(refinement - 1, _LEAST_OF_FORCES), positions))[:, None]
 
 
 @dataclass(frozen=True)
@@ -18,21 +34,23 @@ class MeshError:
     """What the mesh ladder says of the error of the working level.
 
     Attributes:
-        correction: what to add to a prediction of the working level, shape (frames, fiducials, 3), m.
+        correction: what to add to a prediction of the working level, shape (frames, rows, 3), m.
         left: what may be left after it, of the same shape, m; zero when nothing is known.
         known: whether there was a second level to compare with.
         about: name of the model and set of anchors that it was found with; for others it is a good guess.
+        fiducials: how many rows are fiducials (the others are force and torque); None where all are.
     """
 
     correction: Array
     left: Array
     known: bool
     about: tuple[str, frozenset[str]] = ("", frozenset())
+    fiducials: int | None = None
 
     @property
     def rms(self) -> float:
-        """RMS of what may be left, m."""
-        return float(np.sqrt(np.nanmean(self.left**2)))
+        """RMS of what may be left of positions, m."""
+        return float(np.sqrt(np.nanmean(self.left[:, : self.fiducials] ** 2)))
 
     def at(self, frames: NDArray[np.int64]) -> MeshError:
         """The same in some of the frames."""
@@ -44,17 +62,17 @@ class MeshError:
         return cls(np.zeros(shape), np.zeros(shape), False)
 
     @classmethod
-    def beyond(cls, coarse: Array, fine: Array, gain: float) -> MeshError:
+    def beyond(cls, coarse: Array, fine: Array, gain: float | Array) -> MeshError:
         """The same where the finer of the two is the working level."""
         difference = fine - coarse
-        return cls(np.asarray(difference / gain), np.asarray(difference / min(gain, _SINGULAR)), True)
+        return cls(np.asarray(difference / gain), np.asarray(difference / np.minimum(gain, _SINGULAR)), True)
 
     @classmethod
-    def between(cls, coarse: Array, fine: Array, gain: float) -> MeshError:
+    def between(cls, coarse: Array, fine: Array, gain: float | Array) -> MeshError:
         """From predictions on the working level and a finer one: Richardson's extrapolation.
 
         `gain` is how many times the difference exceeds the error of the finer one (3 for halved elements of second order).
         What is left is taken to be larger than that: see `_SINGULAR`.
         """
         difference = fine - coarse
-        return cls(np.asarray(difference * (1 + 1 / gain)), np.asarray(difference / min(gain, _SINGULAR)), True)
+        return cls(np.asarray(difference * (1 + 1 / gain)), np.asarray(difference / np.minimum(gain, _SINGULAR)), True)

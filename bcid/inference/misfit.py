@@ -49,9 +49,9 @@ class Misfit:
         self.motion_rms = float(np.sqrt(np.mean((self.measured - scene.rest)[self.visible] ** 2)))
 
     def frame(self, index: int, predicted: Array) -> tuple[float, float]:
-        """Chi-square and sum of squared residuals (m^2) of one frame; `predicted` has shape (fiducials, 3)."""
+        """Chi-square and sum of squared residuals (m^2) of one frame; `predicted` has shape (fiducials, 3), or more rows."""
         seen = self.visible[index]
-        residual = (predicted - self.measured[index])[seen]
+        residual = (predicted[: len(seen)] - self.measured[index])[seen]
         scaled = residual / self._sigma[index][seen]
         return float(scaled @ scaled), float(residual @ residual)
 
@@ -65,8 +65,8 @@ class Misfit:
         return (self.noise or 1.0) * float(np.sqrt(np.sum(np.array(by_frame)[frames]) / values)) if values else 0.0
 
     def distance(self, a: Array, b: Array) -> float:
-        """RMS difference of two predictions (frames, fiducials, 3) over the visible coordinates, m."""
-        return float(np.sqrt(np.mean((a - b)[self.visible] ** 2)))
+        """RMS difference of two predictions (frames, fiducials or more rows, 3) over the visible coordinates, m."""
+        return float(np.sqrt(np.mean((a - b)[:, : self.visible.shape[1]][self.visible] ** 2)))
 
     def similarity(self, rms: float) -> float:
         """1 for a perfect prediction, 0 for one as bad as predicting no motion at all, negative beyond."""

@@ -7,6 +7,7 @@ from typing import Any
 
 from bcid.base.units import for_people
 from bcid.inference.likelihood import NuisanceEstimate
+from bcid.scene.uncertainty import ANGLES, FORCES, LENGTHS
 
 # What is off.
 _OFF = {
@@ -18,8 +19,14 @@ _OFF = {
     "camera": "the measured frame would have to be turned by {}",
     "poisson": "Poisson's ratio would have to be off by {}",
     "law": "the law would have to stiffen or soften with strain by {} shear moduli, as the coefficient of (I1bar - 3)^2",
+    "stiffness": "the body would have to be stiffer or softer than the scene has it by {}",
+    "force_gain": "the gain of the force sensor would have to be off by {}",
+    "force_bias": "the force sensor would have to show {} without a force",
+    "force_drift": "what the force sensor shows without a force would have to change over an action by {}",
+    "gripper_weight": "the gripper would have to weigh {}",
 }
-_UNITS = {"markers": "m", "borders": "m", "grip": "m", "grip_turn": "deg", "camera": "deg"}
+_RELATIVE = ("dimensions", "stiffness", "force_gain")
+_UNITS = dict.fromkeys(LENGTHS, "m") | dict.fromkeys(ANGLES, "deg") | dict.fromkeys(FORCES, "N")
 
 
 def used_up(one: NuisanceEstimate) -> str:
@@ -54,7 +61,7 @@ def to_json(told: Sequence[NuisanceEstimate]) -> list[dict[str, Any]]:
 
 def _amount(one: NuisanceEstimate, value: float) -> str:
     """A value of a nuisance with its unit: "0.41 mm", "2 %"."""
-    if one.name == "dimensions":
+    if one.name in _RELATIVE:
         return f"{100 * value:.2g} %"
     shown, _, unit = for_people(value, None, _UNITS.get(one.name, "1"))
     return f"{shown:.2g}" if unit == "1" else f"{shown:.2g} {unit}"

@@ -18,11 +18,12 @@ from bcid.forms.model import Model
 from bcid.forms.scene_errors import Outline, dimensions, grip_term, law_form_term
 from bcid.forms.sensitivity import Probe, Sensitivities, Wanted
 from bcid.inference.data import Data
+from bcid.inference.force_nuisances import force_modes, largest_force
 from bcid.measurement.frame_error import FrameError
 from bcid.scene import Scene
 
 Array = NDArray[np.float64]
-MARKERS = "markers"
+MARKERS, STIFFNESS = "markers", "stiffness"
 
 
 @dataclass(frozen=True)
@@ -74,13 +75,15 @@ class Nuisances:
     Args:
         scene: with its `uncertainty`.
         mesh: of the body.
+        data: what was measured; without it no force is.
     """
 
-    def __init__(self, scene: Scene, mesh: BodyMesh) -> None:
-        self.scene = scene
+    def __init__(self, scene: Scene, mesh: BodyMesh, data: Data | None = None) -> None:
+        self.scene, force = scene, 0.0 if data is None else largest_force(data)
+        self._of_force = force > 0
         poisson = scene.material.values.get("poisson")
         size = float(np.linalg.norm(np.ptp(mesh.points, axis=0)))
-        self.sizes = scene.uncertainty.of(size, float(poisson) if poisson is not None else None)
+        self.sizes = scene.uncertainty.of(size, float(poisson) if poisson is not None else None, force)
         self._outlines = {name: Outline.of(mesh, region, f"patch {name}") for name, region in scene.patches.items()}
 
     def wanted(self, model: Model, anchors: Iterable[str]) -> Wanted:
@@ -93,11 +96,22 @@ class Nuisances:
         grip = grip_term()
         wanted = (("grip", "xyz"), ("grip_turn", ("rx", "ry", "rz")))
         probes += [Probe(grip, tuple(names)) for name, names in wanted if getattr(self.sizes, name)]
-        law = ("poisson",) if self.sizes.poisson and "poisson" in model.law.complete(model.values) else ()
-        return Wanted(tuple(probes), law, places=bool(self.sizes.markers))
+        law = ["poisson"] if self.sizes.poisson and "poisson" in model.law.complete(model.values) else []
+        law += model.stiffnesses if self._of_force and self.sizes.stiffness else []
+        return Wanted(tuple(probes), tuple(law), places=bool(self.sizes.markers))
 
-    def modes(self, data: Data, found: Sensitivities, wanted: Wanted) -> NuisanceModes:
-        """Their columns, from the sensitivities that were wanted."""
+    def modes(
+        self,
+        data: Data,
+        found: Sensitivities,
+        wanted: Wanted,
+        model: Model | None = None,
+        predicted: Array | None = None,
+    ) -> NuisanceModes:
+        """Their columns, from the sensitivities that were wanted.
+
+        Where forces are measured also from the model and what it predicts, (frames, rows, 3), m.
+        """
         columns: list[Array] = []
         names: list[str] = []
         sizes = self.sizes
@@ -118,8 +132,11 @@ class Nuisances:
                     parts = [np.where(data.action == number, column, 0.0) for number in range(len(data.actions))]
                 columns += [part * float(size or 0.0) for part in parts]
                 names += [name] * len(parts)
-        for name, array in found.law.items():
-            columns.append(np.nan_to_num(data.vector(array)) * float(sizes.poisson or 0.0))
+        for name, column in self._of_law(data, found, model):
+            columns.append(column)
+            names.append(name)
+        for name, column in force_modes(data, sizes, predicted) if predicted is not None else ():
+            columns.append(column)
             names.append(name)
         if sizes.camera and data.measurement.frame_error is None:
             turned = self._camera(data)
@@ -137,8 +154,18 @@ class Nuisances:
         }
         return NuisanceModes(markers, matrix, tuple(names), stated)
 
+    def _of_law(self, data: Data, found: Sensitivities, model: Model | None) -> list[tuple[str, Array]]:
+        """Of Poisson's ratio, and of all stiffnesses of the law together, which only forces tell."""
+        moved = {name: np.nan_to_num(data.vector(array)) for name, array in found.law.items()}
+        columns = [("poisson", moved.pop("poisson") * float(self.sizes.poisson or 0.0))] if "poisson" in moved else []
+        if moved and model is not None:
+            constants = model.stiffnesses
+            together = sum(constants[name] * column for name, column in moved.items())
+            columns.append((STIFFNESS, np.asarray(together) * float(self.sizes.stiffness or 0.0)))
+        return columns
+
     def _camera(self, data: Data) -> Array:
         variance = np.radians(float(self.sizes.camera or 0.0)) ** 2
-        centre = data.about.reshape(-1, 3).mean(axis=0)
+        centre = data.points.reshape(-1, 3).mean(axis=0)
         error = FrameError(centre, np.diag([variance] * 3 + [0.0] * 4))
-        return np.asarray(error.modes(data.about)[data.mask])
+        return data.moved(error.modes(data.points))

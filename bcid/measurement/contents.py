@@ -65,6 +65,13 @@ class Contents:
         return np.asarray(self.data["position"].values, dtype=float)
 
     @property
+    def wrenches(self) -> Array:
+        """Measured force (N) and torque (N m) of the gripper, shape (frames, 6); NaN where there is none."""
+        if "wrench" not in self.data:
+            return np.full((self.data.sizes["frame"], len(WRENCH)), np.nan)
+        return np.asarray(self.data["wrench"].transpose("frame", "component").values, dtype=float)
+
+    @property
     def action_names(self) -> list[str]:
         """Names in the order of the files."""
         return list(dict.fromkeys(str(name) for name in self.data["action"].values))

@@ -6,6 +6,7 @@ import math
 import re
 from bisect import bisect_left
 from collections.abc import Mapping
+from dataclasses import fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from bcid.base.errors import InputError, Problems, nearest
 from bcid.base.text_file import parse_toml, read_text
 from bcid.base.units import quantities, quantity, unit_factor, usable
 from bcid.scene.parts import Box, Grasp, Level, Limits, Material, Plane, Region, Values, Vector
-from bcid.scene.uncertainty import ANGLES, LENGTHS, Uncertainty
+from bcid.scene.uncertainty import ANGLES, FORCES, LENGTHS, Uncertainty
 
 FORMAT = "bcid-scene/1"
 DEGREES = (1, 2)
@@ -246,9 +247,8 @@ class SceneFile:
 
     def uncertainty(self, table: Mapping[str, Any]) -> Uncertainty:
         """How well the scene knows what it states."""
-        units = (
-            dict.fromkeys(LENGTHS, "m") | dict.fromkeys(ANGLES, "deg") | {"dimensions": "", "poisson": "", "law": ""}
-        )
+        units = {field.name: "" for field in fields(Uncertainty)}
+        units |= dict.fromkeys(LENGTHS, "m") | dict.fromkeys(ANGLES, "deg") | dict.fromkeys(FORCES, "N")
         self.unknown(table, tuple(units), "uncertainty.")
         return Uncertainty(
             **{name: self.positive(table, f"uncertainty.{name}", unit, zero=True) for name, unit in units.items()}

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 
-# Where a scene states nothing: lengths as parts of the body's size (the diagonal of its box), angles in degrees.
+# Where a scene states nothing: lengths as parts of the body's size (the diagonal of its box), forces as parts of the largest that
+# was measured, angles in degrees.
 _USUAL = {
     "markers": 0.005,
     "dimensions": 0.02,
@@ -14,9 +15,15 @@ _USUAL = {
     "camera": 0.2,
     "poisson": 0.03,
     "law": 0.05,
+    "stiffness": 0.5,
+    "force_gain": 0.01,
+    "force_bias": 0.005,
+    "force_drift": 0.005,
+    "gripper_weight": 0.0,
 }
 LENGTHS = ("markers", "borders", "grip")
 ANGLES = ("grip_turn", "camera")
+FORCES = ("force_bias", "force_drift", "gripper_weight")
 # Poisson's ratio is not taken to be closer to a half than this part of its distance, in standard deviations.
 _TO_HALF = 1 / 3
 
@@ -34,6 +41,11 @@ class Uncertainty:
         camera: of the directions of the measured frame's axes, deg; a measurement that states the error of its frame knows better.
         poisson: of Poisson's ratio.
         law: of its form at large strains: of the coefficient of (I1bar - 3)^2 in its energy, in units of the shear modulus.
+        stiffness: of all stiffnesses of the law together, relative. It and the following count where forces are measured.
+        force_gain: of the force sensor's gain, relative.
+        force_bias: of what it shows without a force, along each axis of the gripper, N; of a torque in proportion.
+        force_drift: by how much that changes over an action, N.
+        gripper_weight: of the weight of the gripper that it feels besides, N.
     """
 
     markers: float | None = None
@@ -44,15 +56,21 @@ class Uncertainty:
     camera: float | None = None
     poisson: float | None = None
     law: float | None = None
+    stiffness: float | None = None
+    force_gain: float | None = None
+    force_bias: float | None = None
+    force_drift: float | None = None
+    gripper_weight: float | None = None
 
     @classmethod
     def none(cls) -> Uncertainty:
         """Everything is exactly as stated."""
         return cls(**{field.name: 0.0 for field in fields(cls)})
 
-    def of(self, size: float, poisson: float | None = None) -> Uncertainty:
-        """With what is usual for a body of this size (m) and Poisson's ratio where nothing is said."""
-        usual = {name: part * (size if name in LENGTHS else 1.0) for name, part in _USUAL.items()}
+    def of(self, size: float, poisson: float | None = None, force: float = 0.0) -> Uncertainty:
+        """With what is usual for a body of this size (m), Poisson's ratio and largest force (N) where nothing is said."""
+        units = dict.fromkeys(LENGTHS, size) | dict.fromkeys(FORCES, force)
+        usual = {name: part * units.get(name, 1.0) for name, part in _USUAL.items()}
         if poisson is not None:
             usual["poisson"] = min(usual["poisson"], _TO_HALF * (0.5 - poisson))
         return replace(self, **{name: value for name, value in usual.items() if getattr(self, name) is None})

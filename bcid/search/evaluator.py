@@ -20,6 +20,7 @@ from bcid.base.collective import Comm, agree, in_turns
 from bcid.base.errors import SHORT_OF_MEMORY, BcidError, MachineError
 from bcid.base.progress import Progress, Silent
 from bcid.forms.forward import Forward, Prediction, Watch
+from bcid.forms.gripper_force import ForceScale
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
@@ -54,7 +55,8 @@ class Evaluator:
         per_rank: a mesh with more unknowns than this is shared by a team of ranks, as far as there are any.
 
     Attributes:
-        outcomes: everything evaluated so far, by level and candidate; equal on all ranks.
+        outcomes: everything evaluated so far, by level and candidate; equal on all ranks. They are those of positions: forces
+            depend on how stiff the body is, and count where sets are weighed.
     """
 
     def __init__(
@@ -82,6 +84,7 @@ class Evaluator:
         for outcome in (one for one in known if len(one.by_frame) == len(measurement.positions)):
             self._stored.setdefault((outcome.level, outcome.candidate), []).append(outcome)
         self.misfit = Misfit(scene, measurement)
+        self._forces = ForceScale.of(scene, measurement)
         self.actions = measurement.actions
         self.outcomes: dict[tuple[int, Candidate], Outcome] = {}
         self.per_rank = per_rank
@@ -109,7 +112,7 @@ class Evaluator:
             self._forwards[level] = in_turns(
                 self.comm,
                 self.comm.rank < team.size,
-                lambda: Forward(self.scene, level, team, self.model, self.settings, mesh),
+                lambda: Forward(self.scene, level, team, self.model, self.settings, mesh, self._forces),
             )
             together = f", shared by {team.size} ranks" if team.size > 1 else ""
             self.progress.say(f"level {level}: {self._forwards[level].describe}{together}")
@@ -316,7 +319,7 @@ class Evaluator:
         return {candidate: found[candidate] for candidate in candidates}
 
     def positions(self, level: int, candidate: Candidate) -> Array:
-        """Predicted fiducial positions of one candidate, shape (frames, fiducials, 3), m; collective."""
+        """Predicted values of one candidate, shape (frames, rows, 3), m; collective."""
         key = level, candidate
         if key not in self._positions:
             self._positions[key] = self.predict(level, candidate).positions

@@ -9,6 +9,7 @@ from bcid.forms.forward import Prediction
 from bcid.inference import nuisance_text
 from bcid.inference.criteria import CERTAIN, FAR, MAY_BE
 from bcid.inference.likelihood import NuisanceEstimate
+from bcid.inference.stiffness import Stiffness
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,7 @@ class Identification:
             where the mesh is too large for that to be asked.
         astray: fiducials that do not go with the body, and were left out.
         nuisances: what the data say of each thing that the scene may have slightly wrong.
+        stiffness: how stiff the body is, where forces are measured.
     """
 
     anchored: tuple[str, ...]
@@ -60,6 +62,7 @@ class Identification:
     missing: float | None = None
     astray: tuple[str, ...] = ()
     nuisances: tuple[NuisanceEstimate, ...] = ()
+    stiffness: Stiffness | None = None
 
     @property
     def unfollowed(self) -> list[Alternative]:
@@ -100,6 +103,7 @@ class Identification:
             "astray": list(self.astray),
             "explains": self.explains,
             "nuisances": nuisance_text.to_json(self.nuisances),
+            "stiffness": self.stiffness.to_json() if self.stiffness else None,
         }
 
 

@@ -402,6 +402,7 @@ class _Search:
             seconds=seconds,
             missing=weight.evidence.missing if weight else None,
             nuisances=tuple(weight.told) if weight else (),
+            stiffness=weight.stiffness(evaluator.model) if weight else None,
             astray=astray,
         )
 

@@ -23,6 +23,7 @@ from bcid.forms.model import check_physics
 from bcid.inference import nuisance_text
 from bcid.inference.followed import as_far_as_followed
 from bcid.inference.outcome import Outcome, label
+from bcid.inference.stiffness import Stiffness
 from bcid.measurement import AXES, WRENCH, Measurement
 from bcid.scene import Scene
 from bcid.search.identification import Identification
@@ -149,6 +150,8 @@ def prediction_dataset(scene: Scene, measurement: Measurement, found: Identifica
     data["rest"] = (("fiducial", "axis"), scene.rest[columns])
     data = data.assign_coords(component=WRENCH)
     data["wrench"] = (("frame", "component"), found.prediction.wrench)
+    if np.isfinite(measurement.wrenches).any():
+        data["wrench_measured"] = (("frame", "component"), measurement.wrenches)
     return data
 
 
@@ -203,6 +206,7 @@ def summary(scene: Scene, measurement: Measurement, found: Identification, round
         f"The model misses the measurement by {found.rms / unit:.3g} {length} per coordinate (RMS); {noise}.",
         mesh,
         *_besides(found),
+        *stiffness_in_words(found.stiffness),
         f"Compared: {len(measurement.action_names)} action(s), {frames} frames, {fiducials} fiducials.",
         "",
         "Probability that a patch is anchored:",
@@ -243,6 +247,11 @@ def _besides(found: Identification) -> list[str]:
         return []
     missing = f"Something is missing in the model besides, or it is wrong there: probability {percent(found.missing)}."
     return [*nuisance_text.allowed(found.nuisances), missing]
+
+
+def stiffness_in_words(found: Stiffness | None) -> list[str]:
+    """How stiff the body is, by the gripper's force."""
+    return [f"Stiffness by the gripper's force: {found.text}."] if found else []
 
 
 def _confused(scene: Scene, found: Identification) -> list[str]:

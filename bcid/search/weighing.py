@@ -13,13 +13,16 @@ from numpy.typing import NDArray
 from bcid.base.errors import SolveError
 from bcid.forms.force_bumps import BUMPS, bumps, force_unit
 from bcid.forms.forward import Forward, Prediction
+from bcid.forms.gripper_force import ForceScale
+from bcid.forms.model import Model
 from bcid.forms.sensitivity import Sensitivity
 from bcid.inference.data import Data
 from bcid.inference.likelihood import Errors, NuisanceEstimate
-from bcid.inference.mesh_error import MeshError
+from bcid.inference.mesh_error import MeshError, gains
 from bcid.inference.nuisances import NuisanceModes, Nuisances
 from bcid.inference.outcome import Candidate
 from bcid.inference.relative import relative
+from bcid.inference.stiffness import Stiffness
 from bcid.inference.unknown_force import Evidence, courses, unknown_force
 from bcid.search.climb import ODDS
 from bcid.search.evaluator import Evaluator
@@ -75,6 +78,10 @@ class Weight:
         """What the data say of each thing that the scene may have slightly wrong."""
         return self.errors.told(self.residual)
 
+    def stiffness(self, model: Model) -> Stiffness | None:
+        """How stiff the body is, where forces are measured."""
+        return Stiffness.of(self.errors, self.residual, model.stiffnesses)
+
 
 class Weighing:
     """Weighs sets on the levels that a search used. Methods are collective.
@@ -91,7 +98,8 @@ class Weighing:
         self, evaluator: Evaluator, levels: Sequence[int], best: Candidate, mesh: MeshError | None = None
     ) -> None:
         self.evaluator, self.best, self.known = evaluator, best, mesh
-        self.data = Data(evaluator.scene, evaluator.measurement)
+        forces = ForceScale.of(evaluator.scene, evaluator.measurement)
+        self.data = Data(evaluator.scene, evaluator.measurement, forces)
         self.solved = [level for level in levels if not evaluator.outcomes[level, best].failed]
         # Sensitivities are not made on a mesh that ranks share.
         self.levels = [level for level in self.solved if not evaluator.together(level)]
@@ -187,11 +195,12 @@ class Weighing:
         size = float(np.linalg.norm(np.ptp(self.evaluator.forward(level).mesh.points, axis=0)))
         names = self.evaluator.scene.fiducial_names
         taken, lost = (
-            np.bincount(data.fiducial, values, minlength=len(names))
+            np.bincount(data.fiducial[data.of_position], values[data.of_position], minlength=len(names))
             for values in (0.5 * shares, np.log(size / errors.sigma))
         )
         found = np.flatnonzero(taken > lost - math.log(_ASTRAY))
-        return tuple(names[i] for i in found) if 0 < len(found) <= len(np.unique(data.fiducial)) / 4 else ()
+        seen = np.unique(data.fiducial[data.of_position])
+        return tuple(names[i] for i in found) if 0 < len(found) <= len(seen) / 4 else ()
 
     def classes(self, level: int, logs: dict[Candidate, float]) -> list[list[Candidate]]:
         """Sets that the measured motions cannot tell apart, of those that are likely.
@@ -243,10 +252,16 @@ class Weighing:
                 self._meshes[level] = self.known
             elif level == last:
                 before = self.solved[-2]
-                self._meshes[level] = MeshError.beyond(at(before), at(last), gain(self.evaluator, before, last))
+                self._meshes[level] = MeshError.beyond(at(before), at(last), self._gains(before, last))
             else:
-                self._meshes[level] = MeshError.between(at(level), at(last), gain(self.evaluator, level, last))
+                self._meshes[level] = MeshError.between(at(level), at(last), self._gains(level, last))
+            self._meshes[level] = replace(self._meshes[level], fiducials=len(self.evaluator.scene.fiducials))
         return self._meshes[level]
+
+    def _gains(self, coarse: int, fine: int) -> Array:
+        """By how much their distance exceeds the error of the finer of two levels, shape (rows, 1); collective."""
+        refinement = self.evaluator.refinement(coarse, fine)
+        return gains(gain(self.evaluator, coarse, fine), refinement, self.data.kinds)
 
     def _fill(self, level: int, candidates: Iterable[Candidate]) -> None:
         """Predict sets, with the sensitivities that weighing takes."""
@@ -258,7 +273,7 @@ class Weighing:
         level = forward.level
         if level not in self._sensitivities:
             self._sensitivities[level] = Sensitivity(forward)
-            self._nuisances[level] = Nuisances(forward.scene, forward.mesh)
+            self._nuisances[level] = Nuisances(forward.scene, forward.mesh, self.data)
             self._weights[level] = bumps(forward, BUMPS)[1]
         nuisances = self._nuisances[level]
         wanted = replace(nuisances.wanted(forward.model, candidate), forces=self._weights[level])
@@ -272,4 +287,5 @@ class Weighing:
             return Pan(prediction.positions, NuisanceModes.none(len(data)), np.zeros((len(data), 1)), failed)
         assert found.forces is not None
         slopes = np.asarray(found.forces[data.mask], dtype=float).reshape(len(data), math.prod(found.forces.shape[3:]))
-        return Pan(prediction.positions, nuisances.modes(data, found, wanted), slopes, failed)
+        modes = nuisances.modes(data, found, wanted, forward.model, prediction.positions)
+        return Pan(prediction.positions, modes, slopes, failed)

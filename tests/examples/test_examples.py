@@ -175,6 +175,13 @@ def test_the_bars_quoted_points_are_on_the_published_curve(real_data: Callable[[
     assert stiffening < 0.5 * plain
 
 
+def test_the_force_tells_how_stiff_a_body_is() -> None:
+    example = load("08_forces")
+    value, error = example.main()
+    assert value == pytest.approx(example.TRUE, rel=0.1)
+    assert abs(value - example.TRUE) < 2.5 * error
+
+
 def test_every_example_has_a_test() -> None:
     tested = Path(__file__).read_text(encoding="utf-8")
     assert all(f'load("{path.stem}")' in tested for path in EXAMPLES.glob("[0-9]*.py"))

@@ -1,6 +1,7 @@
 """Sensitivities by the tangent rule against differences of whole trajectories, for every kind of effect.
 
-On the box of the effects' contract: pulled, turned, loaded, there and back, with steps that are not equally long.
+On the box of the effects' contract: pulled, turned, loaded, there and back, with steps that are not equally long. Fiducials,
+and force and torque of the gripper.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from bcid.comparison.predictor import mechanical
 from bcid.forms import effect_trial as trial
 from bcid.forms import effects
 from bcid.forms.forward import Forward
+from bcid.forms.gripper_force import ForceScale
 from bcid.forms.model import Model, Term
 from bcid.forms.sensitivity import Probe, Sensitivities, Sensitivity, Wanted
 from bcid.forms.solver.equilibrium import Settings
@@ -30,6 +32,7 @@ SCENE, MESH, ACTIONS = trial.scene(), trial.box(), trial.actions()
 ANCHORS = frozenset({"left"})
 PLAIN = Model.of(SCENE)
 STEP = 1e-3
+FORCES = ForceScale(400.0, 0.05)
 
 
 def term(name: str, place: str = "", **values: float) -> Term:
@@ -44,7 +47,7 @@ STILL = term("camera_offset", rx=0.0, ry=0.0, rz=0.0, tx=0.0, ty=0.0, tz=0.0, sc
 
 def positions(model: Model) -> Array:
     """A whole trajectory, solved to round-off."""
-    forward = Forward(SCENE, 0, MPI.COMM_SELF, model, Settings(rtol=1e-12), MESH)
+    forward = Forward(SCENE, 0, MPI.COMM_SELF, model, Settings(rtol=1e-12), MESH, FORCES)
     prediction = forward.predict(ANCHORS, ACTIONS)
     assert prediction.complete
     forward.destroy()
@@ -53,7 +56,7 @@ def positions(model: Model) -> Array:
 
 def sensitivities(model: Model, wanted: Wanted, scene: object = SCENE, mesh: object = MESH) -> Sensitivities:
     """By the tangent, as a predictor asks for them."""
-    forward = Forward(scene, 0, MPI.COMM_SELF, mechanical(model), Settings(rtol=1e-12), mesh)  # type: ignore[arg-type]
+    forward = Forward(scene, 0, MPI.COMM_SELF, mechanical(model), Settings(rtol=1e-12), mesh, FORCES)  # type: ignore[arg-type]
     prediction = forward.predict(ANCHORS, ACTIONS, keep=True)
     found = Sensitivity(forward).of(ANCHORS, ACTIONS, prediction, wanted, model)
     forward.destroy()
@@ -69,8 +72,12 @@ def differences(at: Callable[[float], Array], value: float, size: float, lower: 
 
 
 def assert_same(found: Array, expected: Array, tolerance: float = 1e-3) -> None:
+    """Of the fiducials, and of force and torque where they change."""
     assert np.abs(expected).max() > 0
-    assert found == pytest.approx(expected, abs=tolerance * np.abs(expected).max())
+    count = len(SCENE.fiducials)
+    for rows in (slice(count), slice(count, count + 1), slice(count + 1, None)):
+        most = max(np.abs(expected[:, rows]).max(), 1e-6 * np.abs(expected).max())
+        assert found[:, rows] == pytest.approx(expected[:, rows], abs=tolerance * most)
 
 
 # What acts already, the effect that is asked for, and its number.
@@ -184,7 +191,11 @@ def test_with_a_pressure_as_unknown() -> None:
     found = sensitivities(model, wanted, scene)
 
     def at(one: Model) -> Array:
-        return Forward(scene, 0, MPI.COMM_SELF, one, Settings(rtol=1e-12), MESH).predict(ANCHORS, ACTIONS).positions
+        return (
+            Forward(scene, 0, MPI.COMM_SELF, one, Settings(rtol=1e-12), MESH, FORCES)
+            .predict(ANCHORS, ACTIONS)
+            .positions
+        )
 
     heavier = differences(lambda w: at(model + term("gravity", weight=w)), 0.0, 5000.0, 0.0)
     assert_same(found.probes[0]["weight"], heavier)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mpi4py import MPI
+from numpy.typing import NDArray
 
 from bcid.comparison.predictor import Predictor
 from bcid.forms.model import Model, Term, check_physics
@@ -20,6 +21,8 @@ from bcid.scene import Level, Scene
 
 ABOUT = frozenset({"3", "4"})
 STEPS = 3
+# Fiducials, force, torque.
+ROWS = slice(0, -2), slice(-2, -1), slice(-1, None)
 
 
 @pytest.fixture(scope="module")
@@ -45,10 +48,14 @@ def reach(request: pytest.FixtureRequest) -> float:
 
 @pytest.fixture
 def predictor(slab: Scene, reach: float) -> Iterator[Predictor]:
-    measurement = simulate(slab, ABOUT, pulls(reach), level=0)
+    measurement = simulate(slab, ABOUT, pulls(reach), level=0, wrench=True)
     predictor = Predictor(slab, measurement, MPI.COMM_SELF, settings=Settings(rtol=1e-8))
     yield predictor
     predictor.destroy()
+
+
+def relative(found: NDArray[np.float64], expected: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean((found - expected) ** 2) / np.mean(expected**2)))
 
 
 def about(predictor: Predictor, model: Model) -> SetTangent:
@@ -66,8 +73,9 @@ def test_a_set_moves_the_fiducials_as_its_tangent_says(predictor: Predictor, rea
     for other in ("4", "1 3 4", "2 3 4", "3", "1 4", "3 4 8"):
         anchors = frozenset(other.split())
         moved = predictor.predict(model, anchors).positions - here
-        miss = np.sqrt(np.mean((tangent.moved(anchors) - moved) ** 2) / np.mean(moved**2))
-        assert miss < (0.06 if reach < 1e-3 else 0.15), other
+        for rows in ROWS:
+            miss = relative(tangent.moved(anchors)[:, rows], moved[:, rows])
+            assert miss < (0.06 if reach < 1e-3 else 0.15 if rows.start == 0 else 0.3), (other, rows)
 
 
 def test_a_set_that_gives_moves_the_fiducials_as_a_rigid_one_tells(predictor: Predictor, reach: float) -> None:
@@ -81,8 +89,9 @@ def test_a_set_that_gives_moves_the_fiducials_as_a_rigid_one_tells(predictor: Pr
         for anchors in (ABOUT, frozenset("134")):
             moved = predictor.predict(soft, anchors).positions - here
             told = tangent.moved(anchors, dict.fromkeys(anchors, 1 / stiffness))
-            miss = np.sqrt(np.mean((told - moved) ** 2) / np.mean(moved**2))
-            assert miss < (0.08 if reach < 1e-3 else 0.2), (stiffness, anchors)
+            for rows in ROWS:
+                miss = relative(told[:, rows], moved[:, rows])
+                assert miss < (0.08 if reach < 1e-3 else 0.2 if rows.start == 0 else 0.3), (stiffness, anchors, rows)
 
 
 def test_no_compliance_is_a_rigid_anchor(predictor: Predictor) -> None:

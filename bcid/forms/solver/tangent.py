@@ -104,9 +104,9 @@ class Tangent:
         self.matrix.shift(part * diagonal.norm(PETSc.NormType.NORM_1) / diagonal.getSize())
         diagonal.destroy()
 
-    def times(self, change: Array) -> Array:
-        """Product of the full matrix, as it was last assembled, with a change of all unknowns; one rank only."""
-        return np.asarray(self._blocked @ change)
+    def times(self, change: Array, transpose: bool = False) -> Array:
+        """Product of the full matrix, as it was last assembled, or its transpose, with changes of all unknowns; one rank only."""
+        return np.asarray((self._blocked.T if transpose else self._blocked) @ change)
 
     def copied(self) -> sp.csr_matrix:
         """The constrained matrix as it was last assembled, this rank's rows."""

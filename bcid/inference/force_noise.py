@@ -1,0 +1,36 @@
+"""The noise of a force sensor, stated or seen in what it wrote."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.measurement import Measurement
+
+Array = NDArray[np.float64]
+# A sensor is not better than this part of the largest value that it shows: its linearity.
+_LEAST = 0.005
+# Standard deviation of Gaussian values per median of their sizes, and of their third differences per that of one.
+_PER_MEDIAN, _THIRD = 1.4826, math.sqrt(20)
+
+
+def force_noise(measurement: Measurement) -> tuple[float, float]:
+    """Standard deviations of a force, N, and of a torque, N m; `wrench_sigma` is that of a force.
+
+    What is not stated is seen in third differences along the steps of each action, in which a smooth course drops out.
+    """
+    wrenches = measurement.wrenches
+    found = [_seen(measurement, wrenches[:, part]) for part in (slice(3), slice(3, 6))]
+    stated = measurement.wrench_sigma
+    return (found[0] if stated is None else stated), found[1]
+
+
+def _seen(measurement: Measurement, values: Array) -> float:
+    """Of values (frames, 3)."""
+    differences = [np.diff(values[action.frames], 3, axis=0).ravel() for action in measurement.actions if action.grasp]
+    sizes = np.abs(np.concatenate([np.zeros(0), *differences]))
+    sizes = sizes[np.isfinite(sizes)]
+    rough = _PER_MEDIAN * float(np.median(sizes)) / _THIRD if len(sizes) else 0.0
+    return max(rough, _LEAST * float(np.nanmax(np.abs(values), initial=0.0)), 1e-12)
