@@ -22,7 +22,7 @@ from bcid.base.units import unit_factor, with_units
 from bcid.measurement.contents import FORMAT, Contents, Units
 from bcid.measurement.folder import read_folder, write_folder
 from bcid.measurement.frame_error import FrameError
-from bcid.measurement.mapping import read_mapped
+from bcid.measurement.mapped import read_mapped
 from bcid.measurement.plausibility import examine
 
 if TYPE_CHECKING:

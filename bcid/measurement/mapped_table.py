@@ -1,0 +1,179 @@
+"""Tables with a header line: one row per frame, or one per frame and fiducial, as a mapping names their columns."""
+
+from __future__ import annotations
+
+import csv
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.base.errors import Problems, nearest
+from bcid.base.text_file import read_lines
+from bcid.measurement.mapping import COLUMNS, Mapping
+from bcid.measurement.tracks import Tracks
+
+Array = NDArray[np.float64]
+
+
+def read_table(mapping: Mapping) -> Tracks:
+    """The tracks in a table, in its own units.
+
+    Raises:
+        InputError: with every problem of the table.
+    """
+    rows = _rows(mapping)
+    if "fiducial" in mapping.columns:
+        return _long(mapping, rows)
+    columns = mapping.columns
+    problems = Problems(f"recording {mapping.file}")
+    wanted = [c for marker in mapping.markers.values() for c in marker]
+    wanted += [c for key in COLUMNS if key in columns for c in _listed(columns[key])]
+    _require(mapping, rows, wanted, problems)
+    actions = (
+        [row[columns["action"]] for _, row in rows]
+        if "action" in columns
+        else [str(mapping.table.get("action", "1"))] * len(rows)
+    )
+    steps = _steps(mapping, rows, actions, problems)
+    times = (
+        _numbers(mapping, rows, [columns["time"]], problems)[:, 0]
+        if "time" in columns
+        else np.array(steps, dtype=float)
+    )
+    positions = {name: _numbers(mapping, rows, marker, problems, gaps=True) for name, marker in mapping.markers.items()}
+    moved = [
+        _numbers(mapping, rows, columns[k], problems) if k in columns else None for k in ("translation", "rotation")
+    ]
+    problems.raise_if_any()
+    grasps = [row[columns["grasp"]] for _, row in rows] if "grasp" in columns else []
+    return Tracks(actions, steps, list(times), positions, moved[0], moved[1], grasps)
+
+
+def _long(mapping: Mapping, rows: list[tuple[int, dict[str, str]]]) -> Tracks:
+    """One row per frame and fiducial."""
+    columns = mapping.columns
+    problems = Problems(f"recording {mapping.file}")
+    for key in ("position", "step"):
+        if key not in columns:
+            problems.add(mapping.path, f"columns.{key}: is needed when columns.fiducial is given")
+    problems.raise_if_any()
+    _require(mapping, rows, [c for key in COLUMNS if key in columns for c in _listed(columns[key])], problems)
+    action = str(mapping.table.get("action", "1"))
+    actions = [row[columns["action"]] if "action" in columns else action for _, row in rows]
+    steps = _steps(mapping, rows, actions, problems)
+    values = _numbers(mapping, rows, columns["position"], problems, gaps=True)
+    times = (
+        _numbers(mapping, rows, [columns["time"]], problems)[:, 0]
+        if "time" in columns
+        else np.array(steps, dtype=float)
+    )
+    moved = [
+        _numbers(mapping, rows, columns[k], problems) if k in columns else None for k in ("translation", "rotation")
+    ]
+    problems.raise_if_any()
+    frames = list(dict.fromkeys(zip(actions, steps, strict=True)))
+    first = {frame: i for i, frame in reversed(list(enumerate(zip(actions, steps, strict=True))))}
+    chosen = [first[frame] for frame in frames]
+    given = mapping.markers or {row[columns["fiducial"]]: row[columns["fiducial"]] for _, row in rows}
+    if not mapping.fiducials:
+        mapping.fiducials = [name for name in given if name]
+    positions: dict[str, Array] = {name: np.full((len(frames), 3), np.nan) for name in given}
+    names = {label: name for name, label in given.items()}
+    labels = dict.fromkeys(row[columns["fiducial"]] for _, row in rows)
+    for label, fiducial in names.items():
+        if label not in labels:
+            problems.add(mapping.file, f"has no marker '{label}' (fiducial {fiducial}); {nearest(label, labels)}")
+    problems.raise_if_any()
+    number = {frame: i for i, frame in enumerate(frames)}
+    seen: dict[tuple[str, int, str], int] = {}
+    for i, (line, row) in enumerate(rows):
+        label = row[columns["fiducial"]]
+        earlier = seen.setdefault((actions[i], steps[i], label), line)
+        if earlier < line:
+            what = f"a second row for marker {label}, step {steps[i]} of action {actions[i]}"
+            problems.add(mapping.file, f"{what}; the first is in line {earlier}", line)
+        elif label in names:
+            positions[names[label]][number[actions[i], steps[i]]] = values[i]
+    problems.raise_if_any()
+    grasps = [rows[i][1][columns["grasp"]] for i in chosen] if "grasp" in columns else []
+    parts = [None if m is None else m[chosen] for m in moved]
+    return Tracks(
+        [f[0] for f in frames], [f[1] for f in frames], list(times[chosen]), positions, parts[0], parts[1], grasps
+    )
+
+
+def _rows(mapping: Mapping) -> list[tuple[int, dict[str, str]]]:
+    reader = csv.reader(read_lines(mapping.file), delimiter=str(mapping.table.get("delimiter", ",")))
+    problems = Problems(f"recording {mapping.file}")
+    try:
+        header = [name.strip() for name in next(reader, [])]
+        rows = []
+        for row in reader:
+            if not any(cell.strip() for cell in row):
+                continue
+            if len(row) != len(header):
+                problems.add(
+                    mapping.file, f"has {len(row)} values, the header names {len(header)} columns", reader.line_num
+                )
+                continue
+            rows.append((reader.line_num, {name: cell.strip() for name, cell in zip(header, row, strict=True)}))
+    except csv.Error as error:
+        problems.add(mapping.file, f"is not a table: {error}", reader.line_num)
+        rows = []
+    if not rows:
+        problems.add(mapping.file, "holds no rows; is the delimiter right?")
+    problems.raise_if_any()
+    return rows
+
+
+def _listed(value: Any) -> list[str]:
+    return value if isinstance(value, list) else [str(value)]
+
+
+def _require(mapping: Mapping, rows: list[tuple[int, dict[str, str]]], columns: list[str], problems: Problems) -> None:
+    known = rows[0][1]
+    for column in dict.fromkeys(columns):
+        if column not in known:
+            problems.add(mapping.file, f"has no column '{column}'; {nearest(column, known)}", 1)
+    problems.raise_if_any()
+
+
+def _numbers(
+    mapping: Mapping,
+    rows: list[tuple[int, dict[str, str]]],
+    columns: list[str],
+    problems: Problems,
+    gaps: bool = False,
+) -> Array:
+    """Numbers of some columns, shape (rows, columns); empty cells are NaN where gaps are allowed."""
+    values = np.full((len(rows), len(columns)), np.nan)
+    for i, (line, row) in enumerate(rows):
+        for j, column in enumerate(columns):
+            cell = row[column]
+            if gaps and (not cell or cell.lower() == "nan"):
+                continue
+            try:
+                values[i, j] = float(cell)
+            except ValueError:
+                values[i, j] = np.inf
+            if not math.isfinite(values[i, j]):
+                problems.add(mapping.file, f"{column}: expected a finite number, found '{cell}'", line)
+                values[i, j] = 0.0
+    values[np.isnan(values).any(axis=1)] = np.nan
+    return values
+
+
+def _steps(
+    mapping: Mapping, rows: list[tuple[int, dict[str, str]]], actions: list[str], problems: Problems
+) -> list[int]:
+    if "step" not in mapping.columns:
+        count: dict[str, int] = {}
+        return [count.setdefault(a, 0) + (count.update({a: count[a] + 1}) or 0) for a in actions]
+    column = mapping.columns["step"]
+    values = _numbers(mapping, rows, [column], problems)[:, 0]
+    for (line, _), value in zip(rows, values, strict=True):
+        if value < 0 or value != int(value):
+            problems.add(mapping.file, f"{column}: expected a whole number from 0, found {value:g}", line)
+    return [int(value) for value in values]
