@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from bcid.base.errors import InputError, Problems, nearest
+from bcid.base.errors import InputError
 from bcid.measurement.alignment import align
-from bcid.measurement.c3d import read_points
-from bcid.measurement.contents import AXES, Contents
+from bcid.measurement.contents import AXES, WRENCH, Contents
 from bcid.measurement.folder import frames_dataset
+from bcid.measurement.mapped_points import read_points_of
 from bcid.measurement.mapped_table import read_table
 from bcid.measurement.mapping import Mapping, read_mapping
 from bcid.measurement.tracks import Tracks, select
@@ -30,42 +31,20 @@ def read_mapped(path: Path) -> Contents:
         InputError: with every problem of the mapping, or of the recording.
     """
     mapping = read_mapping(path)
-    recording = _read_c3d(mapping) if mapping.file.suffix.lower() == ".c3d" else read_table(mapping)
+    recording = read_points_of(mapping) if mapping.labelled else read_table(mapping)
     select(recording, mapping.frames, mapping.file)
     if not recording.actions:
         raise InputError(f"{path}: frames: no frame of {mapping.file.name} is left; check first, last and every")
-    _to_body_frame(recording, mapping)
+    turn, shift = _to_body_frame(recording, mapping)
+    if recording.pose is not None:
+        _relative(recording, recording.pose, mapping, turn, shift)
     return _contents(recording, mapping)
 
 
-def _read_c3d(mapping: Mapping) -> Tracks:
-    points = read_points(mapping.file)
-    problems = Problems(f"recording {mapping.file}")
-    if points.unit not in ("", mapping.units.length):
-        problems.add(
-            mapping.path, f"length_unit is '{mapping.units.length}', but {mapping.file.name} states '{points.unit}'"
-        )
-    positions = {}
-    for name, label in mapping.markers.items():
-        if label not in points.labels:
-            problems.add(mapping.file, f"has no point '{label}' (fiducial {name}); {nearest(label, points.labels)}")
-            continue
-        if points.labels.index(label) >= points.positions.shape[1]:
-            problems.add(mapping.file, f"holds no data for point '{label}' (fiducial {name})")
-            continue
-        xyz = points.positions[:, points.labels.index(label)].T
-        positions[name] = np.where(np.isfinite(xyz).all(axis=1, keepdims=True), xyz, np.nan)
-    problems.raise_if_any()
-    count = points.positions.shape[2]
-    action = str(mapping.table.get("action", "1"))
-    times = [i / points.rate / mapping.time for i in range(count)]
-    return Tracks([action] * count, list(range(count)), times, positions)
-
-
-def _to_body_frame(recording: Tracks, mapping: Mapping) -> None:
-    """Rigid motion that takes the markers of `align`, in the first frame, to where they are said to be."""
+def _to_body_frame(recording: Tracks, mapping: Mapping) -> tuple[Array, Array]:
+    """Apply the rigid motion that takes the markers of `align`, in the first frame, to where they are said to be; returns it."""
     if not mapping.align:
-        return
+        return np.eye(3), np.zeros(3)
     names = [name for name in mapping.align if name in recording.positions]
     here = np.array([recording.positions[name][0] for name in names]).reshape(-1, 3)
     there = np.array([mapping.align[name] for name in names]).reshape(-1, 3)
@@ -79,6 +58,35 @@ def _to_body_frame(recording: Tracks, mapping: Mapping) -> None:
     recording.aligned = fit.rms * mapping.length
     for name, values in recording.positions.items():
         recording.positions[name] = np.clip(values, -_FAR, _FAR) @ fit.turn.T + fit.shift
+    return fit.turn, fit.shift
+
+
+def _relative(recording: Tracks, pose: Array, mapping: Mapping, turn: Array, shift: Array) -> None:
+    """Translation and rotation of the gripper from its rest pose, about the centre of the grasp, of its absolute poses (frames, 7).
+
+    A rigid body at p with rotation R takes the centre c of the grasp to R_t R_0^-1 (c - p_0) + p_t; without `grasp_centre` its own
+    origin is the centre.
+    """
+    if not np.isfinite(pose).all():
+        lost = int((~np.isfinite(pose).all(axis=1)).sum())
+        raise InputError(
+            f"{mapping.file}: columns.pose: is not known in {lost} of {len(pose)} frames; choose others by [frames], "
+            "or fill the gaps where it was recorded"
+        )
+    if (abs(np.linalg.norm(pose[:, 3:], axis=1) - 1) > 1e-3).any():
+        raise InputError(f"{mapping.file}: columns.pose: expected x, y, z and a unit quaternion (w, x, y, z)")
+    place = pose[:, :3] @ turn.T + shift
+    angle = Rotation.from_matrix(turn) * Rotation.from_quat(pose[:, 3:], scalar_first=True)
+    start = {action: i for i, action in reversed(list(enumerate(recording.actions)))}
+    rest = np.array([start[action] for action in recording.actions])
+    moved = angle * angle[rest].inv()
+    centre = np.array(mapping.table["grasp_centre"], dtype=float) if "grasp_centre" in mapping.table else place[rest]
+    recording.translation = moved.apply(centre - place[rest]) + place - centre
+    rotation = moved.as_quat(scalar_first=True)
+    # Exactly at rest where it is: rounding would be taken for a motion.
+    first = rest == np.arange(len(rest))
+    recording.translation[first], rotation[first] = 0.0, (1.0, 0.0, 0.0, 0.0)
+    recording.rotation = rotation
 
 
 def _contents(recording: Tracks, mapping: Mapping) -> Contents:
@@ -100,8 +108,14 @@ def _contents(recording: Tracks, mapping: Mapping) -> Contents:
         if (abs(norms - 1) > 1e-3).any():
             raise InputError(f"{mapping.file}: columns.rotation: expected unit quaternions (w, x, y, z)")
         data["rotation"] = (("frame", "quaternion"), recording.rotation / norms)
+    if recording.wrench is not None:
+        torque = mapping.force * mapping.length
+        data["wrench"] = (("frame", "component"), recording.wrench * ([mapping.force] * 3 + [torque] * 3))
+        data = data.assign_coords(component=WRENCH)
     sigma = mapping.table.get("noise_sigma")
     description = str(mapping.table.get("description", ""))
     noise = None if sigma is None else sigma * mapping.length
-    known = Contents(data.assign_coords(axis=AXES), noise, None, mapping.units, description, str(mapping.path))
+    wrench = mapping.table.get("wrench_sigma")
+    force = None if wrench is None else wrench * mapping.force
+    known = Contents(data.assign_coords(axis=AXES), noise, force, mapping.units, description, str(mapping.path))
     return replace(known, remarks=tuple(recording.remarks), aligned=recording.aligned)

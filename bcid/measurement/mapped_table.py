@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import Problems, nearest
 from bcid.base.text_file import read_lines
+from bcid.measurement.formats.array_file import table_rows
 from bcid.measurement.mapping import COLUMNS, Mapping
 from bcid.measurement.tracks import Tracks
 
@@ -43,12 +44,10 @@ def read_table(mapping: Mapping) -> Tracks:
         else np.array(steps, dtype=float)
     )
     positions = {name: _numbers(mapping, rows, marker, problems, gaps=True) for name, marker in mapping.markers.items()}
-    moved = [
-        _numbers(mapping, rows, columns[k], problems) if k in columns else None for k in ("translation", "rotation")
-    ]
+    moved = _gripper(mapping, rows, problems)
     problems.raise_if_any()
     grasps = [row[columns["grasp"]] for _, row in rows] if "grasp" in columns else []
-    return Tracks(actions, steps, list(times), positions, moved[0], moved[1], grasps)
+    return Tracks(actions, steps, list(times), positions, *moved, grasps)
 
 
 def _long(mapping: Mapping, rows: list[tuple[int, dict[str, str]]]) -> Tracks:
@@ -69,9 +68,7 @@ def _long(mapping: Mapping, rows: list[tuple[int, dict[str, str]]]) -> Tracks:
         if "time" in columns
         else np.array(steps, dtype=float)
     )
-    moved = [
-        _numbers(mapping, rows, columns[k], problems) if k in columns else None for k in ("translation", "rotation")
-    ]
+    moved = _gripper(mapping, rows, problems)
     problems.raise_if_any()
     frames = list(dict.fromkeys(zip(actions, steps, strict=True)))
     first = {frame: i for i, frame in reversed(list(enumerate(zip(actions, steps, strict=True))))}
@@ -98,13 +95,36 @@ def _long(mapping: Mapping, rows: list[tuple[int, dict[str, str]]]) -> Tracks:
             positions[names[label]][number[actions[i], steps[i]]] = values[i]
     problems.raise_if_any()
     grasps = [rows[i][1][columns["grasp"]] for i in chosen] if "grasp" in columns else []
-    parts = [None if m is None else m[chosen] for m in moved]
+    translation, rotation, pose, wrench = (None if values is None else values[chosen] for values in moved)
     return Tracks(
-        [f[0] for f in frames], [f[1] for f in frames], list(times[chosen]), positions, parts[0], parts[1], grasps
+        [f[0] for f in frames],
+        [f[1] for f in frames],
+        list(times[chosen]),
+        positions,
+        translation,
+        rotation,
+        pose,
+        wrench,
+        grasps,
     )
 
 
+def _gripper(
+    mapping: Mapping, rows: list[tuple[int, dict[str, str]]], problems: Problems
+) -> tuple[Array | None, Array | None, Array | None, Array | None]:
+    """Translation, rotation, pose and wrench of the gripper, where columns are named for them; the wrench may have gaps."""
+
+    def read(key: str) -> Array | None:
+        columns = mapping.columns.get(key)
+        return None if columns is None else _numbers(mapping, rows, columns, problems, gaps=key == "wrench")
+
+    return read("translation"), read("rotation"), read("pose"), read("wrench")
+
+
 def _rows(mapping: Mapping) -> list[tuple[int, dict[str, str]]]:
+    if "table" in mapping.table:
+        names, cells = table_rows(mapping.file, str(mapping.table["table"]))
+        return [(i, dict(zip(names, row, strict=True))) for i, row in enumerate(cells, 1)]
     reader = csv.reader(read_lines(mapping.file), delimiter=str(mapping.table.get("delimiter", ",")))
     problems = Problems(f"recording {mapping.file}")
     try:
@@ -149,13 +169,14 @@ def _numbers(
 ) -> Array:
     """Numbers of some columns, shape (rows, columns); empty cells are NaN where gaps are allowed."""
     values = np.full((len(rows), len(columns)), np.nan)
+    decimal = str(mapping.table.get("decimal", "."))
     for i, (line, row) in enumerate(rows):
         for j, column in enumerate(columns):
             cell = row[column]
             if gaps and (not cell or cell.lower() == "nan"):
                 continue
             try:
-                values[i, j] = float(cell)
+                values[i, j] = float(cell.replace(decimal, "."))
             except ValueError:
                 values[i, j] = np.inf
             if not math.isfinite(values[i, j]):

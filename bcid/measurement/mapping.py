@@ -16,13 +16,30 @@ from bcid.base.errors import InputError, Problems
 from bcid.base.text_file import read_toml
 from bcid.base.units import FURTHEST, unit_factor, usable
 from bcid.measurement.contents import Units
+from bcid.measurement.formats.recognise import DIC, TABLE, Format, files, recognise
+from bcid.measurement.labelled_keys import ARRAYS, POINTS, check_points
 
 FORMAT = "bcid-mapping/1"
 _UNITS = {"length_unit": "m", "time_unit": "s", "force_unit": "N"}
 _KEYS = ("format", "file", *_UNITS, "noise_sigma", "description", "delimiter", "grasp", "action", "frames", "columns")
-_KEYS += ("fiducials", "reference", "align")
-COLUMNS = ("action", "step", "time", "fiducial", "position", "grasp", "translation", "rotation")
-_FRAMES = ("first", "last", "every")
+_KEYS += (
+    "fiducials",
+    "reference",
+    "align",
+    "decimal",
+    "rate",
+    "table",
+    "points",
+    "arrays",
+    "grasp_centre",
+    "wrench_sigma",
+)
+COLUMNS = ("action", "step", "time", "fiducial", "position", "grasp", "translation", "rotation", "pose", "wrench")
+# How many columns of a table make a vector.
+_VECTORS = {"position": 3, "translation": 3, "rotation": 4, "pose": 7, "wrench": 6}
+# Columns of image correlation.
+_DIC_COLUMNS = ("rest", "displacement", "point")
+_FRAMES = ("first", "last", "every", "rest")
 
 Array = NDArray[np.float64]
 
@@ -32,16 +49,24 @@ class Mapping:
     """The validated content of a mapping file."""
 
     path: Path
-    file: Path
+    files: list[Path]
+    format: Format
+    labelled: bool
     units: Units
     length: float
     time: float
+    force: float
     table: dict[str, Any]
     columns: dict[str, Any]
     markers: dict[str, Any]
     fiducials: list[str]
-    frames: tuple[int, int | None, int]
+    frames: tuple[int, int | None, int, int | None]
     align: dict[str, Array]
+
+    @property
+    def file(self) -> Path:
+        """The recording, or the first of its files."""
+        return self.files[0]
 
 
 def read_mapping(path: Path) -> Mapping:
@@ -56,35 +81,101 @@ def read_mapping(path: Path) -> Mapping:
         problems.add(path, f'format: expected "{FORMAT}", found {table.get("format")!r}')
     problems.add_unknown(path, table, _KEYS)
     tables = {
-        key: _table(path, table, key, problems) for key in ("columns", "fiducials", "reference", "align", "frames")
+        key: _table(path, table, key, problems)
+        for key in ("columns", "fiducials", "reference", "align", "frames", "points", "arrays")
     }
-    for key, allowed in (("columns", COLUMNS), ("frames", _FRAMES)):
+    allowed_keys = {"columns": (*COLUMNS, *_DIC_COLUMNS), "frames": _FRAMES, "points": POINTS, "arrays": ARRAYS}
+    for key, allowed in allowed_keys.items():
         problems.add_unknown(path, tables[key], allowed, f"{key}.{{}}: unknown key; {{}}".format)
     factors = {key: _factor(path, table, key, like, problems) for key, like in _UNITS.items()}
-    file = table.get("file")
-    if not isinstance(file, str) or not (path.parent / file).is_file():
-        problems.add(path, f"file: expected the name of a table or C3D file beside the mapping, found {file!r}")
-    for key in ("grasp", "action", "description", "delimiter"):
+    recordings, found = _recording(path, table.get("file"), tables["columns"], problems)
+    for key in ("grasp", "action", "description", "delimiter", "table"):
         if not isinstance(table.get(key, ""), str):
             problems.add(path, f"{key}: expected text, found {table[key]!r}")
     if len(str(table.get("delimiter", ","))) != 1:
         problems.add(path, f"delimiter: expected one character, found {table.get('delimiter')!r}")
-    sigma = table.get("noise_sigma")
-    if sigma is not None and (
-        isinstance(sigma, bool) or not isinstance(sigma, int | float) or not usable(sigma) or sigma <= 0
-    ):
-        problems.add(path, f"noise_sigma: expected a positive number up to 1e30, found {sigma!r}")
-    _check_markers(path, tables, factors["length_unit"], str(file).lower().endswith(".c3d"), problems)
+    if table.get("decimal", ".") not in (".", ","):
+        problems.add(path, f'decimal: expected "." or ",", found {table["decimal"]!r}')
+    for key in ("noise_sigma", "wrench_sigma", "rate"):
+        _positive(path, key, table.get(key), problems)
+    labelled = _labelled(found, table, tables)
+    if labelled:
+        check_points(path, found, tables, problems)
+    _check_markers(path, tables, factors["length_unit"], labelled, problems)
+    _check_gripper(path, table, factors["length_unit"], problems)
     frames = _frames(path, tables["frames"], problems)
     problems.raise_if_any()
     units = Units(*(str(table[key]) for key in _UNITS))
     align = {name: np.array(place, dtype=float) for name, place in tables["align"].items()}
     markers = tables["fiducials"] | tables["reference"]
+    if labelled:
+        markers = {name: str(label) for name, label in markers.items()}
     names = list(tables["fiducials"])
-    factor = factors["length_unit"], factors["time_unit"]
+    length, time, force = (factors[key] for key in _UNITS)
+    told = table | tables
     return Mapping(
-        path, path.parent / str(file), units, *factor, table, tables["columns"], markers, names, frames, align
+        path,
+        recordings,
+        found,
+        labelled,
+        units,
+        length,
+        time,
+        force,
+        told,
+        tables["columns"],
+        markers,
+        names,
+        frames,
+        align,
     )
+
+
+def _recording(path: Path, file: object, columns: dict[str, Any], problems: Problems) -> tuple[list[Path], Format]:
+    """The files that a mapping names, and their format."""
+    found = files(path.parent, file) if isinstance(file, str) and file else []
+    if not found:
+        problems.add(path, f"file: expected the name of a table or C3D file beside the mapping, found {file!r}")
+        return [path], TABLE
+    try:
+        known = DIC if "displacement" in columns else recognise(found[0])
+    except InputError as error:
+        problems.add(path, f"file: {error}")
+        return found, TABLE
+    if len(found) > 1 and not known.series:
+        problems.add(
+            path, f"file: '{file}' are {len(found)} files, each a {known.words}; only image correlation has one a frame"
+        )
+    return found, known
+
+
+def _labelled(found: Format, table: dict[str, Any], tables: dict[str, dict[str, Any]]) -> bool:
+    """Whether markers are named by labels of the file, and not by columns of a table."""
+    if found is TABLE or "table" in table or "fiducial" in tables["columns"]:
+        return False
+    # Their header is a single line, whose columns may be named as those of any table.
+    single = found.name in ("anipose", "dic")
+    return not (single and any(isinstance(marker, list) for marker in tables["fiducials"].values()))
+
+
+def _positive(path: Path, key: str, value: object, problems: Problems) -> None:
+    number = isinstance(value, int | float) and not isinstance(value, bool) and usable(value) and value > 0
+    if value is not None and not number:
+        problems.add(path, f"{key}: expected a positive number up to 1e30, found {value!r}")
+
+
+def _check_gripper(path: Path, table: dict[str, Any], length: float, problems: Problems) -> None:
+    """What concerns absolute poses of the gripper."""
+    columns = table.get("columns", {})
+    centre, given = table.get("grasp_centre"), isinstance(columns, dict) and "pose" in columns
+    if centre is not None and not _three_numbers(centre, length):
+        problems.add(
+            path, f"grasp_centre: expected three numbers in length_unit, none beyond 1000 km, found {centre!r}"
+        )
+    if given and ("translation" in columns or "rotation" in columns):
+        problems.add(path, "columns.pose: is the whole pose; leave columns.translation and columns.rotation out")
+    if given and "grasp" not in table and "grasp" not in columns:
+        problems.add(path, 'columns.pose: whose is it? Name the grasp of the scene, as grasp = "II"')
 
 
 def _table(path: Path, table: dict[str, Any], key: str, problems: Problems) -> dict[str, Any]:
@@ -105,17 +196,19 @@ def _factor(path: Path, table: dict[str, Any], key: str, like: str, problems: Pr
         return 1.0
 
 
-def _check_markers(path: Path, tables: dict[str, dict[str, Any]], length: float, c3d: bool, problems: Problems) -> None:
+def _check_markers(
+    path: Path, tables: dict[str, dict[str, Any]], length: float, labelled: bool, problems: Problems
+) -> None:
     long = "fiducial" in tables["columns"]
-    if not tables["fiducials"] and not long:
+    if not tables["fiducials"] and not long and not labelled:
         problems.add(path, "fiducials: name at least one, or give columns.fiducial and columns.position")
     for name, columns in (tables["fiducials"] | tables["reference"]).items():
-        if c3d or long:
-            if not isinstance(columns, str):
+        if labelled or long:
+            if not isinstance(columns, str) and not (labelled and type(columns) is int):
                 problems.add(path, f"fiducials.{name}: expected the label of a marker, found {columns!r}")
         elif not _texts(columns, 3):
             problems.add(path, f'fiducials.{name}: expected three columns, as ["x", "y", "z"], found {columns!r}')
-    for key, count in (("position", 3), ("translation", 3), ("rotation", 4)):
+    for key, count in () if labelled else _VECTORS.items():
         if key in tables["columns"] and not _texts(tables["columns"][key], count):
             problems.add(
                 path, f"columns.{key}: expected the names of {count} columns, found {tables['columns'][key]!r}"
@@ -125,28 +218,33 @@ def _check_markers(path: Path, tables: dict[str, dict[str, Any]], length: float,
         if not isinstance(name, str) or not name:
             problems.add(path, f"columns.{key}: expected the name of a column, found {name!r}")
     for name, place in tables["align"].items():
-        numbers = (
-            isinstance(place, list)
-            and len(place) == 3
-            and all(type(v) in (int, float) and abs(v) * length <= FURTHEST for v in place)
-        )
-        if not numbers:
+        if not _three_numbers(place, length):
             problems.add(
                 path, f"align.{name}: expected three numbers in length_unit, none beyond 1000 km, found {place!r}"
             )
-        if not long and name not in tables["fiducials"] | tables["reference"]:
+        if not long and (tables["fiducials"] or not labelled) and name not in tables["fiducials"] | tables["reference"]:
             problems.add(path, f"align.{name}: is neither in fiducials nor in reference")
     if 0 < len(tables["align"]) < 3:
         problems.add(path, "align: at least three markers, not on a line, fix a frame")
+
+
+def _three_numbers(value: object, length: float) -> bool:
+    if not isinstance(value, list) or len(value) != 3:
+        return False
+    return all(type(v) in (int, float) and abs(v) * length <= FURTHEST for v in value)
 
 
 def _texts(value: object, count: int) -> bool:
     return isinstance(value, list) and len(value) == count and all(isinstance(v, str) and v for v in value)
 
 
-def _frames(path: Path, table: dict[str, Any], problems: Problems) -> tuple[int, int | None, int]:
-    first, last, every = table.get("first", 0), table.get("last"), table.get("every", 1)
-    for name, value, least in (("first", first, 0), ("last", last, 0), ("every", every, 1)):
+def _frames(path: Path, table: dict[str, Any], problems: Problems) -> tuple[int, int | None, int, int | None]:
+    first, last, every, rest = table.get("first", 0), table.get("last"), table.get("every", 1), table.get("rest")
+    for name, value, least in (("first", first, 0), ("last", last, 0), ("every", every, 1), ("rest", rest, 0)):
         if value is not None and (type(value) is not int or value < least):
             problems.add(path, f"frames.{name}: expected a whole number of at least {least}, found {value!r}")
-    return first, last, every
+    if type(rest) is int and type(first) is int and rest > first:
+        problems.add(
+            path, f"frames.rest: the frame of rest, {rest}, must not come after the first that is used, {first}"
+        )
+    return first, last, every, rest

@@ -24,14 +24,16 @@ class Tracks:
     positions: dict[str, Array]
     translation: Array | None = None
     rotation: Array | None = None
+    pose: Array | None = None
+    wrench: Array | None = None
     grasps: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     aligned: float | None = None
 
 
-def select(recording: Tracks, frames: tuple[int, int | None, int], source: Path) -> None:
-    """Keep every so many frames of each action, and number them from 0."""
-    first, last, every = frames
+def select(recording: Tracks, frames: tuple[int, int | None, int, int | None], source: Path) -> None:
+    """Keep the frame of rest and every so many frames of each action, and number them from 0."""
+    first, last, every, rest = frames
     chosen: list[int] = []
     steps: list[int] = []
     places: dict[str, list[int]] = {}
@@ -41,6 +43,8 @@ def select(recording: Tracks, frames: tuple[int, int | None, int], source: Path)
         if any(recording.steps[b] <= recording.steps[a] for a, b in pairwise(mine)):
             raise InputError(f"{source}: the steps of action {action} do not rise: sort the rows, one for each step")
         kept = mine[first : None if last is None else last + 1 : every]
+        if rest is not None and kept and rest != first:
+            kept = [mine[rest], *kept]
         chosen += kept
         steps += range(len(kept))
     recording.actions = [recording.actions[i] for i in chosen]
@@ -49,4 +53,6 @@ def select(recording: Tracks, frames: tuple[int, int | None, int], source: Path)
     recording.positions = {name: values[chosen] for name, values in recording.positions.items()}
     recording.grasps = [recording.grasps[i] for i in chosen] if recording.grasps else []
     recording.translation = None if recording.translation is None else recording.translation[chosen]
-    recording.rotation = None if recording.rotation is None else recording.rotation[chosen]
+    for part in ("rotation", "pose", "wrench"):
+        values = getattr(recording, part)
+        setattr(recording, part, None if values is None else values[chosen])

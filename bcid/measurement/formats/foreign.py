@@ -1,0 +1,80 @@
+"""What a foreign file holds, whatever its format, and what a mapping says of how to read it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping as Table
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Foreign:
+    """Markers, rigid bodies and forces by their labels in the file, along one axis of frames.
+
+    Attributes:
+        format: in words.
+        times: of the frames, s, shape (frames,).
+        points: positions by label, shape (frames, 3), in `unit`; NaN where a marker was not seen.
+        bodies: poses of rigid bodies by label, shape (frames, 7): position in `unit`, unit quaternion (w, x, y, z).
+        wrenches: by label, shape (frames, 6): force, N, and torque, as the file has them.
+        quality: by kind ("score", "error", "cameras") and label, shape (frames,).
+        unit: of lengths; "" if the file states none.
+        numbered: whether the points have no names but numbers from 1.
+        clocked: whether the file, or the mapping, says when its frames were taken; if not, one is a time_unit.
+        rest: positions without stress by label, shape (3,), where the file has them beside those of its frames.
+        empty: labels that the file names and holds no data for.
+        notes: what was not read, to be told by `bcid import`.
+    """
+
+    format: str
+    times: Array
+    points: dict[str, Array]
+    bodies: dict[str, Array] = field(default_factory=dict)
+    wrenches: dict[str, Array] = field(default_factory=dict)
+    quality: dict[str, dict[str, Array]] = field(default_factory=dict)
+    unit: str = ""
+    numbered: bool = False
+    clocked: bool = True
+    rest: dict[str, Array] = field(default_factory=dict)
+    empty: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.times)
+
+    @property
+    def rate(self) -> float:
+        """Frames per second, from the median interval; NaN for less than two frames."""
+        steps = np.diff(self.times)
+        middle = float(np.median(steps)) if len(steps) else 0.0
+        return 1.0 / middle if middle > 0 else float("nan")
+
+
+@dataclass(frozen=True)
+class How:
+    """What a mapping says of how to read a file; formats take what concerns them.
+
+    Attributes:
+        arrays: the table [arrays]: paths of arrays and the order of their dimensions.
+        columns: the table [columns]; of files with arrays, paths of them.
+        time: the mapping's time_unit, s.
+        rate: frames per second of a file without times; None for one in each time_unit.
+        clock: label of a marker whose times are those of the frames; of ROS bags.
+    """
+
+    arrays: Table[str, Any] = field(default_factory=dict)
+    columns: Table[str, Any] = field(default_factory=dict)
+    time: float = 1.0
+    rate: float | None = None
+    clock: str = ""
+
+    def count(self, frames: int) -> Array:
+        """Times of the frames of a file that has none, s, shape (frames,)."""
+        return np.asarray(np.arange(frames) * (self.time if self.rate is None else 1.0 / self.rate))

@@ -1,0 +1,125 @@
+"""Tables of DeepLabCut (CSV, and HDF5 through pandas) and Anipose, triangulated: markers in 3-D with how sure each position is.
+
+``python -m bcid.measurement.formats.pose_estimation FILE OUT.npz`` reads the HDF5 file of a DeepLabCut project.
+
+Sources: DeepLabCut documentation, "3D DeepLabCut"; Anipose documentation, "Triangulation".
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.base.confined import serve
+from bcid.base.errors import InputError
+from bcid.measurement.formats.foreign import Foreign, How
+from bcid.measurement.formats.grid import Row, filled, need, numbers, read_grid, whole
+from bcid.measurement.formats.in_child import fetched, needed
+
+Array = NDArray[np.float64]
+
+# What the columns of a marker besides x, y, z say.
+_QUALITY = {"likelihood": "score", "score": "score", "error": "error", "ncams": "cameras"}
+_ANIPOSE = re.compile(r"(?P<label>.+)_(?P<what>x|y|z|error|ncams|score)")
+
+
+def recognised_dlc(head: str) -> bool:
+    """Whether text begins as a CSV file of DeepLabCut does."""
+    return head.startswith("scorer,")
+
+
+def recognised_anipose(head: str) -> bool:
+    """Whether text begins as a 3-D file of Anipose does."""
+    names = head.splitlines()[0].split(",") if head else []
+    return {"x", "y", "z", "ncams"} <= {m["what"] for m in map(_ANIPOSE.fullmatch, names) if m}
+
+
+def read_dlc(path: Path, how: How) -> Foreign:
+    """The body parts of a CSV file of DeepLabCut, by their names; of several individuals as "individual/part".
+
+    Raises:
+        InputError: it is two-dimensional, cut off, or its numbers are none.
+    """
+    rows = filled(read_grid(path, ","))
+    start = next((i for i, (_, cells) in enumerate(rows) if _whole_number(cells[0])), len(rows))
+    need(path, rows, start + 1, "a CSV file of DeepLabCut")
+    names = {cells[0]: cells[1:] for _, cells in rows[:start]}
+    values = numbers(path, rows[start:], len(rows[0][1]), "a CSV file of DeepLabCut")[:, 1:]
+    return _dlc(path, names, values, how)
+
+
+def read_dlc_hdf5(path: Path, how: How) -> Foreign:
+    """The same of the HDF5 file that DeepLabCut writes."""
+    data = fetched("bcid.measurement.formats.pose_estimation", path, "HDF5 file of DeepLabCut")
+    names = {str(level): [str(name) for name in row] for level, row in zip(data["levels"], data["names"], strict=True)}
+    return _dlc(path, names, data["values"], how)
+
+
+def read_anipose(path: Path, how: How) -> Foreign:
+    """The markers of a 3-D file of Anipose.
+
+    Raises:
+        InputError: it is cut off, or its numbers are none.
+    """
+    rows: list[Row] = filled(read_grid(path, ","))
+    header = rows[0][1]
+    values = numbers(path, rows[1:], len(header), "a 3-D file of Anipose")
+    columns: dict[str, dict[str, Array]] = {}
+    for i, match in enumerate(map(_ANIPOSE.fullmatch, header)):
+        if match:
+            columns.setdefault(match["label"], {})[match["what"]] = values[:, i]
+    # Offset and axes of the frame, M_00 ... and center_0 ..., are no markers.
+    return _foreign("3-D CSV of Anipose", {label: at for label, at in columns.items() if set("xyz") <= set(at)}, how)
+
+
+def _whole_number(text: str) -> bool:
+    return text.isascii() and text.isdigit()
+
+
+def _dlc(path: Path, names: dict[str, list[str]], values: Array, how: How) -> Foreign:
+    if not {"bodyparts", "coords"} <= set(names):
+        raise InputError(f"{path}: names {', '.join(names)}; a table of DeepLabCut has bodyparts and coords")
+    if "z" not in names["coords"]:
+        raise InputError(
+            f"{path}: holds positions in an image (x, y) alone; triangulate it first (deeplabcut.triangulate)"
+        )
+    parts, one = names["bodyparts"], names.get("individuals")
+    labels = parts if one is None else [f"{who}/{part}" for who, part in zip(one, parts, strict=True)]
+    columns: dict[str, dict[str, Array]] = {}
+    for i, (label, what) in enumerate(zip(labels, names["coords"], strict=True)):
+        columns.setdefault(label, {})[what] = values[:, i]
+    return _foreign("DeepLabCut", columns, how)
+
+
+def _foreign(name: str, columns: dict[str, dict[str, Array]], how: How) -> Foreign:
+    points = {label: whole(np.stack([at[axis] for axis in "xyz"], axis=1)) for label, at in columns.items()}
+    quality: dict[str, dict[str, Array]] = {}
+    for label, at in columns.items():
+        for what, kind in _QUALITY.items():
+            if what in at:
+                quality.setdefault(kind, {})[label] = at[what]
+    times = how.count(len(next(iter(points.values()))))
+    return Foreign(name, times, points, quality=quality, clocked=how.rate is not None)
+
+
+def _table(source: Path, _arguments: Sequence[str]) -> dict[str, Any]:
+    try:
+        import pandas as pd
+        import tables  # noqa: F401
+    except ImportError as error:
+        raise needed(str(error.name)) from None
+    table = pd.read_hdf(source)
+    if table.columns.nlevels < 2:
+        raise ValueError("its table has one line of names; one of DeepLabCut has scorer, bodyparts and coords")
+    names = np.array([[str(name) for name in table.columns.get_level_values(i)] for i in range(table.columns.nlevels)])
+    return {"levels": np.array(table.columns.names, dtype=str), "names": names, "values": table.to_numpy(dtype=float)}
+
+
+if __name__ == "__main__":
+    sys.exit(serve(_table, ["pandas", "tables"]))

@@ -1,0 +1,95 @@
+"""Recordings that name their markers: motion capture, pose estimation, image correlation, robots, arrays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.base.errors import Problems, nearest
+from bcid.measurement.formats import dic_export
+from bcid.measurement.formats.foreign import Foreign, How
+from bcid.measurement.labelled_keys import BOUNDS
+from bcid.measurement.mapping import Mapping
+from bcid.measurement.tracks import Tracks
+
+Array = NDArray[np.float64]
+
+
+def read_points_of(mapping: Mapping) -> Tracks:
+    """The tracks of the markers that a mapping chooses, in the file's units.
+
+    Raises:
+        InputError: the file is damaged, states another unit, or lacks what the mapping names.
+    """
+    seen = read_foreign(mapping)
+    problems = Problems(f"recording {mapping.file}")
+    if seen.unit not in ("", mapping.units.length):
+        problems.add(
+            mapping.path, f"length_unit is '{mapping.units.length}', but {mapping.file.name} states '{seen.unit}'"
+        )
+    if not mapping.fiducials:
+        _all(mapping, seen)
+    positions = {}
+    for name, label in mapping.markers.items():
+        if label in seen.points:
+            positions[name] = _trusted(seen, label, mapping.table["points"])
+        elif label in seen.empty:
+            problems.add(mapping.file, f"holds no data for point '{label}' (fiducial {name})")
+        else:
+            problems.add(mapping.file, f"has no point '{label}' (fiducial {name}); {nearest(label, seen.points)}")
+    problems.add_unknown(mapping.path, mapping.align, mapping.markers, "align.{}: is no marker; {}".format)
+    pose = _named(mapping, "pose", seen.bodies, problems)
+    wrench = _named(mapping, "wrench", seen.wrenches, problems)
+    problems.raise_if_any()
+    action = str(mapping.table.get("action", "1"))
+    times = [float(time) / mapping.time for time in seen.times]
+    return Tracks([action] * seen.frames, list(range(seen.frames)), times, positions, pose=pose, wrench=wrench)
+
+
+def read_foreign(mapping: Mapping) -> Foreign:
+    """What the file of a mapping holds, read as the mapping says."""
+    table = mapping.table
+    clock = next(iter(mapping.markers.values()), "")
+    how = How(table["arrays"], mapping.columns, mapping.time, table.get("rate"), clock)
+    if mapping.format.series:
+        return dic_export.read_series(mapping.files, how)
+    assert mapping.format.read is not None
+    return mapping.format.read(mapping.file, how)
+
+
+def _all(mapping: Mapping, seen: Foreign) -> None:
+    """Make every n-th point a fiducial under its own label."""
+    known = set(mapping.markers.values())
+    chosen = [label for label in seen.points if label not in known][:: mapping.table["points"].get("every", 1)]
+    mapping.fiducials = chosen
+    mapping.markers = {label: label for label in chosen} | mapping.markers
+
+
+def _trusted(seen: Foreign, label: str, bounds: dict[str, Any]) -> Array:
+    """Positions of a marker, NaN where what the file says of their quality is beyond the bounds of [points]."""
+    positions = seen.points[label]
+    for key, (kind, least) in BOUNDS.items():
+        if key in bounds and label in seen.quality.get(kind, {}):
+            quality = seen.quality[kind][label]
+            good = quality >= bounds[key] if least else quality <= bounds[key]
+            positions = np.where(good[:, None], positions, np.nan)
+    return positions
+
+
+def _named(mapping: Mapping, key: str, given: dict[str, Array], problems: Problems) -> Array | None:
+    """The poses or wrenches of the label in columns.pose or columns.wrench."""
+    label = mapping.columns.get(key)
+    if label is None or label in given:
+        return None if label is None else given[label]
+    what = "rigid body" if key == "pose" else "wrench"
+    problems.add(mapping.file, f"has no {what} '{label}' (columns.{key}); {nearest(str(label), given)}")
+    return None
+
+
+def with_rest(seen: Foreign) -> Foreign:
+    """The same with a rest position of every point that is seen: where the file has none, that of its first frame."""
+    first = {label: at[0] for label, at in seen.points.items() if np.isfinite(at[0]).all()}
+    return replace(seen, rest=first | seen.rest)
