@@ -1,6 +1,6 @@
 """The command line: ``bcid demo``, ``identify``, ``compare``, ``diagnose``, ``fit``, ``explain``, ``explore``,
-``simulate``, ``check-effect`` (also under ``mpirun -n N``), ``report``, ``figure``, ``calibrate``, ``track``, ``doctor``,
-``bench``, ``study``, ``examples``.
+``simulate``, ``check-effect`` (also under ``mpirun -n N``), ``import``, ``report``, ``figure``, ``calibrate``, ``track``,
+``doctor``, ``bench``, ``study``, ``examples``.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from bcid.app.commands import (
     figure,
     fit,
     identify,
+    import_recording,
     report,
     simulate,
     study,
@@ -46,6 +47,7 @@ _WITHOUT_MPI = {
     "study": "the same command goes on where it was",
     "calibrate": "nothing is lost but the time",
     "track": "give the same command again",
+    "import": "nothing was written",
     "report": "nothing was written",
     "figure": "nothing was written",
     "examples": "remove the folder",
@@ -73,6 +75,7 @@ _EXAMPLES = """examples:
   bcid report run -o report.html                                one page of it that opens from disk
   bcid figure run -o figures                                    its figures and tables for a paper, fields for ParaView
   bcid calibrate left right --board "chessboard 10x7 10 mm" -o cameras   two cameras, from images of a board
+  bcid import take.csv --scene scene.toml                       what is in a recording, and a mapping that reads it
   bcid track scene.toml recording.toml -o tracked               from their images of beads to a measurement
   bcid simulate scene.toml --anchors 1,2 --motion pull -o made  a measurement made by the model
   bcid check-effect my_effect.py                                does an effect of one's own keep the contract?
@@ -198,6 +201,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_fit(commands)
     _add_explain(commands)
     _add_explore(commands)
+    _add_import(commands)
     _add_report(commands)
     _add_figure(commands)
     _add_calibrate(commands)
@@ -241,7 +245,7 @@ def _add_inputs(parser: argparse.ArgumentParser) -> None:
         "scene", type=Path, help="scene file (TOML): body, mesh ladder, candidate patches, grasps, fiducials"
     )
     parser.add_argument(
-        "measurement", type=Path, help="measurement folder, NetCDF file, or mapping file of a table or C3D"
+        "measurement", type=Path, help="measurement folder, NetCDF file, or mapping file of a recording (bcid import)"
     )
     _add_run(parser)
 
@@ -440,6 +444,28 @@ def _add_explore(commands: Any) -> None:
     )
     _add_level(parser)
     _add_output(parser)
+
+
+def _add_import(commands: Any) -> None:
+    parser = _add(
+        commands,
+        "import",
+        import_recording,
+        "tell what is in a recording, and write a mapping that reads it as a measurement",
+        "Motion capture (C3D, TRC, Motive, Nexus, Qualisys), DeepLabCut, Anipose, image correlation, MAT, HDF5, ROS bags, tables.\n"
+        "Writes the mapping (TOML), with what is left to fill in as comments, and a picture of the paths beside it; for points\n"
+        "without names also a table of fiducials to paste into a scene. See docs/formats.md.",
+    )
+    parser.add_argument(
+        "file", type=Path, metavar="FILE", help='recording; a quoted pattern for a file a frame, as "f_*.csv"'
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="MAPPING", help="mapping to write (FILE with the suffix .toml)"
+    )
+    parser.add_argument(
+        "--scene", type=Path, help="scene file (TOML): its fiducials and grasps are looked for in the recording"
+    )
+    parser.add_argument("--no-picture", action="store_true", help="do not draw the paths")
 
 
 def _add_report(commands: Any) -> None:

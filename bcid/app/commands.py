@@ -10,13 +10,14 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bcid.base.collective import Comm
+from bcid.base.collective import Comm, first
 from bcid.base.errors import InputError, MachineError
 from bcid.base.progress import Progress, Silent, clear, progress_on
 from bcid.base.shipped import copy_examples, shipped
 from bcid.base.text_file import read_json
 
 if TYPE_CHECKING:
+    from bcid.measurement.inspection import Inspected
     from bcid.studies.engine.work import Workers
 
 DEMO_SCENE = "examples/scenes/slab_explain.toml"
@@ -299,6 +300,35 @@ def report(arguments: argparse.Namespace) -> None:
     if not arguments.quiet:
         runs = f"{len(made.shown)} run{'s' if len(made.shown) != 1 else ''}"
         print(f"{made.path}: {runs}, {made.path.stat().st_size / 1e6:.1f} MB")
+
+
+def import_recording(arguments: argparse.Namespace) -> None:
+    """`bcid import`."""
+    if not first():
+        return
+    from bcid.measurement.inspection import import_file
+    from bcid.scene import Scene
+
+    scene = None if arguments.scene is None else Scene.read(arguments.scene)
+    made = import_file(arguments.file, arguments.output, scene)
+    print(made.text)
+    if not arguments.no_picture:
+        _draw_tracks(made)
+
+
+def _draw_tracks(made: Inspected) -> None:
+    """A picture must not take the mapping along."""
+    try:
+        from bcid.report.tracks_picture import draw_tracks
+
+        seen = made.seen
+        title = f"{made.mapping.stem}: {len(seen.points)} markers, {seen.frames} frames"
+        target = made.mapping.with_suffix(".png")
+        print(f"wrote {draw_tracks(seen.points, seen.times, made.unit, title, target)}", flush=True)
+    except ImportError as error:
+        complain(f"no picture: {error.name} is not installed (the extra 'report')")
+    except Exception as error:
+        complain(f"no picture: {error}")
 
 
 def figure(arguments: argparse.Namespace) -> None:

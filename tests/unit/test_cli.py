@@ -68,6 +68,7 @@ COMMANDS = [
     "explore",
     "report",
     "figure",
+    "import",
     "compare",
     "diagnose",
     "fit",

@@ -52,7 +52,8 @@ def read(path: Path, how: How) -> Foreign:
     if not seen:
         told = ", ".join(topics) or "nothing"
         raise InputError(f"{path}: holds no marker, pose or tf of a type that is read, but {told}; see docs/formats.md")
-    most = max(seen, key=lambda label: len(streams[seen[label]][0]))
+    # Markers before poses: a robot tells its own more often than any camera sees one.
+    most = max(seen, key=lambda label: (kinds[seen[label]] == "point", len(streams[seen[label]][0])))
     clock = streams[seen.get(how.clock, seen[most])][0]
     at = {label: _sampled(*streams[i], clock) for label, i in seen.items()}
     points = {label: whole(values[:, :3]) for label, values in at.items()}
