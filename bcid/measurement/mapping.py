@@ -1,6 +1,6 @@
 """The mapping file (TOML): it says which columns of a table, or which points of a recording, are what.
 
-docs/measurement.md describes the format, with an example of each kind.
+docs/measurement.md and docs/formats.md describe the format, with an example of each kind.
 """
 
 from __future__ import annotations

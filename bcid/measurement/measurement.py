@@ -37,7 +37,7 @@ class Measurement(Contents):
 
     @classmethod
     def read(cls, path: str | Path) -> Measurement:
-        """Open a measurement folder, a NetCDF file written by `to_netcdf`, or a mapping file for a foreign table or C3D.
+        """Open a measurement folder, a NetCDF file written by `to_netcdf`, or a mapping file for a foreign recording.
 
         Raises:
             InputError: with every problem of the files.

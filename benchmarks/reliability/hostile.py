@@ -44,6 +44,9 @@ _SECRET = "secret"
 _SYSTEM = ("/usr", "/lib", "/lib64", "/bin", "/sbin", "/etc", "/proc", "/sys", "/dev", "/run/bcid/venv", "/opt")
 # What a child of bcid begins with, after the interpreter.
 _CHILDREN = (("-P", "-m", "bcid.forms.mesh.child"), ("-P", "-m", "bcid.measurement.c3d"))
+_CHILDREN += tuple(
+    ("-P", "-m", f"bcid.measurement.formats.{name}") for name in ("mat_file", "hdf5_file", "pose_estimation", "ros_bag")
+)
 # Asked by ctypes where a library is, before a child has given up its rights.
 _FINDERS = ("/sbin/ldconfig", "/usr/sbin/ldconfig")
 

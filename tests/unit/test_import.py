@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +16,9 @@ from bcid.app.cli import main
 from bcid.base.errors import InputError
 from bcid.measurement.inspection import import_file
 
-SLAB = Path(__file__).resolve().parents[2] / "examples/scenes/slab.toml"
+PROJECT = Path(__file__).resolve().parents[2]
+SLAB = PROJECT / "examples/scenes/slab.toml"
+EXAMPLES = re.findall(r"```toml\n(.*?)```", (PROJECT / "docs/formats.md").read_text(encoding="utf-8"), re.DOTALL)
 
 
 @pytest.mark.parametrize(
@@ -128,3 +131,29 @@ def test_a_file_without_positions_says_what_it_holds(tmp_path: Path) -> None:
     savemat(tmp_path / "a.mat", {"speed": np.zeros((4, 7))})
     with pytest.raises(InputError, match=r"no array looks like positions .* it holds speed \(4 x 7\)"):
         import_file(tmp_path / "a.mat")
+
+
+WRITERS: dict[str, Callable[[Path], object]] = {
+    "motive.csv": made.motive,
+    "anipose.csv": made.anipose,
+    "take.mat": made.mat,
+    "take.h5": made.hdf5,
+    "vic_*.csv": made.vic3d,
+    "ncorr.mat": made.ncorr,
+    "take_ros2": lambda folder: made.ros(folder, "ros2"),
+}
+
+
+@pytest.mark.parametrize("text", EXAMPLES, ids=lambda text: tomllib.loads(text)["file"])
+def test_examples_of_the_page_on_formats(tmp_path: Path, text: str) -> None:
+    told = tomllib.loads(text)
+    WRITERS[told["file"]](tmp_path)
+    (tmp_path / "mapping.toml").write_text(text, encoding="utf-8")
+    seen = Measurement.read(tmp_path / "mapping.toml")
+    assert np.isfinite(seen.positions).any()
+    assert ("wrench" in seen.data) == ("wrench" in told.get("columns", {}))
+    assert (seen.actions[0].translation != 0).any() == ("pose" in told.get("columns", {}))
+
+
+def test_the_page_has_an_example_of_each_kind() -> None:
+    assert {tomllib.loads(text)["file"] for text in EXAMPLES} == set(WRITERS)
