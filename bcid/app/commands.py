@@ -324,6 +324,9 @@ def _draw_tracks(made: Inspected) -> None:
         seen = made.seen
         title = f"{made.mapping.stem}: {len(seen.points)} markers, {seen.frames} frames"
         target = made.mapping.with_suffix(".png")
+        if target.exists():
+            complain(f"no picture: {target} exists already")
+            return
         print(f"wrote {draw_tracks(seen.points, seen.times, made.unit, title, target)}", flush=True)
     except ImportError as error:
         complain(f"no picture: {error.name} is not installed (the extra 'report')")

@@ -122,7 +122,10 @@ def _read(partial: Path, file: str, known: Format, told: dict[str, Any]) -> Fore
     _write(partial, first)
     mapping = read_mapping(partial)
     if mapping.labelled:
-        seen = with_rest(read_foreign(mapping))
+        seen = read_foreign(mapping)
+        if not seen.frames:
+            raise InputError(f"{mapping.file}: holds no frame; export it again")
+        seen = with_rest(seen)
         _check_unit(mapping.file, seen.unit)
         return seen
     return _of_table(mapping, known.words, told.get("length_unit", ""))

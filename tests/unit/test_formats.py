@@ -232,6 +232,8 @@ def test_bags(tmp_path: Path, kind: str) -> None:
 
 BROKEN: list[tuple[Callable[[Path], Any], str, str]] = [
     (made.trc, "cut", r"is it cut off|is the file cut off|it is cut off"),
+    (made.trc, "line", "states 5 frames and holds 4: it is cut off; export it again"),
+    (made.qualisys, "line", "states 5 frames and holds 4: it is cut off; export it again"),
     (made.trc, "word", r"take\.trc:\d+: expected a number or an empty cell, found 'far'"),
     (made.trc, "head", "ends within the header of a TRC file"),
     (made.motive, "cut", "is the file cut off"),
@@ -257,6 +259,7 @@ def test_damaged_files_are_refused_with_a_remedy(
     content = path.read_bytes()
     damage = {
         "cut": lambda: content.rstrip()[: -len(content.rstrip().splitlines()[-1]) // 2],
+        "line": lambda: b"\n".join(content.splitlines()[:-1]),
         "half": lambda: content[: len(content) // 2],
         "word": lambda: content.replace(f"{made.XYZ[1, 0, 0]:.6f}".encode(), b"far"),
         "head": lambda: b"\n".join(content.splitlines()[:3]),
@@ -304,7 +307,7 @@ def test_files_of_no_format(tmp_path: Path) -> None:
     (tmp_path / "flat.csv").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match="triangulate it first"):
         read(tmp_path, "flat.csv")
-    made.trc(tmp_path), made.trc(tmp_path).rename(tmp_path / "take2.trc")
+    made.trc(tmp_path).rename(tmp_path / "take2.trc")
     made.trc(tmp_path)
     with pytest.raises(InputError, match="are 2 files, each a TRC; only image correlation"):
         read(tmp_path, "take*.trc")
@@ -313,3 +316,17 @@ def test_files_of_no_format(tmp_path: Path) -> None:
     made.write(tmp_path / "take.trc", rows)
     with pytest.raises(InputError, match="no fiducial was seen in any of the chosen frames"):
         read(tmp_path, "take.trc")
+
+
+def test_headers_that_lack_a_value(tmp_path: Path) -> None:
+    text = made.qualisys(tmp_path).read_text(encoding="utf-8")
+    made.write(tmp_path / "a.tsv", text.replace("FREQUENCY\t50", "FREQUENCY").splitlines())
+    with pytest.raises(InputError, match=r"a\.tsv:4: FREQUENCY: expected a positive number, found ''"):
+        read(tmp_path, "a.tsv")
+    text = made.nexus(tmp_path).read_text(encoding="utf-8")
+    made.write(tmp_path / "n.csv", text.replace("Trajectories\n50", "Trajectories\n").splitlines())
+    with pytest.raises(InputError, match=r"n\.csv:9: rate of the trajectories: expected a positive number"):
+        read(tmp_path, "n.csv")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(InputError, match="is a folder; expected a file"):
+        read(tmp_path, "folder", '[columns]\nrest = ["a", "b", "c"]\ndisplacement = ["d", "e", "f"]\n')

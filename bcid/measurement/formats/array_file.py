@@ -154,7 +154,12 @@ class _Arrays:
         if "grid" in self.told:
             # The last two dimensions of the first array are rows and columns of the image.
             where = self.told["displacements"]
-            rows, columns = self.numbers(where if isinstance(where, str) else where[0]).shape[-2:]
+            shape = self.numbers(where if isinstance(where, str) else where[0]).shape
+            if len(shape) < 2 or isinstance(where, str):
+                raise InputError(
+                    f"{self.path}: arrays.grid: needs displacements as images, one array for each axis; give arrays.rest"
+                )
+            rows, columns = shape[-2:]
             y, x = np.mgrid[0:rows, 0:columns].reshape(2, -1) * float(self.told["grid"])
             rest = np.stack([x, y, np.zeros_like(x)], axis=1)
         else:

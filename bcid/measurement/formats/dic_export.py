@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, nearest
+from bcid.base.text_file import read_lines
 from bcid.measurement.formats.foreign import Foreign, How
 from bcid.measurement.formats.grid import filled, numbers, read_grid
 
@@ -103,8 +104,7 @@ def _columns(names: Sequence[str]) -> tuple[list[str], list[str], list[str]] | N
 
 
 def _frame(path: Path, how: How) -> _Frame:
-    with path.open(encoding="utf-8-sig", errors="replace") as stream:
-        begin = [line.rstrip("\n") for line, _ in zip(stream, range(40), strict=False)]
+    begin = read_lines(path)[:40]
     start = next((i for i, line in enumerate(begin) if _found(_names(line), how)), None)
     if start is None:
         raise InputError(

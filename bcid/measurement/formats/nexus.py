@@ -30,7 +30,7 @@ def read(path: Path, _how: How) -> Foreign:
     Raises:
         InputError: it has none, is cut off, or its numbers are none.
     """
-    rows = read_grid(path, ",")
+    rows = [(line, cells or [""]) for line, cells in read_grid(path, ",")]
     at = [i for i, (_, cells) in enumerate(rows) if cells and cells[0] == "Trajectories"]
     if not at:
         raise InputError(f"{path}: has no section 'Trajectories'; export the trajectories of the markers from Nexus")

@@ -44,7 +44,7 @@ def read(path: Path, _how: How) -> Foreign:
         )
     labels = [name for name in about[key][1] if name]
     distinct(path, labels)
-    rate = number(path, about["FREQUENCY"][1][0], "FREQUENCY", about["FREQUENCY"][0])
+    rate = number(path, (about["FREQUENCY"][1] or [""])[0], "FREQUENCY", about["FREQUENCY"][0])
     values = _values(path, rows[start:], size * len(labels))
     if len(values) < (stated := number(path, rows[0][1][1], "NO_OF_FRAMES", 1)):
         raise InputError(f"{path}: states {stated:g} frames and holds {len(values)}: it is cut off; export it again")

@@ -111,7 +111,8 @@ def _head(path: Path) -> bytes:
 def files(folder: Path, name: str) -> list[Path]:
     """The file, folder, or files of a pattern such as ``frame_*.csv`` in a folder, sorted by the numbers in their names."""
     if not any(sign in name for sign in "*?["):
-        return [folder / name] if (folder / name).exists() else []
+        # A pipe or a device would be waited for.
+        return [folder / name] if (folder / name).is_file() or (folder / name).is_dir() else []
     try:
         found = [path for path in folder.glob(name) if path.is_file()]
     except (ValueError, NotImplementedError, IndexError):
