@@ -32,7 +32,7 @@ def _vector(values: NDArray[np.float64]) -> Vector:
 class Level:
     """One rung of the mesh ladder.
 
-    `element_size` (m) drives a `.geo` file; for a mesh file `refinements` counts uniform refinements of it.
+    `element_size` (m) drives a `.geo` file, a surface or a label image; for a mesh file `refinements` counts uniform refinements of it.
     `degree` is the polynomial degree of the displacement, 1 or 2 (3 only in code: for reference solutions).
     """
 
@@ -58,8 +58,35 @@ class Plane:
 
 
 @dataclass(frozen=True)
+class Sphere:
+    """Boundary facets whose middle lies in a sphere (m)."""
+
+    centre: Vector
+    radius: float
+
+
+@dataclass(frozen=True)
+class Facing:
+    """Boundary facets whose outward normal is within an angle (deg) of the unit vector `normal`."""
+
+    normal: Vector
+    within: float
+
+
+@dataclass(frozen=True)
+class Painted:
+    """Boundary facets at whose middle more than half of the surface is painted with a value of a field of the geometry's file.
+
+    `value` is one number, or the three of a colour from 0 to 255.
+    """
+
+    field: str
+    value: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class Region:
-    """Part of the boundary: physical groups of the mesh, or the facets inside a box and/or on a plane.
+    """Part of the boundary: physical groups of the mesh, and/or the facets that every criterion given takes.
 
     Of these, `within` takes the facets whose middle m has lower <= m < upper on every axis (m; infinite where nothing is
     cut off). Boxes that tile the space so take every facet of every mesh exactly once.
@@ -69,6 +96,9 @@ class Region:
     box: Box | None = None
     plane: Plane | None = None
     within: Box | None = None
+    sphere: Sphere | None = None
+    facing: Facing | None = None
+    painted: Painted | None = None
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,9 @@ class Scene:
     """What is known of the body before it is pulled; lengths in m.
 
     Attributes:
-        geometry: the `.geo` or mesh file; `length_unit` is the unit (m) of its coordinates.
+        geometry: the `.geo`, surface, label image or mesh file; `length_unit` is the unit (m) of its coordinates.
         parameters: numbers that a `.geo` asks for besides its element size, by name.
+        label: number of the body in a label image; None for other geometries.
         levels: the mesh ladder, coarsest first.
         patches: candidate anchors by name.
         divide: patches that stand for pieces of about this size (m); `bcid.forms.mesh.patches.divided` makes them.
@@ -59,6 +60,7 @@ class Scene:
     limits: Limits | None = None
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
     parameters: dict[str, float] = field(default_factory=dict)
+    label: int | None = None
     description: str = ""
     source: str = "scene"
 
