@@ -114,10 +114,15 @@ def _copied(source: Path, beside: Iterable[Path], folder: Path) -> Path:
         folder.mkdir()
         for other in beside:
             shutil.copyfile(other, folder / other.name)
-        return shutil.copyfile(source, folder / f"body{source.suffix}")
+        return shutil.copyfile(source, folder / f"body{_suffix(source)}")
     except OSError as error:
         require()
         raise InputError(f"cannot be read: {error.strerror or error}") from None
+
+
+def _suffix(source: Path) -> str:
+    """What says how a file is read: its last suffix, of a compressed one the two last."""
+    return "".join(source.suffixes[-2:]) if source.suffix.lower() == ".gz" else source.suffix
 
 
 def _environment(folder: Path) -> dict[str, str]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import Problems
 from bcid.forms.mesh import BodyMesh
-from bcid.forms.observe import closest_on_triangles
+from bcid.forms.mesh.closest import closest_on_triangles
 from bcid.scene import Scene
 
 Array = NDArray[np.float64]

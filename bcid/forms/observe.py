@@ -13,6 +13,7 @@ from bcid.base import compat
 from bcid.base.errors import Problems
 from bcid.forms.mesh import BodyMesh
 from bcid.forms.mesh.body import Body
+from bcid.forms.mesh.closest import closest_on_triangles
 
 Array = NDArray[np.float64]
 _INSIDE = 1e-9
@@ -74,28 +75,6 @@ def _barycentric(corners: Array, position: Array) -> Array:
     edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
     rest = np.linalg.solve(edges, (position - corners[:, 0])[:, :, None])[:, :, 0]
     return np.column_stack([1 - rest.sum(axis=1), rest])
-
-
-def closest_on_triangles(triangles: Array, position: Array) -> Array:
-    """Closest point of each triangle (n, 3, 3) to a position, shape (n, 3)."""
-    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    options = [_closest_on_segments(p, q, position) for p, q in ((a, b), (b, c), (c, a))]
-    normal = np.cross(b - a, c - a)
-    squared = np.einsum("ij,ij->i", normal, normal)
-    offset = np.einsum("ij,ij->i", position - a, normal) / squared
-    foot = position - offset[:, None] * normal
-    inside = np.ones(len(a), dtype=bool)
-    for p, q in ((a, b), (b, c), (c, a)):
-        inside &= np.einsum("ij,ij->i", np.cross(q - p, foot - p), normal) >= 0
-    distances = np.array([np.linalg.norm(o - position, axis=1) for o in options])
-    edge = np.array(options)[distances.argmin(axis=0), np.arange(len(a))]
-    return np.where(inside[:, None], foot, edge)
-
-
-def _closest_on_segments(a: Array, b: Array, position: Array) -> Array:
-    along = b - a
-    t = np.einsum("ij,ij->i", position - a, along) / np.einsum("ij,ij->i", along, along)
-    return a + np.clip(t, 0, 1)[:, None] * along
 
 
 class Observer:

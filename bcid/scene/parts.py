@@ -32,7 +32,7 @@ def _vector(values: NDArray[np.float64]) -> Vector:
 class Level:
     """One rung of the mesh ladder.
 
-    `element_size` (m) drives a `.geo` file, a surface or a label image; for a mesh file `refinements` counts uniform refinements of it.
+    `element_size` (m) drives a `.geo` file, a surface or a label image; of a mesh file `refinements` counts the uniform ones.
     `degree` is the polynomial degree of the displacement, 1 or 2 (3 only in code: for reference solutions).
     """
 

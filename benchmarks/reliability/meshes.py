@@ -21,7 +21,7 @@ from bcid.base.confined import limit_memory
 from bcid.base.errors import InputError
 from bcid.forms.mesh import BodyMesh, checked
 from bcid.forms.mesh.check import group_faults
-from bcid.forms.mesh.child import with_gmsh
+from bcid.forms.mesh.gmsh_mesh import with_gmsh
 from bcid.forms.mesh.loading import refuse_scripts
 from benchmarks.reliability import ROOT, Reached
 

@@ -13,7 +13,8 @@ from bcid.base.errors import InputError
 from bcid.forms.forward import check_geometry
 from bcid.forms.mesh import BodyMesh, checked, level_mesh
 from bcid.forms.mesh.check import measures
-from bcid.forms.observe import attach, closest_on_triangles
+from bcid.forms.mesh.closest import closest_on_triangles
+from bcid.forms.observe import attach
 from bcid.scene import Box, Level, Plane, Region, Scene
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -5,7 +5,7 @@ The arrays are the same on every rank, so that numbers never depend on how a mes
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, nearest
 from bcid.base.fingerprint import fingerprint
+from bcid.forms.mesh.criteria_of_facets import ENLARGE, in_piece, in_sphere, looking, missed, on_plane, wholly_in
+from bcid.forms.mesh.fields import Paint
 from bcid.scene import Region
 
 Points = NDArray[np.float64]
@@ -32,11 +34,15 @@ class BodyMesh:
         points: nodes, shape (nodes, 3), m.
         cells: node numbers of tetrahedra, shape (cells, 4), positively oriented.
         groups: node numbers of named triangles (k, 3), lines (k, 2) or points (k, 1).
+        paint: painted fields at the middles of `boundary`; None where the geometry has none.
+        notes: what was done to the file's surface or cells to make the mesh, in sentences.
     """
 
     points: Points
     cells: Cells
     groups: dict[str, Cells] = field(default_factory=dict)
+    paint: Paint | None = None
+    notes: tuple[str, ...] = ()
 
     @cached_property
     def boundary(self) -> Cells:
@@ -78,42 +84,71 @@ class BodyMesh:
         """Entities of a region: triangles (k, 3), or lines or points when its groups are such.
 
         Raises:
-            InputError: a group the mesh does not have, or a box, plane or piece without any facet.
+            InputError: a group or painted field that the mesh does not have, or criteria that no facet meets.
         """
-        if region.groups:
-            parts = [self._group(name, what) for name in region.groups]
-            if len({part.shape[1] for part in parts}) > 1:
-                raise InputError(f"{what}: groups {', '.join(region.groups)} mix surfaces, lines and points")
-            entities = np.vstack(parts)
-        else:
-            entities = self.boundary
+        entities = self._candidates(region, what)
+        chosen = self._chosen(entities, region, what)
+        if not chosen.any():
+            raise InputError(f"{what}: {self._why_none(region)}")
+        return entities[chosen]
+
+    def _chosen(self, entities: Cells, region: Region, what: str) -> NDArray[np.bool_]:
+        """Which entities every criterion of a region takes, shape (k,)."""
         tolerance = 1e-6 * self.size
-        inside = np.ones(len(entities), dtype=bool)
         corners = self.points[entities]
+        middle = corners.mean(axis=1)
+        chosen = np.ones(len(entities), dtype=bool)
         if region.box:
-            low, high = np.array(region.box.lower) - tolerance, np.array(region.box.upper) + tolerance
-            inside &= ((corners >= low) & (corners <= high)).all(axis=(1, 2))
+            chosen &= wholly_in(corners, region.box, tolerance)
         if region.plane:
-            distance = (corners - np.array(region.plane.point)) @ np.array(region.plane.normal)
-            inside &= (np.abs(distance) <= tolerance).all(axis=1)
-        if region.within and inside.any():
-            # Both bounds are moved alike, so that neighbours still meet: a middle on the cut belongs to the upper one
-            # whatever its round-off.
-            low, high = np.array(region.within.lower) - tolerance, np.array(region.within.upper) - tolerance
-            middle = corners.mean(axis=1)
-            inside &= ((middle >= low) & (middle < high)).all(axis=1)
-            if not inside.any():
-                raise InputError(
-                    f"{what}: no facet has its middle in this piece of the surface; "
-                    "make larger pieces, or start at a finer level (--coarsest)"
-                )
-        if not inside.any():
-            low, high = self.points.min(axis=0) * 1e3, self.points.max(axis=0) * 1e3
-            raise InputError(
-                f"{what}: no facet of the boundary lies wholly in the box or on the plane; the body spans "
-                f"{triple(low)} to {triple(high)} mm; enlarge the box or use a finer mesh"
-            )
-        return entities[inside]
+            chosen &= on_plane(corners, region.plane, tolerance)
+        if region.within:
+            chosen &= in_piece(middle, region.within, tolerance)
+        if region.sphere:
+            chosen &= in_sphere(middle, region.sphere, tolerance)
+        if region.facing or region.painted:
+            facets = self._facets(entities, what)
+            chosen &= (facets >= 0) & self._told_by_surface(region, what)[facets]
+        return chosen
+
+    def _told_by_surface(self, region: Region, what: str) -> NDArray[np.bool_]:
+        """Which facets of the boundary look in the direction of a region, and are painted as it says."""
+        chosen = np.ones(len(self.boundary), dtype=bool)
+        if region.facing:
+            chosen &= looking(self.points[self.boundary], region.facing)
+        if region.painted:
+            chosen &= (self.paint or Paint(np.zeros((0, 3)), {})).chosen(region.painted, what)
+        return chosen
+
+    def _facets(self, entities: Cells, what: str) -> Cells:
+        """Rows of the boundary that triangles are, -1 for those that are none, shape (k,)."""
+        if entities.shape[1] != 3:
+            raise InputError(f"{what}: is made of lines or points; only surfaces have a normal, or are painted")
+        rows = np.sort(np.vstack([self.boundary, entities]), axis=1)
+        number = np.unique(rows, axis=0, return_inverse=True)[1].ravel()
+        facet = np.full(number.max() + 1, -1)
+        count = len(self.boundary)
+        facet[number[:count]] = np.arange(count)
+        return facet[number[count:]]
+
+    def _why_none(self, region: Region) -> str:
+        """What to say, and do, when a region has no facet."""
+        others = replace(region, within=None)
+        if region.within and self._chosen(self._candidates(others, ""), others, "").any():
+            return "no facet has its middle in this piece of it; make larger pieces, or start at a finer level (--coarsest)"
+        low, high = self.points.min(axis=0) * 1e3, self.points.max(axis=0) * 1e3
+        return (
+            f"no facet of the boundary {missed(region)}; the body spans {triple(low)} to {triple(high)} mm; {ENLARGE}"
+        )
+
+    def _candidates(self, region: Region, what: str) -> Cells:
+        """Entities of the groups of a region, or the whole boundary."""
+        if not region.groups:
+            return self.boundary
+        parts = [self._group(name, what) for name in region.groups]
+        if len({part.shape[1] for part in parts}) > 1:
+            raise InputError(f"{what}: groups {', '.join(region.groups)} mix surfaces, lines and points")
+        return np.vstack(parts)
 
     def _group(self, name: str, what: str) -> Cells:
         if name not in self.groups:
@@ -121,7 +156,7 @@ class BodyMesh:
         return self.groups[name]
 
     def refined(self) -> BodyMesh:
-        """Every tetrahedron cut into eight, every named triangle into four, every line into two."""
+        """Every tetrahedron cut into eight, every named triangle into four, every line into two; without paint."""
         edges = np.unique(np.sort(self.cells[:, EDGES].reshape(-1, 2), axis=1), axis=0)
         code = edges[:, 0] * len(self.points) + edges[:, 1]
         points = np.vstack([self.points, self.points[edges].mean(axis=1)])
@@ -132,7 +167,7 @@ class BodyMesh:
 
         cells = _cut_tetrahedra(self.cells, middle, points)
         groups = {name: _cut(entities, middle) for name, entities in self.groups.items()}
-        return BodyMesh(points, cells, groups)
+        return BodyMesh(points, cells, groups, notes=self.notes)
 
 
 def _cut(entities: Cells, middle: Any) -> Cells:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterable
+from collections.abc import Container, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from bcid.base.errors import InputError, Problems
 from bcid.forms.mesh.body_mesh import EDGES, FACES, BodyMesh, Cells, oriented, triple, volumes
 from bcid.scene import Region, Scene
+from bcid.scene.geometry_file import PROGRAM, kind_of
 
 # A mesh of more tetrahedra is not made: solving on it takes more than 100 GB.
 MOST_CELLS = 5_000_000
@@ -36,7 +38,7 @@ def checked(mesh: BodyMesh, path: Path) -> BodyMesh:
         groups[name] = number[entities]
         if (groups[name] < 0).any():
             raise InputError(f"{path}: physical group '{name}' has nodes that belong to no tetrahedron")
-    mesh = BodyMesh(points[used], oriented(points[used], cells), groups)
+    mesh = replace(mesh, points=points[used], cells=oriented(points[used], cells), groups=groups)
     _check_shapes(mesh, path)
     return mesh
 
@@ -96,6 +98,21 @@ def expected_cells(volume: float, size: float) -> float:
     return 6 * math.sqrt(2) * volume / size**3
 
 
+def refuse_many(volume: float, size: float, spans: Sequence[float]) -> None:
+    """Refuse far more elements of a size than can be solved on, in a body of a volume and of these extents, all in its own unit.
+
+    Raises:
+        InputError: with the number of tetrahedra.
+    """
+    cells = expected_cells(volume, size)
+    if cells > MOST_CELLS:
+        shown = " x ".join(f"{span:.4g}" for span in spans)
+        raise InputError(
+            f"elements of {size:.4g} in a body of {shown} (in the unit of the file) are about {cells:.1g} tetrahedra, "
+            f"more than {MOST_CELLS:,}; choose larger elements, or mend geometry.length_unit"
+        )
+
+
 def check_fineness(scene: Scene, mesh: BodyMesh) -> None:
     """Refuse levels with far more elements than can be solved on, by the volume of the body; `mesh` is without refinement.
 
@@ -126,8 +143,8 @@ def check_places(scene: Scene, name: str, mesh: BodyMesh) -> None:
     """
     problems = Problems(f"scene {scene.source} and geometry {scene.geometry.name}, {name}")
     facets: dict[tuple[str, str], Cells] = {}
-    for kind, regions in _regions(scene).items():
-        for place, region in regions.items():
+    for kind, named in places(scene).items():
+        for place, region in named.items():
             try:
                 found = mesh.select(region, f"{kind} {place}")
             except InputError as error:
@@ -154,8 +171,7 @@ def check_groups(scene: Scene, mesh: BodyMesh) -> None:
         InputError: with every problem.
     """
     problems = Problems(f"scene {scene.source} and geometry {scene.geometry.name}")
-    regions = _regions(scene)
-    names = {name for kind in regions.values() for region in kind.values() for name in region.groups}
+    names = {name for region in regions(scene) for name in region.groups}
     groups = {
         name: mesh.groups[name] for name in sorted(names) if name in mesh.groups and mesh.groups[name].shape[1] == 3
     }
@@ -164,7 +180,7 @@ def check_groups(scene: Scene, mesh: BodyMesh) -> None:
         for text in group_faults(mesh, triangles, named):
             problems.add(scene.geometry, f"physical group '{name}': {text}; remesh it")
     # The groups of a .geo are whole; a file may have lost a triangle between two of them.
-    if groups and not problems.found and scene.geometry.suffix != ".geo":
+    if groups and not problems.found and kind_of(scene.geometry) != PROGRAM:
         where = _gap(mesh, np.vstack(list(groups.values())), named)
         if where:
             problems.add(
@@ -208,10 +224,15 @@ def _edges(row: tuple[int, ...]) -> set[tuple[int, ...]]:
     return {(a, b), (b, c), (a, c)}
 
 
-def _regions(scene: Scene) -> dict[str, dict[str, Region]]:
+def places(scene: Scene) -> dict[str, dict[str, Region]]:
     """Named parts of the boundary, by kind."""
     grasps = {name: grasp.region for name, grasp in scene.grasps.items()}
     return {"patch": scene.patches, "grasp": grasps, "place": scene.places}
+
+
+def regions(scene: Scene) -> list[Region]:
+    """All of them, whatever their kind."""
+    return [region for kind in places(scene).values() for region in kind.values()]
 
 
 def _rows(entities: Cells) -> set[tuple[int, ...]]:
@@ -222,12 +243,12 @@ def _rows(entities: Cells) -> set[tuple[int, ...]]:
 def measures(scene: Scene, mesh: BodyMesh) -> list[str]:
     """Volume of the body and areas of its patches and grasps, in sentences: what a damaged or wrong mesh shows in."""
     lines = [f"Body: volume {_shown(mesh.volume, 3)}, boundary {_shown(mesh.area(mesh.boundary), 2)}."]
-    for kind, regions in _regions(scene).items():
-        areas = {name: mesh.area(mesh.select(region, name)) for name, region in regions.items() if kind != "place"}
+    for kind, named in places(scene).items():
+        areas = {name: mesh.area(mesh.select(region, name)) for name, region in named.items() if kind != "place"}
         found = [f"{name} {_shown(area, 2)}" for name, area in areas.items() if area > 0]
         if found:
             lines.append(f"  {'patches' if kind == 'patch' else 'grasps'}: {', '.join(found)}")
-    return lines
+    return lines + [f"  {note}" for note in mesh.notes]
 
 
 def _shown(value: float, power: int) -> str:

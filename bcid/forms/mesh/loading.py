@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from bcid.base.collective import Comm, on_root
 from bcid.base.confined import read_in_child
 from bcid.base.errors import InputError
 from bcid.base.fingerprint import file_fingerprint
-from bcid.forms.mesh.body_mesh import BodyMesh, Cells, Points
-from bcid.forms.mesh.check import check_fineness, check_groups, check_places, checked
+from bcid.forms.mesh.body_mesh import BodyMesh
+from bcid.forms.mesh.check import check_fineness, check_groups, check_places, checked, regions
+from bcid.forms.mesh.fields import paint
 from bcid.forms.mesh.references import beside
 from bcid.scene import Level, Scene
+from bcid.scene.geometry_file import PROGRAM, kind_of
+
+Arrays = dict[str, Any]
 
 TIME_LIMIT = 600.0
 
@@ -21,7 +27,7 @@ def level_mesh(scene: Scene, level: Level, comm: Comm | None = None) -> BodyMesh
     """Mesh of one level of a scene; collective on `comm` (rank 0 makes it, all get it).
 
     Raises:
-        InputError: gmsh or meshio cannot make sense of the geometry, or the mesh is damaged.
+        InputError: the libraries cannot make sense of the geometry, or the mesh is damaged.
     """
     return on_root(comm, lambda: _level_mesh(scene, level))
 
@@ -30,16 +36,29 @@ def _level_mesh(scene: Scene, level: Level) -> BodyMesh:
     size = level.element_size and level.element_size / scene.length_unit
     finest = min((other.element_size for other in (*scene.levels, level) if other.element_size), default=0.0)
     sizes = (size or 0.0, finest / scene.length_unit)
-    points, cells, groups = _load(
-        scene.geometry, sizes, tuple(scene.parameters.items()), file_fingerprint(scene.geometry)
-    )
-    mesh = checked(BodyMesh(points * scene.length_unit, cells, groups), scene.geometry)
+    numbers = {name: repr(value) for name, value in scene.parameters.items()}
+    numbers |= {} if scene.label is None else {"label": str(scene.label)}
+    arrays = _load(scene.geometry, sizes, tuple(numbers.items()), file_fingerprint(scene.geometry))
+    groups = {name[6:]: part for name, part in arrays.items() if name.startswith("group:")}
+    notes = tuple(map(str, arrays["notes"]))
+    points = arrays["points"] * scene.length_unit
+    mesh = checked(BodyMesh(points, arrays["cells"], groups, notes=notes), scene.geometry)
     check_fineness(scene, mesh)
     check_groups(scene, mesh)
     for _ in range(level.refinements):
         mesh = mesh.refined()
+    mesh = _painted(mesh, arrays, scene)
     check_places(scene, level_name(scene, level), mesh)
     return mesh
+
+
+def _painted(mesh: BodyMesh, arrays: Arrays, scene: Scene) -> BodyMesh:
+    """The mesh with the fields that its surface is painted with, where the scene asks for one."""
+    fields = {name[6:]: values for name, values in arrays.items() if name.startswith("field:")}
+    if not fields or not any(region.painted for region in regions(scene)):
+        return mesh
+    middles = mesh.points[mesh.boundary].mean(axis=1)
+    return replace(mesh, paint=paint(arrays["surface"] * scene.length_unit, fields, middles))
 
 
 def level_name(scene: Scene, level: Level) -> str:
@@ -54,22 +73,20 @@ def level_name(scene: Scene, level: Level) -> str:
 
 
 @lru_cache(maxsize=8)
-def _load(
-    path: Path, sizes: tuple[float, float], parameters: tuple[tuple[str, float], ...], _content: str
-) -> tuple[Points, Cells, dict[str, Cells]]:
+def _load(path: Path, sizes: tuple[float, float], numbers: tuple[tuple[str, str], ...], _content: str) -> Arrays:
     """Run the loader in a child process: a damaged file may make gmsh abort, and must not take this process along.
 
     The last results are kept for as long as the content of the file is the same: patches are made and looked for on the
     meshes of several levels before any is solved on.
     """
-    program = path.suffix == ".geo"
+    program = kind_of(path) == PROGRAM
     if program and path.with_name(path.name + ".opt").exists():
         raise InputError(
             f"{path}.opt: gmsh would run it with {path.name}; take what it sets into {path.name}, and remove it"
         )
-    arguments = [*map(repr, sizes), *(f"{name}={value!r}" for name, value in parameters)]
+    arguments = [*map(repr, sizes), *(f"{name}={value}" for name, value in numbers)]
     try:
-        arrays = read_in_child(
+        return read_in_child(
             "bcid.forms.mesh.child",
             path,
             arguments,
@@ -82,8 +99,6 @@ def _load(
         raise InputError(f"{path}: meshing took more than {TIME_LIMIT:.0f} s; choose larger elements") from None
     except InputError as error:
         raise InputError(f"{path}: cannot be meshed: {error}") from None
-    groups = {name[6:]: part for name, part in arrays.items() if name.startswith("group:")}
-    return arrays["points"], arrays["cells"], groups
 
 
 def refuse_scripts(path: Path) -> None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from bcid.forms.mesh import BodyMesh
-from bcid.forms.observe import closest_on_triangles
+from bcid.forms.mesh.closest import closest_on_triangles
 from bcid.forms.scene_errors import grip_term
 from bcid.measurement import Action
 from bcid.scene import Scene

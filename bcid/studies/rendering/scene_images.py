@@ -13,8 +13,8 @@ from bcid.base.errors import SolveError
 from bcid.base.run_folder import write_whole
 from bcid.forms.forward import Forward
 from bcid.forms.mesh import BodyMesh
+from bcid.forms.mesh.closest import closest_on_triangles
 from bcid.forms.mesh.patches import divided
-from bcid.forms.observe import closest_on_triangles
 from bcid.measurement import Action
 from bcid.measurement.folder import grasp_lines
 from bcid.scene import Scene

@@ -1,0 +1,142 @@
+"""The surface of a label in a NIfTI image, in the frame of its affine. For the child process alone.
+
+The label, 1 inside and 0 outside, is blurred by one voxel, and the surface drawn at the level that keeps its volume: the steps
+between voxels go, and the body neither shrinks nor grows (marching cubes; Schroeder, Maynard, Geveci, Flying Edges, LDAV 2015).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from bcid.base.errors import InputError
+from bcid.forms.mesh.fields import of_triangles
+from bcid.forms.mesh.surface_file import TriangleSurface
+
+Mask = NDArray[np.bool_]
+
+# Standard deviation of the blur, voxels, and how much around the label is looked at: to where the blur is nothing.
+_BLUR, _AROUND = 1.0, 5
+# Islands and cavities with less than this part of the label are specks.
+_SPECK = 1e-2
+# The field that tells which label the body touches.
+FIELD = "label"
+
+
+def surface_of_label(source: Path, label: int) -> TriangleSurface:
+    """The surface of a label, in the unit of the image, with the labels that it touches as the field "label".
+
+    Raises:
+        InputError: no image of labels in space, no frame, no such label, or one in several pieces.
+    """
+    labels, affine = _read(source)
+    if not (labels == label).any():
+        known, counts = np.unique(labels, return_counts=True)
+        shown = ", ".join(f"{k:g} ({n} voxels)" for k, n in list(zip(known, counts, strict=True))[:20])
+        raise InputError(f"label {label} is not in the image; it has {shown}: choose one of them in geometry.label")
+    box = ndimage.find_objects((labels == label).astype(np.uint8))[0]
+    around = _surrounded(labels, box)
+    mask, notes = _one_piece(around == label)
+    points, triangles = _contour(mask)
+    touched = _touched(around, mask, points[triangles].mean(axis=1))
+    start = np.array([cut.start - _AROUND for cut in box])
+    placed = (points + start) @ affine[:3, :3].T + affine[:3, 3]
+    # A frame that mirrors the voxels, as most do (x to the left), turns the triangles.
+    triangles = triangles if np.linalg.det(affine[:3, :3]) > 0 else triangles[:, ::-1]
+    return TriangleSurface(placed, triangles, {FIELD: of_triangles(touched)}, notes=tuple(notes))
+
+
+def _read(source: Path) -> tuple[NDArray[Any], NDArray[np.float64]]:
+    """Labels (x, y, z) and the affine from voxels to space."""
+    import nibabel
+
+    try:
+        image: Any = nibabel.load(source)
+        labels = np.asarray(image.dataobj)
+    except MemoryError:
+        raise InputError("the image takes more memory than is there; crop it to the body first") from None
+    except Exception as error:
+        raise InputError(f"is no NIfTI image, or truncated: {error}") from None
+    labels = (
+        labels.reshape(labels.shape[:3]) if labels.ndim > 3 and labels.size == np.prod(labels.shape[:3]) else labels
+    )
+    if labels.ndim != 3:
+        raise InputError(f"has {labels.ndim} dimensions ({labels.shape}); a label image has three")
+    if not np.issubdtype(labels.dtype, np.integer) and not (labels == np.round(labels)).all():
+        raise InputError("holds values that are no whole numbers: it is no image of labels; segment it first")
+    if not (image.header["qform_code"] or image.header["sform_code"]):
+        raise InputError(
+            "states no frame (qform_code and sform_code are 0), so that nobody knows where its voxels are; set its affine, as "
+            "3D Slicer and FSL's fslorient do"
+        )
+    affine = np.asarray(image.affine, dtype=float)
+    if not np.isfinite(affine).all() or not abs(np.linalg.det(affine[:3, :3])) > 0:
+        raise InputError("has an affine that is not finite, or flat; set its sform once more")
+    return labels, affine
+
+
+def _surrounded(labels: NDArray[Any], box: tuple[slice, ...]) -> NDArray[Any]:
+    """The labels in a box and around it; beyond the image they are 0."""
+    wide = [slice(max(0, cut.start - _AROUND), cut.stop + _AROUND) for cut in box]
+    found = labels[tuple(wide)]
+    before = [_AROUND - (cut.start - w.start) for cut, w in zip(box, wide, strict=True)]
+    full = [cut.stop - cut.start + 2 * _AROUND for cut in box]
+    return np.pad(found, [(b, f - b - n) for b, f, n in zip(before, full, found.shape, strict=True)])
+
+
+def _one_piece(mask: Mask) -> tuple[Mask, list[str]]:
+    """The label without specks, and what was left out or filled."""
+    notes = []
+    number, count = ndimage.label(mask)
+    sizes = np.bincount(number.ravel())[1:]
+    largest = int(sizes.argmax())
+    others = np.delete(sizes, largest)
+    if (others > _SPECK * sizes[largest]).any():
+        shown = ", ".join(map(str, np.sort(sizes)[::-1][:8]))
+        raise InputError(
+            f"the label has {count} pieces (of {shown} voxels): a scene has one body; keep one, or give the others labels of "
+            "their own (3D Slicer: Islands)"
+        )
+    if count > 1:
+        notes.append(f"{count - 1} speck(s) of the label, together {int(others.sum())} voxels, were left out")
+    mask = number == largest + 1
+    holes, count = ndimage.label(~mask)
+    sizes = np.bincount(holes.ravel())[1:]
+    small = np.flatnonzero(sizes <= _SPECK * mask.sum()) + 1
+    if len(small):
+        notes.append(f"{len(small)} cavity or cavities of together {int(sizes[small - 1].sum())} voxels were filled")
+        mask = mask | np.isin(holes, small)
+    return mask, notes
+
+
+def _contour(mask: Mask) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Points (n, 3), in voxels, and triangles (k, 3) where the blurred mask has the level that as many voxels lie above."""
+    from vtkmodules.util.numpy_support import numpy_to_vtk, vtk_to_numpy
+    from vtkmodules.vtkCommonDataModel import vtkImageData
+    from vtkmodules.vtkFiltersCore import vtkFlyingEdges3D
+
+    blurred = ndimage.gaussian_filter(mask.astype(np.float64), _BLUR)
+    inside = int(mask.sum())
+    level = -np.partition(-blurred.ravel(), [inside - 1, inside])[[inside - 1, inside]].mean()
+    image = vtkImageData()
+    image.SetDimensions(*blurred.shape)
+    image.GetPointData().SetScalars(numpy_to_vtk(blurred.ravel(order="F"), deep=True))
+    contour = vtkFlyingEdges3D()
+    contour.SetInputData(image)
+    contour.SetValue(0, float(level))
+    contour.ComputeNormalsOff()
+    contour.Update()
+    found = contour.GetOutput()
+    points = vtk_to_numpy(found.GetPoints().GetData()).astype(float)
+    return points, vtk_to_numpy(found.GetPolys().GetConnectivityArray()).astype(np.int64).reshape(-1, 3)
+
+
+def _touched(around: NDArray[Any], mask: Mask, middles: NDArray[np.float64]) -> NDArray[Any]:
+    """The label on the outer side of each triangle: that of the voxel nearest to its middle that is not the body's."""
+    nearest = ndimage.distance_transform_edt(mask, return_distances=False, return_indices=True)
+    voxel = tuple(np.clip(np.round(middles).astype(int), 0, np.array(mask.shape) - 1).T)
+    return around[tuple(nearest[i][voxel] for i in range(3))]
