@@ -1,4 +1,4 @@
-"""The command line: ``bcid demo``, ``identify``, ``compare``, ``diagnose``, ``fit``, ``explain``, ``explore``,
+"""The command line: ``bcid demo``, ``identify``, ``compare``, ``diagnose``, ``fit``, ``explain``, ``explore``, ``scene``,
 ``simulate``, ``check-effect`` (also under ``mpirun -n N``), ``import``, ``report``, ``figure``, ``calibrate``, ``track``,
 ``doctor``, ``bench``, ``study``, ``examples``.
 """
@@ -36,6 +36,7 @@ from bcid.app.commands import (
     study,
     track,
 )
+from bcid.app.scene_command import add_scene
 from bcid.base.collective import Comm, first, launched
 from bcid.base.errors import SHORT_OF_MEMORY, BcidError, MachineError, nearest, shortened
 from bcid.base.scratch import require
@@ -77,6 +78,7 @@ _EXAMPLES = """examples:
   bcid calibrate left right --board "chessboard 10x7 10 mm" -o cameras   two cameras, from images of a board
   bcid import take.csv --scene scene.toml                       what is in a recording, and a mapping that reads it
   bcid track scene.toml recording.toml -o tracked               from their images of beads to a measurement
+  bcid scene check scene.toml -o scene.png                      is it right? areas, distances, and a picture
   bcid simulate scene.toml --anchors 1,2 --motion pull -o made  a measurement made by the model
   bcid check-effect my_effect.py                                does an effect of one's own keep the contract?
   bcid examples slabs                                           the scenes and measurements that come with bcid
@@ -206,6 +208,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_figure(commands)
     _add_calibrate(commands)
     _add_track(commands)
+    add_scene(commands)
     _add_simulate(commands)
     _add_check_effect(commands)
     _add_examples(commands)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -102,6 +102,65 @@ def arrows_picture(
     return _image(plotter, body, frame, labels)
 
 
+def places_picture(
+    body: xr.Dataset, colours: Mapping[str, str], points: Mapping[str, Array], behind: bool, size: tuple[int, int]
+) -> Image:
+    """Image (height, width, 3) of the body at rest with its mesh, its places in colour and named, and marked points.
+
+    Args:
+        body: as a run's `body.nc`.
+        colours: of the places, by their names in `body`.
+        points: places of marks by name, shape (3,), mm.
+        behind: seen from the opposite side, and from below.
+        size: width and height in pixels.
+    """
+    plotter = _plotter(size)
+    rest = surface(body)
+    view = _aim(plotter, body, behind)
+    labels = _add_places(plotter, rest, [str(name) for name in body["place_name"].values], colours, view)
+    labels += _add_marks(plotter, rest, points, view)
+    return _image(plotter, body, None, labels, behind)
+
+
+def _add_places(
+    plotter: pv.Plotter, rest: pv.PolyData, names: Sequence[str], colours: Mapping[str, str], view: _View
+) -> list[_Label]:
+    """The surface with its edges, each place in its colour; returns the names of those that are seen."""
+    labels = []
+    light = {"ambient": 0.45, "diffuse": 0.6, "specular": 0.05}
+    lines = {"show_edges": True, "edge_color": COLOURS.edge, "line_width": 0.6, "edge_opacity": 0.35}
+    for number, name in enumerate(names):
+        cells = np.flatnonzero(rest.cell_data["place"] == number)
+        if len(cells) == 0:
+            continue
+        part = rest.extract_cells(cells).extract_surface(algorithm="dataset_surface")
+        plotter.add_mesh(part, color=colours.get(name, COLOURS.tissue), **light, **lines)
+        middles = part.cell_centers().points
+        seen = part.compute_normals(cell_normals=True, point_normals=False, auto_orient_normals=False)
+        towards = np.asarray(seen.cell_data["Normals"]) @ view.away > 0.15
+        if name and towards.mean() > 0.3:
+            middle = middles[towards].mean(axis=0)
+            nearest = middles[towards][np.linalg.norm(middles[towards] - middle, axis=1).argmin()]
+            labels.append(_Label(np.asarray(nearest), name.partition(" ")[2], COLOURS.measured, round(0.8 * _LETTER)))
+    return labels
+
+
+def _add_marks(plotter: pv.Plotter, rest: pv.PolyData, points: Mapping[str, Array], view: _View) -> list[_Label]:
+    """A ball for each mark, in front of what is nearer to the eye by less than its size; returns names of those in sight."""
+    import pyvista as pv
+
+    radius = 0.009 * view.size
+    labels = []
+    normals = rest.compute_normals(cell_normals=True, point_normals=False, auto_orient_normals=False)
+    for name, place in points.items():
+        facet = normals.find_closest_cell(place)
+        if normals.cell_data["Normals"][facet] @ view.away < 0.1:
+            continue
+        plotter.add_mesh(pv.Sphere(radius=radius, center=place), color=COLOURS.measured, ambient=0.4)
+        labels.append(_Label(place + 2.4 * radius * view.high, name, COLOURS.measured, round(0.55 * _LETTER)))
+    return labels
+
+
 def _plotter(size: tuple[int, int]) -> pv.Plotter:
     import pyvista as pv
 
@@ -114,16 +173,19 @@ def _plotter(size: tuple[int, int]) -> pv.Plotter:
 
 @dataclass(frozen=True)
 class _Label:
-    """A text at a place (mm), in a colour."""
+    """A text at a place (mm), in a colour; the height of its letters is in pixels."""
 
     place: Array
     text: str
     colour: str
+    height: int = _LETTER
 
 
-def _image(plotter: pv.Plotter, body: xr.Dataset, frame: int | None, labels: Sequence[_Label]) -> Image:
+def _image(
+    plotter: pv.Plotter, body: xr.Dataset, frame: int | None, labels: Sequence[_Label], behind: bool = False
+) -> Image:
     """The picture, seen from where it is aimed at, with axes, scale bar and labels."""
-    view = _aim(plotter, body)
+    view = _aim(plotter, body, behind)
     labels = [*labels, *_add_key(plotter, view, _seen_points(body, frame), str(body.attrs.get("up", "0 1 0")))]
     plotter.reset_camera()
     plotter.camera.zoom(0.97)
@@ -222,7 +284,7 @@ def _text(label: _Label) -> Any:
     actor.GetPositionCoordinate().SetValue(*map(float, label.place))
     style = actor.GetTextProperty()
     style.SetFontFamilyToArial()
-    style.SetFontSize(_LETTER)
+    style.SetFontSize(label.height)
     style.SetBold(True)
     style.SetJustificationToCentered()
     style.SetVerticalJustificationToCentered()
@@ -242,8 +304,8 @@ class _View:
     size: float
 
 
-def _aim(plotter: pv.Plotter, body: xr.Dataset) -> _View:
-    """Look from above at the side of the gripper, from where neither hides the trajectories.
+def _aim(plotter: pv.Plotter, body: xr.Dataset, behind: bool = False) -> _View:
+    """Look from above at the side of the gripper, from where neither hides the trajectories; or from behind and below.
 
     The projection is parallel, so that a length in the plane of the picture is the same everywhere.
     """
@@ -256,7 +318,7 @@ def _aim(plotter: pv.Plotter, body: xr.Dataset) -> _View:
     across /= np.linalg.norm(across)
     ahead = np.cross(across, up)
     away = 0.62 * ahead - 0.62 * across + 0.75 * up
-    away /= np.linalg.norm(away)
+    away /= np.linalg.norm(away) * (-1 if behind else 1)
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     plotter.camera_position = [tuple(centre + 3.0 * size * away), tuple(centre), tuple(up)]
     plotter.enable_parallel_projection()

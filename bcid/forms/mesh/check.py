@@ -106,9 +106,9 @@ def refuse_many(volume: float, size: float, spans: Sequence[float]) -> None:
     """
     cells = expected_cells(volume, size)
     if cells > MOST_CELLS:
-        shown = " x ".join(f"{span:.4g}" for span in spans)
+        extent = " x ".join(f"{span:.4g}" for span in spans)
         raise InputError(
-            f"elements of {size:.4g} in a body of {shown} (in the unit of the file) are about {cells:.1g} tetrahedra, "
+            f"elements of {size:.4g} in a body of {extent} (in the unit of the file) are about {cells:.1g} tetrahedra, "
             f"more than {MOST_CELLS:,}; choose larger elements, or mend geometry.length_unit"
         )
 
@@ -242,16 +242,16 @@ def _rows(entities: Cells) -> set[tuple[int, ...]]:
 
 def measures(scene: Scene, mesh: BodyMesh) -> list[str]:
     """Volume of the body and areas of its patches and grasps, in sentences: what a damaged or wrong mesh shows in."""
-    lines = [f"Body: volume {_shown(mesh.volume, 3)}, boundary {_shown(mesh.area(mesh.boundary), 2)}."]
+    lines = [f"Body: volume {shown(mesh.volume, 3)}, boundary {shown(mesh.area(mesh.boundary), 2)}."]
     for kind, named in places(scene).items():
         areas = {name: mesh.area(mesh.select(region, name)) for name, region in named.items() if kind != "place"}
-        found = [f"{name} {_shown(area, 2)}" for name, area in areas.items() if area > 0]
+        found = [f"{name} {shown(area, 2)}" for name, area in areas.items() if area > 0]
         if found:
             lines.append(f"  {'patches' if kind == 'patch' else 'grasps'}: {', '.join(found)}")
     return lines + [f"  {note}" for note in mesh.notes]
 
 
-def _shown(value: float, power: int) -> str:
+def shown(value: float, power: int) -> str:
     """An area or a volume in a unit in which it has few digits before the point."""
     for unit, metre in (("m", 1.0), ("cm", 1e-2), ("mm", 1e-3)):
         if value >= metre**power or unit == "mm":

@@ -1,0 +1,77 @@
+"""What was found of a scene, as a table of text: lengths in mm, areas in mm^2 or cm^2."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.forms.mesh import level_name
+from bcid.forms.mesh.body_mesh import triple
+from bcid.forms.mesh.check import shown
+from bcid.forms.scene_check import Marker, Place, Rung, SceneCheck
+from bcid.scene import Scene
+
+
+def table(check: SceneCheck) -> str:
+    """Everything that `bcid scene check` prints."""
+    scene, mesh = check.scene, check.mesh
+    low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
+    lines = [
+        f"{scene.name}: {scene.geometry.name}, volume {shown(mesh.volume, 3)}, boundary {shown(mesh.area(mesh.boundary), 2)}, "
+        f"from {_mm(low)} to {_mm(high)} mm",
+        "",
+        *columns(("level", "degree", "nodes", "cells", "unknowns"), [_rung(scene, rung) for rung in check.rungs]),
+    ]
+    kinds = {place.kind: [one for one in check.places if one.kind == place.kind] for place in check.places}
+    for kind, found in kinds.items():
+        lines += ["", f"On {level_name(scene, scene.levels[check.level])}:"] if kind == "patch" else [""]
+        lines += columns((kind, "facets", "area", "middle (mm)", *_more(kind)), [_place(check, one) for one in found])
+    lines += ["", *columns(("fiducial", "position (mm)", "from the surface"), map(_marker, check.markers))]
+    return "\n".join([*lines, "", *_warnings(check.warnings)])
+
+
+def _mm(place: NDArray[np.float64]) -> str:
+    """A place (m) in mm, to the micrometre."""
+    return triple(np.round(place * 1e3, 3) + 0.0)
+
+
+def _warnings(texts: Sequence[str]) -> list[str]:
+    return [f"note: {text}" for text in texts] or ["Nothing looks odd."]
+
+
+def columns(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Lines of a table, columns wide enough and two blanks apart."""
+    whole = [tuple(head), *map(tuple, rows)]
+    wide = [max(len(row[i]) for row in whole) for i in range(len(head))]
+    return ["  ".join(cell.ljust(w) for cell, w in zip(row, wide, strict=True)).rstrip() for row in whole]
+
+
+def _rung(scene: Scene, rung: Rung) -> tuple[str, ...]:
+    about = "" if rung.meshed else "about "
+    numbers = (rung.nodes, rung.cells, rung.unknowns)
+    return (
+        level_name(scene, rung.level),
+        str(rung.level.degree),
+        *(f"{about}{number if rung.meshed else float(f'{number:.2g}'):,.0f}" for number in numbers),
+    )
+
+
+def _more(kind: str) -> tuple[str, ...]:
+    return ("centre (mm)",) if kind == "grasp" else ()
+
+
+def _place(check: SceneCheck, place: Place) -> tuple[str, ...]:
+    area = shown(place.area, 2) if place.area > 0 else "none"
+    found = place.name, str(place.facets), area, _mm(place.middle)
+    if place.kind != "grasp":
+        return found
+    centre = check.scene.grasps[place.name].centre
+    return *found, _mm(np.array(centre))
+
+
+def _marker(marker: Marker) -> tuple[str, ...]:
+    away = abs(marker.distance) * 1e3
+    side = "on it" if away < 0.05 else f"{away:.2g} mm {'outside' if marker.distance > 0 else 'inside'}"
+    return marker.name, _mm(marker.position), side

@@ -1,0 +1,108 @@
+"""A scene before anything is solved: the body from two sides, patches in colour and named, grasps and fiducials."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from bcid.base.run_folder import writing
+from bcid.report.figure import cropped, save, short, styled
+from bcid.report.scene3d import COLOURS, places_picture
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Of patches, in turns: those of Okabe & Ito that neither the grasps nor the tissue have, and lighter ones of them.
+_PATCHES = (
+    "#0072b2",
+    "#009e73",
+    "#cc79a7",
+    "#56b4e9",
+    "#f0e442",
+    "#d55e00",
+    "#7aa6c9",
+    "#7fc9b0",
+    "#e0b5cf",
+    "#8c6d31",
+)
+# So many entries fit below the picture.
+_ENTRIES = 24
+
+
+def draw_scene(
+    target: Path,
+    body: xr.Dataset,
+    fiducials: Mapping[str, NDArray[np.float64]],
+    title: str,
+    places: Mapping[str, str],
+    lines: Sequence[str],
+) -> Path:
+    """Write the picture of a scene; returns `target`.
+
+    Args:
+        target: the PNG file.
+        body: as a run's `body.nc`, at rest.
+        fiducials: positions by name, shape (3,), m.
+        title: above the picture.
+        places: what the legend says of patches and grasps, by their names in `body`.
+        lines: small, below the title.
+
+    Raises:
+        MachineError: it cannot be written.
+    """
+    with styled(), writing(target):
+        return save(_figure(body, fiducials, title, places, lines), target)
+
+
+def place_colours(names: Sequence[str]) -> dict[str, str]:
+    """Colours of places by name, as "patch 1" and "grasp I"."""
+    patches = [name for name in names if name.startswith("patch ")]
+    colours = {name: _PATCHES[i % len(_PATCHES)] for i, name in enumerate(patches)}
+    return colours | {name: COLOURS.grasp for name in names if name.startswith("grasp ")}
+
+
+def _figure(
+    body: xr.Dataset,
+    fiducials: Mapping[str, NDArray[np.float64]],
+    title: str,
+    places: Mapping[str, str],
+    lines: Sequence[str],
+) -> Figure:
+    from matplotlib.figure import Figure
+
+    colours = place_colours([str(name) for name in body["place_name"].values])
+    marks = {name: place * 1e3 for name, place in fiducials.items()}
+    figure = Figure(figsize=(14, 7.9), facecolor="white")
+    for column, (behind, side) in enumerate(((False, "from above"), (True, "from behind and below"))):
+        axes = figure.add_axes((0.01 + 0.495 * column, 0.15, 0.485, 0.72))
+        axes.imshow(cropped([places_picture(body, colours, marks, behind, (1500, 1300))])[0])
+        axes.set_axis_off()
+        axes.set_title(side, fontsize=11, color="#565c64")
+    figure.text(0.02, 0.955, title, fontsize=17, weight="bold", va="center")
+    figure.text(0.02, 0.915, "   ".join(lines), fontsize=11, color="#565c64", va="center")
+    _legend(figure, colours, places, len(marks))
+    return figure
+
+
+def _legend(figure: Figure, colours: Mapping[str, str], places: Mapping[str, str], fiducials: int) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    entries = [
+        Patch(color=colours[name], label=f"{short(name)}: {text}") for name, text in places.items() if name in colours
+    ]
+    if len(entries) > _ENTRIES:
+        rest = len(entries) - _ENTRIES + 1
+        entries = [*entries[: _ENTRIES - 1], Patch(color="white", label=f"and {rest} more")]
+    mark = Line2D(
+        [], [], marker="o", color=COLOURS.measured, linestyle="", markersize=6, label=f"{fiducials} fiducials"
+    )
+    columns = min(5, len(entries) + 1)
+    figure.legend(
+        handles=[*entries, mark], loc="lower center", ncols=columns, bbox_to_anchor=(0.5, 0.015), fontsize=10.5
+    )
