@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from bcid.base.confined import serve
+from bcid.base.errors import InputError
 from bcid.forms.mesh.check import MOST_CELLS
 from bcid.forms.mesh.foreign_mesh import with_meshio
 from bcid.forms.mesh.gmsh_mesh import with_gmsh
@@ -25,7 +27,15 @@ Arrays = dict[str, Any]
 _GMSH = (".geo", ".msh")
 _LIBRARIES = {
     SURFACE: ("gmsh", "meshio", "scipy.sparse.csgraph", "scipy.spatial"),
-    IMAGE: ("gmsh", "nibabel", "vtkmodules.vtkFiltersCore", "scipy.ndimage", "scipy.sparse.csgraph", "scipy.spatial"),
+    IMAGE: (
+        "gmsh",
+        "nibabel",
+        "vtkmodules.vtkFiltersCore",
+        "scipy.ndimage",
+        "scipy.optimize",
+        "scipy.sparse.csgraph",
+        "scipy.spatial",
+    ),
 }
 # Address space, bytes, of a child that meshes so many.
 _MESHING_SPACE = 2_000_000_000 + 2_000 * MOST_CELLS
@@ -46,9 +56,18 @@ def _read(source: Path, arguments: Sequence[str]) -> Arrays:
     if kind_of(source) == SURFACE:
         return solid(mended(read_surface(source)), size, finest)
     if kind_of(source) == IMAGE:
+        _require("nibabel", "vtkmodules")
         return solid(mended(surface_of_label(source, int(numbers["label"]))), size, finest)
     refuse_references(source)
     return with_meshio(source)
+
+
+def _require(*packages: str) -> None:
+    missing = [name for name in packages if find_spec(name) is None]
+    if missing:
+        raise InputError(
+            f"label images are read with nibabel and VTK; {missing[0]} is not here: pip install 'bcid[mesh]'"
+        )
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.optimize import brentq
 
 from bcid.base.errors import InputError
 from bcid.forms.mesh.fields import of_triangles
@@ -114,20 +115,34 @@ def _one_piece(mask: Mask) -> tuple[Mask, list[str]]:
 
 
 def _contour(mask: Mask) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Points (n, 3), in voxels, and triangles (k, 3) where the blurred mask has the level that as many voxels lie above."""
+    """Points (n, 3), in voxels, and triangles (k, 3) of the level of the blurred mask that encloses as much as its voxels do."""
+    blurred = ndimage.gaussian_filter(mask.astype(np.float64), _BLUR)
+    wanted = int(mask.sum())
+    # Levels that more and fewer voxels lie above: the one that is looked for is between.
+    counts = np.clip([round(1.1 * wanted), round(0.9 * wanted)], 1, blurred.size - 1)
+    low, high = -np.partition(-blurred.ravel(), counts)[counts]
+
+    def excess(level: float) -> float:
+        points, triangles = _at_level(blurred, level)
+        a, b, c = (points[triangles[:, i]] for i in range(3))
+        return abs(float(np.einsum("ij,ij->", a, np.cross(b, c)))) / 6 - wanted
+
+    if excess(low) > 0 > excess(high):
+        return _at_level(blurred, float(brentq(excess, low, high, rtol=1e-5, xtol=1e-5)))
+    return _at_level(blurred, (low + high) / 2)
+
+
+def _at_level(blurred: NDArray[np.float64], level: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     from vtkmodules.util.numpy_support import numpy_to_vtk, vtk_to_numpy
     from vtkmodules.vtkCommonDataModel import vtkImageData
     from vtkmodules.vtkFiltersCore import vtkFlyingEdges3D
 
-    blurred = ndimage.gaussian_filter(mask.astype(np.float64), _BLUR)
-    inside = int(mask.sum())
-    level = -np.partition(-blurred.ravel(), [inside - 1, inside])[[inside - 1, inside]].mean()
     image = vtkImageData()
     image.SetDimensions(*blurred.shape)
     image.GetPointData().SetScalars(numpy_to_vtk(blurred.ravel(order="F"), deep=True))
     contour = vtkFlyingEdges3D()
     contour.SetInputData(image)
-    contour.SetValue(0, float(level))
+    contour.SetValue(0, level)
     contour.ComputeNormalsOff()
     contour.Update()
     found = contour.GetOutput()
