@@ -21,9 +21,10 @@ from bcid.scene import Level, Scene
 
 Array = NDArray[np.float64]
 
-# Levels of more cells are not meshed for this; so many nodes and unknowns for each cell are usual in meshes of tetrahedra.
+# Levels of more cells are not meshed for this. In meshes of gmsh there are so many parts of the cells that regular tetrahedra
+# would be, and so many nodes and edges for each cell.
 _MESHED = 200_000
-_NODES, _EDGES = 0.21, 1.25
+_FILLED, _NODES, _EDGES = 0.6, 0.25, 1.35
 # Fewer facets show a place badly; areas that differ by more from level to level are not the same place.
 _FEW, _SAME_AREA = 4, 0.2
 # A fiducial is on the surface when it is no further from it than this part of the body's size.
@@ -119,7 +120,7 @@ def _cells(mesh: BodyMesh, of: Level, level: Level) -> float:
     """About how many cells a level has, from the mesh of another."""
     if level.element_size is None:
         return float(len(mesh.cells) * 8.0 ** (level.refinements - of.refinements))
-    return expected_cells(mesh.volume, level.element_size)
+    return _FILLED * expected_cells(mesh.volume, level.element_size)
 
 
 def _rung(scene: Scene, number: int, mesh: BodyMesh, meshes: dict[int, BodyMesh]) -> Rung:

@@ -15,6 +15,8 @@ def write_commands(target: Path) -> None:
     parts = ["# Commands", "", "Any of them runs under `mpirun -n N`.", "", *block(parser)]
     for name, command in subcommands(parser).items():
         parts += [f"## bcid {name}", "", *block(command)]
+        for action, inner in subcommands(command).items():
+            parts += [f"### bcid {name} {action}", "", *block(inner)]
     text = "\n".join(parts)
     if not target.is_file() or target.read_text(encoding="utf-8") != text:
         target.write_text(text, encoding="utf-8")
@@ -26,6 +28,6 @@ def block(parser: argparse.ArgumentParser) -> list[str]:
 
 
 def subcommands(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
-    """The parsers of the commands, by name."""
-    found = next(a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
-    return dict(found.choices)
+    """The parsers of the commands, by name; none where there are none."""
+    found = [action.choices for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    return dict(found[0]) if found else {}
