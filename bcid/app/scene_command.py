@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,8 @@ def check(arguments: argparse.Namespace, comm: Comm) -> None:
     target: Path | None = arguments.output
     if target is not None and target.suffix.lower() != ".png":
         raise InputError(f"--output '{target}': the picture is a PNG file; name it {target.with_suffix('.png').name}")
+    # PETSc begins, with collective calls, when this is imported: on all ranks or none.
+    import_module("bcid.search.identify_run")
     on_root(comm, lambda: _checked(arguments.scene, target))
 
 

@@ -146,7 +146,7 @@ def _add_places(
 
 
 def _add_marks(plotter: pv.Plotter, rest: pv.PolyData, points: Mapping[str, Array], view: _View) -> list[_Label]:
-    """A ball for each mark, in front of what is nearer to the eye by less than its size; returns names of those in sight."""
+    """A whole ball for each mark on the side that is seen, just above the surface; returns their names."""
     import pyvista as pv
 
     radius = 0.009 * view.size
@@ -156,7 +156,9 @@ def _add_marks(plotter: pv.Plotter, rest: pv.PolyData, points: Mapping[str, Arra
         facet = normals.find_closest_cell(place)
         if normals.cell_data["Normals"][facet] @ view.away < 0.1:
             continue
-        plotter.add_mesh(pv.Sphere(radius=radius, center=place), color=COLOURS.measured, ambient=0.4)
+        plotter.add_mesh(
+            pv.Sphere(radius=radius, center=place + radius * view.away), color=COLOURS.measured, ambient=0.4
+        )
         labels.append(_Label(place + 2.4 * radius * view.high, name, COLOURS.measured, round(0.55 * _LETTER)))
     return labels
 

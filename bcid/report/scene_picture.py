@@ -79,7 +79,7 @@ def _figure(
     marks = {name: place * 1e3 for name, place in fiducials.items()}
     figure = Figure(figsize=(14, 7.9), facecolor="white")
     for column, (behind, side) in enumerate(((False, "from above"), (True, "from behind and below"))):
-        axes = figure.add_axes((0.01 + 0.495 * column, 0.15, 0.485, 0.72))
+        axes = figure.add_axes((0.01 + 0.495 * column, 0.14, 0.485, 0.71))
         axes.imshow(cropped([places_picture(body, colours, marks, behind, (1500, 1300))])[0])
         axes.set_axis_off()
         axes.set_title(side, fontsize=11, color="#565c64")
@@ -99,9 +99,8 @@ def _legend(figure: Figure, colours: Mapping[str, str], places: Mapping[str, str
     if len(entries) > _ENTRIES:
         rest = len(entries) - _ENTRIES + 1
         entries = [*entries[: _ENTRIES - 1], Patch(color="white", label=f"and {rest} more")]
-    mark = Line2D(
-        [], [], marker="o", color=COLOURS.measured, linestyle="", markersize=6, label=f"{fiducials} fiducials"
-    )
+    count = f"{fiducials} fiducial{'s' if fiducials != 1 else ''}"
+    mark = Line2D([], [], marker="o", color=COLOURS.measured, linestyle="", markersize=6, label=count)
     columns = min(5, len(entries) + 1)
     figure.legend(
         handles=[*entries, mark], loc="lower center", ncols=columns, bbox_to_anchor=(0.5, 0.015), fontsize=10.5
