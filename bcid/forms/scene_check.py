@@ -34,7 +34,7 @@ _SMALL = 1e-4
 
 
 @dataclass(frozen=True)
-class Rung:
+class LevelSize:
     """A level: its nodes, cells and unknowns, and whether it was meshed or its numbers are what is usual."""
 
     level: Level
@@ -45,7 +45,7 @@ class Rung:
 
 
 @dataclass(frozen=True)
-class Place:
+class PlaceSize:
     """A patch, grasp or place: how many facets show it on the level that is looked at, their area (m^2) and their middle (m)."""
 
     kind: str
@@ -82,8 +82,8 @@ class SceneCheck:
     scene: Scene
     level: int
     mesh: BodyMesh
-    rungs: tuple[Rung, ...]
-    places: tuple[Place, ...]
+    rungs: tuple[LevelSize, ...]
+    places: tuple[PlaceSize, ...]
     markers: tuple[Marker, ...]
     warnings: tuple[str, ...]
 
@@ -123,24 +123,24 @@ def _cells(mesh: BodyMesh, of: Level, level: Level) -> float:
     return _FILLED * expected_cells(mesh.volume, level.element_size)
 
 
-def _rung(scene: Scene, number: int, mesh: BodyMesh, meshes: dict[int, BodyMesh]) -> Rung:
+def _rung(scene: Scene, number: int, mesh: BodyMesh, meshes: dict[int, BodyMesh]) -> LevelSize:
     level, mixed = scene.levels[number], Model.of(scene).mixed
     if number in meshes:
         made = meshes[number]
-        return Rung(level, len(made.points), len(made.cells), made.unknowns(level.degree, mixed), True)
+        return LevelSize(level, len(made.points), len(made.cells), made.unknowns(level.degree, mixed), True)
     first = next(iter(meshes))
     cells = _cells(mesh, scene.levels[first], level)
     nodes = _NODES * cells
     unknowns = 3 * (nodes + (level.degree - 1) * _EDGES * cells) + (nodes if mixed else 0)
-    return Rung(level, round(nodes), round(cells), round(unknowns), False)
+    return LevelSize(level, round(nodes), round(cells), round(unknowns), False)
 
 
-def _places(scene: Scene, mesh: BodyMesh) -> Iterator[Place]:
+def _places(scene: Scene, mesh: BodyMesh) -> Iterator[PlaceSize]:
     for kind, regions in places(scene).items():
         for name, region in regions.items():
             facets = mesh.select(region, f"{kind} {name}")
             middle = mesh.points[np.unique(facets)].mean(axis=0)
-            yield Place(kind, name, len(facets), mesh.area(facets), middle)
+            yield PlaceSize(kind, name, len(facets), mesh.area(facets), middle)
 
 
 def _markers(scene: Scene, mesh: BodyMesh, limit: float) -> Iterator[Marker]:
@@ -167,7 +167,7 @@ def _owners(scene: Scene, mesh: BodyMesh) -> dict[tuple[int, ...], str]:
     }
 
 
-def _of_places(scene: Scene, mesh: BodyMesh, found: tuple[Place, ...]) -> Iterator[str]:
+def _of_places(scene: Scene, mesh: BodyMesh, found: tuple[PlaceSize, ...]) -> Iterator[str]:
     whole = mesh.area(mesh.boundary)
     few = [place for place in found if place.area > 0 and place.facets < _FEW]
     if few:
@@ -180,7 +180,7 @@ def _of_places(scene: Scene, mesh: BodyMesh, found: tuple[Place, ...]) -> Iterat
         yield "there is no grasp: only measurements without a gripper can be explained"
 
 
-def _named(found: Iterable[Place]) -> str:
+def _named(found: Iterable[PlaceSize]) -> str:
     """Places by kind: "patch 1, patch 2, grasp I"."""
     return ", ".join(f"{place.kind} {place.name}" for place in found)
 
@@ -199,7 +199,7 @@ def _overlaps(scene: Scene, mesh: BodyMesh) -> Iterator[str]:
 
 
 def _of_levels(
-    scene: Scene, found: tuple[Place, ...], rungs: tuple[Rung, ...], meshes: dict[int, BodyMesh], level: int
+    scene: Scene, found: tuple[PlaceSize, ...], rungs: tuple[LevelSize, ...], meshes: dict[int, BodyMesh], level: int
 ) -> Iterator[str]:
     """Places that are not the same on every level, and levels that are no finer than the one before."""
     regions = {(kind, name): region for kind, named in places(scene).items() for name, region in named.items()}

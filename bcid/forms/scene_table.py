@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from bcid.forms.mesh import level_name
 from bcid.forms.mesh.body_mesh import triple
 from bcid.forms.mesh.check import shown
-from bcid.forms.scene_check import Marker, Place, Rung, SceneCheck
+from bcid.forms.scene_check import LevelSize, Marker, PlaceSize, SceneCheck
 from bcid.scene import Scene
 
 
@@ -48,7 +48,7 @@ def columns(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     return ["  ".join(cell.ljust(w) for cell, w in zip(row, wide, strict=True)).rstrip() for row in whole]
 
 
-def _rung(scene: Scene, rung: Rung) -> tuple[str, ...]:
+def _rung(scene: Scene, rung: LevelSize) -> tuple[str, ...]:
     about = "" if rung.meshed else "about "
     numbers = (rung.nodes, rung.cells, rung.unknowns)
     return (
@@ -62,7 +62,7 @@ def _more(kind: str) -> tuple[str, ...]:
     return ("centre (mm)",) if kind == "grasp" else ()
 
 
-def _place(check: SceneCheck, place: Place) -> tuple[str, ...]:
+def _place(check: SceneCheck, place: PlaceSize) -> tuple[str, ...]:
     area = shown(place.area, 2) if place.area > 0 else "none"
     found = place.name, str(place.facets), area, _mm(place.middle)
     if place.kind != "grasp":

@@ -170,6 +170,15 @@ def test_without_pyvista_the_table_is_printed(tmp_path: Path) -> None:
     assert not (tmp_path / "p.png").exists()
 
 
+def test_two_ranks_say_it_once(tmp_path: Path) -> None:
+    """PETSc begins on all ranks or none, and rank 0 prints."""
+    scanned(tmp_path, sizes=(15,))
+    command = ["mpirun", "-n", "2", sys.executable, "-m", "bcid", "scene", "check", "scene.toml"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=280, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("volume 48 cm^3") == 1
+
+
 def test_columns_are_as_wide_as_need_be() -> None:
     assert columns(("a", "bbb"), [("long", "1"), ("x", "")]) == ["a     bbb", "long  1", "x"]
 

@@ -1,0 +1,89 @@
+"""Options that commands have in common."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from bcid.base.errors import shortened
+
+
+def seed(text: str) -> int:
+    """A seed: a run keeps it as a number of 64 bits."""
+    if text.isascii() and text.isdigit() and len(text) < 20 and int(text) < 2**63:
+        return int(text)
+    raise argparse.ArgumentTypeError(f"'{shortened(text, 60)}': expected a whole number from 0 to 2^63 - 1")
+
+
+def add_command(
+    commands: Any, name: str, run: Callable[..., Any], help_text: str, more: str = ""
+) -> argparse.ArgumentParser:
+    """Declare a command with what runs it and its help; returns its parser."""
+    raw = argparse.RawDescriptionHelpFormatter
+    text = help_text[0].upper() + help_text[1:] + ".\n\n" + more
+    parser: argparse.ArgumentParser = commands.add_parser(name, help=help_text, description=text, formatter_class=raw)
+    parser.set_defaults(run=run)
+    return parser
+
+
+def add_run(parser: argparse.ArgumentParser) -> None:
+    """The run folder to write."""
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="run folder to write")
+
+
+def add_output(parser: argparse.ArgumentParser, picture: bool = True) -> None:
+    """How a run folder is written."""
+    parser.add_argument("--overwrite", action="store_true", help="discard a run that the folder already holds")
+    if picture:
+        parser.add_argument("--no-picture", action="store_true", help="do not draw pictures and write ParaView files")
+    add_quiet(parser)
+
+
+def add_quiet(parser: argparse.ArgumentParser) -> None:
+    """Whether to say only the result."""
+    parser.add_argument("--quiet", action="store_true", help="say only the result")
+
+
+def add_inputs(parser: argparse.ArgumentParser) -> None:
+    """What a run without an earlier one starts from, and where it goes."""
+    parser.add_argument(
+        "scene", type=Path, help="scene file (TOML): body, mesh ladder, candidate patches, grasps, fiducials"
+    )
+    parser.add_argument(
+        "measurement", type=Path, help="measurement folder, NetCDF file, or mapping file of a recording (bcid import)"
+    )
+    add_run(parser)
+
+
+def add_source(parser: argparse.ArgumentParser) -> None:
+    """A run to start from, and what all jobs on one have in common."""
+    parser.add_argument("run_folder", type=Path, metavar="RUN", help="run folder of identify, diagnose, fit or explain")
+    add_level(parser)
+    add_effect_files(parser)
+    add_output(parser)
+
+
+def add_level(parser: argparse.ArgumentParser) -> None:
+    """The fine mesh level."""
+    parser.add_argument(
+        "--level", type=int, metavar="LEVEL", help="fine mesh level (the last with at most 40,000 unknowns)"
+    )
+
+
+def add_only(parser: argparse.ArgumentParser) -> None:
+    """The effects to look at."""
+    parser.add_argument("--only", metavar="a,b", help="look at these effects only")
+
+
+def add_effect_files(parser: argparse.ArgumentParser) -> None:
+    """Files with effects of one's own."""
+    parser.add_argument(
+        "--effects",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="Python file with an effect of your own (docs/effects.md); it is run. May be given several times",
+    )

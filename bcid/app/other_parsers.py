@@ -1,0 +1,246 @@
+"""Commands that make, show and test things, as they are written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from bcid.app.commands import (
+    bench,
+    calibrate,
+    check_effect,
+    examples,
+    figure,
+    import_recording,
+    report,
+    simulate,
+    study,
+    track,
+)
+from bcid.app.options import add_command, add_output, add_quiet, add_run, seed
+
+
+def add_import(commands: Any) -> None:
+    """`bcid import`."""
+    parser = add_command(
+        commands,
+        "import",
+        import_recording,
+        "tell what is in a recording, and write a mapping that reads it as a measurement",
+        "Motion capture (C3D, TRC, Motive, Nexus, Qualisys), DeepLabCut, Anipose, image correlation, MAT, HDF5, ROS bags, tables.\n"
+        "Writes the mapping (TOML), with what is left to fill in as comments, and a picture of the paths beside it; for points\n"
+        "without names also a table of fiducials to paste into a scene. See docs/formats.md.",
+    )
+    parser.add_argument(
+        "file", type=Path, metavar="FILE", help='recording; a quoted pattern for a file a frame, as "f_*.csv"'
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="MAPPING", help="mapping to write (FILE with the suffix .toml)"
+    )
+    parser.add_argument(
+        "--scene", type=Path, help="scene file (TOML): its fiducials and grasps are looked for in the recording"
+    )
+    parser.add_argument("--no-picture", action="store_true", help="do not draw the paths")
+
+
+def add_report(commands: Any) -> None:
+    """`bcid report`."""
+    parser = add_command(
+        commands,
+        "report",
+        report,
+        "show runs on one page that opens from disk, without a network",
+        "Verdict, the body in 3-D, residuals, missing effects, the ladder of models, belief, what was run. Several runs become\n"
+        "sections. Made from the run folders alone. See docs/report.md.",
+    )
+    parser.add_argument("run_folders", type=Path, nargs="+", metavar="RUN", help="run folders of any command")
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("report.html"), metavar="FILE", help="page to write (report.html)"
+    )
+    add_quiet(parser)
+
+
+def add_figure(commands: Any) -> None:
+    """`bcid figure`."""
+    parser = add_command(
+        commands,
+        "figure",
+        figure,
+        "write the figures and tables of a run for a paper, and its fields for ParaView",
+        "The figures of `bcid report` as files, its tables as CSV and LaTeX. See docs/report.md.",
+    )
+    parser.add_argument("run_folder", type=Path, metavar="RUN", help="run folder of any command")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder to write into")
+    parser.add_argument("--format", default="png,svg,pdf", metavar="a,b", help="of the figures (png,svg,pdf)")
+    parser.add_argument("--overwrite", action="store_true", help="replace files of the same names")
+    add_quiet(parser)
+
+
+def add_calibrate(commands: Any) -> None:
+    """`bcid calibrate`."""
+    parser = add_command(
+        commands,
+        "calibrate",
+        calibrate,
+        "calibrate two cameras from pairs of images of a board",
+        "Writes a run folder: cameras.json, calibration.json, summary.txt with a verdict, calibration.png. See docs/vision.md.",
+    )
+    parser.add_argument("left", type=Path, help="folder of images of the left camera, or a video")
+    parser.add_argument("right", type=Path, help="the same of the right camera; pairs have equal numbers")
+    parser.add_argument(
+        "--board",
+        required=True,
+        metavar='"chessboard 10x7 10 mm"',
+        help='inner corners and square; or "charuco 8x6 30 mm 22 mm DICT_5X5_100": squares, square, marker, dictionary',
+    )
+    parser.add_argument(
+        "--distortion", type=int, default=4, metavar="N", help="coefficients of the lenses: 0, 2, 4 (default), 5 or 8"
+    )
+    add_run(parser)
+    add_output(parser)
+
+
+def add_track(commands: Any) -> None:
+    """`bcid track`."""
+    parser = add_command(
+        commands,
+        "track",
+        track,
+        "follow the beads of a scene through images of two cameras, and write a measurement",
+        "Writes a run folder: measurement/ for identify and explain, summary.txt, film.mp4 to check it, tracking.png,\n"
+        "tracking.nc. See docs/vision.md for the recording file.",
+    )
+    parser.add_argument("scene", type=Path, help="scene file (TOML); its fiducials are the beads")
+    parser.add_argument("recording", type=Path, help="recording file (TOML): cameras, images, gripper, beads")
+    add_run(parser)
+    parser.add_argument(
+        "--expected", type=Path, metavar="MEASUREMENT", help="what a model has the beads do: they are looked for there"
+    )
+    parser.add_argument("--no-film", action="store_true", help="do not write film.mp4")
+    add_output(parser)
+
+
+def add_simulate(commands: Any) -> None:
+    """`bcid simulate`."""
+    from bcid.scene.motions import MOTIONS
+
+    parser = add_command(
+        commands,
+        "simulate",
+        simulate,
+        "make a measurement with the forward model",
+        "The motions are those of the benchmark slab, pulls along x for example; --like takes those of a measurement.",
+    )
+    parser.add_argument("scene", type=Path, help="scene file (TOML)")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="MEASUREMENT", help="folder to write")
+    parser.add_argument("--anchors", default="", metavar="1,2", help="anchored patches, separated by commas (none)")
+    motion = parser.add_mutually_exclusive_group(required=True)
+    motion.add_argument("--motion", metavar="NAME", help=", ".join(MOTIONS))
+    motion.add_argument("--like", type=Path, metavar="MEASUREMENT", help="repeat the motions of this measurement")
+    parser.add_argument("--amplitude", metavar='"8 mm"', help="how far the gripper goes at most (the motion's)")
+    parser.add_argument("--steps", type=int, metavar="N", help="of each action, besides rest (the motion's)")
+    parser.add_argument("--direction", metavar="X,Y,Z", help="where the motion's x axis goes, as 0,0,1 (1,0,0)")
+    parser.add_argument(
+        "--hide",
+        action="append",
+        default=[],
+        metavar='"gravity: weight = 9.8 kN/m^3"',
+        help="an effect that the body has and the scene does not; may be repeated",
+    )
+    parser.add_argument("--grasp", metavar="NAME", help="grasp that moves (the scene's first, or its second of three)")
+    parser.add_argument("--level", type=int, metavar="LEVEL", help="mesh level (the finest)")
+    parser.add_argument(
+        "--noise", metavar='"0.3 mm"', help='standard deviation of every coordinate (the scene\'s); "0 mm" for none'
+    )
+    parser.add_argument("--random-state", type=seed, default=0, metavar="N", help="of the noise (0)")
+    parser.add_argument("--wrench", action="store_true", help="also record force and torque of the gripper")
+    parser.add_argument("--wrench-noise", metavar='"0.02 N"', help="the same with noise of this standard deviation")
+    add_quiet(parser)
+
+
+def add_examples(commands: Any) -> None:
+    """`bcid examples`."""
+    parser = add_command(
+        commands,
+        "examples",
+        examples,
+        "copy the scenes, measurements, studies and scripts that come with bcid",
+        "The commands of the documentation work in the folder that it makes.",
+    )
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="to make")
+
+
+def add_check_effect(commands: Any) -> None:
+    """`bcid check-effect`."""
+    parser = add_command(
+        commands,
+        "check-effect",
+        check_effect,
+        "tell whether an effect keeps its contract",
+        "It is tried on a small box: does it vanish at its neutral value, is it seen by the tangent, do differences agree,\n"
+        "are its units consistent, is it the same on one and two ranks? Exit code 2 if something is wrong. See docs/effects.md.",
+    )
+    parser.add_argument(
+        "effect", metavar="FILE", help="Python file that defines effect = BodyEffect(...), or a name of the catalogue"
+    )
+
+
+def add_bench(commands: Any) -> None:
+    """`bcid bench`."""
+    help_text = "measure speed against other codes, goals and limits"
+    parser = add_command(
+        commands, "bench", bench, help_text, "Prints a table per part; writes bench.json and plots. See docs/bench.md."
+    )
+    parser.add_argument("parts", nargs="*", metavar="PART", help="trajectory, toggles, identification, growth (all)")
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("bcid-bench"), metavar="FOLDER", help="folder to write (bcid-bench)"
+    )
+    parser.add_argument("--quick", action="store_true", help="a reduced form of each part, without a network")
+
+
+def add_study(commands: Any) -> None:
+    """`bcid study`."""
+    parser = add_command(
+        commands,
+        "study",
+        study,
+        "find out with many made-up bodies what an answer is worth",
+        "paper        the tables and figures of the paper; FILE.toml one of them, or one of your own (see studies/)\n"
+        "hidden       measurements with effects hidden in them are made and diagnosed blindly, and the answers scored\n"
+        "exploration  how many pulls does it take to know the anchors?\n\n"
+        "Under mpirun the ranks make the trials, rank 0 hands them out; else child processes do. A study that was stopped,\n"
+        "in whatever way, goes on where it was when the same command is given again. See docs/study.md.",
+    )
+    parser.add_argument("study", metavar="STUDY", help="paper, hidden, exploration, or a study file (TOML)")
+    add_run(parser)
+    parser.add_argument("--quick", action="store_true", help="paper and files: the reduced study")
+    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes at a time without mpirun (2)")
+    parser.add_argument(
+        "--part",
+        metavar="I/N",
+        help="files: every N-th trial from the I-th, as one of N jobs that share the run folder",
+    )
+    parser.add_argument("--predict-only", action="store_true", help="files: only what all trials share")
+    parser.add_argument("--cases", type=int, default=400, metavar="N", help="number of cases of hidden (400)")
+    parser.add_argument("--seed", type=seed, default=0, metavar="N", help="of what is random (0)")
+    parser.add_argument("--trials", type=int, default=30, metavar="N", help="of each setting of exploration (30)")
+    parser.add_argument(
+        "--limit",
+        type=float,
+        default=900.0,
+        metavar="SECONDS",
+        help="CPU seconds that a trial may take (900)",
+    )
+    parser.add_argument(
+        "--least", type=float, default=0.5, metavar="SIZE", help="of an effect of hidden, in units of noise (0.5)"
+    )
+    parser.add_argument(
+        "--bodies", metavar="NAMES", help="of hidden, as slab,finger (those and gallbladder take turns)"
+    )
+    parser.add_argument(
+        "--conditions",
+        choices=("all", "exact", "inexact"),
+        default="all",
+        help="hidden: everything as the scene states it, everything but the noise slightly wrong, or all conditions in turns (all)",
+    )
+    add_output(parser, picture=False)
