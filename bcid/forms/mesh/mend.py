@@ -19,7 +19,7 @@ from bcid.forms.mesh.body_mesh import triple
 from bcid.forms.mesh.crossings import refuse_crossings
 from bcid.forms.mesh.holes import closed
 from bcid.forms.mesh.parts_of_surface import one_body
-from bcid.forms.mesh.sides import owners, part_of_each, sides
+from bcid.forms.mesh.sides import owners, sides
 from bcid.forms.mesh.surface_file import TriangleSurface
 
 # Nodes closer than this part of the size are the same.
@@ -100,7 +100,7 @@ def _refuse_branches(surface: TriangleSurface) -> None:
 
 
 def _alike(surface: TriangleSurface) -> TriangleSurface:
-    """With triangles turned like their neighbours, as most of each part are.
+    """With triangles turned like their neighbours; whether inward or outward, is told by the volume of each part later.
 
     Every triangle stands in a graph twice, as it is and turned; neighbours are joined in the ways that go together. A part of
     two sides falls apart into two components there, one with one side only does not.
@@ -117,11 +117,7 @@ def _alike(surface: TriangleSurface) -> TriangleSurface:
         raise InputError(
             "has one side only, as a Moebius strip: there is no inside; take out the part that joins its two sides"
         )
-    turned = side[0] > side[1]
-    part = part_of_each(triangles)
-    most = np.bincount(part, weights=turned) > 0.5 * np.bincount(part)
-    turned ^= most[part]
-    return _turned(surface, turned)
+    return _turned(surface, side[0] > side[1])
 
 
 def _neighbours(triangles: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
