@@ -40,6 +40,10 @@ Array = NDArray[np.float64]
 _STEP = 1e-3
 # Responses of the latest states are kept, up to this size.
 _KEPT_BYTES = 128e6
+# The products C K^-1 are made where they are at most so many times the causes: they serve later questions about the same state.
+_SERVED = 4
+# Causes that are solved for at once.
+_BLOCK = 256
 
 
 @dataclass(frozen=True)
@@ -440,33 +444,43 @@ class Sensitivity:
                 columns[:, j] += equilibrium.tangent.times(cause.increment)
                 moved[: self.observe.shape[0], j] = self.observe @ cause.increment
                 moved[self.observe.shape[0] :, j] = cause.turned
-        moved += shown.direct(columns)
-        columns[equilibrium.supports.prescribed] = 0.0
-        if responses is None and (fields or len(causes) > 3 * forward.rows):
+        count = len(causes) + (0 if wanted.forces is None else 3 * wanted.forces.shape[1])
+        count += len(forward.mesh.cells) if wanted.stiffness else 0
+        # With few markers the products C K^-1 serve all causes; many of them cost more than the causes do.
+        if responses is None and (fields or len(causes) > 3 * forward.rows) and 3 * forward.rows <= _SERVED * count:
             responses = self._responses(shown)
             self._keep(key, responses)
-        if responses is None:
-            moved -= shown.observe @ equilibrium.factor.solve_block(columns)
-        else:
-            moved -= responses.T @ columns
+        moved += self._moved(shown, responses, columns)
         for cause, change in zip(causes, moved.T, strict=True):
             cause.target[:] += seen(change.reshape(-1, 3))
-        if responses is None:
-            return
         if result.stiffness is not None:
-            stiffer = self._stiffness_matrix()
-            free = np.ones(len(responses), dtype=bool)
-            free[equilibrium.supports.prescribed] = False
-            softened = shown.direct(stiffer) - (responses.T @ (stiffer.multiply(free[:, None]).tocsc()))
-            result.stiffness[frame] = self._all_seen(seen, np.asarray(softened))
+            softened = self._moved(shown, responses, self._stiffness_matrix())
+            result.stiffness[frame] = self._all_seen(seen, softened)
         if result.forces is not None and wanted.forces is not None:
-            dofs = forward.body.displacement_dofs.reshape(-1, 3)
-            # What acts where the gripper holds is felt by it alone.
-            felt = responses.copy()
-            felt[:, len(felt.T) - shown.levers.shape[1] :] -= shown.levers
-            pushed = np.stack([felt[dofs[:, axis]].T @ wanted.forces for axis in range(3)], axis=-1)
-            shaped = pushed.reshape(3 * forward.rows, -1)
-            result.forces[frame] = self._all_seen(seen, shaped).reshape(forward.rows, 3, -1, 3)
+            pushed = self._all_seen(seen, self._moved(shown, responses, self._pushes(wanted.forces)))
+            result.forces[frame] = pushed.reshape(forward.rows, 3, -1, 3)
+
+    def _moved(self, shown: Observed, responses: Array | None, changes: Any) -> Array:
+        """What changes of the residual (unknowns, n), dense or sparse, move, shape (3 * rows, n), m."""
+        free = np.ones(changes.shape[0], dtype=bool)
+        free[self.equilibrium.supports.prescribed] = False
+        direct = shown.direct(changes)
+        if responses is not None:
+            held = changes.multiply(free[:, None]).tocsc() if sp.issparse(changes) else changes * free[:, None]
+            return np.asarray(direct - responses.T @ held)
+        for first in range(0, changes.shape[1], _BLOCK):
+            part = changes[:, first : first + _BLOCK]
+            part = (part.toarray() if sp.issparse(part) else part) * free[:, None]
+            direct[:, first : first + _BLOCK] -= shown.observe @ self.equilibrium.factor.solve_block(part)
+        return direct
+
+    def _pushes(self, weights: Array) -> Array:
+        """Changes of the residual by a unit of each force along each axis, shape (unknowns, forces * 3)."""
+        dofs = self.forward.body.displacement_dofs.reshape(-1, 3)
+        found = np.zeros((len(self.equilibrium.u.x.array), weights.shape[1], 3))
+        for axis in range(3):
+            found[dofs[:, axis], :, axis] = -weights
+        return found.reshape(len(found), -1)
 
     def _of_probe(
         self,
