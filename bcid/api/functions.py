@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -251,8 +250,7 @@ def _inputs(scene: SceneLike, measurement: MeasurementLike, comm: Comm) -> tuple
     else:
         path = Path(measurement)
         seen = on_root(comm, lambda: Measurement.read(path))
-    seen = replace(seen, remarks=tuple(seen.check(body)))
-    return divided(body, comm), seen
+    return identify_run.fitting(body, seen, comm)
 
 
 def _source(

@@ -186,15 +186,19 @@ def _inclusions(state: State, effect: Effect, stiffness: NDArray[np.float32]) ->
     original = np.asarray(forward.body.domain.topology.original_cell_index)[: stiffness.shape[-1]]
     middles = points[cells].mean(axis=1)[original]
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
-    columns = state.errors.whiten(stiffness[state.predictor.data.mask].astype(float))
-    found = []
     assert effect.around is not None
     values = neutral_values(state.model, effect)
     amount = effect.amounts[0].name
+    terms = []
     for centre in scattered(middles, _PLACES):
         for part in _RADII:
             place = dict(zip(("cx", "cy", "cz"), map(float, centre), strict=True)) | {"radius": part * size}
-            term = Term(effect, values | place)
-            inside = effect.around(middles, term.values)
-            found.append(Variant(term, tuple(amounts(term, [amount])), (columns @ inside)[:, None]))
-    return found
+            terms.append(Term(effect, values | place))
+    inside = np.column_stack([effect.around(middles, term.values) for term in terms])
+    # The places first: there are fewer of them than cells.
+    moved = np.tensordot(stiffness, inside.astype(np.float32), axes=1)[state.predictor.data.mask].astype(float)
+    columns = state.errors.whiten(moved)
+    return [
+        Variant(term, tuple(amounts(term, [amount])), column[:, None])
+        for term, column in zip(terms, columns.T, strict=True)
+    ]

@@ -16,7 +16,7 @@ from bcid.forms.length_unit import check_length_unit
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.mesh.body import Body
 from bcid.forms.model import Model
-from bcid.forms.observe import Observer, attach
+from bcid.forms.observe import Observer, attach, points_of
 from bcid.forms.solver.equilibrium import Equilibrium, Settings
 from bcid.forms.solver.status import Status
 from bcid.forms.solver.supports import Pose
@@ -81,7 +81,7 @@ def check_geometry(scene: Scene, level: int = 0, comm: Comm | None = None) -> No
     mesh = level_mesh(scene, scene.levels[level], comm)
     limit = fiducial_limit(scene, mesh)
     check_length_unit(scene, mesh, limit)
-    attach(mesh, scene.fiducials, limit, scene.source)
+    attach(mesh, points_of(scene.fiducials, scene.members), limit, scene.source)
 
 
 class Forward:
@@ -115,7 +115,8 @@ class Forward:
         self.mesh = mesh or level_mesh(scene, scene.levels[level], comm)
         self.body = Body(comm, self.mesh, scene.levels[level].degree, self.model.mixed)
         self.equilibrium = Equilibrium(self.body, self.model, scene, settings)
-        self.observer = Observer(self.body, scene.fiducials, fiducial_limit(scene, self.mesh), scene.source)
+        limit = fiducial_limit(scene, self.mesh)
+        self.observer = Observer(self.body, scene.fiducials, limit, scene.source, scene.members)
         self.gripper_force = GripperForce(self.equilibrium, forces) if forces else None
 
     @cached_property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,7 @@ from bcid.base.errors import Problems
 from bcid.forms.mesh import BodyMesh
 from bcid.forms.mesh.body import Body
 from bcid.forms.mesh.closest import closest_on_triangles
+from bcid.scene.parts import Vector
 
 Array = NDArray[np.float64]
 _INSIDE = 1e-9
@@ -29,7 +30,7 @@ class Attachment:
 
 
 def attach(
-    mesh: BodyMesh, positions: Mapping[str, tuple[float, float, float]], limit: float, source: str = "scene"
+    mesh: BodyMesh, positions: Mapping[str, Vector], limit: float, source: str = "scene"
 ) -> dict[str, Attachment]:
     """Attach fiducials to the rest state of a mesh by the closest point.
 
@@ -44,8 +45,10 @@ def attach(
     """
     problems = Problems(f"fiducials of {source}")
     result = {}
+    corners = mesh.points[mesh.cells]
+    inverses = np.asarray(np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)), dtype=float)
     for name, position in positions.items():
-        found = _closest(mesh, np.array(position, dtype=float))
+        found = _closest(mesh, corners[:, 0], inverses, np.array(position, dtype=float))
         if found.distance > limit:
             place = " ".join(f"{x * 1e3:.4g}" for x in position)
             near = " ".join(f"{x * 1e3:.4g}" for x in found.point)
@@ -56,8 +59,23 @@ def attach(
     return result
 
 
-def _closest(mesh: BodyMesh, position: Array) -> Attachment:
-    weights = _barycentric(mesh.points[mesh.cells], position)
+def points_of(fiducials: Mapping[str, Vector], members: Mapping[str, Sequence[Vector]]) -> dict[str, Vector]:
+    """All points that fiducials are the mean of, by names for messages."""
+    found: dict[str, Vector] = {}
+    for name, place in fiducials.items():
+        own = members.get(name, (place,))
+        found |= {name: own[0]} if len(own) == 1 else {f"{name} ({k + 1})": one for k, one in enumerate(own)}
+    return found
+
+
+def _means(counts: Sequence[int]) -> csr_matrix:
+    """From points to the means of groups of them, shape (groups, points)."""
+    rows = np.repeat(np.arange(len(counts)), counts)
+    return csr_matrix((1 / np.array(counts, dtype=float)[rows], (rows, np.arange(len(rows)))))
+
+
+def _closest(mesh: BodyMesh, corners: Array, inverses: Array, position: Array) -> Attachment:
+    weights = _weights(corners, inverses, position)
     depth = weights.min(axis=1)
     cell = int(depth.argmax())
     if depth[cell] >= -_INSIDE:
@@ -72,8 +90,13 @@ def _closest(mesh: BodyMesh, position: Array) -> Attachment:
 
 def _barycentric(corners: Array, position: Array) -> Array:
     """Barycentric coordinates of a point in many tetrahedra (n, 4, 3), shape (n, 4)."""
-    edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
-    rest = np.linalg.solve(edges, (position - corners[:, 0])[:, :, None])[:, :, 0]
+    inverses = np.asarray(np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)), dtype=float)
+    return _weights(corners[:, 0], inverses, position)
+
+
+def _weights(first: Array, inverses: Array, position: Array) -> Array:
+    """The same from the first corner (n, 3) and the inverse of the edges (n, 3, 3)."""
+    rest = np.matmul(inverses, (position - first)[:, :, None])[:, :, 0]
     return np.column_stack([1 - rest.sum(axis=1), rest])
 
 
@@ -85,6 +108,7 @@ class Observer:
         fiducials: stress-free positions by name, m; predictions keep this order.
         limit: largest distance from the body, m.
         source: file named in messages.
+        members: of fiducials that are the mean of several points, the stress-free positions of those, m.
 
     Attributes:
         rest: stress-free positions, shape (fiducials, 3), m.
@@ -94,13 +118,21 @@ class Observer:
     """
 
     def __init__(
-        self, body: Body, fiducials: Mapping[str, tuple[float, float, float]], limit: float, source: str = "scene"
+        self,
+        body: Body,
+        fiducials: Mapping[str, Vector],
+        limit: float,
+        source: str = "scene",
+        members: Mapping[str, Sequence[Vector]] | None = None,
     ) -> None:
         self.body = body
         self.rest = np.array(list(fiducials.values()), dtype=float).reshape(-1, 3)
-        attachments = list(attach(body.mesh, fiducials, limit, source).values())
-        self.distances = np.array([a.distance for a in attachments])
-        self.matrix, self.slopes = self._build(attachments)
+        groups = [(members or {}).get(name, (place,)) for name, place in fiducials.items()]
+        attachments = list(attach(body.mesh, points_of(fiducials, members or {}), limit, source).values())
+        mean = _means([len(group) for group in groups])
+        self.distances = mean @ np.array([a.distance for a in attachments])
+        matrix, slopes = self._build(attachments)
+        self.matrix, self.slopes = csr_matrix(mean @ matrix), [csr_matrix(mean @ slope) for slope in slopes]
         covered = body.comm.allreduce(np.asarray(self.matrix.sum(axis=1)).ravel())
         if not np.allclose(covered, 1.0):
             raise AssertionError("a fiducial is attached to no cell, or to several")

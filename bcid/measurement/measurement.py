@@ -156,6 +156,18 @@ class Measurement(Contents):
         Raises:
             InputError: with every problem; see `bcid.measurement.plausibility`.
         """
+        self.check_names(scene)
+        problems = Problems(f"measurement {self.source} does not fit scene {scene.source}")
+        odd = examine(scene, self, problems)
+        problems.raise_if_any()
+        return list(dict.fromkeys([*self.remarks, *odd]))
+
+    def check_names(self, scene: Scene) -> None:
+        """Refuse names that the scene does not have.
+
+        Raises:
+            InputError: with every one.
+        """
         problems = Problems(f"measurement {self.source} does not fit scene {scene.source}")
         known = {"fiducial": list(scene.fiducials), "grasp": list(scene.grasps), "place": list(scene.places)}
         for what, names in known.items():
@@ -163,9 +175,6 @@ class Measurement(Contents):
             text = f"{what} '{{}}' is not in the scene; {{}}".format
             problems.add_unknown(self.source, filter(None, used), names, text)
         problems.raise_if_any()
-        odd = examine(scene, self, problems)
-        problems.raise_if_any()
-        return list(dict.fromkeys([*self.remarks, *odd]))
 
 
 _DIMENSIONS = {

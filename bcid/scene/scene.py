@@ -29,6 +29,7 @@ class Scene:
         divide: patches that stand for pieces of about this size (m); `bcid.forms.mesh.patches.divided` makes them.
         grasps: grasp areas by name.
         fiducials: stress-free positions by name.
+        members: of fiducials that are the mean of points of a dense field, the stress-free positions of those.
         places: other named parts of the boundary, for known loads and supports.
         down: unit vector of gravity.
         fibre_plane: the plane in which fibres and active stresses lie: unit vectors at 0 and at 90 degrees. None is the
@@ -61,6 +62,7 @@ class Scene:
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
     parameters: dict[str, float] = field(default_factory=dict)
     label: int | None = None
+    members: dict[str, tuple[Vector, ...]] = field(default_factory=dict)
     description: str = ""
     source: str = "scene"
 

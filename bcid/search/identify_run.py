@@ -25,6 +25,7 @@ from bcid.inference.followed import as_far_as_followed
 from bcid.inference.outcome import Outcome, label
 from bcid.inference.stiffness import Stiffness
 from bcid.measurement import AXES, WRENCH, Measurement
+from bcid.measurement.pooling import pooled
 from bcid.scene import Scene
 from bcid.search.identification import Identification
 from bcid.search.identify import IdentifyOptions
@@ -89,6 +90,19 @@ def read_inputs(scene_file: Path, measurement_file: Path, comm: Comm) -> tuple[S
     """
     scene = on_root(comm, lambda: Scene.read(scene_file, physics=check_physics))
     measurement = on_root(comm, lambda: Measurement.read(measurement_file))
+    return fitting(scene, measurement, comm)
+
+
+def fitting(scene: Scene, measurement: Measurement, comm: Comm) -> tuple[Scene, Measurement]:
+    """Both as they are compared: checked against each other, dense points pooled, divided patches as their pieces; collective.
+
+    Raises:
+        InputError: they do not belong together; see also `bcid.forms.mesh.patches.divided`.
+    """
+    measurement.check_names(scene)
+    dense = pooled(scene, measurement)
+    if dense is not None:
+        scene, measurement = dense.scene, dense.measurement
     return divided(scene, comm), replace(measurement, remarks=tuple(measurement.check(scene)))
 
 
@@ -194,6 +208,8 @@ def summary(scene: Scene, measurement: Measurement, found: Identification, round
     length, unit = "mm", 1e-3
     names = label(found.anchored, scene.patches)
     frames, fiducials = measurement.positions.shape[:2]
+    points = sum(len(members) for members in scene.members.values())
+    pooling = f" (means of {points} points)" if points else ""
     noise = f"the stated noise is {found.noise / unit:.3g} {length}" if found.noise else "no noise is stated"
     mesh = "Only one mesh level was used: nothing is known of the error of the mesh."
     if found.discretisation is not None:
@@ -207,7 +223,7 @@ def summary(scene: Scene, measurement: Measurement, found: Identification, round
         mesh,
         *_besides(found),
         *stiffness_in_words(found.stiffness),
-        f"Compared: {len(measurement.action_names)} action(s), {frames} frames, {fiducials} fiducials.",
+        f"Compared: {len(measurement.action_names)} action(s), {frames} frames, {fiducials} fiducials{pooling}.",
         "",
         "Probability that a patch is anchored:",
         *(

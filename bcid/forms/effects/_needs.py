@@ -15,6 +15,11 @@ def support(scene: Scene, _measurement: Measurement) -> str:
     return 'the scene names no support surface: add support = "NAME" with a place of that name'
 
 
+def single_markers(scene: Scene, _measurement: Measurement) -> str:
+    """Fiducials that are points and no means of many."""
+    return "the fiducials are means of points of a dense field" if scene.members else ""
+
+
 def motion(_scene: Scene, measurement: Measurement) -> str:
     """Something that changes with time, a gripper or a load."""
     for action in measurement.actions:

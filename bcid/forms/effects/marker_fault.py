@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from bcid.forms.effects import _needs
 from bcid.forms.effects.effect import Array, Frame, ObservationEffect
 from bcid.forms.parameter import Amount, Shape
 
@@ -33,4 +34,5 @@ effect = ObservationEffect(
     acts_on="observation",
     observe=observe,
     places=lambda scene, _anchors: list(scene.fiducials),
+    needs=_needs.single_markers,
 )
