@@ -10,15 +10,16 @@ from typing import Any
 
 from bcid.base.text_file import read_lines
 
-# A name and its axis: tip_x, tip.X, "tip x [mm]", x_tip.
+# A name and its axis: tip_x, tip.X, "tip x [mm]", tip_x_mm, x_tip.
 _BEHIND = re.compile(r"(?P<name>.*[^\s_.:-])?[\s_.:-]*(?P<axis>[xyzXYZ])")
 _BEFORE = re.compile(r"(?P<axis>[xyzXYZ])[\s_.:-]+(?P<name>.+)")
 _UNIT = re.compile(r"\s*[\[(](?P<unit>[^\])]*)[\])]\s*$")
+_UNIT_BEHIND = re.compile(r"(?<=[xyzXYZ])_(?P<unit>mm|cm|um|m|in)$|(?<=^t)_s$|(?<=^time)_s$")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 _NAMES = {
     "time": ("t", "time", "timestamp", "seconds", "zeit"),
     "action": ("action", "trial", "run"),
-    "step": ("step", "frame", "k"),
+    "step": ("step", "frame", "state", "stage", "k"),
     "fiducial": ("fiducial", "marker", "label", "name", "point"),
     "grasp": ("grasp",),
 }
@@ -68,26 +69,38 @@ def guess_columns(names: Sequence[str]) -> dict[str, Any]:
         triples = {}
     else:
         columns.pop("fiducial", None)
+        # In a row for each frame these may be words.
+        if _bare(columns.get("step", "")) in ("state", "stage"):
+            del columns["step"]
         if alone is not None:
             triples["marker"] = alone
     if "grasp" not in names:
         columns.pop("grasp", None)
     told["fiducials"] = triples
-    unit = {
-        match["unit"] for triple in [*triples.values(), alone or []] for name in triple if (match := _UNIT.search(name))
-    }
+    used = [name for triple in [*triples.values(), alone or []] for name in triple]
+    unit = {match["unit"] for name in used if (match := _stated(name)) and match["unit"]}
     return told | ({"length_unit": unit.pop()} if len(unit) == 1 else {})
 
 
+def _stated(name: str) -> re.Match[str] | None:
+    """The unit at the end of a column's name."""
+    return _UNIT.search(name) or _UNIT_BEHIND.search(name.strip())
+
+
+def _plain(name: str) -> str:
+    """A column's name without its unit."""
+    return _UNIT_BEHIND.sub("", _UNIT.sub("", name).strip()).strip()
+
+
 def _bare(name: str) -> str:
-    return _UNIT.sub("", name).strip().lower()
+    return _plain(name).lower()
 
 
 def _triples(names: Sequence[str]) -> dict[str, list[str]]:
     """Columns of the three axes by the name that they share; "" for x, y, z alone."""
     found: dict[str, dict[str, str]] = {}
     for column in names:
-        bare = _UNIT.sub("", column).strip()
+        bare = _plain(column)
         match = _BEHIND.fullmatch(bare) or _BEFORE.fullmatch(bare)
         if match and (match["name"] or "").lower() not in _NO_MARKERS:
             found.setdefault(match["name"] or "", {})[match["axis"].lower()] = column

@@ -300,6 +300,9 @@ def test_files_of_no_format(tmp_path: Path) -> None:
     (tmp_path / "a.bin").write_bytes(b"\x00\x01" * 100)
     with pytest.raises(InputError, match=r"file: .*a\.bin: is binary and of no format that is known"):
         read(tmp_path, "a.bin")
+    (tmp_path / "a.csv.gz").write_bytes(b"\x1f\x8b\x08\x00")
+    with pytest.raises(InputError, match=r"a\.csv\.gz: is compressed, or a workbook; unpack it"):
+        read(tmp_path, "a.csv.gz")
     (tmp_path / "folder").mkdir()
     with pytest.raises(InputError, match=r"is a folder without metadata\.yaml"):
         read(tmp_path, "folder")

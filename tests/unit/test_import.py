@@ -50,6 +50,15 @@ def test_tables(tmp_path: Path) -> None:
     long = Measurement.read(import_file(tmp_path / "long.csv").mapping)
     assert long.fiducial_names == ["p", "q"]
     assert np.isnan(long.positions[1, 0]).all()
+    made.write(tmp_path / "behind.csv", ["t_s,state,tip_x_mm,tip_y_mm,tip_z_mm", "0.5,rest,1,2,3", "0.6,pulled,4,5,6"])
+    behind = import_file(tmp_path / "behind.csv")
+    assert "2 frames, 10 Hz" in behind.text
+    assert "mm, as the file states" in behind.text
+    assert Measurement.read(behind.mapping).fiducial_names == ["tip"]
+    made.write(
+        tmp_path / "states.csv", ["state,point,u_px,X_mm,Y_mm,Z_mm", "0,1,9,1,2,3", "0,2,9,4,5,6", "1,1,9,1,2,4"]
+    )
+    np.testing.assert_allclose(Measurement.read(import_file(tmp_path / "states.csv").mapping).positions[1, 0, 2], 4e-3)
 
 
 def test_points_without_names(tmp_path: Path) -> None:

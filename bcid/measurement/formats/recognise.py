@@ -92,6 +92,10 @@ def recognise(path: Path) -> Format:
             )
     if path.suffix.lower() == ".mat":
         return _MAT
+    if head.startswith((b"\x1f\x8b", b"PK\x03\x04")):
+        raise InputError(
+            f"{path}: is compressed, or a workbook; unpack it, or save it as CSV, and import what is in it"
+        )
     if b"\0" in head:
         raise InputError(f"{path}: is binary and of no format that is known; see docs/formats.md for those that are")
     text = head.decode("utf-8-sig", "replace")
