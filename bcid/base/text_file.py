@@ -50,6 +50,16 @@ def read_lines(path: Path, absent: str = "no such file") -> list[str]:
     return as_lines(_content(path, LONGEST_TABLE, absent), path)
 
 
+def read_export(path: Path) -> list[str]:
+    """The lines of a table of another program, in UTF-8 or, as some write on Windows, in code page 1252; see `read_lines`."""
+    content = _content(path, LONGEST_TABLE, "no such file")
+    try:
+        content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        content = content.decode("cp1252", "replace").encode()
+    return as_lines(content, path)
+
+
 def as_lines(content: bytes, path: Path) -> list[str]:
     """The lines of the table `path` with this content; see `read_lines`."""
     text = as_text(content, path, LONGEST_TABLE, "utf-8-sig")

@@ -38,6 +38,14 @@ def trc(folder: Path) -> Path:
     return write(folder / "take.trc", head + rows)
 
 
+def trc_commas(folder: Path) -> Path:
+    """As a spreadsheet leaves it: commas instead of tabs, lines of equal length; the unit as a word."""
+    rows = [line.split("\t") for line in trc(folder).read_text(encoding="utf-8").splitlines()]
+    lines = [",".join(row + [""] * (11 - len(row))) for row in rows]
+    lines[2] = lines[2].replace(",mm,", ",Millimeters,")
+    return write(folder / "commas.trc", lines)
+
+
 def motive(folder: Path) -> Path:
     """A rigid body that turns by a right angle about z, and markers, in metres."""
     of, name, what, axes = ["", "Type"], ["", "Name"], ["", ""], ["Frame", "Time (Seconds)"]
@@ -58,6 +66,24 @@ def motive(folder: Path) -> Path:
     return write(folder / "motive.csv", [about, "", *(",".join(r) for r in (of, name, ids, what, axes)), *rows])
 
 
+def motive_old(folder: Path) -> Path:
+    """Version 1.21 in cm: a header without words, a time code, each marker also where the solved body has it, one label twice."""
+    of = ["Rigid Body Marker"] * 9 + ["Marker"] * 12
+    name = [f"Gripper:{label}" for label in LABELS for _ in "xyz"]
+    name += [*name, *["Gripper:tip"] * 3]
+    head = [
+        "Format Version,1.21,Take Name,take,Length Units,Centimeters", "", ",,," + ",".join(of), ",,," + ",".join(name),
+        ",,," + ",".join(["1"] * 21), ",,," + ",".join(["Position"] * 21), "Frame,Time,TimeCode" + ",X,Y,Z" * 7,
+    ]  # fmt: skip
+    rows = []
+    for i, t in enumerate(TIMES):
+        solved = np.nan_to_num(XYZ[i]) / 10 + 0.3
+        rows.append(
+            ",".join([str(i), f"{t:.6f}", f"15:26:46:12.{i:02}", *cells(solved), *cells(XYZ[i] / 10), "7", "8", "9"])
+        )
+    return write(folder / "motive_old.csv", [*head, *rows])
+
+
 def nexus(folder: Path) -> Path:
     head = [
         "Devices", "1000", ",,Plate - Force,,", "Frame,Sub Frame,Fx,Fy,Fz", ",,N,N,N", "1,0,1,2,3", "",
@@ -68,26 +94,65 @@ def nexus(folder: Path) -> Path:
     return write(folder / "nexus.csv", [*head, *rows, ""])
 
 
+def nexus_sections(folder: Path) -> Path:
+    """Separated by tabs, with lines of equal length and sections behind the one of the markers."""
+    body = [f"Body:{label}" for label in LABELS]
+    table = [["Trajectories"], ["50"], ["", "", *(n for b in body for n in (b, "", ""))]]
+    table += [["Frame", "Sub Frame", *"XYZXYZXYZ"], ["", "", *["mm"] * 9]]
+    table += [[str(i + 1), "0", *cells(XYZ[i])] for i in range(FRAMES)]
+    table += [
+        [""],
+        ["Segments"],
+        ["50"],
+        ["", "", "Body:Root"],
+        ["Frame", "Sub Frame", "RX", "RY", "RZ", "TX", "TY", "TZ"],
+    ]
+    table += [["", "", *["deg"] * 3, *["mm"] * 3], ["1", "0", "1", "2", "3", "4", "5", "6"]]
+    return write(folder / "nexus_tabs.csv", ["\t".join(row + [""] * (11 - len(row))) for row in table])
+
+
+def tracker(folder: Path) -> Path:
+    """Objects of Vicon Tracker: one that turns by a right angle about z, and one that is lost in frame 2."""
+    head = [
+        "Objects", "50", ",,Global Angle (Quaternion) Gripper:Gripper,,,,,,,Global Angle (Quaternion) Base:Base,,,,,,,",
+        "Frame,Sub Frame" + ",RX,RY,RZ,RW,TX,TY,TZ" * 2 + ",", ",," + ",,,,mm,mm,mm," * 2,
+    ]  # fmt: skip
+    rows = []
+    for i in range(FRAMES):
+        half = np.radians(22.5 * i) / 2
+        pose = [0, 0, np.sin(half), np.cos(half), 10.0 * i, 500, 250]
+        base = [""] * 7 if i == 2 else ["0", "0", "0", "1", "1", "2", "3"]
+        rows.append(",".join([str(i + 1), "0", *(f"{v:.9f}" for v in pose), *base]))
+    return write(folder / "tracker.csv", [*head, *rows])
+
+
 def qualisys(folder: Path) -> Path:
-    """With a column header and Frame and Time; a marker that is not seen stands at zero."""
+    """With events, a column header, Frame and Time, and tabs at the ends; a marker that is not seen stands at zero."""
     head = [
         f"NO_OF_FRAMES\t{FRAMES}", "NO_OF_CAMERAS\t8", "NO_OF_MARKERS\t3", "FREQUENCY\t50", "NO_OF_ANALOG\t0",
-        "ANALOG_FREQUENCY\t0", "DESCRIPTION\t--", "TIME_STAMP\t2026-01-01, 10:00:00", "DATA_INCLUDED\t3D",
-        "MARKER_NAMES\t" + "\t".join(LABELS),
-        "Frame\tTime\t" + "\t".join(f"{label} {a}" for label in LABELS for a in "XYZ"),
+        "ANALOG_FREQUENCY\t0", "DESCRIPTION\t--", "TIME_STAMP\t2026-01-01, 10:00:00\t22107.99179716",
+        "EVENT\tManual event\t2\t0.02000", "EVENT\tManual event\t3\t0.04000", "DATA_INCLUDED\t3D",
+        "MARKER_NAMES\t" + "\t".join(LABELS), "TRAJECTORY_TYPES\t" + "\t".join(["Measured"] * 3),
+        "Frame\tTime\t" + "\t".join(f"{label} {a}" for label in LABELS for a in "XYZ") + "\t",
     ]  # fmt: skip
-    rows = ["\t".join([str(i + 1), f"{t:.5f}", *cells(np.nan_to_num(XYZ[i]))]) for i, t in enumerate(TIMES)]
+    rows = ["\t".join([str(i + 1), f"{t:.5f}", *cells(np.nan_to_num(XYZ[i])), ""]) for i, t in enumerate(TIMES)]
     return write(folder / "qualisys.tsv", head + rows)
 
 
 def qualisys_6d(folder: Path) -> Path:
     """A rigid body that turns by a right angle about z; the matrix is written column by column."""
-    head = [f"NO_OF_FRAMES\t{FRAMES}", "FREQUENCY\t50", "DATA_INCLUDED\t6D", "BODY_NAMES\tGripper"]
+    elements = "\t".join(f"Rot[{i}]" for i in range(9))
+    head = [
+        f"NO_OF_FRAMES\t{FRAMES}", "NO_OF_CAMERAS\t4", "NO_OF_BODIES\t1", "FREQUENCY\t50", "NO_OF_ANALOG\t0",
+        "ANALOG_FREQUENCY\t0", "DESCRIPTION\t--", "TIME_STAMP\t2026-01-01, 10:00:00\t22107.99179716", "DATA_INCLUDED\t6D",
+        "BODY_NAMES\tGripper", f"Frame\tTime\tGripper X\tY\tZ\tRoll\tPitch\tYaw\tResidual\t{elements}\t",
+    ]  # fmt: skip
     rows = []
     for i in range(FRAMES):
         c, s = np.cos(np.radians(22.5 * i)), np.sin(np.radians(22.5 * i))
         matrix = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-        rows.append("\t".join(f"{v:.9f}" for v in [10.0 * i, 500, 250, 0, 0, 0, 0.1, *matrix.T.ravel()]))
+        pose = "\t".join(f"{v:.9f}" for v in [10.0 * i, 500, 250, 0, 0, 0, 0.1, *matrix.T.ravel()])
+        rows.append(f"{i + 1}\t{TIMES[i]:.5f}\t{pose}\t")
     return write(folder / "bodies.tsv", head + rows)
 
 
@@ -103,6 +168,15 @@ def deeplabcut(folder: Path) -> Path:
     return write(folder / "dlc.csv", head + [",".join([str(i), *cells(XYZ[i])]) for i in range(FRAMES)])
 
 
+def deeplabcut_animals(folder: Path) -> Path:
+    """Of several animals: a line more in the header, and a part that belongs to none."""
+    words = ["left", "right", "single"]
+    levels = (("scorer", ["DLC"] * 9), ("individuals", [w for w in words for _ in "xyz"]))
+    levels += (("bodyparts", [p for p in ("paw", "paw", "wall") for _ in "xyz"]), ("coords", list("xyz") * 3))
+    head = [",".join([word, *values]) for word, values in levels]
+    return write(folder / "dlc4.csv", head + [",".join([str(i), *cells(XYZ[i])]) for i in range(FRAMES)])
+
+
 def deeplabcut_hdf5(folder: Path) -> Path:
     import pandas as pd
 
@@ -115,12 +189,13 @@ def deeplabcut_hdf5(folder: Path) -> Path:
 def anipose(folder: Path) -> Path:
     """The error of "tip" is 9 in frame 3, and "base" is seen by one camera in frame 4."""
     columns = [f"{label}_{what}" for label in LABELS for what in ("x", "y", "z", "error", "ncams", "score")]
-    lines = [",".join([*columns, "M_00", "center_0", "fnum"])]
+    frame = [f"M_{i}{j}" for i in range(3) for j in range(3)] + [f"center_{i}" for i in range(3)]
+    lines = [",".join([*columns, *frame, "fnum"])]
     for i in range(FRAMES):
         row = []
         for j in range(3):
             row += [*cells(XYZ[i, j]), "9.0" if (i, j) == (3, 0) else "1.5", "1" if (i, j) == (4, 2) else "3", "0.9"]
-        lines.append(",".join([*row, "1.0", "0.0", str(i)]))
+        lines.append(",".join([*row, *map(str, np.eye(3).ravel()), "0.0", "0.0", "0.0", str(i)]))
     return write(folder / "anipose.csv", lines)
 
 

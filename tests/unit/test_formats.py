@@ -32,13 +32,15 @@ LABELLED: list[tuple[Callable[[Path], Path], str, float]] = [
     (made.deeplabcut, "mm", 1e-3),
     (made.deeplabcut_hdf5, "mm", 1e-3),
     (made.anipose, "mm", 1e-3),
+    (made.trc_commas, "mm", 1e-3),
+    (made.nexus_sections, "mm", 1e-3),
 ]
 
 
 @pytest.mark.parametrize(("write", "unit", "scale"), LABELLED)
 def test_named_markers(tmp_path: Path, write: Callable[[Path], Path], unit: str, scale: float) -> None:
     path = write(tmp_path)
-    names = ("Body:tip", "Body:mid", "Body:base") if write is made.nexus else made.LABELS
+    names = ("Body:tip", "Body:mid", "Body:base") if write in (made.nexus, made.nexus_sections) else made.LABELS
     more = "rate = 50\n[fiducials]\n" + "".join(f'{n} = "{label}"\n' for n, label in zip("abc", names, strict=True))
     seen = read(tmp_path, path.name, more, unit)
     assert seen.fiducial_names == ["a", "b", "c"]
@@ -91,6 +93,47 @@ def test_the_pose_of_a_rigid_body_counts_from_rest(tmp_path: Path) -> None:
         read(tmp_path, "motive.csv", pose + "[frames]\nrest = 3\n", "m")
     with pytest.raises(InputError, match=r"columns\.pose: whose is it"):
         read(tmp_path, "motive.csv", pose.replace('grasp = "II"\n', ""), "m")
+
+
+def test_older_exports_of_motive(tmp_path: Path) -> None:
+    """Measured markers win over solved ones of the same name; the second of a label has a number."""
+    from bcid.measurement.formats import motive
+    from bcid.measurement.formats.foreign import How
+
+    found = motive.read(made.motive_old(tmp_path), How())
+    assert found.unit == "cm"
+    assert list(found.points) == [*(f"Gripper:{label}" for label in made.LABELS), "Gripper:tip (2)"]
+    for i, label in enumerate(made.LABELS):
+        np.testing.assert_allclose(found.points[f"Gripper:{label}"], made.XYZ[:, i] / 10, atol=1e-6)
+    np.testing.assert_array_equal(found.points["Gripper:tip (2)"], [[7, 8, 9]] * 5)
+    text = made.motive(tmp_path).read_text(encoding="utf-8")
+    made.write(tmp_path / "local.csv", text.replace("Space,Global", "Space,Local").splitlines())
+    assert "export them as Global" in motive.read(tmp_path / "local.csv", How()).notes[0]
+    made.write(tmp_path / "short.csv", [line for line in text.splitlines() if not line.startswith(",Type")])
+    with pytest.raises(InputError, match="its header has no line 'Type'"):
+        motive.read(tmp_path / "short.csv", How())
+
+
+def test_sections_and_objects_of_vicon(tmp_path: Path) -> None:
+    from bcid.measurement.formats import nexus
+    from bcid.measurement.formats.foreign import How
+
+    assert nexus.read(made.nexus_sections(tmp_path), How()).notes == ("the section Segments is not read",)
+    found = nexus.read(made.tracker(tmp_path), How())
+    assert found.unit == "mm"
+    np.testing.assert_allclose(found.bodies["Gripper"][-1], [40, 500, 250, np.sqrt(0.5), 0, 0, np.sqrt(0.5)], atol=1e-8)
+    np.testing.assert_array_equal(np.isnan(found.bodies["Base"]).all(axis=1), np.arange(5) == 2)
+    np.testing.assert_allclose(found.times, made.TIMES)
+    text = made.tracker(tmp_path).read_text(encoding="utf-8").replace(",RW,", ",,")
+    made.write(tmp_path / "angles.csv", text.splitlines())
+    with pytest.raises(InputError, match=r"angles\.csv:4: names no columns RX, RY, RZ, RW, TX, TY, TZ"):
+        nexus.read(tmp_path / "angles.csv", How())
+
+
+def test_body_parts_of_several_animals(tmp_path: Path) -> None:
+    names = ["left/paw", "right/paw", "single/wall"]
+    more = "[fiducials]\n" + "".join(f'{n} = "{label}"\n' for n, label in zip("abc", names, strict=True))
+    np.testing.assert_allclose(read(tmp_path, made.deeplabcut_animals(tmp_path).name, more).positions, made.XYZ * 1e-3)
 
 
 def test_bodies_of_qualisys(tmp_path: Path) -> None:

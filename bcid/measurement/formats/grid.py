@@ -4,17 +4,28 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, Problems
-from bcid.base.text_file import read_lines
+from bcid.base.text_file import read_export
 
 Array = NDArray[np.float64]
 Row = tuple[int, list[str]]
+
+# Units of length as programs spell them out.
+_LENGTHS = {
+    "meter": "m",
+    "metre": "m",
+    "centimeter": "cm",
+    "millimeter": "mm",
+    "micrometer": "um",
+    "inch": "in",
+    "inche": "in",
+}
 
 
 def read_grid(path: Path, delimiter: str) -> list[Row]:
@@ -23,7 +34,7 @@ def read_grid(path: Path, delimiter: str) -> list[Row]:
     Raises:
         InputError: it is no text, or no table.
     """
-    reader = csv.reader(read_lines(path), delimiter=delimiter)
+    reader = csv.reader(read_export(path), delimiter=delimiter)
     rows: list[Row] = []
     try:
         for cells in reader:
@@ -59,8 +70,16 @@ def number(path: Path, text: str, what: str, line: int) -> float:
     return value
 
 
-def numbers(path: Path, rows: Sequence[Row], width: int, what: str) -> Array:
+def length_unit(text: str) -> str:
+    """The sign of a unit of length that a file states as a word or a sign; what is not known stays as it is."""
+    plain = text.strip().lower()
+    return _LENGTHS.get(plain.removesuffix("s"), plain if plain in _LENGTHS.values() else text.strip())
+
+
+def numbers(path: Path, rows: Sequence[Row], width: int, what: str, used: Collection[int] | None = None) -> Array:
     """The cells of the data, shape (rows, width); empty cells are NaN, a decimal comma is a point.
+
+    Of columns that are not in `used` (all, if it is None) nothing is read: they may hold text, and are NaN.
 
     Raises:
         InputError: there are no rows, or with every row that is short or holds other than numbers.
@@ -74,8 +93,8 @@ def numbers(path: Path, rows: Sequence[Row], width: int, what: str) -> Array:
             said = f"has {len(cells)} values, the header names {width} columns; is the file cut off?"
             problems.add(path, said, line)
             continue
-        for j, cell in enumerate(cells[:width]):
-            values[i, j] = _number(path, cell, line, problems)
+        for j in range(width) if used is None else used:
+            values[i, j] = _number(path, cells[j], line, problems)
     problems.raise_if_any()
     return values
 

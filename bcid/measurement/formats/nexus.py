@@ -1,56 +1,107 @@
-"""CSV exports of Vicon Nexus: the section "Trajectories". Forces and segments of the model are not read.
+"""CSV exports of Vicon: the sections "Trajectories" of Nexus and "Objects" of Tracker. Forces and segments are not read.
 
-Source: Vicon Nexus User Guide, "Export ASCII data to file".
+Source: Vicon Nexus User Guide, "Export ASCII data to file"; Vicon Tracker User Guide, "Export to CSV".
 """
 
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bcid.base.errors import InputError
+from bcid.base.text_file import read_export
 from bcid.measurement.formats.foreign import Foreign, How
-from bcid.measurement.formats.grid import distinct, need, number, numbers, read_grid, whole
+from bcid.measurement.formats.grid import Row, distinct, length_unit, need, number, numbers, read_grid, whole
 
-# What a section may be called.
-_SECTIONS = ("Trajectories", "Devices", "Model Outputs", "Joints", "Segments", "Events")
+Array = NDArray[np.float64]
+
+# What a section may be called, and what of them is read.
+_SECTIONS = ("Trajectories", "Devices", "Model Outputs", "Joints", "Segments", "Events", "Objects")
+_POINT, _POSE = ["X", "Y", "Z"], ["RX", "RY", "RZ", "RW", "TX", "TY", "TZ"]
+_READ = {"Trajectories": _POINT, "Objects": _POSE}
+_KIND = re.compile(r"Global Angle( \([^)]*\))? ")
+
+
+@dataclass(frozen=True)
+class _Section:
+    """Times, what stands under each label, and the unit of lengths."""
+
+    times: Array
+    parts: dict[str, Array]
+    unit: str
 
 
 def recognised(head: str) -> bool:
-    """Whether text begins as an export of Nexus does."""
-    first = re.split(r"[\r\n,]", head, maxsplit=1)[0].strip().strip('"')
+    """Whether text begins as an export of Vicon does."""
+    first = re.split(r"[\r\n,\t]", head, maxsplit=1)[0].strip().strip('"')
     return first in _SECTIONS
 
 
 def read(path: Path, _how: How) -> Foreign:
-    """The trajectories of an export of Nexus.
+    """The trajectories of markers, or the poses of objects, of an export of Vicon.
 
     Raises:
         InputError: it has none, is cut off, or its numbers are none.
     """
-    rows = [(line, cells or [""]) for line, cells in read_grid(path, ",")]
-    at = [i for i, (_, cells) in enumerate(rows) if cells and cells[0] == "Trajectories"]
-    if not at:
-        raise InputError(f"{path}: has no section 'Trajectories'; export the trajectories of the markers from Nexus")
-    section = rows[at[0] :]
-    end = next((i for i, (_, cells) in enumerate(section) if i > 4 and not any(cells)), len(section))
-    section = section[:end]
-    need(path, section, 5, "the section Trajectories")
-    rate = number(path, section[1][1][0], "rate of the trajectories", section[1][0])
-    names = section[2][1]
-    width = len(section[3][1])
-    starts = [i for i, name in enumerate(names) if name and section[3][1][i : i + 3] == ["X", "Y", "Z"]]
+    tabs = any(line.startswith("Frame\t") for line in read_export(path))
+    rows = [(line, cells or [""]) for line, cells in read_grid(path, "\t" if tabs else ",")]
+    begins = {cells[0]: i for i, (_, cells) in reversed(list(enumerate(rows))) if cells[0] in _SECTIONS}
+    told = next((name for name in _READ if name in begins), None)
+    if told is None:
+        raise InputError(
+            f"{path}: has no section 'Trajectories', nor 'Objects'; export the trajectories of the markers"
+        )
+    seen = _section(path, rows[begins[told] :], told)
+    notes = tuple(f"the section {name} is not read" for name in sorted(begins, key=begins.__getitem__) if name != told)
+    if told == "Objects":
+        return Foreign("CSV of Vicon Tracker", seen.times, {}, _bodies(seen.parts), unit=seen.unit, notes=notes)
+    points = {label: whole(part) for label, part in seen.parts.items()}
+    return Foreign("CSV of Vicon Nexus", seen.times, points, unit=seen.unit, notes=notes)
+
+
+def _section(path: Path, rows: list[Row], name: str) -> _Section:
+    """A section: its name, rate, labels, axes, units and frames, up to an empty line."""
+    axes = _READ[name]
+    end = next((i for i, (_, cells) in enumerate(rows) if i > 4 and not any(cells)), len(rows))
+    rows = rows[:end]
+    need(path, rows, 5, f"the section {name}")
+    rate = number(path, rows[1][1][0], f"rate of the {name.lower()}", rows[1][0])
+    names, header, units = rows[2][1], rows[3][1], rows[4][1]
+    # Tracker ends the lines of its header with a comma.
+    width = max((i + 1 for i, cell in enumerate(header) if cell), default=0)
+    starts = [i for i, label in enumerate(names) if label and header[i : i + len(axes)] == axes]
+    if not starts:
+        raise InputError(
+            f"{path}:{rows[3][0]}: names no columns {', '.join(axes)}; export the {name.lower()} with them"
+        )
     # A label holds the subject's name as "subject:label".
-    labels = [names[i] for i in starts]
+    labels = [_label(names[i]) for i in starts]
     distinct(path, labels)
-    units = {section[4][1][i] for i in starts if i < len(section[4][1])}
-    values = numbers(path, section[5:], width, "the section Trajectories")
-    points = {label: whole(values[:, i : i + 3]) for label, i in zip(labels, starts, strict=True)}
-    others = [cells[0] for _, cells in rows if cells and cells[0] in _SECTIONS and cells[0] != "Trajectories"]
-    notes = tuple(f"the section {name} is not read" for name in others)
+    values = numbers(path, rows[5:], width, f"the section {name}")
     times = (values[:, 0] - values[0, 0]) / rate
     if not np.isfinite(times).all():
         raise InputError(f"{path}: the column Frame has an empty cell; export it again")
-    return Foreign("CSV of Vicon Nexus", times, points, unit=units.pop() if len(units) == 1 else "", notes=notes)
+    stated = {units[i + len(axes) - 1] for i in starts if i + len(axes) <= len(units)}
+    parts = {label: values[:, i : i + len(axes)] for label, i in zip(labels, starts, strict=True)}
+    return _Section(times, parts, length_unit(stated.pop()) if len(stated) == 1 else "")
+
+
+def _label(text: str) -> str:
+    """A label without the kind of its values; that of an object is its name twice."""
+    plain = _KIND.sub("", text, count=1)
+    subject, _, label = plain.partition(":")
+    return label if subject == label and plain != text else plain
+
+
+def _bodies(parts: dict[str, Array]) -> dict[str, Array]:
+    """Position and quaternion (w, x, y, z) of objects; where an object was not seen, NaN."""
+    poses = {}
+    for label, part in parts.items():
+        pose = part[:, [4, 5, 6, 3, 0, 1, 2]]
+        seen = np.isfinite(pose).all(axis=1) & (np.abs(np.linalg.norm(pose[:, 3:], axis=1) - 1) < 0.01)
+        poses[label] = np.where(seen[:, None], pose, np.nan)
+    return poses

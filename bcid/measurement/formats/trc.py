@@ -1,4 +1,4 @@
-"""TRC tables of OpenSim and Motion Analysis: markers over time, tab separated.
+"""TRC tables of OpenSim and Motion Analysis: markers over time, separated by tabs, or by commas after a spreadsheet.
 
 Source: OpenSim documentation, "Marker (.trc) Files".
 """
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from bcid.base.errors import InputError
 from bcid.measurement.formats.foreign import Foreign, How
-from bcid.measurement.formats.grid import distinct, filled, need, number, numbers, read_grid, whole
+from bcid.measurement.formats.grid import distinct, filled, length_unit, need, number, numbers, read_grid, whole
 
 
 def recognised(head: str) -> bool:
@@ -24,6 +24,8 @@ def read(path: Path, _how: How) -> Foreign:
         InputError: it is cut off, or its numbers are none.
     """
     rows = filled(read_grid(path, "\t"))
+    if len(rows) > 1 and rows[1][1][0].startswith("DataRate,"):
+        rows = filled(read_grid(path, ","))
     need(path, rows, 5, "a TRC file")
     about = dict(zip(rows[1][1], rows[2][1], strict=False))
     if not {"NumFrames", "NumMarkers", "Units"} <= set(about):
@@ -38,4 +40,4 @@ def read(path: Path, _how: How) -> Foreign:
     if len(values) < frames:
         raise InputError(f"{path}: states {frames} frames and holds {len(values)}: it is cut off; export it again")
     points = {label: whole(values[:, 2 + 3 * i : 5 + 3 * i]) for i, label in enumerate(labels)}
-    return Foreign("TRC", values[:, 1], points, unit=about["Units"])
+    return Foreign("TRC", values[:, 1], points, unit=length_unit(about["Units"]))
