@@ -286,27 +286,56 @@ def multidic(folder: Path) -> Path:
     return folder / "DIC3DPPresults.mat"
 
 
+def duodic(folder: Path) -> Path:
+    """As DuoDIC saves it: version 7.3, cells with points, with the rigid motion taken out, with displacements and centroids."""
+    import h5py
+
+    path = folder / "DuoDIC.mat"
+    shown = {
+        "Points3D": REST + MOVED,
+        "Points3D_ARBM": 0 * MOVED + REST,
+        "Disp/DispVec": MOVED,
+        "FaceCentroids": MOVED[:, :4],
+    }
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, arrays_of in shown.items():
+            cell = file.create_dataset(f"DIC3DPPresults/{name}", (FRAMES, 1), dtype=h5py.ref_dtype)
+            cell.attrs["MATLAB_class"] = np.bytes_("cell")
+            for i, array in enumerate(arrays_of):
+                made = file.create_dataset(f"#refs#/{name.replace('/', '')}{i}", data=array.T)
+                made.attrs["MATLAB_class"] = np.bytes_("double")
+                cell[i, 0] = made.ref
+    content = path.read_bytes()
+    path.write_bytes(
+        (b"MATLAB 7.3 MAT-file, Platform: PCWIN64".ljust(124) + b"\x00\x02IM").ljust(512, b"\0") + content[512:]
+    )
+    return path
+
+
 def ncorr(folder: Path) -> Path:
-    """Displacements on a grid of 2 x 3 points, mm, as a struct array over frames."""
+    """Displacements on a grid of 2 x 3 points, mm, as a struct array over frames; zero outside the region of interest."""
     from scipy.io import savemat
 
     kind = [(f"plot_{a}_ref_formatted", object) for a in "uv"]
     shown = np.empty((1, FRAMES), dtype=kind)
     for i in range(FRAMES):
         for j, a in enumerate("uv"):
-            shown[0, i][f"plot_{a}_ref_formatted"] = MOVED[i, :, j].reshape(2, 3)
+            inside = np.arange(6) != 3
+            inside[4] = i != 2
+            shown[0, i][f"plot_{a}_ref_formatted"] = (MOVED[i, :, j] * inside).reshape(2, 3)
     info = {"pixtounits": 0.5, "spacing": 9.0, "units": "mm"}
     savemat(folder / "ncorr.mat", {"data_dic_save": {"displacements": shown, "dispinfo": info}})
     return folder / "ncorr.mat"
 
 
 def vic3d(folder: Path) -> str:
-    """A file for each frame; a point that was not correlated has a sigma of -1."""
+    """A file for each frame; points that were not correlated have a sigma of -1 and zeros: one in the first frame, one later."""
     for i in range(FRAMES):
         lines = ['"X [mm]","Y [mm]","Z [mm]","U [mm]","V [mm]","W [mm]","sigma [pixel]","x [pixel]","y [pixel]"']
         for k in range(6):
-            sigma = "-1" if (i, k) == (3, 5) else "0.01"
-            lines.append(",".join([*cells(REST[k]), *cells(MOVED[i, k]), sigma, f"{100 + 10 * k}", "40"]))
+            lost = (i, k) in ((0, 4), (3, 5))
+            place = cells(np.zeros(6)) if lost else [*cells(REST[k]), *cells(MOVED[i, k])]
+            lines.append(",".join([*place, "-1" if lost else "0.01", f"{100 + 10 * k}", "40"]))
         write(folder / f"vic_{i + 8}.csv", lines)
     return "vic_*.csv"
 
@@ -321,6 +350,37 @@ def aramis(folder: Path) -> str:
         rows = [";".join([str(k + 11), *cells(REST[k], ","), *cells(MOVED[i, k], ",")]) for k in range(6)]
         write(folder / f"stage_{i + 8}.csv", lines + (rows[::-1] if i % 2 else rows))
     return "stage_*.csv"
+
+
+def nodemap(folder: Path) -> str:
+    """As ARAMIS exports it on Windows: the header behind more than a hundred lines, padded, lost points as nan."""
+    for i in range(FRAMES):
+        lines = [f"# signal_{k:<40}: {k}" for k in range(150)] + ["# operator : J\u00fcrgen", "#" * 100]
+        lines.append(
+            "#       ID;    x_undef [mm];    y_undef [mm];    z_undef [mm];    u [mm];    v [mm];    w [mm];   epsx [%]"
+        )
+        for k in range(6):
+            values = ["nan"] * 7 if (i, k) == (3, 5) else [*cells(REST[k]), *cells(MOVED[i, k]), "0.1"]
+            lines.append(";".join(f"{v:>16}" for v in [str(k + 1), *values]))
+        (folder / f"map_{i}.txt").write_bytes("\r\n".join(lines).encode("cp1252"))
+    return "map_*.txt"
+
+
+def matchid(folder: Path) -> str:
+    """Positions as they are in the frame, commas within names, another order in each frame."""
+    head = ["Coordinates.Image X [Pixel]", "Coordinates.Image Y [Pixel]", *(f"coor.{a} [mm]" for a in "XYZ")]
+    head += [
+        f"disp.{name} [mm]" for name in ("Horizontal Displacement U", "Vertical Displacement V", "Out-Of-Plane: W")
+    ]
+    head += ["stats.Sigma [mm]", "defgradient.F[0,0] [-]", "defgradient.F[0,1] [-]"]
+    for i in range(FRAMES):
+        rows = []
+        for k in range(6):
+            if (i, k) != (3, 5):
+                pixel = [str(100 + 10 * (k % 3)), str(40 + 10 * (k // 3))]
+                rows.append(",".join([*pixel, *cells(REST[k] + MOVED[i, k]), *cells(MOVED[i, k]), "1E-003", "1", "0"]))
+        write(folder / f"Image_{i:04}_0.tiff.csv", [",".join(head), *(rows[::-1] if i % 2 else rows)])
+    return "Image_*_0.tiff.csv"
 
 
 def ros(folder: Path, kind: str) -> Path:

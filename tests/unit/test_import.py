@@ -71,9 +71,13 @@ def test_points_without_names(tmp_path: Path) -> None:
     assert list(table) == seen.fiducial_names
     places = np.array([[float(v) for v in text.split()[:3]] for text in table.values()])
     np.testing.assert_allclose(places, made.REST)
+    assert 'Points3D"' in import_file(made.duodic(tmp_path)).mapping.read_text(encoding="utf-8")
+    np.testing.assert_allclose(Measurement.read(tmp_path / "DuoDIC.toml").positions, (made.REST + made.MOVED) * 1e-3)
     made.ncorr(tmp_path)
     flat = Measurement.read(import_file(tmp_path / "ncorr.mat").mapping)
-    np.testing.assert_allclose(flat.positions[-1, 5, :2], (np.array([10.0, 5.0]) + made.MOVED[-1, 5, :2]) * 1e-3)
+    # The fourth is outside the region of interest.
+    assert flat.fiducial_names == ["1", "2", "3", "5", "6"]
+    np.testing.assert_allclose(flat.positions[-1, 4, :2], (np.array([10.0, 5.0]) + made.MOVED[-1, 5, :2]) * 1e-3)
 
 
 def test_fiducials_and_grasp_of_a_scene(tmp_path: Path) -> None:

@@ -94,6 +94,8 @@ class _Arrays:
         if "displacements" in self.told:
             moved = self.field(self.told["displacements"], "displacements")
             rest = self.rest(moved)
+            if "grid" in self.told:
+                moved, rest = _within(moved, rest)
             positions = rest + moved
         else:
             positions = self.field(self.told["positions"], "positions")
@@ -199,6 +201,17 @@ class _Arrays:
         if array.shape != (frames, width):
             raise InputError(f"{self.path}: {where} must be {frames} frames x {width}; found {array.shape[::-1]}")
         return {where: array}
+
+
+def _within(moved: Array, rest: Array) -> tuple[Array, Array]:
+    """Displacements (frames, markers, 3) and rest positions, NaN outside the region that was correlated.
+
+    Ncorr has exact zeros there. A frame that is zero everywhere is one before the motion.
+    """
+    still = (moved == 0).all(axis=2)
+    lost = still & ~still.all(axis=1, keepdims=True) | still.all(axis=0)
+    never = lost.all(axis=0)[:, None]
+    return np.where(lost[:, :, None], np.nan, moved), np.where(never, np.nan, rest)
 
 
 def _listed(value: Any) -> list[str]:

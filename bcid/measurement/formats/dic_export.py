@@ -1,7 +1,7 @@
-"""Image correlation, one CSV file for each frame, as VIC-3D and GOM/ARAMIS write them: points at rest with their displacements.
+"""Image correlation, one CSV file for each frame, as VIC-3D, GOM/ARAMIS and MatchID write them: points with their displacements.
 
 The columns are found by their names, or named in [columns] as rest, displacement and point. A point is known by its number, or by
-its pixel in the first image (x, y of VIC-3D), else by its row.
+its pixel in the first image (x, y of VIC-3D), else by its row. All but MatchID give the position at rest.
 """
 
 from __future__ import annotations
@@ -15,20 +15,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, nearest
-from bcid.base.text_file import read_lines
+from bcid.base.text_file import read_export
 from bcid.measurement.formats.foreign import Foreign, How
 from bcid.measurement.formats.grid import filled, numbers, read_grid
 
 Array = NDArray[np.float64]
 
-_REST = (("X", "Y", "Z"), ("x_undef", "y_undef", "z_undef"), ("x0", "y0", "z0"), ("x", "y", "z"))
+# Lines among which the header is looked for: exports of ARAMIS tell of cameras, calibration and signals before it.
+_HEADER = 1000
+# MatchID writes the moved position beside the displacement.
+_MOVED_PLACE = ("coor.X", "coor.Y", "coor.Z")
+_REST = (_MOVED_PLACE, ("X", "Y", "Z"), ("x_undef", "y_undef", "z_undef"), ("x0", "y0", "z0"), ("x", "y", "z"))
 _MOVED: tuple[tuple[str, ...], ...] = (
     ("U", "V", "W"),
     ("u", "v", "w"),
     ("displacement_x", "displacement_y", "displacement_z"),
 )
-_MOVED += (("dX", "dY", "dZ"), ("dx", "dy", "dz"))
-_POINT = (("id",), ("ID",), ("point_id",), ("index",), ("x", "y"))
+_MOVED += (("dX", "dY", "dZ"), ("dx", "dy", "dz"), ("ux", "uy", "uz"))
+_MOVED += (("disp.Horizontal Displacement U", "disp.Vertical Displacement V", "disp.Out-Of-Plane: W"),)
+_PIXEL = ("Coordinates.Image X", "Coordinates.Image Y")
+_POINT = (("id",), ("ID",), ("point_id",), ("index",), _PIXEL, ("x", "y"))
 _UNIT = re.compile(r"\s*[\[(](?P<unit>[^\])]*)[\])]\s*$")
 
 
@@ -45,7 +51,7 @@ class _Frame:
 
 def recognised(head: str) -> bool:
     """Whether the text begins with a header that names rest positions and displacements."""
-    return any(_columns(names) is not None for names in map(_names, head.splitlines()[:40]))
+    return any(_columns(names) is not None for names in map(_names, head.splitlines()[:_HEADER]))
 
 
 def read(path: Path, how: How) -> Foreign:
@@ -60,7 +66,7 @@ def read_series(paths: Sequence[Path], how: How) -> Foreign:
         InputError: a file is cut off, has other columns than the first, or points that cannot be told apart.
     """
     frames = [_frame(path, how) for path in paths]
-    keys, rest = frames[0].keys, frames[0].rest
+    keys, rest = frames[0].keys, frames[0].rest.copy()
     number = {key: i for i, key in enumerate(keys)}
     if len(number) < len(keys):
         raise InputError(f"{paths[0]}: holds {len(keys) - len(number)} points twice; export each point once")
@@ -76,6 +82,8 @@ def read_series(paths: Sequence[Path], how: How) -> Foreign:
             raise InputError(f"{path}: has no point of {paths[0].name}; are they frames of one recording?")
         here, there = np.array(known).T
         positions[i, there] = frame.rest[here] + frame.moved[here]
+        # A point that was lost in the first frame is at rest where a later one says.
+        rest[there] = np.where(np.isfinite(rest[there]), rest[there], frame.rest[here])
     points = {str(i + 1): positions[:, i] for i in range(len(keys))}
     still = {str(i + 1): rest[i] for i in range(len(keys))}
     times = how.count(len(paths))
@@ -85,8 +93,13 @@ def read_series(paths: Sequence[Path], how: How) -> Foreign:
 
 def _names(line: str) -> list[str]:
     """Names of columns, without their units."""
-    cells = line.lstrip("#").split(_delimiter(line))
-    return [_UNIT.sub("", cell.strip().strip('"')) for cell in cells]
+    return [_UNIT.sub("", cell) for cell in _cells(line)]
+
+
+def _cells(line: str) -> list[str]:
+    """Names of columns with their units; a comma in brackets, as in F[0,1], is part of a name."""
+    cells = re.split(rf"{_delimiter(line)}(?![^\[\]]*\])", line.lstrip("#"))
+    return [cell.strip().strip('"').strip() for cell in cells]
 
 
 def _delimiter(line: str) -> str:
@@ -104,7 +117,7 @@ def _columns(names: Sequence[str]) -> tuple[list[str], list[str], list[str]] | N
 
 
 def _frame(path: Path, how: How) -> _Frame:
-    begin = read_lines(path)[:40]
+    begin = read_export(path)[:_HEADER]
     start = next((i for i, line in enumerate(begin) if _found(_names(line), how)), None)
     if start is None:
         raise InputError(
@@ -113,14 +126,18 @@ def _frame(path: Path, how: How) -> _Frame:
     delimiter, names = _delimiter(begin[start]), _names(begin[start])
     rest, moved, point = _found(names, how) or ([], [], [])
     rows = [row for row in filled(read_grid(path, delimiter)) if row[0] > start + 1]
-    values = numbers(path, rows, len(names), "a CSV file of image correlation")
     for name in (*rest, *moved, *point):
         if name not in names:
             raise InputError(f"{path}:{start + 1}: has no column '{name}'; {nearest(name, names)}")
+    used = {names.index(name) for name in (*rest, *moved, *point, "sigma") if name in names}
+    values = numbers(path, rows, len(names), "a CSV file of image correlation", used)
     parts = [values[:, [names.index(name) for name in columns]] for columns in (rest, moved)]
     if "sigma" in names:
-        # VIC-3D marks points that were not correlated by a sigma of -1.
-        parts[1] = np.where(values[:, [names.index("sigma")]] < 0, np.nan, parts[1])
+        # VIC-3D marks points that were not correlated by a sigma of -1: what else is in their rows is no position.
+        lost = values[:, [names.index("sigma")]] < 0
+        parts = [np.where(lost, np.nan, part) for part in parts]
+    if tuple(rest) == _MOVED_PLACE:
+        parts[0] = parts[0] - parts[1]
     told = values[:, [names.index(name) for name in point]] if point else np.arange(len(rows))[:, None]
     keys: list[tuple[float, ...]] = [tuple(map(float, row)) for row in told]
     return _Frame(keys, bool(point), parts[0], parts[1], _unit(begin[start], rest[0]))
@@ -137,8 +154,7 @@ def _found(names: list[str], how: How) -> tuple[list[str], list[str], list[str]]
 
 def _unit(line: str, name: str) -> str:
     """The unit that the header states for a column; "" if none."""
-    for cell in line.lstrip("#").split(_delimiter(line)):
-        text = cell.strip().strip('"')
+    for text in _cells(line):
         match = _UNIT.search(text)
         if match and _UNIT.sub("", text) == name:
             return match["unit"]
