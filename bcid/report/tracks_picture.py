@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+# Numbers along the longest axis, about.
+_TICKS = 6
 # Markers and frames that are drawn: more cannot be told apart.
 _MARKERS, _FRAMES = 200, 1000
 # Markers whose names are written.
@@ -59,9 +61,11 @@ def _paths(axes: Any, points: Mapping[str, Array], unit: str) -> None:
             axes.plot(*seen[:1].T, "o", color=GREY, markersize=3.5)
             if len(points) <= _NAMED:
                 axes.text(*seen[0], f" {short(label)}", fontsize=8)
-    for name in "xyz":
+    extents = np.array([np.ptp(getattr(axes, f"get_{name}lim")()) for name in "xyz"])
+    for name, part in zip("xyz", extents / extents.max(), strict=True):
         getattr(axes, f"set_{name}label")(f"{name}, {unit}")
-        axes.locator_params(axis=name, nbins=5)
+        # With one scale for all axes a short one has room for few numbers.
+        axes.locator_params(axis=name, nbins=max(1, round(_TICKS * part)))
     axes.tick_params(labelsize=8)
     axes.set_aspect("equal")  # one scale for all axes
     axes.set_title("paths; dots where they begin", loc="left", fontsize=10)
