@@ -71,7 +71,8 @@ def points_of(fiducials: Mapping[str, Vector], members: Mapping[str, Sequence[Ve
 def _means(counts: Sequence[int]) -> csr_matrix:
     """From points to the means of groups of them, shape (groups, points)."""
     rows = np.repeat(np.arange(len(counts)), counts)
-    return csr_matrix((1 / np.array(counts, dtype=float)[rows], (rows, np.arange(len(rows)))))
+    weights = 1 / np.array(counts, dtype=float)[rows]
+    return csr_matrix((weights, (rows, np.arange(len(rows)))), (len(counts), len(rows)))
 
 
 def _closest(mesh: BodyMesh, corners: Array, inverses: Array, position: Array) -> Attachment:
