@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bcid.app import cli
+from bcid.app import answer_parsers
 from bcid.base.errors import InputError
 from bcid.base.run_folder import RunFolder
 from benchmarks.reliability import Reached, disk, kills, signals, solver, temporary
@@ -52,7 +52,7 @@ def test_short_memory_is_told_in_one_line(tmp_path: Path, monkeypatch: pytest.Mo
     def short(*_: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(cli, "identify", short)
+    monkeypatch.setattr(answer_parsers, "identify", short)
     words = ["identify", "scene.toml", "seen", "-o", str(tmp_path / "run")]
     code, said = disk.command(*words)
     assert code == 3
