@@ -16,7 +16,8 @@ from typing import Any
 
 from bcid.app.answer_parsers import add_compare, add_demo, add_diagnose, add_explain, add_explore, add_fit, add_identify
 from bcid.app.commands import complain
-from bcid.app.other_parsers import (
+from bcid.app.scene_command import add_scene
+from bcid.app.tool_parsers import (
     add_bench,
     add_calibrate,
     add_check_effect,
@@ -28,7 +29,6 @@ from bcid.app.other_parsers import (
     add_study,
     add_track,
 )
-from bcid.app.scene_command import add_scene
 from bcid.base.collective import Comm, first, launched
 from bcid.base.errors import SHORT_OF_MEMORY, BcidError, MachineError, nearest, shortened
 from bcid.base.scratch import require

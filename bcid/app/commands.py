@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -60,16 +61,23 @@ def demo(arguments: argparse.Namespace, comm: Comm) -> None:
 
 
 def _demo_report(folder: Path) -> None:
-    """The page that the demo ends with; as pictures, it must not take the result along."""
-    try:
+    """The page that the demo ends with."""
+    with _beside_the_result("report"):
         from bcid.report.page import write_report
 
         made = write_report([folder], folder / "report.html")
         print(f"report: {made.path} (open it in a browser)", flush=True)
+
+
+@contextmanager
+def _beside_the_result(what: str) -> Iterator[None]:
+    """Pages and pictures are a view: what stops them must not take the result along."""
+    try:
+        yield
     except ImportError as error:
-        complain(f"no report: {error.name} is not installed (the extra 'report')")
+        complain(f"no {what}: {error.name} is not installed (the extra 'report')")
     except Exception as error:
-        complain(f"no report: {error}")
+        complain(f"no {what}: {error}")
 
 
 def _progress(arguments: argparse.Namespace, rank: int) -> Progress:
@@ -121,17 +129,13 @@ def _print_result(folder: Path, file: str) -> None:
 
 
 def _draw(folder: Path, progress: Progress) -> None:
-    """Pictures are a view of the run: what stops them must not take the result along."""
-    try:
+    """Pictures of a run."""
+    with _beside_the_result("picture"):
         from bcid.base.run_folder import RunFolder
 
         kind = _PICTURES[RunFolder.open(folder).record["command"]]
         for file in import_module(f"bcid.report.{kind}").draw(folder):
             progress.say(f"wrote {file}")
-    except ImportError as error:
-        complain(f"no picture: {error.name} is not installed (the extra 'report')")
-    except Exception as error:
-        complain(f"no picture: {error}")
 
 
 def compare(arguments: argparse.Namespace, comm: Comm) -> None:
@@ -317,21 +321,17 @@ def import_recording(arguments: argparse.Namespace) -> None:
 
 
 def _draw_tracks(made: Inspected) -> None:
-    """A picture must not take the mapping along."""
-    try:
+    """The paths beside a mapping."""
+    target = made.mapping.with_suffix(".png")
+    if target.exists():
+        complain(f"no picture: {target} exists already")
+        return
+    with _beside_the_result("picture"):
         from bcid.report.tracks_picture import draw_tracks
 
         seen = made.seen
         title = f"{made.mapping.stem}: {len(seen.points)} markers, {seen.frames} frames"
-        target = made.mapping.with_suffix(".png")
-        if target.exists():
-            complain(f"no picture: {target} exists already")
-            return
         print(f"wrote {draw_tracks(seen.points, seen.times, made.unit, title, target)}", flush=True)
-    except ImportError as error:
-        complain(f"no picture: {error.name} is not installed (the extra 'report')")
-    except Exception as error:
-        complain(f"no picture: {error}")
 
 
 def figure(arguments: argparse.Namespace) -> None:

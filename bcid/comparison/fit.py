@@ -126,12 +126,12 @@ class Fit:
     @property
     def stiffness(self) -> Stiffness | None:
         """How stiff the body is, where forces are measured and none of the law's constants was fitted."""
-        state, constants = self.state, self.state.model.stiffnesses
-        if set(constants) & set(state.free):
+        state = self.state
+        if set(state.model.stiffnesses) & set(state.free):
             return None
         columns = [-state.errors.unwhiten(column) for column in self.jacobian.T]
         fitted = np.column_stack(columns) if columns else None
-        return Stiffness.of(state.errors, state.residual, constants, fitted)
+        return Stiffness.of(state.errors, state.residual, state.model, state.predictor.whole, fitted)
 
     @property
     def values(self) -> dict[str, float]:

@@ -65,4 +65,5 @@ def told_anchors(rivals: Sequence[Rival], odds: HypothesisOdds, best: Rival, sec
         remarks=predictor.measurement.remarks,
         missing=odds.verdicts["unknown"] + odds.verdicts.get(OTHERS, 0.0),
         nuisances=tuple(state.told),
+        stiffness=best.fitted.stiffness,
     )

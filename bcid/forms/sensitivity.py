@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from hashlib import blake2b
 from typing import Any
 
 import numpy as np
@@ -24,12 +23,11 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fp
 from numpy.typing import NDArray
 
-from bcid.base.errors import SolveError
 from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.model import Model, Term
 from bcid.forms.parameter import Parameter
-from bcid.forms.solver.status import Status
+from bcid.forms.responses import Responses
 from bcid.forms.solver.supports import Pose
 from bcid.forms.solver.trajectory import poses
 from bcid.forms.weak_form import LONG
@@ -38,12 +36,6 @@ from bcid.measurement import Action
 Array = NDArray[np.float64]
 # Step of a difference, in units of a parameter's scale, of what is a function and no form: motions, pictures, envelopes.
 _STEP = 1e-3
-# Responses of the latest states are kept, up to this size.
-_KEPT_BYTES = 128e6
-# The products C K^-1 are made where they are at most so many times the causes: they serve later questions about the same state.
-_SERVED = 4
-# Causes that are solved for at once.
-_BLOCK = 256
 
 
 @dataclass(frozen=True)
@@ -123,25 +115,6 @@ class Cause:
     turned: Array | float = 0.0
 
 
-@dataclass(frozen=True)
-class Observed:
-    """What is measured of a state, to first order.
-
-    Attributes:
-        observe: of movements of the unknowns, shape (3 * rows, unknowns).
-        levers: of forces where the gripper holds, shape (unknowns, 6 or 0).
-    """
-
-    observe: Any
-    levers: Array
-
-    def direct(self, forces: Any) -> Array:
-        """Change by forces (unknowns, n) on what is held, shape (3 * rows, n), m."""
-        found = np.zeros((self.observe.shape[0], forces.shape[1]))
-        found[len(found) - self.levers.shape[1] :] = (forces.T @ self.levers).T
-        return found
-
-
 class Sensitivity:
     """Differentiates the prediction of one `Forward`, which must not share its mesh. Local to the process.
 
@@ -155,57 +128,16 @@ class Sensitivity:
         self.forward = forward
         self.equilibrium = forward.equilibrium
         self.model = forward.model
-        self.observe = forward.observer.of_unknowns()
+        self.responses = Responses(forward)
         self.weak_form = self.equilibrium.weak_form
         self._derivatives: dict[str, Any] = {}
         self._cells: Any = None
         self._matrix: Any = None
         self._mass: dict[str, Any] = {}
-        self._kept: dict[bytes, Array] = {}
+        self._pushed: tuple[Array, Array] | None = None
 
     # -- one step
     # ------------------------------------------------------------------------------------------------------------
-
-    def _shown(self, pose: Pose) -> Observed:
-        """At the present state, whose tangent was assembled last."""
-        gripper = self.forward.gripper_force
-        if gripper is None:
-            return Observed(self.observe, np.zeros((self.observe.shape[1], 0)))
-        levers = gripper.levers(pose)
-        return Observed(gripper.beside(self.observe, levers), levers)
-
-    def _responses(self, shown: Observed) -> Array:
-        """G = K^-1 C^T at the present state, zero where something is held, shape (unknowns, 3 * rows)."""
-        equilibrium = self.equilibrium
-        right = shown.observe.T.toarray()
-        right[equilibrium.supports.prescribed] = 0.0
-        return equilibrium.factor.solve_block(right, transpose=not equilibrium.model.symmetric)
-
-    def _factorise(self) -> None:
-        if self.equilibrium.verify() is Status.LINEAR_SOLVER:
-            raise SolveError("the tangent of a converged step could not be factorised")
-
-    def _state_key(self, pose: Pose) -> bytes:
-        """What the tangent at the present state depends on; where it remembers, that is more than this, and nothing is kept."""
-        equilibrium = self.equilibrium
-        numbers = [float(c.value) for c in (*equilibrium.weak_form.anchored.values(), *self._numbers())]
-        parts = (
-            equilibrium.u.x.array,
-            equilibrium.supports.prescribed,
-            np.array([*numbers, pose.load_factor, pose.time]),
-        )
-        return blake2b(b"".join(part.tobytes() for part in parts)).digest()
-
-    def _numbers(self) -> list[Any]:
-        return [self.weak_form.constants[name] for name in self.model.constants() if name in self.weak_form.constants]
-
-    def _keep(self, key: bytes, responses: Array) -> None:
-        """For a later question about the same state."""
-        if self.equilibrium.model.remembers:
-            return
-        self._kept[key] = responses
-        while sum(kept.nbytes for kept in self._kept.values()) > _KEPT_BYTES and len(self._kept) > 1:
-            self._kept.pop(next(iter(self._kept)))
 
     def _assemble(self, form: Any) -> Array:
         vector = fem.assemble_vector(form)
@@ -429,58 +361,37 @@ class Sensitivity:
         fields = result.stiffness is not None or result.forces is not None
         if not causes and not fields:
             return
-        key = self._state_key(pose)
-        responses = self._kept.get(key)
-        if responses is None:
-            self._factorise()
-        elif forward.gripper_force or any(cause.increment is not None for cause in causes):
-            equilibrium.tangent.assemble()
-        shown = self._shown(pose)
+        count = 0 if wanted.forces is None else 3 * wanted.forces.shape[1]
+        count += len(forward.mesh.cells) if wanted.stiffness else 0
+        increments = any(cause.increment is not None for cause in causes)
+        response = self.responses.at(pose, self.model, len(causes), count, increments)
         columns = np.zeros((len(equilibrium.u.x.array), len(causes)))
-        moved = np.zeros((3 * forward.rows, len(causes)))
+        moved, observe = np.zeros((3 * forward.rows, len(causes))), self.responses.observe
         for j, cause in enumerate(causes):
             columns[:, j] = cause.force
             if cause.increment is not None:
                 columns[:, j] += equilibrium.tangent.times(cause.increment)
-                moved[: self.observe.shape[0], j] = self.observe @ cause.increment
-                moved[self.observe.shape[0] :, j] = cause.turned
-        count = len(causes) + (0 if wanted.forces is None else 3 * wanted.forces.shape[1])
-        count += len(forward.mesh.cells) if wanted.stiffness else 0
-        # With few markers the products C K^-1 serve all causes; many of them cost more than the causes do.
-        if responses is None and (fields or len(causes) > 3 * forward.rows) and 3 * forward.rows <= _SERVED * count:
-            responses = self._responses(shown)
-            self._keep(key, responses)
-        moved += self._moved(shown, responses, columns)
+                moved[: observe.shape[0], j] = observe @ cause.increment
+                moved[observe.shape[0] :, j] = cause.turned
+        moved += response.moved(columns)
         for cause, change in zip(causes, moved.T, strict=True):
             cause.target[:] += seen(change.reshape(-1, 3))
         if result.stiffness is not None:
-            softened = self._moved(shown, responses, self._stiffness_matrix())
+            softened = response.moved(self._stiffness_matrix())
             result.stiffness[frame] = self._all_seen(seen, softened)
         if result.forces is not None and wanted.forces is not None:
-            pushed = self._all_seen(seen, self._moved(shown, responses, self._pushes(wanted.forces)))
+            pushed = self._all_seen(seen, response.moved(self._pushes(wanted.forces)))
             result.forces[frame] = pushed.reshape(forward.rows, 3, -1, 3)
 
-    def _moved(self, shown: Observed, responses: Array | None, changes: Any) -> Array:
-        """What changes of the residual (unknowns, n), dense or sparse, move, shape (3 * rows, n), m."""
-        free = np.ones(changes.shape[0], dtype=bool)
-        free[self.equilibrium.supports.prescribed] = False
-        direct = shown.direct(changes)
-        if responses is not None:
-            held = changes.multiply(free[:, None]).tocsc() if sp.issparse(changes) else changes * free[:, None]
-            return np.asarray(direct - responses.T @ held)
-        for first in range(0, changes.shape[1], _BLOCK):
-            part = changes[:, first : first + _BLOCK]
-            part = (part.toarray() if sp.issparse(part) else part) * free[:, None]
-            direct[:, first : first + _BLOCK] -= shown.observe @ self.equilibrium.factor.solve_block(part)
-        return direct
-
     def _pushes(self, weights: Array) -> Array:
-        """Changes of the residual by a unit of each force along each axis, shape (unknowns, forces * 3)."""
-        dofs = self.forward.body.displacement_dofs.reshape(-1, 3)
-        found = np.zeros((len(self.equilibrium.u.x.array), weights.shape[1], 3))
-        for axis in range(3):
-            found[dofs[:, axis], :, axis] = -weights
-        return found.reshape(len(found), -1)
+        """Changes of the residual by a unit of each force along each axis, shape (unknowns, forces * 3); the last are kept."""
+        if self._pushed is None or self._pushed[0] is not weights:
+            dofs = self.forward.body.displacement_dofs.reshape(-1, 3)
+            found = np.zeros((len(self.equilibrium.u.x.array), weights.shape[1], 3))
+            for axis in range(3):
+                found[dofs[:, axis], :, axis] = -weights
+            self._pushed = weights, found.reshape(len(found), -1)
+        return self._pushed[1]
 
     def _of_probe(
         self,
@@ -496,7 +407,7 @@ class Sensitivity:
         found: list[Cause] = []
         value = probe.term.values[name]
         if parameter.reciprocal and not math.isfinite(value):
-            forces = self._loaded_forces()
+            forces = self.equilibrium.unbalanced()
             found.append(Cause(target, 0.0, self._yielding(probe.term.place, anchors, forces)))
         elif probe.effect.mechanical:
             scale = -(value**2) if parameter.reciprocal else 1.0
@@ -505,15 +416,9 @@ class Sensitivity:
             width = 2 * _STEP * parameter.scale
             loads: Array | float = np.asarray(-self._loaded(*pair) / width) if pose.loads else 0.0
             gripper = self.forward.gripper_force
-            turned = np.asarray(gripper.turned(self._loaded_forces(), *pair) / width) if gripper else 0.0
+            turned = np.asarray(gripper.turned(self.equilibrium.unbalanced(), *pair) / width) if gripper else 0.0
             found.append(Cause(target, loads, np.asarray(self._gripped(*pair) / width), turned))
         return found
-
-    def _loaded_forces(self) -> Array:
-        """Internal minus all external nodal forces, in the order of the unknowns, N."""
-        forces = np.asarray(self.equilibrium.forces())
-        forces[self.forward.body.displacement_dofs] -= self.equilibrium.supports.external
-        return forces
 
     @staticmethod
     def _all_seen(seen: Any, columns: Array) -> Array:

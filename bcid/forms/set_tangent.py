@@ -192,10 +192,9 @@ class SetTangents:
         return found
 
     def _step(self, pose: Pose) -> StepTangent:
-        equilibrium, dofs = self.forward.equilibrium, self.forward.body.displacement_dofs
+        equilibrium = self.forward.equilibrium
         held = equilibrium.supports.prescribed
-        reactions = np.asarray(equilibrium.forces())
-        reactions[dofs] -= equilibrium.supports.external
+        reactions = equilibrium.unbalanced()
         columns, gripper = self._columns.copy(), self.forward.gripper_force
         columns[held] = 0.0
         reactions[held] = 0.0

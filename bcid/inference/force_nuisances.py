@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.inference.data import Data
-from bcid.scene.rotation import rotate
+from bcid.scene.rotation import as_rotation
 from bcid.scene.uncertainty import Uncertainty
 
 Array = NDArray[np.float64]
@@ -64,5 +64,4 @@ def _weights(data: Data) -> list[Array]:
 
 def _turned(data: Data, direction: Array) -> Array:
     """A direction of the gripper in each frame, shape (frames, 3)."""
-    rotations = np.asarray(data.measurement.data["rotation"].values, dtype=float)
-    return np.array([rotate(rotation, direction) for rotation in rotations])
+    return np.asarray(as_rotation(data.measurement.data["rotation"].values).apply(direction))

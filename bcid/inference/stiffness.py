@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.units import uncertain
+from bcid.forms.model import Model
 from bcid.inference.likelihood import Errors
 from bcid.inference.nuisances import STIFFNESS
+from bcid.scene import Scene
 
 Array = NDArray[np.float64]
 
@@ -21,28 +23,33 @@ class Stiffness:
     """Of the law's constants that are stiffnesses, all together.
 
     Attributes:
-        factor: what the scene's are to be multiplied by.
+        factor: what those of the model are to be multiplied by.
         stderr: its standard error.
-        constants: those of the scene, Pa.
+        constants: those of the model, Pa.
+        stated: those of the scene, Pa.
     """
 
     factor: float
     stderr: float
     constants: Mapping[str, float]
+    stated: Mapping[str, float]
 
     @classmethod
     def of(
-        cls, errors: Errors, residual: Array, constants: Mapping[str, float], fitted: Array | None = None
+        cls, errors: Errors, residual: Array, model: Model, scene: Scene, fitted: Array | None = None
     ) -> Stiffness | None:
         """From a residual (n,), m; None where no force is measured, or the scene takes its stiffness for exact.
 
         Args:
             errors: of the residual, with the stiffness among its nuisances.
-            constants: of the law that are stiffnesses, Pa.
+            model: that it was predicted with.
+            scene: where that began.
             fitted: columns (n, p), m, by which numbers that were fitted to the same data change what is predicted.
         """
         told = errors.estimate(residual, STIFFNESS, fitted)
-        return None if told is None else cls(1 + told[0], told[1], dict(constants))
+        if told is None:
+            return None
+        return cls(1 + told[0], told[1], model.stiffnesses, Model.of(scene).stiffnesses)
 
     @property
     def values(self) -> dict[str, float]:
@@ -54,7 +61,7 @@ class Stiffness:
     def text(self) -> str:
         """As summaries tell it: "young = 15210 ± 320 Pa (the scene has 15000)"."""
         parts = [
-            f"{name} = {uncertain(self.factor * value, self.stderr * value, 'Pa')} (the scene has {value:.6g})"
+            f"{name} = {uncertain(self.factor * value, self.stderr * value, 'Pa')} (the scene has {self.stated[name]:.6g})"
             for name, value in self.constants.items()
         ]
         return ", ".join(parts)
@@ -62,10 +69,13 @@ class Stiffness:
     def to_json(self) -> dict[str, Any]:
         """As results hold it: constants in Pa."""
         return {
-            "factor": self.factor,
-            "stderr": self.stderr,
             "constants": {
-                name: {"value": self.factor * value, "stderr": self.stderr * value, "scene": value, "unit": "Pa"}
+                name: {
+                    "value": self.factor * value,
+                    "stderr": self.stderr * value,
+                    "scene": self.stated[name],
+                    "unit": "Pa",
+                }
                 for name, value in self.constants.items()
             },
         }

@@ -100,9 +100,7 @@ def fitting(scene: Scene, measurement: Measurement, comm: Comm) -> tuple[Scene, 
         InputError: they do not belong together; see also `bcid.forms.mesh.patches.divided`.
     """
     measurement.check_names(scene)
-    dense = pooled(scene, measurement)
-    if dense is not None:
-        scene, measurement = dense.scene, dense.measurement
+    scene, measurement = pooled(scene, measurement)
     return divided(scene, comm), replace(measurement, remarks=tuple(measurement.check(scene)))
 
 

@@ -80,7 +80,7 @@ class Weight:
 
     def stiffness(self, model: Model) -> Stiffness | None:
         """How stiff the body is, where forces are measured."""
-        return Stiffness.of(self.errors, self.residual, model.stiffnesses)
+        return Stiffness.of(self.errors, self.residual, model, self.errors.data.scene)
 
 
 class Weighing:

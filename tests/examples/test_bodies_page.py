@@ -1,13 +1,13 @@
 """The scenes of docs/bodies.md, on files as the page describes them."""
 
 import re
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import meshio
 import numpy as np
 import pytest
+from unit.scanned import box, image, save
 
 from bcid.forms.model import check_physics
 from bcid.forms.scene_check import check_scene
@@ -15,9 +15,6 @@ from bcid.forms.scene_table import table
 from bcid.scene import Scene
 
 PROJECT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(PROJECT / "tests/unit"))
-from scanned import box, image, save  # noqa: E402
-
 SCENES = re.findall(
     r"^```toml\n(format = .*?)^```", (PROJECT / "docs/bodies.md").read_text(encoding="utf-8"), re.M | re.S
 )

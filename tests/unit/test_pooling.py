@@ -16,7 +16,7 @@ from bcid.forms import effects
 from bcid.forms.model import Model, check_physics
 from bcid.forms.simulate import simulate
 from bcid.measurement import Measurement
-from bcid.measurement.pooling import Pooled, pooled
+from bcid.measurement.pooling import pooled
 from bcid.scene import Level, Scene, motions
 from bcid.search.identify_run import fitting
 
@@ -38,73 +38,67 @@ def seen(dense: Scene) -> Measurement:
 
 
 @pytest.fixture(scope="module")
-def groups(dense: Scene, seen: Measurement) -> Pooled:
-    found = pooled(dense, seen)
-    assert found is not None
-    return found
+def groups(dense: Scene, seen: Measurement) -> tuple[Scene, Measurement]:
+    return pooled(dense, seen)
 
 
-def test_every_point_is_in_one_group_of_neighbours(dense: Scene, groups: Pooled) -> None:
-    members = [name for group in groups.groups.values() for name in group]
-    assert sorted(members, key=int) == dense.fiducial_names
-    assert len(groups.groups) == 128
-    sizes = {len(group) for group in groups.groups.values()}
-    assert sizes == {4, 5}
-    for names in groups.groups.values():
-        places = np.array([dense.fiducials[name] for name in names])
-        assert np.ptp(places, axis=0).max() < 0.016
-    assert next(iter(groups.groups)) == "1+3"
+def test_every_point_is_in_one_group_of_neighbours(dense: Scene, groups: tuple[Scene, Measurement]) -> None:
+    members = groups[0].members
+    assert sorted(place for group in members.values() for place in group) == sorted(dense.fiducials.values())
+    assert len(members) == 128
+    assert {len(group) for group in members.values()} == {4, 5}
+    assert max(np.ptp(np.array(group), axis=0).max() for group in members.values()) < 0.016
+    assert next(iter(members)) == "1+3"
 
 
-def test_the_mean_of_points_is_predicted_as_it_is_seen(groups: Pooled) -> None:
+def test_the_mean_of_points_is_predicted_as_it_is_seen(groups: tuple[Scene, Measurement]) -> None:
     """Also where the displacement has a kink, as at the border of the grasp."""
-    again = simulate(groups.scene, ["3", "4"], motions.motion("pull", "II", 1, 0.01, 4), noise=0.0)
-    assert again.positions == pytest.approx(groups.measurement.positions, abs=1e-12)
+    again = simulate(groups[0], ["3", "4"], motions.motion("pull", "II", 1, 0.01, 4), noise=0.0)
+    assert again.positions == pytest.approx(groups[1].positions, abs=1e-12)
 
 
 def test_noise_is_that_of_the_mean(dense: Scene, seen: Measurement) -> None:
     rng = np.random.default_rng(0)
     data = seen.data.copy(deep=True)
     data["position"] += rng.normal(0.0, NOISE, data["position"].shape)
-    found, clean = pooled(dense, replace(seen, data=data, noise_sigma=NOISE)), pooled(dense, seen)
-    assert found is not None
-    assert clean is not None
-    sigma = found.measurement.sigma()
+    (_, found), (_, clean) = pooled(dense, replace(seen, data=data, noise_sigma=NOISE)), pooled(dense, seen)
+    sigma = found.sigma()
     assert sigma is not None
-    apart = (found.measurement.positions - clean.measurement.positions) / sigma
+    apart = (found.positions - clean.positions) / sigma
     assert float(np.sqrt(np.mean(apart**2))) == pytest.approx(1.0, abs=0.05)
 
 
-def test_points_that_are_not_seen_do_not_count(dense: Scene, seen: Measurement, groups: Pooled) -> None:
-    name, members = next(iter(groups.groups.items()))
+def test_points_that_are_not_seen_do_not_count(
+    dense: Scene, seen: Measurement, groups: tuple[Scene, Measurement]
+) -> None:
+    scene, clean = groups
+    name, places = next(iter(scene.members.items()))
+    numbers = [list(dense.fiducials.values()).index(place) for place in places]
     data = seen.data.copy(deep=True)
-    hidden = [seen.fiducial_names.index(one) for one in members[:1]]
-    data["position"][{"frame": [2], "fiducial": hidden}] = np.nan
-    data["position"][{"frame": [3], "fiducial": [seen.fiducial_names.index(one) for one in members[:3]]}] = np.nan
-    found = pooled(dense, replace(seen, data=data, noise_sigma=NOISE))
-    assert found is not None
-    column = found.measurement.fiducial_names.index(name)
-    near = found.measurement.positions[2, column] - groups.measurement.positions[2, column]
-    assert np.abs(near).max() < 1e-3
-    assert np.isnan(found.measurement.positions[3, column]).all()
-    sigma = found.measurement.sigma()
+    data["position"][{"frame": [2], "fiducial": numbers[:1]}] = np.nan
+    data["position"][{"frame": [3], "fiducial": numbers[:3]}] = np.nan
+    _, found = pooled(dense, replace(seen, data=data, noise_sigma=NOISE))
+    column = found.fiducial_names.index(name)
+    assert np.abs(found.positions[2, column] - clean.positions[2, column]).max() < 1e-3
+    assert np.isnan(found.positions[3, column]).all()
+    sigma = found.sigma()
     assert sigma is not None
-    assert sigma[2, column] == pytest.approx(np.full(3, NOISE / np.sqrt(len(members) - 1)))
+    assert sigma[2, column] == pytest.approx(np.full(3, NOISE / np.sqrt(len(places) - 1)))
 
 
 def test_few_points_stay_as_they_are(project: Path) -> None:
     scene = Scene.read(project / "examples" / "scenes" / "slab.toml", physics=check_physics)
     measurement = Measurement.read(project / "examples" / "measurements" / "slab-34-complex")
-    assert pooled(scene, measurement) is None
+    assert pooled(scene, measurement) == (scene, measurement)
     same, kept = fitting(scene, measurement, MPI.COMM_SELF)
     assert same.fiducials == scene.fiducials
     assert not same.members
     assert kept.fingerprint() == measurement.fingerprint()
 
 
-def test_no_mean_is_a_marker_that_is_wrong(groups: Pooled) -> None:
-    predictor = Predictor(groups.scene, replace(groups.measurement, noise_sigma=NOISE), MPI.COMM_SELF)
-    state = State.of(predictor, Model.of(groups.scene), frozenset("34"))
+def test_no_mean_is_a_marker_that_is_wrong(groups: tuple[Scene, Measurement]) -> None:
+    predictor = Predictor(groups[0], replace(groups[1], noise_sigma=NOISE), MPI.COMM_SELF)
+    state = State.of(predictor, Model.of(groups[0]), frozenset("34"))
     found = rank(state, [effects.effect("marker_fault"), effects.effect("gravity")])
     assert "dense field" in found.excluded["marker_fault"]
     predictor.destroy()

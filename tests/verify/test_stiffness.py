@@ -67,6 +67,10 @@ def test_the_force_tells_youngs_modulus(predictor: Predictor) -> None:
     assert abs(told.values["young"] - TRUE) < 2.5 * told.stderr * SCENE < 0.05 * TRUE
     assert told.text.startswith("young = 1")
     assert told.text.endswith(" Pa (the scene has 15000)")
+    near = Fit.at(State.of(predictor, Model.of(predictor.scene).with_values({"young": 18e3}), ANCHORS)).stiffness
+    assert near is not None
+    assert near.values["young"] == pytest.approx(told.values["young"], rel=0.01)
+    assert near.text.endswith(" Pa (the scene has 15000)")
     fitted = fit(state, ["young"])
     # Forces converge as of first order: extrapolated as positions are they would make this 1.4 %.
     assert fitted.values["young"] == pytest.approx(TRUE, rel=0.01)

@@ -419,6 +419,12 @@ class Equilibrium:
         """
         return np.asarray(sum(fem.assemble_vector(form).array for form in self.residual_forms))
 
+    def unbalanced(self) -> Array:
+        """Internal minus all external nodal forces, known dead loads included, as `forces`."""
+        found = self.forces()
+        found[self.body.displacement_dofs] -= self.supports.external
+        return found
+
     def energy(self) -> float:
         """Energy of the present state (strain energy and potential of the effects that have one), J."""
         return self.total(float(sum(fem.assemble_scalar(form) for form in self.energy_forms)))

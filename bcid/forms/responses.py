@@ -1,0 +1,133 @@
+"""What changes of the residual move, to first order: C K^-1 dR with the tangent K of a converged state.
+
+The products C K^-1 cost three triangular solves for each fiducial, and then serve whatever is asked about that state; with many
+fiducials each change is solved for instead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from hashlib import blake2b
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from bcid.base.errors import SolveError
+from bcid.forms.forward import Forward
+from bcid.forms.model import Model
+from bcid.forms.solver.equilibrium import Equilibrium
+from bcid.forms.solver.status import Status
+from bcid.forms.solver.supports import Pose
+
+Array = NDArray[np.float64]
+# Products of the latest states are kept, up to this size.
+_KEPT_BYTES = 128e6
+# They are made where their number is at most so many times that of the changes: they serve later questions about the same state.
+_SERVED = 4
+# Changes that are solved for at once.
+_BLOCK = 256
+
+
+@dataclass(frozen=True)
+class Response:
+    """Of one state, whose tangent was assembled last, and factorised where there are no products.
+
+    Attributes:
+        equilibrium: at that state.
+        observe: what is measured of movements of the unknowns, shape (3 * rows, unknowns).
+        levers: of forces where the gripper holds, shape (unknowns, 6 or 0).
+        products: K^-1 C^T, zero where something is held, shape (unknowns, 3 * rows); None where changes are solved for.
+    """
+
+    equilibrium: Equilibrium
+    observe: sp.csr_matrix
+    levers: Array
+    products: Array | None
+
+    def moved(self, changes: Any) -> Array:
+        """What changes of the residual (unknowns, n), dense or sparse, move, shape (3 * rows, n), m."""
+        found = self._direct(changes)
+        free = np.ones((changes.shape[0], 1), dtype=bool)
+        free[self.equilibrium.supports.prescribed] = False
+        if self.products is not None:
+            held = changes.multiply(free).tocsc() if sp.issparse(changes) else changes * free
+            return np.asarray(found - self.products.T @ held)
+        for first in range(0, changes.shape[1], _BLOCK):
+            part = changes[:, first : first + _BLOCK]
+            part = (part.toarray() if sp.issparse(part) else part) * free
+            found[:, first : first + _BLOCK] -= self.observe @ self.equilibrium.factor.solve_block(part)
+        return found
+
+    def _direct(self, changes: Any) -> Array:
+        """What the gripper feels of changes where it holds, shape (3 * rows, n), m."""
+        found = np.zeros((self.observe.shape[0], changes.shape[1]))
+        found[len(found) - self.levers.shape[1] :] = (changes.T @ self.levers).T
+        return found
+
+
+class Responses:
+    """Responses of the states of one `Forward`, which must not share its mesh. Local to the process.
+
+    Attributes:
+        observe: from movements of the unknowns to those of fiducials, shape (3 * fiducials, unknowns).
+    """
+
+    def __init__(self, forward: Forward) -> None:
+        self.forward, self.observe = forward, forward.observer.of_unknowns()
+        self._kept: dict[bytes, Array] = {}
+
+    def at(self, pose: Pose, model: Model, causes: int, fields: int, increments: bool) -> Response:
+        """At the present state.
+
+        Args:
+            pose: of that state.
+            model: the forward's, with effects on gripper and picture besides.
+            causes: how many changes will be asked about by themselves.
+            fields: how many as part of fields, which are asked about again.
+            increments: whether the tangent is needed besides.
+
+        Raises:
+            SolveError: the tangent cannot be factorised.
+        """
+        equilibrium, forward = self.forward.equilibrium, self.forward
+        key = self._key(pose, model)
+        products = self._kept.get(key)
+        if products is None:
+            if equilibrium.verify() is Status.LINEAR_SOLVER:
+                raise SolveError("the tangent of a converged step could not be factorised")
+        elif forward.gripper_force or increments:
+            equilibrium.tangent.assemble()
+        observe, levers = self.observe, np.zeros((self.observe.shape[1], 0))
+        if forward.gripper_force is not None:
+            levers = forward.gripper_force.levers(pose)
+            observe = forward.gripper_force.beside(observe, levers)
+        count = observe.shape[0]
+        if products is None and (count <= _SERVED * (causes + fields) if fields else count < causes):
+            products = self._products(observe)
+            self._keep(key, products)
+        return Response(equilibrium, observe, levers, products)
+
+    def _products(self, observe: sp.csr_matrix) -> Array:
+        equilibrium = self.forward.equilibrium
+        right = observe.T.toarray()
+        right[equilibrium.supports.prescribed] = 0.0
+        return equilibrium.factor.solve_block(right, transpose=not equilibrium.model.symmetric)
+
+    def _key(self, pose: Pose, model: Model) -> bytes:
+        """What the tangent at the present state depends on; where it remembers, that is more than this, and nothing is kept."""
+        equilibrium, constants = self.forward.equilibrium, self.forward.equilibrium.weak_form.constants
+        numbers = [float(anchored.value) for anchored in equilibrium.weak_form.anchored.values()]
+        numbers += [float(constants[name].value) for name in model.constants() if name in constants]
+        state = np.array([*numbers, pose.load_factor, pose.time])
+        parts = (equilibrium.u.x.array, equilibrium.supports.prescribed, state)
+        return blake2b(b"".join(part.tobytes() for part in parts)).digest()
+
+    def _keep(self, key: bytes, products: Array) -> None:
+        """For a later question about the same state."""
+        if self.forward.equilibrium.model.remembers:
+            return
+        self._kept[key] = products
+        while sum(kept.nbytes for kept in self._kept.values()) > _KEPT_BYTES and len(self._kept) > 1:
+            self._kept.pop(next(iter(self._kept)))
