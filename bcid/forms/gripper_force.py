@@ -37,9 +37,12 @@ class ForceScale:
 
     @classmethod
     def of(cls, scene: Scene, measurement: Measurement) -> ForceScale | None:
-        """Of a scene, from its law and the extent of its markers and grasps; None where the measurement holds no force."""
-        if not np.isfinite(measurement.wrenches).any():
-            return None
+        """Of a scene; None where the measurement holds no force."""
+        return cls.of_body(scene) if np.isfinite(measurement.wrenches).any() else None
+
+    @classmethod
+    def of_body(cls, scene: Scene) -> ForceScale:
+        """Of a scene, from its law and the extent of its markers and grasps."""
         model = Model.of(scene)
         points = np.vstack([scene.rest, *(np.array(grasp.centre)[None] for grasp in scene.grasps.values())])
         lever = max(float(np.linalg.norm(np.ptp(points, axis=0))), 1e-9)
@@ -107,3 +110,9 @@ class GripperForce:
         away = (supports.moved(more) - supports.moved(less)).reshape(-1, 3) - (more.translation - less.translation)
         torque = np.cross(away, held).sum(axis=0)
         return self.scale.rows(np.concatenate([np.zeros(3), torque])).ravel()
+
+
+def torque_per_force(wrenches: Array) -> float:
+    """The largest torque per largest force, m, of forces (N) and torques (N m) of shape (..., 6)."""
+    force, torque = (float(np.nanmax(np.abs(wrenches[..., part]), initial=0.0)) for part in (slice(3), slice(3, 6)))
+    return torque / max(force, 1e-30)

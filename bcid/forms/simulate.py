@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from bcid.base.collective import Comm
 from bcid.base.errors import SolveError
 from bcid.forms.forward import Forward
+from bcid.forms.gripper_force import torque_per_force
 from bcid.forms.mesh.patches import divided
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
@@ -79,12 +80,11 @@ def with_wrenches(made: Measurement, wrenches: Array, sigma: float, rng: np.rand
     `sigma` is that of a force, N; that of a torque is in proportion to the largest.
     """
     data = made.data.assign_coords(component=WRENCH)
+    of_torque = sigma * torque_per_force(wrenches)
     if sigma:
-        force, torque = (float(np.abs(wrenches[:, part]).max()) for part in (slice(3), slice(3, 6)))
-        noise = sigma * np.repeat([1.0, torque / max(force, 1e-30)], 3)
-        wrenches = wrenches + rng.normal(0.0, 1.0, wrenches.shape) * noise
+        wrenches = wrenches + rng.normal(0.0, 1.0, wrenches.shape) * np.repeat([sigma, of_torque], 3)
     data["wrench"] = (("frame", "component"), wrenches)
-    return replace(made, data=data, wrench_sigma=sigma or None)
+    return replace(made, data=data, wrench_sigma=sigma or None, torque_sigma=of_torque or None)
 
 
 def recorded(

@@ -17,14 +17,16 @@ _PER_MEDIAN, _THIRD = 1.4826, math.sqrt(20)
 
 
 def force_noise(measurement: Measurement) -> tuple[float, float]:
-    """Standard deviations of a force, N, and of a torque, N m; `wrench_sigma` is that of a force.
+    """Standard deviations of a force, N, and of a torque, N m.
 
     What is not stated is seen in third differences along the steps of each action, in which a smooth course drops out.
     """
-    wrenches = measurement.wrenches
-    found = [_seen(measurement, wrenches[:, part]) for part in (slice(3), slice(3, 6))]
-    stated = measurement.wrench_sigma
-    return (found[0] if stated is None else stated), found[1]
+    stated = measurement.wrench_sigma, measurement.torque_sigma
+    force, torque = (
+        _seen(measurement, measurement.wrenches[:, part]) if known is None else known
+        for known, part in zip(stated, (slice(3), slice(3, 6)), strict=True)
+    )
+    return force, torque
 
 
 def _seen(measurement: Measurement, values: Array) -> float:

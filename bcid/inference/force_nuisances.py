@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.forms.gripper_force import torque_per_force
 from bcid.inference.data import Data
 from bcid.scene.rotation import as_rotation
 from bcid.scene.uncertainty import Uncertainty
@@ -35,11 +36,6 @@ def largest_force(data: Data) -> float:
     return float(np.nanmax(np.abs(data.measurement.wrenches[:, :3]), initial=0.0)) if data.forces else 0.0
 
 
-def _arm(data: Data) -> float:
-    """The largest torque per largest force, m: how a torque's errors go with those of a force."""
-    return float(np.nanmax(np.abs(data.measurement.wrenches[:, 3:]), initial=0.0)) / max(largest_force(data), 1e-30)
-
-
 def _axes(data: Data) -> list[Array]:
     """A force of 1 N along each axis of the gripper in turn, and a torque that goes with it about each, (n,), m."""
     assert data.forces is not None
@@ -47,7 +43,7 @@ def _axes(data: Data) -> list[Array]:
     of_force, of_torque = 1 / data.forces.units.ravel()
     along = turned[:, data.frame, data.axis]
     found = [np.where(data.kind == 1, row * of_force, 0.0) for row in along]
-    return found + [np.where(data.kind == 2, row * of_torque * _arm(data), 0.0) for row in along]
+    return found + [np.where(data.kind == 2, row * of_torque * torque_per_force(data.measurement.wrenches), 0.0) for row in along]
 
 
 def _weights(data: Data) -> list[Array]:
@@ -57,7 +53,7 @@ def _weights(data: Data) -> list[Array]:
     of_force, of_torque = 1 / data.forces.units.ravel()
     found = [np.where(data.kind == 1, down[data.axis] * of_force, 0.0)]
     for unit in np.eye(3):
-        torque = np.cross(_turned(data, unit), down) * _arm(data)
+        torque = np.cross(_turned(data, unit), down) * torque_per_force(data.measurement.wrenches)
         found.append(np.where(data.kind == 2, torque[data.frame, data.axis] * of_torque, 0.0))
     return found
 

@@ -15,8 +15,15 @@ FORMAT = "bcid-measurement/1"
 AXES = ["x", "y", "z"]
 WRENCH = ["fx", "fy", "fz", "tx", "ty", "tz"]
 QUATERNION = ["qw", "qx", "qy", "qz"]
+# What a measurement may state of its noise.
+SIGMAS = ("noise_sigma", "wrench_sigma", "torque_sigma")
 
 Array = NDArray[np.float64]
+
+
+def sigma_units(length: float, force: float) -> tuple[float, float, float]:
+    """SI per unit of each of `SIGMAS`, from those of length (m) and force (N)."""
+    return length, force, length * force
 
 
 @dataclass(frozen=True)
@@ -38,7 +45,7 @@ class Contents:
 
     Attributes:
         noise_sigma: per-axis standard deviation of a fiducial, m; None when not stated.
-        wrench_sigma: standard deviation of a force, N; None when not stated.
+        wrench_sigma, torque_sigma: standard deviation of a force, N, and of a torque, N m; None when not stated.
         frame_error: what is not known of the frame of the positions; None when nothing is stated.
         remarks: what looks odd, to be said before any result.
         aligned: RMS distance, m, by which the rigid motion of a mapping's [align] misses its markers; None without one.
@@ -53,6 +60,7 @@ class Contents:
     frame_error: FrameError | None = None
     remarks: tuple[str, ...] = ()
     aligned: float | None = None
+    torque_sigma: float | None = None
 
     @property
     def fiducial_names(self) -> list[str]:

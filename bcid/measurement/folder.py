@@ -17,12 +17,12 @@ import xarray as xr
 from bcid.base.errors import InputError, Problems, unwritable
 from bcid.base.text_file import read_lines, read_toml
 from bcid.base.units import unit_factor, usable
-from bcid.measurement.contents import AXES, FORMAT, QUATERNION, WRENCH, Contents, Units
+from bcid.measurement.contents import AXES, FORMAT, QUATERNION, SIGMAS, WRENCH, Contents, Units, sigma_units
 from bcid.measurement.frame_error import FrameError
 from bcid.scene.action import Action
 
 _UNIT_KEYS = {"length_unit": "m", "time_unit": "s", "force_unit": "N"}
-_KEYS = ("format", *_UNIT_KEYS, "noise_sigma", "wrench_sigma", "description")
+_KEYS = ("format", *_UNIT_KEYS, *SIGMAS, "description")
 _SIGMA = ["sigma_x", "sigma_y", "sigma_z"]
 _TIME_TOLERANCE = 1e-9
 _REST_TOLERANCE = 1e-6
@@ -46,9 +46,8 @@ class _Header:
     length: float
     time: float
     force: float
-    noise_sigma: float | None
-    wrench_sigma: float | None
     description: str
+    sigmas: dict[str, float | None]
 
 
 def read_folder(folder: Path) -> Contents:
@@ -68,7 +67,10 @@ def read_folder(folder: Path) -> Contents:
     assert data is not None
     file = folder / "frame.toml"
     error = FrameError.read(file, header.length) if file.is_file() else None
-    return Contents(data, header.noise_sigma, header.wrench_sigma, header.units, header.description, str(folder), error)
+    text = header.description
+    return Contents(
+        data, units=header.units, description=text, source=str(folder), frame_error=error, **header.sigmas
+    )
 
 
 def read_grasps(path: Path, units: Units) -> list[Action]:
@@ -109,7 +111,8 @@ def _read_header(path: Path, problems: Problems) -> _Header:
     if table.get("format") != FORMAT:
         problems.add(path, f'format: expected "{FORMAT}", found {table.get("format")!r}')
     factors = [_unit(path, table, key, like, problems) for key, like in _UNIT_KEYS.items()]
-    noise, wrench = (_sigma(path, table, key, problems) for key in ("noise_sigma", "wrench_sigma"))
+    units = dict(zip(SIGMAS, sigma_units(factors[0], factors[2]), strict=True))
+    stated = {key: _sigma(path, table, key, problems) for key in SIGMAS}
     description = table.get("description", "")
     if not isinstance(description, str):
         problems.add(path, f"description: expected text, found {description!r}")
@@ -118,9 +121,8 @@ def _read_header(path: Path, problems: Problems) -> _Header:
         factors[0],
         factors[1],
         factors[2],
-        None if noise is None else noise * factors[0],
-        None if wrench is None else wrench * factors[2],
         str(description),
+        {key: None if value is None else value * units[key] for key, value in stated.items()},
     )
 
 
@@ -522,7 +524,7 @@ _UNIT_NAMES = ("length", "time", "force")
 def _header_lines(measurement: Contents, length: float, force: float) -> list[str]:
     lines = [f'format = "{FORMAT}"']
     lines += [f'{name}_unit = "{getattr(measurement.units, name)}"' for name in _UNIT_NAMES]
-    for name, scale in (("noise_sigma", length), ("wrench_sigma", force)):
+    for name, scale in zip(SIGMAS, sigma_units(length, force), strict=True):
         value = getattr(measurement, name)
         if value is not None:
             lines.append(f"{name} = {_text(value / scale)}")

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from bcid.base.errors import InputError
 from bcid.measurement.alignment import align
-from bcid.measurement.contents import AXES, WRENCH, Contents
+from bcid.measurement.contents import AXES, SIGMAS, WRENCH, Contents, sigma_units
 from bcid.measurement.folder import frames_dataset
 from bcid.measurement.mapped_points import read_points_of
 from bcid.measurement.mapped_table import read_table
@@ -112,10 +112,9 @@ def _contents(recording: Tracks, mapping: Mapping) -> Contents:
         torque = mapping.force * mapping.length
         data["wrench"] = (("frame", "component"), recording.wrench * ([mapping.force] * 3 + [torque] * 3))
         data = data.assign_coords(component=WRENCH)
-    sigma = mapping.table.get("noise_sigma")
-    description = str(mapping.table.get("description", ""))
-    noise = None if sigma is None else sigma * mapping.length
-    wrench = mapping.table.get("wrench_sigma")
-    force = None if wrench is None else wrench * mapping.force
-    known = Contents(data.assign_coords(axis=AXES), noise, force, mapping.units, description, str(mapping.path))
+    units = dict(zip(SIGMAS, sigma_units(mapping.length, mapping.force), strict=True))
+    sigmas = {name: float(mapping.table[name]) * units[name] for name in SIGMAS if name in mapping.table}
+    text, source = str(mapping.table.get("description", "")), str(mapping.path)
+    data = data.assign_coords(axis=AXES)
+    known = Contents(data, units=mapping.units, description=text, source=source, **sigmas)
     return replace(known, remarks=tuple(recording.remarks), aligned=recording.aligned)

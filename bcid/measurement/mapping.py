@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bcid.base.errors import InputError, Problems
 from bcid.base.text_file import read_toml
 from bcid.base.units import FURTHEST, unit_factor, usable
-from bcid.measurement.contents import Units
+from bcid.measurement.contents import SIGMAS, Units
 from bcid.measurement.formats.recognise import DIC, TABLE, Format, files, recognise
 from bcid.measurement.labelled_keys import ARRAYS, POINTS, check_points
 
@@ -33,6 +33,7 @@ _KEYS += (
     "arrays",
     "grasp_centre",
     "wrench_sigma",
+    "torque_sigma",
 )
 COLUMNS = ("action", "step", "time", "fiducial", "position", "grasp", "translation", "rotation", "pose", "wrench")
 # How many columns of a table make a vector.
@@ -96,7 +97,7 @@ def read_mapping(path: Path) -> Mapping:
         problems.add(path, f"delimiter: expected one character, found {table.get('delimiter')!r}")
     if table.get("decimal", ".") not in (".", ","):
         problems.add(path, f'decimal: expected "." or ",", found {table["decimal"]!r}')
-    for key in ("noise_sigma", "wrench_sigma", "rate"):
+    for key in (*SIGMAS, "rate"):
         _positive(path, key, table.get(key), problems)
     labelled = _labelled(found, table, tables)
     if labelled:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from bcid.base.errors import InputError, Problems
 from bcid.base.fingerprint import fingerprint
 from bcid.base.units import unit_factor, with_units
-from bcid.measurement.contents import FORMAT, Contents, Units
+from bcid.measurement.contents import FORMAT, SIGMAS, Contents, Units
 from bcid.measurement.folder import read_folder, write_folder
 from bcid.measurement.frame_error import FrameError
 from bcid.measurement.mapped import read_mapped
@@ -58,7 +58,7 @@ class Measurement(Contents):
         data = self.data.copy()
         data.attrs = {"format": FORMAT, "description": self.description}
         data.attrs |= {f"{name}_unit": getattr(self.units, name) for name in ("length", "time", "force")}
-        for name in ("noise_sigma", "wrench_sigma"):
+        for name in SIGMAS:
             if getattr(self, name) is not None:
                 data.attrs[name] = getattr(self, name)
         if self.frame_error is not None:
@@ -89,14 +89,15 @@ class Measurement(Contents):
         units = Units(*(str(attrs[f"{name}_unit"]) for name in ("length", "time", "force")))
         for name, like in (("length", "m"), ("time", "s"), ("force", "N")):
             unit_factor(getattr(units, name), like)
-        sigma, wrench = (float(attrs[k]) if k in attrs else None for k in ("noise_sigma", "wrench_sigma"))
+        sigmas = {name: float(attrs[name]) for name in SIGMAS if name in attrs}
         centre, covariance = attrs.get("frame_centre"), attrs.get("frame_covariance")
         of_frame = None
         if centre is not None or covariance is not None:
             problems = Problems(f"measurement {path}")
             of_frame = FrameError.checked(centre, covariance, path, problems)
             problems.raise_if_any()
-        return cls(data, sigma, wrench, units, str(attrs.get("description", "")), str(path), of_frame).validated()
+        text = str(attrs.get("description", ""))
+        return cls(data, units=units, description=text, source=str(path), frame_error=of_frame, **sigmas).validated()
 
     def validated(self) -> Measurement:
         """This measurement with its dimensions in order, or an `InputError` with everything that is wrong with it.
@@ -107,7 +108,7 @@ class Measurement(Contents):
         data = _in_order(self.data, problems, self.source)
         problems.raise_if_any()
         checked = replace(self, data=data)
-        for name in ("noise_sigma", "wrench_sigma"):
+        for name in SIGMAS:
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0):
                 problems.add(self.source, f"{name}: expected a positive number, found {value!r}")
@@ -142,7 +143,8 @@ class Measurement(Contents):
         arrays = {name: self.data[name].values for name in sorted(map(str, self.data.variables))}
         if self.frame_error is not None:
             arrays |= {"frame_centre": self.frame_error.centre, "frame_covariance": self.frame_error.covariance}
-        return fingerprint({"noise": self.noise_sigma, "wrench": self.wrench_sigma, **arrays})
+        torque = {} if self.torque_sigma is None else {"torque": self.torque_sigma}
+        return fingerprint({"noise": self.noise_sigma, "wrench": self.wrench_sigma, **torque, **arrays})
 
     def without(self, names: Collection[str]) -> Measurement:
         """The same with nothing seen of some fiducials."""
