@@ -218,7 +218,8 @@ def explore(
     check_geometry(ladder, 0, comm)
     with TemporaryDirectory(prefix="bcid-") as folder:
         place = store or Path(comm.bcast(folder))
-        predictors = [PullPredictor(ladder, n, comm, place, progress=progress) for n in range(len(ladder.levels))]
+        gripper, levels = chosen.gripper(body), range(len(ladder.levels))
+        predictors = [PullPredictor(ladder, n, comm, place, progress=progress, gripper=gripper) for n in levels]
         try:
             finer = predictors[1] if len(predictors) > 1 else None
             found = explore_with(body, robot, chosen, predictors[0], finer, progress)

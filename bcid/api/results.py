@@ -59,6 +59,12 @@ class Result:
         """What is odd about the measurement, to be looked at first."""
         return tuple(self.found.get("remarks", ()))
 
+    @property
+    def stiffness(self) -> dict[str, tuple[float, float]] | None:
+        """Of each stiffness of the law its value by the gripper's force and the standard error, Pa; None where none is measured."""
+        told = self.found.get("stiffness")
+        return None if told is None else {name: (c["value"], c["stderr"]) for name, c in told["constants"].items()}
+
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {self.headline}>"
 
@@ -122,11 +128,6 @@ def _shown(figure: Figure) -> Figure:
     return figure
 
 
-def _stiffness(found: Mapping[str, Any]) -> dict[str, tuple[float, float]] | None:
-    told = found.get("stiffness")
-    return None if told is None else {name: (c["value"], c["stderr"]) for name, c in told["constants"].items()}
-
-
 def _set(names: Sequence[str]) -> str:
     return "{" + " ".join(names) + "}"
 
@@ -181,11 +182,6 @@ class IdentifyResult(Result):
         """Probability that something is missing in the model besides; None where the mesh is too large for that to be asked."""
         found = self.found.get("missing")
         return None if found is None else float(found)
-
-    @property
-    def stiffness(self) -> dict[str, tuple[float, float]] | None:
-        """Of each stiffness of the law its value by the gripper's force and the standard error, Pa; None where none is measured."""
-        return _stiffness(self.found)
 
     @property
     def certified(self) -> bool:
@@ -291,11 +287,6 @@ class DiagnosisResult(Result):
             for effect in self.found["adopted"]
             for name, number in effect["parameters"].items()
         }
-
-    @property
-    def stiffness(self) -> dict[str, tuple[float, float]] | None:
-        """Of each stiffness of the law its value by the gripper's force and the standard error, Pa; None where none is measured."""
-        return _stiffness(self.found)
 
     @property
     def ladder(self) -> tuple[LadderModel, ...]:

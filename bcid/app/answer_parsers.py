@@ -183,6 +183,9 @@ def add_explore(commands: Any) -> None:
     )
     parser.add_argument("--no-look-ahead", action="store_true", help="do not look at pairs of pulls")
     parser.add_argument("--noise", metavar='"0.3 mm"', help="of pulls to come (the scene's)")
+    parser.add_argument(
+        "--wrench-noise", metavar='"0.02 N"', help="of the gripper's force, which then counts (it does not)"
+    )
     parser.add_argument("--samples", type=int, default=1000, metavar="N", help="of the estimate of information (1000)")
     parser.add_argument("--random-state", type=seed, default=0, metavar="N", help="of all that is drawn (0)")
     parser.add_argument("--wait", type=float, default=3600.0, metavar="SECONDS", help="for a measurement (3600)")

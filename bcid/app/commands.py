@@ -237,6 +237,7 @@ def explore(arguments: argparse.Namespace, comm: Comm) -> None:
         samples=arguments.samples,
         random_state=_random_state(arguments.random_state),
         effects=_names(arguments.effects or ""),
+        wrench_noise=_noise(arguments.wrench_noise, "--wrench-noise", "N"),
     )
     progress = _progress(arguments, comm.rank)
     folder = run_exploration(

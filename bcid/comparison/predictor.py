@@ -317,7 +317,10 @@ class Predictor:
         """
         forward = self.forward(model)
         if self._nuisances is None:
-            self._nuisances, self._weights = Nuisances(self.scene, forward.mesh, self.data), bumps(forward, BUMPS)[1]
+            self._nuisances, self._weights = (
+                Nuisances(self.scene, forward.mesh, self.forces is not None),
+                bumps(forward, BUMPS)[1],
+            )
         wanted = self._nuisances.wanted(model, anchors) if nuisances is None else Wanted()
         wanted = replace(wanted, forces=self._weights)
         found = self.sensitivities(model, anchors, prediction, wanted)

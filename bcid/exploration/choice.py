@@ -14,7 +14,8 @@ from bcid.exploration.information import Expected, information, noise_free
 from bcid.exploration.moves import Move, cost, limits_of
 from bcid.exploration.predictions import PullPrediction, key_of
 from bcid.exploration.update import BeliefUpdate, PosteriorSummary, weights
-from bcid.forms.simulate import recorded
+from bcid.forms.gripper_force import ROWS
+from bcid.forms.simulate import recorded, with_wrenches
 from bcid.inference.data import LEAST_NOISE, Data
 from bcid.inference.hypotheses import Hypothesis, entropy
 from bcid.inference.likelihood import Errors
@@ -107,6 +108,7 @@ class Chooser:
         look_ahead: whether pairs of pulls are looked at.
         samples: of the estimate of information.
         noise: standard deviation of a coordinate, m, in pulls to come.
+        wrench_noise: of a force, N, where the predictor predicts them.
         random_state: of the estimate, and of random choice.
     """
 
@@ -117,6 +119,7 @@ class Chooser:
     samples: int
     noise: float
     random_state: int
+    wrench_noise: float = 0.0
     _expected_values: dict[str, Data] = field(default_factory=dict, init=False, repr=False)
 
     def choose(self, view: PosteriorSummary, last: Move | None) -> Choice:
@@ -267,27 +270,38 @@ class Chooser:
         view: PosteriorSummary,
         modes: bool,
     ) -> Shown:
-        """Predictions (hypotheses, frames, fiducials, 3), m, and what is loose of them, in units of their errors."""
-        rest = self.inference.scene.rest
+        """Predictions (hypotheses, frames, rows, 3), m, and what is loose of them, in units of their errors."""
         errors = self._errors(positions, action, view, modes)
-        means = errors.whiten(np.array([(p - rest).ravel() for p in positions]).T).T
-        columns = [[errors.whiten(np.nan_to_num(c).ravel()) for c in own] for own in loose]
+        data = errors.data
+        means = errors.whiten(np.array([data.vector(p - data.rest) for p in positions]).T).T
+        columns = [[errors.whiten(data.vector(np.nan_to_num(c))) for c in own] for own in loose]
         return Shown(means, tuple(np.array(own).reshape(-1, means.shape[1]) for own in columns))
 
     def _errors(self, positions: Array, action: Action, view: PosteriorSummary, modes: bool) -> Errors:
-        """Errors of a pull to come, about predictions (hypotheses, frames, fiducials, 3), m.
+        """Errors of a pull to come, about predictions (hypotheses, frames, rows, 3), m.
 
         With `modes` also of what the likeliest set's scene may have slightly wrong.
         """
-        inference, data = self.inference, self._data(action)
+        inference, expected = self.inference, positions.mean(axis=0)
+        data = self._with_forces(self._data(action), expected)
         # Along the motion, as large as the mesh has left in other pulls, whatever its shape.
-        moved = np.sqrt(np.mean((positions - inference.scene.rest) ** 2, axis=0))
+        moved = np.sqrt(np.mean((positions - data.rest) ** 2, axis=0))
         mesh = replace(MeshError.unknown(data.mask.shape), left=view.error * moved, known=view.error > 0)
-        sigma = np.full(len(data), max(self.noise, LEAST_NOISE))
-        return Errors(data, sigma, mesh, inference.modes(view, action, data) if modes else None)
+        sigma = np.where(data.of_position, max(self.noise, LEAST_NOISE), data.sigma)
+        return Errors(data, sigma, mesh, inference.modes(view, action, data, expected) if modes else None)
+
+    def _with_forces(self, data: Data, expected: Array) -> Data:
+        """The same with forces of the gripper of the size that is expected, (frames, rows, 3), m, where they are measured."""
+        gripper = self.inference.predictor.gripper
+        if gripper is None:
+            return data
+        wrenches = gripper.wrenches(expected[:, -ROWS:])
+        # What is drawn does not matter: forces are taken for their size alone.
+        felt = with_wrenches(data.measurement, wrenches, self.wrench_noise, np.random.default_rng(0))
+        return Data(data.scene, felt, gripper)
 
     def _data(self, action: Action) -> Data:
-        """The values of a pull to come, all of which are seen; about where the body is at rest."""
+        """The positions of a pull to come, all of which are seen; about where the body is at rest."""
         scene, seen, key = self.inference.scene, self.inference.seen, key_of(action)
         # The frame of the first pull is that of the others.
         if key not in self._expected_values or not seen:

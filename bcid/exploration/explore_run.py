@@ -40,7 +40,7 @@ from bcid.inference.criteria import CERTAIN
 from bcid.inference.hypotheses import Hypothesis, entropy
 from bcid.measurement import Measurement
 from bcid.scene import Scene
-from bcid.search.identify_run import odd, scene_fingerprint
+from bcid.search.identify_run import odd, scene_fingerprint, stiffness_in_words
 
 SIMULATED, FOLDER = "simulated", "folder"
 # So many sets are named in a sentence.
@@ -88,7 +88,10 @@ def run_exploration(
     if hidden:
         inputs["hidden"] = list(hidden)
     store = store or folder / "predictions"
-    predictors = [PullPredictor(ladder, n, comm, store, progress=progress) for n in range(len(ladder.levels))]
+    gripper = options.gripper(scene)
+    predictors = [
+        PullPredictor(ladder, n, comm, store, progress=progress, gripper=gripper) for n in range(len(ladder.levels))
+    ]
     mover = None
     try:
         with running(comm, folder, "explore", inputs, MAKES, overwrite) as run:
@@ -143,9 +146,8 @@ def _robot(kind: str, about: str, scene: Scene, options: ExploreOptions, store: 
     if kind == FOLDER:
         return Folder(Path(about), scene, wait)
     noise = options.noise if options.noise is not None else scene.noise_sigma or 0.0
-    return Simulated(
-        PullPredictor(scene, len(scene.levels) - 1, MPI.COMM_SELF, store), _names(about), noise, options.random_state
-    )
+    body = PullPredictor(scene, len(scene.levels) - 1, MPI.COMM_SELF, store, gripper=options.gripper(scene))
+    return Simulated(body, _names(about), noise, options.random_state, options.wrench_noise or 0.0)
 
 
 # -- the run folder
@@ -215,6 +217,7 @@ def exploration_json(scene: Scene, found: Exploration) -> dict[str, Any]:
         "rms": _finite(view.rms * 1e3),
         "missed": _finite(view.missed),
         "missing": view.missing,
+        "stiffness": view.stiffness.to_json() if view.stiffness else None,
         "length_unit": "mm",
         "remarks": list(found.remarks),
         "not_allowed": [{"pull": str(o.move), "reason": o.forbidden} for o in found.options if o.forbidden],
@@ -333,6 +336,7 @@ def summary(scene: Scene, options: ExploreOptions, found: Exploration) -> str:
         if number["value"] is not None and number["stderr"] is not None:
             value, error, unit = for_people(number["value"], number["stderr"], number["unit"])
             lines.append(f"  {name} = {value:.4g} +- {error:.2g} {unit}")
+    lines += stiffness_in_words(view.stiffness)
     if options.effects:
         lines += ["", *_about_effects(options, found)]
     if view.missing >= CERTAIN:

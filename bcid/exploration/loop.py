@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError, nearest
 from bcid.base.progress import Progress, Silent
@@ -19,11 +21,13 @@ from bcid.exploration.rival_effects import RivalEffects
 from bcid.exploration.robots import Robot
 from bcid.exploration.update import BeliefUpdate, PosteriorSummary
 from bcid.forms import effects
+from bcid.forms.gripper_force import ForceScale
 from bcid.inference.criteria import CERTAIN
 from bcid.inference.hypotheses import Hypothesis
 from bcid.measurement import Measurement
 from bcid.scene import Scene
 
+_UNCOUNTED = "holds forces of the gripper, which do not count: state their noise with --wrench-noise"
 DECIDED, INSEPARABLE, BUDGET, UNEXPLAINED = "decided", "inseparable", "budget", "unexplained"
 
 
@@ -39,6 +43,7 @@ class ExploreOptions:
         grasps: names of the grasps to use; all by default.
         level: the fine level (see `paired`).
         noise: standard deviation of a coordinate, m, expected of pulls to come; by default the scene's.
+        wrench_noise: of a force of the gripper, N; by default forces do not count.
         samples: of the estimate of information.
         effects: names of the effects that may act besides.
         random_state: of that estimate, of random choice, and of the first sets where there are too many to look at all.
@@ -54,6 +59,7 @@ class ExploreOptions:
     samples: int = 1000
     random_state: int = 0
     effects: tuple[str, ...] = ()
+    wrench_noise: float | None = None
 
     def check(self, scene: Scene) -> None:
         """Refuse what makes no sense.
@@ -72,6 +78,8 @@ class ExploreOptions:
             raise InputError(f"--samples {self.samples}: must be at least 10")
         if self.level is not None and not 0 <= self.level < len(scene.levels):
             raise InputError(f"--level {self.level}: the scene has levels 0 to {len(scene.levels) - 1}")
+        if self.wrench_noise is not None and not (math.isfinite(self.wrench_noise) and self.wrench_noise > 0):
+            raise InputError(f"--wrench-noise {self.wrench_noise:g}: must be a positive force")
         for name in self.effects:
             if name not in effects.names():
                 raise InputError(f"--effects {name}: {nearest(name, effects.names())}")
@@ -80,6 +88,10 @@ class ExploreOptions:
         for name in self.grasps or ():
             if name not in scene.grasps:
                 raise InputError(f"--grasps {name}: is not in the scene; {nearest(name, scene.grasps)}")
+
+    def gripper(self, scene: Scene) -> ForceScale | None:
+        """What forces of the gripper are divided by, where they count; for predictors."""
+        return None if self.wrench_noise is None else ForceScale.of_body(scene)
 
     def moves(self, scene: Scene) -> tuple[Move, ...]:
         """The pulls to choose from."""
@@ -212,6 +224,7 @@ class _Loop:
             options.samples,
             noise,
             options.random_state,
+            options.wrench_noise or 0.0,
         )
         self.steps: list[Step] = []
         self.spent = 0.0
@@ -257,9 +270,16 @@ class _Loop:
 
     def _examine(self, number: int, measurement: Measurement) -> None:
         """Note what is odd about what was seen."""
-        for text in measurement.check(self.scene):
+        for text in (*measurement.check(self.scene), *self._about_forces(measurement)):
             self.remarks.append(f"pull {number}: {text}")
             self.progress.say(f"look at this first: {self.remarks[-1]}")
+
+    def _about_forces(self, measurement: Measurement) -> list[str]:
+        """Whether forces are measured that do not count, or not where they should."""
+        felt, wanted = bool(np.isfinite(measurement.wrenches).any()), self.inference.predictor.gripper is not None
+        if felt == wanted:
+            return []
+        return ["holds no force of the gripper, which --wrench-noise announces" if wanted else _UNCOUNTED]
 
     def _choose(self, view: PosteriorSummary, last: Move | None) -> Choice:
         """The next pull; what was made before by an exploration that was interrupted comes again."""

@@ -29,6 +29,7 @@ from bcid.exploration.motion import back, there
 from bcid.exploration.pull_tangent import Differentiator, PullTangent
 from bcid.forms.force_bumps import force_unit
 from bcid.forms.forward import Forward
+from bcid.forms.gripper_force import ForceScale
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
 from bcid.forms.solver.buckling import NEAR_BUCKLING, linear_buckling, smallest_eigenvalue, two_states
@@ -60,7 +61,7 @@ class PullPrediction:
     """What an anchor set predicts for an action.
 
     Attributes:
-        positions: shape (frames, fiducials, 3), m; NaN where it cannot be predicted.
+        positions: shape (frames, rows, 3), m, as in a `Prediction`; NaN where it cannot be predicted.
         force: largest force of the gripper, N; NaN if it was not asked for, like all that follows.
         strain: largest principal strain that 99 % of the volume stays below, over all frames.
         eigenvalue: smallest eigenvalue of the tangent as part of that at rest, over all frames: below 0.5 the body may buckle;
@@ -101,6 +102,7 @@ class PullPredictor:
         store: folder in which predictions are kept; None to keep them in memory only.
         model: the model; by default the scene's.
         progress: told how many pulls are predicted (give it on rank 0 only).
+        gripper: what force and torque of the gripper are divided by, where they are predicted beside the fiducials.
 
     Attributes:
         evaluations: actions predicted by this object, on all ranks.
@@ -115,8 +117,10 @@ class PullPredictor:
         store: Path | None = None,
         model: Model | None = None,
         progress: Progress | None = None,
+        gripper: ForceScale | None = None,
     ) -> None:
         self.scene, self.level, self.comm, self.store = scene, level, comm, store
+        self.gripper = gripper
         self.model = model or Model.of(scene)
         self.progress = progress or Silent()
         self.evaluations = 0
@@ -135,6 +139,7 @@ class PullPredictor:
             "model": self.model.name,
         }
         about |= {"values": {term.label: dict(term.values) for term in self.model.terms}}
+        about |= {} if gripper is None else {"gripper": [gripper.stiffness, gripper.lever]}
         self._folder = None if store is None else store / fingerprint(about)
 
     def predict(
@@ -254,7 +259,7 @@ class PullPredictor:
             self._forwards[model.name] = in_turns(
                 self.comm,
                 self.comm.rank == 0,
-                lambda: Forward(self.scene, self.level, None, model, settings, mesh),
+                lambda: Forward(self.scene, self.level, None, model, settings, mesh, self.gripper),
             )
         forward = self._forwards[model.name]
         if forward.model is not model:

@@ -11,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.exploration.joined import joined
+from bcid.forms.gripper_force import ForceScale
+from bcid.forms.model import Model
 from bcid.inference.criteria import FAR
 from bcid.inference.data import Data
 from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes
 from bcid.inference.relative import relative
+from bcid.inference.stiffness import Stiffness
 from bcid.inference.unknown_force import Evidence, courses, unknown_force
 from bcid.measurement import Measurement
 from bcid.scene import Scene
@@ -76,6 +79,7 @@ class PullErrors:
         scene: the scene.
         seen: the pulls, one measurement each.
         unit: of the density of an unknown force, N/m^3.
+        gripper: what force and torque of the gripper are divided by; None where they do not count.
 
     Attributes:
         data: the values of all pulls.
@@ -83,12 +87,14 @@ class PullErrors:
         motions: RMS motion of the fiducials in each pull, m.
     """
 
-    def __init__(self, scene: Scene, seen: Sequence[Measurement], unit: float) -> None:
+    def __init__(
+        self, scene: Scene, seen: Sequence[Measurement], unit: float, gripper: ForceScale | None = None
+    ) -> None:
         whole = joined(seen, scene)
         self.unit = unit
-        self.data = Data(scene, whole)
+        self.data = Data(scene, whole, gripper)
         self.places = [slice(int(a.frames[0]), int(a.frames[-1]) + 1) for a in whole.actions]
-        moved = self.data.measured - scene.rest
+        moved = (self.data.measured - self.data.rest)[:, : len(scene.rest)]
         self.motions = [float(np.sqrt(np.nanmean(moved[place] ** 2))) for place in self.places]
         self._positions: dict[Anchored, Array] = {}
         self._failed: set[Anchored] = set()
@@ -172,7 +178,19 @@ class PullErrors:
         if not self._frames(anchors).any():
             return math.nan
         data = self.data.within(self._frames(anchors))
-        return float(np.sqrt(np.mean(self._residual(anchors, data, self.like(anchors)) ** 2)))
+        return data.rms(self._residual(anchors, data, self.like(anchors)))
+
+    def stiffness(self, anchors: Anchored, model: Model) -> Stiffness | None:
+        """How stiff the body is with a set, where forces are measured; None also where its errors are not known."""
+        if anchors not in self._allowed:
+            return None
+        frames = np.ones(len(self.data.mask), bool)
+        errors = self._errors_of(anchors, self._drifting(anchors, anchors), frames, self._weigh(anchors).force)
+        return Stiffness.of(errors, self._residual(anchors, errors.data, anchors), model, self.data.scene)
+
+    def predictions(self, anchors: Anchored) -> Array:
+        """What a set predicts for all pulls, shape (frames, rows, 3), m; NaN where that is not known."""
+        return self._positions[anchors]
 
     def left(self, anchors: Anchored) -> float | None:
         """RMS error that the mesh leaves, as part of the motion, over all pulls; None where it is not known."""
@@ -181,7 +199,7 @@ class PullErrors:
             return None
         allowed, parts = self._allowed[like], []
         for pull, (place, motion) in enumerate(zip(self.places, self.motions, strict=True)):
-            size = float(np.sqrt(np.mean(allowed.mesh.left[place] ** 2))) / max(motion, 1e-12)
+            size = allowed.mesh.at(np.arange(place.start, place.stop)).rms / max(motion, 1e-12)
             parts.append(_ANYWHERE if pull in allowed.adrift else size)
         return float(np.mean(parts))
 
@@ -276,7 +294,7 @@ class PullErrors:
             return self.data.noise(np.zeros(len(self.data)))
         residual, seen = min(whole, key=lambda item: float(np.sum(item[0][item[1]] ** 2)))
         noise = self.data.within(self._within(seen)).noise(residual[seen])
-        return np.full(len(self.data), float(noise[0]))
+        return np.where(self.data.of_position, noise[0], self.data.sigma)
 
     def _within(self, rows: NDArray[np.bool_]) -> Frames:
         """The frames that some values belong to."""
@@ -296,7 +314,8 @@ def allowance(
     data: Data, meshes: Mapping[int, MeshError | None], places: Sequence[slice], modes: NuisanceModes, slopes: Array
 ) -> Allowance:
     """From the error of the mesh in each pull; None where the fine level cannot be followed, none where there is no such level."""
-    whole = MeshError(np.zeros(data.mask.shape), np.zeros(data.mask.shape), bool(meshes))
+    shape, count = data.mask.shape, len(data.scene.fiducials)
+    whole = MeshError(np.zeros(shape), np.zeros(shape), bool(meshes), fiducials=count)
     for pull, mesh in meshes.items():
         if mesh is not None:
             whole.correction[places[pull]], whole.left[places[pull]] = mesh.correction, mesh.left

@@ -12,6 +12,7 @@ from bcid.base.errors import SolveError
 from bcid.exploration.motion import back, there
 from bcid.forms.force_bumps import BUMPS, bumps
 from bcid.forms.forward import Forward
+from bcid.forms.model import Model
 from bcid.forms.sensitivity import Sensitivities, Sensitivity, Wanted
 from bcid.inference.data import Data
 from bcid.inference.nuisances import NuisanceModes, Nuisances
@@ -37,7 +38,10 @@ class Differentiator:
     """
 
     def __init__(self, forward: Forward) -> None:
-        self.forward, self.nuisances = forward, Nuisances(forward.scene, forward.mesh)
+        self.forward, self.nuisances = (
+            forward,
+            Nuisances(forward.scene, forward.mesh, forward.gripper_force is not None),
+        )
         self._sensitivity: Sensitivity | None = None
         self._forces: Array | None = None
 
@@ -95,9 +99,14 @@ def _together(parts: Sequence[Sensitivities]) -> Sensitivities:
     )
 
 
-def modes(nuisances: Nuisances, data: Data, tangents: Sequence[PullTangent]) -> NuisanceModes:
-    """What nuisances do to the values of pulls, of each of which the tangent is given, in the order of their frames."""
-    return nuisances.modes(data, _together([t.found for t in tangents]), tangents[0].wanted)
+def modes(
+    nuisances: Nuisances, data: Data, tangents: Sequence[PullTangent], model: Model, predicted: Array
+) -> NuisanceModes:
+    """What nuisances do to the values of pulls, of each of which the tangent is given, in the order of their frames.
+
+    `predicted` are the values that the model predicts, (frames, rows, 3), m.
+    """
+    return nuisances.modes(data, _together([t.found for t in tangents]), tangents[0].wanted, model, predicted)
 
 
 def slopes(data: Data, tangents: Sequence[PullTangent]) -> Array:
@@ -109,7 +118,7 @@ def slopes(data: Data, tangents: Sequence[PullTangent]) -> Array:
 
 
 def nothing(shape: tuple[int, ...], like: PullTangent) -> PullTangent:
-    """A tangent of a pull of which nothing is known: positions (frames, fiducials, 3) that nothing moves."""
+    """A tangent of a pull of which nothing is known: values (frames, rows, 3) that nothing moves."""
 
     def zeros(array: Mapping[str, Array]) -> dict[str, Array]:
         return {name: np.zeros(shape) for name in array}

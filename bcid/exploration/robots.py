@@ -14,7 +14,7 @@ from bcid.base.errors import InputError, MachineError, SolveError, nearest
 from bcid.base.run_folder import write_whole
 from bcid.base.units import unit_factor
 from bcid.exploration.predictions import PullPredictor
-from bcid.forms.simulate import recorded
+from bcid.forms.simulate import recorded, with_wrenches
 from bcid.measurement import Action, Measurement
 from bcid.measurement.folder import grasp_lines
 from bcid.scene import Scene
@@ -34,21 +34,29 @@ class Robot(Protocol):
 
 
 class Simulated:
-    """A body whose anchors are known, seen by a camera with noise.
+    """A body whose anchors are known, seen by a camera with noise; its gripper feels forces where the predictor predicts them.
 
     Args:
         predictor: of what the body is really made of, on a mesh of its own, private to the process (COMM_SELF).
         anchors: names of its anchored patches.
         noise: standard deviation of each coordinate, m; 0 for none.
         random_state: of the noise; pull number k of a state always has the same noise.
+        wrench_noise: standard deviation of a force, N.
 
     Raises:
         InputError: an anchor is not in the scene.
     """
 
-    def __init__(self, predictor: PullPredictor, anchors: Iterable[str], noise: float, random_state: int = 0) -> None:
+    def __init__(
+        self,
+        predictor: PullPredictor,
+        anchors: Iterable[str],
+        noise: float,
+        random_state: int = 0,
+        wrench_noise: float = 0.0,
+    ) -> None:
         self.predictor, self.anchors = predictor, frozenset(anchors)
-        self.noise, self.random_state = noise, random_state
+        self.noise, self.wrench_noise, self.random_state = noise, wrench_noise, random_state
         for name in sorted(self.anchors - set(predictor.scene.patches)):
             raise InputError(f"patch '{name}' is not in the scene; {nearest(name, predictor.scene.patches)}")
         self._action: Action | None = None
@@ -71,7 +79,11 @@ class Simulated:
         rng = np.random.default_rng([self.random_state, int(action.name)])
         scene = self.predictor.scene
         text = f"simulated: scene {scene.name}, level {self.predictor.level}"
-        return recorded(scene, [action], predicted.positions, self.noise, rng, action.clock, text)
+        count, gripper = len(scene.fiducials), self.predictor.gripper
+        seen = recorded(scene, [action], predicted.positions[:, :count], self.noise, rng, action.clock, text)
+        if gripper is None:
+            return seen
+        return with_wrenches(seen, gripper.wrenches(predicted.positions[:, count:]), self.wrench_noise, rng)
 
 
 class Folder:

@@ -18,8 +18,9 @@ from bcid.exploration.rival_effects import Fitted, RivalEffects
 from bcid.inference.criteria import CERTAIN
 from bcid.inference.data import Data
 from bcid.inference.hypotheses import Hypothesis, effects, entropy, normalised, patches
-from bcid.inference.mesh_error import MeshError
+from bcid.inference.mesh_error import MeshError, gains
 from bcid.inference.nuisances import NuisanceModes
+from bcid.inference.stiffness import Stiffness
 from bcid.measurement import Action, Measurement
 from bcid.scene import Scene
 from bcid.search.climb import neighbours
@@ -54,6 +55,7 @@ class PosteriorSummary:
         missing: probability that something is missing in the model besides (see `bcid.inference.unknown_force`).
         error: RMS error of the mesh at the end of a pull, as part of its motion.
         fitted: the hypotheses with an effect, with their numbers.
+        stiffness: how stiff the body is with the likeliest set, where forces are measured.
     """
 
     probabilities: dict[Hypothesis, float]
@@ -65,6 +67,7 @@ class PosteriorSummary:
     missing: float
     error: float
     fitted: dict[Hypothesis, Fitted] = field(default_factory=dict)
+    stiffness: Stiffness | None = None
 
     @property
     def best(self) -> Hypothesis:
@@ -120,10 +123,10 @@ class BeliefUpdate:
         if self._errors is not None:
             self._before, self._contended = self._relative(), self._contending()
         self.pulls.append(measurement.actions[0])
-        self.seen.append(measurement)
+        self.seen.append(measurement if self.predictor.gripper else measurement.without_forces())
         self._predicted.append({})
         self._meshes.append({})
-        self._errors = PullErrors(self.scene, self.seen, self.predictor.force_unit)
+        self._errors = PullErrors(self.scene, self.seen, self.predictor.force_unit, self.predictor.gripper)
         for pull, known in enumerate(self._predicted):
             self._tell({(pull, anchors): predicted for anchors, predicted in known.items()})
 
@@ -160,13 +163,15 @@ class BeliefUpdate:
             found |= dict(zip(acting, self._loosely([view.fitted[h] for h in acting], action, detailed), strict=True))
         return [found[h] for h in hypotheses]
 
-    def modes(self, view: PosteriorSummary, action: Action, data: Data) -> NuisanceModes | None:
+    def modes(self, view: PosteriorSummary, action: Action, data: Data, predicted: Array) -> NuisanceModes | None:
         """What the scene may have slightly wrong does to the values of a pull to come; collective.
 
-        With the likeliest set. None where its tangent says nothing.
+        With the likeliest set, which predicts (frames, rows, 3), m. None where its tangent says nothing.
         """
         (tangent,) = self.predictor.differentiate([(view.best.anchors, action)], forces=False)
-        return None if tangent is None else pull_tangent.modes(self.predictor.nuisances, data, [tangent])
+        if tangent is None:
+            return None
+        return pull_tangent.modes(self.predictor.nuisances, data, [tangent], self.predictor.model, predicted)
 
     def _finely(
         self, view: PosteriorSummary, hypotheses: Sequence[Hypothesis], action: Action, detailed: bool
@@ -254,12 +259,16 @@ class BeliefUpdate:
             return allowance(data, meshes, places, nothing.modes, nothing.slopes)
         shapes = [self.errors.data.measured[place].shape for place in places]
         whole = [t or pull_tangent.nothing(shape, told) for t, shape in zip(tangents, shapes, strict=True)]
-        modes = pull_tangent.modes(self.predictor.nuisances, data, whole)
+        predicted = self.errors.predictions(anchors)
+        modes = pull_tangent.modes(self.predictor.nuisances, data, whole, self.predictor.model, predicted)
         return allowance(data, meshes, places, modes, pull_tangent.slopes(data, whole))
 
     def _mesh_error(self, working: PullPrediction, finely: PullPrediction) -> MeshError | None:
         """From the predictions of both levels; None where the fine one fails: there the body may go anywhere."""
-        return None if finely.failed else MeshError.between(working.positions, finely.positions, self._gain)
+        if finely.failed:
+            return None
+        by = gains(self._gain, self._refinement, self.errors.data.kinds)
+        return MeshError.between(working.positions, finely.positions, by)
 
     def _grow(self) -> bool:
         """Take the neighbours of sets that contend among the hypotheses; whether there was any."""
@@ -309,6 +318,7 @@ class BeliefUpdate:
             missing,
             error,
             fitted,
+            self._stiffness(next(iter(known)), fitted),
         )
 
     def _acting(self, logs: Mapping[Hypothesis, float]) -> dict[Hypothesis, float]:
@@ -327,6 +337,12 @@ class BeliefUpdate:
         found = {f.hypothesis: f.evidence.total + apart for f in self._fitted[1] if f.hypothesis.effect}
         return {h: value + math.log(prior[h.effect] / NONE) for h, value in found.items()}
 
+    def _stiffness(self, best: Hypothesis, fitted: Mapping[Hypothesis, Fitted]) -> Stiffness | None:
+        """How stiff the body is with the likeliest hypothesis, where forces are measured."""
+        if best in fitted:
+            return fitted[best].fitted.stiffness
+        return self.errors.stiffness(best.anchors, self.predictor.model)
+
     def _missing(self, hypothesis: Hypothesis, fitted: Mapping[Hypothesis, Fitted]) -> float:
         """Probability that something is missing besides a hypothesis."""
         if hypothesis not in fitted:
@@ -342,9 +358,14 @@ class BeliefUpdate:
     @cached_property
     def _gain(self) -> float:
         """How many times the difference of the levels exceeds the error of the fine one, at second order; collective."""
+        return max(self._refinement**2 - 1, _LEAST_GAIN)
+
+    @cached_property
+    def _refinement(self) -> float:
+        """How many times smaller the elements of the fine level are; collective."""
         assert self.fine is not None
         coarse, fine = (p.forward().body.unknowns for p in (self.predictor, self.fine))
-        return max(float((fine / coarse) ** (2 / 3)) - 1, _LEAST_GAIN)
+        return float((fine / coarse) ** (1 / 3))
 
     def _relative_error(self, likely: Anchored) -> float:
         """RMS error that the mesh leaves, as part of the motion, over all pulls."""

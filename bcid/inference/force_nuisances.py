@@ -43,7 +43,9 @@ def _axes(data: Data) -> list[Array]:
     of_force, of_torque = 1 / data.forces.units.ravel()
     along = turned[:, data.frame, data.axis]
     found = [np.where(data.kind == 1, row * of_force, 0.0) for row in along]
-    return found + [np.where(data.kind == 2, row * of_torque * torque_per_force(data.measurement.wrenches), 0.0) for row in along]
+    return found + [
+        np.where(data.kind == 2, row * of_torque * torque_per_force(data.measurement.wrenches), 0.0) for row in along
+    ]
 
 
 def _weights(data: Data) -> list[Array]:

@@ -21,6 +21,7 @@ from bcid.inference.data import Data
 from bcid.inference.force_nuisances import force_modes, largest_force
 from bcid.measurement.frame_error import FrameError
 from bcid.scene import Scene
+from bcid.scene.uncertainty import Uncertainty
 
 Array = NDArray[np.float64]
 MARKERS, STIFFNESS = "markers", "stiffness"
@@ -75,16 +76,20 @@ class Nuisances:
     Args:
         scene: with its `uncertainty`.
         mesh: of the body.
-        data: what was measured; without it no force is.
+        forces: whether forces are measured.
     """
 
-    def __init__(self, scene: Scene, mesh: BodyMesh, data: Data | None = None) -> None:
-        self.scene, force = scene, 0.0 if data is None else largest_force(data)
-        self._of_force = force > 0
+    def __init__(self, scene: Scene, mesh: BodyMesh, forces: bool = False) -> None:
+        self.scene, self._forces = scene, forces
         poisson = scene.material.values.get("poisson")
-        size = float(np.linalg.norm(np.ptp(mesh.points, axis=0)))
-        self.sizes = scene.uncertainty.of(size, float(poisson) if poisson is not None else None, force)
+        self._poisson = float(poisson) if poisson is not None else None
+        self._size = float(np.linalg.norm(np.ptp(mesh.points, axis=0)))
+        self.sizes = self._sizes(0.0)
         self._outlines = {name: Outline.of(mesh, region, f"patch {name}") for name, region in scene.patches.items()}
+
+    def _sizes(self, force: float) -> Uncertainty:
+        """Standard deviations where the largest force that was measured is `force`, N."""
+        return self.scene.uncertainty.of(self._size, self._poisson, force)
 
     def wanted(self, model: Model, anchors: Iterable[str]) -> Wanted:
         """The sensitivities that are needed with a set of anchors."""
@@ -97,7 +102,7 @@ class Nuisances:
         wanted = (("grip", "xyz"), ("grip_turn", ("rx", "ry", "rz")))
         probes += [Probe(grip, tuple(names)) for name, names in wanted if getattr(self.sizes, name)]
         law = ["poisson"] if self.sizes.poisson and "poisson" in model.law.complete(model.values) else []
-        law += model.stiffnesses if self._of_force and self.sizes.stiffness else []
+        law += model.stiffnesses if self._forces and self.sizes.stiffness else []
         return Wanted(tuple(probes), tuple(law), places=bool(self.sizes.markers))
 
     def modes(
@@ -114,7 +119,7 @@ class Nuisances:
         """
         columns: list[Array] = []
         names: list[str] = []
-        sizes = self.sizes
+        sizes = self._sizes(largest_force(data))
         of_effect = {
             "dimension": ("dimensions", sizes.dimensions),
             "border": ("borders", sizes.borders),

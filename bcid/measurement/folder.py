@@ -47,7 +47,7 @@ class _Header:
     time: float
     force: float
     description: str
-    sigmas: dict[str, float | None]
+    sigmas: tuple[float | None, ...] = ()
 
 
 def read_folder(folder: Path) -> Contents:
@@ -67,10 +67,9 @@ def read_folder(folder: Path) -> Contents:
     assert data is not None
     file = folder / "frame.toml"
     error = FrameError.read(file, header.length) if file.is_file() else None
-    text = header.description
-    return Contents(
-        data, units=header.units, description=text, source=str(folder), frame_error=error, **header.sigmas
-    )
+    noise, force, torque = header.sigmas
+    about = header.units, header.description, str(folder), error
+    return Contents(data, noise, force, *about, torque_sigma=torque)
 
 
 def read_grasps(path: Path, units: Units) -> list[Action]:
@@ -83,7 +82,7 @@ def read_grasps(path: Path, units: Units) -> list[Action]:
     if not path.is_file():
         raise InputError(f"{path}: no such file with the poses of the gripper")
     length, time, force = (unit_factor(getattr(units, n), like) for n, like in zip(_UNIT_NAMES, "msN", strict=True))
-    reader = _FolderReader(path.parent, _Header(units, length, time, force, None, None, ""), problems, path.name)
+    reader = _FolderReader(path.parent, _Header(units, length, time, force, ""), problems, path.name)
     poses = reader.grasps()
     if not poses and not problems.found:
         reader.bad(None, "holds no pose")
@@ -111,8 +110,8 @@ def _read_header(path: Path, problems: Problems) -> _Header:
     if table.get("format") != FORMAT:
         problems.add(path, f'format: expected "{FORMAT}", found {table.get("format")!r}')
     factors = [_unit(path, table, key, like, problems) for key, like in _UNIT_KEYS.items()]
-    units = dict(zip(SIGMAS, sigma_units(factors[0], factors[2]), strict=True))
-    stated = {key: _sigma(path, table, key, problems) for key in SIGMAS}
+    stated = [_sigma(path, table, key, problems) for key in SIGMAS]
+    units = sigma_units(factors[0], factors[2])
     description = table.get("description", "")
     if not isinstance(description, str):
         problems.add(path, f"description: expected text, found {description!r}")
@@ -122,7 +121,7 @@ def _read_header(path: Path, problems: Problems) -> _Header:
         factors[1],
         factors[2],
         str(description),
-        {key: None if value is None else value * units[key] for key, value in stated.items()},
+        tuple(None if value is None else value * unit for value, unit in zip(stated, units, strict=True)),
     )
 
 

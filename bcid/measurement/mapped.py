@@ -113,8 +113,9 @@ def _contents(recording: Tracks, mapping: Mapping) -> Contents:
         data["wrench"] = (("frame", "component"), recording.wrench * ([mapping.force] * 3 + [torque] * 3))
         data = data.assign_coords(component=WRENCH)
     units = dict(zip(SIGMAS, sigma_units(mapping.length, mapping.force), strict=True))
-    sigmas = {name: float(mapping.table[name]) * units[name] for name in SIGMAS if name in mapping.table}
+    sigmas = {name: float(mapping.table[name]) * unit for name, unit in units.items() if name in mapping.table}
+    noise_sigma, wrench_sigma, torque_sigma = map(sigmas.get, SIGMAS)
     text, source = str(mapping.table.get("description", "")), str(mapping.path)
     data = data.assign_coords(axis=AXES)
-    known = Contents(data, units=mapping.units, description=text, source=source, **sigmas)
+    known = Contents(data, noise_sigma, wrench_sigma, mapping.units, text, source, torque_sigma=torque_sigma)
     return replace(known, remarks=tuple(recording.remarks), aligned=recording.aligned)

@@ -89,7 +89,7 @@ class Measurement(Contents):
         units = Units(*(str(attrs[f"{name}_unit"]) for name in ("length", "time", "force")))
         for name, like in (("length", "m"), ("time", "s"), ("force", "N")):
             unit_factor(getattr(units, name), like)
-        sigmas = {name: float(attrs[name]) for name in SIGMAS if name in attrs}
+        noise, force, torque = (float(attrs[name]) if name in attrs else None for name in SIGMAS)
         centre, covariance = attrs.get("frame_centre"), attrs.get("frame_covariance")
         of_frame = None
         if centre is not None or covariance is not None:
@@ -97,7 +97,8 @@ class Measurement(Contents):
             of_frame = FrameError.checked(centre, covariance, path, problems)
             problems.raise_if_any()
         text = str(attrs.get("description", ""))
-        return cls(data, units=units, description=text, source=str(path), frame_error=of_frame, **sigmas).validated()
+        about = cls(data, noise, force, units, text, str(path), of_frame, torque_sigma=torque)
+        return about.validated()
 
     def validated(self) -> Measurement:
         """This measurement with its dimensions in order, or an `InputError` with everything that is wrong with it.
@@ -145,6 +146,10 @@ class Measurement(Contents):
             arrays |= {"frame_centre": self.frame_error.centre, "frame_covariance": self.frame_error.covariance}
         torque = {} if self.torque_sigma is None else {"torque": self.torque_sigma}
         return fingerprint({"noise": self.noise_sigma, "wrench": self.wrench_sigma, **torque, **arrays})
+
+    def without_forces(self) -> Measurement:
+        """The same with the force of the gripper not measured."""
+        return replace(self, data=self.data.drop_vars(["wrench", "component"], errors="ignore"))
 
     def without(self, names: Collection[str]) -> Measurement:
         """The same with nothing seen of some fiducials."""

@@ -72,6 +72,7 @@ class MadeUp:
     comm = MPI.COMM_SELF
     level = 0
     model = None
+    gripper = None
     # A force of this size moves the fiducials by a metre at the end of a pull.
     force_unit = 1.0
 
@@ -91,7 +92,7 @@ class MadeUp:
     @property
     def nuisances(self) -> Any:
         """Nothing but the gripper may be off, by `slack` (m) along x in every pull."""
-        return SimpleNamespace(modes=lambda data, found, wanted: grip_modes(data, self.slack))
+        return SimpleNamespace(modes=lambda data, found, wanted, model, predicted: grip_modes(data, self.slack))
 
     def differentiate(self, tasks: Iterable[tuple[Anchored, Action]], forces: bool = True) -> list[PullTangent | None]:
         """An unknown force bends the body along each axis, which no anchors do."""

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from bcid.base.errors import InputError, MachineError
 from bcid.base.run_folder import RunFolder
 from bcid.exploration.explore_run import _keep, _made, run_exploration
-from bcid.exploration.loop import ExploreOptions
+from bcid.exploration.loop import ExploreOptions, explore
 from bcid.exploration.moves import Move, moves
 from bcid.exploration.predictions import PullPredictor, predicted
 from bcid.exploration.robots import Simulated
@@ -95,6 +95,30 @@ def test_predictions_are_shared_and_what_is_damaged_is_told(coarse_scene: Path, 
     stored[0].write_bytes(stored[0].read_bytes()[:100])
     with pytest.raises(InputError, match="is damaged and cannot be read"):
         explored(coarse_scene, "simulated:1,2", tmp_path / "three")
+
+
+def test_forces_tell_more_and_how_stiff_the_body_is(coarse_scene: Path) -> None:
+    """The body is stiffer by a fifth than its scene says, which positions do not show."""
+    scene, plan = Scene.read(coarse_scene), replace(PLAN, noise=2e-3, wrench_noise=0.01, budget=1, grasps=("II",))
+    stiffer = replace(scene.material, values=scene.material.values | {"young": "18 kPa"})
+    found = {}
+    for told in (plan, replace(plan, wrench_noise=None)):
+        predictor = PullPredictor(scene, 0, MPI.COMM_SELF, gripper=told.gripper(scene))
+        body = PullPredictor(replace(scene, material=stiffer), 0, MPI.COMM_SELF, gripper=plan.gripper(scene))
+        robot = Simulated(body, "12", 2e-3, 0, 0.01)
+        found[told.wrench_noise] = explore(scene, robot, told, predictor)
+        predictor.destroy()
+        body.destroy()
+    felt, unfelt = found[0.01], found[None]
+    assert felt.steps[0].expected[0] > unfelt.steps[0].expected[0] + 0.3
+    assert felt.view.best.anchors == frozenset("12")
+    assert felt.view.stiffness is not None
+    young, error = (n * 15e3 for n in (felt.view.stiffness.factor, felt.view.stiffness.stderr))
+    assert young == pytest.approx(18e3, abs=3 * error)
+    assert young - 15e3 > 2 * error
+    assert unfelt.view.stiffness is None
+    assert not felt.remarks
+    assert "do not count: state their noise with --wrench-noise" in unfelt.remarks[0]
 
 
 def test_the_way_back_is_not_computed_and_the_same(coarse_scene: Path) -> None:
