@@ -493,9 +493,9 @@ def _study_exploration(arguments: argparse.Namespace, how: Workers, progress: Pr
     from bcid.studies.exploration.exploration_study import run_study
     from bcid.studies.exploration.exploration_trials import ExplorationExtent
 
-    return run_study(
-        arguments.output, ExplorationExtent(arguments.trials), arguments.seed, how, progress, arguments.overwrite
-    )
+    count, part = arguments.trials, arguments.only
+    extent = ExplorationExtent(count) if part is None else ExplorationExtent.only(count, part)
+    return run_study(arguments.output, extent, arguments.seed, how, progress, arguments.overwrite)
 
 
 def _study_file(arguments: argparse.Namespace, how: Workers, progress: Progress) -> Path:

@@ -225,6 +225,9 @@ def add_study(commands: Any) -> None:
     parser.add_argument("--seed", type=seed, default=0, metavar="N", help="of what is random (0)")
     parser.add_argument("--trials", type=int, default=30, metavar="N", help="of each setting of exploration (30)")
     parser.add_argument(
+        "--only", choices=("main", "hidden", "enclosed", "forces"), help="exploration: one part of it (all)"
+    )
+    parser.add_argument(
         "--limit",
         type=float,
         default=900.0,

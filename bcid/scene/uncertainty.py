@@ -24,6 +24,8 @@ _USUAL = {
 LENGTHS = ("markers", "borders", "grip")
 ANGLES = ("grip_turn", "camera")
 FORCES = ("force_bias", "force_drift", "gripper_weight")
+# What counts only where forces are measured.
+FORCED = ("stiffness", "force_gain", *FORCES)
 # Poisson's ratio is not taken to be closer to a half than this part of its distance, in standard deviations.
 _TO_HALF = 1 / 3
 

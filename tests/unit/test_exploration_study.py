@@ -58,7 +58,7 @@ def test_a_trial_that_fails_is_recorded() -> None:
 def test_the_page_shows_the_beliefs_after_each_pull() -> None:
     """Tables 8 to 10 of the paper: pulls without noise, rates by noise, and the laboratory iteration by iteration."""
     made = bench()
-    extent = ExplorationExtent(1, (0.0, 0.3e-3), (), (), strategies=("entropy",))
+    extent = ExplorationExtent(1, (0.0, 0.3e-3), (), (), strategies=("entropy",), felt=0.0)
     results = [made.make(trial) for trial in trials(extent)]
     for result in results:
         assert len(result["beliefs"]) == len(result["asked"]) == result["pulls"]
@@ -95,7 +95,7 @@ def test_a_study_that_was_stopped_goes_on(tmp_path: Path, coarse_scene: Path) ->
 
     whole = run()
     files = sorted((tmp_path / "study/results").glob("*.json"))
-    assert len(files) == whole["trials"] == 25
+    assert len(files) == whole["trials"] == 28
     kept = [file.read_text(encoding="utf-8") for file in files]
     record = json.loads((tmp_path / "study/run.json").read_text(encoding="utf-8"))
     (tmp_path / "study/run.json").write_text(json.dumps(sealed(record | {"state": "running"})), encoding="utf-8")
@@ -109,6 +109,12 @@ def test_a_study_that_was_stopped_goes_on(tmp_path: Path, coarse_scene: Path) ->
     assert sum(row["right"] for row in whole["rows"]) > 12
     heavy = next(row for row in whole["hidden"] if row["hidden"] == "gravity")
     assert (heavy["trials"], heavy["right"], heavy["told_by"]) == (1, 1, 1)
+    assert len(whole["forces"]) == len(ANCHORS)
+    for row in whole["forces"]:
+        assert row["with"]["bits"] > row["without"]["bits"]
+        # The body is stiffer than its scene by a fifth.
+        assert row["with"]["stiffness"] == pytest.approx(1.2, abs=3 * row["with"]["stderr"])
+        assert row["without"]["stiffness"] is None
 
 
 def without_time(made: dict[str, Any]) -> dict[str, Any]:

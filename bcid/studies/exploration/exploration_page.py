@@ -40,7 +40,7 @@ _TOLD = {
 
 def page(trials: Sequence[Trial], cost: float, drawn: bool) -> str:
     """The section of a run; `cost` are the CPU seconds of one prediction of a pull with a set, NaN where not known."""
-    main = [t for t in trials if not t["hidden"] and tuple(t["anchors"]) in ANCHORS]
+    main = [t for t in trials if not t["hidden"] and not t["felt"] and tuple(t["anchors"]) in ANCHORS]
     body = [table.markdown() for table in (_pulls(main), _noises(main, cost), *_laboratory(main, cost)) if table.rows]
     if drawn:
         body.append(f"![Belief in the candidate sets after each pull]({PICTURE})")
@@ -49,7 +49,8 @@ def page(trials: Sequence[Trial], cost: float, drawn: bool) -> str:
 
 def shown(trial: Trial) -> bool:
     """Whether a trial's beliefs are drawn: as in Figure 13 (no noise, all grasps) and 14 (the laboratory), and with more noise."""
-    first = trial["number"] == 0 and trial["strategy"] == PAPER and not trial["hidden"] and trial["beliefs"]
+    plain = not trial["hidden"] and not trial["felt"]
+    first = trial["number"] == 0 and trial["strategy"] == PAPER and plain and trial["beliefs"]
     drawn = trial["noise"] in (LABORATORY, _MORE) or (trial["noise"] == 0 and len(trial["grasps"]) > 1)
     return bool(first and tuple(trial["anchors"]) in ANCHORS and drawn)
 

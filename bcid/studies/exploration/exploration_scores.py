@@ -18,17 +18,20 @@ from bcid.studies.exploration.exploration_trials import (
     NOISES,
     RIVALS,
     SEEN,
+    STIFFER,
     STRATEGIES,
 )
 from bcid.studies.hidden.wilson import wilson
 
+_FELT = {"without": False, "with": True}
 # Of answers given at 95 %, so many shall be right.
 CALIBRATED = 0.93
 
 
 def scores(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """By grasps, noise and strategy: decided, right, pulls; the calibration; and the other parts."""
-    main = [r for r in results if not r["hidden"] and tuple(r["anchors"]) in ANCHORS]
+    held = [r for r in results if not r["hidden"] and tuple(r["anchors"]) in ANCHORS]
+    main = [r for r in held if not r["felt"]]
     rows = []
     for grasps, noise, strategy in product(GRASPS, NOISES, STRATEGIES):
         mine = [r for r in main if (tuple(r["grasps"]), r["noise"], r["strategy"]) == (grasps, noise, strategy)]
@@ -47,6 +50,7 @@ def scores(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "by_anchors": _by_anchors(main),
         "calibration": calibration,
         "wrong": {w: wrong.count(w) for w in sorted(set(wrong))},
+        "forces": _forces(held),
         "hidden": [_hidden_row(name, [r for r in results if r["hidden"] == name]) for name in HIDDEN],
         "enclosed": {
             "anchors": enclosed[0]["anchors"] if enclosed else [],
@@ -56,6 +60,36 @@ def scores(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             "sets_named": median(len(r["named"]) for r in enclosed) if enclosed else 0,
             "pulls": median(r["pulls"] for r in enclosed) if enclosed else 0,
         },
+    }
+
+
+def _forces(results: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """With and without force of the gripper in the settings in which it was felt, by noise and set."""
+    rows = []
+    for noise, anchors in product(NOISES, ANCHORS):
+        key = GRASPS[0], STRATEGIES[0], noise, anchors
+        mine = [r for r in results if (tuple(r["grasps"]), r["strategy"], r["noise"], tuple(r["anchors"])) == key]
+        if any(r["felt"] for r in mine):
+            of = {"noise": noise * 1e3, "anchors": list(anchors)}
+            parts = {name: [r for r in mine if bool(r["felt"]) == felt] for name, felt in _FELT.items()}
+            rows.append(of | {name: _felt_row(part) for name, part in parts.items() if part})
+    return rows
+
+
+def _felt_row(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    decided = [r for r in results if r["reason"] == DECIDED]
+    bits = [r["expected"][0] for r in results if r["expected"]]
+    stiff = [c for r in results if r["stiffness"] for c in r["stiffness"]["constants"].values()]
+    return {
+        "trials": len(results),
+        "right": sum(r["right"] for r in results),
+        "decided": len(decided),
+        "falsely_certain": sum(not r["right"] for r in decided),
+        "pulls": sum(r["pulls"] for r in results) / len(results),
+        "bits": bits[0] if bits else None,
+        "stiffness": median(c["value"] / c["scene"] for c in stiff) if stiff else None,
+        "stderr": median(c["stderr"] / c["scene"] for c in stiff) if stiff else None,
+        "within": sum(abs(c["value"] - STIFFER * c["scene"]) < 1.96 * c["stderr"] for c in stiff),
     }
 
 
@@ -142,10 +176,39 @@ def table(found: Mapping[str, Any]) -> str:
         "right: the likeliest set at the end; decided: with 95 %; falsely: of these, wrong; pulls: median to the decision,",
         f"{BUDGET:g} where there was none; random needs: pulls of random choice over those of the strategy; calls: predictions",
         "of a pull with a set that a trial asks for (median); seconds: of a trial, which looks these up (median).",
+        *_forces_table(found["forces"]),
         *_hidden_table([row for row in found["hidden"] if row["trials"]]),
         *_enclosed_lines(found["enclosed"]),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _forces_table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    if not rows:
+        return []
+    head = f"{'noise':>8}  {'anchors':12}{'force':>9}{'trials':>8}{'right':>7}{'decided':>9}{'falsely':>9}{'pulls':>7}{'bits':>7}"
+    lines = [
+        "",
+        f"Grasp II, by information, without and with force of a body {STIFFER:g} times as stiff as its scene:",
+        "",
+    ]
+    lines.append(f"{head}   stiffness found (within 95 %)")
+    for row in rows:
+        for name in (name for name in _FELT if name in row):
+            r = row[name]
+            stiff = (
+                f"{r['stiffness']:.3f} +- {r['stderr']:.3f} ({r['within']} of {r['trials']})" if r["stiffness"] else "-"
+            )
+            bits = "-" if r["bits"] is None else f"{r['bits']:.2f}"
+            lines.append(
+                f"{row['noise']:>6.1f}mm  {label(row['anchors'], row['anchors']):12}{name:>9}{r['trials']:>8}{r['right']:>7}"
+                f"{r['decided']:>9}{r['falsely_certain']:>9}{r['pulls']:>7.1f}{bits:>7}   {stiff}"
+            )
+    return [
+        *lines,
+        "",
+        "pulls: mean number; bits: expected of the first pull; stiffness: median, in units of the scene's.",
+    ]
 
 
 def _hidden_table(rows: Sequence[Mapping[str, Any]]) -> list[str]:

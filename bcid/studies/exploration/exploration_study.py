@@ -4,8 +4,9 @@ The setting of section 8 of Boonvisut & Cavusoglu (2014): a slab held by {1 2}, 
 directions, 8 mm and back to rest, no noise and three amounts of it. Pulls chosen by information and by the paper's expected
 entropy compete with random ones and with the best single pull, repeated, in the same trials.
 
-Two more parts go beyond the paper: with {3 4}, nothing or one of three effects is hidden, and exploring must tell which; and
-patches that others enclose make no difference, which must be said instead of guessed.
+Three more parts go beyond the paper: with {3 4}, nothing or one of three effects is hidden, and exploring must tell which;
+patches that others enclose make no difference, which must be said instead of guessed; and a gripper feels the force of a body that
+is stiffer than its scene.
 
 RUN/predictions/         what every set predicts for every pull, computed first;  precomputed/ one file for each part of that
 RUN/results/NAME.json    one trial
@@ -19,6 +20,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -35,12 +37,13 @@ from bcid.exploration.moves import limits_of, moves
 from bcid.exploration.predictions import PullPredictor
 from bcid.exploration.robots import Simulated
 from bcid.exploration.update import BeliefUpdate, PosteriorSummary
-from bcid.forms.model import check_physics
+from bcid.forms.gripper_force import ForceScale
+from bcid.forms.model import Model, check_physics
 from bcid.forms.written_effects import with_effects
 from bcid.inference.hypotheses import Hypothesis
 from bcid.measurement import Action
 from bcid.scene import Level, Scene
-from bcid.scene.uncertainty import Uncertainty
+from bcid.scene.uncertainty import FORCED, Uncertainty
 from bcid.search.seeds import all_candidates
 from bcid.studies.engine.dispatch import dispatch
 from bcid.studies.engine.work import Work, Workers, read_result
@@ -50,6 +53,7 @@ from bcid.studies.exploration.exploration_trials import (
     BUDGET,
     HIDDEN,
     RIVALS,
+    STIFFER,
     ExplorationExtent,
     ExplorationTrial,
     trials,
@@ -59,6 +63,8 @@ from bcid.studies.sections import PICTURE
 SCENE = "examples/scenes/slab_explain.toml"
 # Sets that are predicted together.
 _SETS = 64
+# Of a force sensor, and of the stiffness of a body, as usual (see `Uncertainty`).
+_NOT_KNOWN: dict[str, Any] = dict.fromkeys(FORCED)
 # Hypotheses whose probabilities are kept after each pull.
 _SHOWN = 8
 # The truth is computed with other elements than any level of the scene has.
@@ -123,14 +129,17 @@ def _scene(file: Path) -> Scene:
 
 def _pulls(scene: Scene, made: Sequence[ExplorationTrial]) -> dict[str, dict[str, Any]]:
     """What every set predicts for every pull that a trial may choose, in parts."""
-    grasps = {grasp for trial in made for grasp in trial.grasps}
     every = [sorted(anchors) for anchors in all_candidates(list(scene.patches))]
-    return {
-        f"{i:03d}-{k:04d}": {"move": i, "sets": every[k : k + _SETS]}
-        for i, move in enumerate(moves(scene))
-        if move.grasp in grasps
-        for k in range(0, len(every), _SETS)
-    }
+    found: dict[str, dict[str, Any]] = {}
+    for name, felt in (("", False), ("felt-", True)):
+        grasps = {grasp for trial in made for grasp in trial.grasps if bool(trial.felt) == felt}
+        found |= {
+            f"{name}{i:03d}-{k:04d}": {"move": i, "sets": every[k : k + _SETS], "felt": felt}
+            for i, move in enumerate(moves(scene))
+            if move.grasp in grasps
+            for k in range(0, len(every), _SETS)
+        }
+    return found
 
 
 def precomputer(job: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
@@ -138,11 +147,15 @@ def precomputer(job: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[st
     from mpi4py import MPI
 
     scene = _scene(Path(job["scene"]))
-    predictor = PullPredictor(paired(scene, None, MPI.COMM_SELF), 0, MPI.COMM_SELF, Path(job["predictions"]))
+    ladder, store = paired(scene, None, MPI.COMM_SELF), Path(job["predictions"])
+    predictors = {
+        felt: PullPredictor(ladder, 0, MPI.COMM_SELF, store, gripper=ForceScale.of_body(scene) if felt else None)
+        for felt in (False, True)
+    }
     limits = limits_of(scene)
 
     def precompute(task: Mapping[str, Any]) -> dict[str, Any]:
-        action = moves(scene)[task["move"]].action(limits)
+        action, predictor = moves(scene)[task["move"]].action(limits), predictors[task["felt"]]
         # What is built once for all sets does not count as their time.
         predictor.forward()
         began = time.process_time()
@@ -189,6 +202,7 @@ def unmade(trial: ExplorationTrial, reason: str) -> dict[str, Any]:
         "asked": [],
         "gained": [],
         "expected": [],
+        "stiffness": None,
     }
     return asdict(trial) | {"reason": f"failed: {reason}", "calls": 0, "seconds": 0.0} | nothing
 
@@ -237,6 +251,12 @@ class Bench:
 
     def make(self, trial: ExplorationTrial) -> dict[str, Any]:
         """One trial."""
+        if trial.felt:
+            return self.feeling.make_here(trial)
+        return self.make_here(trial)
+
+    def make_here(self, trial: ExplorationTrial) -> dict[str, Any]:
+        """One trial with the predictors of this bench."""
         start = time.perf_counter()
         self.predictor.asked = set()
         plan = ExploreOptions(
@@ -247,6 +267,7 @@ class Bench:
             # Only what is drawn for random pulls differs from trial to trial.
             random_state=trial.number if trial.strategy == "random" else 0,
             effects=RIVALS if trial.hidden else (),
+            wrench_noise=trial.felt or None,
         )
         scene = self.scene
         if trial.strategy == "fixed":
@@ -257,7 +278,7 @@ class Bench:
             scene = replace(scene, limits=replace(scene.limits, directions=directions))
             plan = replace(plan, grasps=(best.grasp,), look_ahead=False)
         state = self.seed + 1000 * trial.number
-        robot = _Watched(self.predictor, self.body(trial.hidden), trial.anchors, trial.noise, state)
+        robot = _Watched(self.predictor, self.body(trial.hidden), trial.anchors, trial.noise, state, trial.felt)
         first = self.first(plan, trial) if trial.strategy in ("information", "entropy") else None
         found = explore(scene, robot, plan, self.predictor, self.fine, first=first)
         told = telling_pull(plan, found)
@@ -277,9 +298,24 @@ class Bench:
             "asked": robot.asked,
             "gained": [step.gained for step in found.steps],
             "expected": [None if math.isnan(step.expected[0]) else step.expected[0] for step in found.steps],
+            "stiffness": found.view.stiffness.to_json() if found.view.stiffness else None,
             "calls": len(self.predictor.asked),
             "seconds": round(time.perf_counter() - start, 3),
         }
+
+    @cached_property
+    def feeling(self) -> Bench:
+        """The same with a gripper that feels forces; the body is stiffer than its scene, which does not know that well."""
+        gripper = ForceScale.of_body(self.scene)
+        scene = replace(self.scene, uncertainty=replace(self.scene.uncertainty, **_NOT_KNOWN))
+
+        def alike(predictor: Any, of: Scene) -> Any:
+            about = predictor.level, predictor.comm, predictor.store
+            return PullPredictor(replace(of, levels=predictor.scene.levels), *about, gripper=gripper)
+
+        stiffer = _stiffer(scene)
+        fine = None if self.fine is None else alike(self.fine, scene)
+        return Bench(scene, alike(self.predictor, scene), fine, alike(self.truth, stiffer), self.seed)
 
     def body(self, hidden: str) -> Any:
         """PullPredictor of what the body is really made of."""
@@ -298,7 +334,8 @@ class Bench:
             self.predictor.asked = set()
             inference = BeliefUpdate(self.scene, self.predictor, self.fine)
             options = plan.moves(self.scene)
-            chooser = Chooser(inference, options, plan.criterion, plan.look_ahead, plan.samples, trial.noise, 0)
+            about = plan.criterion, plan.look_ahead, plan.samples, trial.noise, 0, trial.felt
+            chooser = Chooser(inference, options, *about)
             self._first[key] = chooser.choose(inference.view(), None), self.predictor.asked
         choice, more = self._first[key]
         self.predictor.asked = asked | more
@@ -309,6 +346,14 @@ class Bench:
         for predictor in (self.predictor, self.fine, self.truth, *self._bodies.values()):
             if predictor is not None:
                 predictor.destroy()
+        if "feeling" in self.__dict__:
+            self.feeling.destroy()
+
+
+def _stiffer(scene: Scene) -> Scene:
+    """The scene of a stiffer body."""
+    constants = {name: f"{STIFFER * value!r} Pa" for name, value in Model.of(scene).stiffnesses.items()}
+    return replace(scene, material=replace(scene.material, values=scene.material.values | constants))
 
 
 def _result(path: Path, trial: ExplorationTrial) -> dict[str, Any]:
