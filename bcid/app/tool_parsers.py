@@ -242,8 +242,9 @@ def add_study(commands: Any) -> None:
     )
     parser.add_argument(
         "--conditions",
-        choices=("all", "exact", "inexact"),
+        choices=("all", "exact", "inexact", "forces"),
         default="all",
-        help="hidden: everything as the scene states it, everything but the noise slightly wrong, or all conditions in turns (all)",
+        help="hidden: everything as the scene states it, everything but the noise slightly wrong, both with forces, or all "
+        "other conditions in turns (all)",
     )
     add_output(parser, picture=False)

@@ -316,6 +316,18 @@ def test_goals_of_some_conditions(goal: str, under: Conditions, right: dict[str,
     assert found["rates"]["named"]["count"] == (1 if under.nuisances else 4)
 
 
+def test_the_stiffness_is_asked_for_where_forces_are_felt() -> None:
+    def told(value: float) -> dict[str, Any]:
+        constant = {"value": value, "stderr": 500.0, "scene": 15e3, "unit": "Pa"}
+        found = result("one", GRAVITY, stiffness={"constants": {"young": constant}})
+        found["truth"]["stiffness"] = 1.2
+        return found
+
+    assert judge(told(18.9e3))["stiffness"] == (True,)
+    assert judge(told(19.1e3))["stiffness"] == (False,)
+    assert judge(result("one", GRAVITY))["stiffness"] == ()
+
+
 def test_what_a_diagnosis_does_not_say_is_not_asked() -> None:
     assert judge(result("one", GRAVITY, under=WRONG))["noise told"] == ()
     assert judge(result("one", GRAVITY, verdict="unknown"))["intervals"] == ()
@@ -622,13 +634,36 @@ def test_a_case_of_each_body_can_be_made(tmp_path: Path, monkeypatch: pytest.Mon
     truth.make(tmp_path, index, choice)
     told = json.loads((tmp_path / "truth.json").read_text())
     assert told["body"] == body
-    assert told["conditions"] == {"noise": "right", "nuisances": True, "mesh": "fine"}
+    assert told["conditions"] == {"noise": "right", "nuisances": True, "mesh": "fine", "forces": False}
     assert told["effects"][0]["size"] == pytest.approx(told["effects"][0]["target"], rel=0.4)
     assert not set(told["not_asked"]) & set(told["anchored"])
     scene, seen = Scene.read(tmp_path / "scene.toml"), Measurement.read(tmp_path / "measurement")
     assert seen.noise_sigma is None
     assert scene.noise_sigma == pytest.approx(told["noise"], rel=1e-3)
     assert [str(name) for name in seen.data["fiducial"].values] == scene.fiducial_names
+
+
+@pytest.mark.slow
+def test_a_case_with_forces_has_those_of_a_body_that_is_not_as_stiff_as_its_scene(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from bcid.studies.hidden import truth
+    from bcid.studies.hidden.felt import Felt
+
+    choice = of("slab", "forces")
+    index = next(i for i in range(400) if plan(choice, i).kind == "none" and not plan(choice, i).conditions.nuisances)
+    reduced(monkeypatch, "slab")
+    found = {}
+    for stiffness in (1.0, 1.5):
+        monkeypatch.setattr(Felt, "draw", lambda rng, exact, stiffness=stiffness: Felt(stiffness))
+        truth.make(tmp_path / str(stiffness), index, choice)
+        found[stiffness] = Measurement.read(tmp_path / str(stiffness) / "measurement")
+    one, stiffer = found.values()
+    assert one.wrench_sigma == pytest.approx(0.01 * np.abs(one.wrenches[:, :3]).max(), rel=0.05)
+    scatter = 5 * np.repeat([stiffer.wrench_sigma, stiffer.torque_sigma], 3)
+    assert (np.abs(stiffer.wrenches - 1.5 * one.wrenches) < scatter).all()
+    assert np.allclose(stiffer.positions, one.positions, atol=1e-7)
+    assert json.loads((tmp_path / "1.5" / "truth.json").read_text())["stiffness"] == 1.5
 
 
 @pytest.mark.slow

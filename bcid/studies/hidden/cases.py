@@ -16,6 +16,7 @@ from bcid.studies.hidden.conditions import Conditions
 from bcid.studies.hidden.study_body import StudyBody, Vector
 
 if TYPE_CHECKING:
+    from bcid.studies.hidden.felt import Felt
     from bcid.studies.hidden.inexact import Inexact
 
 Array = NDArray[np.float64]
@@ -91,7 +92,7 @@ class Hidden:
 class Case:
     """One case of the study; `noise` in m. `attempt` counts how often it was drawn anew because it could not be solved.
 
-    `inexact` is what its scene states wrongly, if anything.
+    `inexact` is what its scene states wrongly, if anything, and `felt` what the gripper feels, if it does.
     """
 
     seed: int
@@ -105,6 +106,7 @@ class Case:
     noise: float
     hidden: tuple[Hidden, ...]
     inexact: Inexact | None = None
+    felt: Felt | None = None
 
     @property
     def quietest(self) -> float:

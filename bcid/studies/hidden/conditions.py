@@ -21,11 +21,13 @@ class Conditions:
         noise: what is stated: "right", "unstated", "half" or "double".
         nuisances: whether everything else that the scene states is slightly wrong (see `bcid.studies.hidden.inexact`).
         mesh: of the diagnosis, "fine" or "coarse".
+        forces: whether the gripper feels forces; the body is then not as stiff as its scene says (see `bcid.studies.hidden.felt`).
     """
 
     noise: str = RIGHT
     nuisances: bool = False
     mesh: str = FINE
+    forces: bool = False
 
     def stated(self, noise: float) -> float | None:
         """What the scene says of a noise (m); None for nothing."""
@@ -36,6 +38,7 @@ class Conditions:
 CONDITIONS = {
     "exact": (Conditions(),),
     "inexact": (Conditions(nuisances=True),),
+    "forces": (Conditions(forces=True), Conditions(nuisances=True, forces=True)),
     "all": tuple(
         Conditions(*each)
         for each in product((RIGHT, RIGHT, UNSTATED, UNSTATED, "half", "double"), (False, True), (FINE, COARSE))

@@ -26,6 +26,7 @@ QUESTIONS = {
     "first two": "one effect: it is among the first two",
     "parameters": "one effect: amounts within 20 %, directions within 15 deg, places right",
     "intervals": "amounts of effects that were named rightly: the 95 % interval holds the truth",
+    "stiffness": "forces: the 95 % interval of the stiffness holds the truth",
     "held out": "one, two or none: held-out error at most 1.2 times the noise",
     "adequate": "nothing hidden: the model is called adequate",
     "not misnamed": "outside the catalogue: the verdict is 'unknown', or 'none'",
@@ -119,6 +120,13 @@ def _intervals(truth: Json, diagnosis: Json) -> tuple[bool, ...]:
     return () if wrong else intervals_hold(truth, diagnosis)
 
 
+def _stiffness(truth: Json, diagnosis: Json) -> bool:
+    told = diagnosis.get("stiffness") or {"constants": {}}
+    return bool(told["constants"]) and all(
+        abs(c["value"] - truth["stiffness"] * c["scene"]) <= 1.96 * c["stderr"] for c in told["constants"].values()
+    )
+
+
 def _settled(truth: Json, diagnosis: Json) -> bool:
     told = anchors_told(truth, diagnosis)
     return anchors_right(truth, diagnosis) or (told is not None and told < SURE)
@@ -147,6 +155,7 @@ _JUDGES: dict[str, tuple[Callable[[Json], bool], Callable[[Json, Json], bool | t
     "first two": (_of("one"), _among(2)),
     "parameters": (_of("one"), parameters_right),
     "intervals": (_of("one", "two"), _intervals),
+    "stiffness": (lambda truth: truth.get("stiffness") is not None, _stiffness),
     "held out": (_of("none", "one", "two"), _held_out),
     "adequate": (_of("none"), lambda truth, diagnosis: bool(diagnosis["adequate"]) and named(diagnosis) == ["none"]),
     "not misnamed": (_of("outside"), lambda truth, diagnosis: named(diagnosis) in (["unknown"], ["none"])),

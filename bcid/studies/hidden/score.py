@@ -52,6 +52,7 @@ GOALS = {
     "first two": RateGoal("first two", 0.99, nuisances=False),
     "parameters": RateGoal("parameters", 0.90, nuisances=False),
     "intervals": RateGoal("intervals", 0.93, 0.97, noise=("right", "unstated")),
+    "stiffness": RateGoal("stiffness", 0.93, 0.97),
     "held out": RateGoal("held out", 0.95, nuisances=False),
     "adequate": RateGoal("adequate", 0.93, 0.97, noise=("right",)),
     "not misnamed": RateGoal("not misnamed", 0.95),

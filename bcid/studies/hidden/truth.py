@@ -23,6 +23,7 @@ from bcid.base.shipped import shipped
 from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import Forward
+from bcid.forms.gripper_force import ROWS, ForceScale
 from bcid.forms.mesh import level_mesh
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.simulate import recorded
@@ -36,6 +37,7 @@ from bcid.studies.hidden.case_scene import write_scene
 from bcid.studies.hidden.cases import Case, Hidden
 from bcid.studies.hidden.chance import generator
 from bcid.studies.hidden.drawing import CaseChoice, draw
+from bcid.studies.hidden.felt import Felt
 from bcid.studies.hidden.inexact import Inexact
 
 Array = NDArray[np.float64]
@@ -74,6 +76,9 @@ def make(folder: Path, index: int, choice: CaseChoice) -> None:
             mesh = level_mesh(replace(scene, levels=(case.body.coarse,)), case.body.coarse)
             rng = generator(choice.seed, 7, index, attempt)
             case = replace(case, inexact=Inexact.draw(rng, scene, mesh, len(case.motions)))
+        if case.conditions.forces:
+            felt = Felt.draw(generator(choice.seed, 8, index, attempt), exact=not case.conditions.nuisances)
+            case = replace(case, felt=felt)
         try:
             truth = compute(scene, case)
         except SolveError as error:
@@ -82,6 +87,8 @@ def make(folder: Path, index: int, choice: CaseChoice) -> None:
         rng = generator(choice.seed, 6, index, attempt)
         times = np.concatenate([action.clock for action in case.actions])
         seen = recorded(scene, case.actions, truth.positions, truth.noise, rng, times, f"hidden study, case {index}")
+        if case.felt and truth.wrenches is not None:
+            seen = case.felt.measured(seen, truth.wrenches, rng)
         write_whole(folder / "truth.json", json.dumps(truth.to_json(case), indent=1) + "\n")
         write_scene(folder, file, case.conditions, truth.noise)
         # What is known of the noise stands in the scene.
@@ -103,6 +110,7 @@ class Truth:
         noise: m.
         toggles: by how much it moves the fiducials (RMS, m) whether a patch is anchored; NaN where that cannot be computed.
         stated: the model of the scene.
+        wrenches: force (N) and torque (N m) of the gripper, shape (frames, 6), where it feels them.
     """
 
     positions: Array
@@ -111,6 +119,7 @@ class Truth:
     noise: float
     toggles: Mapping[str, float]
     stated: Model
+    wrenches: Array | None = None
 
     def to_json(self, case: Case) -> dict[str, Any]:
         """What the scoring needs to know, without any need of the catalogue."""
@@ -123,6 +132,7 @@ class Truth:
             "anchored": list(case.anchors),
             "not_asked": [patch for patch, moved in self.toggles.items() if moved < ASKED * self.noise],
             "noise": self.noise,
+            "stiffness": case.felt.stiffness if case.felt else None,
             "size": min(self.sizes, default=0.0),
             "effects": [self._effect(hidden, term, size) for hidden, term, size in pairs],
             "toggles": {patch: None if math.isnan(moved) else moved for patch, moved in self.toggles.items()},
@@ -156,7 +166,9 @@ def compute(scene: Scene, case: Case, true: Level | None = None, coarse: Level |
         SolveError: a trajectory cannot be followed, the body buckles, or nothing could be seen of an effect or a patch.
     """
     true, coarse = true or case.body.true, coarse or case.body.coarse
-    stated, scene = scene, case.inexact.scene(scene) if case.inexact else scene
+    stated = scene
+    for of_truth in (case.felt, case.inexact):
+        scene = of_truth.scene(scene) if of_truth else scene
     plain, toggles = _plain(scene, case, coarse)
     case = replace(case, noise=visible(case, toggles))
     terms = tuple(_dose(scene, case, hidden, plain, coarse) for hidden in case.hidden)
@@ -172,7 +184,8 @@ def compute(scene: Scene, case: Case, true: Level | None = None, coarse: Level |
     if sizes and min(sizes) < INVISIBLE:
         raise SolveError(f"a hidden effect moves the fiducials by no more than {INVISIBLE} of the noise")
     seen = case.inexact.seen(stated, positions) if case.inexact else positions
-    return Truth(seen, terms, tuple(sizes), noise, toggles, Model.of(stated))
+    felt = _wrenches(scene, case, true, terms) if case.felt else None
+    return Truth(seen, terms, tuple(sizes), noise, toggles, Model.of(stated), felt)
 
 
 def _plain(scene: Scene, case: Case, coarse: Level) -> tuple[Array, dict[str, float]]:
@@ -235,12 +248,23 @@ def halved(action: Action, first_extra: int) -> Action:
 
 def _positions(scene: Scene, case: Case, level: Level, terms: Sequence[Term]) -> Array:
     """Noise-free positions in the commanded frames (frames, fiducials, 3), m."""
+    return _shown(scene, case, level, terms, None)
+
+
+def _wrenches(scene: Scene, case: Case, level: Level, terms: Sequence[Term]) -> Array:
+    """Force (N) and torque (N m) of the gripper in the commanded frames (frames, 6)."""
+    scale = ForceScale.of_body(scene)
+    return scale.wrenches(_shown(scene, case, level, terms, scale)[:, -ROWS:])
+
+
+def _shown(scene: Scene, case: Case, level: Level, terms: Sequence[Term], forces: ForceScale | None) -> Array:
+    """What is predicted in the commanded frames (frames, rows, 3), m."""
     count = sum(len(action) for action in case.actions)
     actions, extra = [], count
     for action in case.made:
         actions.append(halved(action, extra))
         extra += len(action) - 1
-    forward = _forward(scene, case, level, terms)
+    forward = _forward(scene, case, level, terms, forces)
     try:
         prediction = forward.predict(case.anchors, actions)
     finally:
@@ -250,12 +274,14 @@ def _positions(scene: Scene, case: Case, level: Level, terms: Sequence[Term]) ->
     return prediction.positions[:count]
 
 
-def _forward(scene: Scene, case: Case, level: Level, terms: Sequence[Term]) -> Forward:
+def _forward(
+    scene: Scene, case: Case, level: Level, terms: Sequence[Term], forces: ForceScale | None = None
+) -> Forward:
     model = Model.of(scene)
     for term in terms:
         model = model + term
     mesh = case.inexact.mesh(scene, level_mesh(scene, level)) if case.inexact else None
-    return Forward(replace(scene, levels=(level,)), 0, model=model, settings=ACCURACY, mesh=mesh)
+    return Forward(replace(scene, levels=(level,)), 0, model=model, settings=ACCURACY, mesh=mesh, forces=forces)
 
 
 # -- terms
