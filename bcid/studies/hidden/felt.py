@@ -1,4 +1,4 @@
-"""What a gripper feels in a case: force and torque of a body that is not as stiff as its scene says, by a sensor that is not exact."""
+"""What a gripper feels in a case: the force of a body that is not as stiff as its scene says, by a sensor that is not exact."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from bcid.scene import Scene
 from bcid.studies.hidden.chance import Rng
 
 Array = NDArray[np.float64]
-# Standard deviations: of the logarithm of the stiffness, of the sensor's gain, and of what it shows without a force and of its noise
-# as parts of the largest force and torque.
+# Standard deviations: of the logarithm of the stiffness, of the sensor's gain, and of what it shows without a force and of its
+# noise as parts of the largest force and torque.
 STIFFNESS, GAIN, BIAS, NOISE = 0.2, 0.01, 0.005, 0.01
 
 
