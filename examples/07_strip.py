@@ -12,6 +12,10 @@ fiducials of a measurement folder, and the model is driven by what the ends of t
 ::
 
     ./dev python examples/07_strip.py FOLDER -o strip
+    ./dev python examples/07_strip.py FOLDER --explain run
+
+With ``--explain`` all speckles in all states are explained as they are, a dense field: is rubber that keeps its volume enough,
+and if not, where does it fail?
 
 FOLDER holds stereo_calibration.json and uniaxial_points.csv.gz: calibration and tracked pixels, which are counted from 1.
 """
@@ -25,7 +29,8 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from bcid import Measurement, Scene
+from bcid import ExplainOptions, Measurement, Scene, explain
+from bcid.api.results import DiagnosisResult
 from bcid.comparison.fit import Fit, fit
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.state import State
@@ -96,6 +101,15 @@ def main(folder: Path, output: Path | None = None) -> Found:
         left = 1e3 * np.sqrt(np.nanmean((measurement.positions - state.predicted) ** 2, axis=(0, 1)))
         print(f"{name}: error {left[0]:.3f} mm along, {left[1]:.3f} mm across, {left[2]:.3f} mm normal to the strip")
     return Found(positions, measurement, rubber, fitted, (measured, *predicted), stretch)
+
+
+def explained(folder: Path, every: int = 1, options: ExplainOptions | None = None) -> DiagnosisResult:
+    """What explains the whole field, or every so many of its states: all points that were seen at rest are fiducials."""
+    placed, moved = in_body(triangulated(folder))
+    plain = Scene.read(HERE / "scenes/strip.toml")
+    seen = np.flatnonzero(np.isfinite(placed[0]).all(axis=1))
+    scene = replace(plain, fiducials={f"p{i}": tuple(map(float, placed[0, i])) for i in seen})
+    return explain(scene, pulled(scene, placed[::every, seen], moved[::every]), options=options)
 
 
 def triangulated(folder: Path) -> Array:
@@ -173,5 +187,11 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, metavar="FOLDER")
     parser.add_argument("-o", "--output", type=Path, metavar="MEASUREMENT")
+    parser.add_argument("--explain", type=Path, metavar="RUN", help="explain all speckles, into this run folder")
     chosen = parser.parse_args()
-    main(chosen.folder, chosen.output)
+    if chosen.explain is None:
+        main(chosen.folder, chosen.output)
+    else:
+        found = explained(chosen.folder)
+        print(found.summary)
+        found.write(chosen.explain)

@@ -90,7 +90,8 @@ def verdict(state: State, adequacy: Adequacy, unit: float, name: str) -> list[st
     """Whether a model is adequate, and what the tests say."""
     mesh = state.errors.mesh
     known = f"{mesh.rms / unit:.2g} {name}" if mesh.known else "not known"
-    stated = "stated" if state.predictor.data.stated else "estimated from the measurement"
+    believed = state.predictor.data.stated and state.predictor.noise is None
+    stated = "stated" if believed else "estimated from the measurement"
     known_so = adequacy.told is not None
     is_so = "is" if known_so else "has"
     untold = "" if known_so else "; whether it is adequate cannot be told without a stated noise"

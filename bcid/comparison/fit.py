@@ -192,11 +192,21 @@ class _Problem:
         return self.errors.whiten(data.values - data.vector(prediction.positions + self.errors.mesh.correction))
 
     def jacobian(self, x: Array) -> Array:
-        """Its derivative by the coordinates."""
+        """Its derivative by the coordinates.
+
+        Raises:
+            SolveError: it is not finite.
+        """
         model, prediction = self.prediction(x)
         if prediction.failure:
             return np.zeros((len(self.predictor.data), len(self.coordinates)))
-        return -self.errors.whiten(columns(self.predictor, model, self.anchors, prediction, self.coordinates))
+        found = columns(self.predictor, model, self.anchors, prediction, self.coordinates)
+        if not np.isfinite(found).all():
+            unknown = [
+                c.name for c, column in zip(self.coordinates, found.T, strict=True) if not np.isfinite(column).all()
+            ]
+            raise SolveError(f"{model.name}: the influence of {', '.join(unknown)} is not finite")
+        return -self.errors.whiten(found)
 
 
 def columns(
@@ -260,7 +270,7 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL)
 
     Raises:
         InputError: the model has no such number.
-        SolveError: the model cannot be followed at its start.
+        SolveError: the model cannot be followed at its start, or the influence of its numbers.
     """
     chosen = coordinates(start.model, names)
     # What is fitted is not integrated over besides; a stiffness of the law is any of its constants that is one.

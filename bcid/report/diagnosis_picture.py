@@ -18,7 +18,7 @@ from bcid.report.figure import body_entries, cropped, save, styled
 from bcid.report.ladder import head, ladder_figure
 from bcid.report.lengths import in_mm
 from bcid.report.paraview import write_paraview
-from bcid.report.scene3d import COLOURS, Image, arrows_picture, round_length
+from bcid.report.scene3d import COLOURS, MAP, Image, arrows_picture, map_picture, round_length
 from bcid.report.text import conclusion, model_name
 
 if TYPE_CHECKING:
@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 _SIZE = (1500, 1250)
 # The longest arrow is drawn as this part of the body's diagonal, or a little shorter.
 LONGEST = 0.22
+# Of more markers arrows would hide each other, and what the models miss is a map.
+_ARROWS = 64
 # A force is drawn when chance makes one as large on any region with less than this probability.
 _CHANCE = 0.05
 # A force that explains a smaller share of what is beyond noise is none.
@@ -56,7 +58,7 @@ def draw(folder: str | Path) -> list[Path]:
 
 
 def residual_figure(found: dict[str, Any], body: xr.Dataset, residuals: xr.Dataset) -> Figure:
-    """The residual of the first model as arrows, beside that of the last one in the same scale."""
+    """The residual of the first model as arrows, of a dense field as a map, beside that of the last one in the same scale."""
     measured, last = residuals["measured"].values * 1e3, residuals["predicted"].values * 1e3
     first = residuals["predicted_first"].values * 1e3
     frame = worst_frame(measured - first)
@@ -65,12 +67,18 @@ def residual_figure(found: dict[str, Any], body: xr.Dataset, residuals: xr.Datas
     panels = [(found["ladder"][0], first)]
     if len(found["ladder"]) > 1:
         panels.append((found["ladder"][-1], last))
+    most = max(float(np.nanmax(np.linalg.norm((measured - predicted)[frame], axis=1))) for _, predicted in panels)
+    dense = measured.shape[1] > _ARROWS
     images = []
     for _, predicted in panels:
-        arrows = scale * (measured - predicted)[frame]
-        seen = np.isfinite(arrows).all(axis=1)
+        missed = (measured - predicted)[frame]
+        seen = np.isfinite(missed).all(axis=1)
         view = body, found["anchored"], frame, str(residuals["grasp"].values[frame])
-        images.append(arrows_picture(*view, predicted[frame][seen], arrows[seen], _SIZE))
+        at, missed = predicted[frame][seen], missed[seen]
+        if dense:
+            images.append(map_picture(*view, at, np.linalg.norm(missed, axis=1), most, _SIZE))
+        else:
+            images.append(arrows_picture(*view, at, scale * missed, _SIZE))
     unit = found["length_unit"]
     titles = [f"{model_name(rung['model'])}: {rung['rms']:.3g} {unit}" for rung, _ in panels]
     figure = _panels(images, titles)
@@ -81,8 +89,10 @@ def residual_figure(found: dict[str, Any], body: xr.Dataset, residuals: xr.Datas
         f"{what}: residual per coordinate (RMS), noise {found['noise_rms']:.3g} {unit}",
     )
     shown = f"action {residuals['action'].values[frame]}, step {int(residuals['step'].values[frame])}"
-    arrow = f"measured − predicted, {scale:g} × as long as it is ({shown})"
+    arrow = "" if dense else f"measured − predicted, {scale:g} × as long as it is ({shown})"
     _legend(figure, arrow, str(residuals["grasp"].values[frame]))
+    if dense:
+        _colour_bar(figure, most, f"|measured − predicted|, mm\n({shown})")
     return figure
 
 
@@ -195,6 +205,20 @@ def _panels(images: list[Image], titles: list[str]) -> Figure:
         axes.set_axis_off()
         axes.set_title(title, fontsize=13.5, pad=8)
     return figure
+
+
+def _colour_bar(figure: Figure, most: float, label: str) -> None:
+    """At the right of the pictures, which make room for it."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    for axes in figure.axes:
+        place = axes.get_position()
+        axes.set_position((0.9 * place.x0, place.y0, 0.9 * place.width, place.height))
+    axes = figure.add_axes((0.925, 0.22, 0.014, 0.45))
+    bar = figure.colorbar(ScalarMappable(Normalize(0.0, most), MAP), cax=axes)
+    bar.outline.set_visible(False)
+    axes.set_title(label, fontsize=11, loc="right", pad=12)
 
 
 def _legend(figure: Figure, arrow: str, grasp: str) -> None:

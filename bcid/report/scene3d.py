@@ -43,6 +43,8 @@ class Palette:
 
 
 COLOURS = Palette()
+# Of what is drawn as a field.
+MAP = "cividis"
 
 
 def surface(body: xr.Dataset, frame: int | None = None) -> pv.PolyData:
@@ -100,6 +102,67 @@ def arrows_picture(
     _add_arrows(plotter, starts, arrows, 0.005 * surface(body).length)
     labels += [_Label(s + a, text, COLOURS.measured) for s, a, text in zip(starts, arrows, texts, strict=False) if text]
     return _image(plotter, body, frame, labels)
+
+
+def map_picture(
+    body: xr.Dataset,
+    anchored: list[str],
+    frame: int,
+    grasp: str,
+    places: Array,
+    values: Array,
+    most: float,
+    size: tuple[int, int],
+) -> Image:
+    """Image (height, width, 3) of the body with its anchors, coloured by a number that is known at many places of its surface.
+
+    Args:
+        body: the run's `body.nc`.
+        anchored: names of the anchored patches.
+        frame: which frame to show.
+        grasp: name of the grasp to colour, or "".
+        places: where the number is known, shape (places, 3), mm.
+        values: the number there, shape (places,); colours of `MAP` go from 0 to `most`.
+        size: width and height in pixels.
+    """
+    plotter = _plotter(size)
+    labels = _add_body(plotter, body, anchored, frame, grasp, 0.3)
+    coloured = _coloured(surface(body, frame), places, values)
+    # In front of the body's own colour.
+    view = _aim(plotter, body)
+    coloured.points += 0.002 * view.size * view.away
+    plotter.add_mesh(
+        coloured,
+        scalars="value",
+        cmap=MAP,
+        clim=(0.0, most),
+        nan_opacity=0.0,
+        show_scalar_bar=False,
+        ambient=0.6,
+        diffuse=0.45,
+    )
+    return _image(plotter, body, frame, labels)
+
+
+def _coloured(moved: pv.PolyData, places: Array, values: Array) -> pv.PolyData:
+    """A surface with the "value" at its nodes: means of places nearby, NaN where there is none, in smaller triangles than it has.
+
+    A place counts by a Gaussian of its distance, as wide as places are apart.
+    """
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(places)
+    apart = float(np.median(tree.query(places, k=2)[0][:, 1]))
+    edge = float(np.sqrt(moved.area / max(moved.n_cells, 1)))
+    fine = moved.triangulate()
+    for _ in range(max(0, min(3, round(np.log2(max(2 * edge / max(apart, 1e-9), 1.0)))))):
+        fine = fine.subdivide(1, "linear")
+    distance, near = tree.query(fine.points, k=min(8, len(places)), distance_upper_bound=2 * apart)
+    weights = np.where(np.isfinite(distance), np.exp(-0.5 * (distance / apart) ** 2), 0.0)
+    known = np.append(values, 0.0)[near]
+    total = weights.sum(axis=1)
+    fine.point_data["value"] = np.where(total > 0, (weights * known).sum(axis=1) / np.maximum(total, 1e-300), np.nan)
+    return fine
 
 
 def places_picture(

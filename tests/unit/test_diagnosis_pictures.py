@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from bcid.base.errors import InputError
 from bcid.base.run_folder import RunFolder
-from bcid.report.diagnosis_picture import draw, round_scale, where_figure, worst_frame
+from bcid.report.diagnosis_picture import draw, residual_figure, round_scale, where_figure, worst_frame
 from bcid.report.ladder import ladder_figure
 from bcid.report.text import conclusion, falling
 
@@ -54,6 +54,17 @@ def body() -> xr.Dataset:
         },
         attrs={"scene": "corner", "up": "0 1 0"},
     )
+
+
+def dense() -> xr.Dataset:
+    """A field on the face x = 0, which fails in one corner."""
+    dims = ("frame", "fiducial", "axis")
+    rest = 0.1 * np.array([(0, y, z) for y in np.linspace(0, 1, 14) for z in np.linspace(0, 1, 14) if y + z < 1])
+    measured = np.tile(rest, (2, 1, 1))
+    measured[1, :, 0] += 5e-3 * np.exp(-(((rest[:, 1] - 0.1) / 0.02) ** 2))
+    about = {name: (dims, np.tile(rest, (2, 1, 1))) for name in ("predicted_first", "predicted")}
+    frames = {"action": ("frame", ["1", "1"]), "step": ("frame", [0, 1])}
+    return xr.Dataset(about | {"measured": (dims, measured), "grasp": ("frame", ["I", "I"])}, frames)
 
 
 def residuals() -> xr.Dataset:
@@ -104,6 +115,25 @@ def test_every_picture_is_drawn(tmp_path: Path) -> None:
     assert names(written) == {"picture.png", "where.png", "ladder.png", "body.vtkhdf"}
     assert all(file.stat().st_size > (5000 if file.suffix == ".png" else 0) for file in written)
     assert not list((tmp_path / "run").glob(".*.partial*"))
+
+
+def test_what_a_dense_field_misses_is_a_map() -> None:
+    """In colours between the surface's nodes, which lie at its corners alone; where nothing was seen there are none."""
+    pytest.importorskip("pyvista")
+    from bcid.report.scene3d import _coloured, surface
+
+    field = dense()
+    missed = 1e3 * np.linalg.norm((field["measured"] - field["predicted"]).values[1], axis=1)
+    coloured = _coloured(surface(body(), 1), 1e3 * field["predicted"].values[1], missed)
+    value, points = coloured.point_data["value"], coloured.points
+    seen = points[:, 0] < 1e-6
+    assert np.isfinite(value[seen]).all()
+    assert np.isnan(value[points[:, 0] > 30]).all()
+    corner, far = points[seen][:, 1] > 90, points[seen][:, 1] < 50
+    assert value[seen][corner].min() > 2 > 0.1 > value[seen][far].max()
+    figure = residual_figure(diagnosis(), body(), field)
+    assert any("measured − predicted" in axes.get_title(loc="right") for axes in figure.axes)
+    assert not [text for text in figure.legends[0].get_texts() if "as long as" in text.get_text()]
 
 
 def test_nothing_is_missing(tmp_path: Path) -> None:

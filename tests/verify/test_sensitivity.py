@@ -201,3 +201,12 @@ def test_with_a_pressure_as_unknown() -> None:
     assert_same(found.probes[0]["weight"], heavier)
     stiffer = differences(lambda young: at(model.with_values({"young": young})), 15e3, 15e3, 0.0)
     assert_same(found.law["young"], stiffer)
+
+
+def test_an_inclusion_far_outside_of_the_body_moves_nothing() -> None:
+    """Its edge is sharp beside the distance, and its slope there underflows."""
+    ball = {"ratio": 3.0, "cx": 0.5, "cy": 0.2, "cz": 0.0, "radius": 1e-3}
+    added = Term(effects.effect("inclusion"), ball)
+    found = sensitivities(PLAIN + added, Wanted((Probe(added, tuple(ball)),)))
+    for name, moved in found.probes[0].items():
+        assert np.abs(moved).max() < 1e-12, name

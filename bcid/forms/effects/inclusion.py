@@ -18,6 +18,8 @@ from bcid.forms.effects.effect import Array, BodyEffect, Constants, Point
 from bcid.forms.parameter import Amount, Shape
 
 _EDGE = 0.1
+# From here on tanh is 1 to the last digit; its derivative in UFL overflows further out.
+_FAR = 20.0
 
 
 def inside(distance: Any, radius: Any, tanh: Callable[[Any], Any]) -> Any:
@@ -28,7 +30,11 @@ def inside(distance: Any, radius: Any, tanh: Callable[[Any], Any]) -> Any:
 def stiffness(point: Point, c: Constants) -> Any:
     """Factor of the strain energy."""
     away = point.X - ufl.as_vector([c["cx"], c["cy"], c["cz"]])
-    return 1 + (c["ratio"] - 1) * inside(ufl.sqrt(ufl.inner(away, away)), c["radius"], ufl.tanh)
+    return 1 + (c["ratio"] - 1) * inside(ufl.sqrt(ufl.inner(away, away)), c["radius"], _tanh)
+
+
+def _tanh(x: Any) -> Any:
+    return ufl.tanh(ufl.min_value(x, _FAR))
 
 
 def around(points: Array, values: Mapping[str, float]) -> Array:
