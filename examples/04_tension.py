@@ -7,7 +7,8 @@ Find out from a tensile test of silicone rubber that it stiffens as it is stretc
 The measurement was published by Marechal et al., "Toward a common framework and database of materials for soft robotics"
 (Soft Robotics 2020; github.com/LucMarechal/Soft-Robotics-Materials-Database, ODbL 1.0): Ecoflex 00-30, pulled to failure at
 450 mm/min, engineering strain from the crosshead over 33 mm, engineering stress over 6 x 3 mm. Here a bar of that size is
-pulled by the known forces, and its end is the fiducial.
+pulled by the known forces, and its end is the fiducial. Then it is looked at the other way round: a jaw moves the end, and
+feels the force, which tells how stiff the rubber is.
 
 ::
 
@@ -30,7 +31,7 @@ from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import Ranking, rank
 from bcid.comparison.state import State
 from bcid.forms.model import Model
-from bcid.forms.simulate import recorded
+from bcid.forms.simulate import recorded, with_wrenches
 from bcid.measurement import Action
 
 HERE = Path(__file__).resolve().parent
@@ -52,6 +53,8 @@ CURVE = (
     (1.95455, 51.23),
 )
 LENGTH, AREA = 0.033, 0.006 * 0.003
+# Of a stretch where rubber does not stiffen yet; noise of a force (N) and a torque (N m).
+SMALL, LOAD_CELL, TORQUE = 1.5, 2e-3, 1e-4
 
 
 @dataclass(frozen=True)
@@ -63,12 +66,14 @@ class Found:
         ranking: what the law lacks.
         stiffening: strain stiffening, fitted with the stiffness.
         errors: RMS error of the stress, part of the largest stress: of both, and of the best law of Yeoh.
+        young: as the force on a jaw tells it up to a stretch of `SMALL`, and its standard error, Pa.
     """
 
     plain: Fit
     ranking: Ranking
     stiffening: Fit
     errors: tuple[float, float, float]
+    young: tuple[float, float]
 
 
 def main(curve: Sequence[tuple[float, float]] = CURVE) -> Found:
@@ -88,7 +93,31 @@ def main(curve: Sequence[tuple[float, float]] = CURVE) -> Found:
 
     best = yeoh(curve)
     print(f"at best with Yeoh's three constants: stress {100 * best:.2f} %")
-    return Found(plain, ranking, stiffening, (error(plain, curve), error(stiffening, curve), best))
+    young = by_jaw(scene, [point for point in curve if 1 + point[0] < SMALL])
+    print(f"by the force of a jaw up to a stretch of {SMALL:g}: young = {uncertain(*young)} Pa")
+    return Found(plain, ranking, stiffening, (error(plain, curve), error(stiffening, curve), best), young)
+
+
+def by_jaw(scene: Scene, curve: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Young's modulus and its standard error, Pa: the jaw moves as the strain says, and feels the force."""
+    strain, stress = np.vstack([(0.0, 0.0), curve]).T
+    steps, unturned = np.arange(len(strain)), np.tile([1.0, 0.0, 0.0, 0.0], (len(strain), 1))
+    path = LENGTH * strain[:, None] * [1.0, 0.0, 0.0]
+    action = Action("1", steps, steps, "jaw", path, unturned)
+    seen = recorded(scene, [action], scene.rest + path[:, None], scene.noise_sigma or 0.0, np.random.default_rng(0))
+    force = np.zeros((len(steps), 6))
+    force[:, 0] = 1e3 * AREA * stress
+    felt = replace(
+        with_wrenches(seen, force, 0.0, np.random.default_rng(0)), wrench_sigma=LOAD_CELL, torque_sigma=TORQUE
+    )
+    predictor = Predictor(scene, felt, MPI.COMM_SELF)
+    state = State.of(predictor, Model.of(scene), frozenset({"start"}))
+    told = Fit.at(state).stiffness
+    # Once more about what was found: a force is no straight line in its nuisances.
+    again = State.of(predictor, state.model.with_values(told.values if told else {}), state.anchors)
+    found = Fit.at(again).stiffness
+    assert found is not None
+    return found.values["young"], found.stderr * found.constants["young"]
 
 
 def on_rollers(scene: Scene) -> Model:

@@ -167,6 +167,10 @@ def test_04_tension(capsys: pytest.CaptureFixture[str]) -> None:
     assert stiffening == pytest.approx(0.0077, abs=0.0007)
     assert yeoh < stiffening
     assert "with strain_stiffening" in capsys.readouterr().out
+    # A shear modulus of 15.2 kPa is that of the curve up to a stretch of 1.5.
+    young, error = found.young
+    assert young / 3 == pytest.approx(15.2e3, rel=0.02)
+    assert 0 < error < 0.05 * young
 
 
 def test_the_bars_quoted_points_are_on_the_published_curve(real_data: Callable[[str], Path]) -> None:
