@@ -10,6 +10,7 @@ from bcid.report import exploration_picture as exploration
 from bcid.report import ladder, residual
 from bcid.report.calibration_picture import calibration_figure
 from bcid.report.diagnosis_picture import residual_figure, where_figure
+from bcid.report.force_chart import felt, force_chart, torque_chart
 from bcid.report.found import Found
 from bcid.report.identification_picture import body_figure, probability_chart
 from bcid.report.residual import Residual
@@ -17,6 +18,7 @@ from bcid.report.text import model_name
 from bcid.report.tracking_picture import tracking_figure
 
 if TYPE_CHECKING:
+    import xarray as xr
     from matplotlib.figure import Figure
 
 BODY, RESIDUALS, RANKING, LADDER, BELIEF, IMAGES = "body", "residuals", "ranking", "ladder", "belief", "images"
@@ -93,7 +95,21 @@ def _of_residuals(found: Found) -> list[Drawing]:
         "fiducial": residual.fiducial_chart,
         "map": residual.map_chart,
     }
-    return [Drawing(f"residual-{name}", RESIDUALS, captions[name], drawn(draw)) for name, draw in drawers.items()]
+    made = [Drawing(f"residual-{name}", RESIDUALS, captions[name], drawn(draw)) for name, draw in drawers.items()]
+    return [*made, *_of_forces(found, found.positions, last)]
+
+
+def _of_forces(found: Found, positions: xr.Dataset, model: str) -> list[Drawing]:
+    """Where the gripper felt something."""
+    if not felt(positions):
+        return []
+    length = str(found.result.get("length_unit", "mm"))
+    stiff = "" if "diagnosis" in found.documents else ", with the stiffness that the scene has"
+    text = f"Force of the gripper: measured, and as {model} predicts it{stiff}."
+    return [
+        Drawing("force-gripper", RESIDUALS, text, lambda: force_chart(positions)),
+        Drawing("torque-gripper", RESIDUALS, "Its torque.", lambda: torque_chart(positions, length)),
+    ]
 
 
 def _present(found: Residual | None) -> Residual:

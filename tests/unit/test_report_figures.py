@@ -32,6 +32,27 @@ def frame_of(path: Path, frame: int) -> Any:
     return wrap(reader.GetOutputDataObject(0))
 
 
+def test_what_the_gripper_felt_is_drawn_where_it_was_measured() -> None:
+    pytest.importorskip("matplotlib")
+    from bcid.report.force_chart import felt, force_chart, torque_chart
+
+    plain = runs.positions()
+    frames = plain.sizes["frame"]
+    dims, course = ("frame", "component"), np.outer(np.arange(frames), [2.0, 0.5, 0.0, 0.1, 0.0, 0.0])
+    # As a diagnosis holds them, and as an identification does.
+    for name in ("wrench_predicted", "wrench"):
+        found = plain.assign({"wrench_measured": (dims, course + 0.25), name: (dims, course)})
+        assert felt(found)
+        (axes,) = force_chart(found).axes
+        marks, line = axes.lines[0], axes.lines[1]
+        assert np.allclose(marks.get_ydata(), course[:, 0] + 0.25)
+        assert np.allclose(line.get_ydata(), course[: len(line.get_ydata()), 0])
+        assert torque_chart(found, "mm").axes[0].get_ylabel() == "torque (N mm)"
+        assert np.allclose(torque_chart(found, "mm").axes[0].lines[0].get_ydata(), 100 * np.arange(frames) + 250)
+    assert not felt(plain)
+    assert not felt(plain.assign(wrench_measured=(dims, np.full((frames, 6), np.nan))))
+
+
 def test_everything_is_written(tmp_path: Path) -> None:
     pv = pytest.importorskip("pyvista")
     target = tmp_path / "figures"
