@@ -69,9 +69,10 @@ def noise_doubt(found: Explanation) -> str:
     if found.noise is None or not found.last.state.predictor.data.stated:
         return ""
     share = found.noise.factor
+    rest = "; the rest of it is taken for errors that persist along trajectories" if share < 1 else ""
     return (
         f"the noise is stated as {found.noise.sigma / share * 1e3:.3g} mm, but what is left of it, smooth parts aside, "
-        f"is {share:.2g} times as large ({found.noise.sigma * 1e3:.3g} mm), which is taken instead"
+        f"is {share:.2g} times as large ({found.noise.sigma * 1e3:.3g} mm), which is taken instead{rest}"
     )
 
 

@@ -62,6 +62,8 @@ class Data:
         about: measured values (frames, rows, 3), m, and those at rest where nothing was seen.
         values: measured positions, shape (n,), m.
         sigma: standard deviation of each, m; NaN where it is not known.
+        slow: standard deviation of what errors of each have besides that persists along its trajectory, m: what of a stated one is
+            not like noise.
         stated: whether that is what measurement or scene say of positions, and not an estimate.
         action, frame, step, fiducial, axis: labels, shape (n,); actions and fiducials (or rows) as numbers.
         kind: of each value, shape (n,): 0 a position, 1 a force, 2 a torque.
@@ -76,7 +78,7 @@ class Data:
         columns = [scene.fiducial_names.index(name) for name in measurement.fiducial_names]
         self.names = [*scene.fiducial_names, *(["force", "torque"] if forces else [])]
         shape = (len(measurement.positions), len(self.names), 3)
-        self.measured, self._sigma = np.full(shape, np.nan), np.full(shape, np.nan)
+        self.measured, self._sigma, self._slow = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape)
         self.measured[:, columns] = measurement.positions
         stated = measurement.sigma(scene.noise_sigma)
         if stated is not None:
@@ -109,7 +111,7 @@ class Data:
     def _take(self, mask: NDArray[np.bool_]) -> None:
         measurement = self.measurement
         self.mask: NDArray[np.bool_] = mask
-        self.values, self.sigma = self.measured[mask], self._sigma[mask]
+        self.values, self.sigma, self.slow = self.measured[mask], self._sigma[mask], self._slow[mask]
         frames, fiducials, axes = np.nonzero(self.mask)
         names = measurement.action_names
         actions = np.array([names.index(str(name)) for name in measurement.data["action"].values])
@@ -134,11 +136,18 @@ class Data:
         return other
 
     def with_noise(self, noise: Noise) -> Data:
-        """The same values with another noise than the stated one, or with one where none is stated."""
+        """The same values with another noise than the stated one, or with one where none is stated.
+
+        Where the stated one is larger, the rest of it stays, as errors that persist: what is stated may be all that a position can
+        be off, as with image correlation, whose bias is much larger than its noise.
+        """
         other = copy(self)
         other._sigma, count = self._sigma.copy(), len(self.scene.fiducials)
         sigma = self._sigma * noise.factor if self.stated else np.full_like(self._sigma, noise.sigma)
         other._sigma[:, :count] = np.where(np.isfinite(self.measured), sigma, np.nan)[:, :count]
+        if self.stated and noise.factor < 1:
+            other._slow = np.zeros_like(self._sigma)
+            other._slow[:, :count] = np.nan_to_num(self._sigma * math.sqrt(1 - noise.factor**2))[:, :count]
         other._take(self.mask)
         return other
 

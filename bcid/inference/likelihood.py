@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 _OF_ACTION = 0.5
 _OF_TRAJECTORY = 0.5
 _OF_FIDUCIAL = 1.5
+# A constant and a slope of this size have a mean square of 1 along a trajectory.
+_OF_SLOW = math.sqrt(3 / 4)
 # A mesh is too stiff everywhere: of all forces and torques together.
 _OF_FORCES = 0.5
 # Columns that are smaller than this part of the noise are left out.
@@ -156,9 +158,11 @@ class Errors:
                 sizes[kind, a] = float(np.sqrt(np.mean(left[alike & (data.action == a)] ** 2)))
         order = np.argsort(data.fiducial, kind="stable")
         for rows in np.split(order, np.flatnonzero(np.diff(data.fiducial[order])) + 1):
-            columns = [markers[rows]] if markers[rows].any() else []
-            if common[data.kind[rows[0]]] > 0:
-                columns += [_along(data, rows, left, sizes), _growing(data, rows, common[data.kind[rows[0]]])]
+            columns, of_all = [markers[rows]] if markers[rows].any() else [], common[data.kind[rows[0]]]
+            if of_all > 0 or data.slow[rows].any():
+                columns.append(_along(data, rows, left, sizes))
+            if of_all > 0:
+                columns.append(_growing(data, rows, of_all))
             if columns:
                 yield rows, np.hstack(columns)
 
@@ -228,12 +232,13 @@ class Errors:
 
 
 def _along(data: Data, rows: NDArray[np.int64], left: Array, sizes: dict[tuple[int, int], float]) -> Array:
-    """A constant and a slope along each trajectory, as large as what the mesh leaves of it."""
+    """A constant and a slope along each trajectory, as large as what the mesh leaves of it, and what of the noise persists."""
     columns = []
     for number in np.unique(data.trajectory[rows]):
         members = np.flatnonzero(data.trajectory[rows] == number)
         own = np.sqrt(np.mean(left[rows[members]] ** 2))
         amount = _OF_TRAJECTORY * max(own, sizes[data.kind[rows[0]], data.action[rows[members[0]]]])
+        amount = math.hypot(amount, _OF_SLOW * float(np.sqrt(np.mean(data.slow[rows[members]] ** 2))))
         shape = np.zeros((len(rows), 2))
         # At rest there is no error; it grows with the motion.
         along = np.linspace(0.0, 1.0, len(members)) if len(members) > 1 else np.ones(1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from copy import copy
 
 import numpy as np
 import pytest
@@ -25,6 +26,8 @@ from bcid.inference.hypotheses import (
     patches,
     with_others,
 )
+from bcid.inference.likelihood import Errors
+from bcid.inference.mesh_error import MeshError
 
 Array = NDArray[np.float64]
 COUNT = 60
@@ -189,7 +192,37 @@ def test_a_noise_that_is_stated_wrongly_is_seen(factor: float, surprising: bool)
     believed = data.with_noise(found)
     assert believed.sigma == pytest.approx(np.full(len(data), found.sigma))
     assert believed.stated
+    # What of a stated noise is none may still be an error that persists.
+    persists = SIGMA * np.sqrt(max(1 - found.factor**2, 0.0)) if surprising else believed.slow[0]
+    assert believed.slow == pytest.approx(np.full(len(data), persists))
+    assert not data.slow.any()
     assert data.sigma == pytest.approx(np.full(len(data), SIGMA))
+
+
+def test_an_error_that_persists_is_expected_where_more_was_stated_than_is_noise() -> None:
+    """As of image correlation: each trajectory is off by what was stated, and hardly changes from step to step."""
+    from tests.unit.test_compare import SIGMA, actions, data_of, rest
+
+    made = actions(steps=20)
+    data = data_of(rest(made), made)
+    rng = np.random.default_rng(3)
+    offset = SIGMA * rng.normal(size=data.trajectory.max() + 1)
+    residual = offset[data.trajectory] * np.minimum(1.0, 4 * data.progress) + 0.05 * SIGMA * rng.normal(size=len(data))
+    found = told_noise(data, residual)
+    assert found is not None
+    assert found.factor == pytest.approx(0.05, rel=0.2)
+    believed = data.with_noise(found)
+    mesh = MeshError.unknown(data.mask.shape)
+    chi2 = [float(np.mean(Errors(d, d.sigma, mesh).whiten(residual) ** 2)) for d in (believed, within(believed))]
+    assert chi2[0] == pytest.approx(1.0, abs=0.3)
+    assert chi2[1] > 100
+
+
+def within(data: Data) -> Data:
+    """The same with nothing but noise."""
+    other = copy(data)
+    other.slow = np.zeros(len(data))
+    return other
 
 
 def test_where_no_noise_is_stated_one_can_be_believed() -> None:
