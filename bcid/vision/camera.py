@@ -15,37 +15,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.base.errors import InputError, Problems, nearest, unwritable
-from bcid.base.text_file import parse_json, parse_toml, read_text
-from bcid.base.units import FURTHEST, MOST, unit_factor
-from bcid.measurement.frame_error import plain_numbers
+from bcid.base.errors import InputError, Problems, unwritable
+from bcid.base.units import FURTHEST, unit_factor
+from bcid.vision.calibrations.camera_file import FORMAT, read_stored
+from bcid.vision.calibrations.stored import SIDES, Counting, Optics
+
+__all__ = ["SIDES", "Camera", "Cameras"]
 
 Array = NDArray[np.float64]
 
-FORMAT = "bcid-cameras/1"
-SIDES = ("left", "right")
 # Numbers of coefficients that OpenCV's model of a lens may have.
 _COEFFICIENTS = (0, 4, 5, 8, 12, 14)
 # Undistortion: steps at most, and the accuracy of the direction.
 _STEPS, _EXACT = 200, 1e-14
 # A lens whose distortion cannot be undone leaves more than this, pixels.
 _UNDONE = 1e-6
-# No image is wider, px.
-_WIDEST = 1_000_000
-# Names that files of OpenCV and of others use; {side} is 1 or 2.
-_MATRIX = ("K{n}", "M{n}", "camera_matrix_{n}", "cameraMatrix{n}", "camera_matrix_{s}", "{s}_camera_matrix", "K_{s}")
-_DISTORTION = (
-    "D{n}",
-    "distCoeffs{n}",
-    "dist_coeffs_{n}",
-    "distortion_{n}",
-    "distortion_{s}",
-    "{s}_distortion",
-    "D_{s}",
-)
-_ROTATION = ("R", "rotation")
-_TRANSLATION = ("T", "t", "translation")
-_SIZE = ("image_size", "imageSize", "size")
 
 
 @dataclass(frozen=True)
@@ -53,7 +37,7 @@ class Camera:
     """One camera.
 
     Attributes:
-        matrix: focal lengths and principal point as OpenCV's camera matrix, shape (3, 3), px.
+        matrix: focal lengths, principal point and skew (at [0, 1]) as a camera matrix, shape (3, 3), px.
         distortion: coefficients of the lens, shape (0), (4), (5), (8), (12) or (14).
         size: width and height of its images, px; (0, 0) when not known.
     """
@@ -64,16 +48,13 @@ class Camera:
 
     def project(self, points: Array) -> Array:
         """Pixels (n, 2) of points (n, 3) in the camera's frame, m; NaN for points that are not in front of it."""
-        import cv2
-
         points = np.asarray(points, dtype=float).reshape(-1, 3)
         seen = points[:, 2] > 0
         pixels = np.full((len(points), 2), np.nan)
         if seen.any():
-            # Directions only: OpenCV would take the unit of length into account nowhere else.
-            rays = points[seen] / points[seen, 2:]
-            still = np.zeros(3)
-            pixels[seen] = cv2.projectPoints(rays, still, still, self.matrix, self._lens())[0].reshape(-1, 2)
+            # OpenCV's own projection knows no skew: it distorts directions here, and the whole matrix makes them pixels.
+            rays = self._distorted(points[seen, :2] / points[seen, 2:])
+            pixels[seen] = rays @ self.matrix[:2, :2].T + self.matrix[:2, 2]
         return pixels
 
     def undistort(self, pixels: Array) -> Array:
@@ -146,15 +127,26 @@ class Cameras:
         return math.degrees(math.acos(float(np.clip(self.rotation[2, 2], -1, 1))))
 
     @classmethod
-    def read(cls, path: str | Path, length_unit: str | None = None) -> Cameras:
-        """Read a calibration: bcid's own (JSON), OpenCV's storage (YAML, XML, JSON), or plain matrices in TOML or JSON.
+    def read(
+        cls,
+        path: str | Path,
+        length_unit: str | None = None,
+        *,
+        image_size: Any = None,
+        first_pixel: Any = None,
+        origin: Any = None,
+    ) -> Cameras:
+        """Read a calibration: bcid's own, OpenCV's storage, MATLAB's, Bouguet's, DLT coefficients, projections, plain matrices.
 
-        A file that is not bcid's names the matrices in one of the usual ways: K1 (or M1, cameraMatrix1, camera_matrix_left),
-        D1 (or distCoeffs1, distortion_left), the same with 2 or right, R, T, and optionally image_size.
+        docs/vision.md has the table of what is read and how it counts. The frame is that of the left camera, whatever the file's
+        world is.
 
         Args:
             path: the file.
-            length_unit: of the translation; files of bcid state it themselves, in others `length_unit` may stand.
+            length_unit: of the translation; for files that do not state it.
+            image_size: width and height, px, for files that do not state it.
+            first_pixel: coordinate of the middle of the first pixel, 0 or 1, of files that do not state it (0).
+            origin: of their pixels, "upper left" or "lower left".
 
         Raises:
             InputError: with everything that is wrong.
@@ -162,24 +154,15 @@ class Cameras:
         path = Path(path)
         if not path.is_file():
             raise InputError(f"{path}: no such calibration file")
-        values = _values(path)
         problems = Problems(f"calibration {path}")
-        found = _own(values, path, problems) if values.get("format") == FORMAT else _foreign(values, path, problems)
-        unit = values.get("length_unit", length_unit)
-        if not isinstance(unit, str):
-            problems.add(path, 'length_unit: of the translation is not stated; give it, as "mm"')
-        error = values.get("reprojection_error")
-        if error is not None:
-            error = float(_array(error, (1,), "reprojection_error", path, problems)[0])
-        try:
-            scale = unit_factor(str(unit), "m")
-        except InputError as wrong:
-            problems.add(path, f"length_unit: {wrong}")
+        counting = Counting(first_pixel, origin, image_size)
+        size = counting.image_size(path, problems)
+        found = read_stored(path, counting, problems)
+        scale = _scale(None if found is None else found.length_unit, length_unit, path, problems)
         problems.raise_if_any()
-        left, right = (
-            Camera(found[f"{side}.matrix"], found[f"{side}.distortion"], found[f"{side}.size"]) for side in SIDES
-        )
-        cameras = cls(left, right, found["rotation"], found["translation"] * scale, error)
+        assert found is not None
+        left, right = (_camera(one, size) for one in (found.left, found.right))
+        cameras = cls(left, right, found.rotation, found.translation * scale, found.error)
         cameras._check(path, problems)
         problems.raise_if_any()
         return cameras
@@ -208,7 +191,7 @@ class Cameras:
                 or np.abs(matrix[[1, 2, 2], [0, 0, 1]]).max() > 1e-9
                 or matrix[2, 2] != 1
             ):
-                problems.add(path, f"the matrix of the {side} camera is not of the form fx 0 cx, 0 fy cy, 0 0 1")
+                problems.add(path, f"the matrix of the {side} camera is not of the form fx s cx, 0 fy cy, 0 0 1")
             if len(camera.distortion) not in _COEFFICIENTS:
                 allowed = ", ".join(map(str, _COEFFICIENTS))
                 problems.add(
@@ -223,106 +206,28 @@ class Cameras:
             problems.add(path, "the translation between the cameras is zero: one camera cannot measure a depth")
 
 
-def _values(path: Path) -> dict[str, Any]:
-    """What a calibration file holds, by name."""
-    text = read_text(path)
-    values: Any = None
-    try:
-        if path.suffix == ".toml":
-            values = parse_toml(text, path)
-        elif path.suffix == ".json" and "opencv-matrix" not in text:
-            values = parse_json(text, path)
-        else:
-            values = _storage(path, text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not a calibration file: {error}") from None
-    if not isinstance(values, dict):
-        raise InputError(f"{path}: not a calibration file: expected names with matrices")
-    return values
+def _camera(stored: Optics, size: tuple[int, int]) -> Camera:
+    """A camera of a file; its size is the one that is stated where the file has none."""
+    return Camera(stored.matrix, stored.distortion, stored.size if any(stored.size) else size)
 
 
-def _storage(path: Path, text: str) -> dict[str, Any]:
-    """The content of a file that OpenCV's FileStorage wrote: its text is handed over, so that no other file is opened."""
-    import cv2
-
-    try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        root = storage.root()
-        return {name: _node(root.getNode(name)) for name in root.keys()}  # noqa: SIM118 (a FileNode is no dict)
-    except (cv2.error, SystemError) as error:
-        raise InputError(f"{path}: OpenCV cannot read it: {str(error).splitlines()[0]}") from None
-
-
-def _node(node: Any) -> Any:
-    if node.isInt() or node.isReal():
-        return node.real()
-    if node.isString():
-        return node.string()
-    if node.isSeq():
-        return [_node(node.at(i)) for i in range(node.size())]
-    return node.mat()
-
-
-def _own(values: dict[str, Any], path: Path, problems: Problems) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for side in SIDES:
-        table = values.get(side)
-        if not isinstance(table, dict):
-            problems.add(path, f"{side}: the camera is missing")
+def _scale(own: Any, stated: Any, path: Path, problems: Problems) -> float:
+    """The unit of lengths, m, as the file states it or as is stated beside it."""
+    factors = []
+    for unit in (own, stated):
+        if unit is None:
             continue
-        found[f"{side}.matrix"] = _array(table.get("matrix"), (3, 3), f"{side}.matrix", path, problems)
-        found[f"{side}.distortion"] = _array(table.get("distortion", []), None, f"{side}.distortion", path, problems)
-        found[f"{side}.size"] = _size(table.get("size", (0, 0)), f"{side}.size", path, problems)
-    found["rotation"] = _array(values.get("rotation"), (3, 3), "rotation", path, problems)
-    found["translation"] = _array(values.get("translation"), (3,), "translation", path, problems)
-    return found
-
-
-def _foreign(values: dict[str, Any], path: Path, problems: Problems) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    size = _size(_named(values, _SIZE, (0, 0)), "image_size", path, problems)
-    for number, side in enumerate(SIDES, start=1):
-        wanted: tuple[tuple[str, tuple[str, ...], tuple[int, ...] | None], ...]
-        wanted = (("matrix", _MATRIX, (3, 3)), ("distortion", _DISTORTION, None))
-        for what, patterns, shape in wanted:
-            names = tuple(name.format(n=number, s=side) for name in patterns)
-            value = _named(values, names, None)
-            if value is None:
-                hint = nearest(names[0], values)
-                problems.add(path, f"the {what} of the {side} camera ({' or '.join(names[:3])}) is missing; {hint}")
-            else:
-                found[f"{side}.{what}"] = _array(value, shape, names[0], path, problems)
-        found[f"{side}.size"] = size
-    found["rotation"] = _array(_named(values, _ROTATION, None), (3, 3), _ROTATION[0], path, problems)
-    found["translation"] = _array(_named(values, _TRANSLATION, None), (3,), _TRANSLATION[0], path, problems)
-    return found
-
-
-def _named(values: dict[str, Any], names: tuple[str, ...], default: Any) -> Any:
-    return next((values[name] for name in names if name in values), default)
-
-
-def _array(value: Any, shape: tuple[int, ...] | None, name: str, path: Path, problems: Problems) -> Array:
-    """Numbers of a shape (any length if None)."""
-    wanted = "a list of numbers" if shape is None else " x ".join(map(str, shape)) + " numbers"
-    try:
-        array = plain_numbers(value)
-    except (TypeError, ValueError):
-        array = np.array(math.nan)
-    if shape is None:
-        array = array.ravel()
-    elif array.size == math.prod(shape):
-        array = array.reshape(shape)
-    if not (np.abs(array) <= MOST).all() or (shape is not None and array.shape != shape):
-        found = "is missing" if value is None else f"found {str(value)[:60]!r}"
-        problems.add(path, f"{name}: expected {wanted}, {found}")
-        return np.zeros(shape or (0,))
-    return array
-
-
-def _size(value: Any, name: str, path: Path, problems: Problems) -> tuple[int, int]:
-    size = _array(value, (2,), name, path, problems)
-    if not ((size >= 0) & (size <= _WIDEST)).all():
-        problems.add(path, f"{name}: expected width and height up to {_WIDEST} px, found {str(value)[:60]!r}")
-        return 0, 0
-    return int(size[0]), int(size[1])
+        try:
+            factors.append(unit_factor(str(unit), "m"))
+        except InputError as wrong:
+            problems.add(path, f"length_unit: {wrong}")
+            return 1.0
+    if not factors:
+        problems.add(path, 'length_unit: of the translation is not stated; give it, as "mm"')
+        return 1.0
+    if len(factors) == 2 and factors[0] != factors[1]:
+        problems.add(
+            path,
+            f"length_unit: the file says {own!r}, elsewhere {stated!r} is stated; leave that away, or correct the file",
+        )
+    return factors[0]

@@ -18,7 +18,10 @@ from bcid.measurement.folder import read_grasps
 from bcid.vision.camera import SIDES, Cameras
 
 FORMAT = "bcid-recording/1"
-_KEYS = ("format", "cameras", "camera_length_unit", *SIDES, "grasps", "rate", "length_unit", "time_unit", "distance")
+# What is said of the file of the cameras, where it does not say so itself.
+_OF_CAMERAS = ("length_unit", "image_size", "first_pixel", "origin")
+_KEYS = ("format", "cameras", *(f"camera_{key}" for key in _OF_CAMERAS), *SIDES)
+_KEYS += ("grasps", "rate", "length_unit", "time_unit", "distance")
 _TABLES = {
     "beads": ("diameter", "colour"),
     "images": ("first", "every", "last"),
@@ -133,7 +136,9 @@ class _Reader:
             self.bad(f"rate: expected a positive number (up to 1e30) of images per second, found {rate!r}")
         cameras = self.attempt(
             "cameras",
-            lambda: Cameras.read(self.path.parent / self.text("cameras"), self.table.get("camera_length_unit")),
+            lambda: Cameras.read(
+                self.path.parent / self.text("cameras"), **{key: self.table.get(f"camera_{key}") for key in _OF_CAMERAS}
+            ),
         )
         actions = None
         if "grasps" in self.table:

@@ -23,6 +23,8 @@ def leaves(node: Any, path: str = "", depth: int = 0) -> Iterator[tuple[str, Any
             yield from leaves(part, f"{path}/{name}" if path else name, depth + 1)
     elif isinstance(node, list):
         yield from _listed(node, path, depth)
+    elif isinstance(node, str):
+        yield path, np.array(node)
     elif hasattr(node, "shape"):
         yield path, node
 

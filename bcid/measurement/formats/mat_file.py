@@ -26,7 +26,13 @@ def _arrays(source: Path, wanted: Sequence[str]) -> dict[str, Any]:
 
 def _node(value: Any, depth: int = 0) -> Any:
     """A variable as dictionaries (structs), lists (cells, struct arrays) and arrays; None for objects of MATLAB classes."""
-    if not isinstance(value, np.ndarray | np.void) or depth > _DEEPEST:
+    from scipy.io.matlab import MatlabObject, MatlabOpaque
+
+    if (
+        not isinstance(value, np.ndarray | np.void)
+        or isinstance(value, MatlabObject | MatlabOpaque)
+        or depth > _DEEPEST
+    ):
         return None
     if value.dtype.names:
         parts = np.ravel(value)
