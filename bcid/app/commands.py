@@ -364,6 +364,9 @@ def calibrate(arguments: argparse.Namespace) -> None:
         arguments.distortion,
         progress,
         arguments.overwrite,
+        picked=arguments.picked,
+        image_size=arguments.image_size,
+        first_pixel=arguments.first_pixel,
     )
     _finish(folder, arguments, None, progress)
 

@@ -82,16 +82,27 @@ def add_calibrate(commands: Any) -> None:
         commands,
         "calibrate",
         calibrate,
-        "calibrate two cameras from pairs of images of a board",
+        "calibrate two cameras from pairs of images of a board, or from known points picked in them",
         "Writes a run folder: cameras.json, calibration.json, summary.txt with a verdict, calibration.png. See docs/vision.md.",
     )
-    parser.add_argument("left", type=Path, help="folder of images of the left camera, or a video")
-    parser.add_argument("right", type=Path, help="the same of the right camera; pairs have equal numbers")
+    parser.add_argument("left", type=Path, nargs="?", help="folder of images of the left camera, or a video")
+    parser.add_argument("right", type=Path, nargs="?", help="the same of the right camera; pairs have equal numbers")
     parser.add_argument(
         "--board",
         required=True,
         metavar='"chessboard 10x7 10 mm"',
-        help='inner corners and square; or "charuco 8x6 30 mm 22 mm DICT_5X5_100": squares, square, marker, dictionary',
+        help='inner corners and square; or "charuco 8x6 30 mm 22 mm DICT_5X5_100": squares, square, marker, dictionary; '
+        "or a file with points that are known in space (name,x_mm,y_mm,z_mm)",
+    )
+    parser.add_argument(
+        "--picked",
+        type=Path,
+        metavar="FILE",
+        help="where these points are in the images (name,u_left,v_left,u_right,v_right, and pose)",
+    )
+    parser.add_argument("--image-size", metavar="1280x1024", help="of both images, where no images are given")
+    parser.add_argument(
+        "--first-pixel", type=int, choices=(0, 1), default=0, help="the middle of the first pixel in FILE (0)"
     )
     parser.add_argument(
         "--distortion", type=int, default=4, metavar="N", help="coefficients of the lenses: 0, 2, 4 (default), 5 or 8"

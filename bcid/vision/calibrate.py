@@ -1,4 +1,4 @@
-"""Calibration of two cameras from the corners of a flat board that both saw."""
+"""Calibration of two cameras from the corners of a flat board, or the points of a solid object, that both saw."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import Problems
-from bcid.vision.adjustment import COEFFICIENTS, FEW, MATRIX, Adjustment, CameraEstimate, Size, check_lens
+from bcid.vision.adjustment import COEFFICIENTS, FEW, LENSES, MATRIX, Adjustment, CameraEstimate, Size, check_lens
 from bcid.vision.calibration import GRID, Calibration
 from bcid.vision.camera import SIDES, Cameras
 from bcid.vision.corners import CORNERS, Corners, rms
 from bcid.vision.first_guess import first_guess
+from bcid.vision.resection import is_mirrored, is_solid, relief
 
 Array = NDArray[np.float64]
 
@@ -26,12 +27,14 @@ DISTORTION = 4
 FEWEST = 3
 # A pair is left out when its error is so many times the median and not below so many px; at most this share of them.
 _FAR, _NOTICEABLE, _SHARE = 3.0, 0.05, 4
+# A board is flat up to this ratio of its relief to its size: then only tilts tell focal lengths.
+_FLAT = 1e-3
 
 
 def calibrate(
     corners: Sequence[Corners], size: Size, right_size: Size | None = None, distortion: int = DISTORTION
 ) -> Calibration:
-    """Both cameras from corners of a board.
+    """Both cameras from corners of a board, or points of an object; of a solid one, one pair is enough.
 
     Pairs whose error is far above the others' are left out, one at a time and never more than a quarter.
 
@@ -41,7 +44,7 @@ def calibrate(
             for all but wide lenses; k3 and what follows need corners up to the edges of the images.
 
     Raises:
-        InputError: too few pairs, corners that cannot be used, a number of coefficients that does not exist.
+        InputError: too few pairs, corners that cannot be used or are mirrored, a number of coefficients that does not exist.
     """
     sizes = (size, right_size or size)
     _check(corners, sizes, distortion)
@@ -73,7 +76,7 @@ def _check(corners: Sequence[Corners], sizes: tuple[Size, Size], distortion: int
     check_lens(distortion, problems)
     if any(min(size) < 1 for size in sizes):
         problems.add("size", f"of the images: expected width and height in pixels, found {sizes[0]} and {sizes[1]}")
-    if len(corners) < FEWEST:
+    if len(corners) < FEWEST and not any(is_solid(c.board) for c in corners):
         problems.add(
             "pairs",
             f"{len(corners)} pair(s) show the board, at least {FEWEST} are needed, {FEW} or more are good; take more pictures, "
@@ -87,6 +90,20 @@ def _check(corners: Sequence[Corners], sizes: tuple[Size, Size], distortion: int
         if flaw:
             problems.add(f"pair {c.number}", flaw)
     problems.raise_if_any()
+    values, unknowns = 4 * sum(map(len, corners)), 2 * (4 + len(LENSES[distortion])) + 6 + 6 * len(corners)
+    if values <= unknowns:
+        problems.add(
+            "points",
+            f"their {values} pixel coordinates are not enough for {unknowns} unknowns; pick more points, or ask for fewer "
+            "coefficients of the lens with --distortion 0",
+        )
+    if all(is_mirrored(c) for c in corners):
+        problems.add(
+            "points",
+            "both cameras see the object as in a mirror; v must count down from the upper left of the image (v = height - 1 - v "
+            "where it counts up), and the axes of the object must be right-handed (change the sign of one)",
+        )
+    problems.raise_if_any()
 
 
 def _flaw(corners: Corners, sizes: tuple[Size, Size]) -> str:
@@ -97,10 +114,8 @@ def _flaw(corners: Corners, sizes: tuple[Size, Size]) -> str:
         return f"expected arrays of shapes (n, 3), (n, 2), (n, 2), found {', '.join(map(str, shapes))}"
     if not all(np.isfinite(a).all() for a in (corners.board, corners.left, corners.right)):
         return "holds numbers that are not finite"
-    if np.abs(corners.board[:, 2]).max(initial=0.0) > 0:
-        return "the board must be flat: z of its corners must be 0"
     extent = np.ptp(corners.board, axis=0).max() if count else 0.0
-    if count < CORNERS or np.linalg.matrix_rank(corners.board[:, :2] - corners.board[0, :2], tol=1e-3 * extent) < 2:
+    if count < CORNERS or np.linalg.matrix_rank(corners.board - corners.board[0], tol=1e-3 * extent) < 2:
         return f"has {count} corners that both cameras see, or they lie on a line; at least {CORNERS} are needed"
     for side, pixels, size in zip(SIDES, (corners.left, corners.right), sizes, strict=True):
         # What is out by little may be noise.
@@ -143,6 +158,7 @@ def _described(
         spread=math.degrees(math.acos(float(np.clip((normals @ normals.T).min(), -1, 1)))),
         sight=_sight(adjustment, state),
         distortion=adjustment.distortion,
+        flat=relief(adjustment.board) < _FLAT,
         many_far=many_far,
     )
 

@@ -1,9 +1,8 @@
-"""`bcid calibrate` as a job: look for corners in the images, calibrate, and write the run folder."""
+"""`bcid calibrate` as a job: look for corners in the images or read points, calibrate, and write the run folder."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,102 +13,73 @@ from bcid.base.fingerprint import fingerprint
 from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import RunFolder, running
 from bcid.vision.adjustment import COEFFICIENTS, LENSES, MATRIX, check_lens
-from bcid.vision.board import CHESSBOARD, Board
-from bcid.vision.calibrate import DISTORTION, FEWEST, calibrate
+from bcid.vision.board_views import board_in_images, is_file_of_points, picked_points
+from bcid.vision.calibrate import DISTORTION, calibrate
 from bcid.vision.calibration import GRID, Calibration
 from bcid.vision.camera import SIDES
-from bcid.vision.corners import find_corners
-from bcid.vision.images import Images
 
 MAKES = ("calibration.json", "cameras.json", "summary.txt", "calibration.png")
 
 
 def run_calibration(
-    left: Path,
-    right: Path,
+    left: Path | None,
+    right: Path | None,
     board: str,
     folder: Path,
     distortion: int = DISTORTION,
     progress: Progress | None = None,
     overwrite: bool = False,
+    *,
+    picked: Path | None = None,
+    image_size: str | None = None,
+    first_pixel: float = 0.0,
 ) -> Path:
-    """Calibrate two cameras from their images of a board and write the run folder. Returns the folder.
+    """Calibrate two cameras from what they saw of a board and write the run folder. Returns the folder.
 
     Nothing is written before the calibration is there; a run that `overwrite` discards stays until then.
 
     Args:
-        left, right: folders of images, or videos (see `Images.open`).
-        board: see `Board.parse`.
+        left, right: folders of images, or videos (see `Images.open`); not needed with `picked` and `image_size`.
+        board: a pattern (see `Board.parse`), or a file of points that are known in space (see `KnownPoints.read`).
         distortion: see `calibrate`.
+        picked: where the known points were picked in the images (see `KnownPoints.picked`).
+        image_size: width and height, as "1280x1024", px.
+        first_pixel: coordinate of the middle of the first pixel in `picked`.
 
     Raises:
-        InputError: images, board or number of coefficients cannot be used, or too few pairs show the board.
+        InputError: images, board, picked points or number of coefficients cannot be used, or too few pairs show the board.
         MachineError: the folder cannot be written.
     """
     progress = progress or Silent()
-    pattern = Board.parse(board)
     problems = Problems("calibration")
     check_lens(distortion, problems)
     problems.raise_if_any()
     # Told before the work.
     if not overwrite and (folder / "run.json").is_file() and RunFolder.open(folder).record["state"] == "finished":
         raise InputError(f"{folder}: holds a finished run; choose another folder, or add --overwrite")
-    images = _opened(left, right)
-    try:
-        corners, missing = find_corners(*images, pattern, progress)
-    finally:
-        for one in images:
-            one.close()
-    if len(corners) < FEWEST:
-        raise InputError(_too_few(len(corners), pattern, missing))
-    progress.say(f"{len(corners)} pairs show the board; calibrating")
-    found = calibrate(corners, images[0].size, images[1].size, distortion)
-    about = {"left": str(left), "right": str(right), "board": str(pattern)}
-    content = [[c.number, c.board, c.left, c.right] for c in corners]
+    if is_file_of_points(board) != (picked is not None):
+        raise InputError(
+            "a file of known points (--board POINTS.csv) and one of where they were picked in the images (--picked PICKED.csv) "
+            "go together; corners of a chessboard or charuco board are found without"
+        )
+    if picked is not None:
+        shown = picked_points(board, picked, left, right, image_size, first_pixel)
+    elif left is None or right is None:
+        raise InputError("the images are missing: give the folders of the left and of the right camera")
+    else:
+        shown = board_in_images(left, right, board, progress)
+    progress.say(f"{len(shown.corners)} pairs show the board; calibrating")
+    found = calibrate(shown.corners, *shown.sizes, distortion)
+    content = [[c.number, c.board, c.left, c.right] for c in shown.corners]
     sizes = [found.cameras.left.size, found.cameras.right.size]
     inputs = {"corners": fingerprint([content, sizes]), "distortion": distortion}
     with running(None, folder, "calibrate", inputs, MAKES, overwrite) as run:
         assert run is not None
         found.cameras.write(folder / "cameras.json")
-        run.write_json("calibration.json", numbers(found, missing) | {"from": about})
-        run.write_text("summary.txt", summary(found, missing, about))
+        run.write_json("calibration.json", numbers(found, shown.missing) | {"from": shown.about})
+        run.write_text("summary.txt", summary(found, shown.missing, shown.about))
         run.finish({"verdict": found.verdict, "usable": found.usable, "error": found.error})
     return folder
-
-
-def _opened(left: Path, right: Path) -> tuple[Images, Images]:
-    """Images of both cameras; all that is wrong is told at once."""
-    problems = Problems("images of the two cameras")
-    found = []
-    for side, path in zip(SIDES, (left, right), strict=True):
-        try:
-            found.append(Images.open(path))
-        except InputError as error:
-            problems.add(side, str(error))
-    problems.raise_if_any()
-    if not set(found[0].numbers) & set(found[1].numbers):
-        raise InputError(
-            f"{left} and {right}: no image has the same number in both ({_some(found[0].numbers)} and "
-            f"{_some(found[1].numbers)}); the two images of a pair need the same number"
-        )
-    return found[0], found[1]
-
-
-def _some(numbers: Sequence[int]) -> str:
-    return ", ".join(map(str, numbers[:6])) + (", ..." if len(numbers) > 6 else "")
-
-
-def _too_few(count: int, board: Board, missing: dict[int, str]) -> str:
-    """What to say when hardly any pair shows the board, with the reasons of the first twenty."""
-    counted = "inner corners" if board.kind == CHESSBOARD else "squares"
-    lines = [
-        f"{count} pair(s) show the {board} in both images, at least {FEWEST} are needed; "
-        f"does it have {board.columns} x {board.rows} {counted}?"
-    ]
-    lines += [f"  pair {number}: {reason}" for number, reason in list(missing.items())[:20]]
-    if len(missing) > 20:
-        lines.append(f"  ... and {len(missing) - 20} more")
-    return "\n".join(lines)
 
 
 def numbers(found: Calibration, missing: dict[int, str] | None = None) -> dict[str, Any]:
@@ -153,8 +123,8 @@ def numbers(found: Calibration, missing: dict[int, str] | None = None) -> dict[s
         "deviations_from": found.deviations_from,
         "distortion_coefficients": found.distortion,
         "sight_angle": found.sight,
-        "tilts": list(found.tilts),
-        "spread": found.spread,
+        "tilts": list(found.tilts) if found.flat else None,
+        "spread": found.spread if found.flat else None,
         "grid": list(GRID),
         "pairs": pairs,
         "left_out": [{"number": n, "error": found.pair_errors[n]} for n in found.left_out],
@@ -189,8 +159,7 @@ def summary(found: Calibration, missing: dict[int, str] | None = None, about: di
         f"Baseline {cameras.baseline * 1e3:.3f} {_plus_minus(found.deviations['baseline'] * 1e3)} mm, angle between the axes "
         f"{cameras.angle:.3f} {_plus_minus(found.deviations['angle'])} deg; the board is seen under {found.sight:.1f} deg.",
         f"Error {found.error:.3f} px RMS over {sum(map(len, found.used))} corners of {len(found.used)} pairs.",
-        f"Boards are tilted by {found.tilts[0]:.0f} to {found.tilts[1]:.0f} deg, and by up to {found.spread:.0f} deg against "
-        "each other.",
+        *_about_boards(found),
         f"Standard deviations (+-) are from the {found.deviations_from}.",
     ]
     lines += _about_pairs(found, missing)
@@ -200,6 +169,18 @@ def summary(found: Calibration, missing: dict[int, str] | None = None, about: di
     if about:
         lines += ["", "From " + ", ".join(f"{what} {text}" for what, text in about.items())]
     return "\n".join(lines) + "\n"
+
+
+def _about_boards(found: Calibration) -> list[str]:
+    """How flat boards were tilted; of points with names, which fits worst."""
+    lines = []
+    if found.flat:
+        lines += [
+            f"Boards are tilted by {found.tilts[0]:.0f} to {found.tilts[1]:.0f} deg, and by up to {found.spread:.0f} deg "
+            "against each other."
+        ]
+    worst = found.worst_point
+    return lines + ([] if worst is None else [f"The largest residual is {worst}."])
 
 
 def _about_pairs(found: Calibration, missing: dict[int, str]) -> list[str]:

@@ -22,6 +22,16 @@ _ERROR, _BAD_ERROR = 1.0, 5.0
 _COVERAGE = 0.4
 _SIGHT, _BAD_SIGHT, _SPREAD, _FLAT = 3.0, 0.3, 20.0, 8.0
 _FOCAL, _BAD_FOCAL = 0.005, 0.03
+# What to do about a large error, and about too little knowledge.
+_FLAT_ADVICE = (
+    "Check that board and cameras stand still in each picture, that the pictures of a pair were taken at the same time, that the "
+    "board is flat, and its numbers of columns and rows."
+)
+_POINTS_ADVICE = (
+    "Check the points that fit worst (the largest residual is {}), their names and places, whether pixels count from 0 or 1, and "
+    "that the object stood still."
+)
+_MORE_POINTS = "Pick more points, at more depths and nearer to the edges of the images, or the object in more poses."
 
 
 @dataclass(frozen=True)
@@ -51,6 +61,7 @@ class Calibration:
         spread: largest angle between two boards, deg.
         sight: mean angle between the lines from a board to the two cameras, deg.
         distortion: how many coefficients of the lens were found.
+        flat: whether the board is: a solid object tells all from one pose, a board must be tilted.
         many_far: whether more pairs than may be left out have errors far above the others'.
     """
 
@@ -66,6 +77,7 @@ class Calibration:
     spread: float
     sight: float
     distortion: int
+    flat: bool
     many_far: bool
 
     @cached_property
@@ -83,6 +95,17 @@ class Calibration:
     def findings(self) -> tuple[CalibrationFault, ...]:
         """What is wrong."""
         return (*_about_error(self), *_about_boards(self))
+
+    @cached_property
+    def worst_point(self) -> str | None:
+        """Where the largest residual of points with names is, in words; None of corners."""
+        far = [
+            (float(distance), f"{distance:.2f} px, of point {name} in the {side} image of pair {c.number}")
+            for c in self.used
+            for side, residuals in zip(SIDES, self.residuals[c.number], strict=True)
+            for name, distance in zip(c.names, np.linalg.norm(residuals, axis=1), strict=bool(c.names))
+        ]
+        return max(far)[1] if far else None
 
     @property
     def usable(self) -> bool:
@@ -109,8 +132,7 @@ def _about_error(found: Calibration) -> list[CalibrationFault]:
         findings.append(
             CalibrationFault(
                 f"the error is {found.error:.2f} px (good: below {_ERROR:g} px)",
-                "Check that board and cameras stand still in each picture, that the pictures of a pair were taken at the same "
-                "time, that the board is flat, and its numbers of columns and rows.",
+                _FLAT_ADVICE if found.worst_point is None else _POINTS_ADVICE.format(found.worst_point),
                 found.error > _BAD_ERROR,
             )
         )
@@ -121,7 +143,7 @@ def _about_error(found: Calibration) -> list[CalibrationFault]:
                 "Look at the pairs with the largest errors, and remove those that are blurred or do not belong together.",
             )
         )
-    if len(found.used) < FEW:
+    if len(found.used) < FEW and found.flat:
         findings.append(
             CalibrationFault(
                 f"{len(found.used)} pairs are few (good: {FEW} or more)",
@@ -139,7 +161,7 @@ def _about_boards(found: Calibration) -> list[CalibrationFault]:
         for k, f in enumerate(("fx", "fy"))
     )
     tilt = "Tilt the board by 20 to 45 degrees, to the left, right, top and bottom."
-    if found.spread < _FLAT:
+    if found.flat and found.spread < _FLAT:
         findings.append(
             CalibrationFault(
                 f"the boards are not tilted against each other (by {found.spread:.1f} degrees at most): focal length and "
@@ -149,7 +171,7 @@ def _about_boards(found: Calibration) -> list[CalibrationFault]:
             )
         )
     else:
-        if found.spread < _SPREAD:
+        if found.flat and found.spread < _SPREAD:
             findings.append(
                 CalibrationFault(
                     f"the boards are hardly tilted against each other (by {found.spread:.0f} degrees at most)", tilt
@@ -157,7 +179,8 @@ def _about_boards(found: Calibration) -> list[CalibrationFault]:
             )
         if doubt > _FOCAL:
             text = f"focal lengths are known to {doubt:.1%} only" if doubt < 1 else "focal lengths are not determined"
-            findings.append(CalibrationFault(text, tilt + " Take more pairs.", doubt > _BAD_FOCAL))
+            advice = tilt + " Take more pairs." if found.flat else _MORE_POINTS
+            findings.append(CalibrationFault(text, advice, doubt > _BAD_FOCAL))
     for side, share in zip(SIDES, found.coverage, strict=True):
         if share < _COVERAGE:
             findings.append(

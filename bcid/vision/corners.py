@@ -39,14 +39,16 @@ class Corners:
 
     Attributes:
         number: of the pair.
-        board: corners that both cameras saw, on the board, shape (n, 3), m; z is 0.
+        board: corners that both cameras saw, on the board, shape (n, 3), m; z is 0 for a pattern that is found in images.
         left, right: the same corners in the images, shape (n, 2), px.
+        names: of points that were picked; empty for corners of a pattern.
     """
 
     number: int
     board: Array
     left: Array
     right: Array
+    names: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.board)
@@ -90,7 +92,8 @@ def _pair(left: Images, right: Images, board: Board, number: int) -> Corners | s
     points = board.points[both]
     if len(both) < CORNERS or np.linalg.matrix_rank(points[:, :2] - points[0, :2], tol=board.square / 2) < 2:
         return f"only {len(both)} corners are seen by both cameras, or they lie on a line; {CORNERS} are needed"
-    return Corners(number, points, *(np.array([corners[i] for i in both]) for corners in seen))
+    first, second = (np.array([corners[i] for i in both]) for corners in seen)
+    return Corners(number, points, first, second)
 
 
 def corners_in(image: Image, board: Board) -> dict[int, Array] | str:

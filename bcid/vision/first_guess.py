@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from bcid.vision.adjustment import LENSES, Adjustment, CameraEstimate, Size, camera_matrix, turned
 from bcid.vision.corners import Corners
+from bcid.vision.resection import focal_lengths, is_solid
 
 Array = NDArray[np.float64]
 # Rotation (3, 3) and place (3,), m, of a board in a camera's frame.
@@ -62,14 +63,20 @@ def _alone(corners: Sequence[Corners], side: int, size: Size) -> list[float]:
     """fx, fy, cx, cy of one camera, without distortion and with the principal point in the middle, px."""
     import cv2
 
-    chosen = [corners[i] for i in np.unique(np.linspace(0, len(corners) - 1, _PAIRS).round().astype(int))]
+    solid = [c for c in corners if is_solid(c.board)]
+    chosen = solid or [_laid_flat(c) for c in corners]
+    chosen = [chosen[i] for i in np.unique(np.linspace(0, len(chosen) - 1, _PAIRS).round().astype(int))]
     boards = [c.board.astype(np.float32) for c in chosen]
     pixels = [(c.right if side else c.left).astype(np.float32)[:, None] for c in chosen]
     flags = cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_ZERO_TANGENT_DIST
     flags |= cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
     focal, middle = 1.5 * max(size), [(size[0] - 1) / 2, (size[1] - 1) / 2]
+    start = None
+    if solid:
+        flags |= cv2.CALIB_USE_INTRINSIC_GUESS
+        start = camera_matrix(np.array([*_lengths(solid, side, focal), *middle]))
     try:
-        matrix = np.asarray(cv2.calibrateCamera(boards, pixels, size, None, None, flags=flags)[1])
+        matrix = np.asarray(cv2.calibrateCamera(boards, pixels, size, start, None, flags=flags)[1])
     except cv2.error:
         return [focal, focal, *middle]
     lengths = matrix[[0, 1], [0, 1]]
@@ -77,12 +84,32 @@ def _alone(corners: Sequence[Corners], side: int, size: Size) -> list[float]:
     return [*map(float, lengths), *middle] if sensible else [focal, focal, *middle]
 
 
+def _lengths(solid: Sequence[Corners], side: int, otherwise: float) -> Array:
+    """fx and fy, px, that views of solid objects tell: the median."""
+    found = [focal_lengths(c.board, c.right if side else c.left) for c in solid]
+    known = [lengths for lengths in found if lengths is not None and np.isfinite(lengths).all()]
+    return np.asarray(np.median(known, axis=0)) if known else np.full(2, otherwise)
+
+
+def _laid_flat(corners: Corners) -> Corners:
+    """A board in its own plane, z being 0, as OpenCV needs it to start from."""
+    if not corners.board[:, 2].any():
+        return corners
+    away = corners.board - corners.board.mean(axis=0)
+    axes = np.linalg.svd(away, full_matrices=False)[2]
+    axes[2] *= np.sign(np.linalg.det(axes))
+    return replace(corners, board=away @ axes.T * [1, 1, 0])
+
+
 def _pose(board: Array, pixels: Array, inner: Array) -> Placed:
     """Rotation and place of a board in a camera's frame."""
     import cv2
 
     try:
-        _, turn, place = cv2.solvePnP(board[:, None], np.ascontiguousarray(pixels[:, None]), camera_matrix(inner), None)
+        # What is nearly flat, or in another plane than z = 0, is not for the other method.
+        how = cv2.SOLVEPNP_SQPNP if board[:, 2].any() else cv2.SOLVEPNP_ITERATIVE
+        image = np.ascontiguousarray(pixels[:, None])
+        _, turn, place = cv2.solvePnP(board[:, None], image, camera_matrix(inner), None, flags=how)
     except cv2.error:
         return np.eye(3), np.array([0.0, 0.0, 1.0])
     return turned(turn), np.asarray(place).ravel()
@@ -90,6 +117,8 @@ def _pose(board: Array, pixels: Array, inner: Array) -> Placed:
 
 def _symmetries(board: Array) -> list[NDArray[np.intp]]:
     """Orders of the corners (n, 3) that a turn of the board in its plane makes, as the half turn of a chessboard."""
+    if board[:, 2].any():
+        return []
     middle = (board.max(axis=0) + board.min(axis=0))[:2] / 2
     flat = board[:, :2] - middle
     found = []

@@ -239,7 +239,7 @@ def test_corners_that_cannot_be_used_are_all_named() -> None:
     pairs[1] = replace(pairs[1], left=pairs[1].left[:-1])
     pairs[2] = replace(pairs[2], left=pairs[2].left * np.nan)
     pairs[3] = Corners(3, BOARD.points[:10], pairs[3].left[:10], pairs[3].right[:10])
-    pairs[4] = replace(pairs[4], number=0, board=pairs[4].board + np.array([0, 0, 1e-3]))
+    pairs[4] = replace(pairs[4], number=0)
     with pytest.raises(InputError) as raised:
         calibrate(pairs, (0, 0), distortion=3)
     text = str(raised.value)
@@ -247,7 +247,6 @@ def test_corners_that_cannot_be_used_are_all_named() -> None:
         "(69, 2)",
         "not finite",
         "lie on a line",
-        "must be flat",
         "pair 0: stands twice",
         "0, 2, 4, 5, 8",
         "size",

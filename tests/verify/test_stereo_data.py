@@ -2,15 +2,20 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from bcid.report.calibration_picture import calibration_figure
 from bcid.vision.calibrate import calibrate
 from bcid.vision.calibrate_run import numbers, summary
+from bcid.vision.camera import Cameras
 from bcid.vision.corners import read_corners
+from bcid.vision.triangulate import linear
 
 SIZE = (2448, 2048)
 
@@ -56,3 +61,29 @@ def test_the_summary_says_so_and_it_can_be_drawn(corners: Path) -> None:
     assert summary(found).startswith("Calibration of two cameras: good\n")
     assert found.cameras.baseline == pytest.approx(0.1604, abs=2e-4)
     assert len(calibration_figure(json.loads(json.dumps(numbers(found), allow_nan=False))).axes) == 4
+
+
+def test_the_calibration_as_matlab_saves_it_places_the_published_points(corners: Path, tmp_path: Path) -> None:
+    """DuoDIC's own triangulation, in MATLAB, of 8698 points on the rubber; its pixels are counted from 1."""
+    published = json.loads((corners.parent / "stereo_calibration.json").read_text())
+    tree: dict[str, Any] = {
+        f"CameraParameters{n}": {
+            "IntrinsicMatrix": np.array(published[f"cam{n}"]["K"]).T,
+            "RadialDistortion": np.array(published[f"cam{n}"]["radial"]),
+            "TangentialDistortion": np.zeros(2),
+            "ImageSize": np.array(published[f"cam{n}"]["image_size_rows_cols"]),
+            "WorldUnits": "mm",
+        }
+        for n in (1, 2)
+    }
+    tree["RotationOfCamera2"] = np.array(published["R_cam1_to_cam2"]).T
+    tree["TranslationOfCamera2"] = np.array(published["t_cam1_to_cam2_mm"])
+    savemat(tmp_path / "stereo.mat", {"stereoParams": tree})
+    cameras = Cameras.read(tmp_path / "stereo.mat")
+    assert cameras.left.size == SIZE
+    table = np.genfromtxt(corners.parent / "uniaxial_points.csv.gz", delimiter=",", names=True)
+    left, right = (np.column_stack([table[f"u{n}_px"], table[f"v{n}_px"]]) - 1 for n in (1, 2))
+    points = np.column_stack([table[f"{axis}_mm"] for axis in "XYZ"])
+    away = linear(replace(cameras, translation=cameras.translation * 1e3), left, right) - points
+    assert np.isfinite(away).all(axis=1).sum() == 8698
+    assert np.nanmax(np.abs(away)) < 7e-6
