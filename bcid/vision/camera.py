@@ -161,7 +161,7 @@ class Cameras:
         scale = _scale(None if found is None else found.length_unit, length_unit, path, problems)
         problems.raise_if_any()
         assert found is not None
-        left, right = (_camera(one, size) for one in (found.left, found.right))
+        left, right = (_camera(one, size, path, problems) for one in (found.left, found.right))
         cameras = cls(left, right, found.rotation, found.translation * scale, found.error)
         cameras._check(path, problems)
         problems.raise_if_any()
@@ -206,8 +206,10 @@ class Cameras:
             problems.add(path, "the translation between the cameras is zero: one camera cannot measure a depth")
 
 
-def _camera(stored: Optics, size: tuple[int, int]) -> Camera:
+def _camera(stored: Optics, size: tuple[int, int], path: Path, problems: Problems) -> Camera:
     """A camera of a file; its size is the one that is stated where the file has none."""
+    if any(stored.size) and any(size) and stored.size != size:
+        problems.add(path, f"image_size: the file says {stored.size}, elsewhere {size} is stated; leave that away")
     return Camera(stored.matrix, stored.distortion, stored.size if any(stored.size) else size)
 
 

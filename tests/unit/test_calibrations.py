@@ -1,6 +1,7 @@
 """Calibrations of other programs: each file, written as that program writes it, gives the cameras that OpenCV projects with."""
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.io import savemat
 
+from bcid.app.cli import main
 from bcid.base.errors import InputError
 from bcid.vision.camera import Camera, Cameras
 from bcid.vision.recording import Recording
@@ -131,6 +133,9 @@ def test_stereo_parameters_of_matlab(tmp_path: Path, save: Callable[..., None], 
     # A unit that contradicts the one in the file.
     with pytest.raises(InputError, match=r"length_unit: the file says 'mm', elsewhere 'm' is stated"):
         Cameras.read(file, "m")
+    how = {"image_size": [1024, 1280], "first_pixel": 1}
+    with pytest.raises(InputError, match=r"how MATLAB's stereoParameters counts pixels is known"):
+        Cameras.read(file, **how)
 
 
 def test_results_of_bouguets_toolbox(tmp_path: Path) -> None:
@@ -242,6 +247,28 @@ def test_projections_in_files(
     same(Recording.read(file).cameras, truth)
 
 
+def test_the_examples_of_the_documentation(tmp_path: Path) -> None:
+    """Their numbers are of two cameras 155.3 mm apart at 30 degrees; the picked points have 0.1 px of noise."""
+    page = (Path(__file__).resolve().parents[2] / "docs/vision.md").read_text(encoding="utf-8")
+    for name, text in re.findall(r"^`([\w.]+)`:\n\n```text\n(.*?)```", page, re.MULTILINE | re.DOTALL):
+        (tmp_path / name).write_text(text)
+    how = re.search(r'```toml\n(cameras = "dltcoefs.csv".*?)```', page, re.DOTALL)
+    assert how
+    text = f'format = "bcid-recording/1"\n{how[1]}\nleft = "l"\nright = "r"\n[beads]\ndiameter = "1 mm"\n'
+    (tmp_path / "recording.toml").write_text(text)
+    found = Recording.read(tmp_path / "recording.toml").cameras
+    assert found.baseline == pytest.approx(0.15529, abs=1e-5)
+    assert found.angle == pytest.approx(30, abs=1e-3)
+    assert found.left.matrix == pytest.approx(np.array([[2260, 0, 641.3], [0, 2255, 508.7], [0, 0, 1]]), abs=0.01)
+    command = re.search(r"^    bcid (calibrate --board object.csv .*)$", page, re.MULTILINE)
+    assert command
+    words = [
+        str(tmp_path / word) if word.endswith(".csv") or word == "cameras" else word for word in command[1].split()
+    ]
+    assert main([*words, "--quiet"]) == 0
+    assert Cameras.read(tmp_path / "cameras/cameras.json").baseline == pytest.approx(0.15529, rel=0.02)
+
+
 # -- what cannot be used
 # ------------------------------------------------------------------------------------------------------------------
 
@@ -266,9 +293,10 @@ def broken(**change: Any) -> dict[str, Any]:
         ("s.csv", "", "holds no numbers"),
         ("s.csv", "1,2\n3\n", r"s\.csv:2: has 1 numbers, the first row has 2"),
         ("s.csv", "1,2\n3,x\n", r"s\.csv:2: expected numbers with a decimal point, found 'x'"),
-        ("s.csv", csv(np.ones((11, 3))), "holds 3 camera.*keep the two"),
+        ("s.csv", csv(np.ones((11, 4))), "holds 4 camera.*keep the two"),
+        ("s.csv", csv(np.ones((3, 4))), "holds 1 camera.* of 3 x 4 numbers"),
         ("s.csv", csv(np.ones((16, 2))), "has 16 coefficients .*undistort"),
-        ("s.csv", csv(np.ones((10, 2))), "holds 10 camera|expected 3 x 4 numbers"),
+        ("s.csv", csv(np.ones((10, 2))), r"holds 1 camera\(s\) of 10 x 2 numbers"),
         ("s.csv", csv(np.ones((11, 2))), "camera at infinity"),
         ("s.csv", csv(coefficients(pinholes(), 0, True)), '(?s)mirrored.*origin = "lower left".*third column'),
         ("s.toml", "P1 = 3\nP2 = 4\n", r"(?s)left camera .*expected 3 x 4.*right camera"),
@@ -278,7 +306,7 @@ def broken(**change: Any) -> dict[str, Any]:
             json.dumps({"P1": 1, "P2": 2, "R": np.eye(3).tolist(), "T": [1, 0, 0]}),
             "matrix of the left camera",
         ),
-        ("s.toml", 'origin = "top"\nP = [[1], [2]]', 'origin: expected "upper left" or "lower left"'),
+        ("s.toml", 'origin = "top"\nP1 = 1\nP2 = 2', 'origin: expected "upper left" or "lower left"'),
     ],
 )
 def test_what_cannot_be_used_is_told(tmp_path: Path, name: str, content: Any, words: str) -> None:

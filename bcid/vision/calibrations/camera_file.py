@@ -45,6 +45,7 @@ def read_stored(path: Path, counting: Counting, problems: Problems) -> Stored | 
         return from_projections(split_pair(table), None, counting, path, problems)
     values = _values(path)
     if values.get("format") == FORMAT:
+        _refuse_counting("bcid", counting, path, problems)
         return own(values, path, problems)
     return _by_name(values, counting, path, problems)
 
@@ -62,19 +63,22 @@ def _by_name(values: dict[str, Any], counting: Counting, path: Path, problems: P
 
 def _matlab(path: Path, counting: Counting, problems: Problems) -> Stored | None:
     values = matlab_values(path)
-    kinds = {"MATLAB's stereoParameters": is_stereo_parameters(values), "Bouguet's toolbox": is_bouguet(values)}
-    for kind, found in kinds.items():
-        if found and (counting.first is not None or counting.origin is not None):
-            problems.add(path, f"the pixels of {kind} are known; leave first_pixel and origin away")
     if is_stereo_parameters(values):
+        _refuse_counting("MATLAB's stereoParameters", counting, path, problems)
         return stereo_parameters(values, path, problems)
     if is_bouguet(values):
+        _refuse_counting("Bouguet's toolbox", counting, path, problems)
         return bouguet(values, path, problems)
     # Scalars and vectors are matrices there.
     plain = {name: value for name, value in values.items() if "/" not in name}
     if find_projections(plain) is None and not {"R", "rotation"} & plain.keys():
         raise unknown(path, values)
     return _by_name(plain, counting, path, problems)
+
+
+def _refuse_counting(kind: str, counting: Counting, path: Path, problems: Problems) -> None:
+    if counting.first is not None or counting.origin is not None:
+        problems.add(path, f"how {kind} counts pixels is known; leave first_pixel and origin away")
 
 
 def _values(path: Path) -> dict[str, Any]:

@@ -20,8 +20,8 @@ from bcid.vision.calibrations.stored import SIDES, UPPER, Counting, Optics, Stor
 
 Array = NDArray[np.float64]
 
-# Numbers of a camera: the DLT's eleven, the same with the twelfth, or a matrix.
-ELEVEN, TWELVE = 11, 12
+# Numbers of a camera: the DLT's eleven, the same with the twelfth or a matrix, and those of the DLT with distortion.
+ELEVEN, TWELVE, SIXTEEN = 11, 12, 16
 _SIXTEEN = (
     "has 16 coefficients for a camera, the last five of which are a distortion in terms of distorted pixels; expected 11: "
     "undistort the images and fit 11, or calibrate with bcid calibrate --board POINTS.csv --picked PICKED.csv"
@@ -57,20 +57,20 @@ def find_projections(values: dict[str, Any]) -> list[Any] | None:
     both = next((values[name] for name in _BOTH if name in values), None)
     if both is None:
         return None
-    return list(split_pair(np.asarray(both, dtype=float))) if _numeric(both) else [both, None]
+    return split_pair(np.asarray(both, dtype=float)) if _numeric(both) else [both, None]
 
 
-def split_pair(numbers: Array) -> Sequence[Array]:
-    """The numbers of two cameras, of a table with a column or a row for each, or with two matrices; others stay as they are."""
-    if numbers.ndim == 2 and numbers.shape[0] in (ELEVEN, TWELVE, 16) and numbers.shape[1] != 4:
+def split_pair(numbers: Array) -> list[Array]:
+    """The numbers of each camera, of a table with a column or a row for each, or of matrices; others stay together."""
+    shape = numbers.shape
+    if numbers.ndim == 2 and (shape[0] in (ELEVEN, SIXTEEN) or (shape[0] == TWELVE and shape[1] != 4)):
         return list(numbers.T)
-    if numbers.shape == (6, 4):
-        return [numbers[:3], numbers[3:]]
-    if numbers.shape == (3, 8):
+    if numbers.ndim == 2 and shape[0] % 3 == 0 and shape[1] == 4:
+        return list(numbers.reshape(-1, 3, 4))
+    if shape == (3, 8):
         return [numbers[:, :4], numbers[:, 4:]]
-    if numbers.ndim == 2 and numbers.shape == (TWELVE, 4):
-        return list(numbers.T)
-    return list(numbers) if numbers.ndim > 1 else [numbers]
+    known = numbers.ndim > 1 and numbers[0].size in (ELEVEN, TWELVE, SIXTEEN)
+    return list(numbers) if known else [numbers]
 
 
 def from_projections(
@@ -83,10 +83,11 @@ def from_projections(
         unit: of the world's lengths, as the file states it.
     """
     if len(pair) != 2:
+        shape = " x ".join(map(str, np.shape(pair[0])))
         problems.add(
             path,
-            f"holds {len(pair)} camera(s), expected two; keep the two that filmed the body, the left one first: a column of 11 "
-            "coefficients for each, or two matrices of 3 x 4 one above the other",
+            f"holds {len(pair)} camera(s) of {shape} numbers, expected two; keep the two that filmed the body, the left one "
+            "first: a column of 11 coefficients for each, or two matrices of 3 x 4 one above the other",
         )
         return None
     before = len(problems.found)
@@ -134,7 +135,7 @@ def decompose(projection: Array) -> tuple[Array, Array, Array] | None:
 
 def _as_matrix(value: Any, side: str, path: Path, problems: Problems) -> Array:
     count = np.size(value) if _numeric(value) else 0
-    if count == 16:
+    if count == SIXTEEN:
         problems.add(path, _SIXTEEN)
         return np.eye(3, 4)
     name = f"the projection of the {side} camera (11 coefficients, or 3 x 4)"
