@@ -25,6 +25,8 @@ from bcid.vision.calibrations.stored import Counting, Stored
 
 FORMAT = "bcid-cameras/1"
 _TABLES = (".csv", ".txt", ".dat", ".tsv")
+# How OpenCV's storage begins, whatever it is called.
+_STORAGE = ("%YAML", "<?xml")
 
 
 def read_stored(path: Path, counting: Counting, problems: Problems) -> Stored | None:
@@ -40,7 +42,7 @@ def read_stored(path: Path, counting: Counting, problems: Problems) -> Stored | 
     suffix = path.suffix.lower()
     if suffix == ".mat":
         return _matlab(path, counting, problems)
-    if suffix in _TABLES or suffix == ".npy":
+    if suffix == ".npy" or (suffix in _TABLES and not _is_storage(path)):
         table = read_array(path) if suffix == ".npy" else read_table(path)
         return from_projections(split_pair(table), None, counting, path, problems)
     values = _values(path)
@@ -74,6 +76,10 @@ def _matlab(path: Path, counting: Counting, problems: Problems) -> Stored | None
     if find_projections(plain) is None and not {"R", "rotation"} & plain.keys():
         raise unknown(path, values)
     return _by_name(plain, counting, path, problems)
+
+
+def _is_storage(path: Path) -> bool:
+    return read_text(path).lstrip().startswith(_STORAGE)
 
 
 def _refuse_counting(kind: str, counting: Counting, path: Path, problems: Problems) -> None:
