@@ -34,7 +34,7 @@ def first_guess(
     for side in range(2):
         inner[side, :4] = _alone(corners, side, sizes[side])
     left = [_pose(c.board, c.left, inner[0]) for c in corners]
-    orders = [[np.arange(len(c)), *_symmetries(c.board)] for c in corners]
+    orders = [[np.arange(len(c)), *([] if c.names else _symmetries(c.board))] for c in corners]
     right = [
         [_pose(c.board, c.right[order], inner[1]) for order in some] for c, some in zip(corners, orders, strict=True)
     ]
@@ -117,8 +117,6 @@ def _pose(board: Array, pixels: Array, inner: Array) -> Placed:
 
 def _symmetries(board: Array) -> list[NDArray[np.intp]]:
     """Orders of the corners (n, 3) that a turn of the board in its plane makes, as the half turn of a chessboard."""
-    if board[:, 2].any():
-        return []
     middle = (board.max(axis=0) + board.min(axis=0))[:2] / 2
     flat = board[:, :2] - middle
     found = []

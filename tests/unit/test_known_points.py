@@ -15,6 +15,7 @@ from bcid.report.calibration_picture import draw
 from bcid.vision.calibrate import calibrate
 from bcid.vision.camera import Cameras
 from bcid.vision.corners import Corners
+from bcid.vision.first_guess import first_guess
 from bcid.vision.known_points import KnownPoints
 from bcid.vision.register import rigid
 from bcid.vision.resection import resect
@@ -102,6 +103,24 @@ def test_a_flat_object_in_any_plane_is_a_board() -> None:
         calibrate(shown(1, 0.0, points=rough), SIZE)
 
 
+def test_names_are_believed() -> None:
+    """A chessboard may be counted from its other end; a point with a name is that point, and the pair is wrong."""
+    pairs = shown(8, 0.0, points=_GRID @ np.eye(2, 3), tilt=0.6)
+    pairs[3] = replace(pairs[3], right=pairs[3].right[::-1])
+    found = calibrate(pairs, SIZE)
+    assert found.turned == ()
+    assert not found.usable
+    assert "of pair 3" in str(found.worst_point)
+    assert calibrate([replace(c, names=()) for c in pairs], SIZE).turned == (3,)
+
+
+@pytest.mark.parametrize("points", [OBJECT, OBJECT[:30]])
+def test_the_start_is_near(points: Array) -> None:
+    """Focal lengths of 2260 and 2248 px, less a few percent for the lens."""
+    state, _, _ = first_guess(shown(4, 0.1, points=points, tilt=0.6), (SIZE, SIZE), 4)
+    np.testing.assert_allclose(state.inner[:, 0], [2260, 2248], rtol=0.04)
+
+
 def test_what_cannot_calibrate_is_told() -> None:
     pair = shown(1, 0.1)[0]
     upward = replace(pair, left=pair.left * [1, -1] + [0, 1023], right=pair.right * [1, -1] + [0, 1023])
@@ -139,10 +158,14 @@ def tables(folder: Path, pairs: list[Corners], unit: str = "mm", first: float = 
 
 def test_from_tables_to_a_run_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     told = tables(tmp_path, shown(2, 0.1))
+    read = KnownPoints.read(tmp_path / "object.csv").picked(tmp_path / "picked.csv", first=1.0)[0]
+    np.testing.assert_allclose(read.left, shown(2, 0.1)[0].left, atol=1e-6)
     run = tmp_path / "run"
     more = ["--image-size", "1280x1024", "--first-pixel", "1", "-o", str(run), "--quiet"]
     assert main(["calibrate", *told, *more]) == 0
-    assert away(Cameras.read(run / "cameras.json")) < 3e-5
+    found = Cameras.read(run / "cameras.json")
+    assert away(found) < 3e-5
+    assert found.left.size == SIZE
     text = (run / "summary.txt").read_text()
     assert text.startswith("Calibration of two cameras: good\n")
     assert "over 179 corners of 2 pairs" in text
