@@ -290,6 +290,7 @@ def broken(**change: Any) -> dict[str, Any]:
         ),
         ("s.mat", {"fc_left": np.ones(2), "R": np.eye(3)}, r"(?s)cc_left: expected 2 numbers.*fc_right.*T: expected"),
         ("s.npy", b"\x93NUMPY\x01\x00", "not a calibration file"),
+        ("s.npy", b"\x93NUMPY\x01\x00\x10\x00{'descr': '<f8\0\0\0\n", "not a calibration file"),
         ("s.csv", "", "holds no numbers"),
         ("s.csv", "1,2\n3\n", r"s\.csv:2: has 1 numbers, the first row has 2"),
         ("s.csv", "1,2\n3,x\n", r"s\.csv:2: expected numbers with a decimal point, found 'x'"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from tokenize import TokenError
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +57,7 @@ def read_array(path: Path) -> Array:
         if not isinstance(array, np.ndarray) or array.dtype.kind not in "iuf" or array.size > _MOST:
             raise ValueError("expected an array of numbers, two cameras with 11 or 3 x 4 each")
         return np.array(array, dtype=float)
-    except (OSError, ValueError, EOFError, SyntaxError, TypeError, OverflowError) as error:
+    except (OSError, ValueError, EOFError, SyntaxError, TokenError, TypeError, OverflowError) as error:
         raise InputError(f"{path}: not a calibration file: {str(error).splitlines()[0][:200]}") from None
 
 
