@@ -34,7 +34,6 @@ from bcid.measurement import Measurement
 from bcid.scene import Scene
 from bcid.search import identify_run
 from bcid.search.identify import IdentifyOptions
-from bcid.search.refine import identify_refined
 
 SceneLike = Scene | str | Path
 MeasurementLike = Measurement | str | Path
@@ -68,7 +67,7 @@ def identify(
     body, seen = _inputs(scene, measurement, comm)
 
     def work(seen: Measurement) -> IdentifyResult:
-        done = identify_refined(body, seen, comm, options, refine, model, progress=progress)
+        done, seen = identify_run.identified(body, seen, comm, options, refine, model, progress)
         mesh = level_mesh(done.scene, body.levels[done.found.levels[-1]], comm)
         return IdentifyResult(identify_run.documents(seen, done, mesh), "identify")
 

@@ -406,6 +406,8 @@ def simulate(arguments: argparse.Namespace, comm: Comm) -> None:
         raise InputError(f"{arguments.output}: exists already; choose another folder or remove it")
     scene = on_root(comm, lambda: Scene.read(arguments.scene, physics=check_physics))
     anchors = _names(arguments.anchors)
+    if arguments.surface < 0:
+        raise InputError(f"--surface {arguments.surface}: must be at least 0")
     noise, random_state = _noise(arguments.noise), _random_state(arguments.random_state)
     if arguments.level is not None and not 0 <= arguments.level < len(scene.levels):
         raise InputError(f"--level {arguments.level}: the scene has levels 0 to {len(scene.levels) - 1}")
@@ -431,10 +433,12 @@ def simulate(arguments: argparse.Namespace, comm: Comm) -> None:
     progress.say(f"simulating {len(actions)} action(s), {sum(len(a) for a in actions)} steps")
     felt = _noise(arguments.wrench_noise, "--wrench-noise", "N")
     wrench = arguments.wrench or felt is not None
-    made = make(scene, anchors, actions, arguments.level, noise, random_state, comm, None, wrench, times, felt or 0.0)
+    chosen = arguments.level, noise, random_state, comm, None, wrench, times, felt or 0.0, arguments.surface
+    made = make(scene, anchors, actions, *chosen)
     on_root(comm, lambda: made.write(arguments.output))
     if comm.rank == 0:
-        print(f"{arguments.output}: {len(made.positions)} frames of {len(made.fiducial_names)} fiducials")
+        points = f" and {arguments.surface} points of the surface" if arguments.surface else ""
+        print(f"{arguments.output}: {len(made.positions)} frames of {len(made.fiducial_names)} fiducials{points}")
 
 
 def examples(arguments: argparse.Namespace) -> None:

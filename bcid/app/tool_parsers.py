@@ -163,6 +163,9 @@ def add_simulate(commands: Any) -> None:
     parser.add_argument(
         "--noise", metavar='"0.3 mm"', help='standard deviation of every coordinate (the scene\'s); "0 mm" for none'
     )
+    parser.add_argument(
+        "--surface", type=int, default=0, metavar="N", help="also points of the surface, so many in each step (none)"
+    )
     parser.add_argument("--random-state", type=seed, default=0, metavar="N", help="of the noise (0)")
     parser.add_argument("--wrench", action="store_true", help="also record force and torque of the gripper")
     parser.add_argument("--wrench-noise", metavar='"0.02 N"', help="the same with noise of this standard deviation")

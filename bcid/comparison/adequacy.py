@@ -212,5 +212,5 @@ def groups(state: State) -> dict[str, dict[str, float]]:
         "action": by(data.action, dict(enumerate(data.actions))),
         "step": by(data.step, {}),
         "fiducial": by(data.fiducial, dict(enumerate(data.names))),
-        "axis": by(data.axis, dict(enumerate("xyz"))),
+        "axis": by(np.where(data.along, 3, data.axis), dict(enumerate((*"xyz", "normal")))),
     }

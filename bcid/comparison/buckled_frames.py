@@ -21,6 +21,7 @@ from bcid.forms.model import Model
 from bcid.forms.solver.buckling import APART, NEAR_BUCKLING, smallest_eigenvalue, stable_state
 from bcid.forms.solver.supports import Pose
 from bcid.forms.solver.trajectory import poses
+from bcid.inference.data import Data
 from bcid.measurement import Action, Measurement
 
 Array = NDArray[np.float64]
@@ -164,11 +165,17 @@ def _of_action(
     other = stable_state(forward.equilibrium, forward.fiducials, path.poses[-1], end - 2 * bent * mode)
     if other is None:
         return None
-    followed = prediction.positions[last]
+    followed = prediction.positions[last][: len(other)]
     distance = float(np.linalg.norm(other - followed, axis=1).max())
     noise = float(np.nanmean(predictor.data.sigma)) if predictor.data.stated else 0.0
     if distance < max(_APART * noise, APART * forward.mesh.size):
         return None
-    seen = predictor.data.measured[last]
-    nearer = np.nansum((seen - other) ** 2) < np.nansum((seen - followed) ** 2)
+    nearer = _squares(predictor.data, last, other) < _squares(predictor.data, last, followed)
     return Buckling(action.name, int(action.steps[critical]), distance, bool(nearer))
+
+
+def _squares(data: Data, frame: int, places: Array) -> float:
+    """Sum of squares by which fiducials at places (fiducials, 3), m, miss what was seen in a frame, m^2."""
+    apart = data.measured[frame].copy()
+    apart[: len(places)] -= places
+    return float(np.sum(data.seen.take_frame(frame, apart) ** 2))

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from bcid.base.collective import Comm
 from bcid.base.errors import InputError, nearest
-from bcid.base.progress import Progress
+from bcid.base.progress import Progress, Silent
 from bcid.comparison.adequacy import judge
 from bcid.comparison.buckled_frames import leave_out
 from bcid.comparison.explain import ExplainOptions, Explanation, Rung, explain
@@ -28,6 +28,8 @@ from bcid.forms.model import Model, Term
 from bcid.inference.followed import as_far_as_followed
 from bcid.inference.outcome import label
 from bcid.measurement import Measurement
+from bcid.scene import Scene
+from bcid.search.surface_rounds import settled
 
 T = TypeVar("T")
 
@@ -67,12 +69,27 @@ def on_predictor(
     """
 
     def attempt(seen: Measurement) -> T:
-        here = replace(source, measurement=seen)
-        predictor = Predictor(here.scene, seen, comm, level, progress=progress)
+        made: list[Predictor] = []
+
+        def search(scene: Scene, seen: Measurement) -> tuple[Source, Diagnosis]:
+            made.append(Predictor(scene, seen, comm, level, progress=progress))
+            here = replace(source, scene=scene, measurement=seen)
+            return here, work(made[-1], here)
+
+        def found(done: tuple[Source, Diagnosis]) -> tuple[Scene, Model, frozenset[str]]:
+            last = done[1].rungs[-1].state
+            return done[0].scene, last.model, last.anchors
+
+        speaking = progress or Silent()
         try:
-            return use(predictor, here, work(predictor, here))
+            begun = source.model, source.anchors
+            (here, done), marked = settled(
+                source.scene, seen, comm, speaking, *begun, search, found, lambda _: made.pop().destroy()
+            )
+            return use(made[-1], replace(here, measurement=marked), done)
         finally:
-            predictor.destroy()
+            for predictor in made:
+                predictor.destroy()
 
     return as_far_as_followed(source.measurement, attempt)
 

@@ -325,7 +325,7 @@ class Predictor:
         wanted = replace(wanted, forces=self._weights)
         found = self.sensitivities(model, anchors, prediction, wanted)
         assert found.forces is not None
-        slopes = np.nan_to_num(found.forces[self.data.mask].astype(float)).reshape(len(self.data), -1)
+        slopes = np.nan_to_num(self.data.vector(found.forces).astype(float)).reshape(len(self.data), -1)
         positions = prediction.positions
         return nuisances or self._nuisances.modes(self.data, found, wanted, model, positions), slopes
 

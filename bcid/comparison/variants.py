@@ -196,7 +196,7 @@ def _inclusions(state: State, effect: Effect, stiffness: NDArray[np.float32]) ->
             terms.append(Term(effect, values | place))
     inside = np.column_stack([effect.around(middles, term.values) for term in terms])
     # The places first: there are fewer of them than cells.
-    moved = np.tensordot(stiffness, inside.astype(np.float32), axes=1)[state.predictor.data.mask].astype(float)
+    moved = state.predictor.data.vector(np.tensordot(stiffness, inside.astype(np.float32), axes=1)).astype(float)
     columns = state.errors.whiten(moved)
     return [
         Variant(term, tuple(amounts(term, [amount])), column[:, None])

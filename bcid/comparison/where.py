@@ -63,7 +63,7 @@ def missing_force(state: State) -> MissingForce:
     centres, weights = bumps(forward, _BUMPS)
     found = predictor.sensitivities(state.model, state.anchors, state.prediction, Wanted(forces=weights))
     assert found.forces is not None
-    raw = found.forces[data.mask].astype(float).reshape(len(data), -1)
+    raw = data.vector(found.forces).astype(float).reshape(len(data), -1)
     names = [name for a, name in enumerate(data.actions) if data.progress[data.action == a].any()]
     growing = [np.where(data.action == data.actions.index(name), data.progress, 0.0) for name in names]
     blocks = [raw] + [raw * part[:, None] for part in growing]

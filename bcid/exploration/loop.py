@@ -300,6 +300,11 @@ class _Loop:
             assert self.robot is not None
             self.robot.move(move.action(limits_of(self.scene), str(number)))
             measurement = self.robot.observe()
+            if measurement.cloud is not None:
+                raise InputError(
+                    f"{measurement.source}: holds points of the surface, which explore cannot use: its choices are about markers; "
+                    "leave surface.csv out, or give the pulls to identify or explain"
+                )
             if self.keep is not None:
                 self.keep(move, measurement)
             return measurement

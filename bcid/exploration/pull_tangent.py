@@ -114,7 +114,7 @@ def slopes(data: Data, tangents: Sequence[PullTangent]) -> Array:
     found = _together([t.found for t in tangents]).forces
     if found is None:
         return np.zeros((len(data), 0))
-    return np.nan_to_num(np.asarray(found[data.mask], dtype=float).reshape(len(data), -1))
+    return np.nan_to_num(data.vector(found).astype(float).reshape(len(data), -1))
 
 
 def nothing(shape: tuple[int, ...], like: PullTangent) -> PullTangent:

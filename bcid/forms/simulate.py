@@ -14,6 +14,7 @@ from bcid.forms.forward import Forward
 from bcid.forms.gripper_force import torque_per_force
 from bcid.forms.mesh.patches import divided
 from bcid.forms.model import Model
+from bcid.forms.simulated_cloud import shown_facets, simulated_cloud
 from bcid.forms.solver.equilibrium import Settings
 from bcid.measurement import WRENCH, Action, Measurement
 from bcid.measurement.folder import motions_dataset
@@ -34,6 +35,7 @@ def simulate(
     wrench: bool = False,
     times: Array | None = None,
     wrench_noise: float = 0.0,
+    surface: int = 0,
 ) -> Measurement:
     """What the fiducials of a scene would show; the mesh is shared by the ranks of `comm`, and the result is the same on all.
 
@@ -49,6 +51,7 @@ def simulate(
         times: of the frames, s; by default one second per step.
         wrench: also record force and torque of the gripper.
         wrench_noise: standard deviation of the white noise added to a force, N; that of a torque is in proportion to the largest.
+        surface: how many points of the surface are seen in each frame, anywhere but where the body is held or lies.
 
     Raises:
         SolveError: the forward model found no acceptable equilibrium; nothing is made up for the rest.
@@ -57,8 +60,9 @@ def simulate(
     level = len(scene.levels) - 1 if level is None else level
     forward = Forward(scene, level, comm, model, Settings(rtol=1e-8))
     try:
-        prediction = forward.predict(anchors, actions, keep=wrench)
-        if wrench and not prediction.failure:
+        detailed = wrench or surface > 0
+        prediction = forward.predict(anchors, actions, keep=detailed)
+        if detailed and not prediction.failure:
             prediction = forward.detail(anchors, actions, prediction)
     finally:
         forward.destroy()
@@ -71,6 +75,13 @@ def simulate(
         assert prediction.wrench is not None
         # Positions have the same noise with and without forces.
         made = with_wrenches(made, prediction.wrench, wrench_noise, np.random.default_rng([random_state, 1]))
+    if surface:
+        assert prediction.displacement is not None
+        shown = shown_facets(scene, forward.mesh, anchors)
+        points = np.random.default_rng([random_state, 2])
+        made = replace(
+            made, cloud=simulated_cloud(made, forward.mesh, shown, prediction.displacement, surface, sigma, points)
+        )
     return made
 
 

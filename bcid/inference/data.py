@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from copy import copy
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from scipy.stats import norm
 from bcid.forms.gripper_force import ROWS, ForceScale
 from bcid.inference.criteria import SURPRISE
 from bcid.inference.force_noise import force_noise
+from bcid.inference.seen import Seen, normals_of
 from bcid.measurement import Action, Measurement
 from bcid.scene import Scene
 from bcid.scene.rotation import as_rotation
@@ -56,11 +58,11 @@ class Data:
         forces: what force and torque are divided by; None where they do not count.
 
     Attributes:
-        mask: which of (frames, rows, 3) were seen.
+        mask: which of (frames, rows, 3) were seen; of a surface mark the first stands for the component along the normal.
         names: of the rows.
         rest: what they show at rest, shape (rows, 3), m.
         about: measured values (frames, rows, 3), m, and those at rest where nothing was seen.
-        values: measured positions, shape (n,), m.
+        values: measured positions, shape (n,), m; of surface marks along the normal of the surface.
         sigma: standard deviation of each, m; NaN where it is not known.
         slow: standard deviation of what errors of each have besides that persists along its trajectory, m: what of a stated one is
             not like noise.
@@ -96,7 +98,7 @@ class Data:
             if action.grasp:
                 self._ways[action.frames] = way(action, scene)
             self._alike[action.frames] = next(k for k, other in enumerate(moved) if same_motion(other, action))
-        self._take(np.isfinite(self.measured))
+        self._take(Seen.of(self.measured, normals_of(scene, measurement, shape[1])))
 
     def _take_forces(self, forces: ForceScale) -> None:
         """Force and torque as the last rows, where something is gripped."""
@@ -108,10 +110,11 @@ class Data:
         noise = np.repeat(force_noise(self.measurement), 3)
         self._sigma[:, -ROWS:] = forces.rows(noise)
 
-    def _take(self, mask: NDArray[np.bool_]) -> None:
+    def _take(self, seen: Seen) -> None:
         measurement = self.measurement
+        self.seen, mask = seen, seen.mask
         self.mask: NDArray[np.bool_] = mask
-        self.values, self.sigma, self.slow = self.measured[mask], self._sigma[mask], self._slow[mask]
+        self.values, self.sigma, self.slow = self.vector(self.measured), self._sigma[mask], self._slow[mask]
         frames, fiducials, axes = np.nonzero(self.mask)
         names = measurement.action_names
         actions = np.array([names.index(str(name)) for name in measurement.data["action"].values])
@@ -132,7 +135,7 @@ class Data:
     def within(self, frames: NDArray[np.bool_]) -> Data:
         """The values of some frames, (frames,), alone."""
         other = copy(self)
-        other._take(self.mask & frames[:, None, None])
+        other._take(self.seen.within(frames))
         return other
 
     def with_noise(self, noise: Noise) -> Data:
@@ -148,12 +151,12 @@ class Data:
         if self.stated and noise.factor < 1:
             other._slow = np.zeros_like(self._sigma)
             other._slow[:, :count] = np.nan_to_num(self._sigma * math.sqrt(1 - noise.factor**2))[:, :count]
-        other._take(self.mask)
+        other._take(self.seen)
         return other
 
-    def vector(self, positions: Array) -> Array:
-        """The visible ones of values (frames, rows, 3), shape (n,)."""
-        return np.asarray(positions[self.mask])
+    def vector(self, positions: Any) -> Array:
+        """The visible ones of values (frames, rows, 3, ...), shape (n, ...); of surface marks those along the normal."""
+        return np.asarray(self.seen.take(positions))
 
     def spread(self, vector: Array) -> Array:
         """A vector of values back in shape (frames, rows, 3), NaN where nothing was seen."""
@@ -174,6 +177,11 @@ class Data:
         return np.maximum(np.arange(len(self.names)) - len(self.scene.fiducials) + 1, 0)
 
     @property
+    def along(self) -> NDArray[np.bool_]:
+        """Which values are components along the normal of the surface, shape (n,)."""
+        return np.asarray(np.isfinite(self.seen.normals[self.frame, self.fiducial, 0]))
+
+    @property
     def of_position(self) -> NDArray[np.bool_]:
         """Which values are positions, shape (n,)."""
         return self.kind == 0
@@ -182,7 +190,7 @@ class Data:
         """What displacements (frames, fiducials, 3, k), m, of points do to the values, (n, k), m; to force and torque nothing."""
         whole = np.zeros((*self.mask.shape, displacements.shape[-1]))
         whole[:, : len(self.scene.fiducials)] = displacements
-        return np.asarray(whole[self.mask])
+        return self.vector(whole)
 
     @property
     def points(self) -> Array:

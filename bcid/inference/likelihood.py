@@ -250,4 +250,4 @@ def _along(data: Data, rows: NDArray[np.int64], left: Array, sizes: dict[tuple[i
 
 def _growing(data: Data, rows: NDArray[np.int64], amount: float) -> Array:
     """What a fiducial has in common in all actions, along each axis."""
-    return np.where(data.axis[rows, None] == np.arange(3), amount * data.way[rows, None], 0.0)
+    return amount * data.way[rows, None] * data.seen.directions[rows]

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.inference.seen import Seen, normals_of
 from bcid.measurement import Measurement
 from bcid.scene import Scene
 
@@ -16,7 +17,8 @@ Array = NDArray[np.float64]
 class Misfit:
     """Compares predicted fiducial positions with a measurement, frame by frame.
 
-    Every visible coordinate counts once, weighted by its standard deviation; a fiducial that was not seen is left out.
+    Every visible coordinate counts once, weighted by its standard deviation; a fiducial that was not seen is left out. Of a surface
+    mark there is one, along the normal of the surface.
     When neither the measurement nor the scene states the noise, all coordinates weigh the same and `noise` is None.
 
     Attributes:
@@ -33,7 +35,8 @@ class Misfit:
         frames = len(measurement.positions)
         self.measured = np.full((frames, len(scene.fiducials), 3), np.nan)
         self.measured[:, columns] = measurement.positions
-        self.visible = np.isfinite(self.measured)
+        self._seen = Seen.of(self.measured, normals_of(scene, measurement, len(scene.fiducials)))
+        self.visible = self._seen.mask
         self.frames = frames
         self._counts = self.visible.sum(axis=(1, 2))
         self.values = int(self._counts.sum())
@@ -46,12 +49,12 @@ class Misfit:
         self.noise = None if sigma is None else float(np.sqrt(np.mean(self._sigma[self.visible] ** 2)))
         error = measurement.frame_error
         self.common = 0.0 if error is None else error.rms(self.measured)
-        self.motion_rms = float(np.sqrt(np.mean((self.measured - scene.rest)[self.visible] ** 2)))
+        self.motion_rms = float(np.sqrt(np.mean(self._seen.take(self.measured - scene.rest) ** 2)))
 
     def frame(self, index: int, predicted: Array) -> tuple[float, float]:
         """Chi-square and sum of squared residuals (m^2) of one frame; `predicted` has shape (fiducials, 3), or more rows."""
         seen = self.visible[index]
-        residual = (predicted[: len(seen)] - self.measured[index])[seen]
+        residual = self._seen.take_frame(index, predicted[: len(seen)] - self.measured[index])
         scaled = residual / self._sigma[index][seen]
         return float(scaled @ scaled), float(residual @ residual)
 
@@ -66,7 +69,7 @@ class Misfit:
 
     def distance(self, a: Array, b: Array) -> float:
         """RMS difference of two predictions (frames, fiducials or more rows, 3) over the visible coordinates, m."""
-        return float(np.sqrt(np.mean((a - b)[:, : self.visible.shape[1]][self.visible] ** 2)))
+        return float(np.sqrt(np.mean(self._seen.take((a - b)[:, : self.visible.shape[1]]) ** 2)))
 
     def similarity(self, rms: float) -> float:
         """1 for a perfect prediction, 0 for one as bad as predicting no motion at all, negative beyond."""

@@ -149,7 +149,7 @@ class Nuisances:
             names += ["camera"] * turned.shape[1]
         markers: Array = np.zeros((len(data), 3))
         if found.places is not None:
-            markers = np.nan_to_num(found.places[data.mask]) * float(sizes.markers or 0.0)
+            markers = np.nan_to_num(data.vector(found.places)) * float(sizes.markers or 0.0)
         # What does not matter here, as the grip where no gripper moves, is not told of.
         felt = [number for number, column in enumerate(columns) if column.any()]
         matrix = np.column_stack([columns[number] for number in felt] or [np.zeros((len(data), 0))])

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from bcid.measurement.cloud import Cloud
 from bcid.measurement.frame_error import FrameError
 from bcid.scene.action import Action
 
@@ -41,13 +42,15 @@ class Contents:
 
     `data` is an xarray Dataset with dimensions frame, fiducial, axis (and component, place): coordinates action, step,
     time (s); variables position (m, NaN where a fiducial was not seen), grasp, translation (m), rotation (unit
-    quaternion), and optionally sigma (m), wrench (N, N m), load (N).
+    quaternion), and optionally sigma (m), wrench (N, N m), load (N), and of surface marks the normal (frame, fiducial, axis) along
+    which alone they are seen, NaN for fiducials.
 
     Attributes:
         noise_sigma: per-axis standard deviation of a fiducial, m; None when not stated.
         wrench_sigma, torque_sigma: standard deviation of a force, N, and of a torque, N m; None when not stated.
         frame_error: what is not known of the frame of the positions; None when nothing is stated.
         remarks: what looks odd, to be said before any result.
+        cloud: points on the surface; None where there are none.
         aligned: RMS distance, m, by which the rigid motion of a mapping's [align] misses its markers; None without one.
     """
 
@@ -61,6 +64,7 @@ class Contents:
     remarks: tuple[str, ...] = ()
     aligned: float | None = None
     torque_sigma: float | None = None
+    cloud: Cloud | None = None
 
     @property
     def fiducial_names(self) -> list[str]:
@@ -71,6 +75,11 @@ class Contents:
     def positions(self) -> Array:
         """Measured positions, shape (frames, fiducials, 3), m; NaN where a fiducial was not seen."""
         return np.asarray(self.data["position"].values, dtype=float)
+
+    @property
+    def normals(self) -> Array | None:
+        """The direction along which alone a surface mark is seen, (frames, fiducials, 3), NaN for fiducials; None without marks."""
+        return np.asarray(self.data["normal"].values, dtype=float) if "normal" in self.data else None
 
     @property
     def wrenches(self) -> Array:

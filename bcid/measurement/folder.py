@@ -7,7 +7,7 @@ import math
 import shutil
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,12 @@ import xarray as xr
 from bcid.base.errors import InputError, Problems, unwritable
 from bcid.base.text_file import read_lines, read_toml
 from bcid.base.units import unit_factor, usable
+from bcid.measurement import surface_table
+from bcid.measurement.cloud import Cloud
 from bcid.measurement.contents import AXES, FORMAT, QUATERNION, SIGMAS, WRENCH, Contents, Units, sigma_units
 from bcid.measurement.frame_error import FrameError
+from bcid.measurement.surface_files import SurfaceFiles
+from bcid.measurement.surface_table import written
 from bcid.scene.action import Action
 
 _UNIT_KEYS = {"length_unit": "m", "time_unit": "s", "force_unit": "N"}
@@ -48,6 +52,7 @@ class _Header:
     force: float
     description: str
     sigmas: tuple[float | None, ...] = ()
+    surface: SurfaceFiles | None = None
 
 
 def read_folder(folder: Path) -> Contents:
@@ -55,12 +60,16 @@ def read_folder(folder: Path) -> Contents:
     if not folder.is_dir():
         raise InputError(f"{folder}: no such measurement folder; expected a folder with measurement.toml and CSV files")
     problems = Problems(f"measurement {folder}")
-    for name in ("measurement.toml", "fiducials.csv", "grasps.csv"):
+    for name in ("measurement.toml", "grasps.csv"):
         if not (folder / name).is_file():
             hint = "; write its header line alone when nothing grasps the body" if name == "grasps.csv" else ""
             problems.add(folder / name, f"is missing{hint}")
     problems.raise_if_any()
     header = _read_header(folder / "measurement.toml", problems)
+    if (header.surface is None or not header.surface.pattern) and not any(
+        (folder / name).is_file() for name in ("fiducials.csv", surface_table.FILE)
+    ):
+        problems.add(folder / "fiducials.csv", f"is missing, and so is {surface_table.FILE}")
     reader = _FolderReader(folder, header, problems)
     data = reader.dataset()
     problems.raise_if_any()
@@ -69,7 +78,7 @@ def read_folder(folder: Path) -> Contents:
     error = FrameError.read(file, header.length) if file.is_file() else None
     noise, force, torque = header.sigmas
     about = header.units, header.description, str(folder), error
-    return Contents(data, noise, force, *about, torque_sigma=torque)
+    return Contents(data, noise, force, *about, torque_sigma=torque, cloud=reader.cloud)
 
 
 def read_grasps(path: Path, units: Units) -> list[Action]:
@@ -106,7 +115,7 @@ def read_grasps(path: Path, units: Units) -> list[Action]:
 
 def _read_header(path: Path, problems: Problems) -> _Header:
     table = read_toml(path)
-    problems.add_unknown(path, table, _KEYS)
+    problems.add_unknown(path, table, (*_KEYS, "surface"))
     if table.get("format") != FORMAT:
         problems.add(path, f'format: expected "{FORMAT}", found {table.get("format")!r}')
     factors = [_unit(path, table, key, like, problems) for key, like in _UNIT_KEYS.items()]
@@ -122,6 +131,7 @@ def _read_header(path: Path, problems: Problems) -> _Header:
         factors[2],
         str(description),
         tuple(None if value is None else value * unit for value, unit in zip(stated, units, strict=True)),
+        SurfaceFiles.checked(table["surface"], factors[0], path, problems) if "surface" in table else None,
     )
 
 
@@ -156,6 +166,7 @@ class _FolderReader:
         self.header = header
         self.problems = problems
         self.times: dict[Frame, float] = {}
+        self.cloud: Cloud | None = None
         self.file = ""
 
     def bad(self, line: int | None, text: str) -> None:
@@ -163,7 +174,10 @@ class _FolderReader:
 
     def dataset(self) -> xr.Dataset | None:
         seen = self.fiducials()
+        self.file = surface_table.FILE
+        self.cloud = surface_table.read_table(self, self.folder / self.file, self.header.length)
         poses = self.grasps()
+        self.surface_files()
         wrench = self.vectors("wrench.csv", WRENCH, [])
         loads = self.vectors("loads.csv", WRENCH[:3], ["place"])
         size = len(self.times) * max(len({name for _, name in seen}), len({name for _, name in loads}))
@@ -295,6 +309,21 @@ class _FolderReader:
             self.bad(None, "holds no position: no fiducial was ever seen")
         return result
 
+    def surface_files(self) -> None:
+        """Points of the surface in files of their own, once the times of the steps are known."""
+        if self.header.surface is None or self.problems.found:
+            return
+        if self.cloud is not None and not self.header.surface.pattern:
+            self.cloud = replace(self.cloud, camera=self.header.surface.camera)
+        elif self.cloud is not None:
+            self.file = surface_table.FILE
+            self.bad(None, "stands beside files that [surface] in measurement.toml names: leave one of them out")
+        elif not self.header.surface.pattern:
+            self.file = "measurement.toml"
+            self.bad(None, f"[surface]: names no files, and there is no {surface_table.FILE}")
+        else:
+            self.cloud = self.header.surface.read(self.folder, list(self.times))
+
     def row_sigma(self, line: int, row: dict[str, str], column: str) -> float:
         if not row.get(column):
             return math.nan
@@ -334,7 +363,9 @@ class _FolderReader:
         return result
 
     def check_frames(self, seen: dict[tuple[Frame, str], Any], poses: dict[Frame, Any]) -> None:
-        recorded = {action for (action, _), _ in seen}
+        recorded = {action for (action, _), _ in seen} | {
+            action for action, _ in (self.cloud.frames if self.cloud else ())
+        }
         actions: dict[str, list[int]] = {}
         for action, step in self.times:
             actions.setdefault(action, []).append(step)
@@ -474,7 +505,7 @@ def _texts(measurement: Contents) -> dict[str, list[str]]:
     data, units = measurement.data, measurement.units
     length, time, force = (unit_factor(getattr(units, n), like) for n, like in zip(_UNIT_NAMES, "msN", strict=True))
     head = [
-        f"{a},{s},{_text(t / time)}"
+        f"{a},{s},{written(t / time)}"
         for a, s, t in zip(*(data[n].values for n in ("action", "step", "time")), strict=True)
     ]
     texts = {"measurement.toml": _header_lines(measurement, length, force)}
@@ -482,22 +513,25 @@ def _texts(measurement: Contents) -> dict[str, list[str]]:
     lines = ["action,step,time,fiducial,x,y,z" + (",sigma_x,sigma_y,sigma_z" if sigma is not None else "")]
     for i, start in enumerate(head):
         for j, name in enumerate(measurement.fiducial_names):
-            cells = [_text(v) for v in measurement.positions[i, j] / length]
-            cells += [] if sigma is None else [_text(v) for v in sigma[i, j]]
+            cells = [written(v) for v in measurement.positions[i, j] / length]
+            cells += [] if sigma is None else [written(v) for v in sigma[i, j]]
             lines.append(f"{start},{name},{','.join(cells)}")
-    texts["fiducials.csv"] = lines
+    if measurement.fiducial_names:
+        texts["fiducials.csv"] = lines
+    if measurement.cloud is not None:
+        texts[surface_table.FILE] = surface_table.table_lines(measurement.cloud, data, head, length)
     texts["grasps.csv"] = grasp_lines([action for action in measurement.actions if action.grasp], length, time)
     if "wrench" in data:
         scale = np.array([force] * 3 + [force * length] * 3)
         rows = [
-            f"{start},{','.join(_text(v) for v in row / scale)}"
+            f"{start},{','.join(written(v) for v in row / scale)}"
             for start, row in zip(head, data["wrench"].values, strict=True)
         ]
         rows = [row for row, values in zip(rows, data["wrench"].values, strict=True) if np.isfinite(values).all()]
         texts["wrench.csv"] = ["action,step,time," + ",".join(WRENCH), *rows]
     if "load" in data:
         texts["loads.csv"] = ["action,step,time,place,fx,fy,fz"] + [
-            f"{start},{place},{','.join(_text(v) for v in data['load'].values[i, k] / force)}"
+            f"{start},{place},{','.join(written(v) for v in data['load'].values[i, k] / force)}"
             for i, start in enumerate(head)
             for k, place in enumerate(data["place"].values)
         ]
@@ -512,7 +546,7 @@ def grasp_lines(actions: Iterable[Action], length: float, time: float) -> list[s
     for action in actions:
         rows = zip(action.steps, action.clock / time, action.translation / length, action.rotation, strict=True)
         for step, at, translation, rotation in rows:
-            cells = [*map(_text, (at, *translation)), *(f"{v:.17g}" for v in rotation)]
+            cells = [*map(written, (at, *translation)), *(f"{v:.17g}" for v in rotation)]
             lines.append(f"{action.name},{step},{cells[0]},{action.grasp},{','.join(cells[1:])}")
     return lines
 
@@ -526,12 +560,13 @@ def _header_lines(measurement: Contents, length: float, force: float) -> list[st
     for name, scale in zip(SIGMAS, sigma_units(length, force), strict=True):
         value = getattr(measurement, name)
         if value is not None:
-            lines.append(f"{name} = {_text(value / scale)}")
+            lines.append(f"{name} = {written(value / scale)}")
+    if measurement.cloud is not None and measurement.cloud.camera is not None:
+        place = ", ".join(f"{v / length:.12g}" for v in measurement.cloud.camera)
+        surface = ["", "[surface.camera]", f"position = [{place}]"]
+    else:
+        surface = []
     if measurement.description:
         escaped = measurement.description.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
         lines.append(f'description = "{escaped}"')
-    return lines
-
-
-def _text(value: float) -> str:
-    return "" if math.isnan(value) else f"{value:.12g}"
+    return [*lines, *surface]

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from bcid.base.errors import InputError, Problems
 from bcid.base.fingerprint import fingerprint
 from bcid.base.units import unit_factor, with_units
+from bcid.measurement.cloud import Cloud
 from bcid.measurement.contents import FORMAT, SIGMAS, Contents, Units
 from bcid.measurement.folder import read_folder, write_folder
 from bcid.measurement.frame_error import FrameError
@@ -64,6 +65,11 @@ class Measurement(Contents):
         if self.frame_error is not None:
             data.attrs["frame_centre"] = self.frame_error.centre
             data.attrs["frame_covariance"] = self.frame_error.covariance.ravel()
+        if self.cloud is not None:
+            data = data.assign(self.cloud.variables(self.data))
+        if not self.fiducial_names:
+            # In this format a dimension without length is one without end.
+            data = data.drop_dims("fiducial")
         with_units(data).to_netcdf(path, engine="scipy")
 
     @classmethod
@@ -90,6 +96,10 @@ class Measurement(Contents):
         for name, like in (("length", "m"), ("time", "s"), ("force", "N")):
             unit_factor(getattr(units, name), like)
         noise, force, torque = (float(attrs[name]) if name in attrs else None for name in SIGMAS)
+        cloud, data = Cloud.taken(data)
+        if cloud is not None and "fiducial" not in data.dims:
+            data = data.assign_coords(fiducial=[])
+            data["position"] = (("frame", "fiducial", "axis"), np.zeros((data.sizes["frame"], 0, 3)))
         centre, covariance = attrs.get("frame_centre"), attrs.get("frame_covariance")
         of_frame = None
         if centre is not None or covariance is not None:
@@ -97,7 +107,7 @@ class Measurement(Contents):
             of_frame = FrameError.checked(centre, covariance, path, problems)
             problems.raise_if_any()
         text = str(attrs.get("description", ""))
-        about = cls(data, noise, force, units, text, str(path), of_frame, torque_sigma=torque)
+        about = cls(data, noise, force, units, text, str(path), of_frame, torque_sigma=torque, cloud=cloud)
         return about.validated()
 
     def validated(self) -> Measurement:
@@ -113,7 +123,7 @@ class Measurement(Contents):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0):
                 problems.add(self.source, f"{name}: expected a positive number, found {value!r}")
-        if not np.isfinite(checked.positions).any():
+        if checked.cloud is None and not np.isfinite(checked.positions).any():
             problems.add(self.source, "holds no position: no fiducial was ever seen")
         for action in checked.action_names:
             checked._check_action(action, problems)
@@ -145,6 +155,8 @@ class Measurement(Contents):
         if self.frame_error is not None:
             arrays |= {"frame_centre": self.frame_error.centre, "frame_covariance": self.frame_error.covariance}
         torque = {} if self.torque_sigma is None else {"torque": self.torque_sigma}
+        if self.cloud is not None:
+            arrays |= self.cloud.arrays()
         return fingerprint({"noise": self.noise_sigma, "wrench": self.wrench_sigma, **torque, **arrays})
 
     def without_forces(self) -> Measurement:
@@ -165,7 +177,9 @@ class Measurement(Contents):
         """
         self.check_names(scene)
         problems = Problems(f"measurement {self.source} does not fit scene {scene.source}")
-        odd = examine(scene, self, problems)
+        markers = [name for name in self.fiducial_names if name not in set(scene.surface)]
+        # Marks on a surface are where the points are: they cannot be misplaced, and follow no path of their own.
+        odd = examine(scene, replace(self, data=self.data.sel(fiducial=markers)), problems) if markers else []
         problems.raise_if_any()
         return list(dict.fromkeys([*self.remarks, *odd]))
 

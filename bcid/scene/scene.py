@@ -30,6 +30,7 @@ class Scene:
         grasps: grasp areas by name.
         fiducials: stress-free positions by name.
         members: of fiducials that are the mean of points of a dense field, the stress-free positions of those.
+        surface: names of the fiducials that are no markers but places on a surface that a depth camera sees.
         places: other named parts of the boundary, for known loads and supports.
         down: unit vector of gravity.
         fibre_plane: the plane in which fibres and active stresses lie: unit vectors at 0 and at 90 degrees. None is the
@@ -63,6 +64,7 @@ class Scene:
     parameters: dict[str, float] = field(default_factory=dict)
     label: int | None = None
     members: dict[str, tuple[Vector, ...]] = field(default_factory=dict)
+    surface: tuple[str, ...] = ()
     description: str = ""
     source: str = "scene"
 

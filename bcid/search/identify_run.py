@@ -17,9 +17,10 @@ from bcid.base.run_folder import RunFolder, running
 from bcid.base.units import percent, unit_factor
 from bcid.forms.forward import check_geometry
 from bcid.forms.mesh import BodyMesh, level_mesh
+from bcid.forms.mesh.body_mesh import among
 from bcid.forms.mesh.check import measures
 from bcid.forms.mesh.patches import divided, first_level
-from bcid.forms.model import check_physics
+from bcid.forms.model import Model, check_physics
 from bcid.inference import nuisance_text
 from bcid.inference.followed import as_far_as_followed
 from bcid.inference.outcome import Outcome, label
@@ -27,9 +28,11 @@ from bcid.inference.stiffness import Stiffness
 from bcid.measurement import AXES, WRENCH, Measurement
 from bcid.measurement.pooling import pooled
 from bcid.scene import Scene
+from bcid.search.association import MARK
 from bcid.search.identification import Identification
 from bcid.search.identify import IdentifyOptions
 from bcid.search.refine import Refinement, check_rounds, identify_refined
+from bcid.search.surface_rounds import settled
 
 MAKES = ("identification.json", "prediction.nc", "body.nc", "summary.txt", "picture.png", "paraview/")
 
@@ -66,12 +69,47 @@ def run_identification(
         keep = _keeper(run, comm)
 
         def work(seen: Measurement) -> None:
-            done = identify_refined(scene, seen, comm, options, refine, progress=progress, known=known, keep=keep)
+            done, seen = identified(scene, seen, comm, options, refine, None, progress, known, keep)
             mesh = level_mesh(done.scene, scene.levels[done.found.levels[-1]], comm)
             on_root(comm, lambda: _write(run, seen, done, mesh, names, comm.size))
 
         as_far_as_followed(measurement, work)
     return folder
+
+
+def identified(
+    scene: Scene,
+    measurement: Measurement,
+    comm: Comm,
+    options: IdentifyOptions | None = None,
+    refine: int = 0,
+    model: Model | None = None,
+    progress: Progress | None = None,
+    known: Iterable[Outcome] = (),
+    keep: Callable[[list[Outcome]], None] | None = None,
+) -> tuple[Refinement, Measurement]:
+    """The anchored patches, and the measurement with surface marks where points of the surface were seen; collective on `comm`.
+
+    See `bcid.search.refine.identify_refined`. With such points nothing of an interrupted search is taken: it depends on how they
+    were associated then.
+    """
+    if measurement.cloud is not None:
+        known, keep = (), None
+
+    def search(body: Scene, seen: Measurement) -> Refinement:
+        return identify_refined(body, seen, comm, options, refine, model, progress=progress, known=known, keep=keep)
+
+    begun = model or Model.of(scene)
+    return settled(
+        scene,
+        measurement,
+        comm,
+        progress or Silent(),
+        begun,
+        None,
+        search,
+        lambda done: (done.scene, begun, frozenset(done.found.anchored)),
+    )
 
 
 def _known(run: RunFolder | None, progress: Progress) -> list[Outcome]:
@@ -179,7 +217,7 @@ def body_parts(scene: Scene, mesh: BodyMesh, displacement: Any, energy: Any) -> 
     places |= {f"grasp {name}": grasp.region for name, grasp in scene.grasps.items()}
     number = np.zeros(len(boundary), dtype=np.int32)
     for i, (name, region) in enumerate(places.items(), start=1):
-        number[_rows_in(boundary, mesh.select(region, name))] = i
+        number[among(boundary, mesh.select(region, name))] = i
     return xr.Dataset(
         {
             "points": (("node", "axis"), mesh.points),
@@ -195,17 +233,12 @@ def body_parts(scene: Scene, mesh: BodyMesh, displacement: Any, energy: Any) -> 
     )
 
 
-def _rows_in(rows: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Which of `rows` have the same nodes as one of `wanted`."""
-    keys = {tuple(row) for row in np.sort(wanted, axis=1)}
-    return np.array([tuple(row) in keys for row in np.sort(rows, axis=1)], dtype=bool)
-
-
 def summary(scene: Scene, measurement: Measurement, found: Identification, rounds: Sequence[str] = ()) -> str:
     """The result in plain sentences, what is doubtful first; lengths in mm. `rounds` says how the patches were refined."""
     length, unit = "mm", 1e-3
     names = label(found.anchored, scene.patches)
-    frames, fiducials = measurement.positions.shape[:2]
+    frames, rows = measurement.positions.shape[:2]
+    fiducials = rows - len(scene.surface)
     points = sum(len(members) for members in scene.members.values())
     pooling = f" (means of {points} points)" if points else ""
     noise = f"the stated noise is {found.noise / unit:.3g} {length}" if found.noise else "no noise is stated"
@@ -222,6 +255,7 @@ def summary(scene: Scene, measurement: Measurement, found: Identification, round
         *_besides(found),
         *stiffness_in_words(found.stiffness),
         f"Compared: {len(measurement.action_names)} action(s), {frames} frames, {fiducials} fiducials{pooling}.",
+        *_of_surface(scene, measurement),
         "",
         "Probability that a patch is anchored:",
         *(
@@ -253,6 +287,17 @@ def summary(scene: Scene, measurement: Measurement, found: Identification, round
     if rounds:
         lines += ["", "How the patches were refined, before the search above:", *(f"  {text}" for text in rounds)]
     return "\n".join(lines) + "\n"
+
+
+def _of_surface(scene: Scene, measurement: Measurement) -> list[str]:
+    """What was seen of the surface."""
+    cloud = measurement.cloud
+    if cloud is None or cloud.noise is None or cloud.counted is None:
+        return []
+    points = f"{len(cloud.points)} points with a noise of {cloud.noise * 1e3:.2g} mm"
+    return [
+        f"Surface: {len(scene.surface)} marks from {points}; {percent(cloud.counted)} of them are of the body and near a mark."
+    ]
 
 
 def _besides(found: Identification) -> list[str]:
@@ -298,8 +343,9 @@ def _astray(found: Identification) -> list[str]:
     """That some fiducials were left out."""
     if not found.astray:
         return []
+    kind = "surface mark(s)" if all(name.startswith(MARK) for name in found.astray) else "fiducial(s)"
     return [
-        f"WARNING: fiducial(s) {', '.join(found.astray)} do not go with the body, whatever set holds it and whatever smooth "
+        f"WARNING: {kind} {', '.join(found.astray)} do not go with the body, whatever set holds it and whatever smooth "
         "force acts: swapped, or misplaced? They are left out."
     ]
 

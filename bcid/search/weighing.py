@@ -286,6 +286,6 @@ class Weighing:
             # Where the tangent says nothing, neither nuisances nor an unknown force do.
             return Pan(prediction.positions, NuisanceModes.none(len(data)), np.zeros((len(data), 1)), failed)
         assert found.forces is not None
-        slopes = np.asarray(found.forces[data.mask], dtype=float).reshape(len(data), math.prod(found.forces.shape[3:]))
+        slopes = data.vector(found.forces).astype(float).reshape(len(data), math.prod(found.forces.shape[3:]))
         modes = nuisances.modes(data, found, wanted, forward.model, prediction.positions)
         return Pan(prediction.positions, modes, slopes, failed)

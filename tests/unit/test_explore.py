@@ -34,6 +34,7 @@ from bcid.inference.nuisances import NuisanceModes
 from bcid.inference.relative import relative
 from bcid.inference.unknown_force import courses
 from bcid.measurement import Action, Measurement
+from bcid.measurement.cloud import Cloud
 from bcid.scene import Grasp, Level, Limits, Material, Region, Scene
 
 Anchored = frozenset[str]
@@ -484,6 +485,19 @@ def test_what_no_set_explains_is_never_decided() -> None:
     assert found.reason == UNEXPLAINED
     assert found.view.missing > CERTAIN
     assert found.view.best.anchors == frozenset("12")
+
+
+def test_points_of_a_surface_are_refused_in_words() -> None:
+    class DepthCamera(MadeUpRobot):
+        def observe(self) -> Measurement:
+            seen = super().observe()
+            return replace(
+                seen, cloud=Cloud(np.zeros((1, 3)), np.ones(1), ((self.action.name, 0),), np.zeros(1, np.int64))
+            )
+
+    body = MadeUp(scene(), by_count)
+    with pytest.raises(InputError, match="points of the surface, which explore cannot use"):
+        explore(body.scene, DepthCamera(body, "1", 1e-4), ExploreOptions(noise=1e-4), body)  # type: ignore[arg-type]
 
 
 def test_where_no_force_can_be_asked_for_a_large_residual_tells() -> None:

@@ -17,6 +17,8 @@ def support(scene: Scene, _measurement: Measurement) -> str:
 
 def single_markers(scene: Scene, _measurement: Measurement) -> str:
     """Fiducials that are points and no means of many."""
+    if len(scene.surface) == len(scene.fiducials):
+        return "there are no fiducials"
     return "the fiducials are means of points of a dense field" if scene.members else ""
 
 

@@ -33,6 +33,6 @@ effect = ObservationEffect(
     about="one fiducial is not where the scene says",
     acts_on="observation",
     observe=observe,
-    places=lambda scene, _anchors: list(scene.fiducials),
+    places=lambda scene, _anchors: [name for name in scene.fiducials if name not in scene.surface],
     needs=_needs.single_markers,
 )

@@ -170,6 +170,22 @@ class BodyMesh:
         return BodyMesh(points, cells, groups, notes=self.notes)
 
 
+def halved_edges(points: Points, triangles: Cells) -> tuple[Points, Cells]:
+    """Points and triangles of a surface whose every triangle is cut into four, which stand as the triangles did, four times."""
+    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    both, number = np.unique(edges, axis=0, return_inverse=True)
+    ab, bc, ca = (len(points) + number.reshape(-1, 3)).T
+    a, b, c = triangles.T
+    cut = np.vstack([np.c_[a, ab, ca], np.c_[ab, b, bc], np.c_[ca, bc, c], np.c_[ab, bc, ca]])
+    return np.vstack([points, points[both].mean(axis=1)]), cut
+
+
+def among(rows: Cells, wanted: Cells) -> NDArray[np.bool_]:
+    """Which triangles (k, 3) have the same nodes as one of those wanted, shape (k,)."""
+    keys = set(map(tuple, np.sort(wanted, axis=1)))
+    return np.array([tuple(row) in keys for row in np.sort(rows, axis=1)], dtype=np.bool_)
+
+
 def _cut(entities: Cells, middle: Any) -> Cells:
     if entities.shape[1] == 1:
         return entities
