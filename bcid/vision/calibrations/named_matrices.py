@@ -41,7 +41,7 @@ def own(values: dict[str, Any], path: Path, problems: Problems) -> Stored:
                 size_of(table.get("size", (0, 0)), f"{side}.size", path, problems),
             )
         )
-    return _stored(cameras, values, path, problems)
+    return _stored(cameras, values, ("rotation", "translation"), path, problems)
 
 
 def named(values: dict[str, Any], counting: Counting, path: Path, problems: Problems) -> Stored:
@@ -62,7 +62,9 @@ def named(values: dict[str, Any], counting: Counting, path: Path, problems: Prob
                 value = np.zeros(shape or 0)
             found.append(numbers_of(value, shape, names[0], path, problems))
         cameras.append(Optics(shift @ found[0], found[1], size))
-    return _stored(cameras, values, path, problems)
+    usual = _ROTATION, _TRANSLATION
+    rotation, translation = (next((name for name in names if name in values), names[0]) for names in usual)
+    return _stored(cameras, values, (rotation, translation), path, problems)
 
 
 def stated_size(values: dict[str, Any]) -> Any:
@@ -70,10 +72,12 @@ def stated_size(values: dict[str, Any]) -> Any:
     return _first(values, _SIZE)
 
 
-def _stored(cameras: list[Optics], values: dict[str, Any], path: Path, problems: Problems) -> Stored:
-    """The two cameras with what the file says beside them."""
-    rotation = numbers_of(_first(values, _ROTATION), (3, 3), _ROTATION[0], path, problems)
-    translation = numbers_of(_first(values, _TRANSLATION), (3,), _TRANSLATION[0], path, problems)
+def _stored(
+    cameras: list[Optics], values: dict[str, Any], names: tuple[str, str], path: Path, problems: Problems
+) -> Stored:
+    """The two cameras with what the file says beside them; `names` are those of rotation and translation."""
+    rotation = numbers_of(values.get(names[0]), (3, 3), names[0], path, problems)
+    translation = numbers_of(values.get(names[1]), (3,), names[1], path, problems)
     error = values.get("reprojection_error")
     if error is not None:
         error = float(numbers_of(error, (1,), "reprojection_error", path, problems)[0])
