@@ -21,8 +21,8 @@ from bcid.scene import Scene
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
-# Marks at most, and points that a frame has for each of them.
-_MOST, _PER_MARK = 128, 10
+# Marks at least and at most, and points that a frame has for each of them.
+_FEWEST, _MOST, _PER_MARK = 8, 128, 10
 # So many facets show the shape of a surface well enough.
 _FACETS = 1500
 # Marks that prove not to be seen at rest are spread anew so often.
@@ -115,7 +115,7 @@ class SurfaceMarks:
         sag, on_it = spread_about_zero(heights[near >= 0])
         shown = np.unique(near[near >= 0][on_it > 0.5])
         shown = shown[~gripped[shown]]
-        count = int(np.clip(per_frame / _PER_MARK, 1, _MOST))
+        count = int(np.clip(per_frame / _PER_MARK, _FEWEST, _MOST))
         for _ in range(_PASSES):
             middle, mark = _pieces(facets, shown, BodyMesh(vertices, triangles).area(triangles[shown]), count)
             made = cls(vertices, triangles, np.where(gripped, -1, mark), middle, gripped, sag, mesh.size)

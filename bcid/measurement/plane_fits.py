@@ -22,6 +22,8 @@ _ROUNDS = 30
 _PER_MEDIAN = 1.4826
 # Part of the points that is of something else, to begin with, and within which it is looked for.
 _SHARE, _LEAST, _MOST = 0.1, 1e-3, 0.9
+# A noise is at least this part of the largest height.
+_EXACT = 1e-5
 # So many points that part is believed for before a piece's own.
 _BELIEVED = 2.0
 # How far a piece may be tilted against where it is expected: tangent of the angle, standard deviation.
@@ -37,7 +39,7 @@ class Planes:
         slope: shape (pieces, 2), and its covariance `slope_covariance`, shape (pieces, 2, 2).
         sigma: standard deviation of the offset, m.
         noise: standard deviation of a point, m.
-        counted: how many points are of planes that are seen.
+        counted: how many points are of each plane, none of those that are not seen, shape (pieces,).
     """
 
     offset: Array
@@ -45,7 +47,7 @@ class Planes:
     slope_covariance: Array
     sigma: Array
     noise: float
-    counted: float
+    counted: Array
 
 
 @dataclass(frozen=True)
@@ -125,6 +127,7 @@ class _Fit:
     Attributes:
         noise: of a point, in units of the stated one, or in m.
         share: part of the points of each piece that is of something else, and `reach`, how far away those are at most, m.
+        furthest: height of the highest point, m.
         seen: probability of each piece to be seen.
         weights: probability of each point to be of its plane.
     """
@@ -134,8 +137,10 @@ class _Fit:
         self.known = len(pieces.stated) > 0 and bool(np.isfinite(pieces.stated).all())
         self.unit = pieces.stated if self.known else np.ones(len(pieces.heights))
         self.left: Array = pieces.heights - pieces.medians()[pieces.number]
-        self.noise = max(_PER_MEDIAN * _median(np.abs(self.left / self.unit)), 1e-12)
-        self.reach = max(float(np.abs(pieces.heights).max(initial=0.0)), 1e-12)
+        self.furthest = self.reach = max(float(np.abs(pieces.heights).max(initial=0.0)), 1e-12)
+        # Where points lie in planes exactly nothing else keeps it from vanishing.
+        self.least = 1.0 if self.known else _EXACT * self.furthest
+        self.noise = max(_PER_MEDIAN * _median(np.abs(self.left / self.unit)), self.least)
         self.share: Array = np.full(count, _SHARE)
         self.seen: Array = np.ones(count)
         self.weights: Array = np.ones(len(pieces.heights))
@@ -154,7 +159,7 @@ class _Fit:
         self.left = pieces.heights - np.einsum("nk,nk->n", pieces.shapes, self.solution[pieces.number])
         total = max(float(self.weights.sum()), 1e-300)
         squares = float(self.weights @ (self.left / self.unit) ** 2)
-        self.noise = max(math.sqrt(squares / max(total - used, 0.1 * total)), 1.0 if self.known else 1e-12)
+        self.noise = max(math.sqrt(squares / max(total - used, 0.1 * total)), self.least)
         self.share = pieces.shares(self.weights)
         others = 1 - self.weights
         # Of values that are uniform up to a limit the root mean square is that part of it.
@@ -169,7 +174,12 @@ class _Fit:
         """
         gains = self.pieces.sums(np.logaddexp(0.0, self.odds()))
         expected = self.weights.mean() * self.pieces.usual if len(self.weights) else self.pieces.usual
-        self.seen = expit(gains + self.pieces.occam(self.solution, self.covariance) - expected)
+        by_chance = expected - gains - self.pieces.occam(self.solution, self.covariance)
+        self.seen = expit(-np.logaddexp(by_chance, self.elsewhere()))
+
+    def elsewhere(self) -> Array:
+        """Logarithm of the odds of each piece to be a surface of something else, which may be anywhere, shape (pieces,)."""
+        return -_log_odds(self.solution[:, 0], self.pieces.allowed**2 + self.covariance[:, 0, 0], self.furthest, _SHARE)
 
     @property
     def point(self) -> float:
@@ -181,7 +191,7 @@ class _Fit:
         sigma = np.sqrt(self.covariance[:, 0, 0])
         told = (self.seen > 0.5) & (sigma < self.point)
         offset, sigma = (np.where(told, values, np.nan) for values in (self.solution[:, 0], sigma))
-        counted = float(self.weights @ told[self.pieces.number])
+        counted = np.where(told, self.pieces.sums(self.weights), 0.0)
         return Planes(offset, self.solution[:, 1:], self.covariance[:, 1:, 1:], sigma, self.point, counted)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError
-from bcid.base.units import show
+from bcid.base.units import percent, show
 from bcid.forms.forward import Forward
 from bcid.forms.mesh import level_mesh
 from bcid.forms.model import Model
@@ -33,6 +33,10 @@ _UNKNOWNS = 15_000
 _ACCURACY = Settings(rtol=1e-5)
 # Where the middle of the points at rest is further from the surface than this part of the body's size they are not of it.
 _APART = 0.25
+# Points of a frame at rest that tell of a surface.
+LEAST_POINTS = 40
+# Where the body moves at least this part of the points must count that count at rest: of the others the answer knows nothing.
+_KEPT = 0.5
 
 
 @dataclass(frozen=True)
@@ -96,8 +100,9 @@ class Association:
         made = _with_marks(seen, self.scene.surface, *self._placed(surface, planes))
         cloud = seen.cloud
         assert cloud is not None
-        counted = planes.counted / max(int(np.sum(cloud.numbers(seen.data) >= 0)), 1)
-        return replace(made, cloud=replace(cloud, noise=planes.noise, counted=counted))
+        counted = float(planes.counted.sum()) / max(int(np.sum(cloud.numbers(seen.data) >= 0)), 1)
+        lost = _lost(seen, planes.counted.reshape(frames, marks).sum(axis=1))
+        return replace(made, cloud=replace(cloud, noise=planes.noise, counted=counted), remarks=(*seen.remarks, *lost))
 
     def _surface(self, scene: Scene, model: Model, anchors: frozenset[str], seen: Measurement) -> Array:
         """Vertices of the surface in each frame (frames, v, 3), m; from where it cannot be followed they stay."""
@@ -181,6 +186,18 @@ def _named(names: Iterable[str], places: Array) -> dict[str, Vector]:
     return {name: (float(x), float(y), float(z)) for name, (x, y, z) in zip(names, places, strict=True)}
 
 
+def _lost(seen: Measurement, counted: Array) -> list[str]:
+    """That most points of the body are lost once it moves, of how many count in each frame, (frames,)."""
+    rest = np.asarray(seen.data["step"].values) == 0
+    if rest.all() or counted[~rest].mean() > _KEPT * counted[rest].mean():
+        return []
+    share = percent(float(counted[~rest].mean() / max(counted[rest].mean(), 1e-300)))
+    return [
+        f"of the points of the surface that count at rest only {share} do when the body moves: no set predicts where they are, or "
+        "there are too few; do not trust the answer"
+    ]
+
+
 def _usual(counts: Numbers) -> Array:
     """How many points each mark has in a frame in which it has any, (marks,), of counts (frames, marks)."""
     return np.array([float(np.median(own[own > 0])) if own.any() else 0.0 for own in counts.T])
@@ -204,10 +221,20 @@ def _marks(scene: Scene, measurement: Measurement) -> SurfaceMarks:
     rest = cloud.points[(numbers >= 0) & at_rest[numbers]]
     if not len(rest):
         raise InputError(f"{measurement.source}: holds no point of the surface at step 0, where the body is at rest")
+    if len(rest) < LEAST_POINTS * at_rest.sum():
+        raise InputError(
+            f"{measurement.source}: holds {len(rest)} points of the surface at step 0, in {at_rest.sum()} action(s); at least "
+            f"{LEAST_POINTS} in each are needed"
+        )
     per_frame = float(np.median(np.bincount(numbers[numbers >= 0])))
     marks = SurfaceMarks.spread(scene, rest, per_frame, cloud.camera)
     away = float(np.median(np.linalg.norm(rest - _nearest(marks, rest), axis=1)))
-    if not len(marks.middle) or away > _APART * marks.size:
+    if not len(marks.middle) and away <= _APART * marks.size:
+        raise InputError(
+            f"{measurement.source}: at step 0 no part of the surface is recognised in the points; are they of the body, and not of "
+            "what covers it?"
+        )
+    if away > _APART * marks.size:
         unit = measurement.units.length
         raise InputError(
             f"{measurement.source}: at step 0 the points of the surface are {show(away, 'mm')} (median) from that of the body, "

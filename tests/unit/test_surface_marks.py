@@ -217,6 +217,19 @@ def test_a_body_without_markers_is_identified(slab: Scene, filmed: Measurement) 
     assert " 0 fiducials" in found.summary
 
 
+def test_that_points_are_lost_once_the_body_moves_is_said(slab: Scene, filmed: Measurement) -> None:
+    """Of frames in which a plate lies far above what the gripper can move."""
+    association, cloud = Association(slab, filmed), filmed.cloud
+    assert cloud is not None
+    known = association.scene, Model.of(slab), HELD
+    assert association.about(*known).remarks == ()
+    lifted = cloud.points + np.where(cloud.frame[:, None] > 0, [0.0, 0.05, 0.0], 0.0)
+    lost = replace(filmed, cloud=replace(cloud, points=lifted))
+    association.measurement = lost
+    assert "only < 0.01 % do when the body moves" in association.about(*known).remarks[0]
+    association.destroy()
+
+
 def test_a_model_is_compared_with_what_a_surface_shows(slab: Scene, filmed: Measurement) -> None:
     found = bcid.compare(slab, filmed, HELD, level=1)
     assert found.adequate
@@ -232,6 +245,18 @@ def test_points_of_something_else_are_refused_in_words(
     wrong = replace(filmed, cloud=replace(filmed.cloud, points=factor * filmed.cloud.points + [0.0, shift, 0.0]))
     with pytest.raises(InputError, match=r"from that of the body.*check length_unit"):
         Association(slab, wrong)
+
+
+def test_too_few_points_and_what_covers_the_body_are_refused_in_words(slab: Scene, filmed: Measurement) -> None:
+    cloud = filmed.cloud
+    assert cloud is not None
+    few = np.arange(len(cloud.points)) % 15 == 0
+    thin = replace(cloud, points=cloud.points[few], sigma=cloud.sigma[few], frame=cloud.frame[few])
+    with pytest.raises(InputError, match="at least 40 in each are needed"):
+        Association(slab, replace(filmed, cloud=thin))
+    sheet = replace(cloud, points=cloud.points * [1.0, 0.0, 1.0] + [0.0, 0.03, 0.0])
+    with pytest.raises(InputError, match="no part of the surface is recognised"):
+        Association(slab, replace(filmed, cloud=sheet))
 
 
 def test_a_cloud_is_written_and_read_again(filmed: Measurement, tmp_path: Path) -> None:
