@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -296,9 +295,7 @@ class _Loop:
             self.say(
                 f"  {again.fitted.state.model.name}, anchors {self.name(anchors)}: {again.fitted.state.rms * 1e3:.3g} mm"
             )
-            # Where nothing is seen of the effects, nothing is said of what the tangent shows.
-            if math.isfinite(again.log):
-                misses.append(again.log - best.log - (shown[anchors] - shown[best.anchors]))
+            misses.append(again.log - best.log - (shown[anchors] - shown[best.anchors]))
             if again.log > best.log:
                 best, shown = again, shown_about(again, self.model)
         self.compared.about = best

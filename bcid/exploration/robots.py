@@ -16,7 +16,7 @@ from bcid.base.units import unit_factor
 from bcid.exploration.predictions import PullPredictor
 from bcid.forms.simulate import recorded, with_wrenches
 from bcid.measurement import Action, Measurement
-from bcid.measurement.folder import grasp_lines
+from bcid.measurement.folder_writer import grasp_lines
 from bcid.scene import Scene
 
 # Between two looks into a folder, s.

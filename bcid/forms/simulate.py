@@ -17,7 +17,7 @@ from bcid.forms.model import Model
 from bcid.forms.simulated_cloud import shown_facets, simulated_cloud
 from bcid.forms.solver.equilibrium import Settings
 from bcid.measurement import WRENCH, Action, Measurement
-from bcid.measurement.folder import motions_dataset
+from bcid.measurement.dataset import motions_dataset
 from bcid.scene import Scene
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from bcid.forms.mesh import BodyMesh
 from bcid.forms.mesh.body_mesh import among
 from bcid.measurement import Measurement
-from bcid.measurement.cloud import Cloud
+from bcid.measurement.cloud import Cloud, frames_of
 from bcid.scene import Scene
 
 Array = NDArray[np.float64]
@@ -55,6 +55,4 @@ def simulated_cloud(
     nodes = triangles[chosen]
     points = mesh.points[nodes] + displacement[np.arange(frames)[:, None, None], nodes]
     seen = np.einsum("fnk,fnka->fna", weights, points).reshape(-1, 3) + rng.normal(0.0, sigma, (frames * count, 3))
-    keys = zip(made.data["action"].values.astype(str), made.data["step"].values.astype(int), strict=True)
-    steps = tuple((str(action), int(step)) for action, step in keys)
-    return Cloud(seen, np.full(len(seen), np.nan), steps, np.repeat(np.arange(frames), count))
+    return Cloud(seen, np.full(len(seen), np.nan), frames_of(made.data), np.repeat(np.arange(frames), count))

@@ -118,12 +118,14 @@ def moderated(apart: float, misses: Sequence[float]) -> float:
     """Logarithm of the odds of a set against another as a tangent shows it, where that has missed others by so much.
 
     It is taken to show too much, or too little, of this one by as much as of those on average, and by an unknown amount that varies
-    as theirs does; the odds are then nearer to even (MacKay, Neural Computation 4, 1992, 720: moderated outputs).
+    as theirs does; the odds are then nearer to even (MacKay, Neural Computation 4, 1992, 720: moderated outputs). A set that
+    does not show what acts missed by no number, and says nothing of others.
     """
-    if not misses:
+    told = [miss for miss in misses if math.isfinite(miss)]
+    if not told:
         return apart
-    mean = float(np.mean(misses))
-    variance = float(np.var(misses, ddof=1)) if len(misses) > 1 else mean**2
+    mean = float(np.mean(told))
+    variance = float(np.var(told, ddof=1)) if len(told) > 1 else mean**2
     return (apart + mean) / math.sqrt(1 + math.pi / 8 * variance)
 
 

@@ -10,7 +10,14 @@ import xarray as xr
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+# Action and step.
 Frame = tuple[str, int]
+
+
+def frames_of(data: xr.Dataset) -> tuple[Frame, ...]:
+    """Action and step of each frame of a measurement's `data`."""
+    keys = zip(data["action"].values.astype(str), data["step"].values.astype(int), strict=True)
+    return tuple((str(action), int(step)) for action, step in keys)
 
 
 @dataclass(frozen=True)
@@ -37,8 +44,7 @@ class Cloud:
 
     def numbers(self, data: xr.Dataset) -> NDArray[np.int64]:
         """The frame of a measurement's `data` that each point belongs to, -1 for those that are not in it, shape (n,)."""
-        keys = zip(data["action"].values.astype(str), data["step"].values.astype(int), strict=True)
-        known = {(str(action), int(step)): number for number, (action, step) in enumerate(keys)}
+        known = {frame: number for number, frame in enumerate(frames_of(data))}
         return np.array([known.get(frame, -1) for frame in self.frames], dtype=np.int64)[self.frame]
 
     def variables(self, data: xr.Dataset) -> dict[str, Any]:
@@ -57,12 +63,10 @@ class Cloud:
         """The cloud of a measurement's `data`, None where it holds none, and the data without it."""
         if not {"cloud", "cloud_sigma", "cloud_frame"} <= set(data.variables):
             return None, data
-        keys = zip(data["action"].values.astype(str), data["step"].values.astype(int), strict=True)
-        frames = tuple((str(action), int(step)) for action, step in keys)
         points, sigma, frame = (np.asarray(data[name].values) for name in ("cloud", "cloud_sigma", "cloud_frame"))
         camera = np.asarray(data["cloud_camera"].values) if "cloud_camera" in data else None
         others = data.drop_dims("point").drop_vars("cloud_camera", errors="ignore")
-        return cls(points, sigma, frames, frame.astype(np.int64), camera), others
+        return cls(points, sigma, frames_of(data), frame.astype(np.int64), camera), others
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """What tells it from others, by name."""

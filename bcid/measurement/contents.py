@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from bcid.base.units import unit_factor
 from bcid.measurement.cloud import Cloud
 from bcid.measurement.frame_error import FrameError
 from bcid.scene.action import Action
@@ -34,6 +35,15 @@ class Units:
     length: str = "mm"
     time: str = "s"
     force: str = "N"
+
+    @property
+    def factors(self) -> tuple[float, float, float]:
+        """SI per unit of length, time and force.
+
+        Raises:
+            InputError: one of them is no such unit.
+        """
+        return unit_factor(self.length, "m"), unit_factor(self.time, "s"), unit_factor(self.force, "N")
 
 
 @dataclass(frozen=True)

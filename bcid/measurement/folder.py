@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import csv
 import math
-import shutil
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,15 +13,15 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bcid.base.errors import InputError, Problems, unwritable
+from bcid.base.errors import InputError, Problems
 from bcid.base.text_file import read_lines, read_toml
 from bcid.base.units import unit_factor, usable
 from bcid.measurement import surface_table
-from bcid.measurement.cloud import Cloud
+from bcid.measurement.cloud import Cloud, Frame
 from bcid.measurement.contents import AXES, FORMAT, QUATERNION, SIGMAS, WRENCH, Contents, Units, sigma_units
+from bcid.measurement.dataset import frames_dataset
 from bcid.measurement.frame_error import FrameError
 from bcid.measurement.surface_files import SurfaceFiles
-from bcid.measurement.surface_table import written
 from bcid.scene.action import Action
 
 _UNIT_KEYS = {"length_unit": "m", "time_unit": "s", "force_unit": "N"}
@@ -32,8 +31,6 @@ _TIME_TOLERANCE = 1e-9
 _REST_TOLERANCE = 1e-6
 # Steps times fiducials (or places): with their standard deviations they take 2.4 GB.
 _MOST_POSITIONS = 50_000_000
-
-Frame = tuple[str, int]
 
 
 @dataclass
@@ -90,8 +87,7 @@ def read_grasps(path: Path, units: Units) -> list[Action]:
     problems = Problems(f"motions {path}")
     if not path.is_file():
         raise InputError(f"{path}: no such file with the poses of the gripper")
-    length, time, force = (unit_factor(getattr(units, n), like) for n, like in zip(_UNIT_NAMES, "msN", strict=True))
-    reader = _FolderReader(path.parent, _Header(units, length, time, force, ""), problems, path.name)
+    reader = _FolderReader(path.parent, _Header(units, *units.factors, ""), problems, path.name)
     poses = reader.grasps()
     if not poses and not problems.found:
         reader.bad(None, "holds no pose")
@@ -435,38 +431,6 @@ class _FolderReader:
         return data
 
 
-def frames_dataset(frames: list[Frame], times: list[float], names: list[str], positions: np.ndarray) -> xr.Dataset:
-    """Dataset of fiducial positions (frames, fiducials, 3) with the identity as motion of no grasp."""
-    count = len(frames)
-    return xr.Dataset(
-        {
-            "position": (("frame", "fiducial", "axis"), positions),
-            "grasp": ("frame", [""] * count),
-            "translation": (("frame", "axis"), np.zeros((count, 3))),
-            "rotation": (("frame", "quaternion"), np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))),
-        },
-        coords={
-            "action": ("frame", [action for action, _ in frames]),
-            "step": ("frame", np.array([step for _, step in frames], dtype=np.int32)),
-            "time": ("frame", np.array(times)),
-            "fiducial": names,
-            "axis": AXES,
-        },
-    )
-
-
-def motions_dataset(
-    actions: Sequence[Action], times: list[float], names: list[str], positions: np.ndarray
-) -> xr.Dataset:
-    """Dataset of fiducial positions (frames, fiducials, 3) with motions that stand one after the other, at `times` (frames), s."""
-    frames = [(action.name, int(step)) for action in actions for step in action.steps]
-    data = frames_dataset(frames, times, names, positions)
-    data["grasp"] = ("frame", [action.grasp for action in actions for _ in action.steps])
-    data["translation"] = (("frame", "axis"), np.vstack([action.translation for action in actions]))
-    data["rotation"] = (("frame", "quaternion"), np.vstack([action.rotation for action in actions]))
-    return data
-
-
 def _stack(
     frames: list[Frame], names: list[str], rows: dict[tuple[Frame, str], list[float]], absent: float
 ) -> np.ndarray:
@@ -478,95 +442,3 @@ def _stack(
         places = np.array([(frame_number[frame], name_number[name]) for frame, name in rows])
         stacked[places[:, 0], places[:, 1]] = list(rows.values())
     return stacked
-
-
-def write_folder(measurement: Contents, folder: Path) -> None:
-    """Write the folder format; the folder appears whole or not at all.
-
-    Raises:
-        InputError: the folder exists.
-        MachineError: it cannot be written.
-    """
-    if folder.exists():
-        raise InputError(f"{folder}: exists already; choose another place or remove it")
-    partial = folder.with_name(folder.name + ".partial")
-    try:
-        shutil.rmtree(partial, ignore_errors=True)
-        partial.mkdir(parents=True)
-        for name, lines in _texts(measurement).items():
-            (partial / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
-        partial.rename(folder)
-    except OSError as error:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise unwritable(folder, error) from None
-
-
-def _texts(measurement: Contents) -> dict[str, list[str]]:
-    data, units = measurement.data, measurement.units
-    length, time, force = (unit_factor(getattr(units, n), like) for n, like in zip(_UNIT_NAMES, "msN", strict=True))
-    head = [
-        f"{a},{s},{written(t / time)}"
-        for a, s, t in zip(*(data[n].values for n in ("action", "step", "time")), strict=True)
-    ]
-    texts = {"measurement.toml": _header_lines(measurement, length, force)}
-    sigma = data["sigma"].values / length if "sigma" in data else None
-    lines = ["action,step,time,fiducial,x,y,z" + (",sigma_x,sigma_y,sigma_z" if sigma is not None else "")]
-    for i, start in enumerate(head):
-        for j, name in enumerate(measurement.fiducial_names):
-            cells = [written(v) for v in measurement.positions[i, j] / length]
-            cells += [] if sigma is None else [written(v) for v in sigma[i, j]]
-            lines.append(f"{start},{name},{','.join(cells)}")
-    if measurement.fiducial_names:
-        texts["fiducials.csv"] = lines
-    if measurement.cloud is not None:
-        texts[surface_table.FILE] = surface_table.table_lines(measurement.cloud, data, head, length)
-    texts["grasps.csv"] = grasp_lines([action for action in measurement.actions if action.grasp], length, time)
-    if "wrench" in data:
-        scale = np.array([force] * 3 + [force * length] * 3)
-        rows = [
-            f"{start},{','.join(written(v) for v in row / scale)}"
-            for start, row in zip(head, data["wrench"].values, strict=True)
-        ]
-        rows = [row for row, values in zip(rows, data["wrench"].values, strict=True) if np.isfinite(values).all()]
-        texts["wrench.csv"] = ["action,step,time," + ",".join(WRENCH), *rows]
-    if "load" in data:
-        texts["loads.csv"] = ["action,step,time,place,fx,fy,fz"] + [
-            f"{start},{place},{','.join(written(v) for v in data['load'].values[i, k] / force)}"
-            for i, start in enumerate(head)
-            for k, place in enumerate(data["place"].values)
-        ]
-    if measurement.frame_error is not None:
-        texts["frame.toml"] = measurement.frame_error.lines(length)
-    return texts
-
-
-def grasp_lines(actions: Iterable[Action], length: float, time: float) -> list[str]:
-    """Lines of a grasps.csv: the poses of the gripper, in units of `length` m and `time` s."""
-    lines = ["action,step,time,grasp,x,y,z,qw,qx,qy,qz"]
-    for action in actions:
-        rows = zip(action.steps, action.clock / time, action.translation / length, action.rotation, strict=True)
-        for step, at, translation, rotation in rows:
-            cells = [*map(written, (at, *translation)), *(f"{v:.17g}" for v in rotation)]
-            lines.append(f"{action.name},{step},{cells[0]},{action.grasp},{','.join(cells[1:])}")
-    return lines
-
-
-_UNIT_NAMES = ("length", "time", "force")
-
-
-def _header_lines(measurement: Contents, length: float, force: float) -> list[str]:
-    lines = [f'format = "{FORMAT}"']
-    lines += [f'{name}_unit = "{getattr(measurement.units, name)}"' for name in _UNIT_NAMES]
-    for name, scale in zip(SIGMAS, sigma_units(length, force), strict=True):
-        value = getattr(measurement, name)
-        if value is not None:
-            lines.append(f"{name} = {written(value / scale)}")
-    if measurement.cloud is not None and measurement.cloud.camera is not None:
-        place = ", ".join(f"{v / length:.12g}" for v in measurement.cloud.camera)
-        surface = ["", "[surface.camera]", f"position = [{place}]"]
-    else:
-        surface = []
-    if measurement.description:
-        escaped = measurement.description.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
-        lines.append(f'description = "{escaped}"')
-    return [*lines, *surface]

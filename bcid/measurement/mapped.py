@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from bcid.base.errors import InputError
 from bcid.measurement.alignment import align
 from bcid.measurement.contents import AXES, SIGMAS, WRENCH, Contents, sigma_units
-from bcid.measurement.folder import frames_dataset
+from bcid.measurement.dataset import frames_dataset
 from bcid.measurement.mapped_points import read_points_of
 from bcid.measurement.mapped_table import read_table
 from bcid.measurement.mapping import Mapping, read_mapping

@@ -21,7 +21,8 @@ from bcid.base.fingerprint import fingerprint
 from bcid.base.units import unit_factor, with_units
 from bcid.measurement.cloud import Cloud
 from bcid.measurement.contents import FORMAT, SIGMAS, Contents, Units
-from bcid.measurement.folder import read_folder, write_folder
+from bcid.measurement.folder import read_folder
+from bcid.measurement.folder_writer import write_folder
 from bcid.measurement.frame_error import FrameError
 from bcid.measurement.mapped import read_mapped
 from bcid.measurement.plausibility import examine

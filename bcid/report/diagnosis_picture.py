@@ -16,9 +16,9 @@ from bcid.base.run_folder import RunFolder, writing
 from bcid.base.units import percent, uncertain, unit_factor
 from bcid.report.figure import body_entries, cropped, save, styled
 from bcid.report.ladder import head, ladder_figure
-from bcid.report.lengths import in_mm
+from bcid.report.lengths import in_mm, round_length
 from bcid.report.paraview import write_paraview
-from bcid.report.scene3d import COLOURS, MAP, Image, arrows_picture, map_picture, round_length
+from bcid.report.scene3d import COLOURS, MAP, Image, arrows_picture, map_picture
 from bcid.report.text import conclusion, model_name
 
 if TYPE_CHECKING:

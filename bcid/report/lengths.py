@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from bcid.base.errors import InputError
 from bcid.base.units import unit_factor
 
@@ -32,3 +34,9 @@ def _scaled(content: Any, factor: float, length: bool) -> Any:
     return (
         content * factor if length and isinstance(content, int | float) and not isinstance(content, bool) else content
     )
+
+
+def round_length(most: float) -> float:
+    """The largest of 1, 2, 5, 10, ... times a power of ten that is not larger."""
+    power = 10.0 ** np.floor(np.log10(most))
+    return float(power * max(step for step in (1, 2, 5) if step * power <= most * (1 + 1e-9)))

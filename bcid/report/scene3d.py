@@ -11,6 +11,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from bcid.report.lengths import round_length
+from bcid.report.surface_field import coloured
+
 if TYPE_CHECKING:
     import pyvista as pv
 
@@ -127,12 +130,12 @@ def map_picture(
     """
     plotter = _plotter(size)
     labels = _add_body(plotter, body, anchored, frame, grasp, 0.3)
-    coloured = _coloured(surface(body, frame), places, values)
+    field = coloured(surface(body, frame), places, values)
     # In front of the body's own colour.
     view = _aim(plotter, body)
-    coloured.points += 0.002 * view.size * view.away
+    field.points += 0.002 * view.size * view.away
     plotter.add_mesh(
-        coloured,
+        field,
         scalars="value",
         cmap=MAP,
         clim=(0.0, most),
@@ -142,27 +145,6 @@ def map_picture(
         diffuse=0.45,
     )
     return _image(plotter, body, frame, labels)
-
-
-def _coloured(moved: pv.PolyData, places: Array, values: Array) -> pv.PolyData:
-    """A surface with the "value" at its nodes: means of places nearby, NaN where there is none, in smaller triangles than it has.
-
-    A place counts by a Gaussian of its distance, as wide as places are apart.
-    """
-    from scipy.spatial import cKDTree
-
-    tree = cKDTree(places)
-    apart = float(np.median(tree.query(places, k=2)[0][:, 1]))
-    edge = float(np.sqrt(moved.area / max(moved.n_cells, 1)))
-    fine = moved.triangulate()
-    for _ in range(max(0, min(3, round(np.log2(max(2 * edge / max(apart, 1e-9), 1.0)))))):
-        fine = fine.subdivide(1, "linear")
-    distance, near = tree.query(fine.points, k=min(8, len(places)), distance_upper_bound=2 * apart)
-    weights = np.where(np.isfinite(distance), np.exp(-0.5 * (distance / apart) ** 2), 0.0)
-    known = np.append(values, 0.0)[near]
-    total = weights.sum(axis=1)
-    fine.point_data["value"] = np.where(total > 0, (weights * known).sum(axis=1) / np.maximum(total, 1e-300), np.nan)
-    return fine
 
 
 def places_picture(
@@ -428,9 +410,3 @@ def _add_key(plotter: pv.Plotter, view: _View, points: Array, up: str) -> list[_
     plotter.add_mesh(pv.Tube(pointa=left, pointb=right, radius=1.4 * thick), color=COLOURS.measured, lighting=False)
     labels.append(_Label((left + right) / 2 - 0.5 * long * view.high, f"{bar:g} mm", COLOURS.measured))
     return labels
-
-
-def round_length(most: float) -> float:
-    """The largest of 1, 2, 5, 10, ... times a power of ten that is not larger."""
-    power = 10.0 ** np.floor(np.log10(most))
-    return float(power * max(step for step in (1, 2, 5) if step * power <= most * (1 + 1e-9)))

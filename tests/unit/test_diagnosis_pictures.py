@@ -120,12 +120,13 @@ def test_every_picture_is_drawn(tmp_path: Path) -> None:
 def test_what_a_dense_field_misses_is_a_map() -> None:
     """In colours between the surface's nodes, which lie at its corners alone; where nothing was seen there are none."""
     pytest.importorskip("pyvista")
-    from bcid.report.scene3d import _coloured, surface
+    from bcid.report.scene3d import surface
+    from bcid.report.surface_field import coloured
 
     field = dense()
     missed = 1e3 * np.linalg.norm((field["measured"] - field["predicted"]).values[1], axis=1)
-    coloured = _coloured(surface(body(), 1), 1e3 * field["predicted"].values[1], missed)
-    value, points = coloured.point_data["value"], coloured.points
+    drawn = coloured(surface(body(), 1), 1e3 * field["predicted"].values[1], missed)
+    value, points = drawn.point_data["value"], drawn.points
     seen = points[:, 0] < 1e-6
     assert np.isfinite(value[seen]).all()
     assert np.isnan(value[points[:, 0] > 30]).all()

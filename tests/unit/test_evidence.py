@@ -169,6 +169,9 @@ def test_what_a_tangent_tells_counts_by_how_far_it_missed() -> None:
     assert moderated(-4.0, []) == -4.0
     assert moderated(-4.0, [-10.0, -10.0, -10.0]) == pytest.approx(-14.0)
     assert -0.2 < moderated(-4.0, [-100.0, 95.0, -10.0]) < 0.0
+    # A set on which nothing is seen of what acts says nothing.
+    assert moderated(-4.0, [-math.inf]) == -4.0
+    assert moderated(-4.0, [-10.0, -math.inf, -10.0]) == pytest.approx(-14.0)
     assert moderated(-4.0, [-10.0]) == pytest.approx(-14.0 / math.sqrt(1 + math.pi / 8 * 100))
 
 

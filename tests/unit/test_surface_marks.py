@@ -24,7 +24,7 @@ from bcid.inference.data import Data
 from bcid.inference.misfit import Misfit
 from bcid.measurement import Action, Measurement
 from bcid.measurement.cloud import Cloud
-from bcid.measurement.folder import motions_dataset
+from bcid.measurement.dataset import motions_dataset
 from bcid.measurement.frame_error import FrameError
 from bcid.measurement.plane_fits import Pieces, fit_planes
 from bcid.scene import Level, Scene, motions

@@ -21,6 +21,7 @@ from bcid.studies.exploration.exploration_trials import (
     STIFFER,
     STRATEGIES,
 )
+from bcid.studies.hidden.amounts import HALF
 from bcid.studies.hidden.wilson import wilson
 
 _FELT = {"without": False, "with": True}
@@ -89,7 +90,7 @@ def _felt_row(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "bits": bits[0] if bits else None,
         "stiffness": median(c["value"] / c["scene"] for c in stiff) if stiff else None,
         "stderr": median(c["stderr"] / c["scene"] for c in stiff) if stiff else None,
-        "within": sum(abs(c["value"] - STIFFER * c["scene"]) < 1.96 * c["stderr"] for c in stiff),
+        "within": sum(abs(c["value"] - STIFFER * c["scene"]) <= HALF * c["stderr"] for c in stiff),
     }
 
 

@@ -38,7 +38,7 @@ from bcid.exploration.predictions import PullPredictor
 from bcid.exploration.robots import Simulated
 from bcid.exploration.update import BeliefUpdate, PosteriorSummary
 from bcid.forms.gripper_force import ForceScale
-from bcid.forms.model import Model, check_physics
+from bcid.forms.model import check_physics
 from bcid.forms.written_effects import with_effects
 from bcid.inference.hypotheses import Hypothesis
 from bcid.measurement import Action
@@ -58,6 +58,7 @@ from bcid.studies.exploration.exploration_trials import (
     ExplorationTrial,
     trials,
 )
+from bcid.studies.hidden.felt import stiffened
 from bcid.studies.sections import PICTURE
 
 SCENE = "examples/scenes/slab_explain.toml"
@@ -313,7 +314,7 @@ class Bench:
             about = predictor.level, predictor.comm, predictor.store
             return PullPredictor(replace(of, levels=predictor.scene.levels), *about, gripper=gripper)
 
-        stiffer = _stiffer(scene)
+        stiffer = stiffened(scene, STIFFER)
         fine = None if self.fine is None else alike(self.fine, scene)
         return Bench(scene, alike(self.predictor, scene), fine, alike(self.truth, stiffer), self.seed)
 
@@ -348,12 +349,6 @@ class Bench:
                 predictor.destroy()
         if "feeling" in self.__dict__:
             self.feeling.destroy()
-
-
-def _stiffer(scene: Scene) -> Scene:
-    """The scene of a stiffer body."""
-    constants = {name: f"{STIFFER * value!r} Pa" for name, value in Model.of(scene).stiffnesses.items()}
-    return replace(scene, material=replace(scene.material, values=scene.material.values | constants))
 
 
 def _result(path: Path, trial: ExplorationTrial) -> dict[str, Any]:

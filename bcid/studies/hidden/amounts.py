@@ -11,7 +11,7 @@ import numpy as np
 Json = Mapping[str, Any]
 NEAR, DEGREES = 0.2, 15.0
 # Half a 95 % interval in standard errors.
-_HALF = 1.96
+HALF = 1.96
 
 
 def parameters_right(truth: Json, diagnosis: Json) -> bool:
@@ -48,7 +48,7 @@ def _holds(found: Json, p: Json) -> bool:
         return False
     if p["reciprocal"]:
         value, error, true = 1 / value, error / value**2, 1 / true
-    return bool(abs(value - true) <= _HALF * error)
+    return bool(abs(value - true) <= HALF * error)
 
 
 def _value(written: Any) -> float:

@@ -19,6 +19,12 @@ Array = NDArray[np.float64]
 STIFFNESS, GAIN, BIAS, NOISE = 0.2, 0.01, 0.005, 0.01
 
 
+def stiffened(scene: Scene, factor: float) -> Scene:
+    """The scene of a body that is so many times as stiff."""
+    constants = {name: f"{factor * value!r} Pa" for name, value in Model.of(scene).stiffnesses.items()}
+    return replace(scene, material=replace(scene.material, values=scene.material.values | constants))
+
+
 @dataclass(frozen=True)
 class Felt:
     """How stiff a body is, and how its forces are reported.
@@ -42,8 +48,7 @@ class Felt:
 
     def scene(self, scene: Scene) -> Scene:
         """As stiff as the body is."""
-        constants = {name: f"{self.stiffness * value!r} Pa" for name, value in Model.of(scene).stiffnesses.items()}
-        return replace(scene, material=replace(scene.material, values=scene.material.values | constants))
+        return stiffened(scene, self.stiffness)
 
     def measured(self, seen: Measurement, wrenches: Array, rng: Rng) -> Measurement:
         """A measurement with true force (N) and torque (N m) of the gripper, shape (frames, 6), as they are reported."""

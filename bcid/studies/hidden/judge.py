@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from bcid.base.units import unit_factor
-from bcid.studies.hidden.amounts import intervals_hold, parameters_right
+from bcid.studies.hidden.amounts import HALF, intervals_hold, parameters_right
 
 Json = Mapping[str, Any]
 # For each question the answers that were right or wrong; none where it is not asked.
@@ -123,7 +123,7 @@ def _intervals(truth: Json, diagnosis: Json) -> tuple[bool, ...]:
 def _stiffness(truth: Json, diagnosis: Json) -> bool:
     told = diagnosis.get("stiffness") or {"constants": {}}
     return bool(told["constants"]) and all(
-        abs(c["value"] - truth["stiffness"] * c["scene"]) <= 1.96 * c["stderr"] for c in told["constants"].values()
+        abs(c["value"] - truth["stiffness"] * c["scene"]) <= HALF * c["stderr"] for c in told["constants"].values()
     )
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from bcid.base.run_folder import write_whole
 from bcid.measurement import Measurement
-from bcid.measurement.folder import grasp_lines
+from bcid.measurement.folder_writer import grasp_lines
 from bcid.scene import Scene
 from bcid.studies.paper.condition import Condition
 from bcid.studies.paper.trial_errors import numbers, true_actions, true_scene

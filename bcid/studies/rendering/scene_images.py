@@ -16,7 +16,7 @@ from bcid.forms.mesh import BodyMesh
 from bcid.forms.mesh.closest import closest_on_triangles
 from bcid.forms.mesh.patches import divided
 from bcid.measurement import Action
-from bcid.measurement.folder import grasp_lines
+from bcid.measurement.folder_writer import grasp_lines
 from bcid.scene import Scene
 from bcid.studies.rendering.appearance import Appearance
 from bcid.studies.rendering.instruments import instruments
