@@ -23,25 +23,27 @@ from typing import TYPE_CHECKING, Any
 from bcid.base.version import VERSION as __version__
 
 if TYPE_CHECKING:
-    from bcid.api.functions import compare, diagnose, explain, explore, fit, identify
+    from bcid.api.functions import compare, diagnose, explain, explore, fit, identify, propose
     from bcid.api.results import load
     from bcid.comparison.explain import ExplainOptions
     from bcid.exploration.loop import ExploreOptions
     from bcid.forms.model import Model, Term
     from bcid.forms.simulate import simulate
     from bcid.measurement import Measurement
+    from bcid.proposal.propose import ProposeOptions
     from bcid.scene import Scene, motions
     from bcid.search.identify import IdentifyOptions
 
 _MODULES = {
     "bcid.scene": ("Scene",),
     "bcid.measurement": ("Measurement",),
-    "bcid.api.functions": ("identify", "compare", "diagnose", "fit", "explain", "explore"),
+    "bcid.api.functions": ("identify", "compare", "diagnose", "fit", "explain", "propose", "explore"),
     "bcid.forms.simulate": ("simulate",),
     "bcid.api.results": ("load",),
     "bcid.search.identify": ("IdentifyOptions",),
     "bcid.comparison.explain": ("ExplainOptions",),
     "bcid.exploration.loop": ("ExploreOptions",),
+    "bcid.proposal.propose": ("ProposeOptions",),
     "bcid.forms.model": ("Model", "Term"),
 }
 _HOME = {name: module for module, names in _MODULES.items() for name in names} | {"motions": "bcid.scene.motions"}
@@ -52,6 +54,7 @@ __all__ = [
     "IdentifyOptions",
     "Measurement",
     "Model",
+    "ProposeOptions",
     "Scene",
     "Term",
     "__version__",
@@ -63,6 +66,7 @@ __all__ = [
     "identify",
     "load",
     "motions",
+    "propose",
     "simulate",
 ]
 

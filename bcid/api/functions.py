@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from bcid.api.results import DiagnosisResult, ExploreResult, IdentifyResult
+from bcid.api.results import DiagnosisResult, ExploreResult, IdentifyResult, ProposeResult
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError, nearest
 from bcid.base.progress import Progress
@@ -31,6 +31,9 @@ from bcid.forms.mesh.patches import divided
 from bcid.forms.model import Model, Term, check_physics
 from bcid.inference.followed import as_far_as_followed
 from bcid.measurement import Measurement
+from bcid.proposal.proposal_documents import WrittenProposal, proposal_documents, searched
+from bcid.proposal.propose import ProposeOptions
+from bcid.proposal.propose_run import effect_names
 from bcid.scene import Scene
 from bcid.search import identify_run
 from bcid.search.identify import IdentifyOptions
@@ -187,6 +190,44 @@ def explain(
     comm, chosen = comm or _alone(), options or ExplainOptions()
     source = _source(scene, measurement, comm, model, None, (), effects)
     return _diagnosed("explain", source, comm, chosen.level, progress, partial(explained, options=chosen))
+
+
+def propose(
+    scene: SceneLike,
+    measurement: MeasurementLike,
+    comm: Comm | None = None,
+    options: ProposeOptions | None = None,
+    model: Model | None = None,
+    name: str = "proposed_term",
+    progress: Progress | None = None,
+) -> ProposeResult:
+    """Find a term beyond the catalogue that explains a measurement, and write it down as an effect; collective on `comm`.
+
+    Args:
+        scene, measurement, comm, progress: as for `identify`.
+        options: how far to go.
+        model: the model that terms are added to; by default the scene's.
+        name: of the effect; a second one is called NAME_2.
+
+    Raises:
+        InputError, SolveError: as `identify`.
+    """
+    comm, chosen = comm or _alone(), options or ProposeOptions()
+    chosen.check()
+    names = effect_names(Path(f"{name}.py"), chosen.terms)
+    source = _source(scene, measurement, comm, model, None, ())
+    told: list[WrittenProposal] = []
+
+    def work(predictor: Predictor, here: Source) -> Diagnosis:
+        written, done = searched(predictor, here.model, chosen, names)
+        told.append(written)
+        return done
+
+    def use(predictor: Predictor, here: Source, done: Diagnosis) -> ProposeResult:
+        content = collect(predictor, done)
+        return ProposeResult(proposal_documents(told[-1], here, predictor, done, content), "propose")
+
+    return on_predictor(source, comm, chosen.level, progress, work, use)
 
 
 def explore(

@@ -311,7 +311,7 @@ class DiagnosisResult(Result):
     @property
     def headline(self) -> str:
         """The last model, and whether it is adequate."""
-        if self.command == "explain":
+        if self.command in ("explain", "propose"):
             return super().headline
         last = self.ladder[-1]
         word = {True: "adequate", False: "not adequate", None: "nothing against it"}[last.adequate]
@@ -346,6 +346,30 @@ class DiagnosisResult(Result):
             if found["ranking"]:
                 return _shown(ladder_figure(found))
             return _shown(residual_figure(found, self._dataset("body.nc"), self._dataset("residuals.nc")))
+
+
+class ProposeResult(DiagnosisResult):
+    """What `propose` found: terms beyond the catalogue, and how far the model is adequate with them."""
+
+    @property
+    def proposed(self) -> tuple[dict[str, Any], ...]:
+        """The terms: effect, family, formula, place and parameters, each with value, stderr and unit; () for none."""
+        return tuple(dict(term) for term in self._proposal["proposed"])
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Text of the Python file of each term, by the name of its effect."""
+        return {term["effect"]: term["file"] for term in self._proposal["proposed"]}
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing else is seen to be missing."""
+        return bool(self._proposal["complete"])
+
+    @property
+    def _proposal(self) -> dict[str, Any]:
+        found: dict[str, Any] = self.documents["proposal.json"]
+        return found
 
 
 class ExploreResult(Result):
@@ -405,6 +429,7 @@ _KINDS: dict[str, type[Result]] = {
     "identify": IdentifyResult,
     "explore": ExploreResult,
     **dict.fromkeys(("compare", "diagnose", "fit", "explain"), DiagnosisResult),
+    "propose": ProposeResult,
 }
 
 
@@ -412,7 +437,8 @@ def load(path: str | Path) -> Result:
     """The result that a finished run folder holds.
 
     Args:
-        path: a folder written by `bcid identify`, `compare`, `diagnose`, `fit`, `explain` or `explore`, or by `Result.write`.
+        path: a folder written by `bcid identify`, `compare`, `diagnose`, `fit`, `explain`, `propose` or `explore`, or by
+            `Result.write`.
 
     Raises:
         InputError: it is no run, is damaged, has not finished, or holds a result of another kind.

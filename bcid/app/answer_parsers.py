@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from bcid.app.commands import compare, demo, diagnose, explain, explore, fit, identify
+from bcid.app.commands import compare, demo, diagnose, explain, explore, fit, identify, propose
 from bcid.app.options import (
     add_command,
     add_effect_files,
@@ -146,6 +146,32 @@ def add_explain(commands: Any) -> None:
     add_inputs(parser)
     add_only(parser)
     parser.add_argument("--most", type=int, default=2, metavar="N", help="effects that may be adopted together (2)")
+    add_level(parser)
+    add_effect_files(parser)
+    add_output(parser)
+
+
+def add_propose(commands: Any) -> None:
+    """`bcid propose`."""
+    parser = add_command(
+        commands,
+        "propose",
+        propose,
+        "a term beyond the catalogue, for what no known effect explains",
+        "Scores hundreds of energies, boundary terms and forces from one converged run, fits the most promising, and writes the\n"
+        "one that explains what is missing as the file of an effect, which --effects takes. See docs/propose.md.",
+    )
+    parser.add_argument("run_folder", type=Path, metavar="RUN", help="run folder of explain, identify, diagnose or fit")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="EFFECT.py", help="file to write (proposed_term.py in the run folder)"
+    )
+    parser.add_argument("--folder", type=Path, metavar="RUN2", help="run folder to write (RUN-propose)")
+    parser.add_argument("--most", type=int, default=2, metavar="N", help="terms that may be proposed together (2)")
+    parser.add_argument(
+        "--kinds",
+        metavar="a,b",
+        help="of terms that are tried, as energy for the law alone: energy, boundary, body force (all)",
+    )
     add_level(parser)
     add_effect_files(parser)
     add_output(parser)

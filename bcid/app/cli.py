@@ -1,6 +1,6 @@
-"""The command line: ``bcid demo``, ``identify``, ``compare``, ``diagnose``, ``fit``, ``explain``, ``explore``, ``scene``,
-``simulate``, ``check-effect`` (also under ``mpirun -n N``), ``import``, ``report``, ``figure``, ``calibrate``, ``track``,
-``doctor``, ``bench``, ``study``, ``examples``.
+"""The command line: ``bcid demo``, ``identify``, ``compare``, ``diagnose``, ``fit``, ``explain``, ``propose``, ``explore``,
+``scene``, ``simulate``, ``check-effect`` (also under ``mpirun -n N``), ``import``, ``report``, ``figure``, ``calibrate``,
+``track``, ``doctor``, ``bench``, ``study``, ``examples``.
 """
 
 from __future__ import annotations
@@ -14,7 +14,16 @@ import traceback
 from functools import partial
 from typing import Any
 
-from bcid.app.answer_parsers import add_compare, add_demo, add_diagnose, add_explain, add_explore, add_fit, add_identify
+from bcid.app.answer_parsers import (
+    add_compare,
+    add_demo,
+    add_diagnose,
+    add_explain,
+    add_explore,
+    add_fit,
+    add_identify,
+    add_propose,
+)
 from bcid.app.commands import complain
 from bcid.app.scene_command import add_scene
 from bcid.app.tool_parsers import (
@@ -64,6 +73,7 @@ _EXAMPLES = """examples:
   bcid compare run                                              is the model of a run adequate, and where does it fail?
   bcid diagnose run                                             which effect is missing in it?
   bcid fit run --add gravity -o run2                            add the effect and watch the error fall
+  bcid propose run -o effect.py                                 a term beyond the catalogue, as the file of an effect
   bcid explore scene.toml --robot folder:lab -o run             which pull next? until the anchors are decided
   bcid report run -o report.html                                one page of it that opens from disk
   bcid figure run -o figures                                    its figures and tables for a paper, fields for ParaView
@@ -187,6 +197,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_diagnose(commands)
     add_fit(commands)
     add_explain(commands)
+    add_propose(commands)
     add_explore(commands)
     add_import(commands)
     add_report(commands)

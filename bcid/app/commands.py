@@ -25,7 +25,7 @@ DEMO_SCENE = "examples/scenes/slab_explain.toml"
 DEMO_MEASUREMENT = "examples/measurements/slab-34-heavy"
 EXAMPLE = "examples/scenes/slab.toml examples/measurements/slab-34-complex"
 # The module of `bcid.report` that draws what a command found.
-_PICTURES = dict.fromkeys(("compare", "diagnose", "fit", "explain"), "diagnosis_picture") | {
+_PICTURES = dict.fromkeys(("compare", "diagnose", "fit", "explain", "propose"), "diagnosis_picture") | {
     "identify": "identification_picture",
     "explore": "exploration_picture",
     "calibrate": "calibration_picture",
@@ -178,6 +178,24 @@ def explain(arguments: argparse.Namespace, comm: Comm) -> None:
     progress = _progress(arguments, comm.rank)
     folder = _explained(arguments.scene, arguments.measurement, arguments, comm, progress)
     _finish(folder, arguments, comm, progress)
+
+
+def propose(arguments: argparse.Namespace, comm: Comm) -> None:
+    """`bcid propose`."""
+    from bcid.proposal.grammar import KINDS
+    from bcid.proposal.propose import ProposeOptions
+    from bcid.proposal.propose_run import run_propose
+
+    kinds = KINDS if arguments.kinds is None else _names(arguments.kinds)
+    options = ProposeOptions(arguments.most, kinds, arguments.level)
+    progress = _progress(arguments, comm.rank)
+    folder = arguments.folder or arguments.run_folder.with_name(f"{arguments.run_folder.resolve().name}-propose")
+    files = run_propose(
+        arguments.run_folder, arguments.output, folder, comm, options, progress, arguments.overwrite, arguments.effects
+    )
+    _finish(folder, arguments, comm, progress)
+    for file in files if comm.rank == 0 else ():
+        print(f"effect: {file} (use it with --effects {file})", flush=True)
 
 
 def _explained(scene: Path, measurement: Path, arguments: argparse.Namespace, comm: Comm, progress: Progress) -> Path:

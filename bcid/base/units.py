@@ -153,6 +153,10 @@ def for_people(value: float, error: float | None, unit: str) -> tuple[float, flo
     return 1e3 * value, None if error is None else 1e3 * error, "mm"
 
 
+# Half the width of an interval that holds a Gaussian value with 95 %, in standard deviations.
+WIDE = 1.959964
+
+
 def percent(probability: float) -> str:
     """A probability for people: never 100 % or 0 % when it is not."""
     if probability >= 0.9999:

@@ -136,7 +136,13 @@ def _write(
 ) -> None:
     """Write everything into the run folder, which only rank 0 has, and finish the run."""
     assert run is not None
-    found = documents(source, done, content)
+    finish(run, source, predictor, documents(source, done, content), content)
+
+
+def finish(
+    run: RunFolder, source: Source, predictor: Predictor, found: dict[str, Any], content: dict[str, Any]
+) -> None:
+    """Write the documents of a diagnosis into its run folder, and note how it ended."""
     run.write_documents(found)
     run.record |= {
         "names": {"scene": str(source.scene_file), "measurement": str(source.measurement_file)},

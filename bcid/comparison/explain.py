@@ -14,6 +14,7 @@ from bcid.base.errors import SolveError
 from bcid.base.units import p_value, percent
 from bcid.comparison.adequacy import Adequacy, judge
 from bcid.comparison.buckled_frames import leave_out
+from bcid.comparison.candidates import Candidates, Known
 from bcid.comparison.compared import Compared
 from bcid.comparison.first_sets import first_sets
 from bcid.comparison.fit import Fit, held_out
@@ -155,6 +156,7 @@ def explain(
     options: ExplainOptions | None = None,
     model: Model | None = None,
     more: Iterable[Effect] = (),
+    candidates: Candidates | None = None,
 ) -> Explanation:
     """Find anchors and missing effects until the model is adequate, or say that nothing explains the data; collective.
 
@@ -163,20 +165,23 @@ def explain(
         options: how far to go.
         model: where to begin; by default the scene's model.
         more: effects beyond the catalogue.
+        candidates: what may be missing; by default all effects of the catalogue, and `more`.
 
     Raises:
         InputError: the options name an unknown effect or level.
         SolveError: the plain model cannot be followed for any anchor set.
     """
     options = options or ExplainOptions()
-    known = effects.catalogue(options.only, more)
-    return _Loop(predictor, options, model or Model.of(predictor.scene), known).run()
+    candidates = candidates or Known(tuple(effects.catalogue(options.only, more)))
+    return _Loop(predictor, options, model or Model.of(predictor.scene), candidates).run()
 
 
 class _Loop:
-    def __init__(self, predictor: Predictor, options: ExplainOptions, model: Model, known: list[Effect]) -> None:
-        self.predictor, self.options, self.model, self.known = predictor, options, model, known
+    def __init__(self, predictor: Predictor, options: ExplainOptions, model: Model, candidates: Candidates) -> None:
+        self.predictor, self.options, self.model, self.candidates = predictor, options, model, candidates
         self.starts: list[Anchored] = []
+        # What may be missing beside the model that is begun with.
+        self.lacking: list[Effect] = []
         self.compared = Compared()
 
     # -- the loop
@@ -226,17 +231,15 @@ class _Loop:
     def stage(self, base: State, sets: int) -> None:
         """Weigh so many sets, and effects, beside a model, and fit the likeliest to all steps."""
         self.say(f"weighing anchor sets and effects beside {base.model.name}")
-        found = contest(base, self.model, self.lacking(base), self.starts, sets, self.options.fitted)
+        lacking = self.candidates.beside(base, self.model, self.starts if sets > 1 else ())
+        self.lacking = self.lacking or lacking
+        among = self.candidates.among
+        found = contest(base, self.model, lacking, self.starts, sets, self.options.fitted, among)
         best = found.rivals[0]
         if best.anchors != base.anchors:
             with suppress(SolveError):
                 base = State.of(self.predictor, base.model, best.anchors, None, base.free)
         self.promote(found, base)
-
-    def lacking(self, base: State) -> list[Effect]:
-        """The effects that a model does not have."""
-        have = {term.effect.name for term in base.model.added(self.model)}
-        return [effect for effect in self.known if effect.name not in have]
 
     def promote(self, contest: Contest, base: State) -> None:
         """Fit the likeliest to all steps, and the likeliest without an effect.
@@ -264,7 +267,7 @@ class _Loop:
         rivals = [*compared.own, *(again for _, again in fitted)]
         if not any(rival.names == own for rival in rivals):
             # Whatever else cannot be followed: the model that was begun with was.
-            rivals.append(Rival.of(Fit.at(base), self.model, len(self.known)))
+            rivals.append(Rival.of(Fit.at(base), self.model, self.candidates.among))
         compared.add([*rivals, *self.elsewhere(best_first(rivals), base)], self.model)
         compared.add_roughly(contest, [rough for rough, _ in fitted], own)
         self.predictor.drop([self.model, *(rival.fitted.state.model for rival in self.compared.full)])
@@ -328,7 +331,7 @@ class _Loop:
             )
             rungs += [self.rung(same)] if same else []
         asked = replace(
-            rungs[-1], ranking=rank(rungs[-1].state, self.known, strict=False), rivals=tuple(self.singles())
+            rungs[-1], ranking=rank(rungs[-1].state, self.lacking, strict=False), rivals=tuple(self.singles())
         )
         rungs[-1] = asked
         if len(best.names) > 1:

@@ -260,7 +260,8 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL)
     """Fit numbers of a model to the data; collective.
 
     Amounts are those of the maximum of the posterior with the widest prior, a standard deviation of `WIDEST` notable ones about
-    none: it moves only what the data hardly tell, such as the stiffness of a contact that is already as good as rigid.
+    none: it moves only what the data hardly tell, such as the stiffness of a contact that is already as good as rigid. Other
+    numbers have the prior that they declare, if any.
 
     Args:
         start: where to begin; its covariance of errors is kept but for nuisances that are fitted.
@@ -287,10 +288,9 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL)
     if problem.prediction(inside)[1].failure:
         raise SolveError(f"{start.model.name}: {problem.prediction(inside)[1].failure}")
     # In units of their scales: the optimiser takes a step of 1e-6 for none, and a compliance may be smaller than that.
-    amounts, neutral = _amounts(start.model, chosen)
-    pull = np.eye(len(chosen))[amounts] / WIDEST
+    pull, expected = _pulls(start.model, chosen)
     result = least_squares(
-        lambda z: np.append(problem.residual(z * scale), pull @ (z - neutral)),
+        lambda z: np.append(problem.residual(z * scale), pull @ (z - expected)),
         inside / scale,
         jac=lambda z: np.vstack([problem.jacobian(z * scale) * scale, pull]),
         bounds=(lower / scale, upper / scale),
@@ -303,22 +303,28 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL)
     model, prediction = problem.prediction(x)
     state = replace(start, model=model, prediction=prediction, free=tuple(names))
     jacobian = np.asarray(result.jac)[: len(start.predictor.data)] / scale
-    covariance, loose = _covariance(jacobian, scale)
+    told = pull[:, [c.parameter.neutral is None for c in chosen]].any(axis=1)
+    covariance, loose = _covariance(np.vstack([jacobian, pull[told] / scale]), scale)
     warnings = _warnings(chosen, x, lower, upper, scale, loose)
     if result.status == 0:
         warnings.append(f"the fit did not settle within {most} predictions")
     return Fit(state, tuple(chosen), covariance, jacobian, tuple(warnings), problem.evaluations)
 
 
-def _amounts(model: Model, chosen: Sequence[Coordinate]) -> tuple[NDArray[np.bool_], Array]:
-    """Which numbers say how much there is of an effect, and all numbers where it has no influence, in their scales; each (p,)."""
-    neutral = [None if c.parameter.reciprocal else model.neutral(c.parameter) for c in chosen]
-    amounts = np.array([c.parameter.neutral is not None for c in chosen], dtype=bool)
-    return amounts, np.array([(value or 0.0) / c.scale for value, c in zip(neutral, chosen, strict=True)])
+def _pulls(model: Model, chosen: Sequence[Coordinate]) -> tuple[Array, Array]:
+    """What the prior pulls numbers with, (m, p), and what was expected of each, (p,), both in their scales."""
+    pulls, expected = np.zeros(len(chosen)), np.zeros(len(chosen))
+    for k, c in enumerate(chosen):
+        p = c.parameter
+        if p.neutral is not None:
+            pulls[k], expected[k] = 1 / WIDEST, (0.0 if p.reciprocal else model.neutral(p) or 0.0) / c.scale
+        elif p.prior is not None and c.scale == p.scale:
+            pulls[k], expected[k] = p.scale / p.prior[1], p.prior[0] / p.scale
+    return np.diag(pulls)[pulls > 0], expected
 
 
 def _covariance(jacobian: Array, scale: Array) -> tuple[Array, list[bool]]:
-    """Inverse of J^T J, and which coordinates the data do not tell."""
+    """Inverse of J^T J, and which coordinates neither the data tell nor a prior that they declare; of both J has the rows."""
     scaled = jacobian * scale
     _, sizes, rows = np.linalg.svd(scaled, full_matrices=False)
     least = max(1e-8 * sizes.max(initial=0.0), 1e-150)
@@ -361,11 +367,13 @@ def held_out(fitted: Fit) -> float | None:
     x = np.array([c.of(numbers[c.name]) for c in fitted.coordinates])
     scale = np.array([c.scale for c in fitted.coordinates])
     bounds = np.array([c.bounds for c in fitted.coordinates])
+    pull, expected = _pulls(state.model, fitted.coordinates)
     for number, action in enumerate(predictor.actions):
         others = data.action != number
         rows = fitted.jacobian[others] * scale
-        ridge = 1e-6 * max(float(np.abs(rows.T @ rows).max(initial=0.0)), 1e-12) * np.eye(len(x))
-        step = -np.linalg.solve(rows.T @ rows + ridge, rows.T @ scaled[others]) * scale
+        ridge = pull.T @ pull + 1e-6 * max(float(np.abs(rows.T @ rows).max(initial=0.0)), 1e-12) * np.eye(len(x))
+        slope = rows.T @ scaled[others] + pull.T @ pull @ (x / scale - expected)
+        step = -np.linalg.solve(rows.T @ rows + ridge, slope) * scale
         moved = np.clip(x + step, bounds[:, 0], bounds[:, 1])
         values = {c.name: c.allowed(float(at)) for c, at in zip(fitted.coordinates, moved, strict=True)}
         prediction = predictor.predict(state.model.with_values(values), state.anchors, actions=[action])

@@ -129,10 +129,20 @@ class HypothesisSearch:
         known: the effects that may be missing.
         most: sets whose evidence is computed.
         least: how well an effect must be seen, see `bcid.comparison.priors.visible`.
+        among: of how many effects these were chosen; they are all by default.
     """
 
-    def __init__(self, base: State, begun: Model, known: Sequence[Effect], most: int, least: float = SEEN) -> None:
+    def __init__(
+        self,
+        base: State,
+        begun: Model,
+        known: Sequence[Effect],
+        most: int,
+        least: float = SEEN,
+        among: int | None = None,
+    ) -> None:
         self.base, self.begun, self.known, self.most, self.least = base, begun, list(known), most, least
+        self.among = len(self.known) if among is None else among
         self.looks: dict[Anchored, Look | None] = {}
         self._shown: dict[Anchored, dict[Anchored, float]] = {}
         self._ranked: set[Anchored] = set()
@@ -183,7 +193,7 @@ class HypothesisSearch:
             alone = np.logaddexp(plain + log_prior(count, False), forced + log_prior(count, True))
             found.append(Promise(look, None, float(alone)))
             for row in self._rows(look):
-                found.append(Promise(look, row, plain + row.gain, log_prior(count + 1, False, len(self.known))))
+                found.append(Promise(look, row, plain + row.gain, log_prior(count + 1, False, self.among)))
         return sorted(found, key=lambda p: (-p.log, len(p.anchors), sorted(p.anchors), p.row.effect if p.row else ""))
 
     def _rows(self, look: Look) -> list[Row]:

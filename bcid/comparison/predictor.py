@@ -430,7 +430,7 @@ def joined(arrays: Sequence[Any]) -> Any:
 def _arrays(found: Sensitivities) -> list[Any]:
     """All arrays of sensitivities, each (frames, ...)."""
     arrays = [array for one in found.probes for array in one.values()] + list(found.law.values())
-    return [*arrays, *(a for a in (found.stiffness, found.forces, found.places) if a is not None)]
+    return [*arrays, *(a for a in (found.stiffness, found.forces, found.places, found.terms) if a is not None)]
 
 
 def _merged(parts: list[Sensitivities]) -> Sensitivities:
@@ -441,4 +441,5 @@ def _merged(parts: list[Sensitivities]) -> Sensitivities:
     stiffness = None if first.stiffness is None else joined([p.stiffness for p in parts])
     forces = None if first.forces is None else joined([p.forces for p in parts])
     places = None if first.places is None else joined([p.places for p in parts])
-    return Sensitivities(probes, law, stiffness, forces, places)
+    terms = None if first.terms is None else joined([p.terms for p in parts])
+    return Sensitivities(probes, law, stiffness, forces, places, terms)

@@ -114,9 +114,9 @@ def rank(
     candidates, excluded = dormant(state, effects.catalogue() if known is None else known)
     candidates = [(effect, at) for effect, at in candidates if place is None or at == place]
     variants = all_variants(state, candidates) if like is None else _of_candidates(like, candidates)
-    basis = _orthonormal(present)
+    basis = orthonormal(present)
     tried = max(sum(_effective(v) for v in variants.values()), 1)
-    rows = [_row(state, name, found, basis, tried, least) for name, found in variants.items() if found]
+    rows = [best_row(state, name, found, basis, tried, least) for name, found in variants.items() if found]
     rows.sort(key=lambda row: (-row.gain, -row.score, row.effect))
     return Ranking(tuple(_confusions(rows)), excluded, tried, variants)
 
@@ -167,7 +167,7 @@ def check_optimum(state: State, present: Array) -> None:
     for c in chosen:
         at, (lower, upper) = c.of(numbers[c.name]), c.bounds
         inner.append(min(at - lower, upper - at) > 1e-3 * c.scale)
-    basis, scaled = _orthonormal(present[:, inner]), state.scaled
+    basis, scaled = orthonormal(present[:, inner]), state.scaled
     gain = float(np.sum((basis.T @ scaled) ** 2))
     if gain > max(_OPTIMUM[0], _OPTIMUM[1] * float(scaled @ scaled)):
         raise InputError(
@@ -180,7 +180,7 @@ def check_optimum(state: State, present: Array) -> None:
 # --------------------------------------------------------------------------------------------------------------------
 
 
-def _orthonormal(columns: Array) -> Array:
+def orthonormal(columns: Array) -> Array:
     """Orthonormal basis of the columns."""
     if columns.shape[1] == 0:
         return columns
@@ -200,8 +200,17 @@ def _effective(variants: Sequence[Variant]) -> int:
     return max(1, int((sizes > 0.05 * sizes[0]).sum() / variants[0].sensitivity.shape[1])) if sizes[0] > 0 else 1
 
 
-def _row(state: State, name: str, variants: Sequence[Variant], basis: Array, tried: int, least: float) -> Row:
-    """An effect with its best variant."""
+def best_row(state: State, name: str, variants: Sequence[Variant], basis: Array, tried: int, least: float) -> Row:
+    """An effect with its best variant, of those that are given.
+
+    Args:
+        state: the model.
+        name: of the effect.
+        variants: ways in which it may act.
+        basis: of what the model has fitted already, orthonormal, shape (n, p).
+        tried: how many tries all effects together are worth.
+        least: see `rank`.
+    """
     residual = state.scaled
     residual = residual - basis @ (basis.T @ residual)
     stacked = _projected(np.hstack([v.sensitivity for v in variants]), basis)

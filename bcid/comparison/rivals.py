@@ -153,7 +153,13 @@ class Contest:
 
 
 def contest(
-    state: State, begun: Model, known: Sequence[Effect], starts: Iterable[Anchored], sets: int, most: int
+    state: State,
+    begun: Model,
+    known: Sequence[Effect],
+    starts: Iterable[Anchored],
+    sets: int,
+    most: int,
+    among: int | None = None,
 ) -> Contest:
     """Sets and effects on a few steps of each action, the likeliest fitted; collective.
 
@@ -164,12 +170,13 @@ def contest(
         starts: further sets to begin with.
         sets: how many sets are weighed; with one set that of the state alone.
         most: how many effects are refitted.
+        among: of how many effects these were chosen; they are all by default.
     """
 
     def work(thin: State) -> Contest:
-        search = HypothesisSearch(thin, begun, known, sets)
+        search = HypothesisSearch(thin, begun, known, sets, among=among)
         promises = search.run(starts) if sets > 1 else search.alone()
-        return refitted(promises, begun, known, most)
+        return refitted(promises, begun, search.among, most)
 
     return at_a_glance(state, work)
 
@@ -178,7 +185,7 @@ def fitted_beside(state: State, known: Sequence[Effect], most: int) -> list[Riva
     """The most promising effects, so many at most, fitted beside a model with its set, to all steps; best first; collective."""
 
     def work(thin: State) -> Contest:
-        return refitted(HypothesisSearch(thin, thin.model, known, 1).alone(), thin.model, known, most, math.inf)
+        return refitted(HypothesisSearch(thin, thin.model, known, 1).alone(), thin.model, len(known), most, math.inf)
 
     found = at_a_glance(state, work).rivals
     here = [rival for rival in found if rival.names and rival.anchors == state.anchors]
@@ -186,10 +193,8 @@ def fitted_beside(state: State, known: Sequence[Effect], most: int) -> list[Riva
     return best_first(replace(rival, held_out=held_out(rival.fitted)) for rival in fitted)
 
 
-def refitted(
-    promises: Sequence[Promise], begun: Model, known: Sequence[Effect], most: int, worth: float = WORTH
-) -> Contest:
-    """The models alone, and the most promising effects with their sets fitted; collective.
+def refitted(promises: Sequence[Promise], begun: Model, count: int, most: int, worth: float = WORTH) -> Contest:
+    """The models alone, and the most promising of `count` effects with their sets fitted; collective.
 
     An effect is worth a fit as long as something unknown acts besides the best, and where it promises to be no more than exp(worth)
     times less likely than that, or may turn out to be.
@@ -197,7 +202,6 @@ def refitted(
     that turns out best competes with itself on other sets. Anchors that give do so at a place, which goes with the set: these are
     tried with each set that was looked at for them.
     """
-    count = len(known)
     rivals = [_alone(p.look, begun, count) for p in promises if p.row is None]
     tried: set[tuple[str, Anchored | None]] = set()
     states: dict[Anchored, State] = {}

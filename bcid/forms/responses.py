@@ -60,6 +60,13 @@ class Response:
             found[:, first : first + _BLOCK] -= self.observe @ self.equilibrium.factor.solve_block(part)
         return found
 
+    @property
+    def adjoint(self) -> Array:
+        """Movements on which a change of the residual does as much virtual work as it moves, shape (unknowns, 3 * rows)."""
+        found = -(_products(self.equilibrium, self.observe) if self.products is None else self.products)
+        found[:, found.shape[1] - self.levers.shape[1] :] += self.levers
+        return found
+
     def _direct(self, changes: Any) -> Array:
         """What the gripper feels of changes where it holds, shape (3 * rows, n), m."""
         found = np.zeros((self.observe.shape[0], changes.shape[1]))
@@ -105,15 +112,9 @@ class Responses:
             observe = forward.gripper_force.beside(observe, levers)
         count = observe.shape[0]
         if products is None and (count <= _SERVED * (causes + fields) if fields else count < causes):
-            products = self._products(observe)
+            products = _products(equilibrium, observe)
             self._keep(key, products)
         return Response(equilibrium, observe, levers, products)
-
-    def _products(self, observe: sp.csr_matrix) -> Array:
-        equilibrium = self.forward.equilibrium
-        right = observe.T.toarray()
-        right[equilibrium.supports.prescribed] = 0.0
-        return equilibrium.factor.solve_block(right, transpose=not equilibrium.model.symmetric)
 
     def _key(self, pose: Pose, model: Model) -> bytes:
         """What the tangent at the present state depends on; where it remembers, that is more than this, and nothing is kept."""
@@ -131,3 +132,10 @@ class Responses:
         self._kept[key] = products
         while sum(kept.nbytes for kept in self._kept.values()) > _KEPT_BYTES and len(self._kept) > 1:
             self._kept.pop(next(iter(self._kept)))
+
+
+def _products(equilibrium: Equilibrium, observe: sp.csr_matrix) -> Array:
+    """K^-1 C^T with the factorised tangent."""
+    right = observe.T.toarray()
+    right[equilibrium.supports.prescribed] = 0.0
+    return equilibrium.factor.solve_block(right, transpose=not equilibrium.model.symmetric)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -56,6 +56,19 @@ class Probe:
         return self.term.effect
 
 
+class Works(Protocol):
+    """Terms whose changes of the residual are not assembled: only their virtual work on given movements is asked for."""
+
+    @property
+    def count(self) -> int:
+        """Of terms."""
+        ...
+
+    def works(self, unknowns: Array, fields: Array) -> Array:
+        """Work of a unit of each at a state (unknowns,) on fields (unknowns, fields), shape (fields, count)."""
+        ...
+
+
 @dataclass(frozen=True)
 class Wanted:
     """What a `Sensitivity` is asked for.
@@ -66,6 +79,7 @@ class Wanted:
         stiffness: whether the influence of every cell's stiffness is wanted.
         forces: nodal weights of body forces, shape (nodes, forces), m^3; none by default.
         places: whether the influence of where each fiducial sits on the body is wanted.
+        terms: many terms at once, known by the virtual work they do; none by default.
     """
 
     probes: tuple[Probe, ...] = ()
@@ -73,6 +87,7 @@ class Wanted:
     stiffness: bool = False
     forces: Array | None = None
     places: bool = False
+    terms: Works | None = None
 
 
 @dataclass(frozen=True)
@@ -88,6 +103,7 @@ class Sensitivities:
         stiffness: per relative change of each cell's stiffness, shape (frames, fiducials, 3, cells), or None.
         forces: per N/m^3 of each force along each axis, shape (frames, fiducials, 3, forces, 3), or None.
         places: per m of the fiducial's own rest position along each axis, shape (frames, fiducials, 3, 3), or None.
+        terms: per unit of each of many terms, shape (frames, fiducials, 3, count), or None.
     """
 
     probes: list[dict[str, Array]]
@@ -95,6 +111,7 @@ class Sensitivities:
     stiffness: NDArray[np.float32] | None = None
     forces: NDArray[np.float32] | None = None
     places: Array | None = None
+    terms: NDArray[np.float32] | None = None
 
 
 def _parameter(effect: Effect, name: str) -> Parameter:
@@ -269,6 +286,7 @@ class Sensitivity:
             np.full((*empty.shape, len(self.forward.mesh.cells)), np.nan, np.float32) if wanted.stiffness else None,
             None if wanted.forces is None else np.full((*empty.shape, wanted.forces.shape[1], 3), np.nan, np.float32),
             np.full((*empty.shape, 3), np.nan) if wanted.places else None,
+            None if wanted.terms is None else np.full((*empty.shape, wanted.terms.count), np.nan, np.float32),
         )
         self.model = model or self.forward.model
         for commanded in actions:
@@ -358,11 +376,12 @@ class Sensitivity:
         for name in wanted.law:
             result.law[name][frame] = 0.0
             causes.append(Cause(result.law[name][frame], self._change_of_law(name)))
-        fields = result.stiffness is not None or result.forces is not None
+        fields = any(wide is not None for wide in (result.stiffness, result.forces, result.terms))
         if not causes and not fields:
             return
         count = 0 if wanted.forces is None else 3 * wanted.forces.shape[1]
         count += len(forward.mesh.cells) if wanted.stiffness else 0
+        count += wanted.terms.count if wanted.terms else 0
         increments = any(cause.increment is not None for cause in causes)
         response = self.responses.at(pose, self.model, len(causes), count, increments)
         columns = np.zeros((len(equilibrium.u.x.array), len(causes)))
@@ -382,6 +401,9 @@ class Sensitivity:
         if result.forces is not None and wanted.forces is not None:
             pushed = self._all_seen(seen, response.moved(self._pushes(wanted.forces)))
             result.forces[frame] = pushed.reshape(forward.rows, 3, -1, 3)
+        if result.terms is not None and wanted.terms is not None:
+            works = wanted.terms.works(equilibrium.u.x.array, response.adjoint)
+            result.terms[frame] = self._all_seen(seen, works)
 
     def _pushes(self, weights: Array) -> Array:
         """Changes of the residual by a unit of each force along each axis, shape (unknowns, forces * 3); the last are kept."""

@@ -14,7 +14,7 @@ from bcid.base.run_folder import RunFolder
 from bcid.report.lengths import in_mm
 from bcid.report.markup import clean
 
-_DOCUMENTS = ("diagnosis", "identification", "exploration", "calibration", "tracking", "where", "model")
+_DOCUMENTS = ("diagnosis", "identification", "exploration", "calibration", "tracking", "where", "model", "proposal")
 _TEXTS = ("summary.txt", "table.txt")
 # Longer texts are cut: they come from names and messages.
 _LONGEST = 4000

@@ -73,7 +73,15 @@ class Section:
     def html(self, heading: str) -> Markup:
         """The section; its verdict is an element `heading`."""
         with styled():
-            parts = [self._body(), self._residuals(), self._ranking(), self._ladder(), self._belief(), self._images()]
+            parts = [
+                self._body(),
+                self._proposal(),
+                self._residuals(),
+                self._ranking(),
+                self._ladder(),
+                self._belief(),
+                self._images(),
+            ]
         return tag("section", self._head(heading), parts, self._made(), class_="run", id=self.id)
 
     def _head(self, heading: str) -> list[Markup]:
@@ -100,6 +108,13 @@ class Section:
             caption = next(d.caption for d in drawings if d.picture)
             content.append(tag("figure", still, tag("figcaption", caption), class_="picture"))
         return tag("section", tag("h3", "The body"), content, charts, class_="body")
+
+    def _proposal(self) -> Markup:
+        proposal = self.found.documents.get("proposal")
+        if proposal is None or not proposal["proposed"]:
+            return Markup("")
+        made = self.tried("what is proposed", lambda: [tables.proposal_table(proposal), tables.path_table(proposal)])
+        return tag("section", tag("h3", "Beyond the catalogue"), [_table(table) for table in made or []])
 
     def _residuals(self) -> Markup:
         charts = self._charts(self._of(gallery.RESIDUALS))

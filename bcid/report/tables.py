@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from bcid.base.units import p_value, significance
+from bcid.base.units import WIDE, for_people, p_value, percent, significance
 from bcid.report.found import Found
 from bcid.report.gallery import residuals_of
 from bcid.report.ladder import asked_rung, place_name
@@ -49,6 +49,72 @@ def ranking_table(d: dict[str, Any]) -> Table | None:
         "and after fitting it (RMS per coordinate). Power is the chance that these data would show a notable amount of it."
     )
     return Table("ranking", caption, columns, rows, exact, strong)
+
+
+def proposal_table(proposal: dict[str, Any]) -> Table:
+    """Each proposed term, with its numbers and intervals that hold them with 95 %."""
+    columns = [
+        Column("term", TEXT),
+        Column("formula", TEXT),
+        Column("number", TEXT),
+        Column("value"),
+        Column("± (95 %)"),
+    ]
+    rows, exact = [], []
+    for term in proposal["proposed"]:
+        on = f" on {term['place']}" if term["place"] else ""
+        for k, (name, number) in enumerate(term["parameters"].items()):
+            value, error, unit = for_people(number["value"], number["stderr"], number["unit"])
+            wide = None if error is None else WIDE * error
+            first = [f"{plain(term['family'])}{on}", term["formula"]] if k == 0 else ["", ""]
+            rows.append([*first, f"{name}{'' if unit == '1' else f' ({unit})'}", _number(value), _number(wide)])
+            exact.append([term["family"], term["formula"], name, number["value"], number["stderr"]])
+    share = percent(min(max(proposal["explained"], 0.0), 1.0))
+    rest = "nothing else is seen to be missing" if proposal["complete"] else "something else is missing besides"
+    caption = (
+        f"What is proposed, of {proposal['scored']} terms that were scored: it explains {share} of what is beyond noise, mesh and "
+        f"what the scene may have slightly wrong; {rest}."
+    )
+    return Table("proposal", caption, columns, rows, exact)
+
+
+def path_table(proposal: dict[str, Any]) -> Table:
+    """Which term entered when, and what competed."""
+    unit = proposal["length_unit"]
+    columns = [
+        Column("beside", TEXT),
+        Column("term", TEXT),
+        Column(f"expected ({unit})"),
+        Column("log-evidence"),
+        Column("entered", TEXT),
+    ]
+    rows: list[list[str]] = []
+    exact: list[list[Any]] = []
+    strong: set[int] = set()
+    for step in proposal["path"]:
+        best = next((c["log_evidence"] for c in step["competed"] if c["log_evidence"] is not None), 0.0)
+        for k, one in enumerate(step["competed"][:_SETS]):
+            entered = one["family"] == step["entered"]
+            told = "" if one["log_evidence"] is None else f"{one['log_evidence'] - best:+.1f}".replace("-", "−")
+            reached = f"{step['rms']:.3g} {unit} when fitted" if entered and step["rms"] is not None else ""
+            beside = model_name(step["beside"]) if k == 0 else ""
+            if entered:
+                strong.add(len(rows))
+            rows.append(
+                [
+                    beside,
+                    plain(one["family"]),
+                    _number(one["expected_rms"]),
+                    told,
+                    reached or ("yes" if entered else ""),
+                ]
+            )
+            exact.append([step["beside"], one["family"], one["expected_rms"], one["log_evidence"], entered])
+    caption = (
+        "The path: what the likeliest terms promised beside each model before any fit, their log-evidence against the best of "
+        "them, and the one that proved best when they were fitted."
+    )
+    return Table("path", caption, columns, rows, exact, frozenset(strong))
 
 
 def _what(row: dict[str, Any], most: int = _AMOUNTS) -> str:

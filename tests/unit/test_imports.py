@@ -28,7 +28,7 @@ BASE = {"", "base"}
 DATA = BASE | {"scene", "measurement"}
 ALLOWED = {
     # The public names are looked up by it when they are asked for.
-    "": BASE | {"api", "comparison", "exploration", "forms", "measurement", "scene", "search"},
+    "": BASE | {"api", "comparison", "exploration", "forms", "measurement", "proposal", "scene", "search"},
     "base": BASE,
     "scene": BASE | {"scene"},
     "measurement": DATA,
@@ -36,14 +36,27 @@ ALLOWED = {
     "inference": DATA | {"forms", "inference"},
     "search": DATA | {"forms", "inference", "search"},
     "comparison": DATA | {"forms", "inference", "search", "comparison"},
+    "proposal": DATA | {"forms", "inference", "search", "comparison", "proposal"},
     "exploration": DATA | {"forms", "inference", "search", "comparison", "exploration"},
     "vision": DATA | {"vision"},
     "report": BASE | {"report"},
-    "studies": DATA | {"forms", "inference", "search", "comparison", "exploration", "vision", "studies"},
-    "api": DATA | {"forms", "inference", "search", "comparison", "exploration", "report", "api"},
+    "studies": DATA | {"forms", "inference", "search", "comparison", "proposal", "exploration", "vision", "studies"},
+    "api": DATA | {"forms", "inference", "search", "comparison", "proposal", "exploration", "report", "api"},
     "bench": DATA | {"forms", "inference", "search", "bench"},
     "app": DATA
-    | {"bench", "forms", "inference", "search", "comparison", "exploration", "studies", "report", "vision", "app"},
+    | {
+        "bench",
+        "forms",
+        "inference",
+        "search",
+        "comparison",
+        "proposal",
+        "exploration",
+        "studies",
+        "report",
+        "vision",
+        "app",
+    },
     "__main__": {"app"},
 }
 

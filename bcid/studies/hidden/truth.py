@@ -172,12 +172,12 @@ def compute(scene: Scene, case: Case, true: Level | None = None, coarse: Level |
     plain, toggles = _plain(scene, case, coarse)
     case = replace(case, noise=visible(case, toggles))
     terms = tuple(_dose(scene, case, hidden, plain, coarse) for hidden in case.hidden)
-    rough, positions = (_positions(scene, case, level, terms) for level in (coarse, true))
+    rough, positions = (true_positions(scene, case, level, terms) for level in (coarse, true))
     if rms(rough - positions) > BRANCHED:
         raise SolveError(f"two meshes differ by {rms(rough - positions) * 1e3:.2g} mm: the body buckles")
     sizes = []
     for k in range(len(terms)):
-        others = _positions(scene, case, true, terms[:k] + terms[k + 1 :])
+        others = true_positions(scene, case, true, terms[:k] + terms[k + 1 :])
         sizes.append(rms(positions - others) / case.noise)
     noise = quieter(case, sizes)
     sizes = [size * case.noise / noise for size in sizes]
@@ -246,7 +246,7 @@ def halved(action: Action, first_extra: int) -> Action:
     return replace(action, frames=frames, steps=steps, translation=translation, rotation=rotation, times=times)
 
 
-def _positions(scene: Scene, case: Case, level: Level, terms: Sequence[Term]) -> Array:
+def true_positions(scene: Scene, case: Case, level: Level, terms: Sequence[Term]) -> Array:
     """Noise-free positions in the commanded frames (frames, fiducials, 3), m."""
     return _shown(scene, case, level, terms, None)
 

@@ -1,0 +1,52 @@
+"""Which effects may be missing beside a model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from bcid.comparison.state import State
+from bcid.forms.effects.effect import Effect
+from bcid.forms.model import Model
+
+Anchored = frozenset[str]
+
+
+class Candidates(Protocol):
+    """Where effects that may be missing come from."""
+
+    @property
+    def among(self) -> int:
+        """How many there are to choose from: each is as likely before the data are looked at."""
+        ...
+
+    def beside(self, state: State, begun: Model, sets: Sequence[Anchored]) -> list[Effect]:
+        """Those that may be missing beside a model, which was begun from another; collective.
+
+        Args:
+            state: the model, compared with all steps.
+            begun: the model without the effects that were added.
+            sets: other likely sets of anchors.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Known:
+    """Effects that are known before: of the catalogue, and the user's.
+
+    Attributes:
+        effects: all of them.
+    """
+
+    effects: tuple[Effect, ...]
+
+    @property
+    def among(self) -> int:
+        return len(self.effects)
+
+    def beside(self, state: State, begun: Model, sets: Sequence[Anchored]) -> list[Effect]:
+        """All that the model does not have."""
+        have = {term.effect.name for term in state.model.added(begun)}
+        return [effect for effect in self.effects if effect.name not in have]

@@ -1,0 +1,99 @@
+"""A deformed body at quadrature points, in numbers: what `bcid.forms.kinematics` is in UFL."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.forms.quadrature import QuadraturePoints
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Deformed:
+    """Displacements at points of a body.
+
+    Attributes:
+        points: where.
+        u: displacement, shape (q, 3), m.
+        F: deformation gradient, shape (q, 3, 3).
+        centre: middle of the body's bounding box at rest, shape (3,), m.
+        size: its diagonal, m.
+        axes: unit vectors at 0 and 90 degrees in the plane of fibres, and across it, shape (3, 3), by row.
+    """
+
+    points: QuadraturePoints
+    u: Array
+    F: Array
+    centre: Array
+    size: float
+    axes: Array
+
+    @cached_property
+    def J(self) -> Array:
+        """Volume ratio, shape (q,)."""
+        return np.asarray(np.linalg.det(self.F))
+
+    @cached_property
+    def inverse_transposed(self) -> Array:
+        """F^-T, shape (q, 3, 3)."""
+        return np.asarray(np.swapaxes(np.linalg.inv(self.F), 1, 2))
+
+    @cached_property
+    def C(self) -> Array:
+        """Right Cauchy-Green tensor, shape (q, 3, 3)."""
+        return np.asarray(np.swapaxes(self.F, 1, 2) @ self.F)
+
+    @cached_property
+    def _first(self) -> Array:
+        return np.asarray(np.trace(self.C, axis1=1, axis2=2))
+
+    @cached_property
+    def _second(self) -> Array:
+        return np.asarray((self._first**2 - np.einsum("qij,qij->q", self.C, self.C)) / 2)
+
+    @cached_property
+    def first(self) -> Array:
+        """I1bar - 3, shape (q,)."""
+        return np.asarray(self.J ** (-2 / 3) * self._first - 3)
+
+    @cached_property
+    def second(self) -> Array:
+        """I2bar - 3, shape (q,)."""
+        return np.asarray(self.J ** (-4 / 3) * self._second - 3)
+
+    @cached_property
+    def first_slope(self) -> Array:
+        """d(I1bar)/dF, shape (q, 3, 3)."""
+        inside = self.F - _scaled(self._first / 3, self.inverse_transposed)
+        return _scaled(2 * self.J ** (-2 / 3), inside)
+
+    @cached_property
+    def second_slope(self) -> Array:
+        """d(I2bar)/dF, shape (q, 3, 3)."""
+        inside = _scaled(self._first, self.F) - self.F @ self.C
+        inside -= _scaled(2 * self._second / 3, self.inverse_transposed)
+        return _scaled(2 * self.J ** (-4 / 3), inside)
+
+    @cached_property
+    def volume_slope(self) -> Array:
+        """dJ/dF, shape (q, 3, 3)."""
+        return _scaled(self.J, self.inverse_transposed)
+
+    def direction(self, azimuth: float, elevation: float) -> Array:
+        """Unit vector at angles in degrees: in the plane of fibres, and out of it; shape (3,)."""
+        a, e = np.radians([azimuth, elevation])
+        return np.asarray(np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)]) @ self.axes)
+
+    def spot(self, centre: Array, radius: float) -> Array:
+        """Gaussian about a place (3,), m, shape (q,)."""
+        away = self.points.places - centre
+        return np.asarray(np.exp(-np.einsum("qi,qi->q", away, away) / (2 * radius**2)))
+
+
+def _scaled(by: Array, tensors: Array) -> Array:
+    return np.asarray(by[:, None, None] * tensors)

@@ -1,0 +1,140 @@
+"""A term as the file of an effect: text that a user can read, change and run, and that the search itself runs."""
+
+from __future__ import annotations
+
+import keyword
+import math
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from bcid.base.errors import InputError
+from bcid.forms.effects.effect import Effect
+from bcid.forms.parameter import Amount, Parameter
+from bcid.proposal.family import SURFACE, Family
+
+# Digits of numbers that are written: enough for any that a measurement tells.
+_DIGITS = 6
+_SPOT = (
+    'away = point.X - ufl.as_vector([c["cx"], c["cy"], c["cz"]])',
+    'weight = ufl.exp(-ufl.inner(away, away) / (2 * c["radius"] ** 2))',
+)
+_WIDTH = 120
+
+
+def check_name(name: str) -> None:
+    """Refuse what cannot be the name of an effect.
+
+    Raises:
+        InputError: it is no identifier, or a word of Python.
+    """
+    if not name.isidentifier() or keyword.iskeyword(name):
+        raise InputError(f"'{name}' cannot be the name of an effect: use letters, digits and _, as in soft_spot.py")
+
+
+def source(
+    family: Family, name: str, values: Mapping[str, float], place: str, about: Sequence[str], places: Sequence[str] = ()
+) -> str:
+    """The file of one term.
+
+    Args:
+        family: of the term.
+        name: of the effect, and of its file.
+        values: found for its numbers; those of its shapes become defaults.
+        place: the surface on which it was found; "" where it has none.
+        about: lines of the docstring after the first, wrapped already.
+        places: the surfaces on which it may act; only that on which it was found by default.
+    """
+    docstring = "\n".join([f"{family.about[0].upper()}{family.about[1:]}: {family.formula}.", "", *about]).rstrip()
+    kind = "work" if family.works else "potential" if family.kind == "boundary" or family.local else "energy"
+    parts = [f'"""{docstring}\n"""', "", "from __future__ import annotations", ""]
+    code = _function(kind, family)
+    parts += [line for line in ("import math", "import ufl") if f"{line.split()[1]}." in code]
+    parts += [
+        "",
+        "from bcid.forms.effects.effect import BodyEffect",
+        "from bcid.forms.parameter import " + _kinds(family),
+    ]
+    parts += ["", "", code, "", "", _effect(kind, family, name, values, [place] if not places else list(places))]
+    return "\n".join(parts) + "\n"
+
+
+def made(text: str) -> Effect:
+    """The effect that a text defines, which is run for it."""
+    names: dict[str, Any] = {"__name__": "bcid_proposed"}
+    exec(compile(text, "<proposed effect>", "exec"), names)
+    found = names["effect"]
+    assert isinstance(found, Effect)
+    return found
+
+
+def _kinds(family: Family) -> str:
+    return "Amount, Shape" if family.shapes else "Amount"
+
+
+def _function(kind: str, family: Family) -> str:
+    """The function that says what the effect does."""
+    *lines, last = family.code.replace("'", '"').splitlines()
+    value = last.removeprefix("return ")
+    if family.local:
+        lines = [*lines, *_SPOT]
+        value = f"weight * {_grouped(value)}"
+    if family.where == SURFACE:
+        value = f"{_grouped(value)} * point.surface(point.place)"
+    elif family.local and family.kind == "boundary":
+        # The whole boundary, not only the named parts of it.
+        lines.append(
+            'surface = ufl.Measure("ds", domain=ufl.domain.extract_unique_domain(point.X), metadata={"quadrature_degree": 4})'
+        )
+        value = f"{value} * surface"
+    elif family.local:
+        lines.append(
+            'body = ufl.Measure("dx", domain=ufl.domain.extract_unique_domain(point.X), metadata={"quadrature_degree": 4})'
+        )
+        value = f"{value} * body"
+    return "\n".join([f"def {kind}(point, c):", *(f"    {line}" for line in (*lines, f"return {value}"))])
+
+
+def _grouped(value: str) -> str:
+    """A sum in brackets."""
+    return f"({value})" if value.startswith("-") or " + " in value or " - " in value else value
+
+
+def _effect(kind: str, family: Family, name: str, values: Mapping[str, float], places: Sequence[str]) -> str:
+    lines = ["effect = BodyEffect(", f'    name="{name}",', "    parameters=("]
+    lines += [f"        {_parameter(p, values)}," for p in family.parameters]
+    acts = {"energy": "material"}.get(family.kind, family.kind)
+    lines += ["    ),", f'    about="{family.about}",', f'    acts_on="{acts}",', f"    {kind}={kind},"]
+    lines += ["    symmetric=False,"] if family.works else []
+    lines += [f'    instead_of="{family.instead_of}",'] if family.instead_of else []
+    lines += [f"    places=lambda scene, anchors: {_listed(places)},"] if family.where == SURFACE else []
+    return "\n".join([*lines, ")"])
+
+
+def _listed(places: Sequence[str]) -> str:
+    return "[" + ", ".join(f'"{place}"' for place in places) + "]"
+
+
+def _parameter(p: Parameter, values: Mapping[str, float]) -> str:
+    """As it is declared; a value that was found for a shape is its default."""
+    amount = isinstance(p, Amount)
+    words = [f'"{p.name}"', f'"{p.unit}"', f'"{p.about}"']
+    if amount:
+        words.append("neutral=0.0")
+    elif p.default is not None:
+        words.append(f"default={_number(values.get(p.name, p.default))}")
+    words += [f"{side}={_number(getattr(p, side))}" for side in ("lower", "upper") if math.isfinite(getattr(p, side))]
+    words += ["open_lower=True"] if p.open_lower else []
+    words += [f"scale={_number(p.scale)}"]
+    words += [f"period={_number(p.period)}"] if p.period else []
+    words += [f"prior=({_number(p.prior[0])}, {_number(p.prior[1])})"] if p.prior else []
+    return f"{'Amount' if amount else 'Shape'}({', '.join(words)})"
+
+
+def _number(value: float) -> str:
+    return repr(float(f"{value:.{_DIGITS}g}"))
+
+
+def wrapped(text: str) -> list[str]:
+    """A paragraph of a docstring."""
+    return textwrap.wrap(text, _WIDTH)

@@ -1,0 +1,65 @@
+"""A family of terms: a formula, the numbers in it, and the effect that it makes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.forms.parameter import Amount, Shape
+from bcid.proposal.deformed import Deformed
+
+Array = NDArray[np.float64]
+Values = Mapping[str, float]
+
+# Where a term acts: in the whole body, on a named surface, or about a place on the surface or in the body.
+BODY, SURFACE, SPOT, INNER_SPOT = "body", "surface", "spot", "inner spot"
+
+
+@dataclass(frozen=True)
+class Family:
+    """Terms of one form.
+
+    Attributes:
+        name: an identifier.
+        kind: "energy", "boundary" or "body force".
+        about: one phrase.
+        formula: as it is written in a text.
+        code: lines of Python with UFL that end in ``return``: the energy per rest volume of a term in the body, or per rest area on
+            a surface; the virtual work per rest area where `works`.
+        amounts, shapes: its numbers; shapes of a spot (cx, cy, cz, radius) are added by where it acts.
+        unit: change of the residual per unit of each amount at deformed points: first Piola stress, (q, 3, 3, amounts), of an
+            energy; traction or body force with the sign of the residual, (q, 3, amounts), of the others.
+        where: one of the above.
+        works: whether `code` is virtual work, of a term without a potential, with a tangent that is not symmetric.
+        scans: values of the shapes that are tried, all together.
+        polyconvex: what is known of that, in words; empty where the question does not arise.
+        instead_of: see `bcid.forms.effects.effect.Effect`.
+    """
+
+    name: str
+    kind: str
+    about: str
+    formula: str
+    code: str
+    amounts: tuple[Amount, ...]
+    shapes: tuple[Shape, ...]
+    unit: Callable[[Deformed, Values], Array]
+    where: str = BODY
+    works: bool = False
+    scans: tuple[dict[str, float], ...] = ({},)
+    polyconvex: str = ""
+    instead_of: str = ""
+
+    @property
+    def parameters(self) -> tuple[Any, ...]:
+        """All numbers, amounts first."""
+        return (*self.amounts, *self.shapes)
+
+    @property
+    def local(self) -> bool:
+        """Whether it acts about a place."""
+        return self.where in (SPOT, INNER_SPOT)

@@ -1,0 +1,146 @@
+"""The grammar: every term that is tried on a body, and what each would do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.forms.effects.effect import Effect
+from bcid.forms.force_bumps import scattered
+from bcid.forms.forward import Forward
+from bcid.forms.model import Term
+from bcid.forms.quadrature import QuadraturePoints
+from bcid.proposal.boundary_terms import body_forces, boundary_terms
+from bcid.proposal.deformed import Deformed
+from bcid.proposal.effect_file import made, source
+from bcid.proposal.energies import energies
+from bcid.proposal.family import BODY, SPOT, SURFACE, Family
+
+Array = NDArray[np.float64]
+KINDS = ("energy", "boundary", "body force")
+# Spots are tried at so many places, of these sizes relative to the body.
+_PLACES, _RADII = 24, (0.07, 0.15)
+# Products of so many terms are formed at a time.
+_BLOCK = 64
+# Degrees of quadrature, in the body and on its boundary: scores are no more exact than the linear answer they are.
+_INSIDE, _OUTSIDE = 3, 4
+
+
+@dataclass(frozen=True)
+class TermVariant:
+    """A term of a family with its shapes, at a place.
+
+    Attributes:
+        family: of the term.
+        shapes: values of its shapes.
+        place: name of the surface it acts on, or "".
+    """
+
+    family: Family
+    shapes: dict[str, float] = field(default_factory=dict)
+    place: str = ""
+
+
+class Grammar:
+    """All terms for a body on one mesh that is private to the process, and the virtual work that each does.
+
+    Args:
+        forward: of the body.
+        kinds: of `KINDS`, those that are tried.
+    """
+
+    def __init__(self, forward: Forward, kinds: Sequence[str] = KINDS) -> None:
+        self.forward = forward
+        body, model = forward.body, forward.model
+        shear = float(model.law.shear(model.law.complete(model.values)))
+        points = body.mesh.points
+        box = np.array([points.min(axis=0), points.max(axis=0)])
+        self.centre, self.size = box.mean(axis=0), float(np.linalg.norm(box[1] - box[0]))
+        first, second = (np.array(axis) for axis in model.fibre_axes)
+        self.axes = np.array([first, second, np.cross(first, second)])
+        families = [*energies(shear), *boundary_terms(shear, box), *body_forces(shear, box)]
+        self.families = [family for family in families if family.kind in kinds]
+        self._inside = QuadraturePoints.volume(body, _INSIDE)
+        self._outside = QuadraturePoints.boundary(body, _OUTSIDE)
+        scene = forward.scene
+        self.surfaces = self._outside.on(body, {**scene.patches, **scene.places})
+        self.variants = [variant for family in self.families for variant in self._variants(family)]
+        self.ends = np.cumsum([len(v.family.amounts) for v in self.variants])
+        self._effects: dict[str, Effect] = {}
+
+    def _variants(self, family: Family) -> list[TermVariant]:
+        """A family in every way that is tried."""
+        if family.where == SURFACE:
+            return [TermVariant(family, {}, name) for name, inside in self.surfaces.items() if inside.any()]
+        if family.where == BODY:
+            return [TermVariant(family, dict(scan)) for scan in family.scans]
+        places = self._outside.places if family.where == SPOT else self._inside.places
+        return [
+            TermVariant(family, dict(zip(("cx", "cy", "cz"), map(float, c), strict=True)) | {"radius": r * self.size})
+            for c in scattered(places, _PLACES)
+            for r in _RADII
+        ]
+
+    @property
+    def count(self) -> int:
+        """Of all amounts of all terms."""
+        return int(self.ends[-1]) if len(self.ends) else 0
+
+    def term(self, variant: TermVariant) -> Term:
+        """A variant as a part of a model, doing nothing."""
+        family = variant.family
+        if family.name not in self._effects:
+            text = source(family, family.name, {}, "", (), list(self.surfaces))
+            self._effects[family.name] = made(text)
+        values = {p.name: 0.0 for p in family.amounts} | variant.shapes
+        return Term(self._effects[family.name], values, place=variant.place)
+
+    def works(self, unknowns: Array, fields: Array) -> Array:
+        """Virtual work of every term on fields of displacement, per unit of each of its amounts.
+
+        Args:
+            unknowns: the state, shape (unknowns,).
+            fields: shape (unknowns, fields), m.
+
+        Returns:
+            Shape (fields, count), J.
+        """
+        dofs = self.forward.body.displacement_dofs.reshape(-1, 3)
+        u, virtual = unknowns[dofs], fields[dofs]
+        result = np.zeros((fields.shape[1], self.count))
+        for points, outside in ((self._inside, False), (self._outside, True)):
+            chosen = [k for k, v in enumerate(self.variants) if (v.family.kind == "boundary") is outside]
+            deformed = self._deformed(points, u)
+            for gradients in (True, False):
+                some = [k for k in chosen if (self.variants[k].family.kind == "energy") is gradients]
+                if some:
+                    tests = points.gradients(virtual) if gradients else points.values(virtual)
+                    self._add(result, some, deformed, tests.reshape(-1, fields.shape[1]))
+        return result
+
+    def _add(self, result: Array, chosen: Sequence[int], deformed: Deformed, tests: Array) -> None:
+        """The virtual works of some variants, block by block."""
+        each = len(tests) // len(deformed.J)
+        weights = np.repeat(deformed.points.weights, each)[:, None]
+        weighted = (weights * tests).astype(np.float32)
+        for first in range(0, len(chosen), _BLOCK):
+            block = chosen[first : first + _BLOCK]
+            units = [self._unit(self.variants[k], deformed) for k in block]
+            columns = np.concatenate(
+                [np.arange(self.ends[k] - u.shape[1], self.ends[k]) for k, u in zip(block, units, strict=True)]
+            )
+            result[:, columns] = weighted.T @ np.hstack(units, dtype=np.float32, casting="same_kind")
+
+    def _unit(self, variant: TermVariant, deformed: Deformed) -> Array:
+        """What a variant adds to the residual at the points per unit of its amounts, shape (q * components, amounts)."""
+        found = variant.family.unit(deformed, variant.shapes)
+        if variant.place:
+            found = found * self.surfaces[variant.place].reshape(-1, *([1] * (found.ndim - 1)))
+        return np.asarray(found.reshape(-1, found.shape[-1]))
+
+    def _deformed(self, points: QuadraturePoints, u: Array) -> Deformed:
+        gradient = points.gradients(u)
+        return Deformed(points, points.values(u), np.eye(3) + gradient, self.centre, self.size, self.axes)

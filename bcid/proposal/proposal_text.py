@@ -1,0 +1,105 @@
+"""What was proposed, in sentences: for the summary, and for the file of the effect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bcid.base.units import WIDE, for_people, percent, uncertain
+from bcid.comparison.diagnosis_text import anchors
+from bcid.comparison.explain import Rung
+from bcid.forms.model import Term
+from bcid.proposal.effect_file import wrapped
+from bcid.proposal.propose import Entry, Proposal
+
+# So many competitors are told.
+_COMPETED = 6
+
+
+def docstring(proposal: Proposal, term: Term, entry: Entry) -> list[str]:
+    """Lines for the file of a term: what was found, where, and what it explains."""
+    last, first = proposal.explanation.last, proposal.explanation.rungs[0]
+    lines = ["Found by bcid propose.", ""]
+    lines += _interval_lines(proposal, term)
+    place = f"It acts on the surface '{term.place}'. " if term.place else ""
+    held = f"The body is held at {anchors(last.state)} ({percent(proposal.explanation.held_by)})."
+    lines += ["", *wrapped(place + held), "", *wrapped(f"{_falls(proposal, first, last)} {_rest(proposal)}")]
+    if entry.family.polyconvex:
+        lines += ["", *wrapped(f"Polyconvexity: {entry.family.polyconvex}.")]
+    others = [
+        name for name, p in proposal.explanation.odds.verdicts.items() if p > 0.01 and name not in _told(proposal)
+    ]
+    if others:
+        lines += ["", *wrapped(f"These data do not rule out: {', '.join(others[:_COMPETED])}.")]
+    return lines
+
+
+def _told(proposal: Proposal) -> set[str]:
+    return {proposal.explanation.verdict, "+".join(term.effect.name for term in proposal.terms), "others"}
+
+
+def _interval_lines(proposal: Proposal, term: Term) -> list[str]:
+    errors = proposal.stderr(term)
+    lines = []
+    for p in term.effect.parameters:
+        value, error, unit = for_people(term.values[p.name], errors.get(p.name), p.unit)
+        lines.append(f"    {p.name} = {uncertain(value, None if error is None else WIDE * error, unit)} (95 %)")
+    return [line.replace("−", "-") for line in lines]
+
+
+def _falls(proposal: Proposal, first: Rung, last: Rung) -> str:
+    apart = "" if last.held_out is None else f"; actions predicted from the others {1e3 * last.held_out:.3g} mm"
+    return (
+        f"With {'it' if len(proposal.terms) == 1 else 'the terms proposed'} the error falls from {1e3 * first.state.rms:.3g} to "
+        f"{1e3 * last.state.rms:.3g} mm (noise {1e3 * last.state.noise:.3g}{apart}): {percent(np.clip(proposal.explained, 0, 1))} "
+        "of what is beyond noise, mesh and what the scene may have slightly wrong."
+    )
+
+
+def _rest(proposal: Proposal) -> str:
+    if proposal.complete:
+        return "Nothing else is seen to be missing."
+    return "Something else is missing besides, which no term of the grammar explains: it is not the whole truth."
+
+
+def headline(proposal: Proposal) -> list[str]:
+    """The answer in a few sentences, and the path to it."""
+    found = proposal.explanation
+    held = f"Anchored: {anchors(found.last.state)} ({percent(found.held_by)})."
+    if not proposal.path:
+        if found.verdict == "none":
+            text = f"Nothing is missing that these data could show ({percent(found.odds.verdicts['none'])}): no term is proposed."
+        else:
+            text = f"Nothing in the grammar explains it: {proposal.scored} terms were scored."
+        return [f"{text} {held}"]
+    first, last = found.rungs[0], found.last
+    names = " and ".join(entry.family.name for entry in proposal.path)
+    sure = percent(found.odds.acting("+".join(term.effect.name for term in proposal.terms)))
+    lines = [f"Proposed: {names} ({sure}). {_falls(proposal, first, last)} {held} {_rest(proposal)}"]
+    for term, entry in zip(proposal.terms, proposal.path, strict=True):
+        place = f" on '{term.place}'" if term.place else ""
+        lines += [
+            f"  {entry.family.name}{place}: {entry.family.about}: {entry.family.formula}",
+            *_interval_lines(proposal, term),
+        ]
+    return lines
+
+
+def path(proposal: Proposal) -> list[str]:
+    """Which term entered when, what it explained, and what competed."""
+    lines = [f"The path ({proposal.scored} terms scored at each step):"]
+    for number, entry in enumerate(proposal.path, 1):
+        reached = "" if entry.rms is None else f", error then {1e3 * entry.rms:.3g} mm"
+        lines.append(f"  {number}. beside {entry.beside}: {entry.family.name}{reached}")
+        lines += [f"       {text}" for text in _competitors(entry)]
+    return lines if proposal.path else []
+
+
+def _competitors(entry: Entry) -> Sequence[str]:
+    first = entry.competed[0].log if entry.competed else 0.0
+    return [
+        f"{one.family.name:32s} expected {1e3 * one.row.expected_rms:.3g} mm, log-evidence {one.log - first:+.1f}"
+        for one in entry.competed[:_COMPETED]
+        if np.isfinite(one.log)
+    ]

@@ -1,0 +1,217 @@
+"""One case: a law or a term of the truth is drawn, and the body is pulled; a term is proposed from scene and measurement alone."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.base.errors import SolveError
+from bcid.base.run_folder import write_whole
+from bcid.base.shipped import shipped
+from bcid.base.text_file import read_json
+from bcid.forms.mesh import level_mesh
+from bcid.forms.model import Model, Term, check_physics
+from bcid.forms.simulate import recorded
+from bcid.measurement import Measurement
+from bcid.scene import Scene
+from bcid.studies.beyond.compared_energy import energy_apart
+from bcid.studies.beyond.true_laws import LAWS, true_scene
+from bcid.studies.beyond.true_terms import TERMS
+from bcid.studies.hidden import truth
+from bcid.studies.hidden.case_scene import FILE, write_scene
+from bcid.studies.hidden.cases import Case
+from bcid.studies.hidden.chance import Rng, generator, log_uniform
+from bcid.studies.hidden.conditions import Conditions
+from bcid.studies.hidden.drawing import CaseChoice, draw
+
+Array = NDArray[np.float64]
+# Of the noise, m; sizes of a term of the truth in units of it; radius of its patch relative to the body.
+NOISE, SIZES, RADII = 2e-4, (4.0, 12.0), (0.06, 0.11)
+# Five pulls, so many laws and terms, and now and then nothing.
+PULLS = 5
+KINDS = (*LAWS, *TERMS, "none")
+_ATTEMPTS = 8
+# A patch of skin lies so far from grips and anchors at least, relative to the body.
+_AWAY = 0.12
+
+
+@dataclass(frozen=True)
+class Made:
+    """The truth of a case.
+
+    Attributes:
+        positions: noise-free, (frames, fiducials, 3), m.
+        scene: with the true law.
+        term: of the truth, or None.
+        size: how far it moves the fiducials, RMS, in units of noise.
+    """
+
+    positions: Array
+    scene: Scene
+    term: Term | None
+    size: float
+
+
+def maker(job: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
+    """The function that makes a case, for `bcid.studies.engine.dispatch`; `job` holds `cases`, `seed` and `bodies`."""
+
+    def case(task: Mapping[str, Any]) -> dict[str, Any]:
+        folder = Path(job["cases"]) / f"{task['index']:04d}"
+        make(folder, task["index"], job["seed"], tuple(job["bodies"]))
+        began = time.process_time()
+        found = proposed(folder)
+        return {"truth": read_json(folder / "truth.json"), "found": found, "cpu_seconds": time.process_time() - began}
+
+    return case
+
+
+def kind_of(index: int) -> str:
+    """Kinds take turns."""
+    return KINDS[index % len(KINDS)]
+
+
+def make(folder: Path, index: int, seed: int, bodies: tuple[str, ...]) -> None:
+    """Write scene and measurement of a case, and apart from them its truth; what is there stays.
+
+    Raises:
+        SolveError: no attempt could be solved.
+    """
+    if (folder / "measurement").is_dir():
+        return
+    kind, reasons = kind_of(index), []
+    body = bodies[index // len(KINDS) % len(bodies)]
+    for attempt in range(_ATTEMPTS):
+        case = _drawn(index, attempt, seed, body)
+        scene = Scene.read(shipped(case.body.scene), physics=check_physics)
+        rng = generator(seed, 21, index, attempt)
+        try:
+            made = _made(kind, case, scene, rng)
+        except SolveError as error:
+            reasons.append(str(error))
+            continue
+        _write(folder, kind, case, scene, made, rng)
+        return
+    raise SolveError(f"case {index} of seed {seed} could not be made in {_ATTEMPTS} attempts: {'; '.join(reasons)}")
+
+
+def _drawn(index: int, attempt: int, seed: int, body: str) -> Case:
+    """Anchors and pulls as in the hidden study."""
+    case = draw(CaseChoice(seed, bodies=(body,), conditions="exact"), index, attempt)
+    motions = (*case.motions, *case.motions)[:PULLS]
+    return replace(case, kind="none", hidden=(), motions=motions, noise=NOISE, conditions=Conditions())
+
+
+def _made(kind: str, case: Case, scene: Scene, rng: Rng) -> Made:
+    true, coarse = case.body.true, case.body.coarse
+    plain = truth.true_positions(scene, case, true, ())
+    if kind in LAWS:
+        other = true_scene(kind, rng, scene)
+        found = truth.true_positions(other, case, true, ())
+        return Made(found, other, None, truth.rms(found - plain) / NOISE)
+    if kind == "none":
+        return Made(plain, scene, None, 0.0)
+    term = _term(kind, case, scene, rng, truth.true_positions(scene, case, coarse, ()))
+    found = truth.true_positions(scene, case, true, (term,))
+    return Made(found, scene, term, truth.rms(found - plain) / NOISE)
+
+
+def _term(kind: str, case: Case, scene: Scene, rng: Rng, plain: Array) -> Term:
+    """A term of the truth of a size that is drawn."""
+    known = TERMS[kind]
+    mesh = level_mesh(scene, case.body.coarse)
+    centre = _place(scene, case, mesh.points, mesh.boundary, rng)
+    shapes = dict(zip(("cx", "cy", "cz"), map(float, centre), strict=True))
+    shapes["radius"] = mesh.size * float(rng.uniform(*RADII))
+    names = [p.name for p in known.effect.amounts]
+    weights = rng.normal(size=len(names)) if len(names) > 1 else np.array([rng.choice(known.signs)])
+    weights /= np.linalg.norm(weights)
+    target = log_uniform(rng, *SIZES)
+
+    def term(amount: float) -> Term:
+        values = {p.name: float(amount * w * p.scale) for p, w in zip(known.effect.amounts, weights, strict=True)}
+        return Term(known.effect, shapes | values)
+
+    def size(amount: float) -> float | None:
+        try:
+            return truth.rms(truth.true_positions(scene, case, case.body.coarse, (term(amount),)) - plain) / NOISE
+        except SolveError:
+            return None
+
+    amount = truth.search(size, target, truth.DOSES)
+    if (reached := size(amount)) is None or reached < SIZES[0] / 2:
+        raise SolveError(f"a {kind} moves the fiducials by no more than {reached or 0:.2g} noises")
+    return term(amount)
+
+
+def _place(scene: Scene, case: Case, points: Array, triangles: NDArray[np.int64], rng: Rng) -> Array:
+    """A place on the skin away from anchors and grips."""
+    middles = points[triangles].mean(axis=1)
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    mesh = level_mesh(scene, case.body.coarse)
+    kept = [scene.patches[name] for name in case.anchors] + [scene.grasps[m.grasp].region for m in case.motions]
+    held = points[np.unique(np.concatenate([mesh.select(region, "held").ravel() for region in kept]))]
+    away = np.linalg.norm(middles[:, None] - held[None], axis=2).min(axis=1)
+    usable = np.flatnonzero(away > _AWAY * size)
+    if not len(usable):
+        raise SolveError("no place is away from what is held")
+    return np.asarray(middles[rng.choice(usable)])
+
+
+def _write(folder: Path, kind: str, case: Case, scene: Scene, made: Made, rng: Rng) -> None:
+    times = np.concatenate([action.clock for action in case.actions])
+    seen = recorded(scene, case.actions, made.positions, NOISE, rng, times, f"beyond the catalogue, case {case.index}")
+    told = {
+        "index": case.index, "kind": kind, "body": case.body.name, "anchored": list(case.anchors), "size": made.size,
+        "law": {"name": made.scene.material.law, "values": dict(made.scene.material.values)},
+        "term": None if made.term is None else dict(made.term.values),
+    }  # fmt: skip
+    write_whole(folder / "truth.json", json.dumps(told, indent=1) + "\n")
+    write_scene(folder, shipped(case.body.scene), case.conditions, NOISE)
+    replace(seen, noise_sigma=None).write(folder / "measurement")
+
+
+def proposed(folder: Path) -> dict[str, Any]:
+    """What is proposed, given scene and measurement alone; then compared with the truth."""
+    from mpi4py import MPI
+
+    from bcid.comparison.predictor import Predictor
+    from bcid.proposal.propose import propose
+
+    scene = Scene.read(folder / FILE, physics=check_physics)
+    measurement = Measurement.read(folder / "measurement")
+    predictor = Predictor(scene, measurement, MPI.COMM_SELF)
+    try:
+        found = propose(predictor, Model.of(scene))
+        last = found.explanation.last
+        told: dict[str, Any] = {
+            "verdict": found.explanation.verdict,
+            "complete": found.complete,
+            "anchored": sorted(last.state.anchors),
+            "held_by": found.explanation.held_by,
+            "probability": found.explanation.probability,
+            "rms": last.state.rms,
+            "held_out": last.held_out,
+            "verdicts": dict(list(found.explanation.odds.verdicts.items())[:8]),
+            "terms": [
+                {
+                    "family": entry.family.name,
+                    "kind": entry.family.kind,
+                    "place": term.place,
+                    "values": dict(term.values),
+                }
+                for term, entry in zip(found.terms, found.path, strict=True)
+            ],
+        }
+        known = read_json(folder / "truth.json")
+        if known["kind"] in LAWS:
+            told["energy_apart"] = energy_apart(predictor, last.state, known["law"])
+        return told
+    finally:
+        predictor.destroy()

@@ -1,0 +1,54 @@
+"""How far a proposed energy is from the true one, over the strains that occurred."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from dolfinx import fem
+from numpy.typing import NDArray
+
+from bcid.comparison.predictor import Predictor
+from bcid.comparison.state import State
+from bcid.forms.model import Model
+from bcid.forms.weak_form import WeakForm
+from bcid.scene import Material
+
+Array = NDArray[np.float64]
+
+
+def energy_apart(predictor: Predictor, state: State, law: Mapping[str, Any]) -> float:
+    """RMS difference of the energies per volume at the middles of cells in all frames, relative to the RMS of the true one.
+
+    Without measured forces a scale common to all energies cannot be known: the best is taken.
+    """
+    forward = predictor.forward(state.model)
+    scene = replace(predictor.scene, material=Material(law["name"], dict(law["values"])))
+    equilibrium = forward.equilibrium
+    true = _density(WeakForm(forward.body, Model.of(scene), scene, equilibrium.u))
+    found = _density(equilibrium.weak_form)
+    pairs = []
+    for part in state.prediction.parts.values():
+        for unknowns in (part.states or {}).values():
+            equilibrium.u.x.array[:] = unknowns
+            pairs.append((true(), found()))
+    expected, proposed = (np.concatenate(values) for values in zip(*pairs, strict=True))
+    scaled = proposed * float(expected @ proposed) / max(float(proposed @ proposed), 1e-300)
+    return float(np.linalg.norm(scaled - expected) / np.linalg.norm(expected))
+
+
+def _density(weak_form: WeakForm) -> Any:
+    """A function that gives the energy of law and terms per volume, J/m^3, in every cell at the present state."""
+    import ufl
+
+    space = fem.functionspace(weak_form.body.domain, ("DG", 0))
+    weight = ufl.TestFunction(space)
+    energies = []
+    for energy in weak_form.energies:
+        volume = [i for i in energy.integrals() if i.integral_type() == "cell"]
+        energies += [ufl.Form([i.reconstruct(integrand=i.integrand() * weight)]) for i in volume]
+    form = fem.form(sum(energies[1:], start=energies[0]))
+    volumes = fem.assemble_vector(fem.form(weight * weak_form.measure(1))).array
+    return lambda: np.array(fem.assemble_vector(form).array) / volumes

@@ -1,0 +1,110 @@
+"""Terms of the grammar: their scores against the tangent of the same terms in UFL, their files, and what is found with them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from bcid.base.errors import InputError
+from bcid.forms import check_effect
+from bcid.forms import effect_trial as trial
+from bcid.forms.forward import Forward
+from bcid.forms.gripper_force import ForceScale
+from bcid.forms.model import Model
+from bcid.forms.quadrature import QuadraturePoints
+from bcid.forms.sensitivity import Probe, Sensitivity, Wanted
+from bcid.forms.solver.equilibrium import Settings
+from bcid.proposal.effect_file import check_name, made, source
+from bcid.proposal.family import SURFACE
+from bcid.proposal.grammar import Grammar, TermVariant
+
+ANCHORS = frozenset({"left"})
+
+
+@pytest.fixture(scope="module")
+def forward():
+    scene, mesh = trial.scene(), trial.box()
+    model, settings = Model.of(scene), Settings(rtol=1e-12)
+    found = Forward(scene, 0, MPI.COMM_SELF, model, settings, mesh, ForceScale(400.0, 0.05))
+    yield found
+    found.destroy()
+
+
+@pytest.fixture(scope="module")
+def grammar(forward: Forward) -> Grammar:
+    return Grammar(forward)
+
+
+def test_points_integrate_volume_area_and_what_is_linear_in_place(forward: Forward) -> None:
+    inside, outside = QuadraturePoints.volume(forward.body, 2), QuadraturePoints.boundary(forward.body, 2)
+    size = np.array([0.06, 0.02, 0.04])
+    assert inside.weights.sum() == pytest.approx(size.prod())
+    assert inside.weights @ inside.places == pytest.approx(size.prod() * size / 2)
+    assert outside.weights.sum() == pytest.approx(2 * (size.prod() / size).sum())
+    # Gauss: the normals of a closed surface, and the volume below it.
+    assert outside.weights @ outside.normals == pytest.approx(np.zeros(3), abs=1e-12)
+    flux = np.einsum("q,qi,qi->", outside.weights, outside.places, outside.normals)
+    assert flux == pytest.approx(3 * size.prod())
+    linear = forward.body.nodes @ np.array([[1.0, 2.0, 0.0], [0.0, -1.0, 3.0], [0.5, 0.0, 1.0]]).T
+    for points in (inside, outside):
+        assert points.values(linear)[0] == pytest.approx(
+            points.places[0] @ np.array([[1.0, 2.0, 0.0], [0.0, -1.0, 3.0], [0.5, 0.0, 1.0]]).T
+        )
+        assert points.gradients(linear)[-1] == pytest.approx(
+            np.array([[1.0, 2.0, 0.0], [0.0, -1.0, 3.0], [0.5, 0.0, 1.0]])
+        )
+
+
+def test_scores_are_the_sensitivities_of_the_same_terms_in_ufl(forward: Forward, grammar: Grammar) -> None:
+    """Of every family, force and torque of the gripper included; of those at spots to the quadrature that scores have."""
+    action = trial.actions()
+    prediction = forward.predict(ANCHORS, action, keep=True)
+    chosen: dict[str, int] = {}
+    for k, variant in enumerate(grammar.variants):
+        # Where nothing moves a spring does nothing.
+        if variant.place != "left":
+            chosen.setdefault(variant.family.name, k)
+    assert len(chosen) == len(grammar.families)
+    probes = []
+    for k in chosen.values():
+        term = grammar.term(grammar.variants[k])
+        probes.append(Probe(term, tuple(p.name for p in grammar.variants[k].family.amounts)))
+    sensitivity = Sensitivity(forward)
+    found = sensitivity.of(ANCHORS, action, prediction, Wanted(tuple(probes), terms=grammar))
+    assert found.terms is not None
+    for (name, k), probe, arrays in zip(chosen.items(), probes, found.probes, strict=True):
+        expected = np.stack([arrays[one] for one in probe.wanted], axis=-1)
+        scored = found.terms[..., grammar.ends[k] - len(probe.wanted) : grammar.ends[k]]
+        tolerance = 0.1 if grammar.variants[k].family.local else 1e-5
+        for rows in (slice(len(trial.scene().fiducials)), slice(-2, None)):
+            most = np.abs(expected[:, rows]).max()
+            assert scored[:, rows] == pytest.approx(expected[:, rows], abs=tolerance * most + 1e-15), name
+    sensitivity.destroy()
+
+
+def test_every_family_makes_an_effect_that_keeps_its_word_about_itself(grammar: Grammar) -> None:
+    for family in grammar.families:
+        place = "top" if family.where == SURFACE else ""
+        shapes = next(v for v in grammar.variants if v.family is family).shapes
+        text = source(family, "found", shapes, place, ["What was found."])
+        effect = made(text)
+        assert check_effect.definition(effect, "found") == "", family.name
+        assert "What was found." in text
+        assert all(p.default == pytest.approx(shapes[p.name], rel=1e-5) for p in effect.shapes if p.name in shapes)
+        # Ruff's line length of the project does not bind a user's file, but a docstring should be readable.
+        assert max(len(line) for line in text.split('"""')[1].splitlines()[1:]) <= 120
+
+
+def test_a_variant_is_a_term_that_does_nothing(grammar: Grammar) -> None:
+    variant = next(v for v in grammar.variants if v.family.name == "spring" and v.place == "top")
+    term = grammar.term(variant)
+    assert term.place == "top"
+    assert term.values["stiffness"] == 0.0
+    assert isinstance(variant, TermVariant)
+
+
+@pytest.mark.parametrize("name", ["soft-spot", "3spots", "class", ""])
+def test_names_that_no_effect_can_have_are_refused(name: str) -> None:
+    with pytest.raises(InputError, match="cannot be the name of an effect"):
+        check_name(name)
