@@ -141,11 +141,15 @@ def add_explain(commands: Any) -> None:
         "explain",
         explain,
         "anchors and missing effects from a measurement, until the model is adequate or unknown",
-        "Identifies the anchors, compares, ranks what is missing, adds the best, searches the anchors again, and so on.",
+        "Identifies the anchors, compares, ranks what is missing, adds the best, searches the anchors again, and so on. Where no\n"
+        "known effect explains it, a term that does is looked for, as by bcid propose, in RUN/propose.",
     )
     add_inputs(parser)
     add_only(parser)
     parser.add_argument("--most", type=int, default=2, metavar="N", help="effects that may be adopted together (2)")
+    parser.add_argument(
+        "--no-propose", action="store_true", help="where no known effect explains it, do not look beyond the catalogue"
+    )
     add_level(parser)
     add_effect_files(parser)
     add_output(parser)

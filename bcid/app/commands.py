@@ -178,21 +178,38 @@ def explain(arguments: argparse.Namespace, comm: Comm) -> None:
     progress = _progress(arguments, comm.rank)
     folder = _explained(arguments.scene, arguments.measurement, arguments, comm, progress)
     _finish(folder, arguments, comm, progress)
+    if arguments.no_propose or _verdict(folder, comm) != "unknown":
+        return
+    progress.say("no known effect explains it: looking for a term that does (--no-propose leaves that out)")
+    _proposed(folder, None, folder / "propose", arguments, comm, progress)
+
+
+def _verdict(folder: Path, comm: Comm) -> str:
+    """Of a run, the same on every rank."""
+    from bcid.base.collective import on_root
+
+    return str(on_root(comm, lambda: read_json(folder / "diagnosis.json")["verdict"]))
 
 
 def propose(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid propose`."""
-    from bcid.proposal.grammar import KINDS
+    folder = arguments.folder or arguments.run_folder.with_name(f"{arguments.run_folder.resolve().name}-propose")
+    progress = _progress(arguments, comm.rank)
+    _proposed(arguments.run_folder, arguments.output, folder, arguments, comm, progress)
+
+
+def _proposed(
+    run: Path, output: Path | None, folder: Path, arguments: argparse.Namespace, comm: Comm, progress: Progress
+) -> None:
+    """Search the grammar beside the model of a run, and tell what came out."""
     from bcid.proposal.propose import ProposeOptions
     from bcid.proposal.propose_run import run_propose
 
-    kinds = KINDS if arguments.kinds is None else _names(arguments.kinds)
-    options = ProposeOptions(arguments.most, kinds, arguments.level)
-    progress = _progress(arguments, comm.rank)
-    folder = arguments.folder or arguments.run_folder.with_name(f"{arguments.run_folder.resolve().name}-propose")
-    files = run_propose(
-        arguments.run_folder, arguments.output, folder, comm, options, progress, arguments.overwrite, arguments.effects
-    )
+    options = ProposeOptions(level=arguments.level)
+    if arguments.command == "propose":
+        kinds = options.kinds if arguments.kinds is None else _names(arguments.kinds)
+        options = replace(options, terms=arguments.most, kinds=kinds)
+    files = run_propose(run, output, folder, comm, options, progress, arguments.overwrite, arguments.effects)
     _finish(folder, arguments, comm, progress)
     for file in files if comm.rank == 0 else ():
         print(f"effect: {file} (use it with --effects {file})", flush=True)
@@ -495,7 +512,7 @@ def study(arguments: argparse.Namespace, comm: Comm | None = None) -> None:
 
 def _studies(arguments: argparse.Namespace) -> Callable[..., Path]:
     """The function that runs the study that is asked for."""
-    named = {"paper": _study_paper, "hidden": _study_hidden, "exploration": _study_exploration}
+    named = {"paper": _study_paper, "hidden": _study_hidden, "beyond": _study_beyond, "exploration": _study_exploration}
     if arguments.study in named:
         return named[arguments.study]
     if not Path(arguments.study).is_file():
@@ -512,6 +529,15 @@ def _study_hidden(arguments: argparse.Namespace, how: Workers, progress: Progres
     if arguments.bodies is not None:
         options = replace(options, bodies=tuple(name.strip() for name in arguments.bodies.split(",")))
     return run_hidden(arguments.output, options, progress=progress, overwrite=arguments.overwrite, comm=how.comm)
+
+
+def _study_beyond(arguments: argparse.Namespace, how: Workers, progress: Progress) -> Path:
+    from bcid.studies.beyond.beyond_study import BeyondOptions, run_beyond
+
+    options = BeyondOptions(arguments.cases, arguments.seed)
+    if arguments.bodies is not None:
+        options = replace(options, bodies=_names(arguments.bodies))
+    return run_beyond(arguments.output, options, how, progress, arguments.overwrite, how.comm)
 
 
 def _study_exploration(arguments: argparse.Namespace, how: Workers, progress: Progress) -> Path:

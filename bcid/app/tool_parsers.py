@@ -221,11 +221,12 @@ def add_study(commands: Any) -> None:
         "find out with many made-up bodies what an answer is worth",
         "paper        the tables and figures of the paper; FILE.toml one of them, or one of your own (see studies/)\n"
         "hidden       measurements with effects hidden in them are made and diagnosed blindly, and the answers scored\n"
+        "beyond       laws and boundary effects are hidden that the catalogue does not have, and what is proposed for them scored\n"
         "exploration  how many pulls does it take to know the anchors?\n\n"
         "Under mpirun the ranks make the trials, rank 0 hands them out; else child processes do. A study that was stopped,\n"
         "in whatever way, goes on where it was when the same command is given again. See docs/study.md.",
     )
-    parser.add_argument("study", metavar="STUDY", help="paper, hidden, exploration, or a study file (TOML)")
+    parser.add_argument("study", metavar="STUDY", help="paper, hidden, beyond, exploration, or a study file (TOML)")
     add_run(parser)
     parser.add_argument("--quick", action="store_true", help="paper and files: the reduced study")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes at a time without mpirun (2)")
@@ -235,7 +236,9 @@ def add_study(commands: Any) -> None:
         help="files: every N-th trial from the I-th, as one of N jobs that share the run folder",
     )
     parser.add_argument("--predict-only", action="store_true", help="files: only what all trials share")
-    parser.add_argument("--cases", type=int, default=400, metavar="N", help="number of cases of hidden (400)")
+    parser.add_argument(
+        "--cases", type=int, default=400, metavar="N", help="number of cases of hidden, or beyond (400)"
+    )
     parser.add_argument("--seed", type=seed, default=0, metavar="N", help="of what is random (0)")
     parser.add_argument("--trials", type=int, default=30, metavar="N", help="of each setting of exploration (30)")
     parser.add_argument(

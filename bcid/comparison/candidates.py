@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -13,12 +13,30 @@ from bcid.forms.model import Model
 Anchored = frozenset[str]
 
 
+@dataclass(frozen=True)
+class Start:
+    """Where the fit of an effect begins.
+
+    Attributes:
+        anchors: the set.
+        values: of its numbers.
+    """
+
+    anchors: Anchored
+    values: Mapping[str, float]
+
+
 class Candidates(Protocol):
     """Where effects that may be missing come from."""
 
     @property
     def among(self) -> int:
         """How many there are to choose from: each is as likely before the data are looked at."""
+        ...
+
+    @property
+    def starts(self) -> Mapping[str, Start]:
+        """By name how effects are fitted first, in this order; others with the set with which they promise most."""
         ...
 
     def beside(self, state: State, begun: Model, sets: Sequence[Anchored]) -> list[Effect]:
@@ -45,6 +63,10 @@ class Known:
     @property
     def among(self) -> int:
         return len(self.effects)
+
+    @property
+    def starts(self) -> Mapping[str, Start]:
+        return {}
 
     def beside(self, state: State, begun: Model, sets: Sequence[Anchored]) -> list[Effect]:
         """All that the model does not have."""

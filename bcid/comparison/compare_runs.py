@@ -23,6 +23,8 @@ MAKES = (
     *("diagnosis.json", "model.json", "identification.json", "residuals.nc", "body.nc", "where.json", "summary.txt"),
     *("picture.png", "ladder.png", "where.png", "paraview/", "report.html"),
 )
+# Where `explain` finds that no known effect explains the measurement, a term that does is looked for in a folder of its own.
+_EXPLAIN_MAKES = (*MAKES, "propose/")
 
 
 def run_compare(
@@ -121,7 +123,8 @@ def _written(
     levels = len(source.scene.levels)
     if level is not None and not 0 <= level < levels:
         raise InputError(f"--level {level}: the scene has levels 0 to {levels - 1}")
-    with running(comm, folder, command, source.inputs(options), MAKES, overwrite) as run:
+    makes = _EXPLAIN_MAKES if command == "explain" else MAKES
+    with running(comm, folder, command, source.inputs(options), makes, overwrite) as run:
 
         def use(predictor: Predictor, here: Source, done: Diagnosis) -> None:
             content = collect(predictor, done)

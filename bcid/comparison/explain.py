@@ -234,7 +234,9 @@ class _Loop:
         lacking = self.candidates.beside(base, self.model, self.starts if sets > 1 else ())
         self.lacking = self.lacking or lacking
         among = self.candidates.among
-        found = contest(base, self.model, lacking, self.starts, sets, self.options.fitted, among)
+        found = contest(
+            base, self.model, lacking, self.starts, sets, self.options.fitted, among, self.candidates.starts
+        )
         best = found.rivals[0]
         if best.anchors != base.anchors:
             with suppress(SolveError):

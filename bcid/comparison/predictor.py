@@ -430,7 +430,10 @@ def joined(arrays: Sequence[Any]) -> Any:
 def _arrays(found: Sensitivities) -> list[Any]:
     """All arrays of sensitivities, each (frames, ...)."""
     arrays = [array for one in found.probes for array in one.values()] + list(found.law.values())
-    return [*arrays, *(a for a in (found.stiffness, found.forces, found.places, found.terms) if a is not None)]
+    return [
+        *arrays,
+        *(a for a in (found.stiffness, found.forces, found.places, found.terms, found.held) if a is not None),
+    ]
 
 
 def _merged(parts: list[Sensitivities]) -> Sensitivities:
@@ -442,4 +445,5 @@ def _merged(parts: list[Sensitivities]) -> Sensitivities:
     forces = None if first.forces is None else joined([p.forces for p in parts])
     places = None if first.places is None else joined([p.places for p in parts])
     terms = None if first.terms is None else joined([p.terms for p in parts])
-    return Sensitivities(probes, law, stiffness, forces, places, terms)
+    held = None if first.held is None else joined([p.held for p in parts])
+    return Sensitivities(probes, law, stiffness, forces, places, terms, held)

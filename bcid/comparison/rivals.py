@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, SolveError
+from bcid.comparison.candidates import Start
 from bcid.comparison.fit import Fit, fit, held_out
 from bcid.comparison.hypothesis_search import HypothesisSearch, Look, Promise, weighed
 from bcid.comparison.ranking import Row, rank
@@ -160,6 +161,7 @@ def contest(
     sets: int,
     most: int,
     among: int | None = None,
+    starts_of: Mapping[str, Start] | None = None,
 ) -> Contest:
     """Sets and effects on a few steps of each action, the likeliest fitted; collective.
 
@@ -171,12 +173,13 @@ def contest(
         sets: how many sets are weighed; with one set that of the state alone.
         most: how many effects are refitted.
         among: of how many effects these were chosen; they are all by default.
+        starts_of: effects, see `bcid.comparison.candidates.Candidates`.
     """
 
     def work(thin: State) -> Contest:
         search = HypothesisSearch(thin, begun, known, sets, among=among)
         promises = search.run(starts) if sets > 1 else search.alone()
-        return refitted(promises, begun, search.among, most)
+        return refitted(promises, begun, search.among, most, starts_of=starts_of)
 
     return at_a_glance(state, work)
 
@@ -193,15 +196,23 @@ def fitted_beside(state: State, known: Sequence[Effect], most: int) -> list[Riva
     return best_first(replace(rival, held_out=held_out(rival.fitted)) for rival in fitted)
 
 
-def refitted(promises: Sequence[Promise], begun: Model, count: int, most: int, worth: float = WORTH) -> Contest:
+def refitted(
+    promises: Sequence[Promise],
+    begun: Model,
+    count: int,
+    most: int,
+    worth: float = WORTH,
+    starts_of: Mapping[str, Start] | None = None,
+) -> Contest:
     """The models alone, and the most promising of `count` effects with their sets fitted; collective.
 
     An effect is worth a fit as long as something unknown acts besides the best, and where it promises to be no more than exp(worth)
     times less likely than that, or may turn out to be.
     What an effect promises is linear in its amount, which a large one is not: each has its best set tried first, and then the one
     that turns out best competes with itself on other sets. Anchors that give do so at a place, which goes with the set: these are
-    tried with each set that was looked at for them.
+    tried with each set that was looked at for them. Some effects are tried first, with sets and numbers that are given.
     """
+    promises = _in_turn(promises, starts_of or {})
     rivals = [_alone(p.look, begun, count) for p in promises if p.row is None]
     tried: set[tuple[str, Anchored | None]] = set()
     states: dict[Anchored, State] = {}
@@ -230,6 +241,20 @@ def refitted(promises: Sequence[Promise], begun: Model, count: int, most: int, w
             names = [*(term.effect.name for term in promise.look.state.model.added(begun)), promise.row.effect]
             promised[Hypothesis(promise.anchors, "+".join(names))] = promise.evidence, promise.log_prior
     return Contest(best_first(rivals), promised)
+
+
+def _in_turn(promises: Sequence[Promise], starts: Mapping[str, Start]) -> list[Promise]:
+    """Promises of effects that have a start first, with its numbers, in the order of the starts; none of them with another set."""
+    first = []
+    for name, start in starts.items():
+        here = [p for p in promises if p.row and p.row.effect == name and p.anchors == start.anchors]
+        first += [replace(p, row=replace(p.row, term=p.row.term.with_values(start.values))) for p in here if p.row]
+    own = {p.row.effect for p in first if p.row}
+    return [
+        *(p for p in promises if p.row is None),
+        *first,
+        *(p for p in promises if p.row and p.row.effect not in own),
+    ]
 
 
 def _unlikely(promise: Promise) -> float:

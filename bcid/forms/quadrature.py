@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import basix
@@ -76,13 +76,21 @@ class QuadraturePoints:
         parts = [_of_side(geometry, cells[sides == s], outer[sides == s], s, flat, weights) for s in range(4)]
         return cls(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
-    def values(self, fields: Array) -> Array:
-        """Nodal vectors (nodes, 3, ...) at the points, shape (q, 3, ...)."""
-        return np.asarray(np.einsum("qk,qk...->q...", self.shapes, fields[self.nodes]))
+    def within(self, centre: Array, radius: float) -> NDArray[np.bool_]:
+        """Which of the points are no further from a place (3,), m, than a radius, m; shape (q,)."""
+        return np.asarray(np.linalg.norm(self.places - centre, axis=1) <= radius)
 
-    def gradients(self, fields: Array) -> Array:
-        """Their gradients d(field_a)/dX_B, shape (q, 3, 3, ...): component, direction."""
-        return np.asarray(np.einsum("qkB,qka...->qaB...", self.slopes, fields[self.nodes]))
+    def some(self, chosen: NDArray[np.bool_]) -> QuadraturePoints:
+        """Some of the points, (q,)."""
+        return QuadraturePoints(*(getattr(self, part.name)[chosen] for part in fields(self)))
+
+    def values(self, nodal: Array) -> Array:
+        """Nodal vectors (nodes, 3, ...) at the points, shape (q, 3, ...)."""
+        return np.asarray(np.einsum("qk,qk...->q...", self.shapes, nodal[self.nodes]))
+
+    def gradients(self, nodal: Array) -> Array:
+        """Their gradients d(vector_a)/dX_B, shape (q, 3, 3, ...): component, direction."""
+        return np.asarray(np.einsum("qkB,qka...->qaB...", self.slopes, nodal[self.nodes]))
 
     def on(self, body: Body, regions: Mapping[str, Region]) -> dict[str, NDArray[np.bool_]]:
         """Which of the points lie on named surfaces, each (q,); what is no surface has no points."""

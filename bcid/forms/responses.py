@@ -67,6 +67,12 @@ class Response:
         found[:, found.shape[1] - self.levers.shape[1] :] += self.levers
         return found
 
+    def solved(self, changes: Array) -> Array:
+        """K^-1 dR of changes (unknowns, n), zero where something is held; the tangent must have been factorised for it."""
+        held = changes.copy()
+        held[self.equilibrium.supports.prescribed] = 0.0
+        return self.equilibrium.factor.solve_block(held)
+
     def _direct(self, changes: Any) -> Array:
         """What the gripper feels of changes where it holds, shape (3 * rows, n), m."""
         found = np.zeros((self.observe.shape[0], changes.shape[1]))
@@ -85,7 +91,9 @@ class Responses:
         self.forward, self.observe = forward, forward.observer.of_unknowns()
         self._kept: dict[bytes, Array] = {}
 
-    def at(self, pose: Pose, model: Model, causes: int, fields: int, increments: bool) -> Response:
+    def at(
+        self, pose: Pose, model: Model, causes: int, fields: int, increments: bool, factorised: bool = False
+    ) -> Response:
         """At the present state.
 
         Args:
@@ -94,13 +102,14 @@ class Responses:
             causes: how many changes will be asked about by themselves.
             fields: how many as part of fields, which are asked about again.
             increments: whether the tangent is needed besides.
+            factorised: whether it must be factorised, whatever is known of the state.
 
         Raises:
             SolveError: the tangent cannot be factorised.
         """
         equilibrium, forward = self.forward.equilibrium, self.forward
         key = self._key(pose, model)
-        products = self._kept.get(key)
+        products = None if factorised else self._kept.get(key)
         if products is None:
             if equilibrium.verify() is Status.LINEAR_SOLVER:
                 raise SolveError("the tangent of a converged step could not be factorised")

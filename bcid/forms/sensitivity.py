@@ -12,7 +12,7 @@ rows L' K for them, and what acts where it holds is felt directly.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -68,6 +68,18 @@ class Works(Protocol):
         """Work of a unit of each at a state (unknowns,) on fields (unknowns, fields), shape (fields, count)."""
         ...
 
+    @property
+    def holds(self) -> int:
+        """Number of places that springs of any stiffness may hold."""
+        ...
+
+    def held(self, unknowns: Array, solve: Callable[[Array], Array]) -> Array:
+        """Of each place its compliance (m/N) to a force, (3, 3), and its movement (m), (3,): shape (holds, 4, 3).
+
+        `solve` gives K^-1 times columns (unknowns, n).
+        """
+        ...
+
 
 @dataclass(frozen=True)
 class Wanted:
@@ -104,6 +116,7 @@ class Sensitivities:
         forces: per N/m^3 of each force along each axis, shape (frames, fiducials, 3, forces, 3), or None.
         places: per m of the fiducial's own rest position along each axis, shape (frames, fiducials, 3, 3), or None.
         terms: per unit of each of many terms, shape (frames, fiducials, 3, count), or None.
+        held: what `Works.held` gives, shape (frames, holds, 4, 3), or None.
     """
 
     probes: list[dict[str, Array]]
@@ -112,6 +125,7 @@ class Sensitivities:
     forces: NDArray[np.float32] | None = None
     places: Array | None = None
     terms: NDArray[np.float32] | None = None
+    held: Array | None = None
 
 
 def _parameter(effect: Effect, name: str) -> Parameter:
@@ -287,6 +301,7 @@ class Sensitivity:
             None if wanted.forces is None else np.full((*empty.shape, wanted.forces.shape[1], 3), np.nan, np.float32),
             np.full((*empty.shape, 3), np.nan) if wanted.places else None,
             None if wanted.terms is None else np.full((*empty.shape, wanted.terms.count), np.nan, np.float32),
+            None if wanted.terms is None else np.full((count, wanted.terms.holds, 4, 3), np.nan),
         )
         self.model = model or self.forward.model
         for commanded in actions:
@@ -383,7 +398,8 @@ class Sensitivity:
         count += len(forward.mesh.cells) if wanted.stiffness else 0
         count += wanted.terms.count if wanted.terms else 0
         increments = any(cause.increment is not None for cause in causes)
-        response = self.responses.at(pose, self.model, len(causes), count, increments)
+        factorised = wanted.terms is not None
+        response = self.responses.at(pose, self.model, len(causes), count, increments, factorised)
         columns = np.zeros((len(equilibrium.u.x.array), len(causes)))
         moved, observe = np.zeros((3 * forward.rows, len(causes))), self.responses.observe
         for j, cause in enumerate(causes):
@@ -401,7 +417,8 @@ class Sensitivity:
         if result.forces is not None and wanted.forces is not None:
             pushed = self._all_seen(seen, response.moved(self._pushes(wanted.forces)))
             result.forces[frame] = pushed.reshape(forward.rows, 3, -1, 3)
-        if result.terms is not None and wanted.terms is not None:
+        if result.terms is not None and result.held is not None and wanted.terms is not None:
+            result.held[frame] = wanted.terms.held(equilibrium.u.x.array, response.solved)
             works = wanted.terms.works(equilibrium.u.x.array, response.adjoint)
             result.terms[frame] = self._all_seen(seen, works)
 

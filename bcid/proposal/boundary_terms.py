@@ -63,7 +63,7 @@ def body_forces(shear: float, box: Array) -> list[Family]:
 
 def _named(shear: float, size: float) -> list[Family]:
     """Those on a named surface."""
-    stiffness = Amount("stiffness", "Pa/m", "per area", lower=0.0, upper=1e9, neutral=0.0, scale=0.5 * shear / size)
+    stiffness = Amount("stiffness", "Pa/m", "per area", lower=0.0, upper=1e9, neutral=0.0, scale=2 * shear / size)
 
     def spring(name: str, about: str, formula: str, code: str, unit: Callable[[Deformed], Array]) -> Family:
         return Family(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -32,6 +32,12 @@ class Deformed:
     centre: Array
     size: float
     axes: Array
+
+    def at(self, chosen: slice | NDArray[np.bool_]) -> Deformed:
+        """At some of the points alone; all of them for a slice."""
+        if isinstance(chosen, slice):
+            return self
+        return replace(self, points=self.points.some(chosen), u=self.u[chosen], F=self.F[chosen])
 
     @cached_property
     def J(self) -> Array:

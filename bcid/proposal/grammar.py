@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,12 +17,17 @@ from bcid.proposal.boundary_terms import body_forces, boundary_terms
 from bcid.proposal.deformed import Deformed
 from bcid.proposal.effect_file import made, source
 from bcid.proposal.energies import energies
-from bcid.proposal.family import BODY, SPOT, SURFACE, Family
+from bcid.proposal.family import BODY, INNER_SPOT, SPOT, SURFACE, Family
+from bcid.proposal.holds import Holds
 
 Array = NDArray[np.float64]
 KINDS = ("energy", "boundary", "body force")
-# Spots are tried at so many places, of these sizes relative to the body.
-_PLACES, _RADII = 24, (0.07, 0.15)
+# Spots are tried at so many places on the surface and in the body, of these sizes relative to it.
+_PLACES, _RADII = {SPOT: 100, INNER_SPOT: 50}, (0.06, 0.13)
+# Springs of any stiffness are tried on every second of those of the surface, with this size.
+_THINNED, _HELD = 2, 0.06
+# Beyond so many radii a spot does nothing.
+_REACH = 3.0
 # Products of so many terms are formed at a time.
 _BLOCK = 64
 # Degrees of quadrature, in the body and on its boundary: scores are no more exact than the linear answer they are.
@@ -63,10 +68,12 @@ class Grammar:
         self.axes = np.array([first, second, np.cross(first, second)])
         families = [*energies(shear), *boundary_terms(shear, box), *body_forces(shear, box)]
         self.families = [family for family in families if family.kind in kinds]
-        self._inside = QuadraturePoints.volume(body, _INSIDE)
-        self._outside = QuadraturePoints.boundary(body, _OUTSIDE)
+        self.inside = QuadraturePoints.volume(body, _INSIDE)
+        self.outside = QuadraturePoints.boundary(body, _OUTSIDE)
         scene = forward.scene
-        self.surfaces = self._outside.on(body, {**scene.patches, **scene.places})
+        self.surfaces = self.outside.on(body, {**scene.patches, **scene.places})
+        self.held_spots = self._spots(SPOT, (_HELD,))[::_THINNED]
+        self._holds = Holds(body, self.outside, [self._weight(spot) for spot in self.held_spots])
         self.variants = [variant for family in self.families for variant in self._variants(family)]
         self.ends = np.cumsum([len(v.family.amounts) for v in self.variants])
         self._effects: dict[str, Effect] = {}
@@ -77,12 +84,35 @@ class Grammar:
             return [TermVariant(family, {}, name) for name, inside in self.surfaces.items() if inside.any()]
         if family.where == BODY:
             return [TermVariant(family, dict(scan)) for scan in family.scans]
-        places = self._outside.places if family.where == SPOT else self._inside.places
+        return [TermVariant(family, spot) for spot in self._spots(family.where, _RADII)]
+
+    def _spots(self, where: str, radii: Sequence[float]) -> list[dict[str, float]]:
+        """Places all over the surface or the body, with these radii relative to its size."""
+        places = self.outside.places if where == SPOT else self.inside.places
         return [
-            TermVariant(family, dict(zip(("cx", "cy", "cz"), map(float, c), strict=True)) | {"radius": r * self.size})
-            for c in scattered(places, _PLACES)
-            for r in _RADII
+            dict(zip(("cx", "cy", "cz"), map(float, c), strict=True)) | {"radius": r * self.size}
+            for c in scattered(places, _PLACES[where])
+            for r in radii
         ]
+
+    def _weight(self, spot: Mapping[str, float]) -> Array:
+        """Of a spot at the points of the surface, shape (q,)."""
+        away = self.outside.places - np.array([spot[f"c{axis}"] for axis in "xyz"])
+        return np.asarray(np.exp(-np.einsum("qi,qi->q", away, away) / (2 * spot["radius"] ** 2)))
+
+    @property
+    def holds(self) -> int:
+        """Number of places that springs may hold."""
+        return len(self.held_spots)
+
+    @property
+    def areas(self) -> Array:
+        """Their weighted areas, shape (holds,), m^2."""
+        return self._holds.areas
+
+    def held(self, unknowns: Array, solve: Callable[[Array], Array]) -> Array:
+        """Compliance and movement of each, see `bcid.forms.sensitivity.Works`."""
+        return self._holds.at(unknowns, solve)
 
     @property
     def count(self) -> int:
@@ -111,21 +141,30 @@ class Grammar:
         dofs = self.forward.body.displacement_dofs.reshape(-1, 3)
         u, virtual = unknowns[dofs], fields[dofs]
         result = np.zeros((fields.shape[1], self.count))
-        for points, outside in ((self._inside, False), (self._outside, True)):
+        for points, outside in ((self.inside, False), (self.outside, True)):
             chosen = [k for k, v in enumerate(self.variants) if (v.family.kind == "boundary") is outside]
             deformed = self._deformed(points, u)
             for gradients in (True, False):
                 some = [k for k in chosen if (self.variants[k].family.kind == "energy") is gradients]
                 if some:
                     tests = points.gradients(virtual) if gradients else points.values(virtual)
-                    self._add(result, some, deformed, tests.reshape(-1, fields.shape[1]))
+                    self._add(result, some, deformed, tests.reshape(len(points.weights), -1, fields.shape[1]))
         return result
 
     def _add(self, result: Array, chosen: Sequence[int], deformed: Deformed, tests: Array) -> None:
-        """The virtual works of some variants, block by block."""
-        each = len(tests) // len(deformed.J)
-        weights = np.repeat(deformed.points.weights, each)[:, None]
-        weighted = (weights * tests).astype(np.float32)
+        """The virtual works of some variants on fields (q, components, fields), those of a spot at the points that it reaches."""
+        spots: dict[tuple[float, ...], list[int]] = {}
+        for k in chosen:
+            spots.setdefault(
+                tuple(self.variants[k].shapes.values()) if self.variants[k].family.local else (), []
+            ).append(k)
+        for where, variants in spots.items():
+            near = deformed.points.within(np.array(where[:3]), _REACH * where[3]) if where else slice(None)
+            self._add_at(result, variants, deformed.at(near), tests[near])
+
+    def _add_at(self, result: Array, chosen: Sequence[int], deformed: Deformed, tests: Array) -> None:
+        """The same at all points, block by block."""
+        weighted = (deformed.points.weights[:, None, None] * tests).astype(np.float32).reshape(-1, tests.shape[2])
         for first in range(0, len(chosen), _BLOCK):
             block = chosen[first : first + _BLOCK]
             units = [self._unit(self.variants[k], deformed) for k in block]

@@ -22,9 +22,11 @@ from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model, Term
 from bcid.proposal.family import Family
 from bcid.proposal.grammar import KINDS
-from bcid.proposal.term_scores import ScoredFamily, TermScores
+from bcid.proposal.term_scores import FITTED, ScoredFamily, TermScores
 
 Array = NDArray[np.float64]
+# Anchor sets that are weighed: those that are likely with something unknown besides.
+_SETS = 12
 
 
 @dataclass(frozen=True)
@@ -125,7 +127,7 @@ def propose(predictor: Predictor, model: Model, options: ProposeOptions | None =
     """
     options = options or ProposeOptions()
     scores = TermScores(options.kinds)
-    found = explain(predictor, ExplainOptions(options.level, options.terms), model, candidates=scores)
+    found = explain(predictor, ExplainOptions(options.level, options.terms, FITTED, _SETS), model, candidates=scores)
     return Proposal(found, _path(found, scores), tuple(scores.stages.get(model.name, ())), scores.scored)
 
 

@@ -11,22 +11,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError
+from bcid.comparison.candidates import Start
 from bcid.comparison.ranking import Row, best_row, orthonormal, present_columns
 from bcid.comparison.state import State
 from bcid.comparison.variants import Variant, amounts
 from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model
-from bcid.forms.sensitivity import Wanted
+from bcid.forms.sensitivity import Sensitivities, Wanted
 from bcid.inference.criteria import SEEN
 from bcid.proposal.effect_file import made, source
 from bcid.proposal.family import Family
 from bcid.proposal.grammar import KINDS, Grammar, TermVariant
+from bcid.proposal.holds import held_by
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
-# Of so many likely sets terms are scored; so many terms of each are fitted, of one kind no more than these.
-_SETS, _FITTED, _ALIKE = 3, 6, 3
+# Terms are scored with so many likely sets; so many are fitted, of one kind with a set no more than these.
+_SETS, FITTED, _ALIKE = 3, 7, 4
+# Stiffnesses of springs, in notable ones, whose effect is far from proportional to them; what they do is a push on the same spot.
+_STIFFNESSES, _SPRING, _PUSH = (0.3, 3.0, 30.0), "spring_at_a_spot", "traction_at_a_spot"
+# A set that is exp(_FAR) times less likely with something unknown besides is left out.
+_FAR = 12.0
 
 
 @dataclass(frozen=True)
@@ -60,6 +66,7 @@ class TermScores:
     Attributes:
         stages: what each model lacked, by its name, the most promising first.
         families: of the candidates, by the names of their effects.
+        starts: with which sets and numbers they were promising.
         scored: how many terms there are, all shapes and places counted.
     """
 
@@ -67,6 +74,7 @@ class TermScores:
         self.kinds = kinds
         self.stages: dict[str, list[ScoredFamily]] = {}
         self.families: dict[str, Family] = {}
+        self.starts: dict[str, Start] = {}
         self._grammar: tuple[Forward, Grammar] | None = None
         self._families = 1
         self.scored = 0
@@ -78,24 +86,15 @@ class TermScores:
 
     def beside(self, state: State, begun: Model, sets: Sequence[Anchored]) -> list[Effect]:
         """The most promising terms beside a model with its set, or with others; collective."""
-        best: dict[str, ScoredFamily] = {}
-        for about in [state, *_others(state, sets)]:
-            for found in self.scored_families(about):
-                name = found.family.name
-                if name not in best or found.log > best[name].log:
-                    best[name] = found
-        order = sorted(best.values(), key=lambda s: (-s.log, s.family.name))
-        self.stages[state.model.name] = order
-        chosen: list[ScoredFamily] = []
-        for one in order:
-            if np.isfinite(one.log) and sum(c.family.kind == one.family.kind for c in chosen) < _ALIKE:
-                chosen.append(one)
+        found = [self.scored_families(about) for about in _alike([state, *_others(state, sets)])]
+        self.stages[state.model.name] = _best_of(found)
         # A family may act twice, as fibres in two directions.
         entered = len(state.model.added(begun)) + 1
         effects = []
-        for one in chosen[:_FITTED]:
+        for one in _in_turns(found):
             name = one.family.name if entered == 1 else f"{one.family.name}_{entered}"
             self.families[name] = one.family
+            self.starts[name] = Start(one.anchors, one.row.term.values)
             effects.append(one.effect(name))
         return effects
 
@@ -113,10 +112,31 @@ class TermScores:
         result = []
         for family in grammar.families:
             own = [_variant(grammar, v, c) for v, c in zip(grammar.variants, parts, strict=True) if v.family is family]
+            if family.name == _SPRING:
+                own += self._held(state, grammar, family, found)
             if own:
                 row = best_row(state, family.name, own, basis, len(grammar.variants), SEEN)
                 result.append(ScoredFamily(family, row, state.anchors, plain + row.gain))
         return result
+
+    def _held(self, state: State, grammar: Grammar, family: Family, found: Sensitivities) -> list[Variant]:
+        """Springs that are stiff: per unit of stiffness what those of a given one do."""
+        assert found.terms is not None
+        assert found.held is not None
+        pushes = {
+            tuple(v.shapes.values()): grammar.ends[k] for k, v in enumerate(grammar.variants) if v.family.name == _PUSH
+        }
+        scale, made_of = family.amounts[0].scale, list[tuple[TermVariant, Array]]()
+        for number, spot in enumerate(grammar.held_spots):
+            end, area = pushes[tuple(spot.values())], grammar.areas[number]
+            # Per unit of force, not of traction.
+            pushed = found.terms[..., end - 3 : end].astype(float) / area
+            for part in _STIFFNESSES:
+                forces = held_by(part * scale, area, found.held[:, number])
+                moved = np.einsum("fpaj,fj->fpa", np.nan_to_num(pushed), forces) / (part * scale)
+                made_of.append((TermVariant(family, spot), state.predictor.data.vector(moved)))
+        columns = state.errors.whiten(np.column_stack([column for _, column in made_of]))
+        return [_variant(grammar, v, c[:, None]) for (v, _), c in zip(made_of, columns.T, strict=True)]
 
     def _of(self, state: State) -> Grammar:
         """The grammar on the mesh of a state."""
@@ -140,3 +160,40 @@ def _others(state: State, sets: Sequence[Anchored]) -> list[State]:
         with suppress(SolveError):
             found.append(state.of_set(anchors))
     return found
+
+
+def _alike(states: Sequence[State]) -> list[State]:
+    """Those that may be as likely as the best with something unknown besides, the likeliest first.
+
+    A term that does much does more than its score tells: with another set, which does some of it, it may promise more.
+    """
+    forced = {id(state): state.evidence().forced for state in states}
+    best = max(forced.values())
+    return sorted((s for s in states if forced[id(s)] > best - _FAR), key=lambda s: -forced[id(s)])
+
+
+def _best_of(found: Sequence[Sequence[ScoredFamily]]) -> list[ScoredFamily]:
+    """Every family where it promises most, the most promising first."""
+    best: dict[str, ScoredFamily] = {}
+    for one in (one for some in found for one in some):
+        if one.family.name not in best or one.log > best[one.family.name].log:
+            best[one.family.name] = one
+    return sorted(best.values(), key=lambda s: (-s.log, s.family.name))
+
+
+def _in_turns(found: Sequence[Sequence[ScoredFamily]]) -> list[ScoredFamily]:
+    """So many families as are fitted: sets take turns, each with what promises most there; not all of one kind."""
+    waiting = [sorted(some, key=lambda s: (-s.log, s.family.name)) for some in found]
+    chosen: list[ScoredFamily] = []
+    while any(waiting) and len(chosen) < FITTED:
+        for some in waiting:
+            usable = [s for s in some if np.isfinite(s.log) and _fits_in(s, chosen)]
+            some[:] = usable[1:]
+            chosen += usable[:1]
+    return chosen[:FITTED]
+
+
+def _fits_in(one: ScoredFamily, chosen: Sequence[ScoredFamily]) -> bool:
+    """Whether a family is not chosen yet, nor too many of its kind with its set."""
+    same = sum(c.family.kind == one.family.kind and c.anchors == one.anchors for c in chosen)
+    return all(c.family is not one.family for c in chosen) and same < _ALIKE
