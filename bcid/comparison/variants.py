@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.comparison.fit import Coordinate
+from bcid.comparison.predictor import Predictor
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
 from bcid.forms.force_bumps import scattered
@@ -111,7 +112,7 @@ def _expanded(state: State, group: Sequence[tuple[Probe, dict[str, Array]]]) -> 
     angle = next((p for p in effect.shapes if p.period and p.harmonics is not None), None)
     variants = _all_directions(state, group, angle) if angle is not None else []
     period = next((p for p in effect.shapes if p.off is not None), None)
-    if period is not None and effect.envelope:
+    if period is not None and effect.acting:
         variants += [v for one in variants[::_COARSER] for v in _all_periods(state, one, period)]
     if variants:
         return variants
@@ -146,19 +147,26 @@ def _all_directions(state: State, group: Sequence[tuple[Probe, dict[str, Array]]
 
 
 def _all_periods(state: State, steady: Variant, period: Parameter) -> list[Variant]:
-    """An effect that comes and goes: its envelope times what it does when it is steady."""
-    envelope, data = steady.term.effect.envelope, state.predictor.data
-    assert envelope is not None
-    times = np.zeros(len(data.mask))
-    for action in state.predictor.actions:
-        times[action.frames] = action.clock
+    """An effect that comes and goes: the part of its amounts that acts, times what it does when it is steady."""
+    effect, data = steady.term.effect, state.predictor.data
+    times, frames = np.unique(frame_times(state.predictor), return_inverse=True)
     found = []
     # Two frequencies are told apart when they are out of step at the end.
     for cycles in np.arange(_CYCLES[0], _CYCLES[1], _CYCLES[2]) if np.ptp(times) > 0 else ():
         term = steady.term.with_values({period.name: float(times.max() / cycles)})
-        share = np.array([envelope(float(t), term.values) for t in times])
-        found.append(replace(steady, term=term, sensitivity=steady.sensitivity * share[data.frame, None]))
+        share = np.array(
+            [[effect.slopes(p.name, float(t), term.values).get(p.name, 0.0) for p in effect.amounts] for t in times]
+        )
+        found.append(replace(steady, term=term, sensitivity=steady.sensitivity * share[frames[data.frame]]))
     return found
+
+
+def frame_times(predictor: Predictor) -> Array:
+    """When each frame was seen, by the clock of its action, shape (frames,), s."""
+    times = np.zeros(len(predictor.data.mask))
+    for action in predictor.actions:
+        times[action.frames] = action.clock
+    return times
 
 
 def _harmonics(degrees: NDArray[np.floating], period: float, highest: int) -> Array:

@@ -247,9 +247,7 @@ def _sensitivity(trial: EffectTrial, p: Parameter) -> Array:
     for pose, frame in zip(poses(action), action.frames, strict=True):
         equilibrium.set_state(pose, states[int(frame)])
         free = np.setdiff1d(np.arange(equilibrium.body.unknowns), equilibrium.supports.prescribed)
-        envelope = trial.effect.envelope
-        share = envelope(pose.time, forward.model.terms[0].values) if envelope else 1.0
-        tangent, slope = trial.tangent(), share * trial.slope(p)
+        tangent, slope = trial.tangent(), trial.slope(p, pose.time)
         moved = np.zeros(equilibrium.body.unknowns)
         moved[free] = np.linalg.solve(tangent[np.ix_(free, free)], -slope[free])
         rows.append(forward.observer.positions(moved.reshape(-1, 3)) - forward.observer.rest)

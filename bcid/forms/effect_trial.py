@@ -34,6 +34,8 @@ ROUND_OFF = 1e-9
 _BOX = np.array([0.06, 0.02, 0.04])
 _BRICKS = (4, 1, 2)
 _EXACT = Settings(rtol=1e-12)
+# A time, in s of the box, when what comes and goes acts.
+_AMID = 0.7
 
 
 @dataclass(frozen=True)
@@ -235,19 +237,26 @@ class EffectTrial:
                 variable.x.array[:] = amplitude * random.normal(size=len(variable.x.array)) * 0.1
 
     def numbers(self, values: Mapping[str, float]) -> None:
-        """Set the effect's numbers."""
+        """Set the effect's numbers, as they act at a time when each of them does."""
         self.with_effect.set_model(self.model(values))
+        self.with_effect.equilibrium.set_constants(self.with_effect.model.acting(1.0, self.units(_AMID, "s")))
 
     def forces(self) -> Array:
         """Residual at the present state, shape (unknowns,)."""
         return self.with_effect.equilibrium.forces()
 
-    def slope(self, parameter: Parameter) -> Array:
-        """Derivative of the residual at the present state by an amount, per part of its scale, shape (unknowns,)."""
+    def slope(self, parameter: Parameter, time: float | None = None) -> Array:
+        """Derivative of the residual by an amount, per part of its scale, at the present state and a time, shape (unknowns,).
+
+        The time (of the units of the trial) is that of `numbers` by default.
+        """
         term = self.with_effect.model.terms[0]
-        form = self.with_effect.equilibrium.weak_form.derivative(term, parameter.name)
-        size = self.amount(parameter, 1.0) - self.none(parameter)
-        return size * (np.zeros(len(self.forces())) if form is None else np.array(fem.assemble_vector(form).array))
+        found = np.zeros(len(self.forces()))
+        at = self.units(_AMID, "s") if time is None else time
+        for name, slope in term.effect.slopes(parameter.name, at, term.values).items():
+            form = self.with_effect.equilibrium.weak_form.derivative(term, name)
+            found += 0.0 if form is None else slope * np.array(fem.assemble_vector(form).array)
+        return (self.amount(parameter, 1.0) - self.none(parameter)) * found
 
     def tangent(self) -> Array:
         """Tangent at the present state, shape (unknowns, unknowns)."""

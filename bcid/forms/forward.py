@@ -221,7 +221,7 @@ class Forward:
         if model.name != self.model.name:
             raise ValueError(f"set_model: {model.name} has other parts than {self.model.name}")
         self.model = self.equilibrium.model = model
-        self.equilibrium.set_constants(model.constants())
+        self.equilibrium.set_constants(model.numbers())
 
     def destroy(self) -> None:
         """Free the PETSc objects; collective."""

@@ -73,6 +73,10 @@ class Term:
         """Full name of one of its parameters, as in `Model.constants`."""
         return f"{self.label}.{name}"
 
+    def acting(self, time: float, values: Mapping[str, float] | None = None) -> dict[str, float]:
+        """The numbers that act at a time (s), by full name; of its own values by default."""
+        return {self.full(name): value for name, value in self.effect.at(time, values or self.values).items()}
+
     @property
     def free(self) -> tuple[str, ...]:
         """Full names of the numbers that a fit may move: no first frame, and nothing that stands for none."""
@@ -188,16 +192,19 @@ class Model:
 
         A spring that replaces a rigid hold acts in full from the start: at rest it does nothing.
         """
-        result = {}
+        result: dict[str, float] = {}
         for term in self.terms:
-            envelope = term.effect.envelope
-            share = part * (envelope(time, term.values) if envelope else 1.0)
-            for parameter in term.effect.parameters:
-                own, neutral = term.values[parameter.name], self.neutral(parameter)
+            values = dict(term.values)
+            for parameter in term.effect.amounts:
+                neutral = self.neutral(parameter)
                 if neutral is not None and not parameter.reciprocal:
-                    own = neutral + share * (own - neutral)
-                result[term.full(parameter.name)] = own
+                    values[parameter.name] = neutral + part * (values[parameter.name] - neutral)
+            result |= term.acting(time, values)
         return result
+
+    def numbers(self) -> dict[str, float]:
+        """Every number of the weak form by its full name, as it is at a time of 0 s: the law's, and what acts of the effects."""
+        return dict(self.law.complete(self.values)) | self.acting(1.0, 0.0)
 
     def with_values(self, numbers: Mapping[str, float]) -> Model:
         """The model with other numbers by full name, as in `constants`.
@@ -234,15 +241,13 @@ class Model:
     def driven(self, action: Action) -> Action:
         """What the gripper really did when an action was commanded."""
         for term in self.terms:
-            if term.effect.drive:
-                action = term.effect.drive(action, term.values)
+            action = term.effect.driven(action, term.values)
         return action
 
     def observed(self, positions: Array, frame: Frame) -> Array:
         """Where the fiducials (fiducials, 3) appear in a frame when they are at given positions, m."""
         for term in self.terms:
-            if term.effect.observe:
-                positions = term.effect.observe(positions, term.values, frame, term.place)
+            positions = term.effect.observed(positions, term.values, frame, term.place)
         return positions
 
     @property
@@ -264,13 +269,13 @@ class Model:
     @property
     def conservative(self) -> bool:
         """Whether all work of the gripper is stored: every effect has a potential, and none acts by the clock."""
-        return not self.remembers and not any(term.effect.work or term.effect.envelope for term in self.terms)
+        return not self.remembers and not any(term.effect.work or term.effect.acting for term in self.terms)
 
     @property
     def steady(self) -> bool:
         """Whether what is seen depends on the pose alone: not on time, nor on the frames before, nor on the picture's number."""
         return not self.remembers and not any(
-            term.effect.envelope or term.effect.drive or term.effect.observe for term in self.terms
+            term.effect.acting or term.effect.drive or term.effect.observe for term in self.terms
         )
 
     @classmethod

@@ -129,7 +129,7 @@ class Responses:
         """What the tangent at the present state depends on; where it remembers, that is more than this, and nothing is kept."""
         equilibrium, constants = self.forward.equilibrium, self.forward.equilibrium.weak_form.constants
         numbers = [float(anchored.value) for anchored in equilibrium.weak_form.anchored.values()]
-        numbers += [float(constants[name].value) for name in model.constants() if name in constants]
+        numbers += [float(constants[name].value) for name in model.numbers() if name in constants]
         state = np.array([*numbers, pose.load_factor, pose.time])
         parts = (equilibrium.u.x.array, equilibrium.supports.prescribed, state)
         return blake2b(b"".join(part.tobytes() for part in parts)).digest()

@@ -23,7 +23,7 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fp
 from numpy.typing import NDArray
 
-from bcid.forms.effects.effect import Effect
+from bcid.forms.effects.effect import STEP, Effect
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.model import Model, Term
 from bcid.forms.parameter import Parameter
@@ -34,8 +34,6 @@ from bcid.forms.weak_form import LONG
 from bcid.measurement import Action
 
 Array = NDArray[np.float64]
-# Step of a difference, in units of a parameter's scale, of what is a function and no form: motions, pictures, envelopes.
-_STEP = 1e-3
 
 
 @dataclass(frozen=True)
@@ -186,37 +184,18 @@ class Sensitivity:
         """dR/dtheta at the present state, where the effect acts as it does at a time, s."""
         term = probe.term
         self.weak_form.term_constants(term)
-        constants = {key: self.weak_form.constants[term.full(key)] for key in term.values}
+        acting = term.effect.at(time, term.values)
+        constants = {key: self.weak_form.constants[term.full(key)] for key in acting}
         before = {key: float(constant.value) for key, constant in constants.items()}
-        for key, value in self._acting(term.effect, term.values, time).items():
+        for key, value in acting.items():
             if math.isfinite(value):
                 constants[key].value = value
         result: Array | float = 0.0
-        for key, slope in self._slopes(term, name, time).items():
+        for key, slope in term.effect.slopes(name, time, term.values).items():
             result = result + slope * self._by_number(term, key)
         for key, value in before.items():
             constants[key].value = value
         return result
-
-    def _acting(self, effect: Effect, values: Mapping[str, float], time: float) -> dict[str, float]:
-        """The numbers of an effect at a time, s: its envelope says how much of its amounts acts then."""
-        share = effect.envelope(time, values) if effect.envelope else 1.0
-        found = dict(values)
-        for p in effect.amounts:
-            neutral = self.forward.model.neutral(p)
-            if neutral is not None and math.isfinite(neutral):
-                found[p.name] = neutral + share * (values[p.name] - neutral)
-        return found
-
-    def _slopes(self, term: Term, name: str, time: float) -> dict[str, float]:
-        """How the numbers that act at a time change with a number of the effect; an envelope is a function without a form."""
-        effect = term.effect
-        if effect.envelope is None:
-            return {name: 1.0}
-        step = _STEP * _parameter(effect, name).scale
-        more, less = (self._acting(effect, {**term.values, name: term.values[name] + h}, time) for h in (step, -step))
-        slopes = {key: (more[key] - less[key]) / (2 * step) for key in more}
-        return {key: slope for key, slope in slopes.items() if slope}
 
     def _change_of_law(self, name: str) -> Array | float:
         """dR/dtheta for a constant of the law."""
@@ -345,12 +324,12 @@ class Sensitivity:
         """For an effect on the gripper: its poses for a slightly greater and smaller value, a unit step apart."""
         if not probe.effect.drive:
             return None
-        step = _STEP * _parameter(probe.effect, name).scale
+        step = STEP * _parameter(probe.effect, name).scale
 
         def driven(sign: float) -> list[Pose]:
             action = commanded
             for term, values in self._chain(probe, name, sign * step):
-                action = term.effect.drive(action, values) if term.effect.drive else action
+                action = term.effect.driven(action, values)
             return poses(action)
 
         return list(zip(driven(1.0), driven(-1.0), strict=True))
@@ -452,7 +431,7 @@ class Sensitivity:
             scale = -(value**2) if parameter.reciprocal else 1.0
             found.append(Cause(target, scale * self._change(probe, name, pose.time)))
         if pair is not None:
-            width = 2 * _STEP * parameter.scale
+            width = 2 * STEP * parameter.scale
             loads: Array | float = np.asarray(-self._loaded(*pair) / width) if pose.loads else 0.0
             gripper = self.forward.gripper_force
             turned = np.asarray(gripper.turned(self.equilibrium.unbalanced(), *pair) / width) if gripper else 0.0
@@ -482,12 +461,12 @@ class Sensitivity:
 
     def _pictured(self, probe: Probe, name: str, places: Array, action: Action, step: int) -> Array:
         """Change of the picture by an observation effect."""
-        frame, size = self.forward.frame(action, step), _STEP * _parameter(probe.effect, name).scale
+        frame, size = self.forward.frame(action, step), STEP * _parameter(probe.effect, name).scale
 
         def picture(sign: float) -> Array:
             seen = places
             for term, values in self._chain(probe, name, sign * size):
-                seen = term.effect.observe(seen, values, frame, term.place) if term.effect.observe else seen
+                seen = term.effect.observed(seen, values, frame, term.place)
             return seen
 
         return np.asarray((picture(1.0) - picture(-1.0)) / (2 * size))

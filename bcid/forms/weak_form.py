@@ -99,7 +99,7 @@ class WeakForm:
         self.body, self.model, self.scene, self.u = body, model, scene, u
         self.constants: dict[str, fem.Constant] = {}
         self._numbers: dict[str, Any] = {}
-        for name, value in model.constants().items():
+        for name, value in model.numbers().items():
             self._number(name, value)
         self.anchored = {name: fem.Constant(body.domain, 0.0) for name in scene.patches}
         self.test = ufl.TestFunction(body.space)
@@ -141,7 +141,7 @@ class WeakForm:
 
     def term_constants(self, term: Term) -> dict[str, Any]:
         """The numbers of an effect by parameter, in UFL; made when it is not part of the model."""
-        return {name: self._number(term.full(name), value) for name, value in term.values.items()}
+        return {name: self._number(term.full(name), value) for name, value in term.effect.at(0.0, term.values).items()}
 
     def memory(self, term: Term) -> Memory:
         """What an effect remembers."""

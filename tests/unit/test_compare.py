@@ -419,7 +419,7 @@ def test_an_effect_that_comes_and_goes_shows_its_period() -> None:
     shape = 1e-6 * np.random.default_rng(12).normal(size=rest(made.actions).shape)
     clock = np.concatenate([action.clock for action in made.actions])
     period = 3.0
-    share = np.array([effect.envelope(t, {"period": period}) for t in clock]) if effect.envelope else clock
+    share = np.array([effect.at(t, {"amplitude": 1.0, "period": period})["amplitude"] for t in clock])
     made.data.values = made.data.values + made.data.vector(800.0 * share[:, None, None] * shape)
     seeing = Toy(made.data, made.actions, {"active_stress.amplitude": shape})
     whole: Any = seeing

@@ -15,10 +15,10 @@ from bcid.forms.effects.effect import BodyEffect
 from bcid.forms.parameter import Amount, Shape
 
 
-def envelope(time: float, values: Mapping[str, float]) -> float:
-    """Part of the amplitude that acts at a time (s)."""
+def acting(time: float, values: Mapping[str, float]) -> Mapping[str, float]:
+    """The part of the amplitude that acts at a time (s)."""
     period = values["period"]
-    return 1.0 if period == 0 else math.sin(math.pi * time / period) ** 2
+    return {**values, "amplitude": values["amplitude"] * math.sin(math.pi * time / period) ** 2} if period else values
 
 
 effect = BodyEffect(
@@ -53,5 +53,5 @@ effect = BodyEffect(
     about="the body contracts by itself along one direction",
     acts_on="material",
     energy=lambda point, c: c["amplitude"] / 2 * point.kin.invariant4_minus_1(point.kin.direction(c["angle"])),
-    envelope=envelope,
+    acting=acting,
 )

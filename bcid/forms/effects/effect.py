@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Constants = Mapping[str, Any]
 
+# Step of a difference, in units of a parameter's scale, of what is a function and no form.
+STEP = 1e-3
 ACTS_ON = ("body force", "material", "boundary", "grasp", "observation")
 
 
@@ -118,6 +120,8 @@ class Effect:
         places: the places it can act at, given scene and anchors; by default it has none.
         needs: why it cannot act in a scene and measurement, in words; "" if it can.
         instead_of: what the scene may have slightly wrong (a name of `bcid.scene.uncertainty`) that this is when it is large.
+        acting: the values that act at a time (s), which all other functions are handed instead of the parameters' own; those by
+            default. With every amount neutral they must not change with time.
     """
 
     name: str
@@ -126,6 +130,7 @@ class Effect:
     places: Callable[[Scene, frozenset[str]], list[str]] | None = None
     needs: Callable[[Scene, Measurement], str] | None = None
     instead_of: str = ""
+    acting: Callable[[float, Mapping[str, float]], Mapping[str, float]] | None = None
 
     # What an effect of a kind does not do.
 
@@ -174,10 +179,6 @@ class Effect:
         return None
 
     @property
-    def envelope(self) -> Callable[[float, Mapping[str, float]], float] | None:
-        return None
-
-    @property
     def frees(self) -> bool:
         return False
 
@@ -211,7 +212,7 @@ class Effect:
     def smooth(self) -> bool:
         """Whether what it does changes along an action as smoothly as the motion does."""
         jumps = any(p.onset for p in self.parameters)
-        return not (jumps or self.memory or self.uses_past or self.envelope or self.observe)
+        return not (jumps or self.memory or self.uses_past or self.acting or self.observe)
 
     @property
     def amounts(self) -> tuple[Parameter, ...]:
@@ -222,6 +223,33 @@ class Effect:
     def shapes(self) -> tuple[Parameter, ...]:
         """The parameters that say where, in which direction or how fast it acts."""
         return tuple(p for p in self.parameters if p.neutral is None)
+
+    def at(self, time: float, values: Mapping[str, float]) -> Mapping[str, float]:
+        """The values that act at a time, s."""
+        return self.acting(time, values) if self.acting else values
+
+    def slopes(self, name: str, time: float, values: Mapping[str, float]) -> dict[str, float]:
+        """How the values that act at a time, s, change with a parameter; those that do not are left out."""
+        if self.acting is None:
+            return {name: 1.0}
+        step = STEP * next(p for p in self.parameters if p.name == name).scale
+        more, less = (self.acting(time, {**values, name: values[name] + h}) for h in (step, -step))
+        found = {key: (more[key] - less[key]) / (2 * step) for key in more}
+        return {key: slope for key, slope in found.items() if slope}
+
+    def driven(self, action: Action, values: Mapping[str, float]) -> Action:
+        """What the gripper really did, when an action was commanded: each step by the values that act at its time."""
+        if self.drive is None or self.acting is None:
+            return self.drive(action, values) if self.drive else action
+        moved = [self.drive(action, self.acting(float(time), values)) for time in action.clock]
+        loads = {place: np.array([m.loads[place][k] for k, m in enumerate(moved)]) for place in action.loads}
+        translation = np.array([m.translation[k] for k, m in enumerate(moved)])
+        rotation = np.array([m.rotation[k] for k, m in enumerate(moved)])
+        return replace(action, translation=translation, rotation=rotation, loads=loads)
+
+    def observed(self, positions: Array, values: Mapping[str, float], frame: Frame, place: str) -> Array:
+        """Where the fiducials (fiducials, 3) appear in a frame when they are at given positions, m."""
+        return self.observe(positions, self.at(frame.time, values), frame, place) if self.observe else positions
 
     def check(self, values: Mapping[str, object]) -> list[str]:
         """Problems of parameter values, one readable line each."""
@@ -252,7 +280,6 @@ class BodyEffect(Effect):
         constants: constants of the law that it replaces, by name.
         memory: shapes of variables kept from step to step, by name, such as {"Q": (3, 3)}.
         advance: their values after a step.
-        envelope: factor of all parameters that have a neutral value, as a function of time (s) and values.
         frees: whether the anchored patches at its place are no longer fixed, because the effect holds them.
         uses_past: whether `energy`, `potential` or `work` use `Point.past`.
         symmetric: False when the tangent of `work` is not symmetric (a follower load).
@@ -269,7 +296,6 @@ class BodyEffect(Effect):
     constants: Callable[[Constants], Mapping[str, Any]] | None = None
     memory: Mapping[str, tuple[int, ...]] | None = None
     advance: Callable[[Point, Constants], Mapping[str, Expr]] | None = None
-    envelope: Callable[[float, Mapping[str, float]], float] | None = None
     frees: bool = False
     uses_past: bool = False
     symmetric: bool = True

@@ -276,7 +276,7 @@ class Equilibrium:
 
     def _numbers(self) -> tuple[float, ...]:
         """Every number that the tangent depends on."""
-        own = [self._constants[name] for name in self.model.constants()]
+        own = [self._constants[name] for name in self.model.numbers()]
         constants = (*own, *self.weak_form.anchored.values())
         return tuple(float(constant.value) for constant in constants)
 

@@ -82,9 +82,9 @@ def _bond(point: Point, c: Constants) -> Any:
     return held * point.surface(point.place)
 
 
-def _letting_go(time: float, values: Mapping[str, float]) -> float:
+def _letting_go(time: float, values: Mapping[str, float]) -> Mapping[str, float]:
     part = min(max((time - values["onset"]) / values["ramp"], 0.0), 1.0)
-    return part * part * (3 - 2 * part)
+    return {**values, "peeled": values["peeled"] * part * part * (3 - 2 * part)}
 
 
 peeling = BodyEffect(
@@ -98,7 +98,7 @@ peeling = BodyEffect(
     about="an anchored patch that comes off at some time and stays off",
     acts_on="boundary",
     potential=_bond,
-    envelope=_letting_go,
+    acting=_letting_go,
     frees=True,
     places=lambda scene, anchors: sorted(anchors),
 )  # fmt: skip

@@ -1,0 +1,75 @@
+"""Courses in time of an effect's amounts: where their knots are, and what they would do, from what constant amounts do."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bcid.base.errors import InputError
+from bcid.comparison.state import State
+from bcid.comparison.variants import Variant, amounts, frame_times
+from bcid.forms.course import course_of, in_time
+from bcid.forms.model import Term
+from bcid.measurement import Measurement
+
+Array = NDArray[np.float64]
+# So many knots at most, unless more are asked for; each has at least so many frames.
+KNOTS, _FRAMES = 8, 2
+
+
+def knots(measurement: Measurement, most: int = KNOTS) -> tuple[float, ...]:
+    """Times of the knots of a course over a measurement, s: evenly over the times at which something was seen.
+
+    The times are those of the measurement's actions: where every action begins at 0 s again, a course is the same in each.
+
+    Args:
+        measurement: what was seen.
+        most: so many at most; fewer where there are not two frames, at different times, for each.
+
+    Raises:
+        InputError: there are too few frames for two knots.
+    """
+    seen = np.asarray(np.isfinite(measurement.positions).any(axis=(1, 2)))
+    clocks = [action.clock[seen[action.frames]] if seen.any() else action.clock for action in measurement.actions]
+    times = np.unique(np.concatenate(clocks))
+    count = min(most, len(times) // _FRAMES)
+    if count < 2:
+        raise InputError(
+            f"a course in time needs at least two knots with {_FRAMES} frames for each; the measurement was seen at "
+            f"{len(times)} different times, and {most} knots are allowed"
+        )
+    return tuple(np.interp(np.linspace(0, len(times) - 1, count), np.arange(len(times)), times).tolist())
+
+
+def variant_in_time(state: State, variant: Variant, times: tuple[float, ...], stepwise: bool = False) -> Variant:
+    """A variant whose amounts follow a course, see `bcid.forms.course.in_time`; nothing is solved.
+
+    To first order the value at a knot does what a constant amount does, times the weight of the knot at the frame's time. The
+    columns, (n, amounts * knots), are whitened like those of other variants, with all knots of the first amount first, so that
+    `bcid.inference.evidence.log_gains` takes them: each knot has the prior of the amount.
+
+    Args:
+        state: that the variant is of.
+        variant: of an effect with constant amounts that are neutral.
+        times: of the knots, s.
+        stepwise: as of `in_time`.
+
+    Raises:
+        InputError: the effect's amounts cannot follow a course.
+    """
+    term, data = variant.term, state.predictor.data
+    effect = in_time(term.effect, times, stepwise)
+    course = course_of(effect)
+    assert course is not None
+    came = [p.name for p in term.effect.shapes if p.off is not None and term.values[p.name] != p.off]
+    if came:
+        raise InputError(f"{term.effect.name}: {', '.join(came)} is given; only steady amounts can follow a course")
+    values = {p.name: term.values[p.name] for p in effect.shapes}
+    for p in term.effect.amounts:
+        values |= dict.fromkeys(course.names(p.name), term.values[p.name])
+    weights = course.weights(frame_times(state.predictor))[data.frame]
+    plain = [state.errors.unwhiten(column) for column in variant.sensitivity.T]
+    columns = state.errors.whiten(np.hstack([weights * column[:, None] for column in plain]))
+    moving = Term(effect, values, place=term.place)
+    names = [name for c in variant.amounts for name in course.names(c.parameter.name)]
+    return Variant(moving, tuple(amounts(moving, names)), columns)
