@@ -127,7 +127,8 @@ def add_fit(commands: Any) -> None:
         action="append",
         default=[],
         metavar="EFFECT",
-        help='effect, as "gravity", "soft_anchor:3" (a place) or "gravity: weight = 9.8 kN/m^3" (where to begin); repeatable',
+        help='effect, as "gravity", "soft_anchor:3" (a place) or "gravity: weight = 9.8 kN/m^3" (where to begin); '
+        'with "gravity: course = 8" its amounts follow a course in time of 8 knots; repeatable',
     )
     parser.add_argument("--free", action="append", default=[], metavar="NUMBER", help='fit this too, as "poisson"')
     parser.add_argument("--fixed", action="append", default=[], metavar="NUMBER", help='keep this, as "gravity.weight"')

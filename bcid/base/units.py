@@ -167,7 +167,7 @@ def percent(probability: float) -> str:
 
 
 # The standard error of a number of which the data tell nothing is larger.
-_UNTOLD = 1e50
+UNTOLD = 1e50
 
 
 def uncertain(value: float, error: float | None = None, unit: str = "1") -> str:
@@ -177,7 +177,7 @@ def uncertain(value: float, error: float | None = None, unit: str = "1") -> str:
         return "infinite" + after
     if error is None or not math.isfinite(error) or error <= 0:
         return f"{value:.4g}{after}".replace("-", "−")
-    if error > _UNTOLD:
+    if error > UNTOLD:
         return "cannot be told"
     places = max(0, 1 - math.floor(math.log10(error)))
     if places > 6 or abs(value) >= 1e7:

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import InputError
+from bcid.base.units import UNTOLD
 from bcid.comparison.state import State
 from bcid.comparison.variants import Variant, amounts, frame_times
 from bcid.forms.course import course_of, in_time
@@ -17,14 +22,17 @@ Array = NDArray[np.float64]
 KNOTS, _FRAMES = 8, 2
 
 
-def knots(measurement: Measurement, most: int = KNOTS) -> tuple[float, ...]:
+def knots(measurement: Measurement, most: int = KNOTS, stepwise: bool = False) -> tuple[float, ...]:
     """Times of the knots of a course over a measurement, s: evenly over the times at which something was seen.
+
+    Of a stepwise course each is midway between two frames, and the first at the first frame.
 
     The times are those of the measurement's actions: where every action begins at 0 s again, a course is the same in each.
 
     Args:
         measurement: what was seen.
         most: so many at most; fewer where there are not two frames, at different times, for each.
+        stepwise: whether the amounts are to be constant between knots.
 
     Raises:
         InputError: there are too few frames for two knots.
@@ -38,7 +46,10 @@ def knots(measurement: Measurement, most: int = KNOTS) -> tuple[float, ...]:
             f"a course in time needs at least two knots with {_FRAMES} frames for each; the measurement was seen at "
             f"{len(times)} different times, and {most} knots are allowed"
         )
-    return tuple(np.interp(np.linspace(0, len(times) - 1, count), np.arange(len(times)), times).tolist())
+    ends = np.linspace(0, len(times) - 1, count)
+    if stepwise:
+        ends = np.maximum(np.linspace(0, len(times), count, endpoint=False).round() - 0.5, 0.0)
+    return tuple(np.interp(ends, np.arange(len(times)), times).tolist())
 
 
 def variant_in_time(state: State, variant: Variant, times: tuple[float, ...], stepwise: bool = False) -> Variant:
@@ -73,3 +84,31 @@ def variant_in_time(state: State, variant: Variant, times: tuple[float, ...], st
     moving = Term(effect, values, place=term.place)
     names = [name for c in variant.amounts for name in course.names(c.parameter.name)]
     return Variant(moving, tuple(amounts(moving, names)), columns)
+
+
+def to_json(one: Term, errors: Mapping[str, float]) -> list[dict[str, Any]]:
+    """Each amount of an effect in time: its values at the knots, with standard errors (null where it was not fitted).
+
+    Args:
+        one: the effect; the list is empty for one whose amounts are constant.
+        errors: standard errors of its parameters, by name; those of which nothing is told are infinite.
+    """
+    course = course_of(one.effect)
+    found = []
+    for p in course.effect.amounts if course else ():
+        assert course is not None
+        names = course.names(p.name)
+        told = [errors.get(name, math.inf) for name in names]
+        found.append(
+            {
+                "effect": course.effect.name,
+                "place": one.place,
+                "amount": p.name,
+                "unit": p.unit,
+                "stepwise": course.stepwise,
+                "times": list(course.times),
+                "values": [one.values[name] for name in names],
+                "stderr": [error if error < UNTOLD else None for error in told],
+            }
+        )
+    return found

@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bcid.base.units import unit_factor
-from bcid.comparison import diagnosis_text
+from bcid.comparison import courses, diagnosis_text
 from bcid.comparison.adequacy import FALSE_ALARMS, groups, judge
 from bcid.comparison.diagnosis import Diagnosis
 from bcid.comparison.explain import Explanation, Rung, explains
@@ -19,7 +19,7 @@ from bcid.comparison.fit import Fit
 from bcid.comparison.predictor import Predictor, joined
 from bcid.comparison.ranking import Ranking
 from bcid.comparison.rivals import Rival
-from bcid.comparison.source import Source
+from bcid.comparison.source import Source, stored_effect
 from bcid.comparison.where import MissingForce
 from bcid.forms.gripper_force import ROWS
 from bcid.forms.model import Term
@@ -87,7 +87,7 @@ def model_json(rung: Rung, source: Source) -> dict[str, Any]:
     return {
         "format": MODEL_FORMAT,
         "law": {name: float(value) for name, value in model.law.complete(model.values).items()},
-        "effects": [{"effect": d.effect.name, "place": d.place, "values": dict(d.values)} for d in model.terms],
+        "effects": [{**stored_effect(d.effect), "place": d.place, "values": dict(d.values)} for d in model.terms],
         "anchored": sorted(rung.state.anchors, key=list(source.scene.patches).index),
         "free": list(rung.state.free),
         "files": [str(path) for path in source.files],
@@ -136,6 +136,7 @@ def diagnosis_json(done: Diagnosis, unit: float) -> dict[str, Any]:
             {"effect": d.effect.name, "place": d.place, "parameters": _parameters(d, _own(last.fitted, d))}
             for d in state.model.terms
         ],
+        "courses": [row for d in state.model.terms for row in courses.to_json(d, _own(last.fitted, d))],
         "warnings": list(last.fitted.warnings),
         "tests": [
             {"name": f.name, "p_value": f.p_value, "decides": f.decides, "text": f.text} for f in last.adequacy.findings

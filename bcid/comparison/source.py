@@ -12,6 +12,7 @@ from bcid.base.errors import BcidError, InputError, nearest
 from bcid.base.fingerprint import file_fingerprint
 from bcid.base.run_folder import RunFolder
 from bcid.forms import effects
+from bcid.forms.course import course_of, in_time
 from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import check_geometry
 from bcid.forms.model import Model, Term
@@ -45,8 +46,11 @@ class Source:
 
     def inputs(self, options: Any) -> dict[str, Any]:
         """Fingerprints of what a result depends on."""
+        courses = {
+            term.label: stored_effect(term.effect)["course"] for term in self.model.terms if course_of(term.effect)
+        }
         return fingerprints(self.scene, self.measurement) | {
-            "model": self.model.constants() | {"name": self.model.name},
+            "model": self.model.constants() | {"name": self.model.name, **courses},
             "anchors": None if self.anchors is None else sorted(self.anchors),
             "effects": [file_fingerprint(path) for path in self.files],
             "options": options,
@@ -121,7 +125,7 @@ def _stored_model(source: Source, stored: Any, folder: Path) -> dict[str, Any]:
         model = replace(source.model, terms=(), values={k: float(v) for k, v in stored["law"].items()})
         for entry in stored["effects"]:
             values = {k: float(v) for k, v in entry["values"].items()}
-            model = model + Term(find_effect(entry["effect"], source.own), values, place=entry["place"])
+            model = model + Term(_stored_effect(entry, source.own), values, place=entry["place"])
         return {
             "model": model,
             "anchors": frozenset(str(name) for name in stored["anchored"]),
@@ -131,6 +135,19 @@ def _stored_model(source: Source, stored: Any, folder: Path) -> dict[str, Any]:
         raise InputError(f"{folder / 'model.json'}: is damaged ({error}); repeat the run") from None
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{folder / 'model.json'}: is damaged ({error!r}); repeat the run") from None
+
+
+def stored_effect(effect: Effect) -> dict[str, Any]:
+    """How `model.json` names an effect; one in time by the effect with constant amounts, and its course."""
+    course = course_of(effect)
+    if course is None:
+        return {"effect": effect.name}
+    return {"effect": course.effect.name, "course": {"times": list(course.times), "stepwise": course.stepwise}}
+
+
+def _stored_effect(entry: dict[str, Any], own: Iterable[Effect]) -> Effect:
+    effect, course = find_effect(entry["effect"], own), entry.get("course")
+    return effect if course is None else in_time(effect, course["times"], bool(course["stepwise"]))
 
 
 def find_effect(name: str, own: Iterable[Effect]) -> Effect:

@@ -1,11 +1,13 @@
-"""An effect as a user writes it: "gravity", "soft_anchor:3", "gravity: weight = 9.8 kN/m^3"."""
+"""An effect as a user writes it: "gravity", "soft_anchor:3", "gravity: weight = 9.8 kN/m^3", "gravity: course = 8"."""
 
 from __future__ import annotations
 
 from bcid.base.errors import InputError, nearest
 from bcid.base.units import quantity
+from bcid.comparison.courses import knots
 from bcid.comparison.source import Source, find_effect
 from bcid.comparison.variants import neutral_values
+from bcid.forms.course import COURSES, course_of, in_time
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Term
 from bcid.forms.written_effects import split
@@ -16,7 +18,8 @@ def parsed_term(text: str, source: Source, where: str = "--add") -> Term:
 
     Args:
         text: name of the effect; after a colon its place, and values as "parameter = number unit", separated by commas. A
-            number without a unit is in SI units (degrees for angles).
+            number without a unit is in SI units (degrees for angles). With "course = 8" the amounts follow a course in time
+            with so many knots, see `bcid.comparison.courses.knots`, with "stepwise = 8" they are constant between them.
         source: whose scene, model and anchors it is for.
         where: where the text stands, for messages.
 
@@ -25,23 +28,56 @@ def parsed_term(text: str, source: Source, where: str = "--add") -> Term:
     """
     name, place, written = split(text)
     effect = find_effect(name, source.own)
+    effect = _in_time(effect, written, source, f"{where} {text}")
     values = neutral_values(source.model, effect)
-    values |= {key: _number(effect, key, value, f"{where} {text}") for key, value in written.items()}
+    for key, value in written.items():
+        names = _names(effect, key)
+        values |= dict.fromkeys(names, _number(effect, key, names[0], value, f"{where} {text}"))
     _check_place(effect, place, source, f"{where} {text}", f"{where} {name}")
     return Term(effect, values, place=place)
 
 
-def _number(effect: Effect, key: str, value: str, where: str) -> float:
-    """A value in the unit of its parameter, which may be left out."""
+def _in_time(effect: Effect, written: dict[str, str], source: Source, where: str) -> Effect:
+    """The effect with a course of as many knots as are asked for; the word that asks is taken out."""
+    asked = [word for word in COURSES if word in written]
+    if len(asked) > 1:
+        raise InputError(f"{where}: course and stepwise exclude each other; leave one of them out")
+    for word in asked:
+        number = written.pop(word)
+        try:
+            return in_time(effect, _knots(number, source, COURSES[word]), COURSES[word])
+        except InputError as error:
+            raise InputError(f"{where}: {word} = {number}: {error}") from None
+    return effect
+
+
+def _knots(number: str, source: Source, stepwise: bool) -> tuple[float, ...]:
+    if not number.isascii() or not number.isdigit() or int(number) < 2:
+        raise InputError("expected how many knots the course has, a whole number from 2 on, as in course = 8")
+    found = knots(source.measurement, int(number), stepwise)
+    if len(found) < int(number):
+        raise InputError(f"the measurement has two frames, at different times, for at most {len(found)} knots")
+    return found
+
+
+def _names(effect: Effect, key: str) -> tuple[str, ...]:
+    """The parameters that a written one stands for: an amount of a course for its values at all knots."""
+    course = course_of(effect)
+    constant = course is not None and key in {p.name for p in course.effect.amounts}
+    return course.names(key) if course is not None and constant else (key,)
+
+
+def _number(effect: Effect, key: str, name: str, value: str, where: str) -> float:
+    """A value in the unit of a parameter, which may be left out; `key` is what the user calls it."""
     units = {parameter.name: parameter.unit for parameter in effect.parameters}
-    if key not in units:
+    if name not in units:
         raise InputError(f"{where}: {effect.name} has no parameter '{key}'; {nearest(key, units)}")
     try:
         return float(value)
     except ValueError:
         pass
     try:
-        return quantity(value, units[key])
+        return quantity(value, units[name])
     except InputError as error:
         raise InputError(f"{where}: {key}: {error}") from None
 

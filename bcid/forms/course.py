@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bcid.base.errors import InputError
+from bcid.base.units import quantity
 from bcid.forms.effects.effect import BodyEffect, Effect
 
 Array = NDArray[np.float64]
+# Words with which a user asks for a course, and whether it is stepwise.
+COURSES = {"course": False, "stepwise": True}
 
 
 @dataclass(frozen=True)
@@ -86,6 +90,54 @@ def in_time(effect: Effect, times: Iterable[float], stepwise: bool = False) -> E
 def course_of(effect: Effect) -> Course | None:
     """The course that an effect's amounts follow; None where they follow none."""
     return effect.acting if isinstance(effect.acting, Course) else None
+
+
+def of_table(effect: Effect, table: Mapping[str, Any]) -> tuple[Effect, dict[str, Any]]:
+    """An effect of a scene with its values as written, in time where its table has the times of a course.
+
+    A list of values belongs to the times one by one; a single value of an amount holds at all of them.
+
+    Raises:
+        InputError: the times, or the number of values, cannot be used.
+    """
+    asked = [word for word in COURSES if word in table]
+    lists = [p.name for p in effect.amounts if isinstance(table.get(p.name), list)]
+    if not asked and lists:
+        raise InputError(f'{lists[0]} is a list: add the times of its values, as course = ["0 s", "10 s"]')
+    if not asked:
+        return effect, dict(table)
+    if len(asked) > 1:
+        raise InputError("course and stepwise exclude each other: give the times to one of them")
+    moving = in_time(effect, _times(asked[0], table[asked[0]]), COURSES[asked[0]])
+    course = course_of(moving)
+    assert course is not None
+    found = {name: value for name, value in table.items() if name not in asked}
+    for p in effect.amounts:
+        if p.name in found:
+            found |= zip(course.names(p.name), _each(p.name, found.pop(p.name), len(course.times)), strict=True)
+        elif not set(course.names(p.name)) & set(found):
+            raise InputError(
+                f"{p.name} is missing: give {len(course.times)} values, one for each time, or a single one"
+            )
+    return moving, found
+
+
+def _times(word: str, written: object) -> list[float]:
+    if not isinstance(written, list):
+        raise InputError(f'{word} = {written!r}: expected a list of times, as ["0 s", "10 s"]')
+    try:
+        return [quantity(time, "s") for time in written]
+    except InputError as error:
+        raise InputError(f"{word}: {error}") from None
+
+
+def _each(name: str, written: object, count: int) -> Sequence[object]:
+    """The written value of an amount at every knot."""
+    if not isinstance(written, list):
+        return [written] * count
+    if len(written) != count:
+        raise InputError(f"{name}: found {len(written)} values for {count} times; give one for each")
+    return written
 
 
 def _refused(effect: Effect) -> str:

@@ -14,6 +14,7 @@ import ufl
 from bcid.base.errors import InputError, nearest
 from bcid.base.units import quantity
 from bcid.forms import effects, materials
+from bcid.forms.course import of_table
 from bcid.forms.effects.effect import Array, BodyEffect, Effect, Frame, Point
 from bcid.forms.materials.law import Law, Volumetric
 from bcid.forms.parameter import Amount, Parameter
@@ -322,6 +323,11 @@ def _model(scene: Scene, problems: list[str]) -> Model | None:
 def _term(name: str, written: Values, scene: Scene, problems: list[str]) -> Term | None:
     try:
         effect = effects.effect(name)
+    except InputError as error:
+        problems.append(f"effects.{name}: {error}")
+        return None
+    try:
+        effect, written = of_table(effect, written)
     except InputError as error:
         problems.append(f"effects.{name}: {error}")
         return None

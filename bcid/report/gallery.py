@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from bcid.report import exploration_picture as exploration
 from bcid.report import ladder, residual
 from bcid.report.calibration_picture import calibration_figure
+from bcid.report.course_chart import course_chart
 from bcid.report.diagnosis_picture import residual_figure, where_figure
 from bcid.report.force_chart import felt, force_chart, torque_chart
 from bcid.report.found import Found
@@ -135,6 +136,9 @@ def _of_diagnosis(found: Found) -> list[Drawing]:
         made.append(Drawing("force", RANKING, text, draw, True))
     text = "The error of each model, fitted to all actions, and each action predicted from the others (held out)."
     made.append(Drawing("ladder", LADDER, text, lambda: ladder.ladder_chart(diagnosis)))
+    if courses := diagnosis.get("courses"):
+        text = "Amounts that change with time: their course between the knots, and the band that holds 95 %."
+        made.append(Drawing("courses", LADDER, text, lambda: course_chart(courses)))
     return made
 
 

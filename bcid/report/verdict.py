@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
-from bcid.base.units import percent
+from bcid.base.units import for_people, percent, uncertain
 from bcid.report import exploration_picture as exploration
 from bcid.report.found import Found
 from bcid.report.text import amount, chance, listed, model_name, patches, plain
@@ -99,9 +100,10 @@ def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
     if d.get("held_out_rms") is not None:
         numbers.append(("held out", f"{d['held_out_rms']:.3g} {unit}"))
     for one in d["adopted"]:
-        numbers += [_pair(one["effect"], name, p) for name, p in one["parameters"].items() if p["value"] is not None][
-            :3
-        ]
+        numbers += (
+            _swings(d, one)
+            or [_pair(one["effect"], name, p) for name, p in one["parameters"].items() if p["value"] is not None][:3]
+        )
     doubts = [*_remarks(d), *(f"Note: {warning}" for warning in d["warnings"])]
     doubts += [f"{text[0].upper()}{text[1:]}." for one in d.get("nuisances", ()) if (text := one["used_up"])]
     if not d.get("noise_stated", True):
@@ -122,6 +124,28 @@ def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
 def _remarks(d: dict[str, Any]) -> list[str]:
     """What is odd about the measurement."""
     return [f"Look at this first: {text}." for text in d.get("remarks", ())]
+
+
+def _swings(d: dict[str, Any], one: dict[str, Any]) -> list[tuple[str, str]]:
+    """Between which values the amounts of an effect go, if they follow courses: of those that move most, in their errors."""
+    courses = [
+        row
+        for row in d.get("courses", ())
+        if (f"{row['effect']}_in_time", row["place"]) == (one["effect"], one["place"])
+    ]
+    courses.sort(key=lambda row: -_moves(row))
+    found = []
+    for row in courses[:3]:
+        ends = [for_people(end, None, row["unit"]) for end in (min(row["values"]), max(row["values"]))]
+        told = f"{uncertain(ends[0][0])} to {uncertain(ends[1][0], None, ends[1][2])}"
+        found.append((f"{plain(row['effect'])}: {plain(row['amount'])}", told))
+    return found
+
+
+def _moves(course: dict[str, Any]) -> float:
+    """By how many of its largest standard errors an amount goes up and down; 0 where one is not known."""
+    errors = [error or math.inf for error in course["stderr"]]
+    return float((max(course["values"]) - min(course["values"])) / max(errors))
 
 
 def _pair(effect: str, name: str, number: dict[str, Any]) -> tuple[str, str]:

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import runs
 from mpi4py import MPI
 from numpy.typing import NDArray
 
 from bcid.base.errors import InputError
-from bcid.comparison.courses import knots, variant_in_time
+from bcid.comparison import diagnosis_text
+from bcid.comparison.courses import knots, to_json, variant_in_time
 from bcid.comparison.predictor import Predictor
+from bcid.comparison.source import Source, _stored_model, stored_effect
 from bcid.comparison.state import State
 from bcid.comparison.variants import Variant, all_variants
+from bcid.comparison.written_term import parsed_term
 from bcid.forms import check_effect, effects
 from bcid.forms.course import Course, course_of, in_time
 from bcid.forms.effect_trial import EffectTrial
@@ -26,6 +31,7 @@ from bcid.forms.simulate import simulate
 from bcid.forms.solver.equilibrium import Settings
 from bcid.measurement import Action
 from bcid.scene import Level, Scene
+from benchmarks.courses import Case, missed
 
 Array = NDArray[np.float64]
 TIMES = (0.0, 1.5, 4.0)
@@ -219,3 +225,172 @@ def test_knots_are_spread_over_what_was_seen(state: State) -> None:
     assert knots(replace(measurement, data=blind)) == pytest.approx([0.0, 5.0, 10.0])
     with pytest.raises(InputError, match="seen at 12 different times, and 1 knots"):
         knots(measurement, 1)
+    steps = knots(measurement, 4, stepwise=True)
+    assert steps == pytest.approx([0.0, 5.0, 11.0, 17.0]), "each between two frames"
+
+
+# -- a hidden course
+# ------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["active_stress", "grasp_slip"])
+def test_a_course_is_found_where_constant_amounts_fail(name: str) -> None:
+    """Measured on a finer mesh; `benchmarks/courses.py` has more."""
+    case = Case.of(name)
+    constant, moving = case.fitted(case.effect), case.fitted(case.in_time())
+    assert not constant.rungs[-1].adequacy.adequate
+    last = moving.rungs[-1]
+    assert last.adequacy.adequate
+    assert last.state.rms < 1.2 * case.scene.noise_sigma  # type: ignore[operator]
+    off = missed(case, moving)
+    assert np.abs(off).max() < 3
+    assert np.sqrt(np.mean(off**2)) < 1.6
+
+
+# -- as users write it, and as it is told
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def scene_with(scene: Scene, **table: object) -> Scene:
+    return replace(scene, effects={"active_stress": table})
+
+
+def test_a_scene_may_have_a_course(slab: Scene) -> None:
+    straight = scene_with(
+        slab, course=["0 s", "2 s", "1 min"], amplitude=["0 Pa", "0.3 kPa", "-300 Pa"], angle="30 deg"
+    )
+    (term,) = Model.of(straight).terms
+    assert term.effect == in_time(effects.effect("active_stress"), (0.0, 2.0, 60.0))
+    assert term.values == {"amplitude_1": 0.0, "amplitude_2": 300.0, "amplitude_3": -300.0, "angle": 30.0}
+    (term,) = Model.of(scene_with(slab, stepwise=["0 s", "2 s"], amplitude="5 Pa")).terms
+    assert term.effect == in_time(effects.effect("active_stress"), (0.0, 2.0), stepwise=True)
+    assert term.values == {"amplitude_1": 5.0, "amplitude_2": 5.0, "angle": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("table", "problem"),
+    [
+        (
+            {"amplitude": ["0 Pa", "1 Pa"]},
+            'amplitude is a list: add the times of its values, as course = ["0 s", "10 s"]',
+        ),
+        ({"course": "8", "amplitude": "1 Pa"}, "course = '8': expected a list of times"),
+        ({"course": ["0 s", "5 mm"], "amplitude": "1 Pa"}, "course: unit 'mm' cannot be used here"),
+        ({"course": ["0 s", "5 s"], "amplitude": ["1 Pa"]}, "amplitude: found 1 values for 2 times; give one for each"),
+        ({"course": ["0 s", "5 s"], "amplitude": ["1 Pa", "x"]}, "amplitude_2: .*x"),
+        ({"course": ["0 s", "5 s"]}, "amplitude is missing: give 2 values"),
+        ({"course": ["5 s", "0 s"], "amplitude": "1 Pa"}, "must rise from knot to knot, found 5, 0 s"),
+        ({"course": ["5 s", "9 s"], "stepwise": ["5 s", "9 s"], "amplitude": "1 Pa"}, "exclude each other"),
+        ({"course": ["0 s", "5 s"], "amplitude": "1 Pa", "period": "2 s"}, "unknown parameter 'period'"),
+    ],
+)
+def test_a_wrong_course_is_told_in_words(slab: Scene, table: dict[str, object], problem: str) -> None:
+    with pytest.raises(InputError, match=f"effects.active_stress.*{problem.replace('[', '.').replace(']', '.')}"):
+        Model.of(scene_with(slab, **table))
+
+
+@pytest.fixture(scope="module")
+def source(slab: Scene, state: State) -> Source:
+    measurement = state.predictor.measurement
+    return Source(Path("s"), Path("m"), slab, measurement, Model.of(slab), frozenset({"1", "3"}))
+
+
+def test_a_course_is_asked_for_in_a_line(source: Source) -> None:
+    term = parsed_term("active_stress: course = 4, amplitude = 0.2 kPa, amplitude_3 = -10 Pa, angle = 30", source)
+    assert term.effect == in_time(effects.effect("active_stress"), knots(source.measurement, 4))
+    amplitudes = {"amplitude_1": 200.0, "amplitude_2": 200.0, "amplitude_3": -10.0, "amplitude_4": 200.0}
+    assert term.values == amplitudes | {"angle": 30.0}
+    steps = parsed_term("grasp_slip: stepwise = 3", source)
+    assert steps.effect == in_time(effects.effect("grasp_slip"), knots(source.measurement, 3, True), True)
+    assert set(steps.values.values()) == {0.0}
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("gravity: course = 7", "two frames, at different times, for at most 6 knots"),
+        ("gravity: course = 1", "a whole number from 2 on"),
+        ("gravity: course = many", "a whole number from 2 on"),
+        ("gravity: course = 3, stepwise = 3", "exclude each other"),
+        ("gravity: course = 3, mass = 1", "has no parameter 'mass'"),
+        ("viscosity: course = 3", "remembers earlier steps"),
+    ],
+)
+def test_a_line_that_asks_for_no_course_is_told_in_words(source: Source, text: str, problem: str) -> None:
+    with pytest.raises(InputError, match=f"--add {text.split(':')[0]}.*{problem}"):
+        parsed_term(text, source)
+
+
+def test_a_model_is_stored_with_its_courses(source: Source) -> None:
+    term = parsed_term("grasp_slip: stepwise = 3, lag = 0.1", source)
+    entry = {**stored_effect(term.effect), "place": "", "values": dict(term.values)}
+    assert entry["effect"] == "grasp_slip"
+    stored = {"law": dict(source.model.values), "effects": [entry], "anchored": ["1"], "free": list(term.free)}
+    again = _stored_model(source, stored, Path("run"))["model"]
+    assert again.terms == (term,)
+    moved = [
+        replace(
+            source,
+            model=source.model
+            + Term(in_time(effects.effect("gravity"), times), dict.fromkeys(("weight_1", "weight_2"), 1.0)),
+        )
+        for times in ((0.0, 1.0), (0.0, 2.0))
+    ]
+    assert moved[0].inputs({}) != moved[1].inputs({}), "a run does not go on with other knots"
+
+
+def test_a_course_is_told_by_its_ends() -> None:
+    moving = in_time(effects.effect("camera_offset"), (0.0, 10.0))
+    values = {p.name: p.neutral or 0.0 for p in moving.parameters} | {"tx_1": -1e-3, "tx_2": 2e-3}
+    errors = dict.fromkeys(values, 1e-4)
+    told = diagnosis_text.term(Term(moving, values), errors)
+    assert "tx swings between −1.00 ± 0.10 mm (at 0 s) and 2.00 ± 0.10 mm (at 10 s)" in told
+    assert "scale stays about 1" in told
+    assert "scale swings between 1 (at 0 s)" in diagnosis_text.term(Term(moving, values), {})
+    row = to_json(Term(moving, values), errors)[3]
+    assert row == {
+        "effect": "camera_offset",
+        "place": "",
+        "amount": "tx",
+        "unit": "m",
+        "stepwise": False,
+        "times": [0.0, 10.0],
+        "values": [-1e-3, 2e-3],
+        "stderr": [1e-4, 1e-4],
+    }
+    assert to_json(Term("gravity", {"weight": 1.0}), {}) == []
+
+
+@pytest.mark.parametrize("stepwise", [False, True])
+def test_a_course_is_drawn_with_its_band(stepwise: bool) -> None:
+    pytest.importorskip("matplotlib")
+    from bcid.report.course_chart import course_chart
+
+    row = {"effect": "camera_offset", "place": "", "amount": "tx", "unit": "m", "stepwise": stepwise}
+    row |= {"times": [0.0, 10.0], "values": [-1e-3, 2e-3], "stderr": [1e-4, None]}
+    figure = course_chart([row, row])
+    assert [axes.get_ylabel() for axes in figure.axes] == 2 * ["camera offset\ntx (mm)"]
+    line = figure.axes[0].lines[0]
+    assert list(line.get_ydata())[:2] == pytest.approx([-1.0, 2.0])
+    assert line.get_drawstyle() == ("steps-post" if stepwise else "default")
+    (band,) = figure.axes[0].collections
+    if not stepwise:
+        known = band.get_paths()[0].vertices
+        assert np.ptp(known[known[:, 0] == 0.0, 1]) == pytest.approx(2 * 1.96 * 0.1, rel=1e-3)
+
+
+def test_a_report_has_a_figure_of_courses_where_there_are_any(tmp_path: Path) -> None:
+    from bcid.report.found import Found
+    from bcid.report.gallery import drawings
+    from bcid.report.verdict import verdict
+
+    folder = runs.explained(tmp_path / "run")
+    assert "courses" not in {one.name for one in drawings(Found.read(folder))}
+    diagnosis = json.loads((folder / "diagnosis.json").read_text())
+    row = {"effect": "gravity", "place": "", "amount": "weight", "unit": "N/m^3", "stepwise": False}
+    diagnosis["courses"] = [row | {"times": [0.0, 1.0], "values": [1.0, 2.0], "stderr": [None, None]}]
+    diagnosis["adopted"] = [{"effect": "gravity_in_time", "place": "", "parameters": {}}]
+    runs.rewrite(folder, "diagnosis.json", json.dumps(diagnosis))
+    assert ("gravity: weight", "1 to 2 N/m^3") in verdict(Found.read(folder)).numbers
+    (found,) = (one for one in drawings(Found.read(folder)) if one.name == "courses")
+    assert found.draw().axes[0].get_ylabel() == "gravity\nweight (N/m^3)"
