@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from bcid.base.errors import InputError
 from bcid.base.units import UNTOLD
+from bcid.comparison.fit import Fit
 from bcid.comparison.state import State
 from bcid.comparison.variants import Variant, amounts, frame_times
-from bcid.forms.course import course_of, in_time
+from bcid.forms.course import Course, course_of, in_time
 from bcid.forms.model import Term
 from bcid.measurement import Measurement
 
@@ -86,29 +88,58 @@ def variant_in_time(state: State, variant: Variant, times: tuple[float, ...], st
     return Variant(moving, tuple(amounts(moving, names)), columns)
 
 
-def to_json(one: Term, errors: Mapping[str, float]) -> list[dict[str, Any]]:
-    """Each amount of an effect in time: its values at the knots, with standard errors (null where it was not fitted).
+def to_json(fitted: Fit) -> list[dict[str, Any]]:
+    """Each amount in time of the effects of a model: values at the knots, and how probable such are of a constant one.
 
-    Args:
-        one: the effect; the list is empty for one whose amounts are constant.
-        errors: standard errors of its parameters, by name; those of which nothing is told are infinite.
+    `stderr` and `p_constant` are null where it was not fitted.
     """
-    course = course_of(one.effect)
-    found = []
+    return [row for term in fitted.state.model.terms for row in _rows(fitted, term, course_of(term.effect))]
+
+
+def _rows(fitted: Fit, term: Term, course: Course | None) -> list[dict[str, Any]]:
+    errors, found = fitted.stderr, []
     for p in course.effect.amounts if course else ():
         assert course is not None
         names = course.names(p.name)
-        told = [errors.get(name, math.inf) for name in names]
+        told = [errors.get(term.full(name), math.inf) for name in names]
         found.append(
             {
                 "effect": course.effect.name,
-                "place": one.place,
+                "place": term.place,
                 "amount": p.name,
                 "unit": p.unit,
                 "stepwise": course.stepwise,
                 "times": list(course.times),
-                "values": [one.values[name] for name in names],
+                "values": [term.values[name] for name in names],
                 "stderr": [error if error < UNTOLD else None for error in told],
+                "p_constant": _p_value(fitted, term, names, np.diff(np.eye(len(names)), axis=0), 0.0),
             }
         )
     return found
+
+
+def seen(fitted: Fit, term: Term, least: float) -> bool:
+    """Whether an amount in time differs from nothing by more than chance makes of it with a probability of `least`."""
+    course, model = course_of(term.effect), fitted.state.model
+    for p in course.effect.amounts if course else ():
+        assert course is not None
+        names, neutral = course.names(p.name), model.neutral(p)
+        assert neutral is not None
+        chance = _p_value(fitted, term, names, np.eye(len(names)), neutral)
+        if chance is not None and chance < least:
+            return True
+    return False
+
+
+def _p_value(fitted: Fit, term: Term, names: Sequence[str], contrasts: Array, none: float) -> float | None:
+    """How probable values that differ so much from none are, all together; None where they were not fitted.
+
+    Errors of knots go together: what one of them is told to miss may be less than all miss alike.
+    """
+    index = {c.name: k for k, c in enumerate(fitted.coordinates)}
+    rows = [index[term.full(name)] for name in names if term.full(name) in index]
+    if len(rows) < len(names):
+        return None
+    apart = contrasts @ (np.array([term.values[name] for name in names]) - none)
+    covariance = contrasts @ fitted.covariance[np.ix_(rows, rows)] @ contrasts.T
+    return float(chi2.sf(apart @ np.linalg.lstsq(covariance, apart)[0], len(contrasts)))

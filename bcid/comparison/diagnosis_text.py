@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bcid.base.units import for_people, p_value, percent, significance, uncertain
 from bcid.comparison.adequacy import BREAKING, Adequacy, groups
@@ -23,7 +23,6 @@ from bcid.inference.criteria import CERTAIN, FAR
 from bcid.inference.hypotheses import OTHERS
 from bcid.inference.outcome import label
 
-Array = NDArray[np.float64]
 # Verdicts that are no effects.
 _OTHERS = {
     "none": "nothing missing",
@@ -32,8 +31,8 @@ _OTHERS = {
 }
 # A hypothesis with a smaller probability is not told.
 _LITTLE = 0.005
-# An amount in time that is nowhere so many standard errors from its mean is told as steady.
-_STEADY = 3.0
+# An amount in time is told to change where a constant one would do as well with a smaller probability.
+_BY_CHANCE = 0.01
 # A force that explains a smaller share of what is beyond noise is none.
 _NOTHING = 0.1
 # A pull separates two explanations when their predictions are so many times the noise apart.
@@ -46,35 +45,39 @@ def anchors(state: State) -> str:
 
 
 def term(one: Term, errors: dict[str, float]) -> str:
-    """An effect with its numbers: "gravity: weight = 305 ± 4 N/m^3"; a course by the ends between which it swings."""
+    """An effect with its numbers: "gravity: weight = 305 ± 4 N/m^3"; a course by its least and its largest value."""
     course = course_of(one.effect)
-    parts = [] if course is None else [_in_time(one, course, p, errors) for p in course.effect.amounts]
+    parts = [] if course is None else [_ends(one, course, p, errors) for p in course.effect.amounts]
     for p in one.effect.parameters if course is None else one.effect.shapes:
         value, error, unit = for_people(one.values[p.name], errors.get(p.name), p.unit)
         parts.append(f"{p.name} = {uncertain(value, error, unit)}")
     return f"{one.label}: {', '.join(parts)}"
 
 
-def _in_time(one: Term, course: Course, amount: Parameter, errors: dict[str, float]) -> str:
-    """Least and largest value of an amount in time: "amplitude swings between −310 ± 9 Pa (at 10 s) and ..."."""
-    names = course.names(amount.name)
-    values, told = np.array([one.values[n] for n in names]), np.array([errors.get(n, 0.0) for n in names])
-    if _steady(values, told):
-        value, _, unit = for_people(float(np.average(values, weights=told**-2)), None, amount.unit)
-        return f"{amount.name} stays about {uncertain(value, None, unit)}"
-    ends = []
-    for k in (int(values.argmin()), int(values.argmax())):
-        value, error, unit = for_people(float(values[k]), errors.get(names[k]), amount.unit)
-        ends.append(f"{uncertain(value, error, unit)} (at {course.times[k]:.4g} s)")
-    return f"{amount.name} swings between {ends[0]} and {ends[1]}"
+def _ends(one: Term, course: Course, amount: Parameter, errors: dict[str, float]) -> str:
+    """Least and largest value of an amount in time: "amplitude from −310 ± 9 Pa (at 10 s) to 290 ± 11 Pa (at 20 s)"."""
+    names, told = course.names(amount.name), []
+    values = [one.values[name] for name in names]
+    for k in (values.index(min(values)), values.index(max(values))):
+        value, error, unit = for_people(values[k], errors.get(names[k]), amount.unit)
+        told.append(f"{uncertain(value, error, unit)} (at {course.times[k]:.4g} s)")
+    return f"{amount.name} from {told[0]} to {told[1]}"
 
 
-def _steady(values: Array, errors: Array) -> bool:
-    """Whether values differ from their mean by no more than errors let expect; not where an error is not known."""
-    if not (errors > 0).all():
-        return False
-    mean = np.average(values, weights=errors**-2)
-    return bool((np.abs(values - mean) <= _STEADY * errors).all())
+def in_time(row: dict[str, Any]) -> str:
+    """A row of `courses` in a sentence: "active_stress: amplitude swings between −310 and 290 Pa"."""
+    at = f" at {row['place']}" if row["place"] else ""
+    p, who = row["p_constant"], f"{row['effect']}{at}: {row['amount']}"
+    if p is None:
+        return f"{who} follows a course that was not fitted."
+    if p > _BY_CHANCE:
+        return f"{who} may as well be constant ({p_value(p)})."
+    (low, _, unit), (high, _, _) = (
+        for_people(end, None, row["unit"]) for end in (min(row["values"]), max(row["values"]))
+    )
+    return (
+        f"{who} swings between {uncertain(low)} and {uncertain(high, None, unit)} ({p_value(p)} that it is constant)."
+    )
 
 
 def warning(rung: Rung) -> list[str]:

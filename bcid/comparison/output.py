@@ -21,6 +21,7 @@ from bcid.comparison.ranking import Ranking
 from bcid.comparison.rivals import Rival
 from bcid.comparison.source import Source, stored_effect
 from bcid.comparison.where import MissingForce
+from bcid.forms.course import course_of
 from bcid.forms.gripper_force import ROWS
 from bcid.forms.model import Term
 from bcid.inference import nuisance_text
@@ -32,6 +33,8 @@ from bcid.search.identify_run import body_parts, inputs_in_words, odd, stiffness
 
 MODEL_FORMAT = "bcid-model/1"
 Array = NDArray[np.float64]
+# Chance makes an amount differ from nothing by three standard errors with this probability.
+_UNLIKELY = 0.0027
 # So many of the likeliest hypotheses are told.
 _HYPOTHESES = 12
 
@@ -136,7 +139,7 @@ def diagnosis_json(done: Diagnosis, unit: float) -> dict[str, Any]:
             {"effect": d.effect.name, "place": d.place, "parameters": _parameters(d, _own(last.fitted, d))}
             for d in state.model.terms
         ],
-        "courses": [row for d in state.model.terms for row in courses.to_json(d, _own(last.fitted, d))],
+        "courses": courses.to_json(last.fitted),
         "warnings": list(last.fitted.warnings),
         "tests": [
             {"name": f.name, "p_value": f.p_value, "decides": f.decides, "text": f.text} for f in last.adequacy.findings
@@ -194,6 +197,8 @@ def beliefs(found: Explanation, order: list[str]) -> dict[str, Any]:
 def _seen(fitted: Fit, one: Term) -> bool:
     """Whether an effect differs from nothing by more than its standard error lets expect; always, when it was not fitted."""
     errors, model = _own(fitted, one), fitted.state.model
+    if course_of(one.effect) and any(p.name in errors for p in one.effect.amounts):
+        return courses.seen(fitted, one, _UNLIKELY)
     for p in one.effect.amounts:
         neutral = model.neutral(p)
         if p.name not in errors or neutral is None:
@@ -331,6 +336,7 @@ def summary(done: Diagnosis, shares: Mapping[str, float], remarks: Sequence[str]
         lines += [*told, ""] if told else []
         if rung.fitted.coordinates:
             lines += [f"  {diagnosis_text.term(d, _own(rung.fitted, d))}" for d in rung.state.model.terms]
+            lines += [f"  {diagnosis_text.in_time(row)}" for row in courses.to_json(rung.fitted)]
             lines += [f"  Note: {text}" for text in rung.fitted.warnings] + [""]
         if rung.ranking is not None:
             lines += [

@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 import runs
 from mpi4py import MPI
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from bcid.base.errors import InputError
 from bcid.comparison import diagnosis_text
-from bcid.comparison.courses import knots, to_json, variant_in_time
+from bcid.comparison.courses import knots, seen, to_json, variant_in_time
+from bcid.comparison.fit import Fit
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.source import Source, _stored_model, stored_effect
 from bcid.comparison.state import State
-from bcid.comparison.variants import Variant, all_variants
+from bcid.comparison.variants import Variant, all_variants, amounts
 from bcid.comparison.written_term import parsed_term
-from bcid.forms import check_effect, effects
+from bcid.forms import check_effect, effect_trial, effects
 from bcid.forms.course import Course, course_of, in_time
 from bcid.forms.effect_trial import EffectTrial
 from bcid.forms.effects.effect import Effect
@@ -342,23 +347,49 @@ def test_a_model_is_stored_with_its_courses(source: Source) -> None:
 def test_a_course_is_told_by_its_ends() -> None:
     moving = in_time(effects.effect("camera_offset"), (0.0, 10.0))
     values = {p.name: p.neutral or 0.0 for p in moving.parameters} | {"tx_1": -1e-3, "tx_2": 2e-3}
-    errors = dict.fromkeys(values, 1e-4)
-    told = diagnosis_text.term(Term(moving, values), errors)
-    assert "tx swings between −1.00 ± 0.10 mm (at 0 s) and 2.00 ± 0.10 mm (at 10 s)" in told
-    assert "scale stays about 1" in told
-    assert "scale swings between 1 (at 0 s)" in diagnosis_text.term(Term(moving, values), {})
-    row = to_json(Term(moving, values), errors)[3]
+    told = diagnosis_text.term(Term(moving, values), dict.fromkeys(values, 1e-4))
+    assert "tx from −1.00 ± 0.10 mm (at 0 s) to 2.00 ± 0.10 mm (at 10 s)" in told
+
+
+def fit_of(values: Sequence[float], covariance: Array) -> Fit:
+    """An active stress whose amplitudes were fitted."""
+    moving = in_time(effects.effect("active_stress"), np.arange(len(values)))
+    numbers = {f"amplitude_{k + 1}": float(v) for k, v in enumerate(values)}
+    term = Term(moving, numbers)
+    model = Model.of(effect_trial.scene()) + term
+    state: Any = SimpleNamespace(model=model)
+    return Fit(state, tuple(amounts(term, list(numbers))), covariance, np.zeros((0, len(values))), (), 0)
+
+
+def test_values_that_miss_alike_tell_that_they_change() -> None:
+    """A common error of 100 Pa does not hide a swing of 60 Pa that is known to 5 Pa."""
+    swing, common, own = [-30.0, 30.0, 0.0], np.full((3, 3), 1e4), 25.0 * np.eye(3)
+    (row,) = to_json(fit_of(swing, common + own))
     assert row == {
-        "effect": "camera_offset",
+        "effect": "active_stress",
         "place": "",
-        "amount": "tx",
-        "unit": "m",
+        "amount": "amplitude",
+        "unit": "Pa",
         "stepwise": False,
-        "times": [0.0, 10.0],
-        "values": [-1e-3, 2e-3],
-        "stderr": [1e-4, 1e-4],
+        "times": [0.0, 1.0, 2.0],
+        "values": swing,
+        "stderr": [pytest.approx(math.sqrt(10025))] * 3,
+        # The squares of what the values are from their mean, in units of 5 Pa.
+        "p_constant": pytest.approx(chi2.sf(2 * 36, 2), rel=1e-6),
     }
-    assert to_json(Term("gravity", {"weight": 1.0}), {}) == []
+    assert (
+        diagnosis_text.in_time(row)
+        == "active_stress: amplitude swings between −30 and 30 Pa (p < 0.0001 that it is constant)."
+    )
+    steady = fit_of([290.0, 300.0, 305.0], common + own)
+    (row,) = to_json(steady)
+    assert "may as well be constant" in diagnosis_text.in_time(row)
+    assert seen(steady, steady.state.model.terms[0], 0.1)
+    nothing = fit_of([5.0, -5.0, 0.0], common + own)
+    assert not seen(nothing, nothing.state.model.terms[0], 0.1)
+    (row,) = to_json(replace(nothing, coordinates=(), covariance=np.zeros((0, 0))))
+    assert (row["stderr"], row["p_constant"]) == ([None] * 3, None)
+    assert diagnosis_text.in_time(row).endswith("follows a course that was not fitted.")
 
 
 @pytest.mark.parametrize("stepwise", [False, True])
