@@ -71,7 +71,9 @@ def _number(effect: Effect, key: str, name: str, value: str, where: str) -> floa
     """A value in the unit of a parameter, which may be left out; `key` is what the user calls it."""
     units = {parameter.name: parameter.unit for parameter in effect.parameters}
     if name not in units:
-        raise InputError(f"{where}: {effect.name} has no parameter '{key}'; {nearest(key, units)}")
+        course = course_of(effect)
+        known = units if course is None else [p.name for p in course.effect.parameters if p.off is None]
+        raise InputError(f"{where}: {effect.name} has no parameter '{key}'; {nearest(key, known)}")
     try:
         return float(value)
     except ValueError:
