@@ -289,6 +289,11 @@ class DiagnosisResult(Result):
         }
 
     @property
+    def courses(self) -> list[dict[str, Any]]:
+        """Amounts that change with time, as `diagnosis.json` has them: effect, place, amount, times (s), values, stderr, ..."""
+        return [dict(row) for row in self.found.get("courses", ())]
+
+    @property
     def ladder(self) -> tuple[LadderModel, ...]:
         """The models, the one that was begun with first."""
         return tuple(

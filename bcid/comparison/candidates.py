@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from bcid.comparison.state import State
+from bcid.forms.course import constant
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
 
@@ -70,5 +71,5 @@ class Known:
 
     def beside(self, state: State, begun: Model, sets: Sequence[Anchored]) -> list[Effect]:
         """All that the model does not have."""
-        have = {term.effect.name for term in state.model.added(begun)}
+        have = {constant(term.effect).name for term in state.model.added(begun)}
         return [effect for effect in self.effects if effect.name not in have]

@@ -91,7 +91,8 @@ def variant_in_time(state: State, variant: Variant, times: tuple[float, ...], st
 def to_json(fitted: Fit) -> list[dict[str, Any]]:
     """Each amount in time of the effects of a model: values at the knots, and how probable such are of a constant one.
 
-    `stderr` and `p_constant` are null where it was not fitted.
+    `stderr_apart` are standard errors of what each value is from the mean of all, which all may miss alike. They, `stderr` and
+    `p_constant` are null where the amount was not fitted, or nothing of it is told.
     """
     return [row for term in fitted.state.model.terms for row in _rows(fitted, term, course_of(term.effect))]
 
@@ -112,6 +113,7 @@ def _rows(fitted: Fit, term: Term, course: Course | None) -> list[dict[str, Any]
                 "times": list(course.times),
                 "values": [term.values[name] for name in names],
                 "stderr": [error if error < UNTOLD else None for error in told],
+                "stderr_apart": _apart(fitted, term, names),
                 "p_constant": _p_value(fitted, term, names, np.diff(np.eye(len(names)), axis=0), 0.0),
             }
         )
@@ -136,10 +138,24 @@ def _p_value(fitted: Fit, term: Term, names: Sequence[str], contrasts: Array, no
 
     Errors of knots go together: what one of them is told to miss may be less than all miss alike.
     """
+    covariance = _covariance(fitted, term, names, contrasts)
+    if covariance is None:
+        return None
+    apart = contrasts @ (np.array([term.values[name] for name in names]) - none)
+    return float(chi2.sf(apart @ np.linalg.lstsq(covariance, apart)[0], len(contrasts)))
+
+
+def _apart(fitted: Fit, term: Term, names: Sequence[str]) -> list[float | None]:
+    count = len(names)
+    covariance = _covariance(fitted, term, names, np.eye(count) - 1 / count)
+    errors = np.full(count, math.inf) if covariance is None else np.sqrt(np.diag(covariance))
+    return [float(error) if error < UNTOLD else None for error in errors]
+
+
+def _covariance(fitted: Fit, term: Term, names: Sequence[str], contrasts: Array) -> Array | None:
+    """Of sums of values with these weights, shape (sums, values); None where not all of them were fitted."""
     index = {c.name: k for k, c in enumerate(fitted.coordinates)}
     rows = [index[term.full(name)] for name in names if term.full(name) in index]
     if len(rows) < len(names):
         return None
-    apart = contrasts @ (np.array([term.values[name] for name in names]) - none)
-    covariance = contrasts @ fitted.covariance[np.ix_(rows, rows)] @ contrasts.T
-    return float(chi2.sf(apart @ np.linalg.lstsq(covariance, apart)[0], len(contrasts)))
+    return np.asarray(contrasts @ fitted.covariance[np.ix_(rows, rows)] @ contrasts.T)

@@ -18,6 +18,7 @@ from bcid.comparison.priors import log_share, log_variants, one_sided, visible
 from bcid.comparison.state import State
 from bcid.comparison.variants import Variant, all_variants
 from bcid.forms import effects
+from bcid.forms.course import constant
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Term
 from bcid.inference.criteria import SEEN
@@ -140,7 +141,7 @@ def dormant(state: State, known: Iterable[Effect]) -> tuple[list[tuple[Effect, s
         if reason:
             excluded[effect.name] = reason
             continue
-        taken = {term.place for term in state.model.terms if term.effect.name == effect.name}
+        taken = {term.place for term in state.model.terms if constant(term.effect).name == effect.name}
         places = effect.places(scene, state.anchors) if effect.places else [""]
         # What can act everywhere is not looked for once more at a place.
         if not (taken and "" in places):

@@ -92,6 +92,12 @@ def course_of(effect: Effect) -> Course | None:
     return effect.acting if isinstance(effect.acting, Course) else None
 
 
+def constant(effect: Effect) -> Effect:
+    """The effect with constant amounts that one in time is made of; an effect that follows no course itself."""
+    course = course_of(effect)
+    return effect if course is None else course.effect
+
+
 def of_table(effect: Effect, table: Mapping[str, Any]) -> tuple[Effect, dict[str, Any]]:
     """An effect of a scene with its values as written, in time where its table has the times of a course.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import norm
 
 from bcid.base.units import for_people
@@ -15,8 +16,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+Array = NDArray[np.float64]
 # Half the width of an interval that holds 95 %, in standard errors.
 _HALF = float(norm.ppf(0.975))
+# Between the light band and the dark line.
+_MIDDLE = "#5fa8d6"
 # Inches of a panel, and of a figure's lower edge.
 _WIDTH, _HEIGHT, _EDGE = 4.6, 1.7, 0.7
 
@@ -36,24 +40,27 @@ def course_chart(courses: list[dict[str, Any]]) -> Figure:
 
 
 def _draw(axes: Axes, course: dict[str, Any]) -> None:
-    times = np.array(course["times"], dtype=float)
-    shown = [
-        for_people(value, error, course["unit"])
-        for value, error in zip(course["values"], course["stderr"], strict=True)
-    ]
-    values = np.array([value for value, _, _ in shown])
-    half = _HALF * np.array([np.nan if error is None else error for _, error, _ in shown])
-    band: dict[str, Any] = {}
+    times, values = np.array(course["times"], dtype=float), course["values"]
+    unit = for_people(1.0, None, course["unit"])
     line: dict[str, Any] = {"marker": "o", "markersize": 3.5}
-    if course["stepwise"]:
-        band, line = {"step": "post"}, {"drawstyle": "steps-post"}
+    band: dict[str, Any] = {"linewidth": 0}
+    steps = bool(course["stepwise"])
+    if steps:
         # The last value holds on.
         times = np.append(times, 2 * times[-1] - times[-2])
-        values, half = np.append(values, values[-1]), np.append(half, half[-1])
-    if np.isfinite(half).any():
-        axes.fill_between(times, values - half, values + half, color=LIGHT, linewidth=0, **band)
-    axes.plot(times, values, color=DARK, linewidth=1.6, **line)
+        line, band = {"drawstyle": "steps-post"}, band | {"step": "post"}
+
+    def shown(numbers: list[float | None]) -> Array:
+        found = unit[0] * np.array([np.nan if number is None else number for number in numbers])
+        return np.append(found, found[-1]) if steps else found
+
+    middle = shown(values)
+    for errors, colour in ((course["stderr"], LIGHT), (course.get("stderr_apart"), _MIDDLE)):
+        half = _HALF * shown(errors or [None] * len(values))
+        if np.isfinite(half).any():
+            axes.fill_between(times, middle - half, middle + half, color=colour, **band)
+    axes.plot(times, middle, color=DARK, linewidth=1.6, **line)
     axes.axhline(0.0, color="#dddddd", linewidth=1, zorder=0)
-    unit = "" if course["unit"] == "1" else f" ({shown[0][2]})"
+    name = "" if course["unit"] == "1" else f" ({unit[2]})"
     at = f" at {course['place']}" if course["place"] else ""
-    axes.set_ylabel(f"{plain(course['effect'])}{at}\n{plain(course['amount'])}{unit}")
+    axes.set_ylabel(f"{plain(course['effect'])}{at}\n{plain(course['amount'])}{name}")

@@ -137,7 +137,7 @@ def _of_diagnosis(found: Found) -> list[Drawing]:
     text = "The error of each model, fitted to all actions, and each action predicted from the others (held out)."
     made.append(Drawing("ladder", LADDER, text, lambda: ladder.ladder_chart(diagnosis)))
     if courses := diagnosis.get("courses"):
-        text = "Amounts that change with time: their course between the knots, and the band that holds 95 %."
+        text = "Amounts that change with time. The bands hold 95 %: of the values (light), and of what they are from each other."
         made.append(Drawing("courses", LADDER, text, lambda: course_chart(courses)))
     return made
 

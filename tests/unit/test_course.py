@@ -23,6 +23,7 @@ from bcid.comparison.courses import knots, seen, to_json, variant_in_time
 from bcid.comparison.fit import Fit
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.priors import one_sided, visible
+from bcid.comparison.ranking import dormant
 from bcid.comparison.source import Source, _stored_model, stored_effect
 from bcid.comparison.state import State
 from bcid.comparison.variants import Variant, all_variants, amounts
@@ -240,6 +241,14 @@ def test_evidence_decides_whether_a_course_pays(state: State, swings: bool) -> N
     assert gain(better) > max(gain(worse) + 2.0, 10.0)
 
 
+def test_constant_amounts_are_not_missing_beside_their_course(state: State) -> None:
+    stress, gravity = effects.effect("active_stress"), effects.effect("gravity")
+    values = {f"amplitude_{k}": 0.0 for k in (1, 2, 3)}
+    moving = replace(state, model=state.model + Term(in_time(stress, TIMES), values))
+    assert dormant(state, [stress, gravity])[0] == [(stress, ""), (gravity, "")]
+    assert dormant(moving, [stress, gravity])[0] == [(gravity, "")]
+
+
 def test_knots_are_spread_over_what_was_seen(state: State) -> None:
     measurement = state.predictor.measurement
     assert knots(measurement, 4) == pytest.approx([0.0, 22 / 3, 44 / 3, 22.0])
@@ -392,6 +401,7 @@ def test_values_that_miss_alike_tell_that_they_change() -> None:
         "times": [0.0, 1.0, 2.0],
         "values": swing,
         "stderr": [pytest.approx(math.sqrt(10025))] * 3,
+        "stderr_apart": [pytest.approx(5 * math.sqrt(2 / 3))] * 3,
         # The squares of what the values are from their mean, in units of 5 Pa.
         "p_constant": pytest.approx(chi2.sf(2 * 36, 2), rel=1e-6),
     }
@@ -406,7 +416,7 @@ def test_values_that_miss_alike_tell_that_they_change() -> None:
     nothing = fit_of([5.0, -5.0, 0.0], common + own)
     assert not seen(nothing, nothing.state.model.terms[0], 0.1)
     (row,) = to_json(replace(nothing, coordinates=(), covariance=np.zeros((0, 0))))
-    assert (row["stderr"], row["p_constant"]) == ([None] * 3, None)
+    assert (row["stderr"], row["stderr_apart"], row["p_constant"]) == ([None] * 3, [None] * 3, None)
     assert diagnosis_text.in_time(row).endswith("follows a course that was not fitted.")
 
 
@@ -416,14 +426,16 @@ def test_a_course_is_drawn_with_its_band(stepwise: bool) -> None:
     from bcid.report.course_chart import course_chart
 
     row = {"effect": "camera_offset", "place": "", "amount": "tx", "unit": "m", "stepwise": stepwise}
-    row |= {"times": [0.0, 10.0], "values": [-1e-3, 2e-3], "stderr": [1e-4, None]}
+    row |= {"times": [0.0, 10.0], "values": [-1e-3, 2e-3], "stderr": [1e-4, None], "stderr_apart": [2e-5, 2e-5]}
     figure = course_chart([row, row])
     assert [axes.get_ylabel() for axes in figure.axes] == 2 * ["camera offset\ntx (mm)"]
     line = figure.axes[0].lines[0]
     assert list(line.get_ydata())[:2] == pytest.approx([-1.0, 2.0])
     assert line.get_drawstyle() == ("steps-post" if stepwise else "default")
-    (band,) = figure.axes[0].collections
+    band, inner = figure.axes[0].collections
     if not stepwise:
+        apart = inner.get_paths()[0].vertices
+        assert np.ptp(apart[apart[:, 0] == 10.0, 1]) == pytest.approx(2 * 1.96 * 0.02, rel=1e-3)
         known = band.get_paths()[0].vertices
         assert np.ptp(known[known[:, 0] == 0.0, 1]) == pytest.approx(2 * 1.96 * 0.1, rel=1e-3)
 
