@@ -344,7 +344,7 @@ def test_a_course_is_asked_for_in_a_line(source: Source) -> None:
         ("gravity: course = 1", "a whole number from 2 on"),
         ("gravity: course = many", "a whole number from 2 on"),
         ("gravity: course = 3, stepwise = 3", "exclude each other"),
-        ("gravity: course = 3, mass = 1", "has no parameter 'mass'"),
+        ("gravity: course = 3, mass = 1", "has no parameter 'mass'; known: weight$"),
         ("viscosity: course = 3", "remembers earlier steps"),
     ],
 )
