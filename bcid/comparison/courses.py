@@ -134,12 +134,12 @@ def seen(fitted: Fit, term: Term, least: float) -> bool:
 
 
 def _p_value(fitted: Fit, term: Term, names: Sequence[str], contrasts: Array, none: float) -> float | None:
-    """How probable values that differ so much from none are, all together; None where they were not fitted.
+    """How probable values that differ so much from none are, all together; None where that is not told.
 
     Errors of knots go together: what one of them is told to miss may be less than all miss alike.
     """
     covariance = _covariance(fitted, term, names, contrasts)
-    if covariance is None:
+    if covariance is None or np.diag(covariance).max() > UNTOLD**2:
         return None
     apart = contrasts @ (np.array([term.values[name] for name in names]) - none)
     return float(chi2.sf(apart @ np.linalg.lstsq(covariance, apart)[0], len(contrasts)))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bcid.base.units import for_people, p_value, percent, significance, uncertain
+from bcid.base.units import UNTOLD, for_people, p_value, percent, significance, uncertain
 from bcid.comparison.adequacy import BREAKING, Adequacy, groups
 from bcid.comparison.explain import Explanation, Rung
 from bcid.comparison.ranking import Ranking, Row
@@ -58,6 +58,8 @@ def _ends(one: Term, course: Course, amount: Parameter, errors: dict[str, float]
     """Least and largest value of an amount in time: "amplitude from −310 ± 9 Pa (at 10 s) to 290 ± 11 Pa (at 20 s)"."""
     names, told = course.names(amount.name), []
     values = [one.values[name] for name in names]
+    if all(errors.get(name, 0.0) > UNTOLD for name in names):
+        return f"{amount.name} cannot be told"
     for k in (values.index(min(values)), values.index(max(values))):
         value, error, unit = for_people(values[k], errors.get(names[k]), amount.unit)
         told.append(f"{uncertain(value, error, unit)} (at {course.times[k]:.4g} s)")
@@ -69,7 +71,7 @@ def in_time(row: dict[str, Any]) -> str:
     at = f" at {row['place']}" if row["place"] else ""
     p, who = row["p_constant"], f"{row['effect']}{at}: {row['amount']}"
     if p is None:
-        return f"{who} follows a course that was not fitted."
+        return f"{who}: whether it changes with time is not told."
     if p > _BY_CHANCE:
         return f"{who} may as well be constant ({p_value(p)})."
     (low, _, unit), (high, _, _) = (

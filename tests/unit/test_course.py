@@ -417,7 +417,13 @@ def test_values_that_miss_alike_tell_that_they_change() -> None:
     assert not seen(nothing, nothing.state.model.terms[0], 0.1)
     (row,) = to_json(replace(nothing, coordinates=(), covariance=np.zeros((0, 0))))
     assert (row["stderr"], row["stderr_apart"], row["p_constant"]) == ([None] * 3, [None] * 3, None)
-    assert diagnosis_text.in_time(row).endswith("follows a course that was not fitted.")
+    assert diagnosis_text.in_time(row).endswith("amplitude: whether it changes with time is not told.")
+    blind = fit_of([5.0, -5.0, 0.0], np.diag([1e200] * 3))
+    (row,) = to_json(blind)
+    assert (row["stderr"], row["p_constant"]) == ([None] * 3, None)
+    assert diagnosis_text.term(blind.state.model.terms[0], {f"amplitude_{k}": 1e100 for k in (1, 2, 3)}).endswith(
+        "amplitude cannot be told, angle = 0 deg"
+    )
 
 
 @pytest.mark.parametrize("stepwise", [False, True])
