@@ -46,9 +46,8 @@ class Source:
 
     def inputs(self, options: Any) -> dict[str, Any]:
         """Fingerprints of what a result depends on."""
-        courses = {
-            term.label: stored_effect(term.effect)["course"] for term in self.model.terms if course_of(term.effect)
-        }
+        stored = {term.label: stored_effect(term.effect) for term in self.model.terms}
+        courses = {label: one["course"] for label, one in stored.items() if "course" in one}
         return fingerprints(self.scene, self.measurement) | {
             "model": self.model.constants() | {"name": self.model.name, **courses},
             "anchors": None if self.anchors is None else sorted(self.anchors),
@@ -140,7 +139,8 @@ def _stored_model(source: Source, stored: Any, folder: Path) -> dict[str, Any]:
 def stored_effect(effect: Effect) -> dict[str, Any]:
     """How `model.json` names an effect; one in time by the effect with constant amounts, and its course."""
     course = course_of(effect)
-    if course is None:
+    if course is None or effect.name != in_time(course.effect, course.times, course.stepwise).name:
+        # A file's effect may be one in time itself.
         return {"effect": effect.name}
     return {"effect": course.effect.name, "course": {"times": list(course.times), "stepwise": course.stepwise}}
 

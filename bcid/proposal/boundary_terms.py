@@ -113,6 +113,7 @@ def _at_a_spot(family: Family, where: str, box: Array) -> Family:
     size = _size(box)
 
     def unit(d: Deformed, values: Values) -> Array:
+        assert family.unit is not None
         weight = d.spot(np.array([values[f"c{axis}"] for axis in "xyz"]), values["radius"])
         return np.asarray(weight[:, None, None] * family.unit(d, values))
 

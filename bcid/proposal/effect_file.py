@@ -46,17 +46,34 @@ def source(
         places: the surfaces on which it may act; only that on which it was found by default.
     """
     docstring = "\n".join([f"{family.about[0].upper()}{family.about[1:]}: {family.formula}.", "", *about]).rstrip()
-    kind = "work" if family.works else "potential" if family.kind == "boundary" or family.local else "energy"
-    parts = [f'"""{docstring}\n"""', "", "from __future__ import annotations", ""]
-    code = _function(kind, family)
-    parts += [line for line in ("import math", "import ufl") if f"{line.split()[1]}." in code]
-    parts += [
-        "",
-        "from bcid.forms.effects.effect import BodyEffect",
-        "from bcid.forms.parameter import " + _kinds(family),
-    ]
-    parts += ["", "", code, "", "", _effect(kind, family, name, values, [place] if not places else list(places))]
-    return "\n".join(parts) + "\n"
+    imports, code = _imports(family), []
+    effect = f'effects.effect("{family.catalogue}")'
+    if not family.catalogue:
+        kind = "work" if family.works else "potential" if family.kind == "boundary" or family.local else "energy"
+        function = _function(kind, family)
+        needed = [line for line in ("import math", "import ufl") if f"{line.split()[1]}." in function]
+        imports[1:1] = ["\n".join(needed)]
+        code = [function, _effect(kind, family, name, values, list(places) or [place])]
+        effect = "effect"
+    if family.times:
+        times = ", ".join(_number(t) for t in family.times)
+        code.append(
+            f"# Knots of the course, s: amounts go straight from one to the next.\nTIMES = ({times})\n"
+            f'effect = replace(in_time({effect}, TIMES), name="{name}")'
+        )
+    head = "\n\n".join(
+        part for part in (f'"""{docstring}\n"""', "from __future__ import annotations", *imports) if part
+    )
+    return "\n\n\n".join([head, *code]) + "\n"
+
+
+def _imports(family: Family) -> list[str]:
+    """Blocks of imports: of Python's library, and of bcid."""
+    own = [] if family.catalogue else ["from bcid.forms.effects.effect import BodyEffect"]
+    own += [] if family.catalogue else [f"from bcid.forms.parameter import {_kinds(family)}"]
+    own += ["from bcid.forms import effects"] if family.catalogue else []
+    own += ["from bcid.forms.course import in_time"] if family.times else []
+    return ["from dataclasses import replace" if family.times else "", "\n".join(sorted(own))]
 
 
 def made(text: str) -> Effect:

@@ -38,6 +38,9 @@ class Family:
         scans: values of the shapes that are tried, all together.
         polyconvex: what is known of that, in words; empty where the question does not arise.
         instead_of: see `bcid.forms.effects.effect.Effect`.
+        catalogue: name of the effect of the catalogue that it is made of; `code` and `unit` are empty then.
+        steady: name of the family whose amounts follow a course in it.
+        times: knots of that course, s.
     """
 
     name: str
@@ -47,12 +50,15 @@ class Family:
     code: str
     amounts: tuple[Amount, ...]
     shapes: tuple[Shape, ...]
-    unit: Callable[[Deformed, Values], Array]
+    unit: Callable[[Deformed, Values], Array] | None = None
     where: str = BODY
     works: bool = False
     scans: tuple[dict[str, float], ...] = ({},)
     polyconvex: str = ""
     instead_of: str = ""
+    catalogue: str = ""
+    steady: str = ""
+    times: tuple[float, ...] = ()
 
     @property
     def parameters(self) -> tuple[Any, ...]:

@@ -21,7 +21,7 @@ from bcid.proposal.family import BODY, INNER_SPOT, SPOT, SURFACE, Family
 from bcid.proposal.holds import Holds
 
 Array = NDArray[np.float64]
-KINDS = ("energy", "boundary", "body force")
+KINDS = ("energy", "boundary", "body force", "grip", "observation")
 # Spots are tried at so many places on the surface and in the body, of these sizes relative to it.
 _PLACES, _RADII = {SPOT: 100, INNER_SPOT: 50}, (0.06, 0.13)
 # Springs of any stiffness are tried on every second of those of the surface, with this size.
@@ -175,6 +175,7 @@ class Grammar:
 
     def _unit(self, variant: TermVariant, deformed: Deformed) -> Array:
         """What a variant adds to the residual at the points per unit of its amounts, shape (q * components, amounts)."""
+        assert variant.family.unit is not None
         found = variant.family.unit(deformed, variant.shapes)
         if variant.place:
             found = found * self.surfaces[variant.place].reshape(-1, *([1] * (found.ndim - 1)))

@@ -24,6 +24,7 @@ from bcid.proposal.effect_file import made, source
 from bcid.proposal.family import Family
 from bcid.proposal.grammar import KINDS, Grammar, TermVariant
 from bcid.proposal.holds import held_by
+from bcid.proposal.timed import steady_variants, timed_families, variants_in_time
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
@@ -109,13 +110,23 @@ class TermScores:
         parts: list[Any] = np.split(columns, grammar.ends[:-1], axis=1)
         basis = orthonormal(present_columns(state))
         plain = state.evidence().plain
+        ways: dict[str, list[Variant]] = {}
+        for variant, part in zip(grammar.variants, parts, strict=True):
+            ways.setdefault(variant.family.name, []).append(_variant(grammar, variant, part))
+        timed = timed_families(state, grammar.families, self.kinds)
+        ways |= steady_variants(state, timed)
+        for family in timed:
+            if family.steady in ways:
+                ways[family.name] = variants_in_time(state, family, ways[family.steady])
+        families = [*grammar.families, *timed]
+        self._families, self.scored = len(families), sum(len(ways.get(f.name, ())) for f in families)
         result = []
-        for family in grammar.families:
-            own = [_variant(grammar, v, c) for v, c in zip(grammar.variants, parts, strict=True) if v.family is family]
+        for family in families:
+            own = ways.get(family.name, [])
             if family.name == _SPRING:
                 own += self._held(state, grammar, family, found)
             if own:
-                row = best_row(state, family.name, own, basis, len(grammar.variants), SEEN)
+                row = best_row(state, family.name, own, basis, self.scored, SEEN)
                 result.append(ScoredFamily(family, row, state.anchors, plain + row.gain))
         return result
 
@@ -143,8 +154,6 @@ class TermScores:
         forward = state.predictor.forward(state.model)
         if self._grammar is None or self._grammar[0] is not forward:
             self._grammar = forward, Grammar(forward, self.kinds)
-            self._families = len(self._grammar[1].families)
-            self.scored = len(self._grammar[1].variants)
         return self._grammar[1]
 
 

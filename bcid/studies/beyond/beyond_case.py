@@ -34,10 +34,13 @@ from bcid.studies.hidden.drawing import CaseChoice, draw
 Array = NDArray[np.float64]
 # Of the noise, m; sizes of a term of the truth in units of it; radius of its patch relative to the body.
 NOISE, SIZES, RADII = 2e-4, (4.0, 12.0), (0.06, 0.11)
+# A law that moves the fiducials by less, in units of the noise, is as good as the scene's; how much farther than others bodies are
+# pulled for a law, attempt by attempt.
+SEEN, FARTHER = 2.0, (2.4, 2.0, 1.6)
 # Five pulls, so many laws and terms, and now and then nothing.
 PULLS = 5
 KINDS = (*LAWS, *TERMS, "none")
-_ATTEMPTS = 8
+_ATTEMPTS = 18
 # A patch of skin lies so far from grips and anchors at least, relative to the body.
 _AWAY = 0.12
 
@@ -105,6 +108,9 @@ def _drawn(index: int, attempt: int, seed: int, body: str) -> Case:
     """Anchors and pulls as in the hidden study."""
     case = draw(CaseChoice(seed, bodies=(body,), conditions="exact"), index, attempt)
     motions = (*case.motions, *case.motions)[:PULLS]
+    if kind_of(index) in LAWS:
+        # Laws of the same stiffness at small strain differ where strains are large.
+        motions = tuple(replace(m, amplitude=FARTHER[attempt % len(FARTHER)] * m.amplitude) for m in motions)
     return replace(case, kind="none", hidden=(), motions=motions, noise=NOISE, conditions=Conditions())
 
 
@@ -114,7 +120,10 @@ def _made(kind: str, case: Case, scene: Scene, rng: Rng) -> Made:
     if kind in LAWS:
         other = true_scene(kind, rng, scene)
         found = truth.true_positions(other, case, true, ())
-        return Made(found, other, None, truth.rms(found - plain) / NOISE)
+        size = truth.rms(found - plain) / NOISE
+        if size < SEEN:
+            raise SolveError(f"the law moves the fiducials by no more than {size:.2g} noises")
+        return Made(found, other, None, size)
     if kind == "none":
         return Made(plain, scene, None, 0.0)
     term = _term(kind, case, scene, rng, truth.true_positions(scene, case, coarse, ()))

@@ -11,19 +11,24 @@ from bcid.scene import Material, Scene
 from bcid.scene.parts import Values
 from bcid.studies.hidden.chance import Rng, log_uniform
 
-# Constants that are drawn, moderately far from a neo-Hookean law, for a shear modulus of 1 Pa.
+# Constants that are drawn, as of rubber and tissue, for a shear modulus of 1 Pa.
 _DRAWN: dict[str, Callable[[Rng], dict[str, float]]] = {
-    "gent": lambda rng: {"mu": 1.0, "jm": log_uniform(rng, 0.6, 2.0)},
-    "ogden": lambda rng: {"alpha1": float(rng.choice([-4.0, 5.0, 7.0]))},
-    "mooney_rivlin": lambda rng: _split(float(rng.uniform(0.4, 0.8))),
+    "gent": lambda rng: {"mu": 1.0, "jm": log_uniform(rng, 0.2, 0.8)},
+    "ogden": lambda rng: {"alpha1": float(rng.choice([-1, 1])) * log_uniform(rng, 6.0, 18.0)},
+    "mooney_rivlin": lambda rng: _split(float(rng.uniform(0.5, 1.0))),
     "holzapfel_gasser_ogden": lambda rng: {
-        "mu": 1.0, "k1": log_uniform(rng, 0.5, 2.0), "k2": log_uniform(rng, 1.0, 8.0), "angle": float(rng.uniform(0.0, 90.0)),
-    },
-    "fung": lambda rng: {
-        "bf": float(rng.uniform(6.0, 12.0)), "bt": float(rng.uniform(2.0, 4.0)), "bfs": float(rng.uniform(2.0, 4.0)),
+        "mu": 1.0,
+        "k1": log_uniform(rng, 0.5, 4.0),
+        "k2": log_uniform(rng, 2.0, 20.0),
         "angle": float(rng.uniform(0.0, 90.0)),
     },
-}  # fmt: skip
+    "fung": lambda rng: {
+        "bf": log_uniform(rng, 12.0, 40.0),
+        "bt": log_uniform(rng, 4.0, 12.0),
+        "bfs": log_uniform(rng, 4.0, 12.0),
+        "angle": float(rng.uniform(0.0, 90.0)),
+    },
+}
 LAWS = tuple(_DRAWN)
 
 
