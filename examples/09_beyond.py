@@ -2,11 +2,11 @@
 Beyond the catalogue
 ====================
 
-A slab is stuck at a spot that its scene does not name. No known effect explains how it moves; a term that does is found and written down.
+A slab is stuck at a spot that its scene does not name: no known effect explains how it moves, and a term that does is found.
 
-The body that is pulled is made of cubic elements, and springs hold a round patch of its underside, away from every candidate anchor.
-``explain`` says "unknown". ``propose`` scores some thousand terms from one converged run, fits the most promising, and writes the file of an
-effect (``stuck.py``), with which ``explain`` then comes down to the noise.
+The body that is pulled is made of cubic elements, and springs hold a round patch of its underside, away from every candidate
+anchor. ``explain`` says "unknown". ``propose`` scores some thousand terms from one converged run, fits the most promising, and
+writes the file of an effect (``stuck.py``), with which ``explain`` then comes down to the noise.
 
 ::
 

@@ -1,6 +1,7 @@
 """Every example runs, and its numbers are the ones it promises."""
 
 import importlib.util
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -194,6 +195,20 @@ def test_the_force_tells_how_stiff_a_body_is() -> None:
     value, error = example.main()
     assert value == pytest.approx(example.TRUE, rel=0.1)
     assert abs(value - example.TRUE) < 2.5 * error
+
+
+def test_09_beyond(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """From unknown to the file of an effect to the noise."""
+    before, after, away = load("09_beyond").main(tmp_path)
+    assert (before, after) == ("unknown", "stuck")
+    assert away < 5e-3
+    assert '"""Springs hold it in all directions' in (tmp_path / "stuck.py").read_text(encoding="utf-8")
+    said = capsys.readouterr().out
+    assert "Nothing else is seen to be missing" in said
+    reached = re.search(r"The error falls from ([\d.]+) to ([\d.]+) mm", said)
+    assert reached is not None
+    assert float(reached[1]) > 0.4
+    assert float(reached[2]) < 0.22
 
 
 def test_every_example_has_a_test() -> None:
