@@ -27,6 +27,8 @@ from bcid.proposal.term_scores import FITTED, ScoredFamily, TermScores
 Array = NDArray[np.float64]
 # Anchor sets that are weighed: those that are likely with something unknown besides.
 _SETS = 12
+# So many families are told as rows of the ranking.
+_RANKED = 20
 
 
 @dataclass(frozen=True)
@@ -149,11 +151,11 @@ def _path(found: Explanation, scores: TermScores) -> tuple[Entry, ...]:
 
 
 def ladder(proposal: Proposal, effects: Sequence[Effect]) -> tuple[Rung, ...]:
-    """The models in turn, the last with the effects that were written; all families are ranked beside the first; collective."""
+    """The models in turn, the last with the effects that were written; families are ranked beside the first; collective."""
     rungs = list(proposal.explanation.rungs)
     if proposal.ranked:
         at = next(number for number, rung in enumerate(rungs) if rung.ranking is not None)
-        rows = tuple(one.row for one in proposal.ranked)
+        rows = tuple(one.row for one in proposal.ranked[:_RANKED])
         rungs[at] = replace(rungs[at], ranking=Ranking(rows, {}, proposal.scored))
     if effects:
         rungs[-1] = as_written(proposal, effects)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from bcid.base.units import WIDE, for_people, p_value, percent, significance
+from bcid.base.units import WIDE, for_people, p_value, percent, significance, uncertain
 from bcid.report.found import Found
 from bcid.report.gallery import residuals_of
 from bcid.report.ladder import asked_rung, place_name
@@ -53,21 +53,16 @@ def ranking_table(d: dict[str, Any]) -> Table | None:
 
 def proposal_table(proposal: dict[str, Any]) -> Table:
     """Each proposed term, with its numbers and intervals that hold them with 95 %."""
-    columns = [
-        Column("term", TEXT),
-        Column("formula", TEXT),
-        Column("number", TEXT),
-        Column("value"),
-        Column("± (95 %)"),
-    ]
+    columns = [Column(name, TEXT) for name in ("term", "formula", "number", "value (95 %)")]
+    columns.append(Column("standard error", less=True))
     rows, exact = [], []
     for term in proposal["proposed"]:
         on = f" on {term['place']}" if term["place"] else ""
         for k, (name, number) in enumerate(term["parameters"].items()):
             value, error, unit = for_people(number["value"], number["stderr"], number["unit"])
-            wide = None if error is None else WIDE * error
+            told = uncertain(value, None if error is None else WIDE * error, unit)
             first = [f"{plain(term['family'])}{on}", term["formula"]] if k == 0 else ["", ""]
-            rows.append([*first, f"{name}{'' if unit == '1' else f' ({unit})'}", _number(value), _number(wide)])
+            rows.append([*first, name, told, _number(error)])
             exact.append([term["family"], term["formula"], name, number["value"], number["stderr"]])
     share = percent(min(max(proposal["explained"], 0.0), 1.0))
     rest = "nothing else is seen to be missing" if proposal["complete"] else "something else is missing besides"
