@@ -223,9 +223,9 @@ def best_row(state: State, name: str, variants: Sequence[Variant], basis: Array,
     step, gain = _bounded(best, left, residual)
     values = dict(best.term.values)
     for c, move in zip(best.amounts, step, strict=True):
-        start = 0.0 if c.parameter.reciprocal else values[c.parameter.name]
+        p, start = c.parameter, 0.0 if c.parameter.reciprocal else values[c.parameter.name]
         moved = start + float(move)
-        values[c.parameter.name] = c.value(moved) if moved or not c.parameter.reciprocal else math.inf
+        values[p.name] = float(np.clip(c.value(moved), p.lower, p.upper)) if moved or not p.reciprocal else math.inf
     scale = np.array([c.scale for c in best.amounts])
     information = (left * scale).T @ (left * scale)
     whole = (best.sensitivity * scale).T @ (best.sensitivity * scale)
