@@ -28,7 +28,7 @@ from bcid.proposal.timed import steady_variants, timed_families, variants_in_tim
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
-# Terms are scored with so many likely sets; so many are fitted, with a set no more than these of one kind, and with a course in time.
+# Terms are scored with so many likely sets; so many are fitted, with a set no more than these of one kind, and of those in time.
 _SETS, FITTED, _ALIKE, _TIMED = 3, 7, 4, 2
 # Stiffnesses of springs, in notable ones, whose effect is far from proportional to them; what they do is a push on the same spot.
 _STIFFNESSES, _SPRING, _PUSH = (0.3, 3.0, 30.0), "spring_at_a_spot", "traction_at_a_spot"
