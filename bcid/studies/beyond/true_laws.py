@@ -47,8 +47,8 @@ def true_scene(name: str, rng: Rng, scene: Scene) -> Scene:
         # mu_1 alpha_1 is twice the shear modulus.
         drawn["mu1"] = 2 / drawn["alpha1"]
     if name == "fung":
-        # A mean of the coefficients stands for the isotropic one, c b = shear.
-        drawn["c"] = 3 / (drawn["bf"] + drawn["bt"] + drawn["bfs"])
+        # A mean of the coefficients stands for the isotropic one, c b = 2 shear.
+        drawn["c"] = 6 / (drawn["bf"] + drawn["bt"] + drawn["bfs"])
     units = {p.name: p.unit for p in materials.law(name).parameters}
     values: Values = {"poisson": poisson}
     for key, value in drawn.items():

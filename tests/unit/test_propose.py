@@ -1,0 +1,199 @@
+"""Proposals: files of terms, what is refused, what is written and shown, and how the study judges them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import runs
+
+from bcid.app.cli import main
+from bcid.base.errors import InputError
+from bcid.comparison.source import stored_effect
+from bcid.forms import effects
+from bcid.proposal.effect_file import source
+from bcid.proposal.energies import directions, energies
+from bcid.proposal.family import Family
+from bcid.proposal.propose import ProposeOptions
+from bcid.proposal.propose_run import effect_names
+from bcid.report import tables
+from bcid.report.found import Found
+from bcid.report.page import write_report
+from bcid.studies.beyond.beyond_study import judge, rates, table
+from bcid.studies.beyond.true_laws import LAWS, true_scene
+from bcid.studies.hidden.chance import generator
+
+
+def family(name: str) -> Family:
+    return next(f for f in energies(5e3) if f.name == name)
+
+
+def test_directions_cover_half_of_the_sphere() -> None:
+    angles = np.radians([[d["azimuth"], d["elevation"]] for d in directions()])
+    a, e = angles.T
+    vectors = np.column_stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    rng = np.random.default_rng(0)
+    probes = rng.normal(size=(200, 3))
+    probes /= np.linalg.norm(probes, axis=1)[:, None]
+    nearest = np.degrees(np.arccos(np.clip(np.abs(probes @ vectors.T).max(axis=1), -1, 1)))
+    assert nearest.max() < 20
+
+
+def test_the_file_of_a_term_is_the_effect_that_was_fitted(tmp_path: Path) -> None:
+    file = tmp_path / "stiffer.py"
+    file.write_text(source(family("exponential"), "stiffer", {"rate": 4.5, "c": 800.0}, "", ["Seen once."]), "utf-8")
+    found = effects.load(file)
+    assert found.name == "stiffer"
+    assert {p.name: p.default for p in found.shapes} == {"rate": 4.5}
+    # How much there is of it is fitted: it begins with none.
+    assert [(p.name, p.neutral) for p in found.amounts] == [("c", 0.0)]
+    assert "Seen once." in file.read_text("utf-8")
+
+
+@pytest.mark.parametrize("catalogue", ["", "active_stress"])
+def test_the_file_of_a_term_in_time_is_known_by_its_own_name(tmp_path: Path, catalogue: str) -> None:
+    from dataclasses import replace
+
+    steady = family("fibre_stress")
+    steady = replace(steady, catalogue=catalogue, times=(0.0, 10.0, 25.0))
+    file = tmp_path / "beating.py"
+    file.write_text(source(steady, "beating", {}, "", ["Swings."]), "utf-8")
+    found = effects.load(file)
+    assert found.name == "beating"
+    amount = "amplitude" if catalogue else "c"
+    assert [p.name for p in found.amounts] == [f"{amount}_{k}" for k in (1, 2, 3)]
+    # A run's model names the file, not a course of something that is in no catalogue.
+    assert stored_effect(found) == {"effect": "beating"}
+
+
+def test_what_cannot_be_searched_is_refused() -> None:
+    with pytest.raises(InputError, match="at least 1"):
+        ProposeOptions(terms=0).check()
+    with pytest.raises(InputError, match="kind 'energies': .*energy"):
+        ProposeOptions(kinds=("energies",)).check()
+    with pytest.raises(InputError, match=r"must end in \.py"):
+        effect_names(Path("term.txt"), 2)
+    assert effect_names(Path("made/spot.py"), 2) == ["spot", "spot_2"]
+
+
+def test_a_file_that_is_there_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "spot.py"
+    file.write_text("mine", "utf-8")
+    assert main(["propose", str(tmp_path / "run"), "-o", str(file)]) == 2
+    assert f"{file}: exists already" in capsys.readouterr().err
+    assert file.read_text("utf-8") == "mine"
+    assert main(["propose", str(tmp_path / "run"), "-o", str(tmp_path / "soft-spot.py")]) == 2
+    assert "cannot be the name of an effect" in capsys.readouterr().err
+
+
+PROPOSAL: dict[str, Any] = {
+    "length_unit": "mm",
+    "proposed": [
+        {
+            "effect": "spot", "family": "spring_at_a_spot", "kind": "boundary", "about": "springs hold it", "formula": "w k/2 u^2",
+            "place": "", "file": "",
+            "parameters": {
+                "stiffness": {"value": 3.4e5, "stderr": 2.9e4, "unit": "Pa/m"},
+                "cx": {"value": 0.0443, "stderr": 0.0005, "unit": "m"},
+            },
+        }
+    ],
+    "complete": True, "explained": 0.9999, "scored": 2091,
+    "path": [
+        {
+            "beside": "neo_hooke", "entered": "spring_at_a_spot", "rms": 0.204,
+            "competed": [
+                {"family": "spring_at_a_spot", "expected_rms": 0.397, "log_evidence": 20032.0},
+                {"family": "outer_stop", "expected_rms": 0.8, "log_evidence": 19000.0},
+                {"family": "volume", "expected_rms": 0.9, "log_evidence": None},
+            ],
+        }
+    ],
+}  # fmt: skip
+
+
+def test_tables_tell_numbers_with_intervals_and_what_competed() -> None:
+    told = tables.proposal_table(PROPOSAL)
+    assert told.rows[0][:3] == ["spring at a spot", "w k/2 u^2", "stiffness"]
+    assert told.rows[0][3] == "340000 ± 56839 Pa/m"
+    assert told.rows[1][2:4] == ["cx", "44.30 ± 0.98 mm"]
+    path = tables.path_table(PROPOSAL)
+    assert [row[3] for row in path.rows] == ["+0.0", "−1032.0", ""]
+    assert path.rows[0][4] == "0.204 mm when fitted"
+    assert path.strong == {0}
+    for made_of in (told, path):
+        assert all(len(row) == len(made_of.columns) for row in (*made_of.rows, *made_of.exact))
+
+
+def test_a_report_shows_what_is_proposed(tmp_path: Path) -> None:
+    folder = runs.explained(tmp_path / "run")
+    runs.rewrite(folder, "proposal.json", json.dumps(PROPOSAL))
+    runs.seal(folder, "proposal.json")
+    assert not Found.read(folder).troubles
+    page = write_report([folder], tmp_path / "page.html").path.read_text("utf-8")
+    assert "Beyond the catalogue" in page
+    assert "340000 ± 56839 Pa/m" in page
+
+
+def result(kind: str, **found: Any) -> dict[str, Any]:
+    truth = {
+        "kind": kind,
+        "body": "slab",
+        "size": 5.0,
+        "anchored": ["3", "4"],
+        "term": {"cx": 0.05, "cy": 0.0, "cz": 0.04, "radius": 0.01},
+    }
+    told = {
+        "verdict": "none",
+        "anchored": ["3", "4"],
+        "held_out": 2.1e-4,
+        "terms": [],
+        "verdicts": {},
+        "energy_apart": 0.03,
+    } | found
+    return {"truth": truth, "found": told, "cpu_seconds": 50.0}
+
+
+def test_cases_are_judged_question_by_question() -> None:
+    near = {"family": "spring_at_a_spot", "values": {"cx": 0.055, "cy": 0.0, "cz": 0.04}}
+    right = judge(result("held patch", terms=[near], verdicts={"spring_at_a_spot": 0.9}))
+    assert right["place"]
+    assert right["kind right"]
+    assert right["among likely"]
+    assert right["held out"]
+    far = near | {"values": {"cx": 0.08, "cy": 0.0, "cz": 0.04}}
+    assert not judge(result("held patch", terms=[far]))["place"]
+    assert not judge(result("held patch"))["kind right"]
+    assert not judge(result("suction", terms=[near]))["kind right"]
+    assert not judge(result("gent", held_out=2.5e-4))["held out"]
+    assert judge(result("gent"))["energy"]
+    assert not judge(result("gent", energy_apart=0.06))["energy"]
+    assert not judge(result("none", terms=[near]))["nothing"]
+    judged = [judge(result("none")), right]
+    found = rates(judged)
+    assert found["boundary: place"]["met"] == 1
+    assert found["laws: held out"]["count"] == 0
+    text = table({"cases": 2, "judged": judged, "rates": found, "lost": {"0003": "why"}})
+    assert "spring_at_a_spot 1" in text
+    assert "0003: why" in text
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_hidden_laws_are_as_stiff_as_the_scenes_at_small_strain(law: str) -> None:
+    from bcid import Model, Scene
+    from bcid.base.shipped import shipped
+
+    scene = Scene.read(shipped("examples/scenes/slab.toml"))
+    expected = float(Model.of(scene).law.shear(Model.of(scene).law.complete(Model.of(scene).values)))
+    for seed in range(5):
+        model = Model.of(true_scene(law, generator(seed), scene))
+        shear = float(model.law.shear(model.law.complete(model.values)))
+        # Of Fung's law the mean coefficient stands for the isotropic one; fibres add to the ground substance.
+        assert (
+            0.3 < shear / expected < 3.5
+            if law in ("fung", "holzapfel_gasser_ogden")
+            else shear == pytest.approx(expected)
+        )
