@@ -184,16 +184,16 @@ class HypothesisSearch:
 
     def promises(self) -> list[Promise]:
         """What is known, the likeliest first."""
-        count = len(self.base.model.added(self.begun))
+        added, known = len(self.base.model.added(self.begun)), self.among
         found = []
         for look in self.looks.values():
             if look is None:
                 continue
             plain, forced = look.evidence.plain, look.evidence.forced
-            alone = np.logaddexp(plain + log_prior(count, False), forced + log_prior(count, True))
+            alone = np.logaddexp(plain + log_prior(added, False, known), forced + log_prior(added, True, known))
             found.append(Promise(look, None, float(alone)))
             for row in self._rows(look):
-                found.append(Promise(look, row, plain + row.gain, log_prior(count + 1, False, self.among)))
+                found.append(Promise(look, row, plain + row.gain, log_prior(added + 1, False, known)))
         return sorted(found, key=lambda p: (-p.log, len(p.anchors), sorted(p.anchors), p.row.effect if p.row else ""))
 
     def _rows(self, look: Look) -> list[Row]:

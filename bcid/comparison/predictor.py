@@ -53,6 +53,7 @@ class Predictor:
         fine_level: number of the fine level in its ladder.
         data: the measured values.
         noise: that is believed instead of the stated one; None as long as that is.
+        numbers: of its frames in the whole measurement, shape (frames,).
         left_out: what of the measurement is not compared, and why, in words.
         thin: whether only some steps of each action are followed.
         trajectories: forward trajectories by level ("working", "fine"), in whole-trajectory equivalents.
@@ -83,6 +84,7 @@ class Predictor:
         self.data = Data(scene, measurement, self.forces)
         self.left_out: tuple[str, ...] = ()
         self.actions = measurement.actions
+        self.numbers: NDArray[np.int64] = np.arange(len(self.data.mask))
         self.trajectories: dict[str, float] = {}
         self._steps = sum(len(a) for a in self.actions)
         self._kept = KeptPredictions(self.thin)
@@ -114,6 +116,7 @@ class Predictor:
         other = copy(self)
         other.look_at(measurement)
         other.actions = measurement.actions
+        other.numbers = np.arange(len(other.data.mask))
         other._steps = sum(len(a) for a in other.actions)
         other._kept, other._thinned, other._about = KeptPredictions(other.thin), {}, None
         return other
@@ -143,7 +146,8 @@ class Predictor:
         other = self._thinned[key]
         other.noise = self.noise
         other.look_at(replace(self.measurement, data=data), self.left_out)
-        other.actions = other.measurement.actions
+        other.numbers = self.numbers[frames]
+        other.actions = [replace(a, numbers=other.numbers[a.frames]) for a in other.measurement.actions]
         return other, frames
 
     def last_seen(self) -> list[int]:
@@ -358,9 +362,13 @@ class Predictor:
         steps: dict[int, StepTangent] = {}
         for found in self.comm.allgather(mine):
             steps |= found
-        shape = self.data.mask.shape
+        shape, numbers = self.data.mask.shape, self.numbers
         tangents = self._tangents[key]
-        return SetTangent(frozenset(anchors), tangents.tractions, steps, shape, tangents.areas)
+
+        def held(some: frozenset[str], frame: int) -> frozenset[str]:
+            return model.held(some, int(numbers[frame]))
+
+        return SetTangent(frozenset(anchors), tangents.tractions, steps, shape, tangents.areas, held)
 
     def moves(
         self,
@@ -415,7 +423,7 @@ class Predictor:
 
 def mechanical(model: Model) -> Model:
     """The model without effects that only change the picture."""
-    return replace(model, terms=tuple(d for d in model.terms if d.effect.mechanical or d.effect.drive))
+    return replace(model, terms=tuple(d for d in model.terms if d.effect.moves))
 
 
 def joined(arrays: Sequence[Any]) -> Any:

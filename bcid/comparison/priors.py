@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +51,7 @@ def of_state(state: State, begun: Model, jacobian: Array | None = None, least: f
         least: see `visible`.
     """
     if not state.free:
-        return Numbers.none(len(state.predictor.data))
+        return replace(Numbers.none(len(state.predictor.data)), log_prior=log_ways(state, begun))
     chosen, numbers = coordinates(state.model, state.free), state.model.constants()
     if jacobian is None:
         found = columns(state.predictor, state.model, state.anchors, state.prediction, chosen)

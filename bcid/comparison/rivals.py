@@ -285,7 +285,7 @@ def moved(rival: Rival, begun: Model, known: int, least: float = SEEN) -> list[R
     for _ in range(_MOVES):
         state = best.fitted.state
         if about is None or about.base is not state:
-            about = HypothesisSearch(state, begun, (), _WEIGHED, least)
+            about = HypothesisSearch(state, begun, (), _WEIGHED, least, known)
             found += [_alone(p.look, begun, known) for p in about.around() if p.anchors != best.anchors]
         shown = about.shown(best.anchors)
         near = [s for s in shown if s not in tried and shown[s] > shown[best.anchors] - WORTH]
@@ -380,6 +380,8 @@ def _careful(row: Row, model: Model, part: float) -> Term:
         if p.reciprocal:
             value = p.scale if not math.isfinite(value) else value / part
             value = min(value, 1e4 * p.scale)
+        elif p.switch and neutral is not None:
+            value = neutral + p.scale
         elif neutral is not None:
             value = neutral + part * (value - neutral)
         values[p.name] = float(np.clip(value, p.lower, p.upper))

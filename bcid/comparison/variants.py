@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.comparison.ahead import balls
 from bcid.comparison.fit import Coordinate
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.state import State
@@ -55,16 +56,18 @@ def neutral_values(model: Model, effect: Effect) -> dict[str, float]:
 def all_variants(state: State, candidates: Sequence[tuple[Effect, str]]) -> dict[str, list[Variant]]:
     """Every variant of every effect, with its sensitivity; collective."""
     probes: list[Probe] = []
-    stiff = []
+    stiff, loose = [], []
     for effect, place in candidates:
         if effect.around:
             stiff.append(effect)
             continue
+        if effect.held:
+            loose.append((effect, place))
+            continue
         values = neutral_values(state.model, effect)
         names = tuple(p.name for p in effect.amounts)
-        scans = [p for p in effect.shapes if p.scan]
-        for k, chosen in enumerate(itertools.product(*(p.scan for p in scans))):
-            numbers = values | {p.name: float(v) for p, v in zip(scans, chosen, strict=True)}
+        for k, chosen in enumerate(_tried(state, effect)):
+            numbers = values | chosen
             base = f"{effect.name}({place})" if place else effect.name
             # What remembers keeps a memory of its own for each time constant.
             label = f"{base}@{k}" if effect.memory else base
@@ -80,7 +83,30 @@ def all_variants(state: State, candidates: Sequence[tuple[Effect, str]]) -> dict
     for effect in stiff:
         assert found.stiffness is not None
         result[effect.name] = _inclusions(state, effect, found.stiffness)
+    for effect, place in loose:
+        result[effect.name] += _let_go(state, effect, place)
     return result
+
+
+def _let_go(state: State, effect: Effect, place: str) -> list[Variant]:
+    """A patch that is not held from each frame on: what is seen then is what the other anchors show."""
+    others = state.anchors - {place}
+    (moved,) = state.predictor.moves(state.model, state.anchors, state.prediction, [others])
+    (amount,) = (p.name for p in effect.amounts)
+    (onset,) = (p.name for p in effect.shapes)
+    probe = Probe(Term(effect, neutral_values(state.model, effect), place=place), (amount,))
+    return _scaled(state, _all_onsets(state, probe, {amount: moved}, onset))
+
+
+def _tried(state: State, effect: Effect) -> list[dict[str, float]]:
+    """Values of the shapes of an effect that are tried."""
+    if effect.ahead:
+        return balls(state)
+    scans = [p for p in effect.shapes if p.scan]
+    return [
+        {p.name: float(v) for p, v in zip(scans, chosen, strict=True)}
+        for chosen in itertools.product(*(p.scan for p in scans))
+    ]
 
 
 def _variant(state: State, term: Term, arrays: Sequence[Array], names: Sequence[str]) -> Variant:
@@ -182,7 +208,7 @@ def _all_onsets(state: State, probe: Probe, arrays: dict[str, Array], name: str)
     found = []
     for first in range(frames):
         later = [np.where((np.arange(frames) >= first)[:, None, None], arrays[n], 0.0) for n in probe.wanted]
-        term = probe.term.with_values({name: float(first)})
+        term = probe.term.with_values({name: float(state.predictor.numbers[first])})
         found.append(_variant(state, term, later, probe.wanted))
     return found
 

@@ -40,6 +40,7 @@ _FUNCTIONS = (
     "reshaped",
     "constants",
     "drive",
+    "held",
     "observe",
 )
 

@@ -156,20 +156,24 @@ class Forward:
         equilibrium = self.equilibrium
         equilibrium.rtol = equilibrium.settings.rtol if rtol is None else rtol
         trajectories: list[Trajectory] = []
-        for commanded in actions:
-            action = self.model.driven(commanded)
-            equilibrium.hold(anchors, action.grasp)
+        stages = ((a, *stage) for a in map(self.model.driven, actions) for stage in self.model.stages(anchors, a))
+        for whole, held, first, end in stages:
+            action = whole if end == len(whole) else whole.until(end)
+            equilibrium.hold(held, action.grasp)
 
-            def seen(step: int, pose: Pose, action: Action = action) -> bool | None:
+            def seen(step: int, pose: Pose, action: Action = action, first: int = first) -> bool | None:
+                if step < first:
+                    return None
                 frame = int(action.frames[step])
                 positions[frame] = self._shown(pose, self.frame(action, step))
                 if keep:
                     states[frame] = equilibrium.u.x.array.copy()
                 return None if watch is None else watch(frame, positions[frame])
 
-            steps = {k: known[int(f)] for k, f in enumerate(action.frames) if int(f) in known} if known else None
+            numbered = [(k, int(f)) for k, f in enumerate(action.frames) if k >= first]
+            steps = {k: known[f] for k, f in numbered if f in known} if known else None
             trajectories.append(follow(equilibrium, action, seen, steps))
-            missed = action.frames[trajectories[-1].steps :]
+            missed = action.frames[max(first, trajectories[-1].steps) :]
             positions[missed] = np.nan
             for frame in missed:
                 states.pop(int(frame), None)
@@ -186,15 +190,18 @@ class Forward:
         wrench = np.full((len(prediction.positions), 6), np.nan)
         displacement = np.full((len(prediction.positions), len(self.mesh.points), 3), np.nan)
         energy = displacement[..., 0].copy()
-        for action in map(self.model.driven, actions):
-            self.equilibrium.hold(anchors, action.grasp)
-            for pose, frame in zip(poses(action), action.frames, strict=True):
-                if int(frame) in states:
-                    self.equilibrium.set_state(pose, states[int(frame)])
+        stages = ((a, *stage) for a in map(self.model.driven, actions) for stage in self.model.stages(anchors, a))
+        for action, held, first, end in stages:
+            self.equilibrium.hold(held, action.grasp)
+            for step, (pose, frame) in enumerate(zip(poses(action)[:end], action.frames[:end], strict=True)):
+                if int(frame) not in states:
+                    continue
+                self.equilibrium.set_state(pose, states[int(frame)])
+                if step >= first:
                     wrench[frame] = self.equilibrium.wrench(pose)
                     displacement[frame] = self.body.at_mesh_nodes(self.equilibrium.displacement())
                     energy[frame] = self.strain_energy.at_mesh_nodes()
-                    self.equilibrium.accept(pose)
+                self.equilibrium.accept(pose)
         return replace(prediction, wrench=wrench, displacement=displacement, energy=energy)
 
     @property
@@ -214,7 +221,7 @@ class Forward:
     def frame(self, action: Action, step: int) -> Frame:
         """What an observation effect may know of a step of an action."""
         names, time = tuple(self.scene.fiducial_names), float(action.clock[step])
-        return Frame(int(action.frames[step]), action.name, int(action.steps[step]), time, names, self.observer.rest)
+        return Frame(int(action.numbered[step]), action.name, int(action.steps[step]), time, names, self.observer.rest)
 
     def set_model(self, model: Model) -> None:
         """Another model of the same parts, with other values; nothing is compiled."""

@@ -80,8 +80,12 @@ class Term:
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Full names of the numbers that a fit may move: no first frame, and nothing that stands for none."""
-        moving = [p for p in self.effect.parameters if not p.onset and (p.off is None or self.values[p.name] != p.off)]
+        """Full names of the numbers that a fit may move: no first frame, no switch, and nothing that stands for none."""
+        moving = [
+            p
+            for p in self.effect.parameters
+            if not (p.onset or p.switch) and (p.off is None or self.values[p.name] != p.off)
+        ]
         return tuple(self.full(p.name) for p in moving)
 
 
@@ -239,6 +243,22 @@ class Model:
         freeing = [term.place for term in self.terms if term.effect.frees]
         return frozenset(p for p in anchors if any(place in ("", p) for place in freeing))
 
+    def held(self, anchors: frozenset[str], frame: int) -> frozenset[str]:
+        """The anchored patches that are held in a frame of the measurement."""
+        for term in self.terms:
+            if term.effect.held:
+                anchors = term.effect.held(anchors, frame, term.values, term.place)
+        return anchors
+
+    def stages(self, anchors: Iterable[str], action: Action) -> list[tuple[frozenset[str], int, int]]:
+        """Which patches are held in an action: the patches, the first step, and the one after the last.
+
+        In each it is followed from rest as if they had been held all along: a patch that comes off is off since its start.
+        """
+        sets = [self.held(frozenset(anchors), int(frame)) for frame in action.numbered]
+        firsts = [k for k, held in enumerate(sets) if k == 0 or held != sets[k - 1]]
+        return [(sets[a], a, b) for a, b in zip(firsts, [*firsts[1:], len(sets)], strict=True)]
+
     def driven(self, action: Action) -> Action:
         """What the gripper really did when an action was commanded."""
         for term in self.terms:
@@ -276,7 +296,7 @@ class Model:
     def steady(self) -> bool:
         """Whether what is seen depends on the pose alone: not on time, nor on the frames before, nor on the picture's number."""
         return not self.remembers and not any(
-            term.effect.acting or term.effect.drive or term.effect.observe for term in self.terms
+            term.effect.acting or term.effect.drive or term.effect.observe or term.effect.held for term in self.terms
         )
 
     @classmethod

@@ -67,6 +67,10 @@ class Parameter:
     def off(self) -> float | None:
         return None
 
+    @property
+    def switch(self) -> bool:
+        return False
+
     def __post_init__(self) -> None:
         if not self.lower < self.upper:
             raise ValueError(f"parameter {self.name}: lower bound {self.lower} is not below upper bound {self.upper}")
@@ -124,10 +128,12 @@ class Amount(Parameter):
         neutral: value at which it has no influence; infinite where only the reciprocal can be without influence (the
             stiffness of a spring that replaces a rigid hold).
         law: the neutral value is that of this constant of the material law (`neutral` then only stands for it).
+        switch: it is neutral or one scale from that, and nothing between: no fit moves it.
     """
 
     neutral: float = 0.0
     law: str = ""
+    switch: bool = False
 
 
 @dataclass(frozen=True)

@@ -298,23 +298,38 @@ class Sensitivity:
         result: Sensitivities,
         seen: NDArray[np.bool_],
     ) -> None:
-        equilibrium, weak_form = self.equilibrium, self.weak_form
         action = self.model.driven(commanded)
+        moves = [self._moves(probe, name, commanded) for probe in wanted.probes for name in probe.wanted]
+        for held, first, end in self.model.stages(anchors, action):
+            self._follow_stage(held, action, (first, end), states, wanted, result, seen, moves)
+
+    def _follow_stage(
+        self,
+        anchors: frozenset[str],
+        action: Action,
+        steps: tuple[int, int],
+        states: Mapping[int, Array],
+        wanted: Wanted,
+        result: Sensitivities,
+        seen: NDArray[np.bool_],
+        moves: list[list[tuple[Pose, Pose]] | None],
+    ) -> None:
+        """Steps of an action in which the same patches are held: the first, and the one after the last."""
+        equilibrium, weak_form = self.equilibrium, self.weak_form
         equilibrium.hold(anchors, action.grasp)
         for probe in wanted.probes:
             if probe.effect.memory or probe.effect.uses_past:
                 weak_form.memory(probe.term)
         for memory in weak_form.probed.values():
             memory.reset()
-        moves = [self._moves(probe, name, commanded) for probe in wanted.probes for name in probe.wanted]
-        for step, (pose, frame) in enumerate(zip(poses(action), action.frames, strict=True)):
+        for step, (pose, frame) in enumerate(zip(poses(action)[: steps[1]], action.frames[: steps[1]], strict=True)):
             if int(frame) not in states:
                 # It could not be followed any further.
                 break
             equilibrium.set_state(pose, states[int(frame)])
             for memory in weak_form.probed.values():
                 memory.dt.value = max(pose.time - equilibrium.time, 1e-9) if memory.moving.value else LONG
-            if seen[frame]:
+            if seen[frame] and step >= steps[0]:
                 self._step(anchors, action, step, pose, int(frame), moves, wanted, result)
             equilibrium.accept(pose)
             for memory in weak_form.probed.values():

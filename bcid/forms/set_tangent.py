@@ -13,7 +13,7 @@ without du, and only differences to the set that was followed are told.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 
@@ -52,6 +52,10 @@ class StepTangent:
     shown: Array
     freed: Array
 
+    def among(self, numbers: Sequence[int]) -> StepTangent:
+        """Some of many steps that are stacked in one."""
+        return StepTangent(*(getattr(self, f.name)[list(numbers)] for f in fields(self)))
+
 
 @dataclass(frozen=True)
 class SetTangent:
@@ -63,6 +67,7 @@ class SetTangent:
         steps: what is known in each frame that was reached and has a change.
         shape: (frames, rows, 3).
         areas: movement that goes with unit tractions on a bed of springs of unit stiffness, shape (tractions, tractions).
+        held: which of some anchors are held in a frame.
     """
 
     anchors: frozenset[str]
@@ -70,6 +75,7 @@ class SetTangent:
     steps: dict[int, StepTangent]
     shape: tuple[int, ...]
     areas: Array
+    held: Callable[[frozenset[str], int], frozenset[str]]
 
     def moved(self, anchors: Iterable[str], soft: Mapping[str, float] | None = None) -> Array:
         """By how much the fiducials are elsewhere with another set, shape (frames, fiducials, 3), m.
@@ -77,12 +83,12 @@ class SetTangent:
         `soft` has the compliance of anchored patches that springs hold instead of a rigid anchor, m/Pa.
         """
         result = np.zeros(self.shape)
-        result[list(self.steps)] = self._held(anchors, soft or {}) - self._here
+        result[list(self.steps)] = self._anchored(anchors, soft or {}) - self._here
         return result
 
     @cached_property
     def _here(self) -> Array:
-        return self._held(self.anchors, {})
+        return self._anchored(self.anchors, {})
 
     @cached_property
     def _stacked(self) -> StepTangent:
@@ -90,12 +96,22 @@ class SetTangent:
         parts = [[getattr(step, f.name) for step in self.steps.values()] for f in fields(StepTangent)]
         return StepTangent(*(np.array(part) for part in parts))
 
-    def _held(self, anchors: Iterable[str], soft: Mapping[str, float]) -> Array:
-        """Movement of the fiducials where these patches hold, (steps, fiducials, 3), m."""
+    def _anchored(self, anchors: Iterable[str], soft: Mapping[str, float]) -> Array:
+        """Movement of the fiducials with these anchors, each as long as it holds, (steps, fiducials, 3), m."""
+        sets: dict[frozenset[str], list[int]] = {}
+        for number, frame in enumerate(self.steps):
+            sets.setdefault(self.held(frozenset(anchors), frame), []).append(number)
+        result = np.zeros((len(self.steps), *self.shape[1:]))
+        for held, numbers in sets.items():
+            some = self._stacked if len(numbers) == len(self.steps) else self._stacked.among(numbers)
+            result[numbers] = self._held(some, held, soft)
+        return result
+
+    def _held(self, steps: StepTangent, anchors: Iterable[str], soft: Mapping[str, float]) -> Array:
+        """Movement of the fiducials where these patches hold in some stacked steps, (steps, fiducials, 3), m."""
         chosen = np.concatenate([np.zeros(0, np.int64), *(self.tractions[patch] for patch in sorted(anchors))])
-        steps = self._stacked
         moved = steps.freed
-        if len(chosen) and len(self.steps):
+        if len(chosen):
             matrix = steps.compliance[:, chosen[:, None], chosen]
             for patch, compliance in soft.items():
                 inside = np.flatnonzero(np.isin(chosen, self.tractions[patch]))
@@ -106,7 +122,7 @@ class SetTangent:
             right = (scale * steps.apart[:, chosen])[..., None]
             held = scale[..., None] * np.linalg.solve(scaled, right)
             moved = moved - (steps.shown[:, :, chosen] @ held)[..., 0]
-        return moved.reshape(len(self.steps), *self.shape[1:])
+        return np.asarray(moved.reshape(len(moved), *self.shape[1:]))
 
 
 class SetTangents:

@@ -174,6 +174,7 @@ class WeakForm:
             shear=model.law.shear(self.law_constants(())),
             place=term.place,
             surface=self.surface,
+            boundary=self.boundary,
             support=self.scene.support,
             patches=tuple(self.scene.patches),
             anchored=lambda patch: self.anchored[patch],
@@ -264,6 +265,12 @@ class WeakForm:
         places = self.places
         usable = [n for n in places if self.body.mesh.select(places[n], n).shape[1] == 3]
         return self.body.facet_measure([places[n] for n in usable], usable), usable
+
+    @property
+    def boundary(self) -> Any:
+        """Measure of the whole boundary."""
+        metadata = {"quadrature_degree": 2 * self.body.degree}
+        return ufl.Measure("ds", domain=self.body.domain, metadata=metadata)
 
     def surface(self, name: str) -> Any:
         """Measure of a place, which is any patch, grasp or place of the scene."""

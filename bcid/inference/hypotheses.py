@@ -43,7 +43,7 @@ class Hypothesis:
         return label(self.anchors, names) + (f" + {self.effect}" if self.effect else "")
 
 
-def log_prior(effects: int, unknown: bool, known: int = 18) -> float:
+def log_prior(effects: int, unknown: bool, known: int) -> float:
     """Logarithm of the prior odds, against nothing, of so many named effects of the `known` ones, and something unknown besides.
 
     Every effect acts with the same probability, whatever else does.

@@ -23,6 +23,7 @@ class Action:
         rotation: unit quaternions (w, x, y, z) about the rest centre of the grasp, shape (steps, 4).
         loads: known dead loads by place, each of shape (steps, 3), N.
         times: of the steps, shape (steps,), s; None for one second per step.
+        numbers: of the frames in the whole measurement, where only some of its frames are looked at; None where all are.
     """
 
     name: str
@@ -33,9 +34,23 @@ class Action:
     rotation: Array
     loads: dict[str, Array] = field(default_factory=dict)
     times: Array | None = None
+    numbers: NDArray[np.int64] | None = None
 
     def __len__(self) -> int:
         return len(self.frames)
+
+    def until(self, count: int) -> Action:
+        """Its first steps."""
+        loads = {place: load[:count] for place, load in self.loads.items()}
+        times = None if self.times is None else self.times[:count]
+        paths = self.translation[:count], self.rotation[:count]
+        numbers = self.numbered[:count]
+        return Action(self.name, self.frames[:count], self.steps[:count], self.grasp, *paths, loads, times, numbers)
+
+    @property
+    def numbered(self) -> NDArray[np.int64]:
+        """Numbers of the frames in the whole measurement, shape (steps,)."""
+        return self.frames if self.numbers is None else self.numbers
 
     @property
     def clock(self) -> Array:

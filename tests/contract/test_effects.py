@@ -72,7 +72,7 @@ def test_definition(name: str) -> None:
     assert check_effect.definition(effect, name) == ""
     for p in effect.parameters:
         parse_unit(p.unit)
-        assert p.neutral is not None or p.default is not None or name == "inclusion", p.name
+        assert p.neutral is not None or p.default is not None or name in ("inclusion", "obstacle"), p.name
         if p.harmonics is not None:
             assert p.period is not None
             assert len(p.scan) == 2 * p.harmonics + 1, "as many as a trigonometric polynomial has coefficients"
@@ -610,7 +610,8 @@ def test_the_slab_can_be_solved_with_a_notable_dose(name: str, project: Path) ->
     effect, mm = effects.effect(name), 1e-3
     values = {p.name: 0.30 if p.law else p.scale + (0 if p.reciprocal else p.neutral) for p in effect.amounts}  # type: ignore[operator]
     values |= {"cx": 0.05, "cy": 0.005, "cz": 0.05, "radius": 0.03} if name == "inclusion" else {}
-    term = Term(effect, values, place="6" if name == "marker_fault" else "")
+    values |= {"cx": 0.05, "cy": 0.045, "cz": 0.05, "radius": 0.03} if name == "obstacle" else {}
+    term = Term(effect, values, place="6" if name in ("marker_fault", "tether") else "")
     forward = Forward(scene, model=Model.of(scene) + term)
     pulls = [straight((x * mm, y * mm, z * mm), 3, "II") for x, y, z in ((16, 0, 0), (0, 8, 0), (8, 0, 8), (-4, 0, -8))]
     pulls = [replace(pull, name=str(k), frames=pull.frames + 4 * k) for k, pull in enumerate(pulls)]

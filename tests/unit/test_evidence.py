@@ -125,9 +125,9 @@ def test_a_prior_that_is_three_times_as_wide_changes_little(larger: float) -> No
 def test_the_prior_of_hypotheses() -> None:
     """Every effect acts with the same probability, whatever else does."""
     each, unknown = EXPECTED / 18, UNKNOWN / (1 - UNKNOWN)
-    assert log_prior(0, False) == 0.0
-    assert log_prior(1, False) == pytest.approx(math.log(each / (1 - each)))
-    assert log_prior(2, True) == pytest.approx(2 * math.log(each / (1 - each)) + math.log(unknown))
+    assert log_prior(0, False, 18) == 0.0
+    assert log_prior(1, False, 18) == pytest.approx(math.log(each / (1 - each)))
+    assert log_prior(2, True, 18) == pytest.approx(2 * math.log(each / (1 - each)) + math.log(unknown))
 
 
 def test_what_is_believed_is_told_by_verdict_and_by_patch() -> None:

@@ -117,7 +117,7 @@ def test_cases_keep_their_ranges(body: StudyBody) -> None:
     for index in range(40):
         case = draw(of(body.name, seed=5), index)
         assert case.body is body
-        assert case.anchors in body.sets("peeling" in {h.effect for h in case.hidden})
+        assert case.anchors in body.sets("release" in {h.effect for h in case.hidden})
         low, high = (1e-4, 5e-4) if case.conditions.nuisances else body.noise
         assert low <= case.noise <= high
         assert all(cases.SIZES[0] <= h.target <= cases.SIZES[1] for h in case.hidden)
@@ -280,9 +280,9 @@ SPRING = [effect("soft_anchor", "3", stiffness=parameter(1e5, neutral=None, reci
             {"verdict": "soft_anchor(3)", "adopted": adopted("soft_anchor", "3", stiffness=1.243e5)},
         ),
         ("adequate", "none", [], {"adequate": True, "verdict": "none"}, {}),
-        ("not misnamed", "outside", [effect("peeling")], {"verdict": "unknown"}, {}),
+        ("not misnamed", "outside", [effect("tear")], {"verdict": "unknown"}, {}),
         ("both", "two", [effect(), effect("fibres")], {"verdict": "gravity+fibres"}, {}),
-        ("anchors", "outside", [effect("peeling")], {}, {"anchored": ["3"]}),
+        ("anchors", "outside", [effect("tear")], {}, {"anchored": ["3"]}),
         ("anchors", "none", [], {"anchored": ["2", "3", "4"]}, {"anchored": ["1", "3", "4"]}),
     ],
 )
@@ -354,10 +354,10 @@ def test_rates_that_shall_lie_in_a_range() -> None:
         ("one", GRAVITY, 2.0, "fibres", False),
         ("none", [], 0.0, "none", True),
         ("none", [], 0.0, "unknown", False),
-        ("outside", [effect("peeling")], 5.0, "unknown", True),
-        ("outside", [effect("peeling")], 5.0, "none", False),
-        ("outside", [effect("peeling")], 2.0, "none", True),
-        ("outside", [effect("peeling")], 2.0, "gravity", False),
+        ("outside", [effect("tear")], 5.0, "unknown", True),
+        ("outside", [effect("tear")], 5.0, "none", False),
+        ("outside", [effect("tear")], 2.0, "none", True),
+        ("outside", [effect("tear")], 2.0, "gravity", False),
     ],
 )
 def test_whether_a_verdict_is_right(

@@ -62,6 +62,7 @@ class Point:
         shear: initial shear modulus of the law, Pa.
         place: where the effect acts, one of its `places`.
         surface: measure of a named place, ``surface(name)``, m^2 in the rest state.
+        boundary: measure of the whole boundary, m^2 in the rest state.
         support: name of the scene's support surface, "" if it has none.
         patches: names of all patches.
         anchored: 1 where a patch is anchored, else 0: ``anchored(patch)``.
@@ -79,6 +80,7 @@ class Point:
     shear: Any
     place: str
     surface: Callable[[str], Any]
+    boundary: Any
     support: str
     patches: tuple[str, ...]
     anchored: Callable[[str], Any]
@@ -108,7 +110,8 @@ class Frame:
 
 @dataclass(frozen=True)
 class Effect:
-    """What all effects of the catalogue have; what one does says its kind: `BodyEffect`, `GripEffect` or `ObservationEffect`.
+    """What all effects of the catalogue have; what one does says its kind: `BodyEffect`, `AnchorEffect`,
+    `GripEffect` or `ObservationEffect`.
 
     At the neutral value of every parameter that has one the effect must vanish, whatever the others are: those with a
     neutral value say how much there is of it, the others where, in which direction or how fast it acts.
@@ -159,6 +162,10 @@ class Effect:
         return None
 
     @property
+    def ahead(self) -> bool:
+        return False
+
+    @property
     def growth(self) -> Callable[[Point, Constants], Expr] | None:
         return None
 
@@ -195,6 +202,10 @@ class Effect:
         return None
 
     @property
+    def held(self) -> Callable[[frozenset[str], int, Mapping[str, float], str], frozenset[str]] | None:
+        return None
+
+    @property
     def observe(self) -> Callable[[Array, Mapping[str, float], Frame, str], Array] | None:
         return None
 
@@ -207,6 +218,11 @@ class Effect:
     def changes_law(self) -> bool:
         """Whether it changes the strain energy itself."""
         return any((self.stiffness, self.growth, self.reshaped, self.constants))
+
+    @property
+    def moves(self) -> bool:
+        """Whether it moves the body, and does not only change what is seen of it."""
+        return bool(self.mechanical or self.drive or self.held)
 
     @property
     def smooth(self) -> bool:
@@ -274,6 +290,8 @@ class BodyEffect(Effect):
         stiffness: factor of the law's strain energy.
         around: change of `stiffness` at points (n, 3), m, per unit of its one amount, for an effect with a centre (cx, cy, cz)
             and a radius, m: places all over the body are then tried.
+        ahead: whether it is a ball with a centre (cx, cy, cz) and a radius, m, outside of the body at rest: places that the body
+            moves to are then tried.
         growth: 3 x 3 tensor by which the rest state is already stretched: the law sees F . growth.
         reshaped: 3 x 3 tensor G of derivatives of the scene's rest positions by the true ones, where the body at rest is another
             than the scene's: the law sees I + grad u . G.
@@ -291,6 +309,7 @@ class BodyEffect(Effect):
     work: Callable[[Point, Constants], Any] | None = None
     stiffness: Callable[[Point, Constants], Expr] | None = None
     around: Callable[[Array, Mapping[str, float]], Array] | None = None
+    ahead: bool = False
     growth: Callable[[Point, Constants], Expr] | None = None
     reshaped: Callable[[Point, Constants], Expr] | None = None
     constants: Callable[[Constants], Mapping[str, Any]] | None = None
@@ -299,6 +318,19 @@ class BodyEffect(Effect):
     frees: bool = False
     uses_past: bool = False
     symmetric: bool = True
+
+
+@dataclass(frozen=True)
+class AnchorEffect(Effect):
+    """Something that makes anchored patches hold at some times only.
+
+    Attributes:
+        acts_on: "boundary".
+        held: which of the anchored patches are held in a frame, from their names, its number, the values and the place.
+    """
+
+    acts_on: str = "boundary"
+    held: Callable[[frozenset[str], int, Mapping[str, float], str], frozenset[str]] | None = None
 
 
 @dataclass(frozen=True)

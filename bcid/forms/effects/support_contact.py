@@ -14,18 +14,14 @@ from typing import Any
 import ufl
 
 from bcid.forms.effects import _needs
+from bcid.forms.effects._penalty import stored
 from bcid.forms.effects.effect import BodyEffect, Constants, Point
 from bcid.forms.parameter import Amount
-
-_EDGE = 1e-3
 
 
 def potential(point: Point, c: Constants) -> Any:
     """Energy of the penalty."""
-    gap, edge = ufl.inner(point.u, point.N), _EDGE * point.size
-    deep = (gap - edge / 2) ** 2 / 2 + edge**2 / 24
-    stored = ufl.conditional(ufl.gt(gap, edge), deep, ufl.conditional(ufl.gt(gap, 0), gap**3 / (6 * edge), 0))
-    return c["stiffness"] * stored * point.surface(point.support)
+    return c["stiffness"] * stored(ufl.inner(point.u, point.N), point.size) * point.surface(point.support)
 
 
 effect = BodyEffect(

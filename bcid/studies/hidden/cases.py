@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 KINDS = ("none", "one", "two", "outside")
-OUTSIDE = ("permanent_set", "obstacle", "peeling")
+OUTSIDE = ("second_grasp", "warming", "tear")
 
 # Size of a hidden effect in units of noise.
 SIZES = (0.5, 10.0)

@@ -62,7 +62,7 @@ def draw(choice: CaseChoice, index: int, attempt: int = 0) -> Case:
     """Case `index` of a study."""
     made = plan(choice, index)
     rng = generator(choice.seed, 1, index, attempt)
-    anchors = _anchors(rng, made.body, peeled="peeling" in made.effects)
+    anchors = _anchors(rng, made.body, peeled="release" in made.effects)
     motions = _motions(rng, made.body, anchors)
     noise = log_uniform(rng, *made.body.noises(made.conditions.nuisances))
     case = Case(choice.seed, index, attempt, made.body, made.conditions, made.kind, anchors, motions, noise, ())

@@ -11,96 +11,102 @@ import ufl
 from bcid.forms.effects.effect import BodyEffect, Constants, Point
 from bcid.forms.parameter import Amount, Shape
 
-# Stiffness of a sound bond and of the ball, Pa/m; a body of 15 kPa that is 10 mm thick has 1.5e6.
-RIGID = 1.5e8
-HARD = 3e6
-# How far above the body's top the ball waits when its reach is zero, m: further than any lift.
-CLEARANCE = 0.030
-# Of a patch that has peeled wholly the bond keeps this part.
-_LEFT = 1e-5
+
+def _vector(c: Constants, *names: str) -> Any:
+    return ufl.as_vector([c[name] for name in names])
 
 
-def _excess(point: Point, c: Constants) -> Any:
-    """By what the strain exceeds the set, beyond the yield strain; a bounded measure, for corners strain without limit."""
-    deviator = ufl.dev(point.kin.E)
-    strain = deviator / ufl.sqrt(1 + ufl.inner(deviator, deviator)) - point.past.memory["set"]
-    size = ufl.sqrt(ufl.inner(strain, strain) + 1e-20)
-    return ufl.max_value(1 - c["yield_strain"] / size, 0.0) * strain
+def _bump(square: Any) -> Any:
+    """1 at none, falling smoothly; of the square of a distance in its own unit."""
+    return ufl.exp(-square)
 
 
-def _natural(point: Point, c: Constants) -> Any:
-    shortened = ufl.Identity(3) - c["kept"] * point.past.memory["set"]
-    return ufl.det(shortened) ** (-1 / 3) * shortened
+# -- somebody else pulls at the body for a while
+# ------------------------------------------------------------------------------------------------------------------
 
 
-permanent_set = BodyEffect(
-    name="permanent_set",
+def _pulled(point: Point, c: Constants) -> Any:
+    away = point.X - _vector(c, "cx", "cy", "cz")
+    near = _bump(ufl.inner(away, away) / c["radius"] ** 2)
+    return -c["pull"] * near * ufl.inner(_vector(c, "dx", "dy", "dz"), point.u)
+
+
+def _for_a_while(time: float, values: Mapping[str, float]) -> Mapping[str, float]:
+    part = (time - values["start"]) / values["seconds"]
+    return {**values, "pull": values["pull"] * (math.sin(math.pi * part) ** 2 if 0 < part < 1 else 0.0)}
+
+
+second_grasp = BodyEffect(
+    name="second_grasp",
     parameters=(
-        Amount("kept", "1", "part of the set that the rest state takes on", lower=0.0, upper=0.9, neutral=0.0,
-                  scale=0.3),
-        Shape("yield_strain", "1", "strain beyond which the set follows", lower=0.0, open_lower=True, scale=0.01),
+        Amount("pull", "N/m^3", "force per rest volume in the middle", lower=0.0, neutral=0.0, scale=2e4),
+        *(Shape(f"c{axis}", "m", f"{axis} of the middle") for axis in "xyz"),
+        Shape("radius", "m", "length over which it falls by e", lower=0.0, open_lower=True, scale=0.01),
+        *(Shape(f"d{axis}", "1", f"direction, {axis}") for axis in "xyz"),
+        Shape("start", "s", "when it begins"),
+        Shape("seconds", "s", "how long it takes", lower=0.0, open_lower=True),
     ),
-    about="strain that remains after loading, as in plasticity with linear hardening (play operator)",
-    acts_on="material",
-    growth=_natural,
-    memory={"set": (3, 3)},
-    advance=lambda point, c: {"set": point.past.memory["set"] + _excess(point, c)},
-)  # fmt: skip
-
-
-def _penetration(point: Point, c: Constants) -> Any:
-    """How deep a point is inside the ball, m; 0 outside."""
-    height = c["top"] + CLEARANCE - c["reach"] + c["radius"]
-    away = point.X + point.u - ufl.as_vector((c["cx"], height, c["cz"]))
-    return ufl.max_value(c["radius"] - ufl.sqrt(ufl.inner(away, away) + 1e-20), 0.0)
-
-
-def _touch(point: Point, c: Constants) -> Any:
-    # The whole boundary may touch, not only named places.
-    surface = ufl.Measure("ds", domain=ufl.domain.extract_unique_domain(point.X), metadata={"quadrature_degree": 4})
-    return HARD * _penetration(point, c) ** 2 / 2 * surface
-
-
-obstacle = BodyEffect(
-    name="obstacle",
-    parameters=(
-        Amount("reach", "m", "how far the ball comes down", lower=0.0, upper=CLEARANCE, neutral=0.0, scale=0.02),
-        Shape("cx", "m", "x of its centre"),
-        Shape("cz", "m", "z of its centre"),
-        Shape("top", "m", "height (y) of the body's top"),
-        Shape("radius", "m", "of the ball", lower=0.0, open_lower=True, scale=0.03),
-    ),
-    about="a rigid ball above the body, which it meets when it is lifted",
-    acts_on="boundary",
-    potential=_touch,
+    about="a second gripper pulls at the body for a while, and is not told of",
+    energy=_pulled,
+    acting=_for_a_while,
 )
 
 
-def _bond(point: Point, c: Constants) -> Any:
-    stiffness = RIGID * ufl.exp(math.log(_LEFT) * c["peeled"])
-    held = stiffness * point.anchored(point.place) * ufl.inner(point.u, point.u) / 2
-    return held * point.surface(point.place)
+# -- one side grows while the other shrinks
+# ------------------------------------------------------------------------------------------------------------------
 
 
-def _letting_go(time: float, values: Mapping[str, float]) -> Mapping[str, float]:
-    part = min(max((time - values["onset"]) / values["ramp"], 0.0), 1.0)
-    return {**values, "peeled": values["peeled"] * part * part * (3 - 2 * part)}
+def _warmer(point: Point, c: Constants) -> Any:
+    across = ufl.inner(_vector(c, "dx", "dy", "dz"), point.X - point.centre) / point.size
+    return ufl.exp(-c["rate"] * across) * ufl.Identity(3)
 
 
-peeling = BodyEffect(
-    name="peeling",
+warming = BodyEffect(
+    name="warming",
     parameters=(
-        Amount("peeled", "1", "how much of the bond is lost, on a logarithmic scale", lower=0.0, upper=1.0,
-                  neutral=0.0, scale=0.5),
-        Shape("onset", "s", "when it begins to peel"),
-        Shape("ramp", "s", "how long that takes", lower=0.0, open_lower=True),
+        Amount("rate", "1/s", "growth of lengths per time and size", lower=-0.1, upper=0.1, neutral=0.0, scale=1e-3),
+        *(Shape(f"d{axis}", "1", f"direction, {axis}") for axis in "xyz"),
     ),
-    about="an anchored patch that comes off at some time and stays off",
-    acts_on="boundary",
-    potential=_bond,
-    acting=_letting_go,
-    frees=True,
-    places=lambda scene, anchors: sorted(anchors),
+    about="one side grows with time while the other shrinks, as in a gradient of temperature",
+    acts_on="material",
+    growth=_warmer,
+    acting=lambda time, values: {**values, "rate": values["rate"] * time},
+)
+
+
+# -- a cut opens
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def _torn(point: Point, c: Constants) -> Any:
+    radians = c["angle"] * (math.pi / 180)
+    away = point.X - _vector(c, "cx", "cy", "cz")
+    across = ufl.cos(radians) * away[0] + ufl.sin(radians) * away[2]
+    along = ufl.cos(radians) * away[2] - ufl.sin(radians) * away[0]
+    return 1 - c["torn"] * _bump((across / c["width"]) ** 2 + (along / c["length"]) ** 4)
+
+
+def _from_then_on(time: float, values: Mapping[str, float]) -> Mapping[str, float]:
+    part = min(max((time - values["onset"]) / values["ramp"], 0.0), 1.0)
+    return {**values, "torn": values["torn"] * part * part * (3 - 2 * part)}
+
+
+tear = BodyEffect(
+    name="tear",
+    parameters=(
+        Amount("torn", "1", "part of the stiffness that is lost in the band", lower=0.0, upper=0.98, neutral=0.0,
+                  scale=0.5),
+        *(Shape(f"c{axis}", "m", f"{axis} of the middle") for axis in "xyz"),
+        Shape("width", "m", "half of the band's width", lower=0.0, open_lower=True, scale=0.005),
+        Shape("length", "m", "half of its length", lower=0.0, open_lower=True, scale=0.02),
+        Shape("angle", "deg", "of its normal, from x towards z"),
+        Shape("onset", "s", "when it begins"),
+        Shape("ramp", "s", "how long it takes", lower=0.0, open_lower=True),
+    ),
+    about="a narrow band tears at some time and stays torn",
+    acts_on="material",
+    stiffness=_torn,
+    acting=_from_then_on,
 )  # fmt: skip
 
-EFFECTS = {effect.name: effect for effect in (permanent_set, obstacle, peeling)}
+EFFECTS = {effect.name: effect for effect in (second_grasp, warming, tear)}

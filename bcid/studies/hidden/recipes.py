@@ -84,24 +84,67 @@ def _marker_fault(rng: Rng, case: Case) -> Recipe:
 
 
 def _permanent_set(rng: Rng, case: Case) -> Recipe:
-    return {}, {"yield_strain": float(rng.uniform(0.005, 0.03))}, ""
+    return {}, {"yield_strain": log_uniform(rng, 0.01, 0.1)}, ""
 
 
 def _obstacle(rng: Rng, case: Case) -> Recipe:
-    """A ball above the part that rises in a lift."""
+    """A ball above the part that rises in a lift, near enough to be met."""
     body = case.body
     lift = next(motion for motion in case.motions if motion.direction == body.lift)
+    radius, clear = log_uniform(rng, *body.obstacle.radius), float(rng.uniform(0.05, 0.3)) * lift.amplitude
     x = float(rng.uniform(*body.obstacle.x))
     z = body.grasps[lift.grasp][2] + float(rng.uniform(-1, 1)) * body.obstacle.beside
-    return {}, {"cx": x, "cz": z, "top": body.obstacle.top, "radius": log_uniform(rng, *body.obstacle.radius)}, ""
+    return {}, {"cx": x, "cy": body.obstacle.top + clear + radius, "cz": z, "radius": radius}, ""
 
 
-def _peeling(rng: Rng, case: Case) -> Recipe:
-    """One of the anchors, half-way through one of the first actions."""
+def _release(rng: Rng, case: Case) -> Recipe:
+    """One of the anchors, half-way through one of the first actions but the first."""
+    action = case.actions[int(rng.integers(1, len(case.actions) - 1))]
+    return {}, {"onset": float(action.frames[len(action) // 2])}, str(rng.choice(case.anchors))
+
+
+def _tether(rng: Rng, case: Case) -> Recipe:
+    """One of the patches that are not anchored."""
+    patches = sorted({patch for anchors in case.body.sound for patch in anchors} - set(case.anchors))
+    return {}, {"angle": float(rng.uniform(0, 180))}, str(rng.choice(patches))
+
+
+# -- outside the catalogue
+# ------------------------------------------------------------------------------------------------------------------
+
+
+def _in_the_ball(rng: Rng, case: Case) -> dict[str, float]:
+    ball = case.body.ball
+    return {name: float(rng.uniform(*ends)) for name, ends in (("cx", ball.x), ("cy", ball.y), ("cz", ball.z))}
+
+
+def _direction(rng: Rng) -> dict[str, float]:
+    vector = rng.normal(size=3)
+    return dict(zip(("dx", "dy", "dz"), map(float, vector / np.linalg.norm(vector)), strict=True))
+
+
+def _half_way(rng: Rng, case: Case) -> dict[str, float]:
+    """In one of the first actions but the first, over one step."""
     action = case.actions[int(rng.integers(1, len(case.actions) - 1))]
     step = len(action) // 2
-    ramp = float(action.clock[step + 1] - action.clock[step])
-    return {}, {"onset": float(action.clock[step]), "ramp": ramp}, str(rng.choice(case.anchors))
+    return {"onset": float(action.clock[step]), "ramp": float(action.clock[step + 1] - action.clock[step])}
+
+
+def _second_grasp(rng: Rng, case: Case) -> Recipe:
+    """During one of the actions."""
+    clock = case.actions[int(rng.integers(len(case.actions)))].clock
+    when = {"start": float(clock[0]), "seconds": float(np.ptp(clock))}
+    return {}, _in_the_ball(rng, case) | _direction(rng) | {"radius": case.body.ball.radius[0]} | when, ""
+
+
+def _warming(rng: Rng, case: Case) -> Recipe:
+    return {}, _direction(rng), ""
+
+
+def _tear(rng: Rng, case: Case) -> Recipe:
+    low, high = case.body.ball.radius
+    band = {"width": low / 2, "length": high, "angle": float(rng.uniform(0, 180))}
+    return {}, _in_the_ball(rng, case) | band | _half_way(rng, case), ""
 
 
 _RECIPES: dict[str, Callable[[Rng, Case], Recipe]] = {
@@ -118,6 +161,11 @@ _RECIPES: dict[str, Callable[[Rng, Case], Recipe]] = {
     "time_lag": _either_sign("seconds"),
     "marker_fault": _marker_fault,
     "permanent_set": _permanent_set,
+    "swelling": _either_sign("rate"),
     "obstacle": _obstacle,
-    "peeling": _peeling,
+    "release": _release,
+    "tether": _tether,
+    "second_grasp": _second_grasp,
+    "warming": _warming,
+    "tear": _tear,
 }

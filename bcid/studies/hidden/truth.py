@@ -240,10 +240,11 @@ def halved(action: Action, first_extra: int) -> Action:
     every = [pose for pair in zip(path[:-1], middles, strict=True) for pose in pair] + path[-1:]
     frames = np.empty(len(every), dtype=np.int64)
     frames[::2], frames[1::2] = action.frames, first_extra + np.arange(len(middles))
-    steps = np.repeat(action.steps, 2)[: len(every)]
+    steps, numbers = (np.repeat(one, 2)[: len(every)] for one in (action.steps, action.numbered))
     translation, rotation = np.array([p.translation for p in every]), np.array([p.rotation for p in every])
     times = np.array([p.time for p in every])
-    return replace(action, frames=frames, steps=steps, translation=translation, rotation=rotation, times=times)
+    made = replace(action, frames=frames, steps=steps, numbers=numbers)
+    return replace(made, translation=translation, rotation=rotation, times=times)
 
 
 def true_positions(scene: Scene, case: Case, level: Level, terms: Sequence[Term]) -> Array:
@@ -291,6 +292,8 @@ def _forward(
 def _dose(scene: Scene, case: Case, hidden: Hidden, without: Array, coarse: Level) -> Term:
     model = Model.of(scene)
     most = largest(hidden, model)
+    if all(p.switch for p in known(hidden.effect).amounts):
+        return term_of(hidden, 1.0, model)
     forward = _forward(scene, case, coarse, (term_of(hidden, min(1.0, most), model),))
 
     def size(amount: float) -> float | None:

@@ -1,0 +1,113 @@
+"""Formulas of effects of material and boundary, against numbers worked out by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from contract.test_effects import MU, bar, model, rollers
+from numpy.typing import NDArray
+from verify.problems import Prescribed, box
+
+from bcid.forms.model import Held, Term
+from bcid.forms.solver.status import Status
+from bcid.forms.solver.supports import Pose
+
+Array = NDArray[np.float64]
+
+
+def cube(term: Term) -> Prescribed:
+    """A cube of edge 1 m, held all around; `set_gradient` says how it is deformed."""
+    return Prescribed.on(box((1.0, 1.0, 1.0), (1, 1, 1)), model() + term + Held("all"), rtol=1e-12)
+
+
+def energy(equilibrium: Prescribed, gradient: Array, time: float = 0.0) -> float:
+    """Of a homogeneous deformation (J), which is then the last one."""
+    equilibrium.field = lambda points: points @ (gradient - np.eye(3)).T  # type: ignore[method-assign]
+    pose = Pose(time=time)
+    assert equilibrium.solve(pose) is Status.CONVERGED
+    found = equilibrium.energy()
+    equilibrium.accept(pose)
+    return found
+
+
+def deviator(gradient: Array) -> Array:
+    strain = (gradient.T @ gradient - np.eye(3)) / 2
+    return np.asarray(strain - np.trace(strain) / 3 * np.eye(3))
+
+
+STATES = [np.diag([1 + x, 1 - x / 2, 1.0]) + 0.3 * x * np.eye(3, k=1) for x in (0.02, 0.2, 0.1, -0.1, 0.0)]
+
+
+def test_a_swelling_block_grows_without_stress() -> None:
+    parts = rollers(model() + Term("swelling", {"rate": 2e-3}))
+    equilibrium = bar(parts)
+    for time in (0.0, 50.0):
+        assert equilibrium.solve(Pose(time=time)) is Status.CONVERGED
+        expected = equilibrium.body.nodes * math.expm1(2e-3 * time)
+        np.testing.assert_allclose(equilibrium.displacement(), expected, atol=1e-9)
+        assert equilibrium.energy() == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_permanent_set_follows_what_is_beyond_the_yield_strain() -> None:
+    """Against a return mapping by hand, there and back; none of these steps ends where the stress bends."""
+    kept, limit = 0.4, 0.05
+    with_it, without = (
+        cube(Term("permanent_set", {"kept": kept, "yield_strain": limit})),
+        cube(Term("gravity", {"weight": 0.0})),
+    )
+    remains = np.zeros((3, 3))
+    yields = []
+    for state in STATES:
+        left = deviator(state) - remains
+        size = float(np.linalg.norm(left))
+        assert abs(size / limit - 1) > 0.05
+        expected = size**2 if size < limit else 2 * limit * size - limit**2
+        more = energy(with_it, state) - energy(without, state)
+        # Where it has begun to yield the bend adds a constant: a twelfth of the square of its width.
+        assert more == pytest.approx(MU * kept / (1 - kept) * expected, rel=2e-3)
+        remains = remains + max(1 - limit / size, 0.0) * left
+        yields.append(size > limit)
+    assert yields == [False, True, True, True, True]
+
+
+def test_a_large_ball_is_a_plane_that_pushes_back() -> None:
+    """A cube that is moved up into it by 3 mm."""
+    radius, before, edge = 1e5, 1e-3, 1e-3 * math.sqrt(3)
+    values = {"stiffness": 1e5, "cx": 0.5, "cy": 1 + before + radius, "cz": 0.5, "radius": radius}
+    equilibrium = cube(Term("obstacle", values))
+    found = []
+    for up in (0.5e-3, 4e-3):
+        equilibrium.field = lambda points, up=up: np.tile([0.0, up, 0.0], (len(points), 1))  # type: ignore[method-assign]
+        assert equilibrium.solve(Pose()) is Status.CONVERGED
+        found.append(equilibrium.energy())
+    assert found[0] == pytest.approx(0.0, abs=1e-12)
+    # At the corners the ball is higher by 2.5 um.
+    gap = 4e-3 - before
+    assert found[1] == pytest.approx(1e5 * ((gap - edge / 2) ** 2 / 2 + edge**2 / 24), rel=1e-3)
+
+
+def test_a_layer_is_a_membrane_on_every_face() -> None:
+    """Of its two stretches in each face, and the third that keeps its volume."""
+    gradient = np.eye(3) + np.array([[0.1, 0.05, -0.02], [0.0, -0.05, 0.08], [0.1, 0.03, 0.05]])
+    tension, expected = 40.0, 0.0
+    for axis in range(3):
+        inside = np.delete(gradient, axis, axis=1)
+        square = inside.T @ inside
+        expected += 2 * tension / 2 * (np.trace(square) + 1 / np.linalg.det(square) - 3)
+    with_it, without = (cube(Term(*t)) for t in (("layer", {"stiffness": tension}), ("gravity", {"weight": 0.0})))
+    assert energy(with_it, gradient) - energy(without, gradient) == pytest.approx(expected, rel=1e-8)
+
+
+def test_a_tether_holds_along_its_direction_alone() -> None:
+    values = {"stiffness": 3e4, "angle": 30.0}
+    equilibrium = Prescribed.on(
+        box((1.0, 1.0, 1.0), (1, 1, 1)), model() + Term("tether", values, place="all") + Held("all")
+    )
+    up, along, aside = 1e-3, math.cos(math.radians(30)), math.sin(math.radians(30))
+    moves = {along: [up, 0.0, 0.0], aside: [0.0, 0.0, up], 0.0: [0.0, up, 0.0]}
+    for part, move in moves.items():
+        equilibrium.field = lambda points, move=move: np.tile(move, (len(points), 1))  # type: ignore[method-assign]
+        assert equilibrium.solve(Pose()) is Status.CONVERGED
+        assert equilibrium.energy() == pytest.approx(6 * 1.5e4 * (part * up) ** 2, abs=1e-12)
