@@ -72,7 +72,7 @@ def test_the_file_of_a_term_in_time_is_known_by_its_own_name(tmp_path: Path, cat
 def test_what_cannot_be_searched_is_refused() -> None:
     with pytest.raises(InputError, match="at least 1"):
         ProposeOptions(terms=0).check()
-    with pytest.raises(InputError, match="kind 'energies': .*energy"):
+    with pytest.raises(InputError, match=r"kind 'energies': .*energy"):
         ProposeOptions(kinds=("energies",)).check()
     with pytest.raises(InputError, match=r"must end in \.py"):
         effect_names(Path("term.txt"), 2)
