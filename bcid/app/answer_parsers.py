@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from bcid.app.commands import compare, demo, diagnose, explain, explore, fit, identify, propose
+from bcid.app.answer_commands import compare, demo, diagnose, explain, explore, fit, identify, propose
 from bcid.app.options import (
     add_command,
     add_effect_files,

@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from bcid.app.commands import (
+from bcid.app.options import add_command, add_output, add_quiet, add_run, seed
+from bcid.app.study_commands import study
+from bcid.app.tool_commands import (
     bench,
     calibrate,
     check_effect,
@@ -14,10 +16,8 @@ from bcid.app.commands import (
     import_recording,
     report,
     simulate,
-    study,
     track,
 )
-from bcid.app.options import add_command, add_output, add_quiet, add_run, seed
 
 
 def add_import(commands: Any) -> None:

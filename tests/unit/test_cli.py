@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from bcid import Measurement
-from bcid.app import cli, commands
+from bcid.app import cli, told
 from bcid.base.errors import MachineError
 from bcid.base.progress import Lines
 from bcid.base.run_folder import sealed
@@ -273,8 +273,8 @@ def test_a_command_counts_the_seconds_from_its_start(
         drawn.append(folder)
 
     monkeypatch.setattr(job, done)
-    monkeypatch.setattr(commands, "progress_on", counted)
-    monkeypatch.setattr(commands, "_draw", draw)
+    monkeypatch.setattr(told, "progress_on", counted)
+    monkeypatch.setattr(told, "draw", draw)
     assert cli.main([command, *arguments]) == 0
     assert len(made) == 1
     assert drawn == [tmp_path]

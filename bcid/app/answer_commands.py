@@ -1,0 +1,214 @@
+"""What the commands do that answer from a measurement, once their arguments are parsed."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from bcid.app.option_values import listed, names_in, noise_in, random_state_in
+from bcid.app.told import beside_the_result, draw, finish, progress_of
+from bcid.base.collective import Comm
+from bcid.base.errors import InputError
+from bcid.base.progress import Progress, clear
+from bcid.base.shipped import shipped
+from bcid.base.text_file import read_json
+
+DEMO_SCENE = "examples/scenes/slab_explain.toml"
+DEMO_MEASUREMENT = "examples/measurements/slab-34-heavy"
+
+
+def demo(arguments: argparse.Namespace, comm: Comm) -> None:
+    """`bcid demo`."""
+    scene, measurement = shipped(DEMO_SCENE), shipped(DEMO_MEASUREMENT)
+    progress = progress_of(arguments, comm.rank)
+    progress.say("a soft slab was pulled five times; which patches hold it, and what does the plain model lack?")
+    progress.say("searching the anchors with the plain model first")
+    folder = _explained(scene, measurement, arguments, comm, progress)
+    if comm.rank > 0:
+        return
+    if not arguments.no_picture:
+        draw(folder, progress)
+    from bcid.report.text import falling
+
+    clear()
+    found = read_json(folder / "diagnosis.json")
+    print("\n" + (folder / "summary.txt").read_text(encoding="utf-8").split("\n\n")[0])
+    print(f"{falling(found)}\n\nrun folder: {folder} (summary.txt tells more)", flush=True)
+    if not arguments.no_picture:
+        _demo_report(folder)
+
+
+def _demo_report(folder: Path) -> None:
+    """The page that the demo ends with."""
+    with beside_the_result("report"):
+        from bcid.report.page import write_report
+
+        made = write_report([folder], folder / "report.html")
+        print(f"report: {made.path} (open it in a browser)", flush=True)
+
+
+def identify(arguments: argparse.Namespace, comm: Comm) -> None:
+    """`bcid identify`."""
+    from bcid.search.identify import IdentifyOptions
+    from bcid.search.identify_run import run_identification
+    from bcid.search.termination import Stop, Termination
+
+    options = IdentifyOptions(
+        certify=arguments.certify,
+        seeds=arguments.seeds,
+        random_state=arguments.random_state,
+        coarsest=arguments.coarsest,
+        finest=arguments.finest,
+        climbed=arguments.climbed,
+        start=arguments.start,
+        threshold=arguments.threshold,
+        toggles=arguments.toggles,
+        stop=Stop.parse(arguments.stop),
+        termination=Termination(arguments.fit, arguments.patience, arguments.budget),
+    )
+    scene, measurement, output = arguments.scene, arguments.measurement, arguments.output
+    progress = progress_of(arguments, comm.rank)
+    folder = run_identification(
+        scene, measurement, output, options, comm, progress, arguments.overwrite, arguments.refine
+    )
+    finish(folder, arguments, comm, progress)
+
+
+def compare(arguments: argparse.Namespace, comm: Comm) -> None:
+    """`bcid compare`."""
+    from bcid.comparison.compare_runs import run_compare
+
+    progress = progress_of(arguments, comm.rank)
+    common = _common(arguments, comm, progress)
+    folder = run_compare(arguments.run_folder, _beside(arguments, "compare"), **common)
+    finish(folder, arguments, comm, progress)
+
+
+def diagnose(arguments: argparse.Namespace, comm: Comm) -> None:
+    """`bcid diagnose`."""
+    from bcid.comparison.compare_runs import run_diagnose
+
+    progress = progress_of(arguments, comm.rank)
+    common = _common(arguments, comm, progress) | {"only": listed(arguments.only)}
+    folder = run_diagnose(arguments.run_folder, _beside(arguments, "diagnose"), **common)
+    finish(folder, arguments, comm, progress)
+
+
+def fit(arguments: argparse.Namespace, comm: Comm) -> None:
+    """`bcid fit`."""
+    from bcid.comparison.compare_runs import run_fit
+
+    if not (arguments.add or arguments.free):
+        raise InputError("fit: nothing to do; name an effect with --add (as --add gravity) or a number with --free")
+    chosen = {name: getattr(arguments, name) for name in ("add", "free", "fixed")}
+    progress = progress_of(arguments, comm.rank)
+    common = _common(arguments, comm, progress)
+    folder = run_fit(arguments.run_folder, arguments.output, **common, **chosen)
+    finish(folder, arguments, comm, progress)
+
+
+def explain(arguments: argparse.Namespace, comm: Comm) -> None:
+    """`bcid explain`."""
+    if arguments.most < 1:
+        raise InputError(f"--most {arguments.most}: must be at least 1")
+    progress = progress_of(arguments, comm.rank)
+    folder = _explained(arguments.scene, arguments.measurement, arguments, comm, progress)
+    finish(folder, arguments, comm, progress)
+    if arguments.no_propose or _verdict(folder, comm) != "unknown":
+        return
+    progress.say("no known effect explains it: looking for a term that does (--no-propose leaves that out)")
+    _proposed(folder, None, folder / "propose", arguments, comm, progress)
+
+
+def _verdict(folder: Path, comm: Comm) -> str:
+    """Of a run, the same on every rank."""
+    from bcid.base.collective import on_root
+
+    return str(on_root(comm, lambda: read_json(folder / "diagnosis.json")["verdict"]))
+
+
+def propose(arguments: argparse.Namespace, comm: Comm) -> None:
+    """`bcid propose`."""
+    folder = arguments.folder or arguments.run_folder.with_name(f"{arguments.run_folder.resolve().name}-propose")
+    progress = progress_of(arguments, comm.rank)
+    _proposed(arguments.run_folder, arguments.output, folder, arguments, comm, progress)
+
+
+def _proposed(
+    run: Path, output: Path | None, folder: Path, arguments: argparse.Namespace, comm: Comm, progress: Progress
+) -> None:
+    """Search the grammar beside the model of a run, and tell what came out."""
+    from bcid.proposal.propose import ProposeOptions
+    from bcid.proposal.propose_run import run_propose
+
+    options = ProposeOptions(level=arguments.level)
+    if arguments.command == "propose":
+        kinds = options.kinds if arguments.kinds is None else names_in(arguments.kinds)
+        options = replace(options, terms=arguments.most, kinds=kinds)
+    files = run_propose(run, output, folder, comm, options, progress, arguments.overwrite, arguments.effects)
+    finish(folder, arguments, comm, progress)
+    for file in files if comm.rank == 0 else ():
+        print(f"effect: {file} (use it with --effects {file})", flush=True)
+
+
+def _explained(scene: Path, measurement: Path, arguments: argparse.Namespace, comm: Comm, progress: Progress) -> Path:
+    """Run the whole loop; returns the run folder."""
+    from bcid.comparison.compare_runs import run_explain
+    from bcid.comparison.explain import ExplainOptions
+
+    only = listed(getattr(arguments, "only", None))
+    options = ExplainOptions(
+        getattr(arguments, "level", None), getattr(arguments, "most", ExplainOptions.effects), only=only
+    )
+    files = getattr(arguments, "effects", [])
+    return run_explain(scene, measurement, arguments.output, options, comm, progress, arguments.overwrite, files)
+
+
+def _beside(arguments: argparse.Namespace, command: str) -> Path:
+    run: Path = arguments.run_folder
+    output: Path = arguments.output or run.with_name(f"{run.resolve().name}-{command}")
+    return output
+
+
+def _common(arguments: argparse.Namespace, comm: Comm, progress: Progress) -> dict[str, Any]:
+    """What all jobs on a run take."""
+    common = {"comm": comm, "progress": progress, "overwrite": arguments.overwrite}
+    return common | {"level": arguments.level, "files": arguments.effects}
+
+
+def explore(arguments: argparse.Namespace, comm: Comm) -> None:
+    """`bcid explore`."""
+    from bcid.exploration.explore_run import run_exploration
+    from bcid.exploration.loop import ExploreOptions
+
+    if not arguments.wait > 0:
+        raise InputError(f"--wait {arguments.wait:g}: must be a positive number of seconds")
+    options = ExploreOptions(
+        confidence=arguments.confidence,
+        budget=arguments.budget,
+        criterion=arguments.criterion,
+        look_ahead=not arguments.no_look_ahead,
+        grasps=None if arguments.grasps is None else names_in(arguments.grasps),
+        level=arguments.level,
+        noise=noise_in(arguments.noise),
+        samples=arguments.samples,
+        random_state=random_state_in(arguments.random_state),
+        effects=names_in(arguments.effects or ""),
+        wrench_noise=noise_in(arguments.wrench_noise, "--wrench-noise", "N"),
+    )
+    progress = progress_of(arguments, comm.rank)
+    folder = run_exploration(
+        arguments.scene,
+        arguments.robot,
+        arguments.output,
+        options,
+        comm,
+        progress,
+        arguments.overwrite,
+        arguments.store,
+        arguments.wait,
+        arguments.hide,
+    )
+    finish(folder, arguments, comm, progress)

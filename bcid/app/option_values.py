@@ -1,0 +1,68 @@
+"""Values of options as a user writes them."""
+
+from __future__ import annotations
+
+from bcid.base.errors import InputError
+
+
+def names_in(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def listed(text: str | None) -> tuple[str, ...] | None:
+    """Names of effects separated by commas; None where the option is not given."""
+    if text is None:
+        return None
+    names = names_in(text)
+    if not names:
+        raise InputError(f"--only '{text}': names no effect; give some, as --only gravity,soft_anchor")
+    return names
+
+
+def noise_in(text: str | None, option: str = "--noise", unit: str = "m") -> float | None:
+    """A standard deviation in a unit; None where the option is not given."""
+    noise = quantity_in(text, option, unit)
+    if noise is not None and noise < 0:
+        raise InputError(f"{option} '{text}': must not be negative")
+    return noise
+
+
+def length_in(text: str | None, option: str) -> float | None:
+    """A length, m; None where the option is not given."""
+    return quantity_in(text, option, "m")
+
+
+def quantity_in(text: str | None, option: str, unit: str) -> float | None:
+    """A number in a unit; None where the option is not given."""
+    from bcid.base.units import quantity
+
+    try:
+        return None if text is None else quantity(text, unit)
+    except InputError as error:
+        raise InputError(f"{option}: {error}") from None
+
+
+def direction_in(text: str | None) -> tuple[float, ...] | None:
+    """Three numbers separated by commas or blanks; None where the option is not given."""
+    if text is None:
+        return None
+    try:
+        return tuple(float(number) for number in text.replace(",", " ").split())
+    except ValueError:
+        raise InputError(f"--direction '{text}': expected three numbers, as 0,0,1") from None
+
+
+def random_state_in(number: int) -> int:
+    if number < 0:
+        raise InputError(f"--random-state {number}: must be at least 0")
+    return number
+
+
+def part_in(text: str | None) -> tuple[int, int] | None:
+    """(i, n) of "i/n"."""
+    if text is None:
+        return None
+    numbers = text.split("/")
+    if len(numbers) == 2 and all(n.isdecimal() for n in numbers) and 1 <= int(numbers[0]) <= int(numbers[1]):
+        return int(numbers[0]), int(numbers[1])
+    raise InputError(f"--part '{text}': expected I/N with I from 1 to N, as 3/16")

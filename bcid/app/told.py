@@ -1,0 +1,69 @@
+"""What a command says and shows: progress, the result, pictures, and what went wrong."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+
+from bcid.base.collective import Comm
+from bcid.base.progress import Progress, Silent, clear, progress_on
+
+# The module of `bcid.report` that draws what a command found.
+_PICTURES = dict.fromkeys(("compare", "diagnose", "fit", "explain", "propose"), "diagnosis_picture") | {
+    "identify": "identification_picture",
+    "explore": "exploration_picture",
+    "calibrate": "calibration_picture",
+    "track": "tracking_picture",
+}
+
+
+def complain(text: object) -> None:
+    """Say on standard error what went wrong."""
+    clear()
+    print(f"bcid: {text}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def beside_the_result(what: str) -> Iterator[None]:
+    """Pages and pictures are a view: what stops them must not take the result along."""
+    try:
+        yield
+    except ImportError as error:
+        complain(f"no {what}: {error.name} is not installed (the extra 'report')")
+    except Exception as error:
+        complain(f"no {what}: {error}")
+
+
+def progress_of(arguments: argparse.Namespace, rank: int) -> Progress:
+    """What a command speaks through. One for each command: its lines count the seconds since it was made."""
+    return Silent() if arguments.quiet or rank > 0 else progress_on()
+
+
+def finish(folder: Path, arguments: argparse.Namespace, comm: Comm | None, progress: Progress) -> None:
+    """Print the result and draw it; `comm` is None for commands without MPI."""
+    if comm is not None and comm.rank > 0:
+        return
+    print_result(folder, "summary.txt")
+    if not arguments.no_picture:
+        draw(folder, progress)
+    progress.say(f"a page of it: bcid report {folder} -o report.html")
+
+
+def print_result(folder: Path, file: str) -> None:
+    clear()
+    print((folder / file).read_text(encoding="utf-8").rstrip())
+    print(f"\nrun folder: {folder}", flush=True)
+
+
+def draw(folder: Path, progress: Progress) -> None:
+    """Pictures of a run."""
+    with beside_the_result("picture"):
+        from bcid.base.run_folder import RunFolder
+
+        kind = _PICTURES[RunFolder.open(folder).record["command"]]
+        for file in import_module(f"bcid.report.{kind}").draw(folder):
+            progress.say(f"wrote {file}")
