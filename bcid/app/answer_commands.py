@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from bcid.app.console import beside_the_result, draw, finish, progress_of
 from bcid.app.option_values import listed, names_in, noise_in, random_state_in
-from bcid.app.told import beside_the_result, draw, finish, progress_of
 from bcid.base.collective import Comm
 from bcid.base.errors import InputError
 from bcid.base.progress import Progress, clear

@@ -24,8 +24,8 @@ from bcid.app.answer_parsers import (
     add_identify,
     add_propose,
 )
+from bcid.app.console import complain
 from bcid.app.scene_command import add_scene
-from bcid.app.told import complain
 from bcid.app.tool_parsers import (
     add_bench,
     add_calibrate,

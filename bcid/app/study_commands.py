@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bcid.app.console import print_result, progress_of
 from bcid.app.option_values import names_in, part_in
-from bcid.app.told import print_result, progress_of
 from bcid.base.collective import Comm
 from bcid.base.errors import InputError
 from bcid.base.progress import Progress

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
+from bcid.app.console import beside_the_result, complain, finish, progress_of
 from bcid.app.option_values import direction_in, length_in, names_in, noise_in, random_state_in
-from bcid.app.told import beside_the_result, complain, finish, progress_of
 from bcid.base.collective import Comm, first
 from bcid.base.errors import InputError, MachineError
 from bcid.base.shipped import copy_examples

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from bcid import Measurement
-from bcid.app import cli, told
+from bcid.app import answer_commands, cli, console
 from bcid.base.errors import MachineError
 from bcid.base.progress import Lines
 from bcid.base.run_folder import sealed
@@ -256,7 +256,7 @@ def test_a_command_counts_the_seconds_from_its_start(
     """What is said while drawing too: one object speaks for the whole command."""
     job, arguments = JOBS[command]
     (tmp_path / "summary.txt").write_text("the result\n\nmore\n", encoding="utf-8")
-    nothing = {"ladder": [], "length_unit": "mm", "noise_rms": 0.2}
+    nothing = {"ladder": [], "length_unit": "mm", "noise_rms": 0.2, "verdict": "none"}
     (tmp_path / "diagnosis.json").write_text(json.dumps(nothing), encoding="utf-8")
     drawn: list[Path] = []
     made: list[Lines] = []
@@ -273,8 +273,9 @@ def test_a_command_counts_the_seconds_from_its_start(
         drawn.append(folder)
 
     monkeypatch.setattr(job, done)
-    monkeypatch.setattr(told, "progress_on", counted)
-    monkeypatch.setattr(told, "draw", draw)
+    monkeypatch.setattr(console, "progress_on", counted)
+    for module in (console, answer_commands):
+        monkeypatch.setattr(module, "draw", draw)
     assert cli.main([command, *arguments]) == 0
     assert len(made) == 1
     assert drawn == [tmp_path]
