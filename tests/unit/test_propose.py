@@ -197,3 +197,31 @@ def test_hidden_laws_are_as_stiff_as_the_scenes_at_small_strain(law: str) -> Non
             if law in ("fung", "holzapfel_gasser_ogden")
             else shear == pytest.approx(expected)
         )
+
+
+def test_explain_goes_on_where_no_known_effect_explains(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked: list[Path] = []
+
+    def explained(*_: Any, **__: Any) -> Path:
+        return tmp_path
+
+    def proposed(run: Path, output: Path | None, folder: Path, *_: Any) -> list[Path]:
+        asked.append(folder)
+        folder.mkdir(exist_ok=True)
+        (folder / "summary.txt").write_text("Proposed: springs\n", "utf-8")
+        assert (run, output) == (tmp_path, None)
+        return [folder / "proposed/proposed_term.py"]
+
+    monkeypatch.setattr("bcid.comparison.compare_runs.run_explain", explained)
+    monkeypatch.setattr("bcid.proposal.propose_run.run_propose", proposed)
+    (tmp_path / "summary.txt").write_text("the result\n", "utf-8")
+    words = ["explain", "scene.toml", "seen", "-o", "run", "--quiet", "--no-picture"]
+    for verdict, more, expected in (("gravity", [], 0), ("unknown", ["--no-propose"], 0), ("unknown", [], 1)):
+        (tmp_path / "diagnosis.json").write_text(json.dumps({"verdict": verdict}), "utf-8")
+        assert main([*words, *more]) == 0
+        assert asked == [tmp_path / "propose"] * expected
+    out = capsys.readouterr().out
+    assert "Proposed: springs" in out
+    assert "proposed_term.py (use it with --effects" in out
