@@ -11,7 +11,7 @@ from typing import Any
 from bcid.base.errors import InputError
 from bcid.forms.effects.effect import Effect
 from bcid.forms.parameter import Amount, Parameter
-from bcid.proposal.family import SURFACE, Family
+from bcid.proposal.family import SPOT, SURFACE, Family
 
 # Digits of numbers that are written: enough for any that a measurement tells.
 _DIGITS = 6
@@ -49,7 +49,7 @@ def source(
     imports, code = _imports(family), []
     effect = f'effects.effect("{family.catalogue}")'
     if not family.catalogue:
-        kind = "work" if family.works else "potential" if family.kind == "boundary" or family.local else "energy"
+        kind = "work" if family.works else "potential" if family.kind == "boundary" else "energy"
         function = _function(kind, family)
         needed = [line for line in ("import math", "import ufl") if f"{line.split()[1]}." in function]
         imports[1:1] = ["\n".join(needed)]
@@ -98,17 +98,8 @@ def _function(kind: str, family: Family) -> str:
         value = f"weight * {_grouped(value)}"
     if family.where == SURFACE:
         value = f"{_grouped(value)} * point.surface(point.place)"
-    elif family.local and family.kind == "boundary":
-        # The whole boundary, not only the named parts of it.
-        lines.append(
-            'surface = ufl.Measure("ds", domain=ufl.domain.extract_unique_domain(point.X), metadata={"quadrature_degree": 4})'
-        )
-        value = f"{value} * surface"
-    elif family.local:
-        lines.append(
-            'body = ufl.Measure("dx", domain=ufl.domain.extract_unique_domain(point.X), metadata={"quadrature_degree": 4})'
-        )
-        value = f"{value} * body"
+    elif family.where == SPOT:
+        value = f"{value} * point.boundary"
     return "\n".join([f"def {kind}(point, c):", *(f"    {line}" for line in (*lines, f"return {value}"))])
 
 
