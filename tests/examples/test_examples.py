@@ -159,8 +159,10 @@ def test_04_tension(capsys: pytest.CaptureFixture[str]) -> None:
     # A shear modulus of 17.2 kPa and 2.6 % are published for the whole curve to a stretch of 3.
     assert found.plain.values["young"] / 3 == pytest.approx(17.2e3, rel=0.02)
     rows = {row.effect: row for row in found.ranking.rows}
-    assert {row.effect for row in found.ranking.rows[:2]} == {"strain_stiffening", "fibres"}
-    assert rows["strain_stiffening"].confounded_with == ("fibres",)
+    # One even pull cannot tell them apart.
+    alike = {"strain_stiffening", "fibres", "swelling", "obstacle"}
+    assert {row.effect for row in found.ranking.rows[:4]} == alike
+    assert set(rows["strain_stiffening"].confounded_with) == alike - {"strain_stiffening"}
     assert rows["strain_stiffening"].p_value < 1e-20
     assert found.stiffening.state.rms < 0.35 * found.plain.state.rms
     plain, stiffening, yeoh = found.errors
@@ -198,8 +200,8 @@ def test_the_force_tells_how_stiff_a_body_is() -> None:
 
 
 def test_09_beyond(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """From unknown to the file of an effect to the noise."""
-    before, after, away = load("09_beyond").main(tmp_path)
+    """From unknown to the file of an effect to the noise; with all of the catalogue it takes twice as long."""
+    before, after, away = load("09_beyond").main(tmp_path, ("gravity", "fibres", "foundation"))
     assert (before, after) == ("unknown", "stuck")
     assert away < 5e-3
     assert '"""Springs hold it in all directions' in (tmp_path / "stuck.py").read_text(encoding="utf-8")
@@ -217,9 +219,9 @@ def test_every_example_has_a_test() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "anchored"), [("slab-1234-semicircle", "1234"), ("slab-27-five", "27")])
+@pytest.mark.parametrize(("name", "anchored"), [("slab-27-five", "27")])
 def test_the_lab_measurements_are_identified(name: str, anchored: str) -> None:
-    """Made by an independent code; of the two others one is the example's, one the benchmark's.
+    """Made by an independent code; of the three others one is the notebook's, one the benchmark's.
 
     Without the certificate, which takes two thirds of the time: `benchmarks/lab.py` has it.
     """

@@ -126,7 +126,7 @@ def test_a_bad_file_is_refused_with_the_reason(
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["nothing.toml"], "neither a file nor one of paper, hidden, exploration"),
+        (["nothing.toml"], "neither a file nor one of paper, hidden, beyond, exploration"),
         (["paper", "--jobs", "0"], "--jobs 0: must be at least 1"),
         (["paper", "--limit", "nan"], "--limit nan: must be a positive number of seconds"),
         (["FILE", "--part", "3/2"], "--part '3/2': expected I/N"),
