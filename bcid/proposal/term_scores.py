@@ -29,7 +29,7 @@ from bcid.proposal.timed import steady_variants, timed_families, variants_in_tim
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
 # Terms are scored with so many likely sets; so many are fitted, with a set no more than these of one kind, and of those in time.
-_SETS, FITTED, _ALIKE, _TIMED = 3, 7, 4, 2
+_SETS, FITTED, _ALIKE, _TIMED = 3, 8, 4, 2
 # Stiffnesses of springs, in notable ones, whose effect is far from proportional to them; what they do is a push on the same spot.
 _STIFFNESSES, _SPRING, _PUSH = (0.3, 3.0, 30.0), "spring_at_a_spot", "traction_at_a_spot"
 # A set that is exp(_FAR) times less likely with something unknown besides is left out.
@@ -204,8 +204,8 @@ def _in_turns(found: Sequence[Sequence[ScoredFamily]]) -> list[ScoredFamily]:
 
 def _fits_in(one: ScoredFamily, chosen: Sequence[ScoredFamily]) -> bool:
     """Whether a family is not chosen yet, nor too many of its kind, or with a course in time, with its set."""
-    with_set = [c.family for c in chosen if c.anchors == one.anchors]
-    same = sum(family.kind == one.family.kind for family in with_set)
-    timed = sum(bool(family.times) for family in with_set)
+    timed = bool(one.family.times)
+    with_set = [c.family for c in chosen if c.anchors == one.anchors and bool(c.family.times) == timed]
+    same = len(with_set) if timed else sum(family.kind == one.family.kind for family in with_set)
     new = all(c.family.name != one.family.name for c in chosen)
-    return new and same < _ALIKE and (timed < _TIMED or not one.family.times)
+    return new and same < (_TIMED if timed else _ALIKE)
