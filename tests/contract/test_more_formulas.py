@@ -10,6 +10,7 @@ from contract.test_effects import MU, bar, model, rollers
 from numpy.typing import NDArray
 from verify.problems import Prescribed, box
 
+from bcid.forms import effects
 from bcid.forms.model import Held, Term
 from bcid.forms.solver.status import Status
 from bcid.forms.solver.supports import Pose
@@ -111,3 +112,10 @@ def test_a_tether_holds_along_its_direction_alone() -> None:
         equilibrium.field = lambda points, move=move: np.tile(move, (len(points), 1))  # type: ignore[method-assign]
         assert equilibrium.solve(Pose()) is Status.CONVERGED
         assert equilibrium.energy() == pytest.approx(6 * 1.5e4 * (part * up) ** 2, abs=1e-12)
+
+
+def test_what_a_scene_that_is_slightly_wrong_looks_like_is_looked_for_only_where_it_is_named() -> None:
+    names = {effect.name for effect in effects.catalogue()}
+    assert "gravity" in names
+    assert "layer" not in names
+    assert [effect.name for effect in effects.catalogue(["layer"])] == ["layer"]

@@ -33,9 +33,11 @@ def effect(name: str) -> Effect:
 
 
 def catalogue(only: Sequence[str] | None = None, own: Iterable[Effect] = ()) -> list[Effect]:
-    """All effects of the catalogue and others beside them; or those of the given names."""
-    every = [*map(effect, names()), *own]
-    return [one for one in every if only is None or one.name in only]
+    """The effects of the catalogue that are looked for unasked, and others beside them; or those of the given names."""
+    every, own = list(map(effect, names())), list(own)
+    if only is None:
+        return [*(one for one in every if not one.only_named), *own]
+    return [one for one in [*every, *own] if one.name in only]
 
 
 def load(path: str | Path) -> Effect:

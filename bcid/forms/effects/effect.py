@@ -123,6 +123,7 @@ class Effect:
         places: the places it can act at, given scene and anchors; by default it has none.
         needs: why it cannot act in a scene and measurement, in words; "" if it can.
         instead_of: what the scene may have slightly wrong (a name of `bcid.scene.uncertainty`) that this is when it is large.
+        only_named: whether it is looked for only where it is named, for it does nearly what a scene does that is slightly wrong.
         acting: the values that act at a time (s), which all other functions are handed instead of the parameters' own; those by
             default. With every amount neutral they must not change with time.
     """
@@ -133,6 +134,7 @@ class Effect:
     places: Callable[[Scene, frozenset[str]], list[str]] | None = None
     needs: Callable[[Scene, Measurement], str] | None = None
     instead_of: str = ""
+    only_named: bool = False
     acting: Callable[[float, Mapping[str, float]], Mapping[str, float]] | None = None
 
     # What an effect of a kind does not do.

@@ -34,5 +34,6 @@ effect = BodyEffect(
     ),
     about="a skin on the body is stiffer than what is below it",
     acts_on="boundary",
+    only_named=True,
     potential=potential,
 )

@@ -15,7 +15,7 @@ CATALOGUE = (
     "gravity", "strain_stiffening", "compressibility", "fibres", "stiffness_gradient", "inclusion", "prestrain",
     "active_stress", "viscosity", "soft_anchor", "foundation", "support_contact", "support_friction", "grasp_slip",
     "grasp_offset", "camera_offset", "time_lag", "marker_fault", "permanent_set", "swelling",
-    "obstacle", "release", "layer", "tether",
+    "obstacle", "release", "tether",
 )  # fmt: skip
 # Usual standard deviations of the coordinates, m.
 NOISE = (1e-4, 5e-4)
