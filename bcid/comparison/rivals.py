@@ -223,7 +223,9 @@ def refitted(
         what = row.effect, promise.anchors if gives(row.term.effect) else None
         if what in tried or len(tried) >= most or not math.isfinite(row.gain):
             continue
-        if best.complete and promise.log < best.log - max(_unlikely(promise), worth):
+        # What has a start is fitted whatever explains all before it: it may do so with fewer numbers.
+        started = row.effect in (starts_of or {})
+        if not started and best.complete and promise.log < best.log - max(_unlikely(promise), worth):
             continue
         tried.add(what)
         promise.look.state.predictor.progress.step("candidates refitted", len(tried) - 1, most, f"now {row.effect}")

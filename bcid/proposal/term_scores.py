@@ -30,6 +30,8 @@ Array = NDArray[np.float64]
 Anchored = frozenset[str]
 # Terms are scored with so many likely sets; so many are fitted, with a set no more than these of one kind, and of those in time.
 _SETS, FITTED, _ALIKE, _TIMED = 3, 8, 4, 2
+# Families that promise less than this part of the log-evidence that the best of a set does are not fitted.
+_PART = 0.4
 # Stiffnesses of springs, in notable ones, whose effect is far from proportional to them; what they do is a push on the same spot.
 _STIFFNESSES, _SPRING, _PUSH = (0.3, 3.0, 30.0), "spring_at_a_spot", "traction_at_a_spot"
 # A set that is exp(_FAR) times less likely with something unknown besides is left out.
@@ -192,7 +194,7 @@ def _best_of(found: Sequence[Sequence[ScoredFamily]]) -> list[ScoredFamily]:
 
 def _in_turns(found: Sequence[Sequence[ScoredFamily]]) -> list[ScoredFamily]:
     """So many families as are fitted: sets take turns, each with what promises most there; not all of one kind."""
-    waiting = [sorted(some, key=lambda s: (-s.log, s.family.name)) for some in found]
+    waiting = [_promising(some) for some in found]
     chosen: list[ScoredFamily] = []
     while any(waiting) and len(chosen) < FITTED:
         for some in waiting:
@@ -200,6 +202,12 @@ def _in_turns(found: Sequence[Sequence[ScoredFamily]]) -> list[ScoredFamily]:
             some[:] = usable[1:]
             chosen += usable[:1]
     return chosen[:FITTED]
+
+
+def _promising(found: Sequence[ScoredFamily]) -> list[ScoredFamily]:
+    """Families that promise more than a part of the most with a set, the most promising first."""
+    most = max((one.row.gain for one in found), default=0.0)
+    return sorted((one for one in found if one.row.gain > _PART * most), key=lambda s: (-s.log, s.family.name))
 
 
 def _fits_in(one: ScoredFamily, chosen: Sequence[ScoredFamily]) -> bool:
