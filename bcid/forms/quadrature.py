@@ -80,6 +80,11 @@ class QuadraturePoints:
         """Which of the points are no further from a place (3,), m, than a radius, m; shape (q,)."""
         return np.asarray(np.linalg.norm(self.places - centre, axis=1) <= radius)
 
+    def spot(self, centre: Array, radius: float) -> Array:
+        """Gaussian about a place (3,), m, with this standard deviation, m; shape (q,)."""
+        away = self.places - centre
+        return np.asarray(np.exp(-np.einsum("qi,qi->q", away, away) / (2 * radius**2)))
+
     def some(self, chosen: NDArray[np.bool_]) -> QuadraturePoints:
         """Some of the points, (q,)."""
         return QuadraturePoints(*(getattr(self, part.name)[chosen] for part in fields(self)))

@@ -114,7 +114,7 @@ def _at_a_spot(family: Family, where: str, box: Array) -> Family:
 
     def unit(d: Deformed, values: Values) -> Array:
         assert family.unit is not None
-        weight = d.spot(np.array([values[f"c{axis}"] for axis in "xyz"]), values["radius"])
+        weight = d.points.spot(np.array([values[f"c{axis}"] for axis in "xyz"]), values["radius"])
         return np.asarray(weight[:, None, None] * family.unit(d, values))
 
     shapes = (

@@ -95,11 +95,6 @@ class Deformed:
         a, e = np.radians([azimuth, elevation])
         return np.asarray(np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)]) @ self.axes)
 
-    def spot(self, centre: Array, radius: float) -> Array:
-        """Gaussian about a place (3,), m, shape (q,)."""
-        away = self.points.places - centre
-        return np.asarray(np.exp(-np.einsum("qi,qi->q", away, away) / (2 * radius**2)))
-
 
 def _scaled(by: Array, tensors: Array) -> Array:
     return np.asarray(by[:, None, None] * tensors)

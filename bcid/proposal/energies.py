@@ -25,6 +25,7 @@ _UNKNOWN = "not known to be polyconvex"
 _RATES, _POWERS = (3.0, 12.0), (0.25, 0.5, 2.0)
 # Directions that are tried: elevations out of the plane of fibres, with azimuths about so far apart, degrees.
 _APART = 22.5
+_RATE = Shape("rate", "1", "how fast it grows", default=3.0, lower=0.0, open_lower=True, upper=200.0, scale=2.0)
 
 
 def energies(shear: float) -> list[Family]:
@@ -52,7 +53,6 @@ def _stress(slopes: Slopes) -> Callable[[Deformed, Values], Array]:
 
 
 def _isotropic(shear: float) -> list[Family]:
-    rate = Shape("rate", "1", "how fast it grows", default=3.0, lower=0.0, open_lower=True, upper=200.0, scale=2.0)
     power = Shape("power", "1", "exponent", default=0.5, lower=0.0, open_lower=True, upper=8.0, scale=0.3)
 
     def family(
@@ -100,7 +100,7 @@ def _isotropic(shear: float) -> list[Family]:
             "exponential", "the body gets stiffer exponentially", "c (exp(rate (I1bar - 3)) - 1 - rate (I1bar - 3)) / rate^2",
             f"x = c['rate'] * {a}\nreturn c['c'] * (ufl.exp(x) - 1 - x) / c['rate'] ** 2", 1.0,
             lambda d, v: (np.expm1(np.minimum(v["rate"] * d.first, 50.0)) / v["rate"], 0.0, 0.0),
-            shapes=(rate,), scans=tuple({"rate": r} for r in _RATES),
+            shapes=(_RATE,), scans=tuple({"rate": r} for r in _RATES),
         ),
         family(
             "logarithm", "the energy grows with the logarithm of the second invariant", "c ln(I2bar / 3)",
@@ -187,7 +187,6 @@ def _directed(shear: float) -> list[Family]:
         ),
         Shape("elevation", "deg", "of the direction, out of that plane", 0.0, -180.0, 180.0, scale=20.0, period=180.0),
     )
-    rate = Shape("rate", "1", "how fast it grows", default=3.0, lower=0.0, open_lower=True, upper=200.0, scale=2.0)
     axis = (
         "plane = point.kin.direction(c['azimuth'])",
         "across = ufl.cross(*map(ufl.as_vector, point.kin.axes))",
@@ -216,7 +215,7 @@ def _directed(shear: float) -> list[Family]:
         tried = [{"rate": r} for r in _RATES] if rates else [{}]
         scans = tuple(where | r for where, r in itertools.product(directions(), tried))
         code = "\n".join([*axis, f"return {last}"])
-        shapes = (*turned, rate) if rates else turned
+        shapes = (*turned, _RATE) if rates else turned
         amounts = (_coefficient(scale * shear, lower),)
         text = f"{formula} with I4 = a . C a, a the direction"
         return Family(name, "energy", about, text, code, amounts, shapes, unit, scans=scans, polyconvex=convex)
@@ -225,7 +224,7 @@ def _directed(shear: float) -> list[Family]:
         return np.maximum(x, 0.0)
 
     return [
-        _crossed(shear, turned[0], rate),
+        _crossed(shear, turned[0]),
         family("fibre", "fibres make the body stiffer along a direction in space", "c/2 (I4 - 1)^2",
                "c['c'] / 2 * x**2", 0.4, lambda x, v: x, convex=_UNKNOWN),
         family("fibre_in_tension", "fibres resist being stretched, and do not resist being pressed", "c/2 max(I4 - 1, 0)^2",
@@ -238,7 +237,7 @@ def _directed(shear: float) -> list[Family]:
     ]  # fmt: skip
 
 
-def _crossed(shear: float, azimuth: Shape, rate: Shape) -> Family:
+def _crossed(shear: float, azimuth: Shape) -> Family:
     """Two families of fibres that cross in the plane of fibres (Holzapfel, Gasser & Ogden, J. Elasticity 61 (2000) 1)."""
     half = Shape(
         "half_angle",
@@ -277,5 +276,5 @@ def _crossed(shear: float, azimuth: Shape, rate: Shape) -> Family:
     return Family(
         "crossed_fibres", "energy", "two families of fibres that cross get stiffer exponentially",
         "c/(2 rate) sum of exp(rate max(I4 - 1, 0)^2) - 1 over both families", "\n".join(code), (_coefficient(0.4 * shear),),
-        (azimuth, half, rate), unit, scans=scans, polyconvex=_POSITIVE,
+        (azimuth, half, _RATE), unit, scans=scans, polyconvex=_POSITIVE,
     )  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 KINDS = ("energy", "boundary", "body force", "grip", "observation")
 # Spots are tried at so many places on the surface and in the body, of these sizes relative to it.
 _PLACES, _RADII = {SPOT: 100, INNER_SPOT: 50}, (0.06, 0.13)
-# Springs of any stiffness are tried on every second of those of the surface, with this size.
-_THINNED, _HELD = 2, 0.06
+# Springs of any stiffness are tried on every second of those of the surface, with the smaller size.
+_THINNED = 2
 # Beyond so many radii a spot does nothing.
 _REACH = 3.0
 # Products of so many terms are formed at a time.
@@ -72,8 +72,12 @@ class Grammar:
         self.outside = QuadraturePoints.boundary(body, _OUTSIDE)
         scene = forward.scene
         self.surfaces = self.outside.on(body, {**scene.patches, **scene.places})
-        self.held_spots = self._spots(SPOT, (_HELD,))[::_THINNED]
-        self._holds = Holds(body, self.outside, [self._weight(spot) for spot in self.held_spots])
+        self.held_spots = self._spots(SPOT, _RADII[:1])[::_THINNED]
+        self._holds = Holds(
+            body,
+            self.outside,
+            [self.outside.spot(np.array([s[f"c{axis}"] for axis in "xyz"]), s["radius"]) for s in self.held_spots],
+        )
         self.variants = [variant for family in self.families for variant in self._variants(family)]
         self.ends = np.cumsum([len(v.family.amounts) for v in self.variants])
         self._effects: dict[str, Effect] = {}
@@ -94,11 +98,6 @@ class Grammar:
             for c in scattered(places, _PLACES[where])
             for r in radii
         ]
-
-    def _weight(self, spot: Mapping[str, float]) -> Array:
-        """Of a spot at the points of the surface, shape (q,)."""
-        away = self.outside.places - np.array([spot[f"c{axis}"] for axis in "xyz"])
-        return np.asarray(np.exp(-np.einsum("qi,qi->q", away, away) / (2 * spot["radius"] ** 2)))
 
     @property
     def holds(self) -> int:

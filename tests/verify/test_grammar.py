@@ -19,7 +19,7 @@ from bcid.forms.sensitivity import Probe, Sensitivity, Wanted
 from bcid.forms.solver.equilibrium import Settings
 from bcid.proposal.effect_file import check_name, made, source
 from bcid.proposal.family import SURFACE
-from bcid.proposal.grammar import Grammar, TermVariant
+from bcid.proposal.grammar import Grammar
 from bcid.proposal.holds import Holds, held_by
 
 ANCHORS = frozenset({"left"})
@@ -91,7 +91,9 @@ def test_springs_hold_a_spot_however_stiff_they_are(forward: Forward, grammar: G
     """Against the same springs solved, in a motion so small that everything else is linear."""
     number = next(k for k, s in enumerate(grammar.held_spots) if s["cy"] > 0.015 and 0.02 < s["cx"] < 0.05)
     spot = grammar.held_spots[number] | {"radius": 0.006}
-    near = Holds(forward.body, grammar.outside, [np.exp(-_square(grammar.outside.places, spot) / (2 * 0.006**2))])
+    near = Holds(
+        forward.body, grammar.outside, [grammar.outside.spot(np.array([spot[f"c{axis}"] for axis in "xyz"]), 0.006)]
+    )
     action = [
         replace(a, translation=1e-4 * a.translation, rotation=np.tile([1.0, 0.0, 0.0, 0.0], (len(a), 1)), loads={})
         for a in trial.actions()
@@ -140,10 +142,6 @@ class _Only:
         return self.places.at(unknowns, solve)
 
 
-def _square(places: np.ndarray, spot: dict[str, float]) -> np.ndarray:
-    return np.sum((places - np.array([spot[f"c{axis}"] for axis in "xyz"])) ** 2, axis=1)
-
-
 def test_every_family_makes_an_effect_that_keeps_its_word_about_itself(grammar: Grammar) -> None:
     for family in grammar.families:
         place = "top" if family.where == SURFACE else ""
@@ -162,7 +160,6 @@ def test_a_variant_is_a_term_that_does_nothing(grammar: Grammar) -> None:
     term = grammar.term(variant)
     assert term.place == "top"
     assert term.values["stiffness"] == 0.0
-    assert isinstance(variant, TermVariant)
 
 
 @pytest.mark.parametrize("name", ["soft-spot", "3spots", "class", ""])

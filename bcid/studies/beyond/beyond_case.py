@@ -16,7 +16,7 @@ from bcid.base.errors import SolveError
 from bcid.base.run_folder import write_whole
 from bcid.base.shipped import shipped
 from bcid.base.text_file import read_json
-from bcid.forms.mesh import level_mesh
+from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.simulate import recorded
 from bcid.measurement import Measurement
@@ -136,7 +136,7 @@ def _term(kind: str, case: Case, scene: Scene, rng: Rng, plain: Array) -> Term:
     """A term of the truth of a size that is drawn."""
     known = TERMS[kind]
     mesh = level_mesh(scene, case.body.coarse)
-    centre = _place(scene, case, mesh.points, mesh.boundary, rng)
+    centre = _place(scene, case, mesh, rng)
     shapes = dict(zip(("cx", "cy", "cz"), map(float, centre), strict=True))
     shapes["radius"] = mesh.size * float(rng.uniform(*RADII))
     names = [p.name for p in known.effect.amounts]
@@ -160,15 +160,13 @@ def _term(kind: str, case: Case, scene: Scene, rng: Rng, plain: Array) -> Term:
     return term(amount)
 
 
-def _place(scene: Scene, case: Case, points: Array, triangles: NDArray[np.int64], rng: Rng) -> Array:
+def _place(scene: Scene, case: Case, mesh: BodyMesh, rng: Rng) -> Array:
     """A place on the skin away from anchors and grips."""
-    middles = points[triangles].mean(axis=1)
-    size = float(np.linalg.norm(np.ptp(points, axis=0)))
-    mesh = level_mesh(scene, case.body.coarse)
+    points, middles = mesh.points, mesh.points[mesh.boundary].mean(axis=1)
     kept = [scene.patches[name] for name in case.anchors] + [scene.grasps[m.grasp].region for m in case.motions]
     held = points[np.unique(np.concatenate([mesh.select(region, "held").ravel() for region in kept]))]
     away = np.linalg.norm(middles[:, None] - held[None], axis=2).min(axis=1)
-    usable = np.flatnonzero(away > _AWAY * size)
+    usable = np.flatnonzero(away > _AWAY * mesh.size)
     if not len(usable):
         raise SolveError("no place is away from what is held")
     return np.asarray(middles[rng.choice(usable)])

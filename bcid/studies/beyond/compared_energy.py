@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import ufl
 from dolfinx import fem
 from numpy.typing import NDArray
 
@@ -47,8 +48,6 @@ def energy_apart(predictor: Predictor, state: State, law: Mapping[str, Any]) -> 
 
 def _density(weak_form: WeakForm) -> Any:
     """A function that gives the energy of law and terms per volume, J/m^3, in every cell at the present state."""
-    import ufl
-
     space = fem.functionspace(weak_form.body.domain, ("DG", 0))
     weight = ufl.TestFunction(space)
     energies = []
