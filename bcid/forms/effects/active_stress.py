@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from bcid.forms.effects._direction import angle
 from bcid.forms.effects.effect import BodyEffect
 from bcid.forms.parameter import Amount, Shape
 
@@ -34,18 +35,7 @@ effect = BodyEffect(
             scale=500.0,
         ),
         # The stress is a polynomial in cos 2a: three values determine it.
-        Shape(
-            "angle",
-            "deg",
-            "direction in the plane of fibres",
-            default=0.0,
-            lower=-180.0,
-            upper=360.0,
-            scale=20.0,
-            scan=(0.0, 60.0, 120.0),
-            period=180.0,
-            harmonics=1,
-        ),
+        angle(harmonics=1),
         Shape(
             "period", "s", "of the contraction; 0 is steady", default=0.0, lower=0.0, scale=2.0, scan=(0.0,), off=0.0
         ),

@@ -11,8 +11,9 @@ from typing import Any
 
 import ufl
 
+from bcid.forms.effects._direction import angle
 from bcid.forms.effects.effect import BodyEffect, Constants, Point
-from bcid.forms.parameter import Amount, Shape
+from bcid.forms.parameter import Amount
 
 
 def potential(point: Point, c: Constants) -> Any:
@@ -26,18 +27,7 @@ effect = BodyEffect(
     parameters=(
         Amount("stiffness", "Pa/m", "force per area and displacement", lower=0.0, neutral=0.0, scale=1e5),
         # (a . u) a is a polynomial in cos 2a: three values determine it.
-        Shape(
-            "angle",
-            "deg",
-            "direction in the plane of fibres",
-            default=0.0,
-            lower=-180.0,
-            upper=360.0,
-            scale=20.0,
-            scan=(0.0, 60.0, 120.0),
-            period=180.0,
-            harmonics=1,
-        ),
+        angle(harmonics=1),
     ),
     about="springs along one direction hold a patch that is not anchored",
     acts_on="boundary",
