@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 # Elements twice as small leave a quarter of the error.
 _ORDER = 2
 _LEAST_GAIN = 0.5
-# A distance of positions need not be known as well as they themselves.
+# A distance of positions need not be known as well as they themselves; and that the states are stable the working level has shown.
 _FINE_RTOL = 3e-5
 # Between steps in which the fine level is followed its distance is bent by no more than this part of the noise.
 _BENT = 0.5
@@ -50,7 +50,9 @@ def _finer_positions(
     if not (predictor.thin or model.remembers):
         ends = zip(predictor.actions, predictor.last_seen(), strict=True)
         known = [Knots.of(action, 0, last) for action, last in ends]
-        few, frames = predictor.in_steps([k.steps for k in known], replace(predictor.settings, rtol=_FINE_RTOL))
+        few, frames = predictor.in_steps(
+            [k.steps for k in known], replace(predictor.settings, rtol=_FINE_RTOL, pivots=False)
+        )
         second = few.predict(model, anchors, level, keep=True)
         if not second.failure:
             apart = np.full(prediction.positions.shape, np.nan)

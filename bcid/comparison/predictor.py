@@ -18,13 +18,14 @@ from bcid.comparison.kept_predictions import KeptPredictions, MeasurementPredict
 from bcid.comparison.knots import Knots, spread
 from bcid.comparison.levels import affordable, pair
 from bcid.forms.force_bumps import BUMPS, bumps
-from bcid.forms.forward import Forward, Prediction
+from bcid.forms.forward import Forward, Look, Prediction
 from bcid.forms.gripper_force import ForceScale
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
 from bcid.forms.sensitivity import Sensitivities, Sensitivity, Wanted
 from bcid.forms.set_tangent import SetTangent, SetTangents, StepTangent
 from bcid.forms.solver.equilibrium import Settings
+from bcid.forms.solver.supports import Pose
 from bcid.inference.data import Data, Noise
 from bcid.inference.nuisances import NuisanceModes, Nuisances
 from bcid.measurement import Action, Measurement
@@ -226,11 +227,12 @@ class Predictor:
         forward = self.forward(key.model, key.level)
         forward.equilibrium.settings = self.settings
         near = self._kept.near(key)
+        look = self._looking(forward) if keep and key.level == self.level else None
         positions = np.full(self.data.mask.shape, np.nan)
         parts, failure, error = {}, "", None
         for action in self.mine(actions):
             try:
-                part = forward.predict(key.anchors, [action], keep=keep, known=near.get(action.name))
+                part = forward.predict(key.anchors, [action], keep=keep, known=near.get(action.name), look=look)
             except BcidError as caught:
                 error = caught
                 break
@@ -244,6 +246,25 @@ class Predictor:
         return MeasurementPrediction(
             joined([found for found, _ in gathered]), parts, next((why for _, why in gathered if why), "")
         )
+
+    def _looking(self, forward: Forward) -> Look | None:
+        """Makes the responses of the states that will be asked about, where they can be kept."""
+        asked, responses = self._frames(self._known(forward.model)), self._sensitivity(forward).responses
+        if not responses.worth(3 * BUMPS, int(asked.sum())):
+            return None
+
+        def look(frame: int, pose: Pose) -> None:
+            if asked[frame]:
+                responses.make(pose, forward.model)
+
+        return look
+
+    def _sensitivity(self, forward: Forward) -> Sensitivity:
+        """Of a model on the working level, made once."""
+        key = self.level, forward.model.name
+        if key not in self._sensitivities:
+            self._sensitivities[key] = Sensitivity(forward)
+        return self._sensitivities[key]
 
     def _pictured(self, model: Model, positions: Array, level: int) -> Array:
         """Positions as the camera shows them."""
@@ -289,11 +310,7 @@ class Predictor:
     ) -> Sensitivities:
         """Sensitivities at rest and in those steps of each action that are `known`, or in all that were seen."""
         forward = self.forward(model)
-        key = self.level, forward.model.name
-        if key not in self._sensitivities:
-            self._sensitivities[key] = Sensitivity(forward)
-        sensitivity = self._sensitivities[key]
-        seen = self._frames(known)
+        sensitivity, seen = self._sensitivity(forward), self._frames(known)
         error, parts, mine = None, [], self.mine(self.actions)
         for number, action in enumerate(mine):
             if not self.thin and len(wanted.probes) > 1:

@@ -27,6 +27,7 @@ from bcid.scene import Scene
 
 Array = NDArray[np.float64]
 Watch = Callable[[int, Array], bool | None]
+Look = Callable[[int, Pose], None]
 
 
 @dataclass(frozen=True)
@@ -138,6 +139,7 @@ class Forward:
         keep: bool = False,
         rtol: float | None = None,
         known: Mapping[int, Array] | None = None,
+        look: Look | None = None,
     ) -> Prediction:
         """Fiducial positions while the actions are made with these patches anchored.
 
@@ -149,6 +151,7 @@ class Forward:
             keep: also keep the state of every frame, for `detail`.
             rtol: accuracy, by default that of the settings.
             known: states that are nearly right by frame, as a rougher prediction has kept them: where to start from.
+            look: called in each frame, with its index and the pose, while the equilibrium is in its state.
         """
         frames = 1 + max(int(action.frames.max()) for action in actions)
         positions = np.full((frames, self.rows, 3), np.nan)
@@ -168,6 +171,8 @@ class Forward:
                 positions[frame] = self._shown(pose, self.frame(action, step))
                 if keep:
                     states[frame] = equilibrium.u.x.array.copy()
+                if look is not None:
+                    look(frame, pose)
                 return None if watch is None else watch(frame, positions[frame])
 
             numbered = [(k, int(f)) for k, f in enumerate(action.frames) if k >= first]

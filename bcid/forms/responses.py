@@ -115,15 +115,41 @@ class Responses:
                 raise SolveError("the tangent of a converged step could not be factorised")
         elif forward.gripper_force or increments:
             equilibrium.tangent.assemble()
-        observe, levers = self.observe, np.zeros((self.observe.shape[1], 0))
-        if forward.gripper_force is not None:
-            levers = forward.gripper_force.levers(pose)
-            observe = forward.gripper_force.beside(observe, levers)
-        count = observe.shape[0]
-        if products is None and (count <= _SERVED * (causes + fields) if fields else count < causes):
+        observe, levers = self._observed(pose)
+        if products is None and self._serve(observe.shape[0], causes, fields):
             products = _products(equilibrium, observe)
             self._keep(key, products)
         return Response(equilibrium, observe, levers, products)
+
+    def make(self, pose: Pose, model: Model) -> None:
+        """The products of the present state, for later questions about it, while its tangent serves the next step as well.
+
+        Nothing is done where the tangent cannot be factorised.
+        """
+        equilibrium, key = self.forward.equilibrium, self._key(pose, model)
+        if equilibrium.verify() is not Status.LINEAR_SOLVER and key not in self._kept:
+            self._keep(key, _products(equilibrium, self._observed(pose)[0]))
+
+    def worth(self, fields: int, states: int) -> bool:
+        """Whether products of so many states will serve questions about so many changes, and can all be kept."""
+        rows, unknowns = 3 * self.forward.rows, len(self.forward.equilibrium.u.x.array)
+        return (
+            not self.forward.equilibrium.model.remembers
+            and self._serve(rows, 0, fields)
+            and 8 * rows * unknowns * states <= _KEPT_BYTES
+        )
+
+    @staticmethod
+    def _serve(rows: int, causes: int, fields: int) -> bool:
+        return rows <= _SERVED * (causes + fields) if fields else rows < causes
+
+    def _observed(self, pose: Pose) -> tuple[sp.csr_matrix, Array]:
+        """What is measured of movements of the unknowns, and the levers of forces, see `Response`."""
+        gripper = self.forward.gripper_force
+        if gripper is None:
+            return self.observe, np.zeros((self.observe.shape[1], 0))
+        levers = gripper.levers(pose)
+        return gripper.beside(self.observe, levers), levers
 
     def _key(self, pose: Pose, model: Model) -> bytes:
         """What the tangent at the present state depends on; where it remembers, that is more than this, and nothing is kept."""

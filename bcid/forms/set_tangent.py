@@ -52,9 +52,35 @@ class StepTangent:
     shown: Array
     freed: Array
 
-    def among(self, numbers: Sequence[int]) -> StepTangent:
-        """Some of many steps that are stacked in one."""
-        return StepTangent(*(getattr(self, f.name)[list(numbers)] for f in fields(self)))
+
+@dataclass(frozen=True)
+class _Steps:
+    """Steps as one, the step as the first axis, each traction in units of its own compliance.
+
+    Attributes:
+        compliance, apart, shown, freed: as of a `StepTangent`.
+        scale: the units, shape (steps, tractions).
+    """
+
+    compliance: Array
+    apart: Array
+    shown: Array
+    freed: Array
+    scale: Array
+
+    @classmethod
+    def of(cls, steps: Sequence[StepTangent]) -> _Steps:
+        """All of them."""
+        compliance, apart, shown, freed = (
+            np.array([getattr(step, f.name) for step in steps]) for f in fields(StepTangent)
+        )
+        scale = 1 / np.sqrt(np.maximum(np.abs(np.diagonal(compliance, axis1=1, axis2=2)), 1e-300))
+        compliance = scale[:, :, None] * compliance * scale[:, None, :] + _ALIKE * np.eye(scale.shape[1])
+        return cls(compliance, scale * apart, shown * scale[:, None, :], freed, scale)
+
+    def among(self, numbers: Sequence[int]) -> _Steps:
+        """Some of them."""
+        return _Steps(*(getattr(self, f.name)[list(numbers)] for f in fields(self)))
 
 
 @dataclass(frozen=True)
@@ -91,10 +117,8 @@ class SetTangent:
         return self._anchored(self.anchors, {})
 
     @cached_property
-    def _stacked(self) -> StepTangent:
-        """All steps as one, the step as the first axis."""
-        parts = [[getattr(step, f.name) for step in self.steps.values()] for f in fields(StepTangent)]
-        return StepTangent(*(np.array(part) for part in parts))
+    def _stacked(self) -> _Steps:
+        return _Steps.of(list(self.steps.values()))
 
     def _anchored(self, anchors: Iterable[str], soft: Mapping[str, float]) -> Array:
         """Movement of the fiducials with these anchors, each as long as it holds, (steps, fiducials, 3), m."""
@@ -107,8 +131,8 @@ class SetTangent:
             result[numbers] = self._held(some, held, soft)
         return result
 
-    def _held(self, steps: StepTangent, anchors: Iterable[str], soft: Mapping[str, float]) -> Array:
-        """Movement of the fiducials where these patches hold in some stacked steps, (steps, fiducials, 3), m."""
+    def _held(self, steps: _Steps, anchors: Iterable[str], soft: Mapping[str, float]) -> Array:
+        """Movement of the fiducials where these patches hold in some scaled steps, (steps, fiducials, 3), m."""
         chosen = np.concatenate([np.zeros(0, np.int64), *(self.tractions[patch] for patch in sorted(anchors))])
         moved = steps.freed
         if len(chosen):
@@ -116,11 +140,10 @@ class SetTangent:
             for patch, compliance in soft.items():
                 inside = np.flatnonzero(np.isin(chosen, self.tractions[patch]))
                 own = chosen[inside]
-                matrix[:, inside[:, None], inside] += compliance * self.areas[own[:, None], own]
-            scale = 1 / np.sqrt(np.maximum(np.abs(np.diagonal(matrix, axis1=1, axis2=2)), 1e-300))
-            scaled = scale[:, :, None] * matrix * scale[:, None, :] + _ALIKE * np.eye(len(chosen))
-            right = (scale * steps.apart[:, chosen])[..., None]
-            held = scale[..., None] * np.linalg.solve(scaled, right)
+                springs = compliance * self.areas[own[:, None], own]
+                scale = steps.scale[:, own]
+                matrix[:, inside[:, None], inside] += scale[:, :, None] * springs * scale[:, None, :]
+            held = np.linalg.solve(matrix, steps.apart[:, chosen, None])
             moved = moved - (steps.shown[:, :, chosen] @ held)[..., 0]
         return np.asarray(moved.reshape(len(moved), *self.shape[1:]))
 

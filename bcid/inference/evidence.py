@@ -86,19 +86,41 @@ class _Products:
     volume: Array
 
 
-def log_evidence(scaled: Array, numbers: Numbers, force: Force | None = None, factors: Array | None = None) -> float:
-    """Logarithm of the density of a residual, without that of its errors alone and the constant of n values.
+@dataclass(frozen=True)
+class Integrated:
+    """What is left of a residual once the unknown numbers are integrated over, for each size of a force and each row of widths.
 
-    Args:
-        scaled: the residual at the numbers, in units of its errors, shape (n,).
-        numbers: what is unknown of the hypothesis.
-        force: acts besides, integrated over its size.
-        factors: by which the errors may be larger than they are taken for, all equally likely; they are known by default.
+    Attributes:
+        squares: chi-square, shape (sizes, rows).
+        volumes: half the logarithm of the determinant of the covariance, likewise.
+        inside: logarithm of the share within bounds, likewise.
+        forced: logarithm of the density for each size while no number is unknown, shape (sizes,).
+        count: values of the residual.
+        log_prior: see `Numbers`.
     """
-    products = _alone(scaled, numbers.columns) if force is None else _forced(scaled, numbers.columns, force)
-    squares, volumes, inside = (part.ravel() for part in _integrated(products, numbers))
-    found = _density(squares, volumes, len(scaled), factors) + inside
-    return float(logsumexp(found)) - math.log(len(found)) + numbers.log_prior
+
+    squares: Array
+    volumes: Array
+    inside: Array
+    forced: Array
+    count: int
+    log_prior: float
+
+    @classmethod
+    def of(cls, scaled: Array, numbers: Numbers, force: Force | None = None) -> Integrated:
+        """Of a residual at the numbers, in units of its errors, shape (n,), and a force that may act besides."""
+        products = _alone(scaled, numbers.columns) if force is None else _forced(scaled, numbers.columns, force)
+        forced = -0.5 * products.rr - products.volume
+        return cls(*_integrated(products, numbers), forced, len(scaled), numbers.log_prior)
+
+    def log(self, factors: Array | None = None) -> float:
+        """Logarithm of the density of the residual, without that of its errors alone and the constant of n values.
+
+        All sizes and widths are equally likely, and so are the `factors` by which the errors may be larger than they are taken
+        for; they are known by default.
+        """
+        found = _density(self.squares.ravel(), self.volumes.ravel(), self.count, factors) + self.inside.ravel()
+        return float(logsumexp(found)) - math.log(len(found)) + self.log_prior
 
 
 def log_gains(
@@ -111,7 +133,7 @@ def log_gains(
         columns: what the amounts of each variant do, shape (n, variants, amounts).
         widths: standard deviations of the amounts that are equally likely, shape (rows, amounts).
         positive: which amounts cannot be negative, shape (amounts,).
-        factors: as of `log_evidence`.
+        factors: as of `Integrated.log`.
     """
     count, amounts = len(scaled), columns.shape[2]
     rr, rj = float(scaled @ scaled), np.einsum("n,nva->va", scaled, columns)
@@ -131,12 +153,6 @@ def log_gains(
     return np.asarray(logsumexp(found, axis=0)) - math.log(len(found)) - nothing
 
 
-def likeliest_size(scaled: Array, force: Force) -> float:
-    """The standard deviation of an unknown force that makes a residual likeliest."""
-    found = _forced(scaled, np.zeros((len(scaled), 0)), force)
-    return float(force.sizes[int(np.argmax(-0.5 * found.rr - found.volume))])
-
-
 def _alone(scaled: Array, columns: Array) -> _Products:
     return _Products(np.array([scaled @ scaled]), (columns.T @ scaled)[None], (columns.T @ columns)[None], np.zeros(1))
 
@@ -148,7 +164,7 @@ def _forced(scaled: Array, columns: Array, force: Force) -> _Products:
     widths = 1 + force.sizes[:, None] ** 2 * force.squares
     lost = 1 - 1 / widths
     rr, rj = plain.rr - lost @ r**2, plain.rj - (lost * r) @ j
-    jj = plain.jj - np.einsum("sk,kp,kq->spq", lost, j, j, optimize=True)
+    jj = plain.jj - (lost[:, None, :] * j.T) @ j
     return _Products(rr, rj, jj, 0.5 * np.sum(np.log(widths), axis=1))
 
 

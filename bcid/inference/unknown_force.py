@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bcid.inference.criteria import NOTABLE
 from bcid.inference.data import Data
-from bcid.inference.evidence import LARGER, Force, Numbers, likeliest_size, log_evidence
+from bcid.inference.evidence import LARGER, Force, Integrated, Numbers
 from bcid.inference.likelihood import Errors
 
 Array = NDArray[np.float64]
@@ -84,10 +84,12 @@ class Evidence:
         """
         scaled, known = errors.whiten(residual), numbers or Numbers.none(len(residual))
         stated, volume = errors.data.stated, errors.log_volume
-        plain = log_evidence(scaled, known, None, None if stated else LARGER)
-        larger = log_evidence(scaled, known, force, LARGER)
-        forced = np.logaddexp(log_evidence(scaled, known, force), larger) if stated else larger + math.log(2)
-        return cls(plain - volume, float(forced) - math.log(2) - volume, likeliest_size(scaled, force))
+        plain = Integrated.of(scaled, known).log(None if stated else LARGER)
+        pushed = Integrated.of(scaled, known, force)
+        larger = pushed.log(LARGER)
+        forced = np.logaddexp(pushed.log(), larger) if stated else larger + math.log(2)
+        size = float(force.sizes[int(np.argmax(pushed.forced))])
+        return cls(plain - volume, float(forced) - math.log(2) - volume, size)
 
     @property
     def total(self) -> float:

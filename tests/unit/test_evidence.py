@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
 from bcid.inference.data import Data, Noise, told_noise
-from bcid.inference.evidence import LARGER, Force, Numbers, likeliest_size, log_evidence, log_gains
+from bcid.inference.evidence import LARGER, Force, Integrated, Numbers, log_gains
 from bcid.inference.hypotheses import (
     EXPECTED,
     MISSED,
@@ -54,23 +54,25 @@ def written_out(residual: Array, widths: Array, pushes: Array | None = None) -> 
 
 def test_numbers_are_integrated_over() -> None:
     expected = logsumexp([written_out(RESIDUAL, row) for row in WIDTHS]) - math.log(2) + math.log(0.25)
-    assert log_evidence(RESIDUAL, numbers()) == pytest.approx(expected)
+    assert Integrated.of(RESIDUAL, numbers()).log() == pytest.approx(expected)
 
 
 def test_about_a_fit_the_same_is_found() -> None:
     """The model is linear: whether the residual is that of the fit or that without the effect does not matter."""
     best = np.linalg.lstsq(COLUMNS, RESIDUAL, rcond=None)[0]
-    assert log_evidence(RESIDUAL - COLUMNS @ best, numbers(best)) == pytest.approx(log_evidence(RESIDUAL, numbers()))
+    assert Integrated.of(RESIDUAL - COLUMNS @ best, numbers(best)).log() == pytest.approx(
+        Integrated.of(RESIDUAL, numbers()).log()
+    )
 
 
 def test_a_force_is_integrated_over_with_the_numbers() -> None:
     sizes = np.array([0.1, 0.7])
     force = Force.of(PUSHES, sizes)
     each = [written_out(RESIDUAL, row, size * PUSHES) for size in sizes for row in WIDTHS]
-    found = log_evidence(RESIDUAL, numbers(), force)
+    found = Integrated.of(RESIDUAL, numbers(), force).log()
     assert found == pytest.approx(logsumexp(each) - math.log(4) + math.log(0.25))
     pushed = RNG.normal(size=COUNT) + 0.7 * PUSHES @ RNG.normal(size=9)
-    assert likeliest_size(pushed, force) == 0.7
+    assert force.sizes[np.argmax(Integrated.of(pushed, Numbers.none(COUNT), force).forced)] == 0.7
 
 
 def test_an_amount_that_cannot_be_negative() -> None:
@@ -85,8 +87,8 @@ def test_an_amount_that_cannot_be_negative() -> None:
             return 2 * float(norm.pdf(amount, scale=1.5)) * math.exp(-0.5 * squares)
 
         integral = math.log(quad(density, 0, 30, points=[0.5, 1, 2, 4])[0])
-        nothing = log_evidence(residual, Numbers.none(COUNT))
-        assert log_evidence(residual, one) - nothing == pytest.approx(integral, abs=1e-6)
+        nothing = Integrated.of(residual, Numbers.none(COUNT)).log()
+        assert Integrated.of(residual, one).log() - nothing == pytest.approx(integral, abs=1e-6)
 
 
 def test_many_variants_at_once() -> None:
@@ -96,8 +98,8 @@ def test_many_variants_at_once() -> None:
     gains = log_gains(RESIDUAL, stacked, WIDTHS, positive)
     for gain, columns in zip(gains, np.moveaxis(stacked, 1, 0), strict=True):
         alone = Numbers(columns, np.zeros(2), WIDTHS, positive)
-        nothing = log_evidence(RESIDUAL, Numbers.none(COUNT))
-        assert gain == pytest.approx(log_evidence(RESIDUAL, alone) - nothing)
+        nothing = Integrated.of(RESIDUAL, Numbers.none(COUNT)).log()
+        assert gain == pytest.approx(Integrated.of(RESIDUAL, alone).log() - nothing)
 
 
 def test_errors_that_are_known_but_for_a_factor() -> None:
@@ -106,16 +108,16 @@ def test_errors_that_are_known_but_for_a_factor() -> None:
         values = [
             multivariate_normal(cov=one**2 * np.eye(COUNT)).logpdf(factor * RESIDUAL) + CONSTANT for one in LARGER
         ]
-        found = log_evidence(factor * RESIDUAL, none, factors=LARGER)
+        found = Integrated.of(factor * RESIDUAL, none).log(LARGER)
         assert found == pytest.approx(logsumexp(values) - math.log(len(values)))
     # Errors five times as large as stated are no surprise then, and a great one else.
-    assert log_evidence(5 * RESIDUAL, none, factors=LARGER) > log_evidence(5 * RESIDUAL, none) + 100
+    assert Integrated.of(5 * RESIDUAL, none).log(LARGER) > Integrated.of(5 * RESIDUAL, none).log() + 100
 
 
 @pytest.mark.parametrize("larger", [1 / 3, 3.0])
 def test_a_prior_that_is_three_times_as_wide_changes_little(larger: float) -> None:
     plain, wider = numbers(), Numbers(COLUMNS, np.zeros(2), larger * WIDTHS, np.zeros(2, bool), math.log(0.25))
-    assert log_evidence(RESIDUAL, wider) == pytest.approx(log_evidence(RESIDUAL, plain), abs=3.0)
+    assert Integrated.of(RESIDUAL, wider).log() == pytest.approx(Integrated.of(RESIDUAL, plain).log(), abs=3.0)
 
 
 # -- hypotheses

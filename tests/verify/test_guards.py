@@ -32,6 +32,7 @@ from bcid.comparison.separate import separating_pulls
 from bcid.comparison.state import State
 from bcid.forms import effects
 from bcid.forms.model import Model, Term, check_physics
+from bcid.forms.responses import Responses
 from bcid.forms.simulate import simulate
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.criteria import SEEN
@@ -175,6 +176,26 @@ def test_a_glance_looks_at_rest_once_and_at_every_end(slab: Scene, plain: Measur
     seen = thin.data.mask.any(axis=(1, 2))
     assert list(seen) == ([True, True, True, False, True, True, False, True, True] if steps > 1 else [True] * 3)
     assert np.array_equal(thin.data.measured[seen], measurement.positions[frames][seen])
+
+
+def test_responses_made_on_the_way_are_those_of_the_states(
+    slab: Scene, plain: Measurement, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No tangent of a state that is asked about is factorised again, and what is told of it is the same."""
+    found, factorised = [], []
+    for made in (True, False):
+        with monkeypatch.context() as patch:
+            if not made:
+                patch.setattr(Responses, "worth", lambda *_: False)
+            predictor = Predictor(slab, plain, MPI.COMM_SELF, level=1, settings=Settings(rtol=1e-10))
+            model = Model.of(slab)
+            prediction = predictor.predict(model, ANCHORED, keep=True)
+            before = predictor.forward(model).equilibrium.factor.count
+            found.append(predictor.disturbances(model, ANCHORED, prediction)[1])
+            factorised.append(predictor.forward(model).equilibrium.factor.count - before)
+            predictor.destroy()
+    assert np.abs(found[0] - found[1]).max() < 1e-6 * np.abs(found[1]).max()
+    assert factorised[0] == 0 < factorised[1]
 
 
 # -- a coarse mesh

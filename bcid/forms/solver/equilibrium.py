@@ -48,6 +48,7 @@ class Settings:
         linear: "direct", "gamg" (conjugate gradients with algebraic multigrid), or "auto": direct up to `direct_up_to`
             unknowns.
         direct_up_to: see `linear`.
+        pivots: whether the tangent's pivots are looked at every few steps and at the end of an action, to know that it is stable.
     """
 
     rtol: float = 1e-8
@@ -55,6 +56,7 @@ class Settings:
     halvings: int = 5
     linear: str = "auto"
     direct_up_to: int = 200_000
+    pivots: bool = True
 
 
 class Equilibrium:
@@ -88,7 +90,7 @@ class Equilibrium:
         self._compile()
         self._prepare_solver()
         self.supports = Supports(body, scene, self.places, model.rollers, self._owned)
-        self._lagging = self._stale = False
+        self._lagging = self._stale = self._verified = False
         self._iteration = self._slow = 0
         self.hold(model.anchors, model.grasp)
 
@@ -116,6 +118,7 @@ class Equilibrium:
 
     def set_constants(self, values: Mapping[str, float]) -> None:
         """Change numbers of the model by full name ("young", "gravity.weight"); nothing is recompiled."""
+        self._verified = False
         for name, value in values.items():
             self._constants[name].value = value
 
@@ -145,12 +148,14 @@ class Equilibrium:
     def accept(self, pose: Pose) -> None:
         """The present state is the equilibrium at `pose`: effects with memory take it for their last one."""
         self.time = pose.time
+        self._verified &= not self.weak_form.memories
         for memory in self.weak_form.memories.values():
             memory.advance()
 
     def start_over(self, state: Array | None) -> None:
         """Back to `state` (this rank's unknowns; None: undeformed), and from there with a tangent for every iteration."""
         self.u.x.array[:] = 0.0 if state is None else state
+        self._verified = False
         self.factor.reset()
         self.secant.clear()
         self.supports.unload()
@@ -271,7 +276,7 @@ class Equilibrium:
         rest = alike and not self.u.x.array.any()
         self.tangent.assemble(self._numbers() if rest else None)
         self.age = 0
-        self.factor.usable = False
+        self.factor.usable = self._verified = False
         self.secant.clear()
 
     def _numbers(self) -> tuple[float, ...]:
@@ -310,6 +315,7 @@ class Equilibrium:
         `Status.CONVERGED`.
         """
         before = self.u.x.array.copy()
+        self._verified = False
         self._prescribe(pose)
         status = Status.DIVERGED
         for lagging in (False,) if self.careful else (True, False):
@@ -388,12 +394,19 @@ class Equilibrium:
 
         With `springs`, every node is held besides by one of this part of the tangent's own stiffness.
         """
-        self._assemble_tangent()
-        if springs:
-            self.tangent.stiffen(springs)
-        if not self.factor.refresh():
-            return self._unfactored()
+        if springs or not self.verified:
+            self._assemble_tangent()
+            if springs:
+                self.tangent.stiffen(springs)
+            if not self.factor.refresh():
+                return self._unfactored()
+            self._verified = not springs
         return Status.UNSTABLE if self.factor.negative else Status.CONVERGED
+
+    @property
+    def verified(self) -> bool:
+        """Whether the factor at hand is of the tangent of the present state."""
+        return self._verified and self.factor.usable
 
     def smallest_jacobian(self) -> float:
         """Smallest det F over all elements, at their corners, edge nodes and middles (at degree 1 it is one number per element)."""

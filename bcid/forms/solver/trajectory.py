@@ -115,8 +115,9 @@ def follow(
 ) -> Trajectory:
     """Move the gripper along an action from the undeformed state; collective on the body's communicator.
 
-    The tangent is factorised every few steps and at the end. When it turns out not to be positive definite, the motion
-    goes back to the last state that was seen to be stable and is repeated with a tangent of its own for every iteration.
+    The tangent is factorised every few steps and at the end, if the settings ask for its pivots; one that `seen` has factorised
+    serves as well. When it turns out not to be positive definite, the motion goes back to the last state that was seen to be
+    stable and is repeated with a tangent of its own for every iteration.
 
     Args:
         equilibrium: holds the anchors already; its grasp must be the action's.
@@ -149,7 +150,8 @@ def follow(
             stopped = seen(done, path[done + 1]) is False
             equilibrium.accept(path[done + 1])
             done += 1
-            if not stopped and (equilibrium.age >= _TRUSTED or done == len(action)):
+            asked = equilibrium.settings.pivots and (equilibrium.age >= _TRUSTED or done == len(action))
+            if not stopped and (asked or equilibrium.verified):
                 status = equilibrium.verify()
                 safe = (done, replace(history)) if status is Status.CONVERGED else safe
         if status is not Status.CONVERGED:
