@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from bcid.comparison.rivals import UNLIKELY, Contest, Rival, best_first
+from bcid.comparison.contest import Contest
+from bcid.comparison.rivals import UNLIKELY, Rival, best_first
 from bcid.forms.model import Model
-from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, with_others
+from bcid.inference.hypotheses import OTHERS, Hypothesis, HypothesisOdds, moderated, with_others
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
@@ -27,7 +28,8 @@ class Compared:
         full: the same, all with what may be left of that error where it is largest among them.
         thin: those that were compared with a few steps; their logarithms are relative to the former.
         about: the one whose tangent was asked about other sets in all steps.
-        shown: logarithms of the odds of these sets against it.
+        shown: logarithms of the odds of these sets against it, as the tangent shows them.
+        misses: by how much it showed too little of those that were fitted since.
         promised: logarithms of evidence and of prior odds of effects that were not worth a fit.
     """
 
@@ -36,6 +38,7 @@ class Compared:
     thin: list[Rival] = field(default_factory=list)
     about: Rival | None = None
     shown: dict[Anchored, float] = field(default_factory=dict)
+    misses: list[float] = field(default_factory=list)
     promised: dict[Hypothesis, tuple[float, float]] = field(default_factory=dict)
 
     def like(self, rival: Rival) -> Rival | None:
@@ -101,10 +104,44 @@ class Compared:
         shares = {what: float(logsumexp(logs)) for what, logs in acting.items()}
         whole = logsumexp(list(shares.values()))
         return {
-            Hypothesis(anchors, *what): float(here + power * log + share - whole)
+            Hypothesis(anchors, *what): float(here + power * moderated(log, self.misses) + share - whole)
             for anchors, log in self.shown.items()
             for what, share in shares.items()
         }
+
+    def unconfirmed(self) -> Hypothesis | None:
+        """The likeliest hypothesis, if it was not compared with all steps and can be: if it says what acts."""
+        told = self.odds.best
+        known = told.effect == OTHERS or any(told in rival.logs for rival in self.full)
+        return None if known else told
+
+    def confirm(self, told: Hypothesis, rival: Rival, begun: Model) -> None:
+        """Take what was found of a hypothesis for what was thought of it, and of others that rest on the same think likewise."""
+        name, evidence = told.effect, rival.evidence
+        rough = next((r for r in self.thin if told in r.logs), None)
+        if rough is not None:
+            self.refuse(told)
+            apart = rival.log - rough.log
+        elif (told.anchors, name) in {(h.anchors, h.effect) for h in self.promised}:
+            apart = evidence.plain - self.promised[Hypothesis(told.anchors, name)][0]
+        else:
+            self.misses.append(rival.log - self._at(rival.names) - self.shown[told.anchors])
+            apart = 0.0
+        self.thin = [r.shifted(apart) if r.names == rival.names else r for r in self.thin]
+        self.promised = {h: (e + apart if h.effect == name else e, prior) for h, (e, prior) in self.promised.items()}
+        self.add([rival], begun)
+
+    def _at(self, names: tuple[str, ...]) -> float:
+        """Logarithm of the evidence of some effects on the set whose tangent was asked about others."""
+        assert self.about is not None
+        here = self.about.anchors
+        return next((r.log for r in self.full if (r.names, r.anchors) == (names, here)), self.about.log)
+
+    def refuse(self, hypothesis: Hypothesis) -> None:
+        """Take out one that cannot be followed to the end, and its set where it was only shown."""
+        self.thin = [rival for rival in self.thin if hypothesis not in rival.logs]
+        self.promised.pop(hypothesis, None)
+        self.shown.pop(hypothesis.anchors, None)
 
     def best(self) -> Rival:
         """The likeliest of the hypotheses that were compared with all steps."""

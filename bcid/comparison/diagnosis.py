@@ -12,12 +12,14 @@ from bcid.base.errors import InputError, nearest
 from bcid.base.progress import Progress, Silent
 from bcid.comparison.adequacy import judge
 from bcid.comparison.buckled_frames import leave_out
-from bcid.comparison.explain import ExplainOptions, Explanation, Rung, explain
+from bcid.comparison.contest import fitted_beside
+from bcid.comparison.explain import ExplainOptions, explain
+from bcid.comparison.explanation import Explanation, Rung
 from bcid.comparison.fit import Fit, fit, held_out
 from bcid.comparison.mesh_ladder import mesh_error
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import rank
-from bcid.comparison.rivals import fitted_beside, refit
+from bcid.comparison.rivals import refit
 from bcid.comparison.separate import Pull, separating_pulls
 from bcid.comparison.source import Source
 from bcid.comparison.state import State

@@ -9,7 +9,7 @@ import numpy as np
 
 from bcid.base.units import UNTOLD, for_people, p_value, percent, significance, uncertain
 from bcid.comparison.adequacy import BREAKING, Adequacy, groups
-from bcid.comparison.explain import Explanation, Rung
+from bcid.comparison.explanation import Explanation, Rung
 from bcid.comparison.ranking import Ranking, Row
 from bcid.comparison.rivals import Rival
 from bcid.comparison.separate import Pull

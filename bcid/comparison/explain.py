@@ -12,21 +12,22 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError
 from bcid.base.units import p_value, percent
-from bcid.comparison.adequacy import Adequacy, judge
+from bcid.comparison.adequacy import judge
 from bcid.comparison.buckled_frames import leave_out
 from bcid.comparison.candidates import Candidates, Known
 from bcid.comparison.compared import Compared
+from bcid.comparison.contest import Contest, contest
+from bcid.comparison.explanation import Explanation, Rung, explains
 from bcid.comparison.first_sets import first_sets
 from bcid.comparison.fit import Fit, held_out
 from bcid.comparison.predictor import Predictor
-from bcid.comparison.ranking import Ranking, rank
+from bcid.comparison.ranking import rank
 from bcid.comparison.rivals import (
     UNLIKELY,
     WORTH,
-    Contest,
     Rival,
+    added,
     best_first,
-    contest,
     promoted,
     shown_about,
 )
@@ -35,16 +36,16 @@ from bcid.comparison.told_anchors import told_anchors
 from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
-from bcid.inference.criteria import CERTAIN, NEARLY_ALL
-from bcid.inference.data import Noise, told_noise
-from bcid.inference.hypotheses import HypothesisOdds, moderated
+from bcid.inference.data import told_noise
+from bcid.inference.hypotheses import Hypothesis
 from bcid.inference.outcome import label
-from bcid.search.identification import Identification
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
 # So many hypotheses are fitted to all steps, and the best on so many other sets.
 _PROMOTED, _MOVED = 3, 3
+# So many others that seem likelier than these are fitted too, as long as no more of them than this cannot be followed.
+_CONFIRMED, _REFUSED = 3, 6
 
 
 @dataclass(frozen=True)
@@ -64,91 +65,6 @@ class ExplainOptions:
     fitted: int = 5
     sets: int = 28
     only: tuple[str, ...] | None = None
-
-
-@dataclass(frozen=True)
-class Rung:
-    """One model of the ladder.
-
-    Attributes:
-        fitted: the model, fitted and compared.
-        adequacy: the verdict on it.
-        held_out: RMS residual when each action is predicted from the others, m, or None.
-        ranking: what it lacks, if it was asked.
-        rivals: refitted candidates for what it lacks, best first.
-    """
-
-    fitted: Fit
-    adequacy: Adequacy
-    held_out: float | None
-    ranking: Ranking | None = None
-    rivals: tuple[Rival, ...] = ()
-
-    @property
-    def state(self) -> State:
-        """The model compared with the data."""
-        return self.fitted.state
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """What the loop found.
-
-    Attributes:
-        verdict: name of the effect adopted, several joined by "+"; "none" if the plain model is adequate, "unknown" if nothing in
-            the catalogue explains the data, or nearly.
-        odds: what is believed of all hypotheses.
-        rungs: the ladder of models: the plain one with the set that is likeliest alone, with that of the last model where it is
-            another, and with the effects that were adopted.
-        identification: anchors with the last model on the working level.
-        rivals: the hypotheses that were compared with all steps, best first.
-        noise: what the residual says of the noise, where that is not what is stated, or nothing is.
-        trajectories: forward trajectories on the coarse, working and fine levels.
-        seconds: time spent.
-    """
-
-    verdict: str
-    odds: HypothesisOdds
-    rungs: tuple[Rung, ...]
-    identification: Identification
-    rivals: tuple[Rival, ...]
-    noise: Noise | None
-    trajectories: dict[str, float]
-    seconds: float
-
-    @property
-    def probability(self) -> float:
-        """Of the verdict."""
-        return (
-            self.odds.verdicts[self.verdict] if self.verdict in ("none", "unknown") else self.odds.named(self.verdict)
-        )
-
-    @property
-    def held_by(self) -> float:
-        """Probability of the anchors of the last model."""
-        return self.odds.held_by(self.last.state.anchors)
-
-    @property
-    def open(self) -> bool:
-        """Whether verdict or anchors are not certain."""
-        return min(self.certainty, self.held_by) < CERTAIN
-
-    @property
-    def certainty(self) -> float:
-        """Probability that what the verdict names acts, and perhaps more besides that these data do not show."""
-        return self.probability if self.verdict in ("none", "unknown") else self.odds.acting(self.verdict)
-
-    @property
-    def ambiguous(self) -> tuple[str, ...]:
-        """Other verdicts that have a part in the belief, where none has nearly all of it."""
-        if self.certainty >= CERTAIN:
-            return ()
-        return tuple(name for name, p in self.odds.verdicts.items() if name != self.verdict and p > 1 - CERTAIN)
-
-    @property
-    def last(self) -> Rung:
-        """The model the loop ended with."""
-        return self.rungs[-1]
 
 
 def explain(
@@ -272,7 +188,44 @@ class _Loop:
             rivals.append(Rival.of(Fit.at(base), self.model, self.candidates.among))
         compared.add([*rivals, *self.elsewhere(best_first(rivals), base)], self.model)
         compared.add_roughly(contest, [rough for rough, _ in fitted], own)
+        self.confirm(base)
         self.predictor.drop([self.model, *(rival.fitted.state.model for rival in self.compared.full)])
+
+    def confirm(self, base: State) -> None:
+        """Fit to all steps what is believed most, until that was: a few steps, or a tangent, may have promised too much of it."""
+        fitted = refused = 0
+        while fitted < _CONFIRMED and refused < _REFUSED:
+            told = self.compared.unconfirmed()
+            if told is None:
+                return
+            self.step("what seems likeliest fitted to all steps", fitted, _CONFIRMED)
+            again = self.again(told, base)
+            if again is None:
+                refused += 1
+                self.compared.refuse(told)
+                continue
+            fitted += 1
+            state = again.fitted.state
+            self.say(f"  {state.model.name}, anchors {self.name(again.anchors)}: {state.rms * 1e3:.3g} mm")
+            self.compared.confirm(told, again, self.model)
+
+    def again(self, told: Hypothesis, base: State) -> Rival | None:
+        """A hypothesis that was compared with a few steps, or not at all, with all of them; None where that fails."""
+        names, effects = told.names, {effect.name: effect for effect in self.lacking}
+        rough = next((r for r in self.compared.thin if (r.names, r.anchors) == (names, told.anchors)), None)
+        if rough is not None:
+            return promoted(rough, base, self.model)
+        like = next((r for r in self.compared.full if r.names == names), None)
+        if like is not None:
+            return promoted(like, base, self.model, anchors=told.anchors)
+        own = tuple(term.effect.name for term in base.model.added(self.model))
+        if names[:-1] != own or names[-1] not in effects:
+            return None
+        try:
+            beside = State.of(self.predictor, base.model, told.anchors, None, base.free)
+        except SolveError:
+            return None
+        return added(beside, effects[names[-1]], self.model, self.candidates.among)
 
     def elsewhere(self, rivals: Sequence[Rival], base: State) -> list[Rival]:
         """The best of some hypotheses on other sets, fitted where its tangent in all steps shows them to be as likely.
@@ -285,7 +238,7 @@ class _Loop:
         best = rivals[0]
         tried = {r.anchors for r in rivals if r.names == best.names}
         shown = shown_about(best, self.model)
-        misses: list[float] = []
+        misses, refused = list[float](), set[Anchored]()
         for _ in range(_MOVED):
             near = [s for s in shown if s not in tried and shown[s] > shown[best.anchors] - WORTH]
             if not near:
@@ -295,6 +248,7 @@ class _Loop:
             self.step("other anchor sets fitted to all steps", len(found), _MOVED)
             again = promoted(best, base, self.model, anchors=anchors)
             if again is None:
+                refused.add(anchors)
                 continue
             found.append(again)
             self.say(
@@ -303,10 +257,9 @@ class _Loop:
             misses.append(again.log - best.log - (shown[anchors] - shown[best.anchors]))
             if again.log > best.log:
                 best, shown = again, shown_about(again, self.model)
-        self.compared.about = best
-        self.compared.shown = {
-            s: moderated(log - shown[best.anchors], misses) for s, log in shown.items() if s != best.anchors
-        }
+        self.compared.about, self.compared.misses = best, misses
+        others = {s: log for s, log in shown.items() if s != best.anchors and s not in refused}
+        self.compared.shown = {s: log - shown[best.anchors] for s, log in others.items()}
         return found
 
     def deeper(self) -> bool:
@@ -383,14 +336,3 @@ class _Loop:
 
     def name(self, anchors: Anchored) -> str:
         return label(anchors, self.predictor.scene.patches)
-
-
-def explained(before: Fit, after: Fit) -> float:
-    """Which part of a model's chi-square beyond that of its errors another one explains; nothing where there is no such part."""
-    excess = before.state.chi2 - len(before.state.predictor.data)
-    return (before.state.chi2 - after.state.chi2) / excess if excess > 0 else 0.0
-
-
-def explains(before: Fit, after: Fit) -> bool:
-    """Whether what was added to a model may be named although something is missing besides: it explains nearly all."""
-    return explained(before, after) > NEARLY_ALL

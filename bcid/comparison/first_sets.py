@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from bcid.base.errors import SolveError
 from bcid.base.progress import Steps
 from bcid.comparison import anchors as anchor_search
+from bcid.comparison.contest import GLANCE, STEPS
 from bcid.comparison.hypothesis_search import HypothesisSearch
 from bcid.comparison.predictor import Predictor
-from bcid.comparison.rivals import GLANCE, STEPS
 from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings

@@ -14,7 +14,7 @@ from bcid.base.units import unit_factor
 from bcid.comparison import courses, diagnosis_text
 from bcid.comparison.adequacy import FALSE_ALARMS, groups, judge
 from bcid.comparison.diagnosis import Diagnosis
-from bcid.comparison.explain import Explanation, Rung, explains
+from bcid.comparison.explanation import Explanation, Rung, explains
 from bcid.comparison.fit import Fit
 from bcid.comparison.predictor import Predictor, joined
 from bcid.comparison.ranking import Ranking

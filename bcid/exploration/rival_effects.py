@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from bcid.base.collective import Comm
 from bcid.base.errors import SolveError
+from bcid.comparison.contest import at_a_glance
 from bcid.comparison.fit import Fit
 from bcid.comparison.hypothesis_search import HypothesisSearch
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.priors import expected
-from bcid.comparison.rivals import Rival, at_a_glance, best_first, moved, promoted, refit
+from bcid.comparison.rivals import Rival, best_first, moved, promoted, refit
 from bcid.comparison.state import State
 from bcid.exploration.joined import joined
 from bcid.forms.effects.effect import Effect

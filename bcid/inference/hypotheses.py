@@ -34,6 +34,11 @@ class Hypothesis:
         return bool(self.effect), self.unknown, len(self.anchors), sorted(self.anchors), self.effect
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Of the effects that act."""
+        return tuple(self.effect.split("+")) if self.effect else ()
+
+    @property
     def verdict(self) -> str:
         """As it is told: the effect, "none", "unknown", or "others": known effects that were not looked at together."""
         return "unknown" if self.unknown else self.effect or "none"
@@ -107,7 +112,7 @@ class HypothesisOdds:
     def acting(self, effect: str) -> float:
         """Probability that these effects act, and perhaps others besides."""
         wanted = set(effect.split("+"))
-        return min(1.0, math.fsum(p for h, p in self.probabilities.items() if wanted <= set(h.effect.split("+"))))
+        return min(1.0, math.fsum(p for h, p in self.probabilities.items() if wanted <= set(h.names)))
 
     def held_by(self, anchors: Anchored) -> float:
         """Probability of a set."""

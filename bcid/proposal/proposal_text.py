@@ -8,7 +8,7 @@ import numpy as np
 
 from bcid.base.units import WIDE, for_people, percent, uncertain
 from bcid.comparison.diagnosis_text import anchors
-from bcid.comparison.explain import Rung
+from bcid.comparison.explanation import Rung
 from bcid.forms.model import Term
 from bcid.proposal.effect_file import wrapped
 from bcid.proposal.propose import Entry, Proposal

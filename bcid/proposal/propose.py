@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, nearest
 from bcid.comparison.adequacy import judge
-from bcid.comparison.explain import ExplainOptions, Explanation, Rung, explain, explained
+from bcid.comparison.explain import ExplainOptions, explain
+from bcid.comparison.explanation import Explanation, Rung, explained
 from bcid.comparison.fit import Fit, fit, held_out
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import Ranking

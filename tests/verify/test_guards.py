@@ -20,14 +20,16 @@ from bcid.base.errors import InputError
 from bcid.comparison import diagnosis_text as words
 from bcid.comparison.adequacy import judge
 from bcid.comparison.buckled_frames import buckled, leave_out
-from bcid.comparison.explain import ExplainOptions, explain, explained, explains
+from bcid.comparison.contest import GLANCE, Contest, contest, fitted_beside
+from bcid.comparison.explain import ExplainOptions, explain
+from bcid.comparison.explanation import explained, explains
 from bcid.comparison.fit import columns, coordinates, fit
 from bcid.comparison.hypothesis_search import HypothesisSearch
 from bcid.comparison.mesh_ladder import mesh_error
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.priors import of_state
 from bcid.comparison.ranking import rank
-from bcid.comparison.rivals import GLANCE, Rival, contest, fitted_beside, promoted
+from bcid.comparison.rivals import Rival, promoted
 from bcid.comparison.separate import separating_pulls
 from bcid.comparison.state import State
 from bcid.forms import effects
@@ -36,6 +38,7 @@ from bcid.forms.responses import Responses
 from bcid.forms.simulate import simulate
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.criteria import SEEN
+from bcid.inference.hypotheses import Hypothesis
 from bcid.inference.mesh_error import MeshError
 from bcid.measurement import Action, Measurement
 from bcid.scene import Level, Scene
@@ -110,6 +113,24 @@ def test_the_loop_finds_the_anchors_and_no_effect(predictor: Predictor) -> None:
     found = explain(predictor, ExplainOptions(level=1, only=FEW))
     assert found.verdict == "none"
     assert found.last.state.anchors == ANCHORED
+
+
+def test_what_is_believed_most_was_fitted_to_all_steps(predictor: Predictor, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However much a few steps promise of an effect or a set, and of others that rest on the same."""
+    glance = contest
+
+    def promising(*args: Any) -> Contest:
+        found = glance(*args)
+        most = max(rival.log for rival in found.rivals)
+        sets = [rival.anchors for rival in found.rivals if not rival.names]
+        others = {Hypothesis(anchors, "fibres"): (most + 40.0 - 3.0 * place, 0.0) for place, anchors in enumerate(sets)}
+        return Contest([rival for rival in found.rivals if rival.names != ("fibres",)], found.promised | others)
+
+    monkeypatch.setattr("bcid.comparison.explain.contest", promising)
+    found = explain(predictor, ExplainOptions(level=1, only=("gravity", "fibres")))
+    assert found.verdict == "none"
+    assert found.odds.best in {told for rival in found.rivals for told in rival.logs}
+    assert sum(rival.names == ("fibres",) for rival in found.rivals) == 1
 
 
 def test_anchors_and_effects_are_rivals(slab: Scene) -> None:

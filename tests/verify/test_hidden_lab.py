@@ -14,7 +14,8 @@ import pytest
 from mpi4py import MPI
 
 from bcid import Measurement, Scene
-from bcid.comparison.explain import Explanation, explain
+from bcid.comparison.explain import explain
+from bcid.comparison.explanation import Explanation
 from bcid.comparison.predictor import Predictor
 
 # Of two grasps, in two directions.

@@ -1,0 +1,171 @@
+"""Sets of anchors and effects compared on a few steps of each action, and the likeliest fitted there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+
+from bcid.base.errors import SolveError
+from bcid.comparison.candidates import Start
+from bcid.comparison.fit import held_out
+from bcid.comparison.hypothesis_search import HypothesisSearch, Promise
+from bcid.comparison.rivals import FAR, WORTH, Rival, best_first, moved, promoted, refit
+from bcid.comparison.state import State
+from bcid.comparison.yielding import gives
+from bcid.forms.effects.effect import Effect
+from bcid.forms.model import Model
+from bcid.forms.solver.equilibrium import Settings
+from bcid.inference.hypotheses import Hypothesis
+
+Anchored = frozenset[str]
+Found = TypeVar("Found")
+# Many sets and effects are looked at in so many steps of each action besides rest.
+STEPS = 2
+# With these settings: a set with which steps must be halved more often is seldom the one.
+GLANCE = Settings(rtol=1e-6, halvings=2)
+
+
+def at_a_glance(state: State, work: Callable[[State], Found]) -> Found:
+    """Work on a state at a few steps of each action; or on itself if it needs smaller ones."""
+    try:
+        thin = state.thinned(STEPS, GLANCE)
+    except SolveError:
+        return work(state)
+    return work(thin)
+
+
+@dataclass(frozen=True)
+class Contest:
+    """Hypotheses that were compared on a few steps.
+
+    Attributes:
+        rivals: those that were fitted, the likeliest first.
+        promised: logarithms of evidence and of prior odds of those that do not seem worth a fit.
+    """
+
+    rivals: list[Rival]
+    promised: dict[Hypothesis, tuple[float, float]]
+
+
+def contest(
+    state: State,
+    begun: Model,
+    known: Sequence[Effect],
+    starts: Iterable[Anchored],
+    sets: int,
+    most: int,
+    among: int | None = None,
+    starts_of: Mapping[str, Start] | None = None,
+) -> Contest:
+    """Sets and effects on a few steps of each action, the likeliest fitted; collective.
+
+    Args:
+        state: the model with the set that is begun with, compared with all steps.
+        begun: the model without effects that were added.
+        known: the effects that may be missing.
+        starts: further sets to begin with.
+        sets: how many sets are weighed; with one set that of the state alone.
+        most: how many effects are refitted.
+        among: of how many effects these were chosen; they are all by default.
+        starts_of: effects, see `bcid.comparison.candidates.Candidates`.
+    """
+
+    def work(thin: State) -> Contest:
+        search = HypothesisSearch(thin, begun, known, sets, among=among)
+        promises = search.run(starts) if sets > 1 else search.alone()
+        return refitted(promises, begun, search.among, most, starts_of=starts_of)
+
+    return at_a_glance(state, work)
+
+
+def fitted_beside(state: State, known: Sequence[Effect], most: int) -> list[Rival]:
+    """The most promising effects, so many at most, fitted beside a model with its set, to all steps; best first; collective."""
+
+    def work(thin: State) -> Contest:
+        return refitted(HypothesisSearch(thin, thin.model, known, 1).alone(), thin.model, len(known), most, math.inf)
+
+    found = at_a_glance(state, work).rivals
+    here = [rival for rival in found if rival.names and rival.anchors == state.anchors]
+    fitted = [rival for rival in (promoted(one, state, state.model) for one in here) if rival]
+    return best_first(replace(rival, held_out=held_out(rival.fitted)) for rival in fitted)
+
+
+def refitted(
+    promises: Sequence[Promise],
+    begun: Model,
+    count: int,
+    most: int,
+    worth: float = WORTH,
+    starts_of: Mapping[str, Start] | None = None,
+) -> Contest:
+    """The models alone, and the most promising of `count` effects with their sets fitted; collective.
+
+    An effect is worth a fit as long as something unknown acts besides the best, and where it promises to be no more than exp(worth)
+    times less likely than that, or may turn out to be.
+    What an effect promises is linear in its amount, which a large one is not: each has its best set tried first, and then the one
+    that turns out best competes with itself on other sets. Anchors that give do so at a place, which goes with the set: these are
+    tried with each set that was looked at for them. Some effects are tried first, with sets and numbers that are given.
+    """
+    promises = _in_turn(promises, starts_of or {})
+    rivals = [Rival.looked_at(p.look, begun, count) for p in promises if p.row is None]
+    tried: set[tuple[str, Anchored | None]] = set()
+    states: dict[Anchored, State] = {}
+    for promise in promises:
+        row, best = promise.row, best_first(rivals)[0]
+        if row is None:
+            continue
+        what = row.effect, promise.anchors if gives(row.term.effect) else None
+        if what in tried or len(tried) >= most or not math.isfinite(row.gain):
+            continue
+        # What has a start is fitted whatever explains all before it: it may do so with fewer numbers.
+        started = row.effect in (starts_of or {})
+        if not started and best.complete and promise.log < best.log - max(_unlikely(promise), worth):
+            continue
+        tried.add(what)
+        promise.look.state.predictor.progress.step("candidates refitted", len(tried) - 1, most, f"now {row.effect}")
+        # Where an effect makes another set likely it is measured by the errors of that.
+        state = states.setdefault(promise.anchors, promise.look.state).with_own_errors()
+        states[promise.anchors] = state
+        rivals += refit(state, row, begun, count)
+    best = best_first(rivals)[0]
+    fitted = {effect for effect, _ in tried}
+    if best.names and best.names[-1] in fitted:
+        rivals += moved(best, begun, count)
+    promised = {}
+    for promise in promises:
+        if promise.row and promise.row.effect not in fitted and math.isfinite(promise.log):
+            names = [*(term.effect.name for term in promise.look.state.model.added(begun)), promise.row.effect]
+            promised[Hypothesis(promise.anchors, "+".join(names))] = promise.evidence, promise.log_prior
+    return Contest(best_first(rivals), promised)
+
+
+def _in_turn(promises: Sequence[Promise], starts: Mapping[str, Start]) -> list[Promise]:
+    """Promises of effects that have a start first, with its numbers, in the order of the starts; none of them with another set."""
+    first = []
+    for name, start in starts.items():
+        here = [p for p in promises if p.row and p.row.effect == name and p.anchors == start.anchors]
+        first += [replace(p, row=replace(p.row, term=p.row.term.with_values(start.values))) for p in here if p.row]
+    own = {p.row.effect for p in first if p.row}
+    return [
+        *(p for p in promises if p.row is None),
+        *first,
+        *(p for p in promises if p.row and p.row.effect not in own),
+    ]
+
+
+def _unlikely(promise: Promise) -> float:
+    """By how much less likely a promised effect must be than one that explains all not to be worth a fit.
+
+    What its sensitivities promise holds to first order: they may be wrong by as large a part of what there is to explain as what
+    the effect does is of what the pulls do.
+    """
+    state, row = promise.look.state, promise.row
+    assert row is not None
+    data = state.predictor.data
+    pulled = data.vector(state.predicted) - data.vector(np.broadcast_to(data.rest, data.mask.shape))
+    bent = float(np.linalg.norm(state.errors.unwhiten(row.explained)) / max(float(np.linalg.norm(pulled)), 1e-12))
+    return min(WORTH + bent * (max(state.chi2 - len(data), 0.0) + row.score) / 2, FAR)

@@ -1,0 +1,111 @@
+"""What explaining found: the verdict, what is believed, and the ladder of models."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bcid.comparison.adequacy import Adequacy
+from bcid.comparison.fit import Fit
+from bcid.comparison.ranking import Ranking
+from bcid.comparison.rivals import Rival
+from bcid.comparison.state import State
+from bcid.inference.criteria import CERTAIN, NEARLY_ALL
+from bcid.inference.data import Noise
+from bcid.inference.hypotheses import HypothesisOdds
+from bcid.search.identification import Identification
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One model of the ladder.
+
+    Attributes:
+        fitted: the model, fitted and compared.
+        adequacy: the verdict on it.
+        held_out: RMS residual when each action is predicted from the others, m, or None.
+        ranking: what it lacks, if it was asked.
+        rivals: refitted candidates for what it lacks, best first.
+    """
+
+    fitted: Fit
+    adequacy: Adequacy
+    held_out: float | None
+    ranking: Ranking | None = None
+    rivals: tuple[Rival, ...] = ()
+
+    @property
+    def state(self) -> State:
+        """The model compared with the data."""
+        return self.fitted.state
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What the loop found.
+
+    Attributes:
+        verdict: name of the effect adopted, several joined by "+"; "none" if the plain model is adequate, "unknown" if nothing in
+            the catalogue explains the data, or nearly.
+        odds: what is believed of all hypotheses.
+        rungs: the ladder of models: the plain one with the set that is likeliest alone, with that of the last model where it is
+            another, and with the effects that were adopted.
+        identification: anchors with the last model on the working level.
+        rivals: the hypotheses that were compared with all steps, best first.
+        noise: what the residual says of the noise, where that is not what is stated, or nothing is.
+        trajectories: forward trajectories on the coarse, working and fine levels.
+        seconds: time spent.
+    """
+
+    verdict: str
+    odds: HypothesisOdds
+    rungs: tuple[Rung, ...]
+    identification: Identification
+    rivals: tuple[Rival, ...]
+    noise: Noise | None
+    trajectories: dict[str, float]
+    seconds: float
+
+    @property
+    def probability(self) -> float:
+        """Of the verdict."""
+        return (
+            self.odds.verdicts[self.verdict] if self.verdict in ("none", "unknown") else self.odds.named(self.verdict)
+        )
+
+    @property
+    def held_by(self) -> float:
+        """Probability of the anchors of the last model."""
+        return self.odds.held_by(self.last.state.anchors)
+
+    @property
+    def open(self) -> bool:
+        """Whether verdict or anchors are not certain."""
+        return min(self.certainty, self.held_by) < CERTAIN
+
+    @property
+    def certainty(self) -> float:
+        """Probability that what the verdict names acts, and perhaps more besides that these data do not show."""
+        return self.probability if self.verdict in ("none", "unknown") else self.odds.acting(self.verdict)
+
+    @property
+    def ambiguous(self) -> tuple[str, ...]:
+        """Other verdicts that have a part in the belief, where none has nearly all of it."""
+        if self.certainty >= CERTAIN:
+            return ()
+        return tuple(name for name, p in self.odds.verdicts.items() if name != self.verdict and p > 1 - CERTAIN)
+
+    @property
+    def last(self) -> Rung:
+        """The model the loop ended with."""
+        return self.rungs[-1]
+
+
+def explained(before: Fit, after: Fit) -> float:
+    """Which part of a model's chi-square beyond that of its errors another one explains; nothing where there is no such part."""
+    excess = before.state.chi2 - len(before.state.predictor.data)
+    return (before.state.chi2 - after.state.chi2) / excess if excess > 0 else 0.0
+
+
+def explains(before: Fit, after: Fit) -> bool:
+    """Whether what was added to a model may be named although something is missing besides: it explains nearly all."""
+    return explained(before, after) > NEARLY_ALL
