@@ -205,7 +205,9 @@ def add_bench(commands: Any) -> None:
     parser = add_command(
         commands, "bench", bench, help_text, "Prints a table per part; writes bench.json and plots. See docs/bench.md."
     )
-    parser.add_argument("parts", nargs="*", metavar="PART", help="trajectory, toggles, identification, growth (all)")
+    parser.add_argument(
+        "parts", nargs="*", metavar="PART", help="trajectory, toggles, identification, explain, growth (all)"
+    )
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("bcid-bench"), metavar="FOLDER", help="folder to write (bcid-bench)"
     )

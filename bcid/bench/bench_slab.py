@@ -9,6 +9,7 @@ from bcid import Measurement, Scene
 from bcid.base.shipped import shipped
 from bcid.scene import Level
 
+FOLDER, EXPLAINED, DEMO = "examples/measurements", "examples/scenes/slab_explain.toml", "slab-34-heavy"
 MEASUREMENTS = ("slab-12-semicircle", "slab-34-complex", "slab-1234-semicircle", "slab-27-five")
 EMPTY = "none"
 
@@ -25,7 +26,7 @@ def with_level(size_mm: float, degree: int) -> Scene:
 
 def measurement(name: str) -> Measurement:
     """One of the shipped measurements."""
-    return Measurement.read(shipped("examples/measurements") / name)
+    return Measurement.read(shipped(FOLDER) / name)
 
 
 def encoded(candidate: Iterable[str]) -> str:

@@ -1,4 +1,4 @@
-"""Part 4: how the cost grows with the mesh and with the ranks, and how far the limit is. See docs/bench.md."""
+"""Part 5: how the cost grows with the mesh and with the ranks, and how far the limit is. See docs/bench.md."""
 
 from __future__ import annotations
 

@@ -15,8 +15,10 @@ SEEDS = 24
 QUICK_SEEDS = 2
 RANKS = 2
 SAMPLE = {"coarse": 4, "finest": 1, "quick": 2}
-FACTOR, EQUIVALENTS, ON_FINEST = 50.0, 130.0, 20.0
-READINGS = ("one stage", "in stages")
+EQUIVALENTS, ON_FINEST = 130.0, 20.0
+READINGS = {"one stage": 250.0, "in stages": 8.0}
+"""Of Algorithm 1, and how many times as fast bcid should be."""
+
 LABEL = "count x measured CPU time per trajectory"
 
 
@@ -146,10 +148,10 @@ def _goals(found: list[dict[str, Any]]) -> list[Goal]:
     goals = [
         Goal(
             f"times as fast as Algorithm 1, {reading} (CPU seconds, worst)",
-            FACTOR,
+            wanted,
             min(one["readings"][reading]["times"] for one in found),
         )
-        for reading in READINGS
+        for reading, wanted in READINGS.items()
     ]
     return [
         *goals,

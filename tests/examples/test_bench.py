@@ -74,6 +74,18 @@ def test_quick_identification(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_quick_explain(tmp_path: Path) -> None:
+    done = bench("explain", "--quick", "-o", "out", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    result = json.loads((tmp_path / "out/bench.json").read_text(encoding="utf-8"))
+    found = result["parts"]["explain"]["data"]["found"]["slab-34-heavy"]
+    assert (found["verdict"], found["anchored"]) == ("gravity", ["3", "4"])
+    ranking = result["parts"]["explain"]["data"]["ranking"]
+    assert ranking["all"]["effects"] > ranking["plain"]["effects"] > 5
+    assert 0 < ranking["plain"]["cpu_s"] < ranking["all"]["cpu_s"]
+
+
+@pytest.mark.slow
 def test_quick_growth(tmp_path: Path) -> None:
     done = bench("growth", "--quick", "-o", "out", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
