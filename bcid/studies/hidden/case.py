@@ -12,6 +12,7 @@ from typing import Any
 from bcid.base.errors import BcidError, MachineError
 from bcid.base.progress import Silent
 from bcid.base.run_folder import RunFolder
+from bcid.studies.engine.time_limit import limited
 from bcid.studies.hidden.case_scene import FILE as SCENE
 from bcid.studies.hidden.drawing import CaseChoice
 
@@ -23,8 +24,8 @@ class CaseError(BcidError):
 def maker(job: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
     """The function that makes a case, for `bcid.studies.engine.dispatch`.
 
-    `job` holds the folder `cases`, what they are drawn from (the fields of `CaseChoice`), and the functions `make` and `diagnose`
-    as "module:name"; a task holds the `index`.
+    `job` holds the folder `cases`, what they are drawn from (the fields of `CaseChoice`), the functions `make` and `diagnose`
+    as "module:name", and the `limit` of a diagnosis, CPU s; a task holds the `index`.
     """
     make, diagnose = function(job["make"]), function(job["diagnose"])
     choice = CaseChoice(job["seed"], job["least"], tuple(job["bodies"]), job["conditions"])
@@ -34,7 +35,7 @@ def maker(job: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any
         with _stage("measurement"):
             make(folder, task["index"], choice)
         began, began_cpu = time.perf_counter(), time.process_time()
-        with _stage("diagnosis"):
+        with _stage("diagnosis"), limited(job["limit"]):
             diagnosis = diagnosed(diagnose, folder)
         seconds, cpu = time.perf_counter() - began, time.process_time() - began_cpu
         return {"diagnosis": diagnosis, "seconds": round(seconds, 3), "cpu_seconds": round(cpu, 3)}
