@@ -372,7 +372,7 @@ def _with_details(
 def _has_buckled(forward: Forward, action: Action, states: Sequence[Array]) -> bool:
     """Whether two states exist where the gripper is furthest from rest."""
     model, equilibrium = forward.model, forward.equilibrium
-    if not model.definite:
+    if not model.definite or model.remembers:
         return False
     path = poses(model.driven(action))
     far = int(np.argmax(np.linalg.norm(action.translation, axis=1)))

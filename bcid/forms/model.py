@@ -284,8 +284,8 @@ class Model:
 
     @property
     def definite(self) -> bool:
-        """Whether the tangent of a stable state is symmetric and positive definite, and depends on the state alone."""
-        return self.symmetric and not self.mixed and not self.remembers
+        """Whether the tangent of a stable state is symmetric and positive definite."""
+        return self.symmetric and not self.mixed
 
     @property
     def conservative(self) -> bool:

@@ -13,6 +13,7 @@ import pytest
 from mpi4py import MPI
 
 from bcid.base.progress import Silent
+from bcid.forms import effects
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.simulate import simulate
@@ -20,7 +21,7 @@ from bcid.forms.solver.equilibrium import Equilibrium, Settings
 from bcid.forms.solver.factor import Factor
 from bcid.forms.solver.status import Status
 from bcid.inference.outcome import Candidate
-from bcid.scene import Scene
+from bcid.scene import Level, Scene
 from bcid.scene.motions import motion
 from bcid.search.evaluator import Evaluator
 from bcid.search.identification import Identification
@@ -165,4 +166,39 @@ def test_negative_curvature_ends_an_iteration_with_an_old_tangent(slab: Scene) -
     assert secant._from == secant._to
     equilibrium._first = equilibrium._previous = 1.0
     assert equilibrium._judge(1, 0.5) < 0
+    forward.destroy()
+
+
+# -- what remembers
+# ------------------------------------------------------------------------------------------------------------------
+
+REMEMBERING = {
+    "support_friction": {"shear_stress": 60.0},
+    "viscosity": {"fraction": 0.4, "relaxation_time": 1.0},
+    "permanent_set": {"kept": 0.5, "yield_strain": 0.02},
+}
+
+
+@pytest.mark.parametrize("name", REMEMBERING)
+@pytest.mark.parametrize("unstable", [False, True], ids=["stable", "once unstable"])
+def test_a_kept_tangent_leaves_what_remembers_as_it_is(
+    slab: Scene, monkeypatch: pytest.MonkeyPatch, name: str, unstable: bool
+) -> None:
+    """Also where the motion has to be repeated: from rest, for what is remembered cannot be taken back."""
+    term = Term(effects.effect(name), REMEMBERING[name])
+    scene = replace(slab, levels=(Level(2, 0.03),))
+    forward = Forward(scene, 0, model=Model.of(scene) + term, settings=EXACT)
+    actions = motion("complex", "II")
+    with monkeypatch.context() as patch:
+        plain(patch)
+        expected = forward.predict({"3", "4"}, actions).positions
+    slow = forward.equilibrium.factor.count
+    verify, calls = Equilibrium.verify, iter(range(10**9))
+    if unstable:
+        monkeypatch.setattr(Equilibrium, "verify", lambda self: verify(self) if next(calls) != 1 else Status.UNSTABLE)
+    found = forward.predict({"3", "4"}, actions).positions
+    assert np.abs(found - expected).max() < 1e-8
+    if not unstable:
+        assert forward.equilibrium.factor.count - slow < 0.7 * slow
+    assert next(calls) > 2 or not unstable
     forward.destroy()

@@ -117,7 +117,7 @@ def follow(
 
     The tangent is factorised every few steps and at the end, if the settings ask for its pivots; one that `seen` has factorised
     serves as well. When it turns out not to be positive definite, the motion goes back to the last state that was seen to be
-    stable and is repeated with a tangent of its own for every iteration.
+    stable (to rest, where the model remembers what came before) and is repeated with a tangent of its own for every iteration.
 
     Args:
         equilibrium: holds the anchors already; its grasp must be the action's.
@@ -153,7 +153,8 @@ def follow(
             asked = equilibrium.settings.pivots and (equilibrium.age >= _TRUSTED or done == len(action))
             if not stopped and (asked or equilibrium.verified):
                 status = equilibrium.verify()
-                safe = (done, replace(history)) if status is Status.CONVERGED else safe
+                if status is Status.CONVERGED and not equilibrium.model.remembers:
+                    safe = done, replace(history)
         if status is not Status.CONVERGED:
             if equilibrium.careful:
                 result.status, result.reason = (
@@ -162,6 +163,8 @@ def follow(
                 )
                 break
             done, history = safe[0], replace(safe[1])
+            if not done:
+                equilibrium.reset()
             equilibrium.start_over(history.states[-1] if history.states else None)
     result.steps = done
     result.iterations, result.factorisations = equilibrium.iterations - start[0], equilibrium.factor.count - start[1]
