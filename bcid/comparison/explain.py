@@ -166,8 +166,12 @@ class _Loop:
         """
         found, chosen = contest.rivals, list[Rival]()
         own = tuple(term.effect.name for term in base.model.added(self.model))
+        # Beside an effect that explains all a second one need not be known as well.
+        apart = WORTH if own and found[0].complete else UNLIKELY
         for rival in found:
-            near = rival.log > found[0].log - UNLIKELY and len(chosen) < _PROMOTED and (rival.complete or not chosen)
+            if any((r.names, r.anchors) == (rival.names, rival.anchors) for r in chosen):
+                continue
+            near = rival.log > found[0].log - apart and len(chosen) < _PROMOTED and (rival.complete or not chosen)
             first_alone = rival.names == own and not any(r.names == rival.names for r in chosen)
             if near or first_alone:
                 chosen.append(rival)
