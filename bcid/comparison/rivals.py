@@ -210,7 +210,12 @@ def added(base: State, effect: Effect, begun: Model, known: int, least: float = 
 
 
 def refit(state: State, row: Row, begun: Model, known: int, least: float = SEEN) -> list[Rival]:
-    """Add an effect, begin at what is expected of it, and fit everything together; nothing if that cannot be followed."""
+    """Add an effect, begin at what is expected of it, and fit everything together; nothing if that cannot be followed.
+
+    One whose shape is fitted too may end in a minimum that is not the least: where it explains less than its sensitivities
+    promised, it is begun elsewhere as well.
+    """
+    found: list[Rival] = []
     for part in _CAUTION:
         try:
             term = _careful(row, state.model, part)
@@ -218,8 +223,13 @@ def refit(state: State, row: Row, begun: Model, known: int, least: float = SEEN)
             again = fit(start, (*state.free, *term.free), most=8, ftol=_ROUGH)
         except (SolveError, InputError):
             continue
-        return [Rival.of(again, begun, known, least)]
-    return []
+        found.append(Rival.of(again, begun, known, least))
+        if (
+            not row.term.effect.shapes
+            or found[-1].evidence.plain > weighed(state, begun, None, least).plain + row.gain - WORTH
+        ):
+            break
+    return best_first(found)[:1]
 
 
 def _careful(row: Row, model: Model, part: float) -> Term:
