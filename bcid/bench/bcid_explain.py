@@ -1,11 +1,13 @@
-"""bcid explains a shipped measurement of the slab: ``python -m bcid.bench.bcid_explain MEASUREMENT FOLDER``."""
+"""bcid explains a shipped measurement of the slab: ``python -m bcid.bench.bcid_explain MEASUREMENT FOLDER [profile]``."""
 
 from __future__ import annotations
 
 from bcid.bench.peers.problem import Clock, memory
 
 # isort: split
+import cProfile
 import json
+import pstats
 import sys
 from pathlib import Path
 
@@ -18,19 +20,41 @@ from bcid.bench.bench_slab import EXPLAINED, FOLDER
 from bcid.comparison.compare_runs import run_explain
 
 TOLD = ("verdict", "verdict_probability", "anchored", "anchors_probability", "rms", "noise_rms")
+SPENT = {
+    "assembling matrices": ("assemble_matrix",),
+    "assembling vectors": ("assemble_vector", "assemble_scalar"),
+    "factorising": ("'setUp' of",),
+    "triangular solves": ("'apply' of", "'matSolve' of"),
+    "dense algebra": ("numpy.linalg", "einsum", "_linalg.py", "lapack", "_logsumexp"),
+    "compiled forms": ("ufl/", "ffcx/", "jit.py", "'poll' of"),
+}
+"""What functions in which the time goes have in their names; the rest is Python and NumPy."""
+
+
+def spent(profile: cProfile.Profile) -> dict[str, float]:
+    """Shares of the time by kind of work."""
+    found = dict.fromkeys([*SPENT, "the rest"], 0.0)
+    for (file, _, name), (_, _, own, _, _) in pstats.Stats(profile).stats.items():  # type: ignore[attr-defined]
+        kind = next((kind for kind, words in SPENT.items() if any(w in f"{file} {name}" for w in words)), "the rest")
+        found[kind] += own
+    whole = sum(found.values())
+    return {kind: seconds / whole for kind, seconds in found.items()}
 
 
 def main() -> None:
     """Explain it, as the command does without pictures."""
-    name, folder = sys.argv[1:]
-    clock = Clock("bcid", f"bcid {bcid.__version__}")
+    name, folder, *also = sys.argv[1:]
+    clock, profile = Clock("bcid", f"bcid {bcid.__version__}"), cProfile.Profile()
+    if also:
+        profile.enable()
     clock.start()
     scene, measurement = shipped(EXPLAINED), shipped(FOLDER) / name
     run = RunFolder.open(run_explain(scene, measurement, Path(folder), None, MPI.COMM_WORLD, overwrite=True))
     clock.stop()
+    profile.disable()
     found = run.read_json("diagnosis.json")
     told = {key: found[key] for key in TOLD} | {"trajectories": run.record["trajectories"], "rss_mb": memory()}
-    print(json.dumps(clock.record | told), flush=True)
+    print(json.dumps(clock.record | told | ({"spent": spent(profile)} if also else {})), flush=True)
 
 
 if __name__ == "__main__":

@@ -26,10 +26,12 @@ def run(session: Session) -> Part:
     for name in (DEMO,) if session.quick else (DEMO, *HIDDEN):
         session.progress.say(f"explain: {name}")
         found[name] = session.run("bcid_explain", name, session.scratch / f"explain-{name}")
+    session.progress.say("explain: where the time goes")
+    profiled = session.run("bcid_explain", DEMO, session.scratch / "explain-profiled", "profile")
     session.progress.say("explain: ranking the effects")
     ranking = session.run("bcid_ranking")
-    part.data = {"found": found, "ranking": ranking}
-    part.tables = [_diagnoses(found), _ranking(ranking)]
+    part.data = {"found": found, "ranking": ranking, "spent": profiled["spent"]}
+    part.tables = [_diagnoses(found), _spent(profiled["spent"]), _ranking(ranking)]
     worst = None if session.quick else max(record["cpu_s"] for record in found.values())
     part.goals = [
         Goal("explain, the demo (CPU seconds)", DEMO_CPU, found[DEMO]["cpu_s"], at_most=True),
@@ -52,6 +54,11 @@ def _diagnoses(found: dict[str, Record]) -> BenchTable:
         values = [number(r[key]) for key in ("rms", "cpu_s", "wall_s")]
         rows.append([name, verdict, " ".join(r["anchored"]), *values, levels, number(r["rss_mb"])])
     return BenchTable("one process each", columns, rows)
+
+
+def _spent(shares: dict[str, float]) -> BenchTable:
+    rows = [[kind, f"{100 * share:.0f} %"] for kind, share in shares.items()]
+    return BenchTable(f"where the time of {DEMO} goes, by a profiler", ("work", "share"), rows)
 
 
 def _ranking(r: Record) -> BenchTable:

@@ -80,6 +80,7 @@ def test_quick_explain(tmp_path: Path) -> None:
     result = json.loads((tmp_path / "out/bench.json").read_text(encoding="utf-8"))
     found = result["parts"]["explain"]["data"]["found"]["slab-34-heavy"]
     assert (found["verdict"], found["anchored"]) == ("gravity", ["3", "4"])
+    assert sum(result["parts"]["explain"]["data"]["spent"].values()) == pytest.approx(1)
     ranking = result["parts"]["explain"]["data"]["ranking"]
     assert ranking["all"]["effects"] > ranking["plain"]["effects"] > 5
     assert 0 < ranking["plain"]["cpu_s"] < ranking["all"]["cpu_s"]
