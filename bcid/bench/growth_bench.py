@@ -19,6 +19,9 @@ QUICK_SIZES = SIZES[:2]
 RANKS = (1, 2)
 REPEATS = 2
 EFFICIENT = 0.85
+# A step of the largest mesh (CPU s), its memory (MB), the exponent of a step with the direct solver, and the efficiency of an
+# identification replayed on 16 ranks.
+LARGE_STEP, LARGE_MEMORY, STEP_EXPONENT, REPLAYED_EFFICIENT = 15.0, 3000.0, 1.25, 0.7
 REPLAYED = (1, 2, 16, 64, 256, 1024)
 # Sets of 12 patches, and what taking one from the counter is charged with, s.
 MANY, LATENCY = 4096, 20e-6
@@ -62,7 +65,21 @@ def by_mesh(session: Session, part: Part) -> None:
     part.notes.append(
         "step: CPU seconds per load step, everything counted; the largest mesh is solved with multigrid (gamg)"
     )
+    part.goals += _mesh_goals(found, session.quick)
     mesh_growth(session.folder / "growth-mesh.png", found, FITTED, part, size=(8.0, 4.2))
+
+
+def _mesh_goals(found: list[Record], quick: bool) -> list[Goal]:
+    """What the largest mesh takes, and how a step grows on the meshes that are factorised."""
+    largest = None if quick or found[-1]["direct"] else found[-1]
+    direct = [(r["unknowns"], r["cpu_step_s"]) for r in found if r["direct"]]
+    exponent = None if quick else float(slope(*zip(*direct, strict=True))[0])
+    step, memory = (None, None) if largest is None else (largest["cpu_step_s"], largest["rss_mb"])
+    return [
+        Goal("1e6 unknowns, a step (CPU seconds)", LARGE_STEP, step, at_most=True),
+        Goal("1e6 unknowns, memory (MB)", LARGE_MEMORY, memory, at_most=True),
+        Goal("exponent of a step in unknowns, direct solver", STEP_EXPONENT, exponent, at_most=True),
+    ]
 
 
 def _completed(record: Record, fastest: float) -> Record:
@@ -245,6 +262,8 @@ def _replay(session: Session, part: Part, batches: list[list[float]]) -> None:
             took, busy = (sum(values) for values in zip(*runs, strict=True))
             curves[name][ranks] = busy / (ranks * took)
             rows.append([name, str(ranks), number(took), number(busy / took), number(curves[name][ranks])])
+    reached = curves["identification, 8 patches"][16]
+    part.goals.append(Goal("efficiency of an identification replayed on 16 ranks", REPLAYED_EFFICIENT, reached))
     tasks = [len(batch) for batch in batches]
     part.data["replay"] = {"efficiency": curves, "batches": tasks, "latency_s": LATENCY}
     part.tables.append(BenchTable("replay: measured durations, dealt out to more ranks", REPLAY_COLUMNS, rows))

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from numpy.typing import NDArray
-from verify.problems import move, pull_and_lift
+from verify.problems import box, move, pull_and_lift, scene_of, straight
 
 from bcid.base.collective import on_root
 from bcid.base.errors import BcidError, InputError
@@ -31,10 +31,10 @@ from bcid.forms.loads import nodal_weights
 from bcid.forms.mesh import level_mesh
 from bcid.forms.mesh.body import Body
 from bcid.forms.mesh.patches import halves
-from bcid.forms.model import Held, Model, Term, check_physics
+from bcid.forms.model import Anchors, Held, Model, Term, check_physics
 from bcid.forms.sensitivity import Probe, Wanted
 from bcid.forms.simulate import simulate
-from bcid.forms.solver.equilibrium import Settings
+from bcid.forms.solver.equilibrium import Equilibrium, Settings
 from bcid.forms.solver.factor import Factor
 from bcid.forms.solver.status import Status
 from bcid.forms.solver.trajectory import follow
@@ -138,6 +138,22 @@ def test_a_twin_predicts_and_differentiates_alike_on_any_number_of_ranks(slab: S
     for alone, together in zip(*answers, strict=True):
         close(together, alone)
         assert same_everywhere(together)
+
+
+def test_multigrid_on_a_shared_mesh_gives_the_same_field() -> None:
+    """With a mesh of more unknowns than the coarsest level may have."""
+    fields = []
+    for comm in (MPI.COMM_SELF, WORLD):
+        scene = scene_of(("x0",), "x1")
+        body = Body(comm, box((0.1, 0.065, 0.006), (36, 24, 3)))
+        solver = Equilibrium(
+            body, Model.of(scene) + Anchors({"x0"}) + Held("x1"), scene, Settings(1e-11, linear="gamg")
+        )
+        result = follow(solver, straight((0.004, 0.0, 0.002), 2, "x1"), lambda _k, _pose: None)
+        assert result.status is Status.CONVERGED
+        fields.append(body.at_mesh_nodes(solver.displacement()))
+        solver.destroy()
+    close(*fields)
 
 
 def test_a_dead_load_is_shared_out_once(project: Path) -> None:

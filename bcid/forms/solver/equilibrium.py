@@ -23,7 +23,7 @@ from bcid.forms.solver.factor import OUT_OF_MEMORY, Factor, FactorShell
 from bcid.forms.solver.lbfgs import LbfgsUpdate
 from bcid.forms.solver.status import REASONS, Status
 from bcid.forms.solver.supports import Pose, Supports
-from bcid.forms.solver.tangent import Tangent
+from bcid.forms.solver.tangent import LargeTangent, SharedTangent, Tangent
 from bcid.forms.weak_form import LONG, WeakForm
 from bcid.scene import Region, Scene
 
@@ -135,6 +135,7 @@ class Equilibrium:
             constant.value = float(name in freed)
         self.supports.hold(set(anchors) - freed, grasp)
         self.tangent.hold(self.supports.prescribed, self.supports.conditions)
+        self.factor.constrain()
         self.reset()
 
     def reset(self) -> None:
@@ -179,13 +180,14 @@ class Equilibrium:
 
     def _prepare_solver(self) -> None:
         comm = self.body.comm
-        self.tangent = Tangent(self.tangent_forms, self.model.symmetric, comm.size > 1)
         self.vector = compat.create_vector(self.residual_forms[0])
         self.iterate = self.vector.duplicate()
         self.correction = self.vector.duplicate()
         self._owned = self.vector.getLocalSize()
         self.internal = np.zeros(self._owned)
         modes = self._rigid_modes()
+        kind = SharedTangent if comm.size > 1 else Tangent if modes is None else LargeTangent
+        self.tangent = kind(self.tangent_forms, self.model.symmetric)
         self.factor = Factor(self.tangent.matrix, self.model.symmetric, self.body.pressures, modes)
         # What is kept must be positive definite, and solved with directly.
         self._keeps = self.model.definite and modes is None
@@ -289,8 +291,10 @@ class Equilibrium:
         residual = norms[2]
         if not np.isfinite(residual):
             return compat.snes_not_finite()
-        if residual <= max(self.rtol * self._scale(), self._floor):
+        allowed = max(self.rtol * self._scale(), self._floor)
+        if residual <= allowed:
             return PETSc.SNES.ConvergedReason.CONVERGED_FNORM_RELATIVE
+        self.factor.aim(allowed / residual)
         return self._judge(iteration, residual) if self._lagging else PETSc.SNES.ConvergedReason.CONVERGED_ITERATING
 
     def _judge(self, iteration: int, residual: float) -> Any:
@@ -345,6 +349,7 @@ class Equilibrium:
                     return self._unfactored()
             self.tangent.lifting(increment, self.vector, self.u.x.petsc_vec)
             self.vector.array[self.supports.reacting] = increment[self.supports.reacting]
+            self.factor.aim(0.0)
             try:
                 self.factor.solve(self.vector, self.correction)
             except PETSc.Error as error:
@@ -407,6 +412,12 @@ class Equilibrium:
     def verified(self) -> bool:
         """Whether the factor at hand is of the tangent of the present state."""
         return self._verified and self.factor.usable
+
+    def confirm(self) -> Status:
+        """`verify`, or with multigrid, which knows no pivots, what the iterations that led to the present state have met."""
+        if self.factor.multigrid is None:
+            return self.verify()
+        return Status.UNSTABLE if self.factor.negative else Status.CONVERGED
 
     def smallest_jacobian(self) -> float:
         """Smallest det F over all elements, at their corners, edge nodes and middles (at degree 1 it is one number per element)."""

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from bcid.forms.solver.multigrid import Multigrid
+
 Array = NDArray[np.float64]
 # PETSc's numbers of errors: no memory; no such factorisation in this PETSc.
 OUT_OF_MEMORY, MISSING = 55, 92
@@ -18,7 +20,6 @@ _absent: set[str] = set()
 # are looked for, so that the signs are counted right; on several ranks the work space that it estimates may not do.
 _OPTIONS: dict[str, dict[str, int | float | str]] = {
     "cholmod": {"mat_cholmod_print": 0, "mat_cholmod_factor": "SUPERNODAL"},
-    "gamg": {"pc_gamg_threshold": 0.01, "mg_levels_ksp_type": "chebyshev", "mg_levels_pc_type": "jacobi"},
     "mumps": {"mat_mumps_icntl_7": 4, "mat_mumps_icntl_13": 1, "mat_mumps_icntl_14": 200, "mat_mumps_icntl_24": 1},
 }
 
@@ -61,24 +62,26 @@ class Factor:
         self._made: dict[str, PETSc.PC] = {}
         self._current: PETSc.PC | None = None
         self._half = PETSc.Mat()
-        self._krylov: PETSc.KSP | None = None
-        if modes is not None:
-            matrix.setNearNullSpace(modes)
-            self._krylov = self._multigrid()
+        self.multigrid = None if modes is None else Multigrid(matrix, modes)
 
     def reset(self) -> None:
         """Another state: the last factor is stale, and CHOLMOD is tried again if it has failed."""
         self.usable = False
         self._indefinite = False
 
+    def constrain(self) -> None:
+        """Other unknowns are held from now on; collective."""
+        self.reset()
+        if self.multigrid is not None:
+            self.multigrid.forget()
+
     def refresh(self) -> bool:
         """Factorise the matrix as it now is; False when that fails. Collective."""
         self.count += 1
         self.negative = None
         self.starved = False
-        if self._krylov is not None:
-            self._krylov.setOperators(self.matrix)
-            self._krylov.setUp()
+        if self.multigrid is not None:
+            self.multigrid.update()
             self.negative, self.usable = 0, True
             return True
         definite = self._definite and not self._indefinite and "cholmod" not in _absent
@@ -129,31 +132,33 @@ class Factor:
         inner.setFromOptions()
         return inner
 
+    def aim(self, part: float) -> None:
+        """Of the residual only this part may be left: no iteration needs to do better than what remains to be done."""
+        if self.multigrid is not None:
+            self.multigrid.aim(part)
+
     def solve(self, right: PETSc.Vec, solution: PETSc.Vec) -> None:
         """Solve with the last factor. Collective.
 
         Conjugate gradients that meet negative curvature, or do not converge, leave their last iterate and `negative`
         above zero, or `usable` false: both are seen before the state is accepted.
         """
-        if self._krylov is not None:
-            self._krylov.solve(right, solution)
-            reason = self._krylov.getConvergedReason()
-            if reason in (
-                PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT,
-                PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_PC,
-            ):
+        if self.multigrid is not None:
+            self.multigrid.solve(right, solution)
+            if self.multigrid.negative:
                 self.negative = 1
-            elif reason < 0:
-                self.usable = False
+            self.usable = not self.multigrid.failed
             return
         assert self._current is not None
         self._current.apply(right, solution)
 
     def solve_block(self, right: Array, transpose: bool = False) -> Array:
-        """Solve for many right-hand sides at once, shape (unknowns, n), with the last direct factor; one rank only.
+        """Solve for many right-hand sides at once, shape (unknowns, n), with the last factor; one rank only.
 
         `transpose` solves with the transposed matrix.
         """
+        if self.multigrid is not None:
+            return self.multigrid.solve_block(right)
         assert self._current is not None
         if transpose:
             solution = np.empty_like(right)
@@ -174,27 +179,14 @@ class Factor:
         found.destroy()
         return solution
 
-    def _multigrid(self) -> PETSc.KSP:
-        krylov = PETSc.KSP().create(self.matrix.comm)
-        krylov.setOptionsPrefix(prefix := "bcid_multigrid_")
-        krylov.setType("cg")
-        krylov.setOperators(self.matrix)
-        krylov.setTolerances(rtol=1e-6, max_it=500)
-        krylov.getPC().setType("gamg")
-        options = PETSc.Options()
-        for name, value in _OPTIONS["gamg"].items():
-            options[prefix + name] = value
-        krylov.setFromOptions()
-        return krylov
-
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
         for inner in self._made.values():
             inner.destroy()
         self._made.clear()
         self._half.destroy()
-        if self._krylov is not None:
-            self._krylov.destroy()
+        if self.multigrid is not None:
+            self.multigrid.destroy()
 
 
 def _forget(package: str) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from dolfinx import fem
+from dolfinx import fem, la
 from dolfinx.fem import petsc as fp
 from numpy.typing import NDArray
 from petsc4py import PETSc
@@ -19,33 +19,27 @@ Index = NDArray[np.int32]
 class Tangent:
     """Derivative of the residual, as a PETSc matrix in which rows and columns of held unknowns are those of the identity.
 
-    On one rank DOLFINx assembles into its own blocked matrix, which takes less than half the time of PETSc's, and the
-    values are copied into a PETSc matrix that shares its memory. The full matrix stays available: what is held can
-    change, and prescribed displacements be lifted, without assembling again. On a shared mesh PETSc assembles.
+    This one is for one rank. DOLFINx assembles into its own blocked matrix, which takes less than half the time of
+    PETSc's, and the values are copied into a PETSc matrix that shares its memory. The full matrix stays available: what
+    is held can change, and prescribed displacements be lifted, without assembling again. At rest it is remembered.
 
     Args:
         forms: the compiled bilinear forms, which add up; the first has the sparsity of all.
         symmetric: whether the matrix is.
-        shared: whether the mesh is shared out over several ranks.
 
     Attributes:
         matrix: the constrained matrix.
     """
 
-    def __init__(self, forms: Sequence[Any], symmetric: bool, shared: bool) -> None:
+    def __init__(self, forms: Sequence[Any], symmetric: bool) -> None:
         self.forms = forms
-        self._full: Any = None
-        self._remembered: dict[Hashable, Array] = {}
-        if shared:
-            self.matrix = fp.create_matrix(forms[0])
-        else:
-            self._full = fem.create_matrix(forms[0])
-            self.matrix = self._scalar_matrix()
+        self.matrix = self._create()
         self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
 
-    def _scalar_matrix(self) -> PETSc.Mat:
+    def _create(self) -> PETSc.Mat:
         """The PETSc matrix of the same pattern; `_order` tells where in the blocks each of its values stands."""
-        full = self._full
+        self._remembered: dict[Hashable, Array] = {}
+        self._full = full = fem.create_matrix(self.forms[0])
         size = full.block_size[0]
         blocks = full.data.reshape(-1, size, size)
         rows = size * (len(full.indptr) - 1)
@@ -66,31 +60,18 @@ class Tangent:
 
     def hold(self, held: Index, conditions: Sequence[Any]) -> None:
         """What is held from now on: unknowns of this rank, and the DOLFINx conditions that say the same."""
-        self._conditions = conditions
-        if self._full is not None:
-            fixed = np.zeros(self.matrix.getSize()[0], dtype=bool)
-            fixed[held] = True
-            self._cleared = np.flatnonzero(fixed[self._rows] | fixed[self._columns])
-            self._unit = self._cleared[self._rows[self._cleared] == self._columns[self._cleared]]
+        fixed = np.zeros(self.matrix.getSize()[0], dtype=bool)
+        fixed[held] = True
+        self._cleared = np.flatnonzero(fixed[self._rows] | fixed[self._columns])
+        self._unit = self._cleared[self._rows[self._cleared] == self._columns[self._cleared]]
 
     def assemble(self, key: Hashable = None) -> None:
         """The matrix at the present state; collective. With a `key`, a matrix remembered under it is taken instead."""
-        if self._full is None:
-            self.matrix.zeroEntries()
-            # The diagonal of what is held is written, not added: last, by the form that comes first.
-            for form in reversed(self.forms):
-                fp.assemble_matrix(self.matrix, form, self._conditions, float(form is self.forms[0]))
-                # PETSc does not add where values were just written, until they have been sent to where they belong.
-                self.matrix.assemble(PETSc.Mat.AssemblyType.FLUSH)
-            self.matrix.assemble()
-            return
         remembered = self._remembered.get(key) if key is not None else None
         if remembered is not None:
             self._full.data[:] = remembered
         else:
-            self._full.data[:] = 0.0
-            for form in self.forms:
-                fem.assemble_matrix(self._full, form)
+            _fill(self._full, self.forms)
             if key is not None:
                 self._remembered = {key: self._full.data.copy()}
         np.take(self._full.data, self._order, out=self._values)
@@ -118,18 +99,100 @@ class Tangent:
     def lifting(self, increment: Array, right: PETSc.Vec, state: PETSc.Vec) -> None:
         """Right-hand side for prescribed changes `increment` of the held unknowns (zero elsewhere, ghosts included); collective.
 
-        On one rank with the matrix as it was last assembled, on a shared mesh with the one at the present state, to which
-        `state` belongs.
+        With the matrix as it was last assembled.
         """
-        if self._full is not None:
-            right.array[:] = -(self._blocked @ increment)
-        else:
-            with right.localForm() as local:
-                local.set(0.0)
-            for form in self.forms:
-                fp.apply_lifting(right, [form], [list(self._conditions)], [state], 1.0)
-            right.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        right.array[:] = -(self._blocked @ increment)
 
     def destroy(self) -> None:
         """Free the PETSc matrix; collective."""
         self.matrix.destroy()
+
+
+class LargeTangent(Tangent):
+    """The same for large meshes: there is one copy of the matrix, which DOLFINx assembles and PETSc solves with.
+
+    What the full matrix holds beyond it, the rows and columns of held unknowns, is few numbers that are kept aside.
+    """
+
+    def _create(self) -> PETSc.Mat:
+        self._full = fem.create_matrix(self.forms[0], la.BlockMode.expanded)
+        self._cleared = self._unit = np.zeros(0, dtype=np.intp)
+        self._aside: Array = np.zeros(0)
+        rows = len(self._full.indptr) - 1
+        pointers, columns = (part.astype(PETSc.IntType, copy=False) for part in (self._full.indptr, self._full.indices))
+        made = PETSc.Mat().createAIJWithArrays((rows, rows), (pointers, columns, self._full.data), comm=PETSc.COMM_SELF)
+        made.setBlockSize(self.forms[0].function_spaces[0].dofmap.bs)
+        return made
+
+    def hold(self, held: Index, conditions: Sequence[Any]) -> None:
+        """What is held from now on: unknowns of this rank, and the DOLFINx conditions that say the same."""
+        fixed = np.zeros(len(self._full.indptr) - 1, dtype=bool)
+        fixed[held] = True
+        lengths = np.diff(self._full.indptr)
+        self._cleared = np.flatnonzero(np.repeat(fixed, lengths) | fixed[self._full.indices])
+        self._rows = np.searchsorted(self._full.indptr, self._cleared, side="right").astype(np.int32) - 1
+        self._columns = self._full.indices[self._cleared]
+        self._unit = self._cleared[self._rows == self._columns]
+        self._aside = np.zeros(len(self._cleared))
+
+    def assemble(self, _key: Hashable = None) -> None:
+        """The matrix at the present state; none is remembered."""
+        _fill(self._full, self.forms)
+        self._aside = self._full.data[self._cleared]
+        self._full.data[self._cleared] = 0.0
+        self._full.data[self._unit] = 1.0
+        # Smoothers keep the inverses of the blocks on the diagonal until the matrix is put together.
+        self.matrix.assemble()
+
+    def times(self, change: Array, transpose: bool = False) -> Array:
+        """Product of the full matrix, as it was last assembled, or its transpose, with changes of all unknowns."""
+        data, constrained = self._full.data, self._full.data[self._cleared]
+        data[self._cleared] = self._aside
+        full = sp.csr_matrix((data, self._full.indices, self._full.indptr), shape=self.matrix.getSize(), copy=False)
+        product = np.asarray((full.T if transpose else full) @ change)
+        data[self._cleared] = constrained
+        return product
+
+    def lifting(self, increment: Array, right: PETSc.Vec, _state: PETSc.Vec) -> None:
+        """Right-hand side for prescribed changes `increment` of the held unknowns (zero elsewhere)."""
+        lifted = self._aside * increment[self._columns]
+        right.array[:] = -np.bincount(self._rows, lifted, minlength=len(right.array_r))
+
+
+class SharedTangent(Tangent):
+    """The same for a mesh that is shared out over several ranks: PETSc assembles."""
+
+    def _create(self) -> PETSc.Mat:
+        return fp.create_matrix(self.forms[0])
+
+    def hold(self, _held: Index, conditions: Sequence[Any]) -> None:
+        """What is held from now on: the DOLFINx conditions."""
+        self._conditions = conditions
+
+    def assemble(self, _key: Hashable = None) -> None:
+        """The matrix at the present state; collective. None is remembered."""
+        self.matrix.zeroEntries()
+        # The diagonal of what is held is written, not added: last, by the form that comes first.
+        for form in reversed(self.forms):
+            fp.assemble_matrix(self.matrix, form, self._conditions, float(form is self.forms[0]))
+            # PETSc does not add where values were just written, until they have been sent to where they belong.
+            self.matrix.assemble(PETSc.Mat.AssemblyType.FLUSH)
+        self.matrix.assemble()
+
+    def lifting(self, increment: Array, right: PETSc.Vec, state: PETSc.Vec) -> None:
+        """Right-hand side for prescribed changes `increment` of the held unknowns (zero elsewhere, ghosts included); collective.
+
+        With the tangent at the present state, to which `state` belongs.
+        """
+        with right.localForm() as local:
+            local.set(0.0)
+        for form in self.forms:
+            fp.apply_lifting(right, [form], [list(self._conditions)], [state], 1.0)
+        right.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+
+
+def _fill(matrix: Any, forms: Sequence[Any]) -> None:
+    """Assemble the forms, which add up, into a matrix of DOLFINx."""
+    matrix.data[:] = 0.0
+    for form in forms:
+        fem.assemble_matrix(matrix, form)

@@ -152,7 +152,7 @@ def follow(
             done += 1
             asked = equilibrium.settings.pivots and (equilibrium.age >= _TRUSTED or done == len(action))
             if not stopped and (asked or equilibrium.verified):
-                status = equilibrium.verify()
+                status = equilibrium.confirm()
                 if status is Status.CONVERGED and not equilibrium.model.remembers:
                     safe = done, replace(history)
         if status is not Status.CONVERGED:
