@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 from scipy.special import logsumexp
 
 Array = NDArray[np.float64]
@@ -83,43 +84,71 @@ def information(
     every = _together(np.vstack([predictions - predictions.mean(axis=0), *columns]))
     if every.shape[1] == 0:
         return Expected(0.0)
-    centres, rest = every[: len(predictions)], every[len(predictions) :]
-    ends = np.cumsum([len(c) for c in columns])[:-1]
-    clouds = [_Cloud.of(c, own) for c, own in zip(centres, np.split(rest, ends), strict=True)]
     rng = np.random.default_rng(random_state)
     with np.errstate(divide="ignore"):
         logs = np.log(probabilities)
+    counts = [max(2, int(np.ceil(samples * p))) if p > 0 else 0 for p in probabilities]
+    noise = [_paired_noise(rng, count, every.shape[1]) for count in counts]
+    gains = (
+        _of_points(every, noise, logs) if len(every) == len(predictions) else _of_clouds(every, columns, noise, logs)
+    )
     bits, variance = 0.0, 0.0
-    for cloud, p in zip(clouds, probabilities, strict=True):
-        if p <= 0:
-            continue
-        count = max(2, int(np.ceil(samples * p)))
-        half = rng.normal(size=((count + 1) // 2, every.shape[1]))
-        seen = cloud.drawn(np.concatenate([half, -half]))
-        mixture = logsumexp(logs + _densities(clouds, seen), axis=1)
-        values = (cloud.log_density(seen) - mixture) / np.log(2)
-        bits += p * float(values.mean())
-        # Noise comes in pairs of opposite sign, whose means are independent.
-        pairs = values.reshape(2, -1).mean(axis=0)
-        variance += (
-            p**2 * float(pairs.var(ddof=1)) / len(pairs) if len(pairs) > 1 else p**2 * float(np.ptp(values)) ** 2
-        )
+    for values, p in zip(gains, probabilities, strict=True):
+        if len(values):
+            bits += p * float(values.mean())
+            variance += p**2 * _variance_of_mean(values)
     return Expected(max(float(bits), 0.0), float(np.sqrt(variance)))
 
 
-def _densities(clouds: Sequence[_Cloud], places: Array) -> Array:
-    """Logarithms of the densities of all clouds at some places, shape (places, clouds)."""
-    identity = np.eye(places.shape[1])
-    if all(np.array_equal(cloud.root, identity) for cloud in clouds):
-        centres = np.array([cloud.centre for cloud in clouds])
-        return np.asarray(-0.5 * np.sum((places[:, None, :] - centres[None, :, :]) ** 2, axis=2))
-    return np.column_stack([cloud.log_density(places) for cloud in clouds])
+def _paired_noise(rng: np.random.Generator, count: int, size: int) -> Array:
+    """So many draws or one more, in pairs of opposite sign; shape (samples, size)."""
+    half = rng.normal(size=((count + 1) // 2, size))
+    return np.concatenate([half, -half])
+
+
+def _variance_of_mean(values: Array) -> float:
+    """Noise comes in pairs of opposite sign, whose means are independent."""
+    pairs = values.reshape(2, -1).mean(axis=0)
+    return float(pairs.var(ddof=1)) / len(pairs) if len(pairs) > 1 else float(np.ptp(values)) ** 2
+
+
+def _of_points(centres: Array, noise: Sequence[Array], logs: Array) -> list[Array]:
+    """Bits that each draw tells where every hypothesis is a point with noise about it; all draws at once.
+
+    Of |c_j + n - c_k|^2 the noise's own square is the same for all k.
+    """
+    squares = cdist(centres, centres, "sqeuclidean")
+    ends = np.cumsum([len(own) for own in noise])
+    drawn = np.repeat(np.arange(len(centres)), [len(own) for own in noise])
+    shifts = np.concatenate(list(noise)) @ centres.T
+    shifts -= shifts[np.arange(len(drawn)), drawn][:, None]
+    bits = -_log_sum(logs - 0.5 * squares[drawn] + shifts) / np.log(2)
+    return np.split(bits, ends[:-1])
+
+
+def _of_clouds(every: Array, columns: Sequence[Array], noise: Sequence[Array], logs: Array) -> list[Array]:
+    """The same where hypotheses have numbers that are not known, cloud by cloud."""
+    centres, rest = every[: len(columns)], every[len(columns) :]
+    ends = np.cumsum([len(c) for c in columns])[:-1]
+    clouds = [_Cloud.of(c, own) for c, own in zip(centres, np.split(rest, ends), strict=True)]
+    found = []
+    for cloud, own in zip(clouds, noise, strict=True):
+        seen = cloud.drawn(own)
+        mixture = _log_sum(logs + np.column_stack([other.log_density(seen) for other in clouds]))
+        found.append((cloud.log_density(seen) - mixture) / np.log(2))
+    return found
+
+
+def _log_sum(rows: Array) -> Array:
+    """Logarithm of the sum of exponentials of each row."""
+    top = rows.max(axis=1)
+    return np.asarray(top + np.log(np.exp(rows - top[:, None]).sum(axis=1)))
 
 
 def noise_free(predictions: Array, probabilities: Array) -> Expected:
     """Information of a pull if each prediction were seen as it is: the greedy expected entropy of section 4 of the paper."""
     places = coordinates(predictions)
-    squares = np.sum((places[:, None, :] - places[None, :, :]) ** 2, axis=2)
+    squares = cdist(places, places, "sqeuclidean")
     with np.errstate(divide="ignore"):
         logs = np.log(probabilities)
     posterior = logs - 0.5 * squares
