@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from bcid.exploration.information import Expected, information, noise_free
 from bcid.exploration.moves import Move, cost, limits_of
-from bcid.exploration.predictions import PullPrediction, key_of
+from bcid.exploration.predictions import key_of
+from bcid.exploration.pull_prediction import PullPrediction
 from bcid.exploration.update import BeliefUpdate, PosteriorSummary, weights
 from bcid.forms.gripper_force import ROWS
 from bcid.forms.simulate import recorded, with_wrenches
@@ -319,7 +320,7 @@ class Chooser:
         size = _SMALL * limits_of(self.inference.scene).displacement
         responses: dict[str, list[PullPrediction]] = {}
         for grasp in dict.fromkeys(o.move.grasp for o in options):
-            responses[grasp] = self.inference.predict(view, sets, small_action(grasp, size), detailed=False)
+            responses[grasp] = self.inference.small_steps(view, sets, grasp, size)
         result = []
         for option in options:
             action = self._action(option.move)
@@ -361,11 +362,3 @@ def live(view: PosteriorSummary) -> list[Hypothesis]:
         found.append(hypothesis)
         mass += p
     return found
-
-
-def small_action(grasp: str, size: float) -> Action:
-    """A step along x, then along y, then along z, each from rest: what a linear body does follows from it."""
-    steps = np.arange(4)
-    return Action(
-        "1", steps, steps, grasp, np.vstack([np.zeros(3), size * np.eye(3)]), np.tile([1.0, 0.0, 0.0, 0.0], (4, 1))
-    )

@@ -6,11 +6,10 @@ A prediction depends on the scene, the level, the model, the set and the motion,
 from __future__ import annotations
 
 import json
-import math
 import os
 import socket
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, partial
 from operator import itemgetter
 from pathlib import Path
@@ -25,16 +24,15 @@ from bcid.base.fingerprint import fingerprint
 from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import writing
 from bcid.base.text_file import parse_json
-from bcid.exploration.motion import back, there
+from bcid.exploration.pull_prediction import PullPrediction, predicted
 from bcid.exploration.pull_tangent import Differentiator, PullTangent
+from bcid.forms.anchor_compliance import AnchorCompliance, affordable, undeformed
 from bcid.forms.force_bumps import force_unit
 from bcid.forms.forward import Forward
 from bcid.forms.gripper_force import ForceScale
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
-from bcid.forms.solver.buckling import NEAR_BUCKLING, linear_buckling, smallest_eigenvalue, two_states
 from bcid.forms.solver.equilibrium import Settings
-from bcid.forms.solver.trajectory import poses
 from bcid.inference.nuisances import Nuisances
 from bcid.measurement import Action
 from bcid.scene import Scene
@@ -46,50 +44,10 @@ T = TypeVar("T")
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
 Task = tuple[Anchored, Action]
-# The strain that so much of the volume stays below: in corners it has no limit.
-_VOLUME = 0.99
-# On a path along which the body does not become softer than this part there is nothing to buckle.
-_STIFF = 0.95
 # What a stored prediction holds; part of its fingerprint.
 _FORMAT = "bcid-predictions/1"
 # Results are shared and stored at the latest after so many predictions of a rank.
 _BATCH = 64
-
-
-@dataclass(frozen=True)
-class PullPrediction:
-    """What an anchor set predicts for an action.
-
-    Attributes:
-        positions: shape (frames, rows, 3), m, as in a `Prediction`; NaN where it cannot be predicted.
-        force: largest force of the gripper, N; NaN if it was not asked for, like all that follows.
-        strain: largest principal strain that 99 % of the volume stays below, over all frames.
-        eigenvalue: smallest eigenvalue of the tangent as part of that at rest, over all frames: below 0.5 the body may buckle;
-            zero where it has buckled: two states exist at the far end.
-        loose: how positions change when one of the numbers that are not known, or a combination of them, changes by its standard
-            deviation, each of the shape of `positions`, m.
-    """
-
-    positions: Array
-    force: float = math.nan
-    strain: float = math.nan
-    eigenvalue: float = math.nan
-    loose: tuple[Array, ...] = ()
-
-    @cached_property
-    def failed(self) -> bool:
-        """Whether it cannot be predicted."""
-        return not bool(np.isfinite(self.positions).all())
-
-    @property
-    def detailed(self) -> bool:
-        """Whether force, strain and eigenvalue are known."""
-        return self.failed or math.isfinite(self.eigenvalue)
-
-    @property
-    def buckles(self) -> bool:
-        """Whether the body may buckle, so that imperfections decide where it goes."""
-        return self.failed or self.eigenvalue < NEAR_BUCKLING
 
 
 class PullPredictor:
@@ -128,6 +86,8 @@ class PullPredictor:
         self._known: dict[tuple[str, Anchored], PullPrediction] = {}
         # With whether forces were asked for.
         self._tangents: dict[tuple[str, Anchored], tuple[bool, PullTangent | None]] = {}
+        # Movements of the fiducials by unit steps of the gripper, by grasp and set.
+        self._linear: dict[tuple[str, Anchored], Array] = {}
         self._forwards: dict[str, Forward] = {}
         self._mesh: BodyMesh | None = None
         self._read: set[str] = set()
@@ -233,6 +193,22 @@ class PullPredictor:
             self._tangents |= {key: (forces, tangent) for (key, _), tangent in zip(todo, found, strict=True)}
         return [self._tangents[k][1] for k in keys]
 
+    def small_steps(self, sets: Sequence[Anchored], grasp: str, size: float) -> list[PullPrediction]:
+        """Predictions of `small_action`, in order: to first order where that costs less than to follow them; collective."""
+        forward = self.forward()
+        if self.gripper is not None or not undeformed(self.model) or not affordable(forward):
+            action = small_action(grasp, size)
+            return self.predict([(anchors, action) for anchors in sets])
+        fresh = [a for a in dict.fromkeys(sets) if (grasp, a) not in self._linear]
+        if fresh:
+            # Every set needs the same factor: one rank has it.
+            found = on_root(self.comm, lambda: _first_order(forward, fresh, grasp))
+            self._linear |= {(grasp, a): moved for a, moved in zip(fresh, found, strict=True)}
+        rest = forward.observer.rest
+        return [
+            PullPrediction(np.concatenate([rest[None], rest + size * self._linear[grasp, anchors]])) for anchors in sets
+        ]
+
     def _told(self, key: tuple[str, Anchored], forces: bool) -> bool:
         return key in self._tangents and self._tangents[key][0] >= forces
 
@@ -299,10 +275,10 @@ class PullPredictor:
         stored = on_root(
             self.comm, lambda: [entry for file in sorted(folder.glob("*.npz")) for entry in _entries(file)]
         )
-        for anchors, predicted in stored:
+        for anchors, entry in stored:
             known = self._known.get((key, anchors))
             if known is None or not known.detailed:
-                self._known[key, anchors] = predicted
+                self._known[key, anchors] = entry
 
     def destroy(self) -> None:
         """Free the PETSc objects of this process."""
@@ -327,6 +303,20 @@ def _entries(file: Path) -> list[tuple[Anchored, PullPrediction]]:
         raise InputError(f"{file}: is damaged and cannot be read ({error}); remove it, it is computed again") from None
 
 
+def _first_order(forward: Forward, sets: Sequence[Anchored], grasp: str) -> list[Array]:
+    """Movements of the fiducials by a unit step of the gripper along each axis, shape (3, fiducials, 3) for each set."""
+    compliance = AnchorCompliance(forward, grasp)
+    return [compliance.moved(anchors) for anchors in sets]
+
+
+def small_action(grasp: str, size: float) -> Action:
+    """A step along x, then along y, then along z, each from rest: what a linear body does follows from it."""
+    steps = np.arange(4)
+    return Action(
+        "1", steps, steps, grasp, np.vstack([np.zeros(3), size * np.eye(3)]), np.tile([1.0, 0.0, 0.0, 0.0], (4, 1))
+    )
+
+
 def key_of(action: Action, timed: bool = False) -> str:
     """Fingerprint of a motion: grasp, poses to the nanometre, loads, and if it is `timed` its clock; not its name."""
     loads = {place: np.round(load, 9) for place, load in action.loads.items()}
@@ -334,62 +324,3 @@ def key_of(action: Action, timed: bool = False) -> str:
     content = {"translation": np.round(action.translation, 9) + 0.0, "rotation": np.round(action.rotation, 9) + 0.0}
     clock = np.round(action.clock, 9) if timed else None
     return fingerprint(content | {"grasp": action.grasp, "loads": loads, "clock": clock})
-
-
-def predicted(forward: Forward, anchors: Anchored, action: Action, detailed: bool) -> PullPrediction:
-    """Predict an action of an anchor set on this process.
-
-    A way back that repeats the way there is not computed, unless an effect depends on time, or remembers.
-    """
-    first = there(action, forward.model.steady)
-    prediction = forward.predict(anchors, [first], keep=detailed)
-    result = PullPrediction(prediction.positions[back(action, forward.model.steady)])
-    if not detailed or prediction.failure or prediction.states is None:
-        return result
-    return _with_details(forward, anchors, first, prediction.states, result)
-
-
-def _with_details(
-    forward: Forward, anchors: Anchored, action: Action, states: dict[int, Array], result: PullPrediction
-) -> PullPrediction:
-    equilibrium = forward.equilibrium
-    equilibrium.hold(anchors, action.grasp)
-    forces, strains, sizes = [], [], []
-    for pose, frame in zip(poses(forward.model.driven(action)), action.frames, strict=True):
-        equilibrium.set_state(pose, states[int(frame)])
-        forces.append(float(np.linalg.norm(equilibrium.wrench(pose)[:3])))
-        strains.append(strain_of_most(forward, equilibrium.displacement()))
-        sizes.append(smallest_eigenvalue(equilibrium)[0])
-        equilibrium.accept(pose)
-    eigenvalue = min(sizes) / sizes[0]
-    if NEAR_BUCKLING <= eigenvalue < _STIFF and _has_buckled(
-        forward, action, [states[int(frame)] for frame in action.frames]
-    ):
-        eigenvalue = 0.0
-    return replace(result, force=max(forces), strain=max(strains), eigenvalue=eigenvalue)
-
-
-def _has_buckled(forward: Forward, action: Action, states: Sequence[Array]) -> bool:
-    """Whether two states exist where the gripper is furthest from rest."""
-    model, equilibrium = forward.model, forward.equilibrium
-    if not model.definite or model.remembers:
-        return False
-    path = poses(model.driven(action))
-    far = int(np.argmax(np.linalg.norm(action.translation, axis=1)))
-    mode = linear_buckling(equilibrium, states[0], path[0], path[far])
-    if mode.part > 1 / NEAR_BUCKLING:
-        return False
-    return two_states(equilibrium, forward.fiducials, mode, states[0], path[far], states[far])
-
-
-def strain_of_most(forward: Forward, displacement: Array) -> float:
-    """Largest |principal stretch - 1| that 99 % of the volume stays below, from the corners of the cells; collective."""
-    mesh = forward.mesh
-    moved = mesh.points + forward.body.at_mesh_nodes(displacement)
-    rest, now = (p[mesh.cells[:, 1:]] - p[mesh.cells[:, :1]] for p in (mesh.points, moved))
-    stretches = np.linalg.svd(np.swapaxes(now, 1, 2) @ np.linalg.inv(np.swapaxes(rest, 1, 2)), compute_uv=False)
-    strain = np.abs(stretches - 1).max(axis=1)
-    volume = np.abs(np.linalg.det(rest))
-    order = np.argsort(strain)
-    below = np.cumsum(volume[order]) / volume.sum()
-    return float(strain[order][min(int(np.searchsorted(below, _VOLUME)), len(strain) - 1)])

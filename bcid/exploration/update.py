@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.exploration import pull_tangent
-from bcid.exploration.predictions import Anchored, PullPrediction, PullPredictor
+from bcid.exploration.predictions import Anchored, PullPredictor, small_action
 from bcid.exploration.pull_errors import Allowance, PullErrors, allowance
+from bcid.exploration.pull_prediction import PullPrediction
 from bcid.exploration.pull_tangent import PullTangent
 from bcid.exploration.rival_effects import Fitted, RivalEffects
 from bcid.inference.criteria import CERTAIN
@@ -161,6 +162,20 @@ class BeliefUpdate:
         acting = [h for h in hypotheses if h in view.fitted]
         if acting:
             found |= dict(zip(acting, self._loosely([view.fitted[h] for h in acting], action, detailed), strict=True))
+        return [found[h] for h in hypotheses]
+
+    def small_steps(
+        self, view: PosteriorSummary, hypotheses: Sequence[Hypothesis], grasp: str, size: float
+    ) -> list[PullPrediction]:
+        """What hypotheses predict for a step of `size` (m) along each axis, as `predict` for `small_action`; collective."""
+        plain = [h for h in hypotheses if h not in view.fitted]
+        acting = [h for h in hypotheses if h in view.fitted]
+        steps = self.predictor.small_steps([h.anchors for h in plain], grasp, size)
+        found = dict(zip(plain, steps, strict=True))
+        if acting:
+            found |= dict(
+                zip(acting, self.predict(view, acting, small_action(grasp, size), detailed=False), strict=True)
+            )
         return [found[h] for h in hypotheses]
 
     def modes(self, view: PosteriorSummary, action: Action, data: Data, predicted: Array) -> NuisanceModes | None:

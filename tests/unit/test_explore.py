@@ -20,8 +20,9 @@ from bcid.exploration.choice import Chooser, live
 from bcid.exploration.information import coordinates, information, noise_free
 from bcid.exploration.loop import BUDGET, DECIDED, INSEPARABLE, UNEXPLAINED, ExploreOptions, explore
 from bcid.exploration.moves import Move, cost, limits_of, moves
-from bcid.exploration.predictions import PullPrediction, key_of
+from bcid.exploration.predictions import key_of, small_action
 from bcid.exploration.pull_errors import Allowance, allowance
+from bcid.exploration.pull_prediction import PullPrediction
 from bcid.exploration.pull_tangent import PullTangent
 from bcid.exploration.robots import Folder
 from bcid.exploration.update import BeliefUpdate
@@ -89,6 +90,9 @@ class MadeUp:
         tasks = list(tasks)
         self.asked.update((key_of(action), anchors) for anchors, action in tasks)
         return [self._one(anchors, action, detailed) for anchors, action in tasks]
+
+    def small_steps(self, sets: Iterable[Anchored], grasp: str, size: float) -> list[PullPrediction]:
+        return self.predict([(anchors, small_action(grasp, size)) for anchors in sets])
 
     @property
     def nuisances(self) -> Any:

@@ -14,7 +14,8 @@ from bcid.base.run_folder import RunFolder
 from bcid.exploration.explore_run import _keep, _made, run_exploration
 from bcid.exploration.loop import ExploreOptions, explore
 from bcid.exploration.moves import Move, moves
-from bcid.exploration.predictions import PullPredictor, predicted
+from bcid.exploration.predictions import PullPredictor
+from bcid.exploration.pull_prediction import predicted
 from bcid.exploration.robots import Simulated
 from bcid.scene import Scene
 
