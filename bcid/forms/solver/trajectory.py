@@ -156,7 +156,7 @@ def follow(
                 if status is Status.CONVERGED and not equilibrium.model.remembers:
                     safe = done, replace(history)
         if status is not Status.CONVERGED:
-            if equilibrium.careful:
+            if equilibrium.careful or _at_its_end(equilibrium, history):
                 result.status, result.reason = (
                     status,
                     f"{WORDS[status]}; action {action.name} ended {_where(action, done)}",
@@ -169,6 +169,15 @@ def follow(
     result.steps = done
     result.iterations, result.factorisations = equilibrium.iterations - start[0], equilibrium.factor.count - start[1]
     return result
+
+
+def _at_its_end(eq: Equilibrium, history: _History) -> bool:
+    """Whether the last good state is stable, so that to come there again would lead to no other end.
+
+    What fails with an old tangent was tried from the same state with one of its own for every iteration.
+    """
+    definite = eq.model.definite and not eq.model.remembers and bool(history.times)
+    return definite and eq.verify() is Status.CONVERGED
 
 
 def _where(action: Action, done: int) -> str:
