@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from bcid.exploration.information import Expected, information, noise_free
 from bcid.exploration.moves import Move, cost, limits_of
+from bcid.exploration.posterior_summary import PosteriorSummary
 from bcid.exploration.predictions import key_of
 from bcid.exploration.pull_prediction import PullPrediction
-from bcid.exploration.update import BeliefUpdate, PosteriorSummary, weights
+from bcid.exploration.update import BeliefUpdate, weights
 from bcid.forms.gripper_force import ROWS
 from bcid.forms.simulate import recorded, with_wrenches
 from bcid.inference.data import LEAST_NOISE, Data
@@ -35,6 +36,8 @@ _SCREENED = 6
 _SAFE = 0.95
 # A pull that is expected to tell less, bits, tells nothing.
 LEAST = 0.02
+# Pulls there and back promise the same by the linear response, but for round-off: so many digits tell them apart.
+_ALIKE = 9
 # Of the gripper's path: where the response is linear.
 _SMALL = 0.01
 
@@ -130,8 +133,15 @@ class Chooser:
             choice = self._choose(view, last, barred)
             reason = self._barred(choice.move, view) if choice.move else ""
             if not (choice.move and reason):
-                return choice
+                return self._settled(choice, view)
             barred[choice.move] = reason
+
+    def _settled(self, choice: Choice, view: PosteriorSummary) -> Choice:
+        """The choice; where the body may buckle in it is known of every live set, for the belief that follows from it."""
+        sets = live(view)
+        if choice.move and len(sets) <= _MOST:
+            self.inference.predict(view, sets, self._action(choice.move), detailed=True)
+        return choice
 
     def _choose(self, view: PosteriorSummary, last: Move | None, barred: Mapping[Move, str]) -> Choice:
         limits = limits_of(self.inference.scene)
@@ -142,7 +152,7 @@ class Chooser:
         if self.criterion == "random":
             return self._random(options, view, sets)
         if len(options) > _SCREENED or len(sets) > _MOST:
-            options = sorted(self._linear(options, view), key=lambda o: -o.worth)
+            options = sorted(self._linear(options, view), key=lambda o: -round(o.worth, _ALIKE))
         if len(sets) > _MOST:
             return self._first_allowed(options, view, sets)
         return self._best(options, view, sets)
@@ -164,11 +174,13 @@ class Chooser:
         shown: dict[Move, Shown] = {}
         for i in range(0, len(options), _SCREENED):
             for option in options[i : i + _SCREENED]:
-                predicted = self._predicted(option.move, view, sets)
-                forbidden = option.forbidden or self._forbidden(predicted, weights(view.probabilities, sets))
+                predicted, forbidden = self._asked(option, view, sets, weights(view.probabilities, sets))
+                if forbidden:
+                    seen.append(replace(option, forbidden=forbidden))
+                    continue
                 shown[option.move] = self._in_errors(option.move, predicted, view)
                 expected = self._expected(shown[option.move], weights(view.probabilities, sets))
-                seen.append(replace(option, expected=expected, linear=False, forbidden=forbidden))
+                seen.append(replace(option, expected=expected, linear=False))
             if any(telling(o) for o in seen):
                 break
         allowed = sorted((o for o in seen if telling(o)), key=lambda o: -o.worth)
@@ -212,7 +224,7 @@ class Chooser:
             if option.expected.bits < LEAST:
                 break
             even = np.full(len(drawn), 1 / len(drawn))
-            forbidden = option.forbidden or self._forbidden(self._predicted(option.move, view, drawn), even)
+            forbidden = self._asked(option, view, drawn, even)[1]
             seen.append(replace(option, forbidden=forbidden))
             if not forbidden:
                 return Choice(option.move, option.expected, (*reversed(seen), *options[i + 1 :]))
@@ -226,7 +238,7 @@ class Chooser:
             sets = [sets[k] for k in sorted(rng.choice(len(sets), _SAMPLED, replace=False, p=p))]
         p = weights(view.probabilities, sets)
         for k in rng.permutation(len(options)):
-            if not options[k].forbidden and not self._forbidden(self._predicted(options[k].move, view, sets), p):
+            if not self._asked(options[k], view, sets, p)[1]:
                 return Choice(options[k].move, Expected(math.nan), tuple(options))
         return Choice(None, Expected(0.0), tuple(options))
 
@@ -236,11 +248,28 @@ class Chooser:
     def _action(self, move: Move) -> Action:
         return move.action(limits_of(self.inference.scene))
 
-    def _predicted(self, move: Move, view: PosteriorSummary, sets: Sequence[Hypothesis]) -> list[PullPrediction]:
-        return self.inference.predict(view, sets, self._action(move), detailed=True)
+    def _asked(
+        self, option: Option, view: PosteriorSummary, sets: Sequence[Hypothesis], p: Array
+    ) -> tuple[list[PullPrediction], str]:
+        """What sets with probabilities `p` predict for a pull, and why it is not allowed, or "".
 
-    def _forbidden(self, predicted: Sequence[PullPrediction], p: Array) -> str:
-        """Why a pull is not allowed, or ""."""
+        The likeliest is asked alone first: where it forbids the pull, what the others predict is of no interest. Where the
+        likely ones allow it whatever the others do, force, strain and stability of those are not asked for.
+        """
+        if option.forbidden:
+            return [], option.forbidden
+        action, likely = self._action(option.move), _decisive(p)
+        for count in dict.fromkeys((1, likely, len(sets))):
+            predicted = self.inference.predict(view, sets[:count], action, detailed=True)
+            forbidden = self._forbidden(predicted, p[:count])
+            if forbidden:
+                return predicted, forbidden
+            if count == likely and self._forbidden(predicted, p[:count], float(p[count:].sum())) == "":
+                return predicted + self.inference.predict(view, sets[count:], action, detailed=False), ""
+        return predicted, ""
+
+    def _forbidden(self, predicted: Sequence[PullPrediction], p: Array, more: float = 0.0) -> str:
+        """Why a pull is not allowed, or ""; if `more` of the probability spoke against it as well."""
         limits = limits_of(self.inference.scene)
         checks: list[tuple[str, Callable[[PullPrediction], bool]]] = [
             ("the body may buckle", lambda f: f.buckles),
@@ -254,9 +283,10 @@ class Chooser:
             ),
         ]
         for reason, exceeds in checks:
-            risk = float(sum(w for w, f in zip(p, predicted, strict=True) if exceeds(f)))
+            risk = more + float(sum(w for w, f in zip(p, predicted, strict=True) if exceeds(f)))
             if risk > 1 - _SAFE:
-                return f"{reason} (probability {risk:.2g})"
+                least = "at least " if p.sum() < 1 - 1e-9 else ""
+                return f"{reason} (probability {least}{risk:.2g})"
         return ""
 
     def _in_errors(self, move: Move, predicted: Sequence[PullPrediction], view: PosteriorSummary) -> Shown:
@@ -350,6 +380,11 @@ def telling(option: Option) -> bool:
     return (
         not option.forbidden and option.expected.bits - 2 * option.expected.error > 0 and option.expected.bits > LEAST
     )
+
+
+def _decisive(p: Array) -> int:
+    """How many of the likeliest hypotheses hold so much of the probability that the others forbid no pull by themselves."""
+    return min(int(np.searchsorted(np.cumsum(p), _SAFE)) + 1, len(p))
 
 
 def live(view: PosteriorSummary) -> list[Hypothesis]:

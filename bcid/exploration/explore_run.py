@@ -27,9 +27,10 @@ from bcid.exploration.loop import (
     paired,
 )
 from bcid.exploration.moves import Move
+from bcid.exploration.posterior_summary import PosteriorSummary
 from bcid.exploration.predictions import PullPredictor
 from bcid.exploration.robots import Folder, Robot, Simulated
-from bcid.exploration.update import PosteriorSummary, believed
+from bcid.exploration.update import believed
 from bcid.forms.forward import check_geometry
 from bcid.forms.mesh import level_mesh
 from bcid.forms.mesh.check import measures

@@ -16,10 +16,11 @@ from bcid.base.units import percent
 from bcid.comparison.levels import affordable, pair
 from bcid.exploration.choice import CRITERIA, Choice, Chooser, Option
 from bcid.exploration.moves import Move, cost, limits_of, moves
+from bcid.exploration.posterior_summary import PosteriorSummary
 from bcid.exploration.predictions import PullPredictor
 from bcid.exploration.rival_effects import RivalEffects
 from bcid.exploration.robots import Robot
-from bcid.exploration.update import BeliefUpdate, PosteriorSummary
+from bcid.exploration.update import BeliefUpdate
 from bcid.forms import effects
 from bcid.forms.gripper_force import ForceScale
 from bcid.inference.criteria import CERTAIN

@@ -44,6 +44,8 @@ T = TypeVar("T")
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
 Task = tuple[Anchored, Action]
+# Where Newton's method has not come to its end by then, it seldom does: the step is halved instead.
+_ITERATIONS = 20
 # What a stored prediction holds; part of its fingerprint.
 _FORMAT = "bcid-predictions/1"
 # Results are shared and stored at the latest after so many predictions of a rank.
@@ -231,7 +233,7 @@ class PullPredictor:
         model = model or self.model
         if model.name not in self._forwards:
             mesh = self._mesh = self._mesh or level_mesh(self.scene, self.scene.levels[self.level], self.comm)
-            settings = Settings(rtol=1e-7, halvings=3)
+            settings = Settings(rtol=1e-7, halvings=3, max_iterations=_ITERATIONS)
             self._forwards[model.name] = in_turns(
                 self.comm,
                 self.comm.rank == 0,

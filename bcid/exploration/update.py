@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bcid.exploration import pull_tangent
+from bcid.exploration.posterior_summary import PosteriorSummary
 from bcid.exploration.predictions import Anchored, PullPredictor, small_action
 from bcid.exploration.pull_errors import Allowance, PullErrors, allowance
 from bcid.exploration.pull_prediction import PullPrediction
@@ -30,8 +31,11 @@ from bcid.search.seeds import all_candidates, random_seeds
 Array = NDArray[np.float64]
 # All sets of so many patches are hypotheses; of more, those that a climb comes to from random ones.
 _ENUMERATED, _RANDOM = 10, 64
-# A set whose odds against the best are below exp(-_ASLEEP) is not predicted for further pulls, unless its odds recover.
-_ASLEEP = 25.0
+# The least likely sets, which hold no more than this of the probability together, are not predicted for further pulls, unless
+# their odds recover. By Markov's inequality they would come to hold 5 % with no more than 20 times this probability.
+_NEGLIGIBLE = 1e-5
+# Where something may be missing odds are not worth as much: only those below exp(-_ASLEEP) against the best are not predicted.
+_ASLEEP, _DOUBTED = 25.0, 0.5
 # Sets with more than this probability are compared on the fine level too, so many at most, and their neighbours looked at.
 _CONTENDS, _CONTENDERS = 0.01, 4
 # Between levels that hardly differ nothing can be extrapolated.
@@ -40,45 +44,6 @@ _LEAST_GAIN = 0.5
 _FIRST_ERROR = 0.03
 # Before any pull it is as likely that no effect acts as that one of the rivals does.
 NONE = 0.5
-
-
-@dataclass(frozen=True)
-class PosteriorSummary:
-    """What is believed after some pulls.
-
-    Attributes:
-        probabilities: of every hypothesis looked at, the likeliest first.
-        patches: probability that each patch is anchored.
-        effects: probability of each rival effect, and of none ("").
-        entropy: bits.
-        rms: RMS residual of the likeliest hypothesis, m; NaN before anything was seen.
-        missed: the same in units of what noise, mesh, and what the scene may have slightly wrong explain.
-        missing: probability that something is missing in the model besides (see `bcid.inference.unknown_force`).
-        error: RMS error of the mesh at the end of a pull, as part of its motion.
-        fitted: the hypotheses with an effect, with their numbers.
-        stiffness: how stiff the body is with the likeliest set, where forces are measured.
-    """
-
-    probabilities: dict[Hypothesis, float]
-    patches: dict[str, float]
-    effects: dict[str, float]
-    entropy: float
-    rms: float
-    missed: float
-    missing: float
-    error: float
-    fitted: dict[Hypothesis, Fitted] = field(default_factory=dict)
-    stiffness: Stiffness | None = None
-
-    @property
-    def best(self) -> Hypothesis:
-        """The likeliest hypothesis."""
-        return next(iter(self.probabilities))
-
-    @property
-    def certainty(self) -> float:
-        """Its probability."""
-        return self.probabilities[self.best]
 
 
 class BeliefUpdate:
@@ -217,10 +182,13 @@ class BeliefUpdate:
         return self.errors.relative(list(self.sets))
 
     def _wake(self) -> bool:
-        """Predict what is not known of sets that are not asleep; whether there was anything."""
-        relative = self._relative()
-        awake = [a for a in self.sets if relative[a] > -_ASLEEP]
-        todo = [(i, a) for i in range(len(self.pulls)) for a in awake if a not in self._predicted[i]]
+        """Predict what is not known of sets that hold a part in the belief; whether there was anything."""
+        return self._learn(awake(self._relative()))
+
+    def _learn(self, sets: Iterable[Anchored]) -> bool:
+        """Predict all pulls with sets, as far as that is not known; whether there was anything."""
+        sets = list(sets)
+        todo = [(i, a) for i in range(len(self.pulls)) for a in sets if a not in self._predicted[i]]
         found = self.predictor.predict((a, self.pulls[i]) for i, a in todo)
         self._tell(dict(zip(todo, found, strict=True)))
         return bool(todo)
@@ -300,10 +268,17 @@ class BeliefUpdate:
         return True
 
     def _doubt(self) -> bool:
-        """Where something is missing, learn whether the body may have buckled with any of the sets; whether that was not known."""
-        if self._look().missing < CERTAIN:
+        """Where something may be missing, predict unlikely sets too; where it is, whether the body may have buckled.
+
+        Whether there was anything that was not known.
+        """
+        missing = self._look().missing
+        if missing < _DOUBTED:
             return False
-        return self._detail([(i, a) for i in range(len(self.pulls)) for a in self.sets])
+        relative = self._relative()
+        if self._learn(a for a in self.sets if relative[a] > -_ASLEEP):
+            return True
+        return missing >= CERTAIN and self._detail([(i, a) for i in range(len(self.pulls)) for a in self.sets])
 
     # -- what they say
     # --------------------------------------------------------------------------------------------------------------
@@ -388,6 +363,14 @@ class BeliefUpdate:
             return 0.0
         left = self.errors.left(likely)
         return _FIRST_ERROR if left is None else left
+
+
+def awake(relative: Mapping[Anchored, float]) -> list[Anchored]:
+    """All sets but the least likely, which hold a negligible part together; from logarithms of their odds."""
+    order = sorted(relative, key=lambda a: (relative[a], -len(a), sorted(a)))
+    odds = np.exp([relative[a] for a in order])
+    asleep = set(order[: int(np.searchsorted(np.cumsum(odds), _NEGLIGIBLE * odds.sum(), side="right"))])
+    return [a for a in relative if a not in asleep]
 
 
 def believed(names: Sequence[str]) -> dict[str, float]:

@@ -34,9 +34,10 @@ from bcid.exploration.choice import Choice, Chooser
 from bcid.exploration.explore_run import telling_pull
 from bcid.exploration.loop import ExploreOptions, explore, paired
 from bcid.exploration.moves import limits_of, moves
+from bcid.exploration.posterior_summary import PosteriorSummary
 from bcid.exploration.predictions import PullPredictor
 from bcid.exploration.robots import Simulated
-from bcid.exploration.update import BeliefUpdate, PosteriorSummary
+from bcid.exploration.update import BeliefUpdate
 from bcid.forms.gripper_force import ForceScale
 from bcid.forms.model import check_physics
 from bcid.forms.written_effects import with_effects
