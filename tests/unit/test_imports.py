@@ -42,7 +42,7 @@ ALLOWED = {
     "report": BASE | {"report"},
     "studies": DATA | {"forms", "inference", "search", "comparison", "proposal", "exploration", "vision", "studies"},
     "api": DATA | {"forms", "inference", "search", "comparison", "proposal", "exploration", "report", "api"},
-    "bench": DATA | {"forms", "inference", "search", "bench"},
+    "bench": DATA | {"forms", "inference", "search", "comparison", "exploration", "bench"},
     "app": DATA
     | {
         "bench",
