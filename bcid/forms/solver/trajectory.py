@@ -146,6 +146,7 @@ def follow(
             status = _find(equilibrium, path[done + 1], done, history, known[done])
         if status is not Status.CONVERGED:
             status = _advance(equilibrium, path[done], path[done + 1], done, history, result)
+        ended = status is not Status.CONVERGED and _at_its_end(equilibrium, history)
         if status is Status.CONVERGED:
             stopped = seen(done, path[done + 1]) is False
             equilibrium.accept(path[done + 1])
@@ -156,7 +157,7 @@ def follow(
                 if status is Status.CONVERGED and not equilibrium.model.remembers:
                     safe = done, replace(history)
         if status is not Status.CONVERGED:
-            if equilibrium.careful or _at_its_end(equilibrium, history):
+            if equilibrium.careful or ended:
                 result.status, result.reason = (
                     status,
                     f"{WORDS[status]}; action {action.name} ended {_where(action, done)}",
