@@ -14,7 +14,7 @@ from typing import Any
 from bcid.base.errors import InputError, MachineError, nearest
 from bcid.base.progress import Lines, Progress
 from bcid.base.version import VERSION
-from bcid.bench import explain_bench, growth_bench, identification_bench, toggles_bench, trajectory_bench
+from bcid.bench import explain_bench, explore_bench, growth_bench, identification_bench, toggles_bench, trajectory_bench
 from bcid.bench.bench_table import Part, goals_table
 from bcid.bench.measure import Session
 
@@ -23,6 +23,7 @@ _MEASURES: dict[str, Callable[[Session], Part]] = {
     "toggles": toggles_bench.run,
     "identification": identification_bench.run,
     "explain": explain_bench.run,
+    "explore": explore_bench.run,
     "growth": growth_bench.run,
 }
 PARTS = tuple(_MEASURES)

@@ -193,6 +193,7 @@ def _write(
     result = content["exploration.json"]
     evaluations = {str(p.level): p.evaluations for p in predictors}
     run.record |= {"names": {"scene": source}, "ranks": ranks, "evaluations": evaluations}
+    run.record["tangents"] = sum(p.tangents for p in predictors)
     run.finish({key: result[key] for key in ("reason", "anchored", "effect", "probability")})
 
 

@@ -211,6 +211,11 @@ class PullPredictor:
             PullPrediction(np.concatenate([rest[None], rest + size * self._linear[grasp, anchors]])) for anchors in sets
         ]
 
+    @property
+    def tangents(self) -> int:
+        """How many pulls were differentiated, on all ranks."""
+        return len(self._tangents)
+
     def _told(self, key: tuple[str, Anchored], forces: bool) -> bool:
         return key in self._tangents and self._tangents[key][0] >= forces
 

@@ -87,6 +87,18 @@ def test_quick_explain(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_quick_explore(tmp_path: Path) -> None:
+    done = bench("explore", "--quick", "-o", "out", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    part = json.loads((tmp_path / "out/bench.json").read_text(encoding="utf-8"))["parts"]["explore"]
+    command, pulls = part["data"]["command"], part["data"]["pulls"]
+    assert (command["reason"], command["pulls"]) == ("budget", 0)
+    assert 0 < command["evaluations"]["0"] < 256
+    assert (pulls["ranks"], pulls["sets"], pulls["all_sets"], pulls["predictions"]) == (2, 4, 256, 24)
+    assert [goal["met"] for goal in part["goals"]] == [None, None]
+
+
+@pytest.mark.slow
 def test_quick_growth(tmp_path: Path) -> None:
     done = bench("growth", "--quick", "-o", "out", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
