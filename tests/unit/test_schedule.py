@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from bcid.bench.growth_bench import most_efficient
 from bcid.search.scheduler import Alone, replay, share
 
 
@@ -43,3 +44,11 @@ def test_no_schedule_beats_its_bounds() -> None:
     for workers in (1, 2, 16, 299, 1024):
         took, work = replay(durations, workers)
         assert (1 - 1e-12) * max(work / workers, max(durations)) <= took <= work / workers + max(durations)
+
+
+def test_no_schedule_of_batches_is_more_efficient_than_what_each_must_wait_for() -> None:
+    batches = [[2.0], [1.0, 0.5, 0.5]]
+    assert [most_efficient(batches, ranks) for ranks in (1, 2, 4)] == pytest.approx([1.0, 4 / 6, 4 / 12])
+    for ranks in (1, 2, 4):
+        took = sum(replay(batch, ranks)[0] for batch in batches)
+        assert 4.0 / (ranks * took) <= most_efficient(batches, ranks)

@@ -83,10 +83,25 @@ def test_a_hierarchy_serves_many_tangents_and_one_set_of_anchors(solver: Equilib
     result = follow(solver, PULL, lambda _k, _pose: None)
     assert result.factorisations > 3
     assert hierarchies(solver) == 1
+    solver.hold({"x0"}, "x1")
+    assert follow(solver, PULL, lambda _k, _pose: None).status is Status.CONVERGED
+    assert hierarchies(solver) == 1
     solver.hold({"corner"}, "x1")
     held = follow(solver, PULL, lambda _k, _pose: None)
     assert held.status is Status.CONVERGED
     assert hierarchies(solver) == 2
+
+
+def test_a_tangent_serves_again_where_it_hardly_limits(solver: Equilibrium) -> None:
+    """Where one iteration left so little that what the tangent has changed since is below what is asked for."""
+    begun, near, far = 1e-4, 1e-2, 2e-3
+    assert not solver.factor.aim(begun, 0)
+    assert solver.factor.aim(near, 1)
+    assert not solver.factor.aim(begun, 0), "what an earlier solve left says nothing"
+    assert not solver.factor.aim(far, 1)
+    result = follow(solver, PULL, lambda _k, _pose: None)
+    # One more is for the first lifting.
+    assert result.factorisations < result.iterations + 1
 
 
 def test_a_hierarchy_that_has_become_bad_is_made_anew(solver: Equilibrium) -> None:

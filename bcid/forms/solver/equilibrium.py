@@ -90,8 +90,9 @@ class Equilibrium:
         self._compile()
         self._prepare_solver()
         self.supports = Supports(body, scene, self.places, model.rollers, self._owned)
-        self._lagging = self._stale = self._verified = False
+        self._lagging = self._stale = self._verified = self._chord = False
         self._iteration = self._slow = 0
+        self._held: tuple[frozenset[str], frozenset[str], str] | None = None
         self.hold(model.anchors, model.grasp)
 
     # -- forms
@@ -130,12 +131,16 @@ class Equilibrium:
 
         Patches that an effect holds instead of a rigid anchor stay free.
         """
+        anchors = frozenset(anchors)
         freed = self.model.freed(anchors)
         for name, constant in self.weak_form.anchored.items():
             constant.value = float(name in freed)
-        self.supports.hold(set(anchors) - freed, grasp)
+        self.supports.hold(set(anchors - freed), grasp)
         self.tangent.hold(self.supports.prescribed, self.supports.conditions)
-        self.factor.constrain()
+        held = anchors, frozenset(freed), grasp
+        if held != self._held:
+            self._held = held
+            self.factor.constrain()
         self.reset()
 
     def reset(self) -> None:
@@ -267,7 +272,8 @@ class Equilibrium:
 
     def _renew(self, _snes: PETSc.SNES, _x: PETSc.Vec, _J: PETSc.Mat, _P: PETSc.Mat) -> None:
         """What SNES calls for a Jacobian: the old one stays while the iteration converges well with it."""
-        if not self._lagging or self._stale or not self.factor.usable:
+        keep = (self._lagging and not self._stale) or self._chord
+        if not (keep and self.factor.usable):
             self._assemble_tangent()
             self._renewed, self._stale = self._iteration, False
 
@@ -294,7 +300,7 @@ class Equilibrium:
         allowed = max(self.rtol * self._scale(), self._floor)
         if residual <= allowed:
             return PETSc.SNES.ConvergedReason.CONVERGED_FNORM_RELATIVE
-        self.factor.aim(allowed / residual)
+        self._chord = self.factor.aim(allowed / residual, iteration)
         return self._judge(iteration, residual) if self._lagging else PETSc.SNES.ConvergedReason.CONVERGED_ITERATING
 
     def _judge(self, iteration: int, residual: float) -> Any:
@@ -349,7 +355,7 @@ class Equilibrium:
                     return self._unfactored()
             self.tangent.lifting(increment, self.vector, self.u.x.petsc_vec)
             self.vector.array[self.supports.reacting] = increment[self.supports.reacting]
-            self.factor.aim(0.0)
+            self.factor.aim()
             try:
                 self.factor.solve(self.vector, self.correction)
             except PETSc.Error as error:

@@ -132,10 +132,12 @@ class Factor:
         inner.setFromOptions()
         return inner
 
-    def aim(self, part: float) -> None:
-        """Of the residual only this part may be left: no iteration needs to do better than what remains to be done."""
-        if self.multigrid is not None:
-            self.multigrid.aim(part)
+    def aim(self, part: float = 0.0, iteration: int = 0) -> bool:
+        """Only this part of the residual may be left after a Newton iteration; whether the tangent at hand will do for it.
+
+        Only multigrid has a choice of how accurate it is, see `Multigrid.aim`.
+        """
+        return self.multigrid is not None and self.multigrid.aim(part, iteration)
 
     def solve(self, right: PETSc.Vec, solution: PETSc.Vec) -> None:
         """Solve with the last factor. Collective.

@@ -30,11 +30,13 @@ _ALONE: dict[str, int | float | str] = {
 # Galerkin products by way of P^T (A P) take half the time of PETSc's own choice; on shared meshes PETSc knows no such way.
 _PRODUCTS = "matptap_via", "rap"
 _INDEFINITE = PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT, PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_PC
-# A hierarchy is made anew when a digit takes this many times the iterations that it took at first.
-_WORN = 2.0
+# A hierarchy is made anew when a digit takes this many times the iterations that it took at first, and some to begin with.
+_WORN, _BEGIN = 2.0, 3
 # A Newton correction is solved to this accuracy. Where quadratic convergence can do what is left of the residual at once,
 # not less than this part of it, it is solved to what is asked for with some to spare, but no further.
 _LOOSE, _WITHIN, _SPARE, _COARSEST = 1e-2, 1e-4, 0.5, 0.1
+# Part of what such a correction leaves that is due to the tangent's change. Where it is more, there is one more iteration.
+_CHANGED = 0.1
 # What is asked of sensitivities, and the most iterations.
 _ACCURATE, _PATIENCE = 1e-9, 500
 
@@ -59,7 +61,7 @@ class Multigrid:
     def __init__(self, matrix: PETSc.Mat, modes: PETSc.NullSpace) -> None:
         self.matrix = matrix
         matrix.setNearNullSpace(modes)
-        self.accuracy = _LOOSE
+        self.accuracy, self._part = _LOOSE, 0.0
         self.built = 0
         self.negative = self.failed = False
         self._first: float | None = None
@@ -80,9 +82,16 @@ class Multigrid:
         krylov.setFromOptions()
         return krylov
 
-    def aim(self, part: float) -> None:
-        """Solve so accurately that this part of the residual is left, as far as one Newton iteration can get there."""
+    def aim(self, part: float, iteration: int) -> bool:
+        """Solve so accurately that this part of the residual is left, as far as one Newton iteration can get there.
+
+        Tells whether the tangent of the last iteration will do for this one. That has left s of a residual r, most of it
+        because its equations were solved loosely, and `_CHANGED` of it, c r^2, because the tangent has changed; with the
+        same tangent again it is 2 c r s that this leaves.
+        """
         self.accuracy = min(_SPARE * part, _COARSEST) if part > _WITHIN else _LOOSE
+        before, self._part = self._part, part
+        return iteration > 0 and 2 * _CHANGED * before <= _SPARE * part**2
 
     def forget(self) -> None:
         """Other nodes are held: the coarse levels no longer know which may move."""
@@ -133,10 +142,10 @@ class Multigrid:
 
     def _judge(self) -> None:
         """Whether the hierarchy has become too old."""
-        cost = self._krylov.getIterationNumber() / -math.log10(self.accuracy)
-        if self._first is None:
-            self._first = cost
-        self._worn = self.failed or cost > _WORN * self._first
+        taken, digits = self._krylov.getIterationNumber(), -math.log10(self.accuracy)
+        if self._first is None and taken > 0:
+            self._first = taken / digits
+        self._worn = self.failed or taken > _WORN * digits * (self._first or 0.0) + _BEGIN
 
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
