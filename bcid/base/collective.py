@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from typing import TYPE_CHECKING, TypeAlias, TypeVar
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+
+import numpy as np
 
 from bcid.base.errors import BcidError
 
@@ -71,3 +73,12 @@ def launched() -> bool:
 def first() -> bool:
     """Whether this process is the first that an MPI launcher has started, or the only one; known before MPI is begun."""
     return all(os.environ.get(name, "0") == "0" for name in _RANKS)
+
+
+def overlaid(arrays: Sequence[Any]) -> Any:
+    """Arrays of one shape that ranks know in parts, with NaN elsewhere, as one; local."""
+    result = arrays[0].copy()
+    for other in arrays[1:]:
+        fill = np.isnan(result)
+        result[fill] = other[fill]
+    return result

@@ -7,7 +7,6 @@ from bcid.bench.peers.problem import Clock, memory
 # isort: split
 import cProfile
 import json
-import pstats
 import sys
 from pathlib import Path
 
@@ -34,9 +33,10 @@ SPENT = {
 def spent(profile: cProfile.Profile) -> dict[str, float]:
     """Shares of the time by kind of work."""
     found = dict.fromkeys([*SPENT, "the rest"], 0.0)
-    for (file, _, name), (_, _, own, _, _) in pstats.Stats(profile).stats.items():  # type: ignore[attr-defined]
-        kind = next((kind for kind, words in SPENT.items() if any(w in f"{file} {name}" for w in words)), "the rest")
-        found[kind] += own
+    for entry in profile.getstats():
+        name = entry.code if isinstance(entry.code, str) else f"{entry.code.co_filename} {entry.code.co_name}"
+        kind = next((kind for kind, words in SPENT.items() if any(word in name for word in words)), "the rest")
+        found[kind] += entry.inlinetime
     whole = sum(found.values())
     return {kind: seconds / whole for kind, seconds in found.items()}
 

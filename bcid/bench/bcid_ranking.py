@@ -6,14 +6,13 @@ from bcid.bench.peers.problem import Clock, memory
 
 # isort: split
 import json
-import time
-from collections.abc import Callable
 
 from mpi4py import MPI
 
 import bcid
 from bcid import Scene
 from bcid.base.shipped import shipped
+from bcid.bench.bcid_trajectory import seconds
 from bcid.bench.bench_slab import DEMO, EXPLAINED, measurement
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import rank
@@ -23,17 +22,7 @@ from bcid.forms.model import Model
 
 ANCHORED = frozenset("34")
 REPEATS = 2
-
-
-def seconds(work: Callable[[], object]) -> float:
-    """Least CPU time of some repetitions, after one that compiles."""
-    work()
-    found = []
-    for _ in range(REPEATS):
-        start = time.process_time()
-        work()
-        found.append(time.process_time() - start)
-    return min(found)
+"""Of a ranking, once its forms are compiled."""
 
 
 def main() -> None:
@@ -46,12 +35,13 @@ def main() -> None:
     clock.start()
     every = [effect for effect in effects.catalogue() if not effect.only_named]
     plain = [e for e in every if not (e.memory or e.uses_past or e.places or e.around or e.ahead)]
+    rank(state, every, strict=False)
     record = {
         "level": forward.describe,
         "frames": len(predictor.data.mask),
         "trajectory_s": seconds(lambda: forward.predict(ANCHORED, predictor.actions, keep=True)),
-        "all": {"effects": len(every), "cpu_s": seconds(lambda: rank(state, every, strict=False))},
-        "plain": {"effects": len(plain), "cpu_s": seconds(lambda: rank(state, plain, strict=False))},
+        "all": {"effects": len(every), "cpu_s": seconds(lambda: rank(state, every, strict=False), count=REPEATS)},
+        "plain": {"effects": len(plain), "cpu_s": seconds(lambda: rank(state, plain, strict=False), count=REPEATS)},
     }
     clock.stop()
     print(json.dumps(clock.record | record | {"rss_mb": memory()}), flush=True)

@@ -59,10 +59,10 @@ def pull_and_lift() -> Action:
     return motion(np.vstack([first, first[-1] + up[1:] * [0, 0, 10 * MM]]))
 
 
-def seconds(what: Callable[[], Any], least: float = 0.05) -> float:
-    """Median CPU seconds of a call, of at least five and at least `least` seconds of them."""
+def seconds(what: Callable[[], Any], least: float = 0.05, count: int = 5) -> float:
+    """Median CPU seconds of a call, of at least `count` and at least `least` seconds of them."""
     times: list[float] = []
-    while len(times) < 5 or sum(times) < least:
+    while len(times) < count or sum(times) < least:
         start = time.process_time()
         what()
         times.append(time.process_time() - start)

@@ -28,17 +28,12 @@ def run(session: Session) -> Part:
     part.data = {"command": command, "pulls": pulls}
     part.tables = [_command(command), _pulls(pulls)]
     part.goals = [
-        Goal("the README's explore (CPU seconds)", COMMAND_CPU, _unless(session, command["cpu_s"]), at_most=True),
-        Goal("all sets and pulls, two ranks (CPU seconds)", PULLS_CPU, _unless(session, whole(pulls)), at_most=True),
+        Goal("the README's explore (CPU seconds)", COMMAND_CPU, session.full(command["cpu_s"]), at_most=True),
+        Goal("all sets and pulls, two ranks (CPU seconds)", PULLS_CPU, session.full(whole(pulls)), at_most=True),
     ]
     part.notes.append("explore: what the command does without its picture; forms are compiled already")
     part.notes.append(f"all sets: those of a sample of {pulls['sets']}, times {pulls['all_sets'] / pulls['sets']:g}")
     return part
-
-
-def _unless(session: Session, seconds: float) -> float | None:
-    """A reduced form measures no goal."""
-    return None if session.quick else seconds
 
 
 def whole(pulls: Record) -> float:

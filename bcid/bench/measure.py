@@ -49,6 +49,10 @@ class Session:
         folder.mkdir(parents=True, exist_ok=True)
         return folder
 
+    def full(self, value: float) -> float | None:
+        """What a goal is held against; None in a reduced form, which measures none."""
+        return None if self.quick else value
+
     def run(
         self, module: str, *arguments: object, python: str | None = None, ranks: int = 1, timeout: float = 1500.0
     ) -> Record:

@@ -60,7 +60,7 @@ def buckled(predictor: Predictor, model: Model, anchors: Iterable[str]) -> list[
 
     The fine level is only asked about actions in which the working level becomes softer.
     """
-    if not model.definite or model.remembers:
+    if not model.reversible:
         return []
     anchors = frozenset(anchors)
     found: dict[str, Buckling] = {}

@@ -119,14 +119,14 @@ class Compared:
         """Take what was found of a hypothesis for what was thought of it, and of others that rest on the same think likewise."""
         name, evidence = told.effect, rival.evidence
         rough = next((r for r in self.thin if told in r.logs), None)
+        apart = 0.0
         if rough is not None:
-            self.refuse(told)
+            self.thin = [r for r in self.thin if told not in r.logs]
             apart = rival.log - rough.log
-        elif (told.anchors, name) in {(h.anchors, h.effect) for h in self.promised}:
-            apart = evidence.plain - self.promised[Hypothesis(told.anchors, name)][0]
+        elif told in self.promised:
+            apart = evidence.plain - self.promised[told][0]
         else:
             self.misses.append(rival.log - self._at(rival.names) - self.shown[told.anchors])
-            apart = 0.0
         self.thin = [r.shifted(apart) if r.names == rival.names else r for r in self.thin]
         self.promised = {h: (e + apart if h.effect == name else e, prior) for h, (e, prior) in self.promised.items()}
         self.add([rival], begun)
@@ -138,10 +138,12 @@ class Compared:
         return next((r.log for r in self.full if (r.names, r.anchors) == (names, here)), self.about.log)
 
     def refuse(self, hypothesis: Hypothesis) -> None:
-        """Take out one that cannot be followed to the end, and its set where it was only shown."""
-        self.thin = [rival for rival in self.thin if hypothesis not in rival.logs]
-        self.promised.pop(hypothesis, None)
-        self.shown.pop(hypothesis.anchors, None)
+        """Take out one that cannot be followed to the end: where it was only shown, its set."""
+        thin = [rival for rival in self.thin if hypothesis not in rival.logs]
+        if len(thin) < len(self.thin):
+            self.thin = thin
+        elif self.promised.pop(hypothesis, None) is None:
+            self.shown.pop(hypothesis.anchors, None)
 
     def best(self) -> Rival:
         """The likeliest of the hypotheses that were compared with all steps."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.base.errors import SolveError
+from bcid.base.errors import InputError, SolveError
 from bcid.base.units import p_value, percent
 from bcid.comparison.adequacy import judge
 from bcid.comparison.buckled_frames import leave_out
@@ -227,9 +227,9 @@ class _Loop:
             return None
         try:
             beside = State.of(self.predictor, base.model, told.anchors, None, base.free)
-        except SolveError:
+            return added(beside, effects[names[-1]], self.model, self.candidates.among)
+        except (SolveError, InputError):
             return None
-        return added(beside, effects[names[-1]], self.model, self.candidates.among)
 
     def elsewhere(self, rivals: Sequence[Rival], base: State) -> list[Rival]:
         """The best of some hypotheses on other sets, fitted where its tangent in all steps shows them to be as likely.

@@ -16,7 +16,7 @@ from bcid.comparison.predictor import Predictor
 from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.forms.parameter import Parameter
-from bcid.forms.sensitivity import Probe, Wanted
+from bcid.forms.probes import Probe, Wanted
 from bcid.inference.nuisances import STIFFNESS
 from bcid.inference.stiffness import Stiffness
 

@@ -10,13 +10,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from bcid.base.collective import overlaid
 from bcid.base.units import unit_factor
 from bcid.comparison import courses, diagnosis_text
 from bcid.comparison.adequacy import FALSE_ALARMS, groups, judge
 from bcid.comparison.diagnosis import Diagnosis
 from bcid.comparison.explanation import Explanation, Rung, explains
 from bcid.comparison.fit import Fit
-from bcid.comparison.predictor import Predictor, joined
+from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import Ranking
 from bcid.comparison.rivals import Rival
 from bcid.comparison.source import Source, stored_effect
@@ -58,7 +59,7 @@ def collect(predictor: Predictor, done: Diagnosis) -> dict[str, Any]:
             displacement[action.frames] = detailed.displacement[action.frames]
             energy[action.frames] = detailed.energy[action.frames]
     fields = {"displacement": displacement, "energy": energy}
-    fields = {name: joined(predictor.comm.allgather(values)) for name, values in fields.items()}
+    fields = {name: overlaid(predictor.comm.allgather(values)) for name, values in fields.items()}
     return {"parts": parts, "mesh": forward.mesh} | fields
 
 

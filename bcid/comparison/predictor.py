@@ -6,12 +6,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from itertools import product
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.base.collective import Comm, agree, in_turns
+from bcid.base.collective import Comm, agree, in_turns, overlaid
 from bcid.base.errors import BcidError, InputError
 from bcid.base.progress import Progress, Silent
 from bcid.comparison.kept_predictions import KeptPredictions, MeasurementPrediction, PredictionKey
@@ -22,7 +21,8 @@ from bcid.forms.forward import Forward, Look, Prediction
 from bcid.forms.gripper_force import ForceScale
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
-from bcid.forms.sensitivity import Sensitivities, Sensitivity, Wanted
+from bcid.forms.probes import Sensitivities, Wanted
+from bcid.forms.sensitivity import Sensitivity
 from bcid.forms.set_tangent import SetTangent, SetTangents, StepTangent
 from bcid.forms.solver.equilibrium import Settings
 from bcid.forms.solver.supports import Pose
@@ -244,7 +244,7 @@ class Predictor:
         share = sum(len(a) for a in actions) / self._steps
         self.count("fine" if key.level else "working", share)
         return MeasurementPrediction(
-            joined([found for found, _ in gathered]), parts, next((why for _, why in gathered if why), "")
+            overlaid([found for found, _ in gathered]), parts, next((why for _, why in gathered if why), "")
         )
 
     def _looking(self, forward: Forward) -> Look | None:
@@ -291,7 +291,7 @@ class Predictor:
         often = [probe.effect.smooth for probe in wanted.probes]
         few = replace(wanted, probes=tuple(p for p, yes in zip(wanted.probes, often, strict=True) if yes))
         found = self._sensitivities_in(model, anchors, prediction, few, known)
-        for array, one in product(_arrays(found), known):
+        for array, one in product(found.arrays, known):
             one.fill(array)
         if all(often):
             return found
@@ -322,7 +322,7 @@ class Predictor:
                 error = caught
                 break
         agree(self.comm, error)
-        return _merged([part for parts in self.comm.allgather(parts) for part in parts])
+        return Sensitivities.merged([part for parts in self.comm.allgather(parts) for part in parts])
 
     def disturbances(
         self,
@@ -441,34 +441,3 @@ class Predictor:
 def mechanical(model: Model) -> Model:
     """The model without effects that only change the picture."""
     return replace(model, terms=tuple(d for d in model.terms if d.effect.moves))
-
-
-def joined(arrays: Sequence[Any]) -> Any:
-    """Arrays that cover different frames, with NaN elsewhere, as one."""
-    result = arrays[0].copy()
-    for other in arrays[1:]:
-        fill = np.isnan(result)
-        result[fill] = other[fill]
-    return result
-
-
-def _arrays(found: Sensitivities) -> list[Any]:
-    """All arrays of sensitivities, each (frames, ...)."""
-    arrays = [array for one in found.probes for array in one.values()] + list(found.law.values())
-    return [
-        *arrays,
-        *(a for a in (found.stiffness, found.forces, found.places, found.terms, found.held) if a is not None),
-    ]
-
-
-def _merged(parts: list[Sensitivities]) -> Sensitivities:
-    """Sensitivities of different actions as one."""
-    first = parts[0]
-    probes = [{name: joined([p.probes[i][name] for p in parts]) for name in one} for i, one in enumerate(first.probes)]
-    law = {name: joined([p.law[name] for p in parts]) for name in first.law}
-    stiffness = None if first.stiffness is None else joined([p.stiffness for p in parts])
-    forces = None if first.forces is None else joined([p.forces for p in parts])
-    places = None if first.places is None else joined([p.places for p in parts])
-    terms = None if first.terms is None else joined([p.terms for p in parts])
-    held = None if first.held is None else joined([p.held for p in parts])
-    return Sensitivities(probes, law, stiffness, forces, places, terms, held)

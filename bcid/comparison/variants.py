@@ -18,7 +18,7 @@ from bcid.forms.effects.effect import Effect
 from bcid.forms.force_bumps import scattered
 from bcid.forms.model import Model, Term
 from bcid.forms.parameter import Parameter
-from bcid.forms.sensitivity import Probe, Wanted
+from bcid.forms.probes import Probe, Wanted
 
 Array = NDArray[np.float64]
 # Directions are scanned in steps of this size, in degrees, centres of inclusions at so many places, in radii of these sizes.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bcid.comparison.state import State
 from bcid.forms.force_bumps import bumps, scattered
-from bcid.forms.sensitivity import Wanted
+from bcid.forms.probes import Wanted
 
 Array = NDArray[np.float64]
 # So many bumps carry the force, each as wide as they are apart.

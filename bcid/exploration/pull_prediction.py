@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from bcid.exploration.motion import back, there
 from bcid.forms.forward import Forward
 from bcid.forms.solver.buckling import NEAR_BUCKLING, linear_buckling, smallest_eigenvalue, two_states
+from bcid.forms.solver.supports import Pose
 from bcid.forms.solver.trajectory import poses
 from bcid.measurement import Action
 
@@ -67,7 +68,7 @@ def predicted(forward: Forward, anchors: Anchored, action: Action, detailed: boo
     """
     first = there(action, forward.model.steady)
     details = _Details(forward, first) if detailed else None
-    prediction = forward.predict(anchors, [first], watch=details, keep=detailed)
+    prediction = forward.predict(anchors, [first], keep=detailed, look=details)
     result = PullPrediction(prediction.positions[back(action, forward.model.steady)])
     if details is None or prediction.failure or prediction.states is None:
         return result
@@ -82,14 +83,13 @@ class _Details:
 
     def __init__(self, forward: Forward, action: Action) -> None:
         self.forward, self.action = forward, action
-        self._poses = poses(forward.model.driven(action))
         self._read: dict[int, tuple[float, float, float]] = {}
 
-    def __call__(self, frame: int, _positions: Array) -> None:
+    def __call__(self, frame: int, pose: Pose) -> None:
         """Read the present state; one that comes again holds."""
         equilibrium = self.forward.equilibrium
         size = smallest_eigenvalue(equilibrium)[0]
-        force = float(np.linalg.norm(equilibrium.wrench(self._poses[frame])[:3]))
+        force = float(np.linalg.norm(equilibrium.wrench(pose)[:3]))
         self._read[frame] = force, strain_of_most(self.forward, equilibrium.displacement()), size
 
     def added(self, result: PullPrediction, anchors: Anchored, states: Sequence[Array]) -> PullPrediction:
@@ -104,7 +104,7 @@ class _Details:
 def _has_buckled(forward: Forward, anchors: Anchored, action: Action, states: Sequence[Array]) -> bool:
     """Whether two states exist where the gripper is furthest from rest."""
     model, equilibrium = forward.model, forward.equilibrium
-    if not model.definite or model.remembers:
+    if not model.reversible:
         return False
     equilibrium.hold(anchors, action.grasp)
     path = poses(model.driven(action))

@@ -13,7 +13,8 @@ from bcid.exploration.motion import back, there
 from bcid.forms.force_bumps import BUMPS, bumps
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model
-from bcid.forms.sensitivity import Sensitivities, Sensitivity, Wanted
+from bcid.forms.probes import Sensitivities, Wanted
+from bcid.forms.sensitivity import Sensitivity
 from bcid.inference.data import Data
 from bcid.inference.nuisances import NuisanceModes, Nuisances
 from bcid.measurement import Action

@@ -288,6 +288,11 @@ class Model:
         return self.symmetric and not self.mixed
 
     @property
+    def reversible(self) -> bool:
+        """Whether that tangent depends on the state alone, so that a motion can go back to an earlier one."""
+        return self.definite and not self.remembers
+
+    @property
     def conservative(self) -> bool:
         """Whether all work of the gripper is stored: every effect has a potential, and none acts by the clock."""
         return not self.remembers and not any(term.effect.work or term.effect.acting for term in self.terms)

@@ -12,9 +12,9 @@ rows L' K for them, and what acts where it holds is felt directly.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -27,6 +27,7 @@ from bcid.forms.effects.effect import STEP, Effect
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.model import Model, Term
 from bcid.forms.parameter import Parameter
+from bcid.forms.probes import Probe, Sensitivities, Wanted
 from bcid.forms.responses import Responses
 from bcid.forms.solver.supports import Pose
 from bcid.forms.solver.trajectory import poses
@@ -34,96 +35,6 @@ from bcid.forms.weak_form import LONG
 from bcid.measurement import Action
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Probe:
-    """An effect at a place with its numbers, and those of them whose influence is asked for.
-
-    Attributes:
-        term: the effect; amounts at which it is to be differentiated (neutral, for one that is not in the model).
-        wanted: names of its parameters.
-    """
-
-    term: Term
-    wanted: tuple[str, ...]
-
-    @property
-    def effect(self) -> Effect:
-        """The effect."""
-        return self.term.effect
-
-
-class Works(Protocol):
-    """Terms whose changes of the residual are not assembled: only their virtual work on given movements is asked for."""
-
-    @property
-    def count(self) -> int:
-        """Of terms."""
-        ...
-
-    def works(self, unknowns: Array, fields: Array) -> Array:
-        """Work of a unit of each at a state (unknowns,) on fields (unknowns, fields), shape (fields, count)."""
-        ...
-
-    @property
-    def holds(self) -> int:
-        """Number of places that springs of any stiffness may hold."""
-        ...
-
-    def held(self, unknowns: Array, solve: Callable[[Array], Array]) -> Array:
-        """Of each place its compliance (m/N) to a force, (3, 3), and its movement (m), (3,): shape (holds, 4, 3).
-
-        `solve` gives K^-1 times columns (unknowns, n).
-        """
-        ...
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """What a `Sensitivity` is asked for.
-
-    Attributes:
-        probes: effects and their parameters.
-        law: constants of the law, by name.
-        stiffness: whether the influence of every cell's stiffness is wanted.
-        forces: nodal weights of body forces, shape (nodes, forces), m^3; none by default.
-        places: whether the influence of where each fiducial sits on the body is wanted.
-        terms: many terms at once, known by the virtual work they do; none by default.
-    """
-
-    probes: tuple[Probe, ...] = ()
-    law: tuple[str, ...] = ()
-    stiffness: bool = False
-    forces: Array | None = None
-    places: bool = False
-    terms: Works | None = None
-
-
-@dataclass(frozen=True)
-class Sensitivities:
-    """Change of every fiducial's position per unit of a parameter, m; NaN in frames that were not asked for.
-
-    Force and torque of the gripper are two fiducials more where they are predicted.
-
-    Attributes:
-        probes: by probe and parameter, shape (frames, fiducials, 3). For a parameter whose neutral value is infinite it is
-            per unit of its reciprocal.
-        law: by constant of the law.
-        stiffness: per relative change of each cell's stiffness, shape (frames, fiducials, 3, cells), or None.
-        forces: per N/m^3 of each force along each axis, shape (frames, fiducials, 3, forces, 3), or None.
-        places: per m of the fiducial's own rest position along each axis, shape (frames, fiducials, 3, 3), or None.
-        terms: per unit of each of many terms, shape (frames, fiducials, 3, count), or None.
-        held: what `Works.held` gives, shape (frames, holds, 4, 3), or None.
-    """
-
-    probes: list[dict[str, Array]]
-    law: dict[str, Array]
-    stiffness: NDArray[np.float32] | None = None
-    forces: NDArray[np.float32] | None = None
-    places: Array | None = None
-    terms: NDArray[np.float32] | None = None
-    held: Array | None = None
 
 
 def _parameter(effect: Effect, name: str) -> Parameter:

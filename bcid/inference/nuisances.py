@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from bcid.forms.mesh import BodyMesh
 from bcid.forms.model import Model
+from bcid.forms.probes import Probe, Sensitivities, Wanted
 from bcid.forms.scene_errors import Outline, dimensions, grip_term, law_form_term
-from bcid.forms.sensitivity import Probe, Sensitivities, Wanted
 from bcid.inference.data import Data
 from bcid.inference.force_nuisances import force_modes, largest_force
 from bcid.measurement.frame_error import FrameError

@@ -18,7 +18,7 @@ from bcid.comparison.variants import Variant, amounts
 from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model
-from bcid.forms.sensitivity import Sensitivities, Wanted
+from bcid.forms.probes import Sensitivities, Wanted
 from bcid.inference.criteria import SEEN
 from bcid.proposal.effect_file import made, source
 from bcid.proposal.family import Family

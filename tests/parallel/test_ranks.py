@@ -32,7 +32,7 @@ from bcid.forms.mesh import level_mesh
 from bcid.forms.mesh.body import Body
 from bcid.forms.mesh.patches import halves
 from bcid.forms.model import Anchors, Held, Model, Term, check_physics
-from bcid.forms.sensitivity import Probe, Wanted
+from bcid.forms.probes import Probe, Wanted
 from bcid.forms.simulate import simulate
 from bcid.forms.solver.equilibrium import Equilibrium, Settings
 from bcid.forms.solver.factor import Factor

@@ -23,7 +23,7 @@ from bcid.comparison.variants import Variant, _harmonics
 from bcid.forms import effect_trial as trial
 from bcid.forms import effects
 from bcid.forms.model import Model, Term
-from bcid.forms.sensitivity import Sensitivities, Wanted
+from bcid.forms.probes import Sensitivities, Wanted
 from bcid.forms.simulate import recorded
 from bcid.inference.data import Data, estimate_noise
 from bcid.inference.likelihood import Errors

@@ -33,7 +33,8 @@ from bcid.forms.course import Course, course_of, in_time
 from bcid.forms.effect_trial import EffectTrial
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model, Term, check_physics
-from bcid.forms.sensitivity import Probe, Sensitivity, Wanted
+from bcid.forms.probes import Probe, Wanted
+from bcid.forms.sensitivity import Sensitivity
 from bcid.forms.simulate import simulate
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.evidence import log_gains

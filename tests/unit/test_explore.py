@@ -26,7 +26,7 @@ from bcid.exploration.pull_prediction import PullPrediction
 from bcid.exploration.pull_tangent import PullTangent
 from bcid.exploration.robots import Folder
 from bcid.exploration.update import BeliefUpdate
-from bcid.forms.sensitivity import Sensitivities, Wanted
+from bcid.forms.probes import Sensitivities, Wanted
 from bcid.forms.simulate import recorded
 from bcid.inference.criteria import CERTAIN
 from bcid.inference.data import Data

@@ -16,7 +16,8 @@ from bcid.forms import effects
 from bcid.forms.forward import Forward
 from bcid.forms.mesh import level_mesh
 from bcid.forms.model import Model, Term, check_physics
-from bcid.forms.sensitivity import Probe, Sensitivity, Wanted
+from bcid.forms.probes import Probe, Wanted
+from bcid.forms.sensitivity import Sensitivity
 from bcid.forms.simulate import simulate
 from bcid.forms.simulated_cloud import simulated_cloud
 from bcid.forms.solver.equilibrium import Settings

@@ -14,8 +14,9 @@ from bcid.forms import effect_trial as trial
 from bcid.forms.forward import Forward
 from bcid.forms.gripper_force import ForceScale
 from bcid.forms.model import Model, Term
+from bcid.forms.probes import Probe, Wanted
 from bcid.forms.quadrature import QuadraturePoints
-from bcid.forms.sensitivity import Probe, Sensitivity, Wanted
+from bcid.forms.sensitivity import Sensitivity
 from bcid.forms.solver.equilibrium import Settings
 from bcid.proposal.effect_file import check_name, made, source
 from bcid.proposal.family import SURFACE

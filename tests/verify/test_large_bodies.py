@@ -104,13 +104,15 @@ def test_a_tangent_serves_again_where_it_hardly_limits(solver: Equilibrium) -> N
     assert result.factorisations < result.iterations + 1
 
 
-def test_a_hierarchy_that_has_become_bad_is_made_anew(solver: Equilibrium) -> None:
+def test_a_hierarchy_that_has_become_bad_is_made_anew(solver: Equilibrium, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is told by the iterations that a digit takes."""
     assert solver.verify() is Status.CONVERGED
     solver.vector.array[:] = np.random.default_rng(0).normal(size=len(solver.vector.array_r))
     solver.factor.solve(solver.vector, solver.correction)
-    assert solver.factor.multigrid is not None
-    solver.factor.multigrid._first /= 10  # type: ignore[operator]
+    solver.factor.refresh()
+    assert hierarchies(solver) == 1
+    monkeypatch.setattr("bcid.forms.solver.multigrid._WORN", 0.1)
+    monkeypatch.setattr("bcid.forms.solver.multigrid._BEGIN", 0)
     solver.factor.solve(solver.vector, solver.correction)
     solver.factor.refresh()
     assert hierarchies(solver) == 2

@@ -16,7 +16,7 @@ from bcid.comparison.state import State
 from bcid.comparison.variants import all_variants
 from bcid.forms import effects
 from bcid.forms.model import Model, Term, check_physics
-from bcid.forms.sensitivity import Probe, Wanted
+from bcid.forms.probes import Probe, Wanted
 from bcid.forms.simulate import simulate
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.mesh_error import MeshError

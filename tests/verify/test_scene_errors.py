@@ -18,8 +18,9 @@ from bcid.forms import effect_trial as trial
 from bcid.forms.forward import Forward
 from bcid.forms.mesh import BodyMesh
 from bcid.forms.model import Model
+from bcid.forms.probes import Probe, Sensitivities, Wanted
 from bcid.forms.scene_errors import Outline, dimensions, grip_term
-from bcid.forms.sensitivity import Probe, Sensitivities, Sensitivity, Wanted
+from bcid.forms.sensitivity import Sensitivity
 from bcid.forms.simulate import simulate
 from bcid.forms.solver.equilibrium import Settings
 from bcid.measurement import Action

@@ -23,7 +23,8 @@ from bcid.forms import effects
 from bcid.forms.forward import Forward
 from bcid.forms.gripper_force import ForceScale
 from bcid.forms.model import Model, Term
-from bcid.forms.sensitivity import Probe, Sensitivities, Sensitivity, Wanted
+from bcid.forms.probes import Probe, Sensitivities, Wanted
+from bcid.forms.sensitivity import Sensitivity
 from bcid.forms.solver.equilibrium import Settings
 from bcid.scene import Level, Material
 

@@ -177,8 +177,7 @@ def _at_its_end(eq: Equilibrium, history: _History) -> bool:
 
     What fails with an old tangent was tried from the same state with one of its own for every iteration.
     """
-    definite = eq.model.definite and not eq.model.remembers and bool(history.times)
-    return definite and eq.verify() is Status.CONVERGED
+    return eq.model.reversible and bool(history.times) and eq.verify() is Status.CONVERGED
 
 
 def _where(action: Action, done: int) -> str:
