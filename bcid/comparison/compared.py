@@ -30,6 +30,7 @@ class Compared:
         about: the one whose tangent was asked about other sets in all steps.
         shown: logarithms of the odds of these sets against it, as the tangent shows them.
         misses: by how much it showed too little of those that were fitted since.
+        refused: hypotheses that cannot be followed to the end.
         promised: logarithms of evidence and of prior odds of effects that were not worth a fit.
     """
 
@@ -40,6 +41,7 @@ class Compared:
     shown: dict[Anchored, float] = field(default_factory=dict)
     misses: list[float] = field(default_factory=list)
     promised: dict[Hypothesis, tuple[float, float]] = field(default_factory=dict)
+    refused: set[Hypothesis] = field(default_factory=set)
 
     def like(self, rival: Rival) -> Rival | None:
         """The same effects on the same set, compared with all steps."""
@@ -112,8 +114,17 @@ class Compared:
     def unconfirmed(self) -> Hypothesis | None:
         """The likeliest hypothesis, if it was not compared with all steps and can be: if it says what acts."""
         told = self.odds.best
-        known = told.effect == OTHERS or any(told in rival.logs for rival in self.full)
-        return None if known else told
+        return None if told.effect == OTHERS or self._fitted(told) else told
+
+    def unopposed(self) -> Hypothesis | None:
+        """The likeliest without its last effect, on the same set, if that was not compared with all steps and may be."""
+        best = self.best()
+        less = Hypothesis(best.anchors, "+".join(best.names[:-1]))
+        return None if not best.names or self._fitted(less) or less in self.refused else less
+
+    def _fitted(self, hypothesis: Hypothesis) -> bool:
+        """Whether it was compared with all steps."""
+        return any(hypothesis in rival.logs for rival in self.full)
 
     def confirm(self, told: Hypothesis, rival: Rival, begun: Model) -> None:
         """Take what was found of a hypothesis for what was thought of it, and of others that rest on the same think likewise."""
@@ -125,7 +136,7 @@ class Compared:
             apart = rival.log - rough.log
         elif told in self.promised:
             apart = evidence.plain - self.promised[told][0]
-        else:
+        elif told.anchors in self.shown:
             self.misses.append(rival.log - self._at(rival.names) - self.shown[told.anchors])
         self.thin = [r.shifted(apart) if r.names == rival.names else r for r in self.thin]
         self.promised = {h: (e + apart if h.effect == name else e, prior) for h, (e, prior) in self.promised.items()}
@@ -139,6 +150,7 @@ class Compared:
 
     def refuse(self, hypothesis: Hypothesis) -> None:
         """Take out one that cannot be followed to the end: where it was only shown, its set."""
+        self.refused.add(hypothesis)
         thin = [rival for rival in self.thin if hypothesis not in rival.logs]
         if len(thin) < len(self.thin):
             self.thin = thin

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from bcid.base.units import UNTOLD, for_people, p_value, percent, significance, uncertain
+from bcid.base.units import UNTOLD, falls, for_people, hardly_falls, p_value, percent, significance, uncertain
 from bcid.comparison.adequacy import BREAKING, Adequacy, groups
 from bcid.comparison.explanation import Explanation, Rung
 from bcid.comparison.ranking import Ranking, Row
@@ -255,10 +256,10 @@ def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull]
             _held(found, held),
             *_open(found, pulls),
         ]
-    errors = last.fitted.stderr
+    errors, noise = last.fitted.stderr, last.state.noise / unit
     lines = [
-        f"Missing in the plain model: {' and '.join(found.verdict.split('+'))} ({percent(found.probability)}). The error falls "
-        f"from {first.state.rms / unit:.3g} to {last.state.rms / unit:.3g} {name} (noise {last.state.noise / unit:.3g}). "
+        f"Missing in the plain model: {' and '.join(found.verdict.split('+'))} ({percent(found.probability)}). The error "
+        f"{falls(first.state.rms / unit, last.state.rms / unit, noise, name)} (noise {noise:.3g}){_beyond(first, last)}. "
         f"{_held(found, held)}"
     ]
     if first.state.anchors != last.state.anchors:
@@ -277,6 +278,14 @@ def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull]
             lines.append("  " + term(one, own))
     lines += [f"  Note: {text}" for text in last.fitted.warnings]
     return lines + _open(found, pulls)
+
+
+def _beyond(first: Rung, last: Rung) -> str:
+    """What of an error falls that hardly does: most of it is what the scene may have slightly wrong."""
+    if not hardly_falls(first.state.rms, last.state.rms, last.state.noise):
+        return ""
+    before, after = (math.sqrt(rung.state.chi2 / len(rung.state.predictor.data)) for rung in (first, last))
+    return f"; in units of what noise, mesh and scene explain it falls from {before:.3g} to {after:.3g}"
 
 
 def _breaks(rung: Rung) -> list[str]:

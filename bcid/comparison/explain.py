@@ -196,10 +196,14 @@ class _Loop:
         self.predictor.drop([self.model, *(rival.fitted.state.model for rival in self.compared.full)])
 
     def confirm(self, base: State) -> None:
-        """Fit to all steps what is believed most, until that was: a few steps, or a tangent, may have promised too much of it."""
+        """Fit to all steps what is believed most, until that was, and so was the same without its last effect.
+
+        A few steps, or a tangent, may have promised too much of the one and too little of the other.
+        """
         fitted = refused = 0
-        while fitted < _CONFIRMED and refused < _REFUSED:
-            told = self.compared.unconfirmed()
+        while refused < _REFUSED:
+            told = self.compared.unconfirmed() if fitted < _CONFIRMED else None
+            told = told or self.compared.unopposed()
             if told is None:
                 return
             self.step("what seems likeliest fitted to all steps", fitted, _CONFIRMED)
@@ -283,11 +287,6 @@ class _Loop:
         rungs = [self.rung(plain)]
         if best.names and best.anchors != plain.anchors:
             same = next((r for r in self.compared.full if not r.names and r.anchors == best.anchors), None)
-            same = same or promoted(
-                replace(plain, fitted=Fit.at(replace(plain.fitted.state, anchors=best.anchors))),
-                plain.fitted.state,
-                self.model,
-            )
             rungs += [self.rung(same)] if same else []
         asked = replace(
             rungs[-1], ranking=rank(rungs[-1].state, self.lacking, strict=False), rivals=tuple(self.singles())

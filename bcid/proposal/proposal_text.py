@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bcid.base.units import WIDE, for_people, percent, uncertain
+from bcid.base.units import WIDE, falls, for_people, percent, uncertain
 from bcid.comparison.diagnosis_text import anchors
 from bcid.comparison.explanation import Rung
 from bcid.forms.model import Term
@@ -50,9 +50,10 @@ def _interval_lines(proposal: Proposal, term: Term) -> list[str]:
 
 def _falls(proposal: Proposal, first: Rung, last: Rung) -> str:
     apart = "" if last.held_out is None else f"; actions predicted from the others {1e3 * last.held_out:.3g} mm"
+    how = falls(1e3 * first.state.rms, 1e3 * last.state.rms, 1e3 * last.state.noise, "mm")
     return (
-        f"With {'it' if len(proposal.terms) == 1 else 'the terms proposed'} the error falls from {1e3 * first.state.rms:.3g} to "
-        f"{1e3 * last.state.rms:.3g} mm (noise {1e3 * last.state.noise:.3g}{apart}): {percent(np.clip(proposal.explained, 0, 1))} "
+        f"With {'it' if len(proposal.terms) == 1 else 'the terms proposed'} the error {how} "
+        f"(noise {1e3 * last.state.noise:.3g}{apart}): {percent(np.clip(proposal.explained, 0, 1))} "
         "of what is beyond noise, mesh and what the scene may have slightly wrong."
     )
 

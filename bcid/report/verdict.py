@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from bcid.base.units import for_people, percent, uncertain
+from bcid.base.units import falls, for_people, percent, uncertain
 from bcid.report import exploration_picture as exploration
 from bcid.report.found import Found
 from bcid.report.text import amount, chance, listed, model_name, patches, plain
@@ -85,9 +85,9 @@ def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
         effects = listed([plain(name) for name in d["verdict"].split("+")])
         fitted = next((row["fitted_rms"] for row in d["ranking"] if row["effect"] == d["verdict"]), None)
         if len(ladder) == 1 and fitted is not None:
-            after = f"with it the error falls from {first['rms']:.3g} to {fitted:.3g} {unit}"
+            after = f"with it the error {falls(first['rms'], fitted, noise, unit)}"
         elif len(ladder) > 1:
-            after = f"with it the error falls from {first['rms']:.3g} to {last['rms']:.3g} {unit}"
+            after = f"with it the error {falls(first['rms'], last['rms'], noise, unit)}"
         else:
             after = f"the error is {last['rms']:.3g} {unit}"
         lacks = "its plain model lacks" if len(ladder) > 1 else "its model lacks"

@@ -6,6 +6,7 @@ import pytest
 
 from bcid.base.errors import InputError
 from bcid.base.units import (
+    falls,
     for_people,
     p_value,
     parse_unit,
@@ -101,3 +102,9 @@ def test_a_number_is_told_with_its_error_and_unit() -> None:
 
 def test_of_a_number_of_which_nothing_is_known_no_error_is_told() -> None:
     assert uncertain(14198.0, 1e100, "Pa") == "cannot be told"
+
+
+def test_an_error_that_noise_could_hide_hardly_falls() -> None:
+    assert falls(1.42, 0.205, 0.2, "mm") == "falls from 1.42 to 0.205 mm"
+    assert falls(0.518, 0.516, 0.1, "mm") == "hardly falls, from 0.518 to 0.516 mm"
+    assert falls(0.384, 0.398, 0.1, "mm") == "hardly falls, from 0.384 to 0.398 mm"
