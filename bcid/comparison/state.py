@@ -19,7 +19,7 @@ from bcid.inference.evidence import Force, Numbers
 from bcid.inference.followed import NotFollowed
 from bcid.inference.likelihood import Errors, NuisanceEstimate
 from bcid.inference.mesh_error import MeshError
-from bcid.inference.nuisances import NuisanceModes, stood_for
+from bcid.inference.nuisances import NuisanceModes, placed, stood_for
 from bcid.inference.unknown_force import Evidence, courses, unknown_force
 
 Array = NDArray[np.float64]
@@ -76,7 +76,8 @@ class State:
         residual = predictor.data.values - predictor.data.vector(prediction.positions + mesh.correction)
         modes, slopes = predictor.disturbances(model, anchors, prediction, nuisances)
         errors = Errors(predictor.data, predictor.data.noise(residual), mesh, modes)
-        return cls(predictor, model, anchors, prediction, errors.without(stood_for(model)), slopes, free)
+        errors = errors.without(stood_for(model), placed(model))
+        return cls(predictor, model, anchors, prediction, errors, slopes, free)
 
     def thinned(self, steps: int, settings: Settings) -> State:
         """The same hypothesis in a few steps of each action, see `Predictor.thinned`."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,9 +116,12 @@ class Errors:
             part.apply(scaled)
         self._common = _LowRank.of(np.arange(len(data)), scaled)
 
-    def without(self, names: Collection[str]) -> Errors:
-        """The same where some nuisances are nothing that is integrated over, because they are fitted."""
+    def without(self, names: Collection[str], fiducials: Collection[str] = ()) -> Errors:
+        """The same where some nuisances, and the places of some fiducials, are not integrated over, because they are fitted."""
         kept = self.nuisances.without(names)
+        if fiducials:
+            apart = np.isin(self.data.fiducial, [self.data.names.index(name) for name in fiducials])
+            kept = replace(kept, markers=np.where(apart[:, None], 0.0, kept.markers))
         return self if kept is self.nuisances else Errors(self.data, self.sigma, self.mesh, kept)
 
     # -- columns, m

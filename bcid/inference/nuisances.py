@@ -66,8 +66,17 @@ class NuisanceModes:
 
 
 def stood_for(model: Model) -> frozenset[str]:
-    """The nuisances that effects of a model take the place of."""
-    return frozenset(term.effect.instead_of for term in model.terms if term.effect.instead_of)
+    """The nuisances that effects of a model take the place of; of fiducials `placed` says which."""
+    return frozenset(term.effect.instead_of for term in model.terms) - {"", MARKERS}
+
+
+def placed(model: Model) -> frozenset[str]:
+    """The fiducials of which an effect says from the first frame on where they are.
+
+    Were it unknown besides where they sit on the body, both could cancel at rest, and what is left would pass for strain.
+    """
+    here = (term for term in model.terms if term.effect.instead_of == MARKERS)
+    return frozenset(t.place for t in here if not any(t.values[p.name] > 0 for p in t.effect.parameters if p.onset))
 
 
 class Nuisances:

@@ -28,7 +28,7 @@ from bcid.forms.simulate import recorded
 from bcid.inference.data import Data, estimate_noise
 from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
-from bcid.inference.nuisances import NuisanceModes, Nuisances
+from bcid.inference.nuisances import NuisanceModes, Nuisances, placed
 from bcid.measurement import Action, Measurement
 from bcid.measurement.frame_error import FrameError
 from bcid.scene import Scene
@@ -156,6 +156,22 @@ def camera_modes(data: Data) -> NuisanceModes:
     """Those of a scene in which only the camera's directions are not known."""
     nuisances = Nuisances(replace(SCENE, uncertainty=replace(Uncertainty.none(), camera=None)), trial.box())
     return nuisances.modes(data, Sensitivities([], {}), Wanted())
+
+
+def test_where_a_fiducial_sits_is_known_where_an_effect_says_it() -> None:
+    """A fault of all frames and another place on the body could cancel at rest, and the rest would pass for strain."""
+    made = actions()
+    data = data_of(rest(made), made)
+    name = SCENE.fiducial_names[1]
+    offset = {"x": 1e-3, "y": 0.0, "z": 0.0}
+    always = Model.of(SCENE) + Term("marker_fault", offset | {"onset": 0.0}, place=name)
+    later = Model.of(SCENE) + Term("marker_fault", offset | {"onset": 5.0}, place=name)
+    assert placed(always) == {name}
+    assert not placed(later)
+    errors = Errors(data, data.sigma, MeshError.unknown(data.mask.shape), modes(data)).without((), placed(always))
+    known = data.fiducial == 1
+    assert not errors.nuisances.markers[known].any()
+    assert errors.nuisances.markers[~known].all()
 
 
 def test_without_an_error_of_the_mesh_only_the_noise_scales() -> None:

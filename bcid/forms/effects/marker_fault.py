@@ -35,4 +35,5 @@ effect = ObservationEffect(
     observe=observe,
     places=lambda scene, _anchors: [name for name in scene.fiducials if name not in scene.surface],
     needs=_needs.single_markers,
+    instead_of="markers",
 )
