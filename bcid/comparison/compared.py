@@ -117,10 +117,10 @@ class Compared:
         return None if told.effect == OTHERS or self._fitted(told) else told
 
     def unopposed(self) -> Hypothesis | None:
-        """The likeliest without its last effect, on the same set, if that was not compared with all steps and may be."""
+        """The likeliest without one of its effects, on the same set, if that was not compared with all steps and may be."""
         best = self.best()
-        less = Hypothesis(best.anchors, "+".join(best.names[:-1]))
-        return None if not best.names or self._fitted(less) or less in self.refused else less
+        lesser = (Hypothesis(best.anchors, "+".join(n for n in best.names if n != name)) for name in best.names[::-1])
+        return next((h for h in lesser if not self._fitted(h) and h not in self.refused), None)
 
     def _fitted(self, hypothesis: Hypothesis) -> bool:
         """Whether it was compared with all steps."""

@@ -99,6 +99,8 @@ class _Loop:
         # What may be missing beside the model that is begun with.
         self.lacking: list[Effect] = []
         self.compared = Compared()
+        # Effects beside which further ones were looked for.
+        self.beside: set[tuple[str, ...]] = set()
 
     # -- the loop
     # --------------------------------------------------------------------------------------------------------------
@@ -196,9 +198,9 @@ class _Loop:
         self.predictor.drop([self.model, *(rival.fitted.state.model for rival in self.compared.full)])
 
     def confirm(self, base: State) -> None:
-        """Fit to all steps what is believed most, until that was, and so was the same without its last effect.
+        """Fit to all steps what is believed most, until that was, and so was the same without each of its effects.
 
-        A few steps, or a tangent, may have promised too much of the one and too little of the other.
+        A few steps, or a tangent, may have promised too much of the one and too little of the others.
         """
         fitted = refused = 0
         while refused < _REFUSED:
@@ -219,7 +221,10 @@ class _Loop:
 
     def again(self, told: Hypothesis, base: State) -> Rival | None:
         """A hypothesis that was compared with a few steps, or not at all, with all of them; None where that fails."""
-        names, effects = told.names, {effect.name: effect for effect in self.lacking}
+        names, effects, best = told.names, {effect.name: effect for effect in self.lacking}, self.compared.best()
+        more = [name for name in best.names if name not in names]
+        if told.anchors == best.anchors and len(more) == 1 and len(names) < len(best.names):
+            return promoted(best.without(more[0]), base, self.model)
         rough = next((r for r in self.compared.thin if (r.names, r.anchors) == (names, told.anchors)), None)
         if rough is not None:
             return promoted(rough, base, self.model)
@@ -272,12 +277,12 @@ class _Loop:
 
     def deeper(self) -> bool:
         """Look for a further effect beside the likeliest model; whether there was one to look beside."""
-        depth = max(len(rival.names) for rival in self.compared.full)
-        best = next(rival for rival in self.compared.full if len(rival.names) == depth)
-        if not best.names or best is not self.compared.full[0] or depth >= self.options.effects:
+        best = self.compared.full[0]
+        if not best.names or len(best.names) >= self.options.effects or best.names in self.beside:
             return False
+        self.beside.add(best.names)
         self.stage(best.fitted.state, 1)
-        return max(len(rival.names) for rival in self.compared.full) > depth
+        return True
 
     # -- the answer
     # --------------------------------------------------------------------------------------------------------------

@@ -89,6 +89,16 @@ class Rival:
             self, evidence=replace(self.evidence, plain=self.evidence.plain + log, forced=self.evidence.forced + log)
         )
 
+    def without(self, name: str) -> Rival:
+        """Where to begin with the same without one of its effects: nothing was computed with that yet."""
+        state = self.fitted.state
+        term = next(term for term in state.model.terms[::-1] if term.effect.name == name)
+        free = tuple(number for number in state.free if number not in {term.full(p) for p in term.values})
+        names = tuple(other for other in self.names if other != name)
+        return replace(
+            self, names=names, fitted=Fit.at(replace(state, model=state.model.without(term.label), free=free))
+        )
+
     def allowing(self, left: Array, begun: Model) -> Rival:
         """The same with what may be left of the error of the mesh as it is with another hypothesis, (frames, fiducials, 3), m."""
         old = self.fitted.state

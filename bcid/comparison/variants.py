@@ -27,6 +27,8 @@ _DEGREES = 5.0
 _CYCLES, _COARSER = (1.0, 8.0, 0.15), 4
 _PLACES = 120
 _RADII = (0.1, 0.17, 0.28)
+# Times that are off are tried in so many notable ones, in either direction.
+_LAGS = (1.0, 3.0, 6.0, 10.0, 15.0, 20.0, 30.0)
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ def all_variants(state: State, candidates: Sequence[tuple[Effect, str]]) -> dict
         if effect.around:
             stiff.append(effect)
             continue
-        if effect.held:
+        if effect.held or effect.retimed:
             loose.append((effect, place))
             continue
         values = neutral_values(state.model, effect)
@@ -84,8 +86,37 @@ def all_variants(state: State, candidates: Sequence[tuple[Effect, str]]) -> dict
         assert found.stiffness is not None
         result[effect.name] = _inclusions(state, effect, found.stiffness)
     for effect, place in loose:
-        result[effect.name] += _let_go(state, effect, place)
+        result[effect.name] += _let_go(state, effect, place) if effect.held else _at_other_times(state, effect)
     return result
+
+
+def _at_other_times(state: State, effect: Effect) -> list[Variant]:
+    """What is seen was predicted for other times: how far the fiducials are elsewhere then, by the part that is off.
+
+    A motion that turns or ends meanwhile is not linear in its time.
+    """
+    (amount,) = effect.amounts
+    term = Term(effect, neutral_values(state.model, effect))
+    offs = [side * many * amount.scale for many in _LAGS for side in (1.0, -1.0)]
+    found = [_variant(state, term, [np.asarray(_meanwhile(state, term, off) / off)], [amount.name]) for off in offs]
+    return _scaled(state, found)
+
+
+def _meanwhile(state: State, term: Term, off: float) -> Array:
+    """By how much the fiducials are elsewhere when times are so far off (s), (frames, fiducials, 3), m."""
+    moved, retimed = np.zeros_like(state.predicted), term.effect.retimed
+    assert retimed is not None
+    (amount,) = term.effect.amounts
+    for action in state.predictor.actions:
+        shown = state.predicted[action.frames]
+        times = retimed(action.clock, {amount.name: off})
+        moved[action.frames] = np.apply_along_axis(_at, 0, shown, times, action.clock) - shown
+    return moved
+
+
+def _at(path: Array, times: Array, clock: Array) -> Array:
+    """A path that is known at the times of a clock at others, straight in between."""
+    return np.interp(times, clock, path)
 
 
 def _let_go(state: State, effect: Effect, place: str) -> list[Variant]:

@@ -1,4 +1,4 @@
-"""What is believed most is fitted, and so is the same without its last effect: an effect is believed against that."""
+"""What is believed most is fitted, and so is the same without each of its effects: an effect is believed against that."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ def less(anchors: str, effect: str = "") -> Hypothesis:
         ([rival(("gravity",), "1", 100), rival((), "2", 80)], less("1")),
         ([rival(("gravity",), "1", 100), rival((), "1", 80)], None),
         ([rival(("gravity", "fibres"), "1", 100), rival((), "1", 80)], less("1", "gravity")),
+        ([rival(("gravity", "fibres"), "1", 100), rival(("gravity",), "1", 80)], less("1", "fibres")),
         ([rival((), "1", 100), rival(("gravity",), "2", 80)], None),
     ],
 )

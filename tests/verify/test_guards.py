@@ -32,6 +32,7 @@ from bcid.comparison.ranking import rank
 from bcid.comparison.rivals import Rival, promoted
 from bcid.comparison.separate import separating_pulls
 from bcid.comparison.state import State
+from bcid.comparison.variants import _meanwhile
 from bcid.forms import effects
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.responses import Responses
@@ -113,6 +114,15 @@ def test_the_loop_finds_the_anchors_and_no_effect(predictor: Predictor) -> None:
     found = explain(predictor, ExplainOptions(level=1, only=FEW))
     assert found.verdict == "none"
     assert found.last.state.anchors == ANCHORED
+
+
+def test_a_large_time_lag_is_promised_what_it_shows(predictor: Predictor) -> None:
+    """Pulls that begin later than they were told to: the tangent at no lag would have the markers move backwards at first."""
+    state = at(predictor, mesh=MeshError.unknown(predictor.data.mask.shape))
+    late = Term("time_lag", {"seconds": 2.5})
+    moved = predictor.predict(state.model + late, ANCHORED).positions - state.prediction.positions
+    shown = _meanwhile(state, late, 2.5)
+    assert np.sqrt(np.mean((shown - moved) ** 2)) < 0.05 * np.sqrt(np.mean(moved**2))
 
 
 def test_what_is_believed_most_was_fitted_to_all_steps(predictor: Predictor, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -204,6 +204,10 @@ class Effect:
         return None
 
     @property
+    def retimed(self) -> Callable[[Array, Mapping[str, float]], Array] | None:
+        return None
+
+    @property
     def held(self) -> Callable[[frozenset[str], int, Mapping[str, float], str], frozenset[str]] | None:
         return None
 
@@ -342,10 +346,12 @@ class GripEffect(Effect):
     Attributes:
         acts_on: "grasp", or "observation" for what is a matter of clocks.
         drive: what the gripper really did, when an action was commanded.
+        retimed: where that is what was commanded for other times: these (s), for those of an action.
     """
 
     acts_on: str = "grasp"
     drive: Callable[[Action, Mapping[str, float]], Action] | None = None
+    retimed: Callable[[Array, Mapping[str, float]], Array] | None = None
 
 
 @dataclass(frozen=True)

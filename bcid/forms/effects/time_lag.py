@@ -19,10 +19,15 @@ from bcid.measurement import Action
 from bcid.scene.rotation import slerp
 
 
+def retimed(clock: Array, values: Mapping[str, float]) -> Array:
+    """The times by the robot's clock of what is seen at those of the camera's."""
+    return np.asarray(np.clip(clock - values["seconds"], clock[0], clock[-1]))
+
+
 def drive(action: Action, values: Mapping[str, float]) -> Action:
     """The motion as the camera's clock shows it."""
     clock = action.clock
-    times = np.clip(clock - values["seconds"], clock[0], clock[-1])
+    times = retimed(clock, values)
     later = np.clip(np.searchsorted(clock, times), 1, len(clock) - 1) if len(clock) > 1 else np.zeros(1, int)
     earlier = np.maximum(later - 1, 0)
     gap = clock[later] - clock[earlier]
@@ -52,5 +57,6 @@ effect = GripEffect(
     about="the clocks of robot and camera differ",
     acts_on="observation",
     drive=drive,
+    retimed=retimed,
     needs=_needs.motion,
 )
