@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from bcid.comparison.contest import Contest
+from bcid.comparison.ranking import Row
 from bcid.comparison.rivals import UNLIKELY, Rival, best_first
 from bcid.forms.model import Model
-from bcid.inference.hypotheses import OTHERS, Hypothesis, HypothesisOdds, moderated, with_others
+from bcid.inference.hypotheses import OTHERS, Hypothesis, HypothesisOdds, log_prior, moderated, with_others
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
@@ -147,6 +148,13 @@ class Compared:
         assert self.about is not None
         here = self.about.anchors
         return next((r.log for r in self.full if (r.names, r.anchors) == (names, here)), self.about.log)
+
+    def promise(self, rival: Rival, rows: Iterable[Row]) -> None:
+        """Take what all steps show of effects beside one without any for what a few steps promised of them."""
+        for row in rows:
+            hypothesis = Hypothesis(rival.anchors, row.effect)
+            if math.isfinite(row.gain) and not self._fitted(hypothesis):
+                self.promised[hypothesis] = rival.evidence.plain + row.gain, log_prior(1, False, rival.known)
 
     def refuse(self, hypothesis: Hypothesis) -> None:
         """Take out one that cannot be followed to the end: where it was only shown, its set."""

@@ -21,7 +21,7 @@ from bcid.comparison.explanation import Explanation, Rung, explains
 from bcid.comparison.first_sets import first_sets
 from bcid.comparison.fit import Fit, held_out
 from bcid.comparison.predictor import Predictor
-from bcid.comparison.ranking import rank
+from bcid.comparison.ranking import Ranking, rank
 from bcid.comparison.rivals import (
     UNLIKELY,
     WORTH,
@@ -99,6 +99,8 @@ class _Loop:
         # What may be missing beside the model that is begun with.
         self.lacking: list[Effect] = []
         self.compared = Compared()
+        # What the model that was begun with lacks on sets that were compared with all steps.
+        self.rankings: dict[Anchored, Ranking] = {}
         # Effects beside which further ones were looked for.
         self.beside: set[tuple[str, ...]] = set()
 
@@ -206,6 +208,8 @@ class _Loop:
         while refused < _REFUSED:
             told = self.compared.unconfirmed() if fitted < _CONFIRMED else None
             told = told or self.compared.unopposed()
+            if told is None and self.promised_anew():
+                continue
             if told is None:
                 return
             self.step("what seems likeliest fitted to all steps", fitted, _CONFIRMED)
@@ -218,6 +222,23 @@ class _Loop:
             state = again.fitted.state
             self.say(f"  {state.model.name}, anchors {self.name(again.anchors)}: {state.rms * 1e3:.3g} mm")
             self.compared.confirm(told, again, self.model)
+
+    def promised_anew(self) -> bool:
+        """Ask all steps what the likeliest model lacks, where nothing is thought to be missing; whether that was not asked before.
+
+        A few steps, or the errors of another set, may have hidden what an effect explains.
+        """
+        best = self.compared.best()
+        if best.names or best.anchors in self.rankings:
+            return False
+        self.compared.promise(best, self.lacks(best).rows)
+        return True
+
+    def lacks(self, plain: Rival) -> Ranking:
+        """What a model without effects lacks, as all steps show it; asked once for each set."""
+        if plain.anchors not in self.rankings:
+            self.rankings[plain.anchors] = rank(plain.fitted.state, self.lacking, strict=False)
+        return self.rankings[plain.anchors]
 
     def again(self, told: Hypothesis, base: State) -> Rival | None:
         """A hypothesis that was compared with a few steps, or not at all, with all of them; None where that fails."""
@@ -289,14 +310,9 @@ class _Loop:
 
     def explanation(self, best: Rival, seconds: float) -> Explanation:
         plain = next(r for r in self.compared.full if not r.names)
-        rungs = [self.rung(plain)]
-        if best.names and best.anchors != plain.anchors:
-            same = next((r for r in self.compared.full if not r.names and r.anchors == best.anchors), None)
-            rungs += [self.rung(same)] if same else []
-        asked = replace(
-            rungs[-1], ranking=rank(rungs[-1].state, self.lacking, strict=False), rivals=tuple(self.singles())
-        )
-        rungs[-1] = asked
+        same = next((r for r in self.compared.full if not r.names and r.anchors == best.anchors), plain)
+        rungs = [self.rung(rival) for rival in ([plain] if same is plain else [plain, same])]
+        rungs[-1] = replace(rungs[-1], ranking=self.lacks(same), rivals=tuple(self.singles()))
         if len(best.names) > 1:
             first = next((r for r in self.compared.full if r.names == best.names[:1]), None)
             rungs += [self.rung(first)] if first else []

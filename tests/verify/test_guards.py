@@ -125,6 +125,24 @@ def test_a_large_time_lag_is_promised_what_it_shows(predictor: Predictor) -> Non
     assert np.sqrt(np.mean((shown - moved) ** 2)) < 0.05 * np.sqrt(np.mean(moved**2))
 
 
+def test_an_effect_that_a_few_steps_hide_is_found_in_all(slab: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They may miss it, or the errors of another set may cover it: all steps are asked before nothing is said to be known."""
+    glance = contest
+
+    def blind(*args: Any) -> Contest:
+        rivals = glance(*args).rivals
+        fewest = min(len(rival.names) for rival in rivals)
+        return Contest([rival for rival in rivals if len(rival.names) == fewest], {})
+
+    monkeypatch.setattr("bcid.comparison.explain.contest", blind)
+    model = Model.of(slab) + Term(effects.effect("gravity"), {"weight": 200.0})
+    predictor = Predictor(slab, simulate(slab, HEAVY, pulls(), level=2, model=model), MPI.COMM_SELF, level=1)
+    found = explain(predictor, ExplainOptions(level=1, only=("gravity", "fibres")))
+    predictor.destroy()
+    assert found.verdict == "gravity"
+    assert found.last.state.anchors == HEAVY
+
+
 def test_what_is_believed_most_was_fitted_to_all_steps(predictor: Predictor, monkeypatch: pytest.MonkeyPatch) -> None:
     """However much a few steps promise of an effect or a set, and of others that rest on the same."""
     glance = contest
