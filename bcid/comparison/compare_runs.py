@@ -12,6 +12,7 @@ from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError
 from bcid.base.progress import Progress
 from bcid.base.run_folder import RunFolder, running
+from bcid.comparison.checkpoint import CHECKPOINT, Checkpoint
 from bcid.comparison.diagnosis import Diagnosis, check_terms, compared, diagnosed, explained, on_predictor, refitted
 from bcid.comparison.explain import ExplainOptions
 from bcid.comparison.output import collect, documents
@@ -21,7 +22,7 @@ from bcid.comparison.written_term import parsed_term
 
 MAKES = (
     *("diagnosis.json", "model.json", "identification.json", "residuals.nc", "body.nc", "where.json", "summary.txt"),
-    *("picture.png", "ladder.png", "where.png", "paraview/", "report.html"),
+    *("picture.png", "ladder.png", "where.png", "paraview/", "report.html", f"{CHECKPOINT}/"),
 )
 # Where `explain` finds that no known effect explains the measurement, a term that does is looked for in a folder of its own.
 _EXPLAIN_MAKES = (*MAKES, "propose/")
@@ -124,13 +125,16 @@ def _written(
     if level is not None and not 0 <= level < levels:
         raise InputError(f"--level {level}: the scene has levels 0 to {levels - 1}")
     makes = _EXPLAIN_MAKES if command == "explain" else MAKES
-    with running(comm, folder, command, source.inputs(options), makes, overwrite) as run:
+    inputs = source.inputs(options)
+    with running(comm, folder, command, inputs, makes, overwrite) as run:
+        checkpoint = Checkpoint(folder / CHECKPOINT, comm, inputs, progress)
 
         def use(predictor: Predictor, here: Source, done: Diagnosis) -> None:
             content = collect(predictor, done)
             on_root(comm, lambda: _write(run, here, predictor, done, content))
 
-        on_predictor(source, comm, level, progress, work, use)
+        on_predictor(source, comm, level, progress, work, use, checkpoint)
+        checkpoint.clear()
     return folder
 
 
@@ -153,5 +157,8 @@ def finish(
         "trajectories": {k: round(v, 3) for k, v in predictor.trajectories.items()},
         "mesh": content["mesh"].fingerprint(),
     }
+    if predictor.checkpoint is not None:
+        steps = predictor.checkpoint
+        run.record["steps"] = {"computed": steps.computed, "recalled": steps.recalled}
     told = ("adequate", "verdict", "anchored", "rms", "noise_rms")
     run.finish({key: found["diagnosis.json"][key] for key in told})

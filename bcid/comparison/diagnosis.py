@@ -12,6 +12,7 @@ from bcid.base.errors import InputError, nearest
 from bcid.base.progress import Progress, Silent
 from bcid.comparison.adequacy import judge
 from bcid.comparison.buckled_frames import leave_out
+from bcid.comparison.checkpoint import Checkpoint
 from bcid.comparison.contest import fitted_beside
 from bcid.comparison.explain import ExplainOptions, explain
 from bcid.comparison.explanation import Explanation, Rung
@@ -60,6 +61,7 @@ def on_predictor(
     progress: Progress | None,
     work: Callable[[Predictor, Source], Diagnosis],
     use: Callable[[Predictor, Source, Diagnosis], T],
+    checkpoint: Checkpoint | None = None,
 ) -> T:
     """What `use` makes of the diagnosis of a source's measurement, or of as much of it as can be followed; collective.
 
@@ -68,13 +70,14 @@ def on_predictor(
         comm, level, progress: of the predictor.
         work: makes the diagnosis.
         use: while the predictor is there.
+        checkpoint: of the predictor.
     """
 
     def attempt(seen: Measurement) -> T:
         made: list[Predictor] = []
 
         def search(scene: Scene, seen: Measurement) -> tuple[Source, Diagnosis]:
-            made.append(Predictor(scene, seen, comm, level, progress=progress))
+            made.append(Predictor(scene, seen, comm, level, progress=progress, checkpoint=checkpoint))
             here = replace(source, scene=scene, measurement=seen)
             return here, work(made[-1], here)
 

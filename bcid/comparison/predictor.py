@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from itertools import product
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +14,12 @@ from numpy.typing import NDArray
 from bcid.base.collective import Comm, agree, in_turns, overlaid
 from bcid.base.errors import BcidError, InputError
 from bcid.base.progress import Progress, Silent
+from bcid.comparison import questions
+from bcid.comparison.checkpoint import Checkpoint, ResultFormat
 from bcid.comparison.kept_predictions import KeptPredictions, MeasurementPrediction, PredictionKey
 from bcid.comparison.knots import Knots, spread
 from bcid.comparison.levels import affordable, pair
+from bcid.comparison.result_formats import PredictionFormat, SensitivitiesFormat, TangentsFormat
 from bcid.forms.force_bumps import BUMPS, bumps
 from bcid.forms.forward import Forward, Look, Prediction
 from bcid.forms.gripper_force import ForceScale
@@ -30,8 +34,10 @@ from bcid.inference.data import Data, Noise
 from bcid.inference.nuisances import NuisanceModes, Nuisances
 from bcid.measurement import Action, Measurement
 from bcid.scene import Scene
+from bcid.search.identify_run import scene_fingerprint
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 
 class Predictor:
@@ -47,6 +53,7 @@ class Predictor:
         level: the fine level; by default the last with at most 40,000 unknowns.
         settings: accuracy and patience of the solver.
         progress: told what goes on (give it on rank 0 only).
+        checkpoint: keeps what the expensive steps gave, and knows what they have given in a run that was interrupted.
 
     Attributes:
         scene: the scene with the working level and, if there is one, the fine level, for a ladder.
@@ -70,6 +77,7 @@ class Predictor:
         level: int | None = None,
         settings: Settings | None = None,
         progress: Progress | None = None,
+        checkpoint: Checkpoint | None = None,
     ) -> None:
         if level is not None and not 0 <= level < len(scene.levels):
             raise InputError(f"level {level}: the scene has levels 0 to {len(scene.levels) - 1}")
@@ -78,7 +86,7 @@ class Predictor:
         self.scene = replace(scene, levels=pair(scene, self.fine_level))
         # Where a step must be halved more often the body buckles, and following it proves nothing.
         self.settings = settings or Settings(rtol=1e-6, halvings=3)
-        self.progress = progress or Silent()
+        self.progress, self.checkpoint = progress or Silent(), checkpoint
         self.thin = False
         self.noise: Noise | None = None
         self.forces = ForceScale.of(scene, measurement)
@@ -97,6 +105,7 @@ class Predictor:
         self._about: tuple[Model, SetTangent] | None = None
         self._nuisances: Nuisances | None = None
         self._weights: Array | None = None
+        self._whole_scene: str | None = None
 
     def look_at(self, measurement: Measurement, left_out: tuple[str, ...] = ()) -> None:
         """Compare with what else was seen of the same motions."""
@@ -166,15 +175,20 @@ class Predictor:
         level, model = self.level if level is None else level, mechanical(model)
         key = level, model.name
         if key not in self._forwards:
-            if level not in self._meshes:
-                self._meshes[level] = level_mesh(self.scene, self.scene.levels[level], self.comm)
+            mesh = self._mesh(level)
             self._forwards[key] = in_turns(
                 self.comm,
                 self.comm.rank == 0,
-                lambda: Forward(self.scene, level, None, model, self.settings, self._meshes[level], self.forces),
+                lambda: Forward(self.scene, level, None, model, self.settings, mesh, self.forces),
             )
         self._forwards[key].set_model(model)
         return self._forwards[key]
+
+    def _mesh(self, level: int) -> BodyMesh:
+        """Of a level, made once."""
+        if level not in self._meshes:
+            self._meshes[level] = level_mesh(self.scene, self.scene.levels[level], self.comm)
+        return self._meshes[level]
 
     def drop(self, keep: Iterable[Model] = ()) -> None:
         """Free what was built for models other than these."""
@@ -218,7 +232,13 @@ class Predictor:
         key = PredictionKey(level, mechanical(model), frozenset(anchors), tuple(action.name for action in actions))
         known = self._kept.of(key, keep)
         if known is None:
-            known = self._followed(key, actions, keep)
+            known = self._recalled(
+                lambda: f"{key.level} {questions.of_model(key.model)} {sorted(key.anchors)} {key.actions} {keep}",
+                PredictionFormat(self.mine(actions), self.comm),
+                lambda: self._followed(key, actions, keep),
+            )
+            share = sum(len(a) for a in actions) / self._steps
+            self.count("fine" if key.level else "working", share)
             self._kept.add(key, keep, known)
         return replace(known, positions=self._pictured(model, known.positions, level))
 
@@ -241,11 +261,23 @@ class Predictor:
             failure = failure or (part.failure.reason if part.failure else "")
         agree(self.comm, error)
         gathered = self.comm.allgather((positions, failure))
-        share = sum(len(a) for a in actions) / self._steps
-        self.count("fine" if key.level else "working", share)
         return MeasurementPrediction(
             overlaid([found for found, _ in gathered]), parts, next((why for _, why in gathered if why), "")
         )
+
+    def _recalled(self, question: Callable[[], str], form: ResultFormat[T], work: Callable[[], T]) -> T:
+        """What `work` gives, as it is known from an interrupted run or else computed; collective."""
+        if self.checkpoint is None:
+            return work()
+        return self.checkpoint.result(lambda: f"{self._identity} {question()}", form, work)
+
+    @property
+    def _identity(self) -> str:
+        """What all results depend on: body, motions, levels and solver."""
+        if self._whole_scene is None:
+            self._whole_scene = scene_fingerprint(self.whole)
+        motions = questions.of_measurement(self.measurement)
+        return f"{self._whole_scene} {self.fine_level} {self.settings} {self.thin} {self.numbers.tolist()} {motions}"
 
     def _looking(self, forward: Forward) -> Look | None:
         """Makes the responses of the states that will be asked about, where they can be kept."""
@@ -309,6 +341,21 @@ class Predictor:
         known: Sequence[Knots] | None,
     ) -> Sensitivities:
         """Sensitivities at rest and in those steps of each action that are `known`, or in all that were seen."""
+        where = None if known is None else [one.steps.tolist() for one in known]
+        return self._recalled(
+            lambda: f"{questions.of_model(model)} {sorted(anchors)} {questions.of_wanted(wanted)} {where}",
+            SensitivitiesFormat(len(wanted.probes)),
+            lambda: self._sensitivities_about(model, anchors, prediction, wanted, known),
+        )
+
+    def _sensitivities_about(
+        self,
+        model: Model,
+        anchors: Iterable[str],
+        prediction: MeasurementPrediction,
+        wanted: Wanted,
+        known: Sequence[Knots] | None,
+    ) -> Sensitivities:
         forward = self.forward(model)
         sensitivity, seen = self._sensitivity(forward), self._frames(known)
         error, parts, mine = None, [], self.mine(self.actions)
@@ -365,13 +412,30 @@ class Predictor:
         key = self.level, forward.model.name
         if key not in self._tangents:
             self._tangents[key] = SetTangents(forward)
+        tangents = self._tangents[key]
+        steps = self._recalled(
+            lambda: f"tangents {questions.of_model(model)} {sorted(anchors)}",
+            TangentsFormat(),
+            lambda: self._step_tangents(tangents, model, prediction),
+        )
+        shape, numbers = self.data.mask.shape, self.numbers
+
+        def held(some: frozenset[str], frame: int) -> frozenset[str]:
+            return model.held(some, int(numbers[frame]))
+
+        return SetTangent(frozenset(anchors), tangents.tractions, steps, shape, tangents.areas, held)
+
+    def _step_tangents(
+        self, tangents: SetTangents, model: Model, prediction: MeasurementPrediction
+    ) -> dict[int, StepTangent]:
+        """Of all actions, the same on every rank."""
         error, seen = None, self._frames(self._known(model))
         mine: dict[int, StepTangent] = {}
         for action in self.mine(self.actions):
             if action.name not in prediction.parts:
                 continue
             try:
-                mine |= self._tangents[key].of([action], prediction.parts[action.name], seen)
+                mine |= tangents.of([action], prediction.parts[action.name], seen)
             except BcidError as caught:
                 error = caught
                 break
@@ -379,13 +443,7 @@ class Predictor:
         steps: dict[int, StepTangent] = {}
         for found in self.comm.allgather(mine):
             steps |= found
-        shape, numbers = self.data.mask.shape, self.numbers
-        tangents = self._tangents[key]
-
-        def held(some: frozenset[str], frame: int) -> frozenset[str]:
-            return model.held(some, int(numbers[frame]))
-
-        return SetTangent(frozenset(anchors), tangents.tractions, steps, shape, tangents.areas, held)
+        return steps
 
     def moves(
         self,
@@ -430,8 +488,8 @@ class Predictor:
         self.trajectories[what] = self.trajectories.get(what, 0.0) + trajectories
 
     def unknowns(self, level: int) -> int:
-        """Of a level that was predicted with."""
-        return self._meshes[level].unknowns(self.scene.levels[level].degree, False)
+        """Of a level; collective."""
+        return self._mesh(level).unknowns(self.scene.levels[level].degree, False)
 
     def destroy(self) -> None:
         """Free the PETSc objects."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -125,5 +125,24 @@ class Sensitivities:
     @property
     def arrays(self) -> list[Any]:
         """All of them, each (frames, ...)."""
-        own = [array for one in self.probes for array in one.values()] + list(self.law.values())
-        return own + [found for found in (getattr(self, name) for name in _FIELDS) if found is not None]
+        return list(self.named.values())
+
+    @property
+    def named(self) -> dict[str, Any]:
+        """All of them by a name each, as "probe 0 weight", "law young" or "forces"."""
+        own = {f"probe {i} {name}": array for i, one in enumerate(self.probes) for name, array in one.items()}
+        own |= {f"law {name}": array for name, array in self.law.items()}
+        return own | {name: found for name in _FIELDS if (found := getattr(self, name)) is not None}
+
+    @classmethod
+    def of_named(cls, arrays: Mapping[str, Any], count: int) -> Sensitivities:
+        """From arrays by name, as `named` has them, and the number of probes."""
+        probes: list[dict[str, Array]] = [{} for _ in range(count)]
+        law = {}
+        for key, array in arrays.items():
+            kind, *rest = key.split(" ", 2)
+            if kind == "probe":
+                probes[int(rest[0])][rest[1]] = array
+            elif kind == "law":
+                law[" ".join(rest)] = array
+        return cls(probes, law, **{name: arrays[name] for name in _FIELDS if name in arrays})

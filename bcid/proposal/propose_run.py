@@ -13,6 +13,7 @@ from bcid.base.fingerprint import file_fingerprint
 from bcid.base.progress import Progress
 from bcid.base.run_folder import RunFolder, running, write_whole
 from bcid.base.text_file import read_json
+from bcid.comparison.checkpoint import CHECKPOINT, Checkpoint
 from bcid.comparison.compare_runs import MAKES, finish
 from bcid.comparison.diagnosis import Diagnosis, on_predictor
 from bcid.comparison.output import collect
@@ -62,7 +63,9 @@ def run_propose(
     begun = on_root(comm, lambda: _begun(run, given))
     told: list[WrittenProposal] = []
     makes = (*MAKES, "proposal.json", _FOLDER)
-    with running(comm, folder, "propose", given.inputs(asdict(options)), makes, overwrite) as to:
+    inputs = given.inputs(asdict(options))
+    with running(comm, folder, "propose", inputs, makes, overwrite) as to:
+        checkpoint = Checkpoint(folder / CHECKPOINT, comm, inputs, progress)
 
         def work(predictor: Predictor, here: Source) -> Diagnosis:
             written, done = searched(predictor, begun, options, names)
@@ -74,7 +77,8 @@ def run_propose(
             found = proposal_documents(told[-1], here, predictor, done, content)
             on_root(comm, lambda: _write(to, here, predictor, found, content, told[-1].files, output))
 
-        on_predictor(replace(given, model=begun), comm, options.level, progress, work, use)
+        on_predictor(replace(given, model=begun), comm, options.level, progress, work, use, checkpoint)
+        checkpoint.clear()
     return [_target(folder, output, name) for name in told[-1].files]
 
 

@@ -23,6 +23,7 @@ CHECKS = {
     "F4-memory": ("signals", "memory"),
     "F4-hanging": ("kills", "hanging"),
     "F5": ("solver", "faulty"),
+    "F8": ("resumed", "resumed"),
     "B1": ("meshes", "damage"),
     "B2": ("configuration", "refusals"),
     "B5": ("absurd", "absurd"),

@@ -1,0 +1,144 @@
+"""What the expensive steps of a comparison gave, kept on disk while it runs: killed and begun again, it finds it there.
+
+The loops that ask for these steps are deterministic. Begun again they ask the same questions in the same order, and are given the
+answers that are known already, to the last bit. A file is named after all that its answer depends on, and after how often the
+question was asked before, since a trajectory begins at the states of those before it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from bcid.base.collective import Comm, on_root
+from bcid.base.errors import MachineError
+from bcid.base.fingerprint import fingerprint
+from bcid.base.packed import packed, unpacked
+from bcid.base.progress import Progress, Silent
+from bcid.base.run_folder import write_whole, writing
+
+T = TypeVar("T")
+Arrays = dict[str, Any]
+# The folder of a run folder that they are in.
+CHECKPOINT = "checkpoint"
+# Bytes at most: what comes after is computed again.
+_MOST = 4e9
+
+
+class ResultFormat(Protocol[T]):
+    """How a result is kept as arrays of numbers."""
+
+    def arrays(self, result: T) -> tuple[Arrays, Any]:
+        """Arrays by name and notes, whole on rank 0; collective."""
+        ...
+
+    def result(self, arrays: Arrays, notes: Any) -> T:
+        """What this rank has of the result; `KeyError`, `ValueError` or `TypeError` where that cannot be."""
+        ...
+
+
+class Checkpoint:
+    """Results in a folder that nobody else writes; collective on `comm`.
+
+    Args:
+        folder: where they are, as rank 0 names it; made when the first is kept.
+        comm: ranks that compute the results together. Another number of them may go on.
+        inputs: what all results depend on besides what they are asked for with; the code of bcid is looked at in any case.
+        progress: told what is found, and when nothing more can be kept.
+
+    Attributes:
+        recalled, computed: how many results were known, and were not.
+    """
+
+    def __init__(self, folder: Path, comm: Comm, inputs: Any = None, progress: Progress | None = None) -> None:
+        self.folder, self.comm, self.progress = folder, comm, progress or Silent()
+        self.recalled = self.computed = 0
+        self._asked: Counter[str] = Counter()
+        self._full = False
+        self._identity = fingerprint({"inputs": inputs, "code": _code()})
+        self._size = on_root(comm, self._begun)
+
+    def _begun(self) -> int:
+        """Remove what does not belong here, and say what is there; its bytes."""
+        files = [file for file in self.folder.glob("*") if file.is_file()]
+        own = [file for file in files if file.name.startswith(f"{self._identity}-")]
+        others = [file for file in files if file not in own]
+        with writing(self.folder):
+            for file in others:
+                file.unlink()
+            size = sum(file.stat().st_size for file in own)
+        if any(not file.name.endswith(".partial") for file in others):
+            self.progress.say("begun anew: what an interrupted run left was computed by other code, or of other inputs")
+        if own:
+            what = f"{len(own)} predictions and sensitivities are there already"
+            self.progress.say(f"going on with an interrupted run: {what}")
+        return size
+
+    def result(self, question: Callable[[], str], form: ResultFormat[T], work: Callable[[], T]) -> T:
+        """What `work` gives, or has given before; collective.
+
+        Args:
+            question: tells all that the result depends on besides the inputs; called on rank 0.
+            form: how the result is kept.
+            work: computes it; collective.
+        """
+        held = on_root(self.comm, lambda: self._held(question()))
+        if held is not None:
+            with suppress(KeyError, ValueError, TypeError, IndexError, AttributeError):
+                found = form.result(*unpacked(held))
+                self.recalled += 1
+                return found
+        found = work()
+        self.computed += 1
+        arrays, notes = form.arrays(found)
+        on_root(self.comm, lambda: self._keep(arrays, notes))
+        return found
+
+    def _held(self, question: str) -> bytes | None:
+        """What is kept of a question, which is the one that is asked from now on."""
+        key = hashlib.sha256(question.encode()).hexdigest()[:32]
+        self._file = self.folder / f"{self._identity}-{key}-{self._asked[key]}"
+        self._asked[key] += 1
+        try:
+            return self._file.read_bytes()
+        except OSError:
+            return None
+
+    def _keep(self, arrays: Arrays, notes: Any) -> None:
+        """Keep a result, unless there is no place for it: then the answer is made without."""
+        if self._full:
+            return
+        content = packed(arrays, notes)
+        if self._size + len(content) > _MOST:
+            self._full = True
+            self.progress.say(f"{self.folder} is full: killed from now on, the run would go on from here")
+            return
+        try:
+            write_whole(self._file, content)
+        except MachineError as error:
+            self._full = True
+            self.progress.say(f"{error}; the run goes on, but killed it would begin anew")
+            self._removed()
+            return
+        self._size += len(content)
+
+    def clear(self) -> None:
+        """Remove everything: the run is complete; collective."""
+        on_root(self.comm, self._removed)
+
+    def _removed(self) -> None:
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def _code() -> str:
+    """Fingerprint of bcid's own code: what other code computed is another result."""
+    digest = hashlib.sha256()
+    package = Path(__file__).resolve().parents[1]
+    for file in sorted(package.rglob("*.py")):
+        digest.update(str(file.relative_to(package)).encode() + file.read_bytes())
+    return digest.hexdigest()[:16]

@@ -1,0 +1,54 @@
+"""What the result of an expensive step depends on, as text: equal texts, equal results.
+
+Numbers are told with so many digits that rounding does not tell them apart, and what the solver leaves open does not either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+from bcid.base.fingerprint import fingerprint
+from bcid.forms.course import course_of
+from bcid.forms.effects.effect import Effect
+from bcid.forms.model import Model, Term
+from bcid.forms.probes import Wanted
+from bcid.measurement import Measurement
+
+
+def of_measurement(measurement: Measurement) -> str:
+    """Of the motions, and of which markers are seen when."""
+    data = measurement.data
+    return fingerprint({str(name): data[name].values for name in data.variables})
+
+
+def of_model(model: Model) -> str:
+    """Of its parts and values."""
+    told = ("law", "values", "terms", "anchors")
+    plain = [(f.name, getattr(model, f.name)) for f in fields(model) if f.name not in told]
+    terms = [of_term(term) for term in model.terms]
+    return f"{model.law.name} {_numbers(model.values)} {sorted(model.anchors)} {plain} {terms}"
+
+
+def of_term(term: Term) -> str:
+    """Of an effect, where it acts, and its values. A file's effect is known by the file, which the inputs name."""
+    return f"{term.label} {term.place} {_effect(term.effect)} {_numbers(term.values)}"
+
+
+def _effect(effect: Effect) -> str:
+    course = course_of(effect)
+    timed = "" if course is None else f"{_effect(course.effect)} {course.times} {course.stepwise}"
+    return f"{effect.name} {[(p.name, p.scale) for p in effect.parameters]} {timed}"
+
+
+def of_wanted(wanted: Wanted) -> str:
+    """Of what a sensitivity is asked for."""
+    probes = [(of_term(probe.term), probe.wanted) for probe in wanted.probes]
+    forces = None if wanted.forces is None else fingerprint({"forces": wanted.forces})
+    terms = None if wanted.terms is None else (type(wanted.terms).__name__, wanted.terms.count, wanted.terms.holds)
+    return f"{probes} {wanted.law} {wanted.stiffness} {forces} {wanted.places} {terms}"
+
+
+def _numbers(values: Mapping[str, Any]) -> str:
+    return " ".join(f"{name}={value:.10g}" for name, value in sorted(values.items()))

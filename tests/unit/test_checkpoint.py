@@ -1,0 +1,162 @@
+"""Results of expensive steps on disk: found again where they are the same, and only there."""
+
+from __future__ import annotations
+
+import json
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from bcid.base.packed import packed, unpacked
+from bcid.comparison import checkpoint
+from bcid.comparison.checkpoint import Checkpoint
+from bcid.comparison.result_formats import SensitivitiesFormat, TangentsFormat
+from bcid.forms.probes import Sensitivities
+from bcid.forms.set_tangent import StepTangent
+
+
+class Plain:
+    """A number as it is."""
+
+    def arrays(self, result: float) -> tuple[dict[str, Any], Any]:
+        return {"number": np.array(result)}, None
+
+    def result(self, arrays: dict[str, Any], notes: Any) -> float:
+        return float(arrays["number"])
+
+
+class Spoken:
+    """Keeps what is said."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def say(self, text: str) -> None:
+        self.lines.append(text)
+
+    def step(self, *_: object) -> None:
+        pass
+
+
+def asked(folder: Path, questions: list[str], inputs: Any = None, spoken: Spoken | None = None) -> tuple[int, int]:
+    """Ask for results, which are numbered as they are computed; how many were known, and how many not."""
+    kept = Checkpoint(folder, MPI.COMM_SELF, inputs, spoken)
+    for question in questions:
+        kept.result(lambda question=question: question, Plain(), lambda: float(kept.computed))  # type: ignore[misc]
+    return kept.recalled, kept.computed
+
+
+def test_what_was_asked_before_is_known(tmp_path: Path) -> None:
+    assert asked(tmp_path / "kept", ["a", "b", "a"]) == (0, 3)
+    spoken = Spoken()
+    assert asked(tmp_path / "kept", ["a", "b", "a", "a"], spoken=spoken) == (3, 1)
+    assert spoken.lines == ["going on with an interrupted run: 3 predictions and sensitivities are there already"]
+
+
+def test_the_same_question_has_an_answer_each_time(tmp_path: Path) -> None:
+    for _ in range(2):
+        kept = Checkpoint(tmp_path, MPI.COMM_SELF)
+        answers = [kept.result(lambda: "a", Plain(), lambda: float(kept.computed)) for _ in range(3)]  # noqa: B023
+        assert answers == [0.0, 1.0, 2.0]
+
+
+def test_other_inputs_and_other_code_begin_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked(tmp_path, ["a"], {"scene": 1})
+    spoken = Spoken()
+    assert asked(tmp_path, ["a"], {"scene": 2}, spoken) == (0, 1)
+    assert spoken.lines == ["begun anew: what an interrupted run left was computed by other code, or of other inputs"]
+    assert len(list(tmp_path.iterdir())) == 1
+    monkeypatch.setattr(checkpoint, "_code", lambda: "other")
+    assert asked(tmp_path, ["a"], {"scene": 2}) == (0, 1)
+
+
+def test_what_was_written_in_part_is_removed(tmp_path: Path) -> None:
+    (tmp_path / ".a.partial").write_text("half")
+    spoken = Spoken()
+    assert asked(tmp_path, [], spoken=spoken) == (0, 0)
+    assert not list(tmp_path.iterdir())
+    assert not spoken.lines
+
+
+def test_what_is_damaged_is_computed_again(tmp_path: Path) -> None:
+    asked(tmp_path, ["a"])
+    (file,) = tmp_path.iterdir()
+    sound = file.read_bytes()
+    foreign = packed({"other": np.zeros(1)})
+    bad = sealed({"arrays": {"number": ["|O", [1]]}})
+    for content in (b"", sound[:-1], sound[:20], sound[:-1] + b"?", foreign, bad):
+        file.write_bytes(content)
+        assert asked(tmp_path, ["a"]) == (0, 1)
+        assert file.read_bytes() == sound
+
+
+def test_it_stays_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checkpoint, "_MOST", 250)
+    spoken = Spoken()
+    assert asked(tmp_path, ["a", "b", "c", "d"], spoken=spoken) == (0, 4)
+    assert len(list(tmp_path.iterdir())) == 2
+    assert spoken.lines == [f"{tmp_path} is full: killed from now on, the run would go on from here"]
+
+
+def sealed(head: Any, rest: bytes = b"") -> bytes:
+    """Bytes with a right checksum."""
+    text = head if isinstance(head, bytes) else json.dumps(head | {"notes": None}).encode()
+    content = len(text).to_bytes(8, "little") + text + rest
+    return sha256(content).digest() + content
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        sealed(b"[" * 100_000),
+        sealed(b"\xff"),
+        sealed({"arrays": {"a": ["|O", [1]]}}, b"8" * 8),
+        sealed({"arrays": {"a": ["<f8", [2]]}}, b"8" * 8),
+        sealed({"arrays": {"a": ["<U2", [1]]}}, b"8" * 8),
+    ],
+)
+def test_only_whole_arrays_of_numbers_are_read(content: bytes) -> None:
+    with pytest.raises(ValueError):
+        unpacked(content)
+
+
+def test_arrays_come_back_as_they_were() -> None:
+    made = {"a": np.arange(6.0).reshape(2, 3).T, "b": np.zeros((0, 3), np.float32), "c": np.array([True, False])}
+    made |= {"d": np.array(7), "e": np.array([np.nan, np.inf, -0.0])}
+    found, notes = unpacked(packed(made, {"why": "µ"}))
+    assert notes == {"why": "µ"}
+    for name, array in made.items():
+        assert found[name].dtype == array.dtype
+        assert found[name].shape == array.shape
+        assert found[name].tobytes() == np.ascontiguousarray(array).tobytes()
+        found[name][...] = 0
+
+
+def test_sensitivities_come_back_as_they_were() -> None:
+    weight, angle = np.arange(12.0).reshape(2, 2, 3), np.full((2, 2, 3), np.nan)
+    weight[1, 0] = np.nan
+    angle[1] = 2.0
+    forces = np.ones((2, 2, 3, 4, 3), np.float32)
+    made = Sensitivities([{"weight": weight}, {}, {"angle": angle}], {"young": weight}, forces=forces)
+    form = SensitivitiesFormat(3)
+    arrays, notes = form.arrays(made)
+    assert len(arrays["probe 2 angle"]) == 1
+    found = form.result(arrays, notes)
+    assert [sorted(probe) for probe in found.probes] == [["weight"], [], ["angle"]]
+    assert found.stiffness is None
+    for one, other in zip(found.arrays, made.arrays, strict=True):
+        assert one.dtype == other.dtype
+        assert np.array_equal(one, other, equal_nan=True)
+
+
+@pytest.mark.parametrize("count", [0, 2])
+def test_tangents_come_back_as_they_were(count: int) -> None:
+    made = {3 * k: StepTangent(np.eye(2) * k, np.ones(2), np.zeros((3, 2)), np.arange(3.0)) for k in range(count)}
+    found = TangentsFormat().result(*TangentsFormat().arrays(made))
+    assert list(found) == list(made)
+    assert all(np.array_equal(found[k].compliance, made[k].compliance) for k in made)
