@@ -20,6 +20,7 @@ from verify.problems import box, move, pull_and_lift, scene_of, straight
 
 from bcid.base.collective import on_root
 from bcid.base.errors import BcidError, InputError
+from bcid.comparison.checkpoint import Checkpoint
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.source import from_files
 from bcid.comparison.state import State
@@ -138,6 +139,35 @@ def test_a_twin_predicts_and_differentiates_alike_on_any_number_of_ranks(slab: S
     for alone, together in zip(*answers, strict=True):
         close(together, alone)
         assert same_everywhere(together)
+
+
+def test_what_some_ranks_have_kept_is_known_to_others(slab: Scene, tmp_path: Path) -> None:
+    """Every rank has its own actions' states again, and one rank alone has all."""
+    scene = replace(slab, levels=(Level(2, 0.050),))
+    measurement = simulate(scene, {"1", "4"}, twisted(), level=0)
+    model, wanted, anchors = Model.of(scene), Wanted(law=("young",)), frozenset({"1", "4"})
+    folder = WORLD.bcast(tmp_path)
+    found = []
+    for comm in (WORLD, WORLD, MPI.COMM_SELF) if WORLD.rank == 0 else (WORLD, WORLD):
+        checkpoint = Checkpoint(folder, comm)
+        predictor = Predictor(scene, measurement, comm, settings=EXACT, checkpoint=checkpoint)
+        prediction = predictor.predict(model, anchors, keep=True)
+        states = {frame: state for part in prediction.parts.values() for frame, state in (part.states or {}).items()}
+        young = predictor.sensitivities(model, anchors, prediction, wanted).law["young"]
+        tangent = predictor.set_tangent(model, anchors, prediction).moved({"1"})
+        found.append((prediction.positions, states, young, tangent, checkpoint.recalled, dict(predictor.trajectories)))
+        predictor.destroy()
+    (positions, states, *rest, none, counted), *others = found
+    assert none == 0
+    for again, known, *same, recalled, told in others:
+        assert recalled == 3
+        assert told == counted
+        assert states.keys() <= known.keys()
+        assert all(np.array_equal(known[frame], state) for frame, state in states.items())
+        assert np.array_equal(again, positions)
+        assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(same, rest, strict=True))
+    if WORLD.rank == 0:
+        assert len(found[-1][1]) == len(measurement.positions)
 
 
 def test_multigrid_on_a_shared_mesh_gives_the_same_field() -> None:

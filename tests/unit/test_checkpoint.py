@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -12,11 +13,19 @@ import pytest
 from mpi4py import MPI
 
 from bcid.base.packed import packed, unpacked
-from bcid.comparison import checkpoint
+from bcid.comparison import checkpoint, questions
 from bcid.comparison.checkpoint import Checkpoint
+from bcid.comparison.predictor import Predictor
 from bcid.comparison.result_formats import SensitivitiesFormat, TangentsFormat
-from bcid.forms.probes import Sensitivities
+from bcid.forms import effect_trial as trial
+from bcid.forms import effects
+from bcid.forms.course import in_time
+from bcid.forms.model import Anchors, Model, Term
+from bcid.forms.probes import Probe, Sensitivities, Wanted
 from bcid.forms.set_tangent import StepTangent
+from bcid.forms.simulate import recorded
+from bcid.forms.solver.equilibrium import Settings
+from bcid.measurement import Action
 
 
 class Plain:
@@ -160,3 +169,45 @@ def test_tangents_come_back_as_they_were(count: int) -> None:
     found = TangentsFormat().result(*TangentsFormat().arrays(made))
     assert list(found) == list(made)
     assert all(np.array_equal(found[k].compliance, made[k].compliance) for k in made)
+
+
+def test_other_models_are_other_questions() -> None:
+    plain = Model.of(trial.scene())
+    gravity, tension = effects.effect("gravity"), effects.effect("active_stress")
+    numbers = {p.name: 1.0 + k for k, p in enumerate(tension.parameters)}
+    heavy = plain + Term(gravity, {"weight": 1000.0})
+    asked = [plain, heavy, heavy.with_values({"gravity.weight": 1000.001}), plain + Term(tension, numbers)]
+    asked += [plain + Term(gravity, {"weight": 1000.0}, "gravity", place="2"), plain + Anchors({"1"})]
+    for times in ([0.0, 1.0], [0.0, 2.0]):
+        timed = in_time(gravity, times)
+        asked.append(plain + Term(timed, {p.name: 1000.0 for p in timed.parameters}))
+    assert len({questions.of_model(model) for model in asked}) == len(asked)
+    # What rounding changes is the same question.
+    assert questions.of_model(heavy.with_values({"gravity.weight": 1000.0 + 1e-12})) == questions.of_model(heavy)
+
+
+def test_other_wishes_are_other_questions() -> None:
+    gravity = Term("gravity", {"weight": 0.0})
+    asked = [Wanted(), Wanted((Probe(gravity, ("weight",)),)), Wanted((Probe(gravity, ()),)), Wanted(law=("young",))]
+    asked += [
+        Wanted(stiffness=True),
+        Wanted(places=True),
+        Wanted(forces=np.ones((2, 1))),
+        Wanted(forces=np.zeros((2, 1))),
+    ]
+    assert len({questions.of_wanted(wanted) for wanted in asked}) == len(asked)
+
+
+def test_other_motions_settings_and_steps_are_other_questions() -> None:
+    scene = replace(trial.scene(), geometry=Path(__file__))
+    way = np.linspace(0, 1e-3, 5)[:, None] * [1.0, 0, 0]
+    seen = []
+    for part in (1.0, 1.001):
+        pull = Action("1", np.arange(5), np.arange(5), "gripper", part * way, np.tile([1.0, 0, 0, 0], (5, 1)))
+        seen.append(recorded(scene, [pull], np.tile(scene.rest, (5, 1, 1)), 0.0, np.random.default_rng(0)))
+    made = [Predictor(scene, measurement, MPI.COMM_SELF, 0) for measurement in seen]
+    made += [Predictor(scene, seen[0], MPI.COMM_SELF, 0, Settings()), made[0].thinned(2, made[0].settings)[0]]
+    made += [made[0].thinned(1, made[0].settings)[0]]
+    made += [Predictor(replace(scene, down=(1.0, 0.0, 0.0)), seen[0], MPI.COMM_SELF, 0)]
+    assert len({predictor._identity for predictor in made}) == len(made)
+    assert made[0]._identity == Predictor(scene, seen[0], MPI.COMM_SELF, 0)._identity
