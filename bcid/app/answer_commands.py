@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bcid.app.console import beside_the_result, draw, finish, progress_of
 from bcid.app.option_values import listed, names_in, noise_in, random_state_in
-from bcid.base.collective import Comm
+from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError
 from bcid.base.progress import Progress, clear
 from bcid.base.shipped import shipped
 from bcid.base.text_file import read_json
+
+if TYPE_CHECKING:
+    from bcid.comparison.explain import ExplainOptions
 
 DEMO_SCENE = "examples/scenes/slab_explain.toml"
 DEMO_MEASUREMENT = "examples/measurements/slab-34-heavy"
@@ -113,19 +117,38 @@ def explain(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid explain`."""
     if arguments.most < 1:
         raise InputError(f"--most {arguments.most}: must be at least 1")
-    progress = progress_of(arguments, comm.rank)
-    folder = _explained(arguments.scene, arguments.measurement, arguments, comm, progress)
-    finish(folder, arguments, comm, progress)
+    progress, folder = progress_of(arguments, comm.rank), arguments.output
+    if on_root(comm, lambda: _lacks_a_proposal(arguments)):
+        progress.say(f"{folder} holds the explanation already: going on from there")
+    else:
+        folder = _explained(arguments.scene, arguments.measurement, arguments, comm, progress)
+        finish(folder, arguments, comm, progress)
     if arguments.no_propose or _verdict(folder, comm) != "unknown":
         return
     progress.say("no known effect explains it: looking for a term that does (--no-propose leaves that out)")
     _proposed(folder, None, folder / "propose", arguments, comm, progress)
 
 
+def _lacks_a_proposal(arguments: argparse.Namespace) -> bool:
+    """Whether the same command has explained the measurement before, and was ended while it looked for a term beyond."""
+    from bcid.base.run_folder import RunFolder
+
+    folder = arguments.output
+    if arguments.overwrite or arguments.no_propose or not (folder / "run.json").is_file():
+        return False
+    run = RunFolder.open(folder)
+    names = {"scene": str(arguments.scene), "measurement": str(arguments.measurement)}
+    options = json.loads(json.dumps(asdict(_options(arguments))))
+    known = run.record["command"], run.record["state"], run.record.get("names"), run.record["inputs"].get("options")
+    if known != ("explain", "finished", names, options):
+        return False
+    begun = folder / "propose"
+    proposed = (begun / "run.json").is_file() and RunFolder.open(begun).record["state"] == "finished"
+    return not proposed and run.read_json("diagnosis.json")["verdict"] == "unknown"
+
+
 def _verdict(folder: Path, comm: Comm) -> str:
     """Of a run, the same on every rank."""
-    from bcid.base.collective import on_root
-
     return str(on_root(comm, lambda: read_json(folder / "diagnosis.json")["verdict"]))
 
 
@@ -156,14 +179,19 @@ def _proposed(
 def _explained(scene: Path, measurement: Path, arguments: argparse.Namespace, comm: Comm, progress: Progress) -> Path:
     """Run the whole loop; returns the run folder."""
     from bcid.comparison.compare_runs import run_explain
+
+    options, files = _options(arguments), getattr(arguments, "effects", [])
+    return run_explain(scene, measurement, arguments.output, options, comm, progress, arguments.overwrite, files)
+
+
+def _options(arguments: argparse.Namespace) -> ExplainOptions:
+    """Of the loop; the demo has none to choose."""
     from bcid.comparison.explain import ExplainOptions
 
     only = listed(getattr(arguments, "only", None))
-    options = ExplainOptions(
+    return ExplainOptions(
         getattr(arguments, "level", None), getattr(arguments, "most", ExplainOptions.effects), only=only
     )
-    files = getattr(arguments, "effects", [])
-    return run_explain(scene, measurement, arguments.output, options, comm, progress, arguments.overwrite, files)
 
 
 def _beside(arguments: argparse.Namespace, command: str) -> Path:

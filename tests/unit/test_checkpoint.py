@@ -128,6 +128,7 @@ def sealed(head: Any, rest: bytes = b"") -> bytes:
         sealed({"arrays": {"a": ["<f8", [2]]}}, b"8" * 8),
         sealed({"arrays": {"a": ["<U2", [1]]}}, b"8" * 8),
     ],
+    ids=["nothing", "nested", "no text", "objects", "too short", "words"],
 )
 def test_only_whole_arrays_of_numbers_are_read(content: bytes) -> None:
     with pytest.raises(ValueError):

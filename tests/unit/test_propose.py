@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,8 @@ import runs
 
 from bcid.app.cli import main
 from bcid.base.errors import InputError
+from bcid.base.run_folder import RunFolder
+from bcid.comparison.explain import ExplainOptions
 from bcid.comparison.source import stored_effect
 from bcid.forms import effects
 from bcid.proposal.effect_file import source
@@ -197,6 +200,49 @@ def test_hidden_laws_are_as_stiff_as_the_scenes_at_small_strain(law: str) -> Non
             if law in ("fung", "holzapfel_gasser_ogden")
             else shear == pytest.approx(expected)
         )
+
+
+@pytest.mark.parametrize(
+    ("more", "ended", "verdict", "known"),
+    [
+        ([], "", "unknown", True),
+        ([], "failed", "unknown", True),
+        ([], "finished", "unknown", False),
+        ([], "failed", "gravity", False),
+        (["--most", "1"], "failed", "unknown", False),
+        (["--overwrite"], "failed", "unknown", False),
+        (["--no-propose"], "failed", "unknown", False),
+    ],
+)
+def test_killed_while_it_proposes_explain_goes_on_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: list[str], ended: str, verdict: str, known: bool
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = RunFolder.start("run", "explain", {"options": json.loads(json.dumps(asdict(ExplainOptions())))})
+    run.record["names"] = {"scene": "scene.toml", "measurement": "seen"}
+    run.write_json("diagnosis.json", {"verdict": verdict})
+    run.write_text("summary.txt", "the result\n")
+    run.finish({})
+    if ended:
+        begun = RunFolder.start("run/propose", "propose", {})
+        begun.finish({}) if ended == "finished" else begun.fail("killed")
+    done: list[str] = []
+
+    def explained(*_: Any) -> Path:
+        done.append("explained")
+        return Path("run")
+
+    def proposed(run: Path, output: Path | None, folder: Path, *_: Any) -> list[Path]:
+        done.append("proposed")
+        (tmp_path / folder).mkdir(exist_ok=True)
+        (tmp_path / folder / "summary.txt").write_text("Proposed: springs\n", "utf-8")
+        return []
+
+    monkeypatch.setattr("bcid.comparison.compare_runs.run_explain", explained)
+    monkeypatch.setattr("bcid.proposal.propose_run.run_propose", proposed)
+    assert main(["explain", "scene.toml", "seen", "-o", "run", "--quiet", "--no-picture", *more]) == 0
+    assert ("explained" not in done) == known
+    assert ("proposed" in done) == (verdict == "unknown" and "--no-propose" not in more)
 
 
 def test_explain_goes_on_where_no_known_effect_explains(
