@@ -143,7 +143,8 @@ def add_explain(commands: Any) -> None:
         explain,
         "anchors and missing effects from a measurement, until the model is adequate or unknown",
         "Identifies the anchors, compares, ranks what is missing, adds the best, searches the anchors again, and so on. Where no\n"
-        "known effect explains it, a term that does is looked for, as by bcid propose, in RUN/propose.",
+        "known effect explains it, a term that does is looked for, as by bcid propose, in RUN/propose.\n"
+        "A run that was killed goes on where it was when the same command is given again.",
     )
     add_inputs(parser)
     add_only(parser)

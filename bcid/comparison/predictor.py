@@ -343,7 +343,7 @@ class Predictor:
         """Sensitivities at rest and in those steps of each action that are `known`, or in all that were seen."""
         where = None if known is None else [one.steps.tolist() for one in known]
         return self._recalled(
-            lambda: f"{questions.of_model(model)} {sorted(anchors)} {questions.of_wanted(wanted)} {where}",
+            lambda: f"to {questions.of_wanted(wanted)} {where} {questions.of_model(model)} {sorted(anchors)}",
             SensitivitiesFormat(len(wanted.probes)),
             lambda: self._sensitivities_about(model, anchors, prediction, wanted, known),
         )
@@ -356,6 +356,7 @@ class Predictor:
         wanted: Wanted,
         known: Sequence[Knots] | None,
     ) -> Sensitivities:
+        """The same, computed."""
         forward = self.forward(model)
         sensitivity, seen = self._sensitivity(forward), self._frames(known)
         error, parts, mine = None, [], self.mine(self.actions)
@@ -414,7 +415,7 @@ class Predictor:
             self._tangents[key] = SetTangents(forward)
         tangents = self._tangents[key]
         steps = self._recalled(
-            lambda: f"tangents {questions.of_model(model)} {sorted(anchors)}",
+            lambda: f"of sets {questions.of_model(model)} {sorted(anchors)}",
             TangentsFormat(),
             lambda: self._step_tangents(tangents, model, prediction),
         )
