@@ -31,11 +31,14 @@ from bcid.studies.hidden.bodies import SLAB
 from bcid.studies.hidden.case_scene import write_scene
 from bcid.studies.hidden.cases import Case, Hidden, Motion
 from bcid.studies.hidden.conditions import CONDITIONS
+from bcid.studies.hidden.felt import Felt
 from bcid.studies.hidden.truth import compute
 
 ANCHORS, NOISE, SIZE = ("3", "4"), 3e-4, 4.0
 # The gripper leads what it holds back: a set of the material shows no more than so.
-SIZES = {"permanent_set": 1.2}
+SIZES = {"permanent_set": 1.2, "softening": 0.15}
+# What moves it hardly at all is told by the gripper's forces, with a noise of 1 % of the largest.
+FELT = {"softening": Felt(1.0)}
 MOTIONS = (
     Motion("II", "x", (1.0, 0.0, 0.0), 0.014, 8, back=True, seconds=2.0),
     Motion("II", "up", (0.0, 1.0, 0.0), 0.014, 6, seconds=2.0),
@@ -52,6 +55,7 @@ SHAPES: dict[str, dict[str, float]] = {
     "release": {"onset": 12.0},
     "layer": {},
     "tether": {"angle": 30.0},
+    "softening": {"strain": 0.1},
 }
 # A slab that swells buckles between anchors and gripper: it dries.
 WEIGHTS: dict[str, dict[str, float]] = {"swelling": {"rate": -1.0}}
@@ -63,12 +67,15 @@ def made(folder: Path, name: str) -> dict[str, object]:
     if not (folder / "truth.json").is_file():
         hidden = Hidden(name, SIZES.get(name, SIZE), WEIGHTS.get(name, {}), SHAPES.get(name, {}), PLACES.get(name, ""))
         exact = next(iter(CONDITIONS["exact"]))
-        case = Case(0, 0, 0, SLAB, exact, "one", ANCHORS, MOTIONS, NOISE, (hidden,))
+        felt, rng = FELT.get(name), np.random.default_rng(1)
+        case = Case(0, 0, 0, SLAB, exact, "one", ANCHORS, MOTIONS, NOISE, (hidden,), felt=felt)
         file = shipped(SLAB.scene)
         scene = Scene.read(file, physics=check_physics)
         truth = compute(scene, case)
         times = np.concatenate([action.clock for action in case.actions])
-        seen = recorded(scene, case.actions, truth.positions, NOISE, np.random.default_rng(1), times, name)
+        seen = recorded(scene, case.actions, truth.positions, NOISE, rng, times, name)
+        if felt and truth.wrenches is not None:
+            seen = felt.measured(seen, truth.wrenches, rng)
         write_scene(folder, file, exact, NOISE)
         replace(seen, noise_sigma=None).write(folder / "measurement")
         write_whole(folder / "truth.json", json.dumps(truth.to_json(case), indent=1) + "\n")

@@ -23,6 +23,8 @@ from bcid.scene import Region, Scene
 Array = NDArray[np.float64]
 # Time before step 0, s: the body has long been at rest.
 LONG = 1e9
+# The quadrature of this degree has a negative weight.
+_SOME_NEGATIVE = 3
 # Quadrature where the stiffness varies within an element.
 _VARYING = 4
 
@@ -125,6 +127,15 @@ class WeakForm:
         return self._numbers[name]
 
     @property
+    def _remembering(self) -> int:
+        """Degree of the quadrature where something is remembered: one without negative weights.
+
+        What a point remembers makes it stiffer than its neighbours; with a negative weight the body would be unstable for it.
+        """
+        degree = self.body.quadrature_degree
+        return _VARYING if degree == _SOME_NEGATIVE else degree
+
+    @property
     def residuals(self) -> list[Any]:
         """Forms that add up to the residual, that of the law first."""
         return [*(ufl.derivative(energy, self.u, self.test) for energy in self.energies), *self.works]
@@ -150,7 +161,7 @@ class WeakForm:
         if term.label not in memories:
             effect = term.effect
             memories[term.label] = Memory(
-                self.body, self.u, effect.memory or {}, self.body.quadrature_degree, self.model.fibre_axes
+                self.body, self.u, effect.memory or {}, self._remembering, self.model.fibre_axes
             )
             if effect.advance:
                 expressions = effect.advance(self.point(term), self.term_constants(term))
@@ -226,7 +237,7 @@ class WeakForm:
         effect, c = term.effect, self.term_constants(term)
         point = self.point(term)
         # Body forces need more than the one point that is exact for the energy of linear elements.
-        degree = self.body.quadrature_degree if effect.memory else 2 * self.body.degree
+        degree = self._remembering if effect.memory else 2 * self.body.degree
         energy = effect.energy(point, c) * self.measure(degree) if effect.energy else None
         if effect.potential:
             potential = effect.potential(point, c)

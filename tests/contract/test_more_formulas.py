@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from contract.test_effects import MU, bar, model, rollers
+from contract.test_effects import BAR, EXACT, MU, bar, model, move, rollers, scene_of
 from numpy.typing import NDArray
 from verify.problems import Prescribed, box
 
 from bcid.forms import effects
+from bcid.forms.forward import Forward
 from bcid.forms.model import Held, Term
 from bcid.forms.solver.status import Status
 from bcid.forms.solver.supports import Pose
+from bcid.scene import Level
 
 Array = NDArray[np.float64]
 
@@ -73,6 +76,47 @@ def test_a_permanent_set_follows_what_is_beyond_the_yield_strain() -> None:
     assert yields == [False, True, True, True, True]
 
 
+def test_a_softened_body_goes_back_along_another_way() -> None:
+    """A cube in a cycle of stretch: the force against the pseudo-elastic factor of Ogden & Roxburgh, worked out by hand."""
+    softened, strain = 0.4, 0.15
+    equilibrium = cube(Term("softening", {"softened": softened, "strain": strain}))
+    end = equilibrium.body.nodes[:, 0] > 1 - 1e-9
+    largest, factors = 0.0, []
+    for stretch in (1.0, 1.3, 1.2, 1.05, 1.25, 1.4, 1.3):
+        energy(equilibrium, np.diag([stretch, stretch**-0.5, stretch**-0.5]))
+        invariant = stretch**2 + 2 / stretch
+        factors.append(1 - softened * math.erf(max(largest - (invariant - 3), 0.0) / (3 * strain**2)))
+        spared = (factors[-1] - 1) * MU * (stretch - invariant / 3 / stretch)
+        pull = float(equilibrium.forces().reshape(-1, 3)[end, 0].sum())
+        assert pull == pytest.approx(MU * (stretch - 1 / stretch) + spared, rel=1e-9, abs=1e-9 * MU)
+        largest = max(largest, invariant - 3)
+    assert np.sign(1 - np.array(factors)).tolist() == [0, 0, 1, 1, 1, 0, 1]
+    # Another action is that of another body.
+    equilibrium.reset()
+    assert equilibrium.weak_form.memories["softening"].variables["largest"].x.array.max() == 0
+
+
+def test_a_body_that_is_only_pulled_is_not_softened() -> None:
+    """However suddenly it would be on its way back: the check of its stability, after each step, looks at the turning point."""
+    scene = replace(scene_of(("x0",), "x1", (0.1, 0.01, 0.01), fiducials={"a": (0.05, 0.01, 0.02)}), levels=(Level(2),))
+    pull = [move(np.linspace(0, 1, 9)[:, None] * np.array([0.02, 0.005, 0.0]), "x1")]
+    found = []
+    for term in (Term("softening", {"softened": 0.8, "strain": 0.01}), Term("gravity", {"weight": 0.0})):
+        forward = Forward(scene, model=model() + term, settings=EXACT, mesh=box(BAR, (5, 1, 1)))
+        prediction = forward.predict(["x0"], pull)
+        assert prediction.complete
+        assert not prediction.trajectories[0].halvings
+        found.append(prediction.positions)
+        for memory in forward.equilibrium.weak_form.memories.values():
+            # By round-off a point is on its way back already, or not.
+            largest = memory.variables["largest"].x.array.reshape(len(forward.mesh.cells), -1)
+            largest += 1e-12 * np.where(np.arange(largest.shape[1]) == 0, 1, -1)
+            forward.set_model(forward.model)
+            assert forward.equilibrium.verify() is Status.CONVERGED
+        forward.destroy()
+    np.testing.assert_allclose(*found, atol=1e-9)
+
+
 def test_a_large_ball_is_a_plane_that_pushes_back() -> None:
     """A cube that is moved up into it by 3 mm."""
     radius, before, edge = 1e5, 1e-3, 1e-3 * math.sqrt(3)
@@ -108,8 +152,8 @@ def test_a_tether_holds_along_its_direction_alone() -> None:
     )
     up, along, aside = 1e-3, math.cos(math.radians(30)), math.sin(math.radians(30))
     moves = {along: [up, 0.0, 0.0], aside: [0.0, 0.0, up], 0.0: [0.0, up, 0.0]}
-    for part, move in moves.items():
-        equilibrium.field = lambda points, move=move: np.tile(move, (len(points), 1))  # type: ignore[method-assign]
+    for part, way in moves.items():
+        equilibrium.field = lambda points, way=way: np.tile(way, (len(points), 1))  # type: ignore[method-assign]
         assert equilibrium.solve(Pose()) is Status.CONVERGED
         assert equilibrium.energy() == pytest.approx(6 * 1.5e4 * (part * up) ** 2, abs=1e-12)
 

@@ -176,6 +176,7 @@ REMEMBERING = {
     "support_friction": {"shear_stress": 60.0},
     "viscosity": {"fraction": 0.4, "relaxation_time": 1.0},
     "permanent_set": {"kept": 0.5, "yield_strain": 0.02},
+    "softening": {"softened": 0.6, "strain": 0.1},
 }
 
 

@@ -1,0 +1,33 @@
+"""What shows on the way back alone is found, though hypotheses are first compared where a pull turns and where it ends."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from bcid.comparison.explain import ExplainOptions, explain
+from bcid.comparison.predictor import Predictor
+from bcid.forms.model import Model, Term
+from bcid.forms.simulate import simulate
+from bcid.measurement import Action
+from bcid.scene import Scene
+
+SOFTENED, STRAIN = 0.5, 0.1
+
+
+def test_a_body_that_softens_is_told_by_the_forces_of_its_way_back(coarse_scene: Path) -> None:
+    scene = Scene.read(coarse_scene)
+    model = Model.of(scene) + Term("softening", {"softened": SOFTENED, "strain": STRAIN})
+    part = np.array([0, 0.5, 1, 0.7, 0.4, 0])
+    still = np.tile([1.0, 0, 0, 0], (6, 1))
+    pull = Action("1", np.arange(6), np.arange(6), "II", part[:, None] * np.array([0.012, 0.004, 0]), still)
+    seen = simulate(scene, ["3", "4"], [pull], 0, 2e-4, 3, model=model, wrench=True, wrench_noise=2e-3)
+    predictor = Predictor(scene, seen, MPI.COMM_SELF)
+    found = explain(predictor, ExplainOptions(sets=1, effects=1, only=("gravity", "softening")))
+    assert found.verdict == "softening"
+    numbers = found.rungs[-1].state.model.constants()
+    assert numbers["softening.softened"] == pytest.approx(SOFTENED, abs=0.15)
+    predictor.destroy()
