@@ -56,6 +56,7 @@ SHAPES: dict[str, dict[str, float]] = {
     "layer": {},
     "tether": {"angle": 30.0},
     "softening": {"strain": 0.1},
+    "grasp_compliance": {},
 }
 # A slab that swells buckles between anchors and gripper: it dries.
 WEIGHTS: dict[str, dict[str, float]] = {"swelling": {"rate": -1.0}}

@@ -228,7 +228,9 @@ def _smooth_positions(trial: EffectTrial, p: Parameter) -> str:
     if unsettled > 1e-4 * size + noise:
         return f"difference quotients of the positions do not settle as the step is halved (by {unsettled / size:.1e})"
     effect = trial.effect
-    if not effect.mechanical or effect.drive or effect.observe or effect.frees or effect.memory or effect.uses_past:
+    if not effect.mechanical or effect.drive or effect.observe or effect.frees or effect.gives:
+        return ""
+    if effect.memory or effect.uses_past:
         return ""
     gap = np.abs(_sensitivity(trial, p) - slope).max()
     if gap < 0.02 * size + noise:

@@ -228,7 +228,7 @@ class EffectTrial:
         span, nodes = self.mesh.size, equilibrium.body.nodes / self.mesh.size
         wave = np.cos(nodes @ random.normal(size=(3, 3)) * 2 + random.uniform(0, 6, 3))
         equilibrium.u.x.array[:] = amplitude * 0.02 * span * wave.ravel()
-        for constant in equilibrium.weak_form.anchored.values():
+        for constant in (*equilibrium.weak_form.anchored.values(), *equilibrium.weak_form.grasped.values()):
             constant.value = 1.0
         for memory in equilibrium.weak_form.memories.values():
             memory.dt.value, memory.moving.value = self.units(0.7, "s"), 1.0

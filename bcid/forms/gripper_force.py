@@ -84,7 +84,7 @@ class GripperForce:
         if not supports.grasp:
             return found
         body = equilibrium.body
-        arms = body.nodes + equilibrium.displacement() - supports.centre - pose.translation
+        arms = supports.arms(pose)
         moves = np.zeros((len(arms), 3, 3 * ROWS))
         for axis, unit in enumerate(np.eye(3)):
             moves[:, axis, axis] = 1.0
@@ -97,9 +97,14 @@ class GripperForce:
     def beside(self, observe: sp.csr_matrix, levers: Array) -> sp.csr_matrix:
         """What takes movements of the unknowns to those of fiducials, with the rows of force and torque below.
 
-        By the tangent as it was assembled last; `levers` are those of the present state.
+        By the tangent as it was assembled last, or that of the springs by which the gripper holds; `levers` are those of the
+        present state.
         """
-        felt = self.equilibrium.tangent.times(levers, transpose=True).T
+        equilibrium = self.equilibrium
+        if equilibrium.supports.sprung:
+            felt = -(equilibrium.springs.stiffness().T @ levers).T
+        else:
+            felt = equilibrium.tangent.times(levers, transpose=True).T
         return sp.vstack([observe, sp.csr_matrix(felt)], format="csr")
 
     def turned(self, forces: Array, more: Pose, less: Pose) -> Array:

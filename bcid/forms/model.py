@@ -243,6 +243,11 @@ class Model:
         freeing = [term.place for term in self.terms if term.effect.frees]
         return frozenset(p for p in anchors if any(place in ("", p) for place in freeing))
 
+    @property
+    def gives(self) -> bool:
+        """Whether an effect holds what the gripper moves, instead of a rigid gripper."""
+        return any(term.effect.gives for term in self.terms)
+
     def held(self, anchors: frozenset[str], frame: int) -> frozenset[str]:
         """The anchored patches that are held in a frame of the measurement."""
         for term in self.terms:

@@ -37,7 +37,8 @@ class Response:
     Attributes:
         equilibrium: at that state.
         observe: what is measured of movements of the unknowns, shape (3 * rows, unknowns).
-        levers: of forces where the gripper holds, shape (unknowns, 6 or 0).
+        levers: of forces where the gripper holds, shape (unknowns, 6 or 0); zero where it holds by springs, which feel movements
+            alone.
         products: K^-1 C^T, zero where something is held, shape (unknowns, 3 * rows); None where changes are solved for.
     """
 
@@ -149,12 +150,13 @@ class Responses:
         if gripper is None:
             return self.observe, np.zeros((self.observe.shape[1], 0))
         levers = gripper.levers(pose)
-        return gripper.beside(self.observe, levers), levers
+        sprung = self.forward.equilibrium.supports.sprung
+        return gripper.beside(self.observe, levers), np.zeros_like(levers) if sprung else levers
 
     def _key(self, pose: Pose, model: Model) -> bytes:
         """What the tangent at the present state depends on; where it remembers, that is more than this, and nothing is kept."""
         equilibrium, constants = self.forward.equilibrium, self.forward.equilibrium.weak_form.constants
-        numbers = [float(anchored.value) for anchored in equilibrium.weak_form.anchored.values()]
+        numbers = equilibrium.weak_form.switches()
         numbers += [float(constants[name].value) for name in model.numbers() if name in constants]
         state = np.array([*numbers, pose.load_factor, pose.time])
         parts = (equilibrium.u.x.array, equilibrium.supports.prescribed, state)

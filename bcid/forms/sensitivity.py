@@ -46,7 +46,7 @@ class Cause:
     """What moves the fiducials: a change of the residual and one of what is prescribed (None: none), by shape (unknowns,).
 
     `target`, shape (rows, 3), is where the movement is added; `turned`, shape (6,), m, what force and torque change by as the
-    gripper itself moves.
+    gripper itself moves, or as its springs change.
     """
 
     target: Array
@@ -73,7 +73,7 @@ class Sensitivity:
         self._derivatives: dict[str, Any] = {}
         self._cells: Any = None
         self._matrix: Any = None
-        self._mass: dict[str, Any] = {}
+        self._mass: dict[tuple[str, str], Any] = {}
         self._pushed: tuple[Array, Array] | None = None
 
     # -- one step
@@ -115,29 +115,37 @@ class Sensitivity:
         form = self._derivatives[name]
         return 0.0 if form is None else self._assemble(form)
 
-    def _yielding(self, place: str, anchors: frozenset[str], loads: Array) -> Array:
-        """Displacement of the anchored patches per unit of compliance (m/Pa): -M^-1 times the reactions.
+    def _yielding(self, term: Term, anchors: frozenset[str], loads: Array) -> Array:
+        """Displacement of what is held rigidly per unit of compliance (m/Pa): -M^-1 times the forces that hold it.
 
-        A spring bed of stiffness k holds with -k M u what a rigid hold would: u = -1/k M^-1 F, with M the patch's mass.
+        A spring bed of stiffness k holds with -k M u what a rigid hold would: u = -1/k M^-1 F, with M the mass of where it is.
+        Under a gripper, u is by how much more than the gripper itself what it holds moves.
         """
         moved = np.zeros_like(loads)
-        for patch in sorted(anchors) if place == "" else [place] if place in anchors else []:
-            held, solve = self._patch(patch)
+        for bed in self._beds(term, anchors):
+            held, solve = self._bed(bed)
             moved[held] = -solve(loads[held])
         return moved
 
-    def _patch(self, patch: str) -> tuple[NDArray[np.int64], Any]:
-        """Unknowns of a patch, and what solves with its mass matrix."""
-        if patch not in self._mass:
+    def _beds(self, term: Term, anchors: frozenset[str]) -> list[tuple[str, str]]:
+        """Where an effect would put springs: ("grip", a grasp) or ("surface", a patch)."""
+        if term.effect.gives:
+            grasp = self.equilibrium.supports.grasp
+            return [("grip", grasp)] if grasp in self.weak_form.grips else []
+        return [("surface", patch) for patch in sorted(anchors) if term.place in ("", patch)]
+
+    def _bed(self, bed: tuple[str, str]) -> tuple[NDArray[np.int64], Any]:
+        """Unknowns of a bed of springs, and what solves with its mass matrix."""
+        if bed not in self._mass:
             from scipy.sparse.linalg import splu
 
-            body = self.forward.body
+            body, measure = self.forward.body, getattr(self.weak_form, bed[0])(bed[1])
             u, v = ufl.TrialFunction(body.displacement_space), ufl.TestFunction(body.displacement_space)
-            mass = fem.assemble_matrix(fem.form(ufl.inner(u, v) * self.weak_form.surface(patch))).to_scipy().tocsc()
+            mass = fem.assemble_matrix(fem.form(ufl.inner(u, v) * measure)).to_scipy().tocsc()
             inside = np.flatnonzero(np.asarray(np.abs(mass).sum(axis=1)).ravel() > 0)
             solver = splu(mass[inside][:, inside])
-            self._mass[patch] = body.displacement_dofs[inside], solver.solve
-        return self._mass[patch]
+            self._mass[bed] = body.displacement_dofs[inside], solver.solve
+        return self._mass[bed]
 
     def _stiffness_matrix(self) -> Any:
         """dR/dm for the relative stiffness m of every cell: a matrix of shape (unknowns, cells)."""
@@ -312,7 +320,7 @@ class Sensitivity:
             if cause.increment is not None:
                 columns[:, j] += equilibrium.tangent.times(cause.increment)
                 moved[: observe.shape[0], j] = observe @ cause.increment
-                moved[observe.shape[0] :, j] = cause.turned
+            moved[observe.shape[0] :, j] = cause.turned
         moved += response.moved(columns)
         for cause, change in zip(causes, moved.T, strict=True):
             cause.target[:] += seen(change.reshape(-1, 3))
@@ -352,17 +360,30 @@ class Sensitivity:
         value = probe.term.values[name]
         if parameter.reciprocal and not math.isfinite(value):
             forces = self.equilibrium.unbalanced()
-            found.append(Cause(target, 0.0, self._yielding(probe.term.place, anchors, forces)))
+            found.append(Cause(target, 0.0, self._yielding(probe.term, anchors, forces)))
         elif probe.effect.mechanical:
             scale = -(value**2) if parameter.reciprocal else 1.0
-            found.append(Cause(target, scale * self._change(probe, name, pose.time)))
+            change = scale * self._change(probe, name, pose.time)
+            found.append(Cause(target, change, None, self._felt(change, pose) if probe.effect.gives else 0.0))
         if pair is not None:
-            width = 2 * STEP * parameter.scale
-            loads: Array | float = np.asarray(-self._loaded(*pair) / width) if pose.loads else 0.0
-            gripper = self.forward.gripper_force
-            turned = np.asarray(gripper.turned(self.equilibrium.unbalanced(), *pair) / width) if gripper else 0.0
-            found.append(Cause(target, loads, np.asarray(self._gripped(*pair) / width), turned))
+            found.append(self._of_drive(target, pose, pair, 2 * STEP * parameter.scale))
         return found
+
+    def _of_drive(self, target: Array, pose: Pose, pair: tuple[Pose, Pose], width: float) -> Cause:
+        """What the gripper changes by moving from the second to the first of two poses that are so much of a parameter apart."""
+        equilibrium, gripper = self.equilibrium, self.forward.gripper_force
+        loads: Array | float = np.asarray(-self._loaded(*pair) / width) if pose.loads else 0.0
+        turned = np.asarray(gripper.turned(equilibrium.gripping(), *pair) / width) if gripper else 0.0
+        moved = np.asarray(self._gripped(*pair) / width)
+        if not equilibrium.supports.sprung:
+            return Cause(target, loads, moved, turned)
+        pulled = -(equilibrium.springs.stiffness() @ moved)
+        return Cause(target, loads + pulled, None, turned + self._felt(pulled, pose))
+
+    def _felt(self, change: Array | float, pose: Pose) -> Array | float:
+        """What force and torque change by where the springs of the gripper change their part of the residual, shape (6,), m."""
+        gripper = self.forward.gripper_force
+        return np.asarray(-(gripper.levers(pose).T @ change)) if gripper and isinstance(change, np.ndarray) else 0.0
 
     @staticmethod
     def _all_seen(seen: Any, columns: Array) -> Array:

@@ -91,10 +91,13 @@ class WeakForm:
     Attributes:
         constants: every number of the model by its full name.
         anchored: by patch, 1 where an anchor is replaced by what an effect does.
+        grasped: by grasp, 1 where a rigid gripper is.
+        gripper: displacement of every node if it moved with the gripper, a DOLFINx Function.
         memories: of the model's effects that have one, by label.
         probed: memories of effects that were asked about and are not part of the model.
         energies, works: forms that add up to the model's: one for the law and one for each effect, so that an effect is
             compiled once, whatever it is combined with.
+        giving: numbers of those energies that hold in the gripper's place.
     """
 
     def __init__(self, body: Body, model: Model, scene: Scene, u: Any) -> None:
@@ -104,6 +107,8 @@ class WeakForm:
         for name, value in model.numbers().items():
             self._number(name, value)
         self.anchored = {name: fem.Constant(body.domain, 0.0) for name in scene.patches}
+        self.grasped = {name: fem.Constant(body.domain, 0.0) for name in scene.grasps}
+        self.gripper = fem.Function(body.displacement_space)
         self.test = ufl.TestFunction(body.space)
         if body.mixed:
             self.displacement, self.pressure = ufl.split(u)
@@ -114,8 +119,10 @@ class WeakForm:
         self.memories: dict[str, Memory] = {}
         self.probed: dict[str, Memory] = {}
         self.energies, self.works = [self.stored(model.terms)], []
+        self.giving: list[int] = []
         for term in model.terms:
             energy, work = self.added(term)
+            self.giving += [len(self.energies)] if term.effect.gives else []
             self.energies += [] if energy is None else [energy]
             self.works += [] if work is None else [work]
 
@@ -189,6 +196,10 @@ class WeakForm:
             support=self.scene.support,
             patches=tuple(self.scene.patches),
             anchored=lambda patch: self.anchored[patch],
+            gripper=self.gripper,
+            grasps=tuple(self.grips),
+            grasped=lambda grasp: self.grasped[grasp],
+            grip=self.grip,
             past=self.memory(term).past if needs_past else None,  # type: ignore[arg-type]
         )
 
@@ -235,6 +246,8 @@ class WeakForm:
     def added(self, term: Term) -> tuple[Any, Any]:
         """Energy (a form or None) and virtual work (a form or None) that an effect adds."""
         effect, c = term.effect, self.term_constants(term)
+        if effect.gives and not self.grips:
+            raise InputError(f"{term.label}: no grasp of the scene is a surface: no springs can be spread over it")
         point = self.point(term)
         # Body forces need more than the one point that is exact for the energy of linear elements.
         degree = self._remembering if effect.memory else 2 * self.body.degree
@@ -276,6 +289,25 @@ class WeakForm:
         places = self.places
         usable = [n for n in places if self.body.mesh.select(places[n], n).shape[1] == 3]
         return self.body.facet_measure([places[n] for n in usable], usable), usable
+
+    @cached_property
+    def grips(self) -> list[str]:
+        """The grasps that are surfaces."""
+        grasps = self.scene.grasps
+        return [n for n in grasps if self.body.mesh.select(grasps[n].region, f"grasp {n}").shape[1] == 3]
+
+    @cached_property
+    def _grip_measures(self) -> Any:
+        names = [f"grasp {name}" for name in self.grips]
+        return self.body.facet_measure([self.scene.grasps[name].region for name in self.grips], names)
+
+    def grip(self, grasp: str) -> Any:
+        """Measure of what a gripper holds, one of `grips`."""
+        return self._grip_measures(self.grips.index(grasp) + 1)
+
+    def switches(self) -> list[float]:
+        """What is held by effects, 1 or 0 for each patch and grasp."""
+        return [float(constant.value) for constant in (*self.anchored.values(), *self.grasped.values())]
 
     @property
     def boundary(self) -> Any:

@@ -107,12 +107,16 @@ def predictions(scene: Scene, model: Model, level: int) -> list[Prediction]:
 
 
 @pytest.mark.parametrize("degree", [1, 2])
-@pytest.mark.parametrize("weight", [0.0, 2000.0])
-def test_fiducials_and_wrench_do_not_depend_on_the_ranks(slab: Scene, degree: int, weight: float) -> None:
+@pytest.mark.parametrize(
+    "term",
+    [None, Term("gravity", {"weight": 2000.0}), Term("grasp_compliance", {"stiffness": 5e5})],
+    ids=lambda term: term.label if term else "plain",
+)
+def test_fiducials_and_wrench_do_not_depend_on_the_ranks(slab: Scene, degree: int, term: Term | None) -> None:
     scene = replace(slab, levels=(Level(degree, 0.020),))
     model = Model.of(scene)
-    if weight:
-        model = model + Term("gravity", {"weight": weight})
+    if term:
+        model = model + term
     alone, together = predictions(scene, model, 0)
     assert alone.failure is None
     assert together.failure is None

@@ -43,6 +43,7 @@ def term(name: str, place: str = "", **values: float) -> Term:
 HEAVY = term("gravity", weight=9000.0)
 FIBRES = term("fibres", k1=3000.0, angle=25.0)
 TURNED = term("camera_offset", rx=3.0, ry=-2.0, rz=5.0, tx=1e-3, ty=0.0, tz=0.0, scale=1.02)
+GIVING = term("grasp_compliance", stiffness=3e5)
 STILL = term("camera_offset", rx=0.0, ry=0.0, rz=0.0, tx=0.0, ty=0.0, tz=0.0, scale=1.0)
 
 
@@ -94,6 +95,10 @@ ADOPTED = [
     ((HEAVY,), term("prestrain", sx=1.02, sy=0.99, sz=1.01), "sy"),
     ((), term("stiffness_gradient", gx=0.3, gy=0.0, gz=-0.2), "gx"),
     ((TURNED,), HEAVY, "weight"),
+    ((HEAVY,), GIVING, "stiffness"),
+    ((GIVING,), HEAVY, "weight"),
+    ((GIVING,), term("grasp_slip", lag=0.15), "lag"),
+    ((GIVING,), term("soft_anchor", stiffness=2e6), "stiffness"),
 ]
 
 
@@ -128,6 +133,8 @@ DORMANT = [
     ((HEAVY, TURNED), term("marker_fault", "b", x=0.0, y=0.0, z=0.0, onset=2.0), "z"),
     ((), term("active_stress", amplitude=0.0, angle=40.0), "amplitude"),
     ((HEAVY,), term("strain_stiffening", c2=0.0), "c2"),
+    ((GIVING,), term("grasp_slip", lag=0.0), "lag"),
+    ((HEAVY,), term("softening", softened=0.0, strain=0.1), "softened"),
 ]
 
 
@@ -146,11 +153,11 @@ def test_a_dormant_effect(others: tuple[Term, ...], asked: Term, name: str) -> N
     assert_same(found, expected)
 
 
-@pytest.mark.parametrize("place", ["", "left"])
-def test_a_rigid_anchor_that_may_yield(place: str) -> None:
+@pytest.mark.parametrize(("name", "place"), [("soft_anchor", ""), ("soft_anchor", "left"), ("grasp_compliance", "")])
+def test_a_rigid_hold_that_may_yield(name: str, place: str) -> None:
     """Per unit of compliance: what springs of a great stiffness give way, times that stiffness."""
     rigid = PLAIN + HEAVY
-    asked = term("soft_anchor", place, stiffness=math.inf)
+    asked = term(name, place, stiffness=math.inf)
     unmoved = positions(rigid)
 
     def yielding(stiffness: float) -> Array:

@@ -66,6 +66,10 @@ class Point:
         support: name of the scene's support surface, "" if it has none.
         patches: names of all patches.
         anchored: 1 where a patch is anchored, else 0: ``anchored(patch)``.
+        gripper: displacement if everything moved with the gripper, m.
+        grasps: names of all grasps that are surfaces.
+        grasped: 1 where the gripper holds by springs what it holds, else 0: ``grasped(grasp)``.
+        grip: measure of what a gripper holds, ``grip(grasp)``, m^2 in the rest state.
         past: the last step, for effects with memory.
     """
 
@@ -84,6 +88,10 @@ class Point:
     support: str
     patches: tuple[str, ...]
     anchored: Callable[[str], Any]
+    gripper: Expr
+    grasps: tuple[str, ...]
+    grasped: Callable[[str], Any]
+    grip: Callable[[str], Any]
     past: Past
 
 
@@ -192,6 +200,10 @@ class Effect:
         return False
 
     @property
+    def gives(self) -> bool:
+        return False
+
+    @property
     def uses_past(self) -> bool:
         return False
 
@@ -289,7 +301,7 @@ class BodyEffect(Effect):
     """Something that acts in the body or on its boundary. At least one of the functions must be given.
 
     Attributes:
-        acts_on: "body force", "material" or "boundary".
+        acts_on: "body force", "material" or "boundary"; "grasp" for what holds in the gripper's place.
         energy: energy per rest volume (J/m^3), which joins the strain energy.
         potential: a form whose value is an energy (J), such as one on the boundary.
         work: a form, the virtual work that the effect adds to the residual, for what has no energy.
@@ -305,6 +317,7 @@ class BodyEffect(Effect):
         memory: shapes of variables kept from step to step, by name, such as {"Q": (3, 3)}.
         advance: their values after a step.
         frees: whether the anchored patches at its place are no longer fixed, because the effect holds them.
+        gives: whether what the gripper holds is no longer prescribed, because the effect holds it.
         uses_past: whether `energy`, `potential` or `work` use `Point.past`.
         symmetric: False when the tangent of `work` is not symmetric (a follower load).
     """
@@ -322,6 +335,7 @@ class BodyEffect(Effect):
     memory: Mapping[str, tuple[int, ...]] | None = None
     advance: Callable[[Point, Constants], Mapping[str, Expr]] | None = None
     frees: bool = False
+    gives: bool = False
     uses_past: bool = False
     symmetric: bool = True
 

@@ -26,33 +26,32 @@ class EnergyCheck:
 
     Attributes:
         energy: strain energy and potential of the effects, J; the same on all ranks.
-        forces: of gripper, anchors and dead loads on this rank's own unknowns, N.
-        state: this rank's own unknowns.
+        forces: of gripper, anchors and dead loads on this rank's own unknowns, N, see `Equilibrium.applied`.
+        moved: how far what they act on has moved, m.
         load_factor: fraction of the effects that acted.
     """
 
     energy: float
     forces: Array
-    state: Array
+    moved: Array
     load_factor: float
 
     @classmethod
     def of(cls, equilibrium: Equilibrium, pose: Pose) -> EnergyCheck:
         """Of a state that was just solved for; collective."""
-        own = equilibrium.applied()
-        return cls(equilibrium.energy(), own, equilibrium.u.x.array[: len(own)].copy(), pose.load_factor)
+        return cls(equilibrium.energy(), *equilibrium.applied(), pose.load_factor)
 
     @classmethod
     def at_rest(cls, equilibrium: Equilibrium) -> EnergyCheck | None:
         """Of the undeformed state; None where effects are to be applied first."""
-        own = np.zeros(len(equilibrium.internal))
-        return None if equilibrium.model.terms else cls(0.0, own, own, 1.0)
+        none = np.zeros(2 * len(equilibrium.internal))
+        return None if equilibrium.model.terms else cls(0.0, none, none, 1.0)
 
     def follows(self, last: EnergyCheck, equilibrium: Equilibrium) -> bool:
         """Whether the gripper can have led from the last state to this one; collective."""
         if self.load_factor != last.load_factor:
             return True
-        work = equilibrium.total(0.5 * float((self.forces + last.forces) @ (self.state - last.state)))
+        work = equilibrium.total(0.5 * float((self.forces + last.forces) @ (self.moved - last.moved)))
         gained = self.energy - last.energy
         unsure = _OF_STEP * max(abs(gained), abs(work)) + _OF_ENERGY * max(abs(self.energy), abs(last.energy))
         return gained - work <= unsure + equilibrium.least_energy

@@ -20,6 +20,7 @@ from bcid.base.errors import InputError
 from bcid.forms.mesh.body import Body
 from bcid.forms.model import Model
 from bcid.forms.solver.factor import OUT_OF_MEMORY, Factor, FactorShell
+from bcid.forms.solver.grip_springs import GripSprings
 from bcid.forms.solver.lbfgs import LbfgsUpdate
 from bcid.forms.solver.status import REASONS, Status
 from bcid.forms.solver.supports import Pose, Supports
@@ -79,6 +80,7 @@ class Equilibrium:
         careful: whether every iteration gets a tangent of its own.
         least_energy: below it an energy cannot be told from round-off, J.
         supports: what is prescribed.
+        springs: those that hold what the gripper moves, if an effect has put them there.
     """
 
     def __init__(self, body: Body, model: Model, scene: Scene, settings: Settings | None = None) -> None:
@@ -89,7 +91,7 @@ class Equilibrium:
         self.u = fem.Function(body.space)
         self._compile()
         self._prepare_solver()
-        self.supports = Supports(body, scene, self.places, model.rollers, self._owned)
+        self.supports = Supports(body, scene, self.places, model.rollers, self._owned, self.weak_form.gripper)
         self._lagging = self._stale = self._verified = self._chord = False
         self._iteration = self._slow = 0
         self._held: tuple[frozenset[str], frozenset[str], str] | None = None
@@ -129,13 +131,20 @@ class Equilibrium:
     def hold(self, anchors: Iterable[str], grasp: str = "") -> None:
         """Fix these patches, let the gripper hold `grasp`, and go back to the undeformed state.
 
-        Patches that an effect holds instead of a rigid anchor stay free.
+        Patches and grasps that an effect holds instead of a rigid anchor or gripper stay free.
+
+        Raises:
+            InputError: an effect is to hold a grasp that is not a surface.
         """
         anchors = frozenset(anchors)
-        freed = self.model.freed(anchors)
+        freed, gives = self.model.freed(anchors), self.model.gives
+        if gives and grasp and grasp not in self.weak_form.grips:
+            raise InputError(f"grasp '{grasp}' is not a surface: no springs can be spread over it")
         for name, constant in self.weak_form.anchored.items():
             constant.value = float(name in freed)
-        self.supports.hold(set(anchors - freed), grasp)
+        for name, constant in self.weak_form.grasped.items():
+            constant.value = float(gives and name == grasp)
+        self.supports.hold(set(anchors - freed), grasp, gives)
         self.tangent.hold(self.supports.prescribed, self.supports.conditions)
         held = anchors, frozenset(freed), grasp
         if held != self._held:
@@ -176,6 +185,7 @@ class Equilibrium:
     def _prescribe(self, pose: Pose) -> None:
         """Gripper, dead loads and the fraction of the effects of a pose."""
         self.supports.put(pose)
+        self.springs.stretch()
         self.set_constants(self.model.acting(pose.load_factor, pose.time))
         for memory in self.weak_form.memories.values():
             memory.dt.value = max(pose.time - self.time, 1e-9) if memory.moving.value else LONG
@@ -190,6 +200,9 @@ class Equilibrium:
         self.correction = self.vector.duplicate()
         self._owned = self.vector.getLocalSize()
         self.internal = np.zeros(self._owned)
+        with compat.compiling():
+            giving = [self.weak_form.residuals[number] for number in self.weak_form.giving]
+            self.springs = GripSprings(giving, self.u, self.vector)
         modes = self._rigid_modes()
         kind = SharedTangent if comm.size > 1 else Tangent if modes is None else LargeTangent
         self.tangent = kind(self.tangent_forms, self.model.symmetric)
@@ -260,15 +273,24 @@ class Equilibrium:
         if self.supports.loaded:
             F.array[:] -= self.supports.dead()
         self.internal[:] = F.array
+        self.springs.update()
 
     def _scale(self) -> float:
         """Norm of reactions and loads: what the out-of-balance force is measured against."""
-        reactions, dead = self.internal[self.supports.reacting], self.supports.dead()
-        return float(np.sqrt(self.total(float(reactions @ reactions) + float(dead @ dead))))
+        parts = self.internal[self.supports.reacting], self.supports.dead(), self.springs.forces
+        return float(np.sqrt(self.total(sum(float(part @ part) for part in parts))))
 
-    def applied(self) -> Array:
-        """Forces of gripper, anchors and dead loads at the last solve, shape (this rank's own unknowns,), N."""
-        return self.supports.applied(self.internal)
+    def applied(self) -> tuple[Array, Array]:
+        """What was put into the body and its springs at the last solve: forces on this rank's own unknowns, and how far
+        what they act on has moved, N and m, shape (n,) each.
+
+        Anchors, dead loads and a rigid gripper act on the body, a gripper that holds by springs on their other end.
+        """
+        moved, other = self.u.x.array[: self._owned].copy(), np.zeros(self._owned)
+        dofs, driven = self.supports.driven
+        other[dofs] = driven
+        forces = self.supports.applied(self.internal), self.springs.forces
+        return np.concatenate(forces), np.concatenate([moved, other])
 
     def _renew(self, _snes: PETSc.SNES, _x: PETSc.Vec, _J: PETSc.Mat, _P: PETSc.Mat) -> None:
         """What SNES calls for a Jacobian: the old one stays while the iteration converges well with it."""
@@ -290,14 +312,13 @@ class Equilibrium:
     def _numbers(self) -> tuple[float, ...]:
         """Every number that the tangent depends on."""
         own = [self._constants[name] for name in self.model.numbers()]
-        constants = (*own, *self.weak_form.anchored.values())
-        return tuple(float(constant.value) for constant in constants)
+        return (*(float(constant.value) for constant in own), *self.weak_form.switches())
 
     def _converged(self, _snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> Any:
         residual = norms[2]
         if not np.isfinite(residual):
             return compat.snes_not_finite()
-        allowed = max(self.rtol * self._scale(), self._floor)
+        allowed = max(self.rtol * self._scale(), self._floor, self.springs.round_off)
         if residual <= allowed:
             return PETSc.SNES.ConvergedReason.CONVERGED_FNORM_RELATIVE
         self._chord = self.factor.aim(allowed / residual, iteration)
@@ -455,6 +476,13 @@ class Equilibrium:
         found[self.body.displacement_dofs] -= self.supports.external
         return found
 
+    def gripping(self) -> Array:
+        """Forces of the gripper on the unknowns that it holds, among others; one rank only."""
+        if not self.supports.sprung:
+            return self.unbalanced()
+        self.springs.update()
+        return self.springs.forces
+
     def energy(self) -> float:
         """Energy of the present state (strain energy and potential of the effects that have one), J."""
         return self.total(float(sum(fem.assemble_scalar(form) for form in self.energy_forms)))
@@ -471,11 +499,9 @@ class Equilibrium:
             dofs = self.body.displacement_dofs
             mine = np.isin(dofs, self.supports.gripped) & (dofs < self._owned)
             components = np.zeros(len(dofs))
-            components[mine] = self.internal[dofs[mine]]
+            components[mine] = (self.springs.forces if self.supports.sprung else self.internal)[dofs[mine]]
             forces = components.reshape(-1, 3)
-            centre = self.supports.centre + pose.translation
-            arms = self.body.nodes + self.displacement() - centre
-            result = np.concatenate([forces.sum(axis=0), np.cross(arms, forces).sum(axis=0)])
+            result = np.concatenate([forces.sum(axis=0), np.cross(self.supports.arms(pose), forces).sum(axis=0)])
         return np.asarray(self.body.comm.allreduce(result)) if self.body.comm.size > 1 else result
 
     def destroy(self) -> None:
@@ -483,6 +509,7 @@ class Equilibrium:
         self.factor.destroy()
         self.secant.destroy()
         self.tangent.destroy()
+        self.springs.destroy()
         for item in (self.snes, self.vector, self.iterate, self.correction):
             item.destroy()
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from dolfinx import fem
 from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, nearest
@@ -54,23 +53,30 @@ class Supports:
         places: every named region of the scene.
         rollers: places held in one axis only, as (place, axis).
         owned: number of unknowns that this rank owns.
+        gripper: displacement of every node if it moved with the gripper, a DOLFINx Function.
 
     Attributes:
         conditions: the DOLFINx conditions in force.
         prescribed: numbers of the unknowns that are prescribed, on this rank, ghosts included.
         reacting: those that this rank owns.
         grasp: where the gripper holds, or "".
-        gripper: displacement of every node if it moved with the gripper, a DOLFINx Function.
         gripped: numbers of the unknowns that the gripper holds.
+        sprung: whether they are held by springs, and not prescribed.
         external: dead forces on this rank's nodes, ghosts included, shape (3 * nodes,), N.
         loaded: whether there are any.
     """
 
     def __init__(
-        self, body: Body, scene: Scene, places: Mapping[str, Region], rollers: Iterable[tuple[str, int]], owned: int
+        self,
+        body: Body,
+        scene: Scene,
+        places: Mapping[str, Region],
+        rollers: Iterable[tuple[str, int]],
+        owned: int,
+        gripper: Any,
     ) -> None:
         self.body, self.scene, self.places, self.rollers, self._owned = body, scene, places, tuple(rollers), owned
-        self.gripper = fem.Function(body.displacement_space)
+        self.gripper = gripper
         self._made: dict[str, Any] = {}
         self._weights: dict[str, Array] = {}
         self.external = np.zeros(3 * len(body.nodes))
@@ -80,8 +86,11 @@ class Supports:
     # -- what is held
     # ---------------------------------------------------------------------------------------------------------------
 
-    def hold(self, anchors: Iterable[str], grasp: str) -> None:
-        """Hold these patches, the rollers, and the gripper's place ("": none); collective."""
+    def hold(self, anchors: Iterable[str], grasp: str, sprung: bool = False) -> None:
+        """Hold these patches, the rollers, and the gripper's place ("": none); collective.
+
+        Where that is `sprung` it is not prescribed.
+        """
         scene, anchors = self.scene, sorted(set(anchors))
         regions: list[tuple[str, Region | None, int | None]] = [
             (f"patch {name}", scene.patches.get(name), None) for name in anchors
@@ -89,12 +98,15 @@ class Supports:
         if grasp:
             regions.append((f"grasp {grasp}", scene.grasps[grasp].region if grasp in scene.grasps else None, None))
         regions += [(f"place {place}", self.places.get(place), axis) for place, axis in self.rollers]
-        self.conditions = [self._condition(what, region, axis) for what, region, axis in regions]
-        self.grasp = grasp
-        dofs = [condition.dof_indices()[0] for condition in self.conditions]
+        conditions = [self._condition(what, region, axis) for what, region, axis in regions]
+        self.grasp, self.sprung = grasp, sprung and bool(grasp)
+        self.gripped: Index = conditions[len(anchors)].dof_indices()[0] if grasp else np.zeros(0, np.int32)
+        if self.sprung:
+            del conditions[len(anchors)]
+        self.conditions = conditions
+        dofs = [condition.dof_indices()[0] for condition in conditions]
         self.prescribed: Index = np.unique(np.concatenate(dofs or [np.zeros(0, np.int32)]))
         self.reacting = self.prescribed[self.prescribed < self._owned]
-        self.gripped: Index = dofs[len(anchors)] if grasp else np.zeros(0, np.int32)
 
     def _condition(self, what: str, region: Region | None, axis: int | None) -> Any:
         key = f"{what}/{axis}"
@@ -124,6 +136,11 @@ class Supports:
         self.loaded = bool(pose.loads)
         self.external[:] = self.load(pose.loads)
 
+    @property
+    def driven(self) -> tuple[Index, Array]:
+        """This rank's own unknowns of displacement, and how far the gripper has moved them if it held everything, m."""
+        return self.body.displacement_dofs[self._mine], np.asarray(self.gripper.x.array[self._mine])
+
     def unload(self) -> None:
         """No dead loads."""
         self.loaded = False
@@ -133,6 +150,10 @@ class Supports:
         """Displacement of every node if it moved with the gripper, shape (3 * nodes,), m."""
         arm = self.body.nodes - self.centre
         return np.asarray((pose.translation + rotate(pose.rotation, arm) - arm).ravel())
+
+    def arms(self, pose: Pose) -> Array:
+        """From the moved centre of the grasp to where the gripper has every node, shape (nodes, 3), m."""
+        return self.body.nodes + self.moved(pose).reshape(-1, 3) - self.centre - pose.translation
 
     @property
     def lever(self) -> float:
