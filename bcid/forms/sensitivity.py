@@ -239,19 +239,21 @@ class Sensitivity:
         for probe in wanted.probes:
             if probe.effect.memory or probe.effect.uses_past:
                 weak_form.memory(probe.term)
-        for memory in weak_form.probed.values():
+        asked = {probe.term.label for probe in wanted.probes}
+        probed = [memory for label, memory in weak_form.probed.items() if label in asked]
+        for memory in probed:
             memory.reset()
         for step, (pose, frame) in enumerate(zip(poses(action)[: steps[1]], action.frames[: steps[1]], strict=True)):
             if int(frame) not in states:
                 # It could not be followed any further.
                 break
             equilibrium.set_state(pose, states[int(frame)])
-            for memory in weak_form.probed.values():
+            for memory in probed:
                 memory.dt.value = max(pose.time - equilibrium.time, 1e-9) if memory.moving.value else LONG
             if seen[frame] and step >= steps[0]:
                 self._step(anchors, action, step, pose, int(frame), moves, wanted, result)
             equilibrium.accept(pose)
-            for memory in weak_form.probed.values():
+            for memory in probed:
                 memory.advance()
 
     def _moves(self, probe: Probe, name: str, commanded: Action) -> list[tuple[Pose, Pose]] | None:
