@@ -181,6 +181,8 @@ class _Loop:
             found = refit(state, row, self.model, self.candidates.among) if row.gain > WORTH else []
             fitted = (promoted(rival, state, self.model) for rival in found)
             self.compared.add([rival for rival in fitted if rival], self.model)
+        if hidden:
+            self.confirm(base)
 
     def promote(self, contest: Contest, base: State) -> None:
         """Fit the likeliest to all steps, and the likeliest without an effect.
