@@ -109,3 +109,17 @@ def test_springs_need_a_surface() -> None:
     forward.destroy()
     with pytest.raises(InputError, match="grasp_compliance: no grasp of the scene is a surface"):
         Forward(replace(scene(), grasps={"line": line}), model=GIVING, mesh=mesh)
+
+
+def test_the_tangent_at_rest_is_that_of_the_grasp_in_use() -> None:
+    """It is remembered, but for what is held alike."""
+    both = replace(scene(), grasps={**scene().grasps, "y1": Grasp(Region(("y1",)), CENTRE)})
+    found = []
+    for before in ("", "x1"):
+        forward = Forward(both, model=GIVING, mesh=box(BAR, (5, 1, 1)))
+        for grasp in (before, "y1"):
+            forward.equilibrium.hold({"x0"}, grasp)
+            forward.equilibrium.verify()
+        found.append(forward.equilibrium.tangent.copied().toarray())
+        forward.destroy()
+    np.testing.assert_allclose(*found, atol=1e-12 * np.abs(found[0]).max())
