@@ -50,11 +50,6 @@ class Contest:
     rivals: list[Rival]
     promised: dict[Hypothesis, tuple[float, float]]
 
-    @property
-    def named(self) -> set[tuple[str, ...]]:
-        """Effects, one after the other, that those steps show, or could show if there were any."""
-        return {rival.names for rival in self.rivals} | {hypothesis.names for hypothesis in self.promised}
-
 
 def contest(
     state: State,

@@ -29,7 +29,6 @@ from bcid.comparison.rivals import (
     added,
     best_first,
     promoted,
-    refit,
     shown_about,
 )
 from bcid.comparison.state import State
@@ -163,26 +162,6 @@ class _Loop:
             with suppress(SolveError):
                 base = State.of(self.predictor, base.model, best.anchors, None, base.free)
         self.promote(found, base)
-        self.look_back(found, lacking, base)
-
-    def look_back(self, contest: Contest, lacking: Sequence[Effect], base: State) -> None:
-        """Where something unknown acts: fit what remembers, and shows in all steps, but not in the few that were looked at.
-
-        Those are where a pull turns back and where it ends, and may show the same with it as without it.
-        """
-        own = tuple(term.effect.name for term in base.model.added(self.model))
-        plain = next((rival for rival in self.compared.full if rival.names == own), None)
-        if plain is None or self.compared.full[0].complete:
-            return
-        shown = {names[-1] for names in contest.named if names}
-        hidden = [effect for effect in lacking if effect.memory and effect.name not in shown]
-        state = plain.fitted.state
-        for row in rank(state, hidden, strict=False).rows if hidden else ():
-            found = refit(state, row, self.model, self.candidates.among) if row.gain > WORTH else []
-            fitted = (promoted(rival, state, self.model) for rival in found)
-            self.compared.add([rival for rival in fitted if rival], self.model)
-        if hidden:
-            self.confirm(base)
 
     def promote(self, contest: Contest, base: State) -> None:
         """Fit the likeliest to all steps, and the likeliest without an effect.
@@ -278,7 +257,11 @@ class _Loop:
             return None
         try:
             beside = State.of(self.predictor, base.model, told.anchors, None, base.free)
-            return added(beside, effects[names[-1]], self.model, self.candidates.among)
+            found = added(beside, effects[names[-1]], self.model, self.candidates.among)
+            if found is None or any(p.onset for p in found.term.effect.parameters):
+                return found
+            # By the error of the mesh that the model without it has, a further effect may seem to act.
+            return promoted(found, base, self.model)
         except (SolveError, InputError):
             return None
 
