@@ -261,7 +261,8 @@ class _Loop:
             if found is None or any(p.onset for p in found.term.effect.parameters):
                 return found
             # By the error of the mesh that the model without it has, a further effect may seem to act.
-            return promoted(found, base, self.model)
+            own_errors = promoted(found, base, self.model)
+            return best_first([found, own_errors] if own_errors else [found])[0]
         except (SolveError, InputError):
             return None
 
