@@ -1,4 +1,4 @@
-"""bcid explains a shipped measurement of the slab: ``python -m bcid.bench.bcid_explain MEASUREMENT FOLDER [profile]``."""
+"""bcid explains a shipped measurement of the slab: ``python -m bcid.bench.bcid_explain MEASUREMENT FOLDER [profile] [quick]``."""
 
 from __future__ import annotations
 
@@ -17,8 +17,11 @@ from bcid.base.run_folder import RunFolder
 from bcid.base.shipped import shipped
 from bcid.bench.bench_slab import EXPLAINED, FOLDER
 from bcid.comparison.compare_runs import run_explain
+from bcid.comparison.explain import ExplainOptions
 
 TOLD = ("verdict", "verdict_probability", "anchored", "anchors_probability", "rms", "noise_rms")
+# The effects that the reduced form looks for.
+FEW = ("gravity", "fibres", "grasp_slip")
 SPENT = {
     "assembling matrices": ("assemble_matrix",),
     "assembling vectors": ("assemble_vector", "assemble_scalar"),
@@ -45,16 +48,17 @@ def main() -> None:
     """Explain it, as the command does without pictures."""
     name, folder, *also = sys.argv[1:]
     clock, profile = Clock("bcid", f"bcid {bcid.__version__}"), cProfile.Profile()
-    if also:
+    options = ExplainOptions(effects=1, only=FEW) if "quick" in also else None
+    if "profile" in also:
         profile.enable()
     clock.start()
     scene, measurement = shipped(EXPLAINED), shipped(FOLDER) / name
-    run = RunFolder.open(run_explain(scene, measurement, Path(folder), None, MPI.COMM_WORLD, overwrite=True))
+    run = RunFolder.open(run_explain(scene, measurement, Path(folder), options, MPI.COMM_WORLD, overwrite=True))
     clock.stop()
     profile.disable()
     found = run.read_json("diagnosis.json")
     told = {key: found[key] for key in TOLD} | {"trajectories": run.record["trajectories"], "rss_mb": memory()}
-    print(json.dumps(clock.record | told | ({"spent": spent(profile)} if also else {})), flush=True)
+    print(json.dumps(clock.record | told | ({"spent": spent(profile)} if "profile" in also else {})), flush=True)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,8 @@ def run(session: Session) -> Part:
     """Explain the measurements, and rank the effects of the first."""
     part = Part("explain", "a diagnosis from the scene to the verdict, one core")
     session.progress.say("explain: where the time goes")
-    profiled = session.run("bcid_explain", DEMO, session.scratch / "explain-profiled", "profile")
+    reduced = ["quick"] if session.quick else []
+    profiled = session.run("bcid_explain", DEMO, session.scratch / "explain-profiled", "profile", *reduced)
     # Forms are compiled by then.
     found = {DEMO: profiled} if session.quick else {}
     for name in () if session.quick else (DEMO, *HIDDEN):
