@@ -226,10 +226,10 @@ class _Loop:
     def promised_anew(self) -> bool:
         """Ask all steps what the likeliest model lacks, where nothing is thought to be missing; whether that was not asked before.
 
-        A few steps, or the errors of another set, may have hidden what an effect explains.
+        A few steps, or the errors of another set, may have hidden what an effect explains better than what may be slightly wrong.
         """
         best = self.compared.best()
-        if best.names or best.anchors in self.rankings:
+        if best.names or not best.complete or best.anchors in self.rankings:
             return False
         self.compared.promise(best, self.lacks(best).rows)
         return True

@@ -135,11 +135,12 @@ def test_an_effect_that_a_few_steps_hide_is_found_in_all(slab: Scene, monkeypatc
         return Contest([rival for rival in rivals if len(rival.names) == fewest], {})
 
     monkeypatch.setattr("bcid.comparison.explain.contest", blind)
-    model = Model.of(slab) + Term(effects.effect("gravity"), {"weight": 200.0})
-    predictor = Predictor(slab, simulate(slab, HEAVY, pulls(), level=2, model=model), MPI.COMM_SELF, level=1)
-    found = explain(predictor, ExplainOptions(level=1, only=("gravity", "fibres")))
+    fault = Term("marker_fault", {"x": 0.005, "y": 0.0, "z": 0.001, "onset": 0.0}, place=slab.fiducial_names[4])
+    seen = simulate(slab, HEAVY, pulls(), level=2, model=Model.of(slab) + fault)
+    predictor = Predictor(slab, seen, MPI.COMM_SELF, level=1)
+    found = explain(predictor, ExplainOptions(level=1, only=("gravity", "marker_fault")))
     predictor.destroy()
-    assert found.verdict == "gravity"
+    assert found.verdict == "marker_fault"
     assert found.last.state.anchors == HEAVY
 
 
