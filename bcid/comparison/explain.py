@@ -224,12 +224,12 @@ class _Loop:
             self.compared.confirm(told, again, self.model)
 
     def promised_anew(self) -> bool:
-        """Ask all steps what the likeliest model lacks, where nothing is thought to be missing; whether that was not asked before.
+        """Ask all steps what the likeliest model lacks, where no effect is thought to act; whether that was not asked before.
 
-        A few steps, or the errors of another set, may have hidden what an effect explains better than what may be slightly wrong.
+        A few steps may show nothing of what remembers, and the errors of another set may hide what an effect explains.
         """
         best = self.compared.best()
-        if best.names or not best.complete or best.anchors in self.rankings:
+        if best.names or best.anchors in self.rankings:
             return False
         self.compared.promise(best, self.lacks(best).rows)
         return True
