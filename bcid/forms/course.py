@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bcid.base.errors import InputError
 from bcid.base.units import quantity
-from bcid.forms.effects.effect import BodyEffect, Effect
+from bcid.forms.effects.effect import BodyEffect, Effect, GripEffect
 
 Array = NDArray[np.float64]
 # Words with which a user asks for a course, and whether it is stepwise.
@@ -83,8 +83,10 @@ def in_time(effect: Effect, times: Iterable[float], stepwise: bool = False) -> E
     shapes = [p for p in effect.shapes if p.off is None]
     about = f"{effect.about}, by amounts that change with time"
     found = replace(effect, name=f"{effect.name}_in_time", parameters=(*values, *shapes), about=about, acting=course)
-    # Where a course of an inclusion may be is tried by its constant amounts.
-    return replace(found, around=None) if isinstance(found, BodyEffect) else found
+    # Where a course of an inclusion may be, and how late a clock, is tried by constant amounts.
+    if isinstance(found, BodyEffect):
+        return replace(found, around=None)
+    return replace(found, retimed=None) if isinstance(found, GripEffect) else found
 
 
 def course_of(effect: Effect) -> Course | None:

@@ -127,6 +127,8 @@ def test_the_gripper_does_at_each_step_what_the_amounts_say_then(
     numbers = {f"{n}_{k + 1}": v for n, row in values.items() for k, v in enumerate(row)}
     (action,) = EffectTrial(constant).actions
     found = moving.driven(action, numbers)
+    # Ranking reads off the path what one number for all times shows.
+    assert moving.retimed is None
     assert constant.drive is not None
     for k, time in enumerate(action.clock):
         one = constant.drive(action, dict(course(moving)(float(time), numbers)))
