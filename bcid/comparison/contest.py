@@ -13,9 +13,9 @@ from bcid.base.errors import SolveError
 from bcid.comparison.candidates import Start
 from bcid.comparison.fit import held_out
 from bcid.comparison.hypothesis_search import HypothesisSearch, Promise
+from bcid.comparison.loosened import loosens
 from bcid.comparison.rivals import FAR, WORTH, Rival, best_first, moved, promoted, refit
 from bcid.comparison.state import State
-from bcid.comparison.yielding import gives
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
@@ -86,7 +86,9 @@ def fitted_beside(state: State, known: Sequence[Effect], most: int) -> list[Riva
     """The most promising effects, so many at most, fitted beside a model with its set, to all steps; best first; collective."""
 
     def work(thin: State) -> Contest:
-        return refitted(HypothesisSearch(thin, thin.model, known, 1).alone(), thin.model, len(known), most, math.inf)
+        promises = HypothesisSearch(thin, thin.model, known, 1).alone()
+        here = [promise for promise in promises if promise.anchors == state.anchors]
+        return refitted(here, thin.model, len(known), most, math.inf)
 
     found = at_a_glance(state, work).rivals
     here = [rival for rival in found if rival.names and rival.anchors == state.anchors]
@@ -107,8 +109,9 @@ def refitted(
     An effect is worth a fit as long as something unknown acts besides the best, and where it promises to be no more than exp(worth)
     times less likely than that, or may turn out to be.
     What an effect promises is linear in its amount, which a large one is not: each has its best set tried first, and then the one
-    that turns out best competes with itself on other sets. Anchors that give do so at a place, which goes with the set: these are
-    tried with each set that was looked at for them. Some effects are tried first, with sets and numbers that are given.
+    that turns out best competes with itself on other sets. Anchors that give or come off do so at a place, which goes with the
+    set: these are tried with each set that was looked at for them. Some effects are tried first, with sets and numbers that
+    are given.
     """
     promises = _in_turn(promises, starts_of or {})
     rivals = [Rival.looked_at(p.look, begun, count) for p in promises if p.row is None]
@@ -118,7 +121,7 @@ def refitted(
         row, best = promise.row, best_first(rivals)[0]
         if row is None:
             continue
-        what = row.effect, promise.anchors if gives(row.term.effect) else None
+        what = row.effect, promise.anchors if loosens(row.term.effect) else None
         if what in tried or len(tried) >= most or not math.isfinite(row.gain):
             continue
         # What has a start is fitted whatever explains all before it: it may do so with fewer numbers.
@@ -130,7 +133,11 @@ def refitted(
         # Where an effect makes another set likely it is measured by the errors of that.
         state = states.setdefault(promise.anchors, promise.look.state).with_own_errors()
         states[promise.anchors] = state
-        rivals += refit(state, row, begun, count)
+        found = refit(state, row, begun, count)
+        if found and found[0].log < promise.log - WORTH and promise.log > best.log:
+            # What breaks its promise on one set may keep it on another.
+            found += moved(found[0], begun, count)
+        rivals += found
     best = best_first(rivals)[0]
     fitted = {effect for effect, _ in tried}
     if best.names and best.names[-1] in fitted:

@@ -258,7 +258,7 @@ class _Loop:
         try:
             beside = State.of(self.predictor, base.model, told.anchors, None, base.free)
             found = added(beside, effects[names[-1]], self.model, self.candidates.among)
-            if found is None or any(p.onset for p in found.term.effect.parameters):
+            if found is None or found.term.effect.sudden:
                 return found
             # By the error of the mesh that the model without it has, a further effect may seem to act.
             own_errors = promoted(found, base, self.model)

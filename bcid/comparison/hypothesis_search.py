@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError
+from bcid.comparison.loosened import Loosened, loosened, loosens
 from bcid.comparison.priors import of_state
 from bcid.comparison.ranking import Ranking, Row, rank
 from bcid.comparison.state import State
-from bcid.comparison.yielding import Yielding, gives, yielding
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
 from bcid.inference.criteria import SEEN
@@ -37,8 +37,8 @@ _FEW = 10
 _CURVED, _BENT = 0.1, 0.5
 # The sensitivities to effects are computed for so many sets at most.
 _RANKED = 5
-# So many of the sets that fit best when they give are looked at; of many patches all sets are too many.
-_GIVING, _ALL = 2, 8
+# So many of the sets that fit best when they give or come off are looked at; of many patches all sets are too many.
+_LOOSE, _ALL = 2, 8
 _NOTHING = Evidence(-math.inf, -math.inf, 0.0)
 
 
@@ -146,7 +146,7 @@ class HypothesisSearch:
         self.looks: dict[Anchored, Look | None] = {}
         self._shown: dict[Anchored, dict[Anchored, float]] = {}
         self._ranked: set[Anchored] = set()
-        self._giving: dict[tuple[str, Anchored], Row] = {}
+        self._loose: dict[tuple[str, Anchored], Row] = {}
         self._patches = list(base.predictor.scene.patches)
 
     def run(self, starts: Iterable[Anchored] = ()) -> list[Promise]:
@@ -161,7 +161,7 @@ class HypothesisSearch:
         top = self.promises()[0].anchors
         if top != self.best_sets()[0] and self._look_at(self._likely(top)):
             self._rank_sets()
-        self._give(self.best_sets()[0])
+        self._loosen(self.best_sets()[0])
         return self.promises()
 
     def sets(self) -> list[Anchored]:
@@ -173,7 +173,7 @@ class HypothesisSearch:
         """The set that was begun with, and effects."""
         self.look()
         self._rank(self.base.anchors)
-        self._give(self.base.anchors)
+        self._loosen(self.base.anchors)
         return self.promises()
 
     def around(self) -> list[Promise]:
@@ -197,11 +197,11 @@ class HypothesisSearch:
         return sorted(found, key=lambda p: (-p.log, len(p.anchors), sorted(p.anchors), p.row.effect if p.row else ""))
 
     def _rows(self, look: Look) -> list[Row]:
-        """What a set may lack; that its anchors give, as far as that was looked at, only where they were found to give best."""
+        """What a set may lack; that anchors give or come off, as far as that was looked at, only where they do so best."""
         rows = list(look.ranking.rows) if look.ranking else []
-        given = {effect for effect, _ in self._giving}
+        given = {effect for effect, _ in self._loose}
         others = [row for row in rows if row.effect not in given]
-        return others + [row for (_, anchors), row in self._giving.items() if anchors == look.state.anchors]
+        return others + [row for (_, anchors), row in self._loose.items() if anchors == look.state.anchors]
 
     # -- looking
     # ------------------------------------------------------------------------------------------------------------
@@ -291,32 +291,36 @@ class HypothesisSearch:
                 break
             self._rank(fresh)
 
-    def _give(self, about: Anchored) -> None:
-        """Look at the sets that fit best when anchors give, as the tangent of one shows them, however soft they are."""
+    def _loosen(self, about: Anchored) -> None:
+        """Look at the sets that fit best when anchors give or come off, as the tangent of one shows them."""
         look = self.looks[about]
-        for effect in (e for e in self.known if gives(e)):
+        for effect in (e for e in self.known if loosens(e)):
             if look is None or not look.ranking or effect.name in look.ranking.excluded:
                 continue
             close = _all_sets(about, self._patches, False)
             every = _all_sets(about, self._patches, len(self._patches) <= _ALL)
             parts = [s for s in close if len(s ^ about) <= 2 and self._acts(s)]
-            found = yielding(look.state, effect, [s for s in every if self._acts(s)], parts)
+            found = loosened(look.state, effect, [s for s in every if self._acts(s)], parts)
             best = {one.anchors: one for one in reversed(found)}
             # Where nothing is missing other sets must be as likely.
             least = -_FAR if look.evidence.plain > look.evidence.forced else -np.inf
-            near = list(dict.fromkeys(one.anchors for one in found if one.gain > least))[:_GIVING]
+            near = list(dict.fromkeys(one.anchors for one in found if one.gain > least))[:_LOOSE]
             for anchors in dict.fromkeys([about, *near]):
                 self._look(anchors)
                 if anchors in best and self.looks[anchors] is not None:
                     self._rank(anchors, look.ranking if anchors not in self._ranked else None)
-                    self._giving[effect.name, anchors] = self._row(look, best[anchors])
+                    self._loose[effect.name, anchors] = self._row(look, best[anchors])
 
-    def _row(self, about: Look, found: Yielding) -> Row:
-        """What it would explain that a set gives, as the tangent of another one shows it."""
+    def _row(self, about: Look, found: Loosened) -> Row:
+        """What it would explain that a set gives or comes off, as the tangent of another one shows it."""
         look, effect = self.looks[found.anchors], found.term.effect.name
         assert look is not None
         assert look.ranking is not None
-        row = next(r for r in look.ranking.rows if r.effect == effect)
+        rows = look.ranking.rows
+        if all(r.effect != effect for r in rows):
+            # The ranking of another set, none of whose places it has.
+            rows = rank(look.state, [found.term.effect], strict=False, least=self.least).rows
+        row = next(r for r in rows if r.effect == effect)
         gain = about.evidence.plain + found.gain - look.evidence.plain
         return replace(row, term=found.term, score=look.state.chi2 - found.chi2, explained=found.moved, gain=gain)
 

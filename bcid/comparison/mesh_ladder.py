@@ -45,9 +45,9 @@ def _finer_positions(
     """Positions on another level, whose distance from those of the working one is smooth along an action; None where it fails.
 
     It is followed in a few steps, between which that distance is interpolated; in all where those are too large for it or the
-    distance is too bent, and where a model remembers them.
+    distance is too bent, and where a model remembers them or something happens in one of them.
     """
-    if not (predictor.thin or model.remembers):
+    if not (predictor.thin or model.remembers or model.jumps):
         ends = zip(predictor.actions, predictor.last_seen(), strict=True)
         known = [Knots.of(action, 0, last) for action, last in ends]
         few, frames = predictor.in_steps(

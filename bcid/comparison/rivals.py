@@ -182,7 +182,7 @@ def promoted(
     alike = (full.model.name, full.anchors) == (model.name, anchors)
     mesh = full.errors.mesh if alike else None
     try:
-        if rival.names and any(p.onset for p in rival.term.effect.parameters):
+        if rival.names and rival.term.effect.sudden:
             # In which frame it begins is only known once all are looked at.
             own = full.errors.mesh if anchors == full.anchors else None
             base = State.of(full.predictor, model.without(rival.term.label), anchors, own)
@@ -216,7 +216,11 @@ def added(base: State, effect: Effect, begun: Model, known: int, least: float = 
     """An effect beside a model that was compared with all steps, where they show that it promises most; None if it fails."""
     rows = rank(base, [effect], strict=False).rows
     found = refit(base, rows[0], begun, known, least) if rows else []
-    return found[0] if found else None
+    if not found or not (effect.sudden and effect.moves):
+        return found[0] if found else None
+    # From a frame on the body moves otherwise, and so the error of the mesh is another.
+    state = found[0].fitted.state
+    return Rival.of(fit(state.with_own_errors(anew=True), state.free, most=4), begun, known, least)
 
 
 def refit(state: State, row: Row, begun: Model, known: int, least: float = SEEN) -> list[Rival]:

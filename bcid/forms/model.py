@@ -288,6 +288,11 @@ class Model:
         return any(term.effect.memory or term.effect.uses_past for term in self.terms)
 
     @property
+    def jumps(self) -> bool:
+        """Whether the body moves otherwise from a frame on."""
+        return any(term.effect.moves and term.effect.sudden for term in self.terms)
+
+    @property
     def definite(self) -> bool:
         """Whether the tangent of a stable state is symmetric and positive definite."""
         return self.symmetric and not self.mixed

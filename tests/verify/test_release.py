@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from bcid.comparison.loosened import loosened
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.state import State
 from bcid.comparison.variants import all_variants
@@ -98,6 +100,18 @@ def test_patch_and_frame_are_found_to_first_order(predictor: Predictor) -> None:
     best = variants[int(np.argmin(left))].term
     assert (best.place, best.values["onset"]) == ("4", ONSET)
     assert min(left) < 0.1 * state.chi2
+
+
+def test_set_patch_and_frame_are_found_about_another_set(predictor: Predictor) -> None:
+    """Of all sets, their patches and all frames, as the tangent of one that neither was held shows them."""
+    nothing = MeshError.unknown(predictor.data.mask.shape)
+    state = State.of(predictor, Model.of(predictor.scene), frozenset("38"), nothing)
+    sets = [frozenset(s) for count in (1, 2, 3) for s in combinations(sorted(predictor.scene.patches), count)]
+    best = loosened(state, effects.effect("release"), sets, ())[0]
+    assert (best.anchors, best.term.place, best.term.values["onset"]) == (BOTH, "4", ONSET)
+    assert best.chi2 < 0.1 * state.chi2
+    followed = state.of_set(BOTH, Model.of(predictor.scene) + best.term)
+    assert followed.chi2 < 0.1 * best.chi2
 
 
 def test_a_gripper_feels_what_is_left(predictor: Predictor) -> None:

@@ -245,8 +245,12 @@ class Effect:
     @property
     def smooth(self) -> bool:
         """Whether what it does changes along an action as smoothly as the motion does."""
-        jumps = any(p.onset for p in self.parameters)
-        return not (jumps or self.memory or self.uses_past or self.acting or self.observe)
+        return not (self.sudden or self.memory or self.uses_past or self.acting or self.observe)
+
+    @property
+    def sudden(self) -> bool:
+        """Whether it begins in a frame."""
+        return any(p.onset for p in self.parameters)
 
     @property
     def amounts(self) -> tuple[Parameter, ...]:
