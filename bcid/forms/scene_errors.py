@@ -8,7 +8,7 @@ Introduction to Shape Optimization, 1992, section 2.9).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -49,13 +49,27 @@ dimension = BodyEffect(
 )
 
 
+def _part_moved(
+    along: Any, distance: Any, c: Mapping[str, Any], most: Callable[..., Any], exp: Callable[..., Any]
+) -> Any:
+    """How far a point is moved with a border, per distance: so far from the middle of the patch, and so far along the direction."""
+    beyond = most(distance - c["radius"], 0.0) / c["fading"]
+    return (c["shift"] + c["stretch"] * along / c["reach"]) * exp(-0.5 * beyond**2)
+
+
 def _patch_moved(point: Point, c: Mapping[str, Any]) -> Any:
-    away = point.X - _vector(c, "c")
-    direction, distance = _vector(c, "d"), ufl.sqrt(ufl.inner(away, away) + 1e-12 * point.size**2)
-    beyond = ufl.max_value(distance - c["radius"], 0.0) / c["fading"]
-    size = c["shift"] + c["stretch"] * ufl.inner(away, direction) / c["reach"]
-    moved = size * ufl.exp(-0.5 * beyond**2) * direction
+    away, direction = point.X - _vector(c, "c"), _vector(c, "d")
+    distance = ufl.sqrt(ufl.inner(away, away) + 1e-12 * point.size**2)
+    moved = _part_moved(ufl.inner(away, direction), distance, c, ufl.max_value, ufl.exp) * direction
     return ufl.Identity(3) - c["distance"] * ufl.grad(moved)
+
+
+def moved_with(border: Term, places: Array) -> Array:
+    """How far the body is moved at places (n, 3), m, where a border lies further out by a unit, shape (n, 3)."""
+    middle, direction = (np.array([border.values[f"{name}{axis}"] for axis in _AXES]) for name in "cd")
+    away = places - middle
+    distance = np.linalg.norm(away, axis=1)
+    return np.asarray(_part_moved(away @ direction, distance, border.values, np.maximum, np.exp)[:, None] * direction)
 
 
 border = BodyEffect(
@@ -76,16 +90,31 @@ border = BodyEffect(
 )
 
 
-def _stiffening(point: Point, c: Mapping[str, Any]) -> Any:
-    return c["part"] * point.shear * point.kin.I1bar_minus_3**2
+# Of the shear modulus a part goes with the second invariant that is so many times as uncertain as the coefficient of (I1bar - 3)^2:
+# of rubbers a tenth to a third does (Treloar, The Physics of Rubber Elasticity, 1975, chapter 10).
+SECOND_INVARIANT = 4.0
+
+
+def _another_form(point: Point, c: Mapping[str, Any]) -> Any:
+    first, second = point.kin.I1bar_minus_3, point.kin.I2bar_minus_3
+    return point.shear * (c["part"] * first**2 + c["second"] * SECOND_INVARIANT / 2 * (second - first))
 
 
 law_form = BodyEffect(
     name="law_form",
-    parameters=(Amount("part", "1", "coefficient of (I1bar - 3)^2 in shear moduli", neutral=0.0, scale=0.05),),
+    parameters=(
+        Amount("part", "1", "coefficient of (I1bar - 3)^2 in shear moduli", neutral=0.0, scale=0.05),
+        Amount(
+            "second",
+            "1",
+            "part of the shear modulus that goes with the second invariant, by four",
+            neutral=0.0,
+            scale=0.05,
+        ),
+    ),
     about="the law has another form at large strains than the scene says",
     acts_on="material",
-    energy=_stiffening,
+    energy=_another_form,
 )
 
 
@@ -117,7 +146,7 @@ grip = GripEffect(
 
 @dataclass(frozen=True)
 class Outline:
-    """A patch as far as the scene may have its border wrong.
+    """A patch, or where the body is gripped, as far as the scene may have its border wrong.
 
     Attributes:
         middle: of its surface, shape (3,), m.
@@ -142,9 +171,8 @@ class Outline:
         axes = np.linalg.svd(away * np.sqrt(np.repeat(area, 3))[:, None], full_matrices=False)[2][:2]
         return cls(middle, axes, np.abs(away @ axes.T).max(axis=0))
 
-    @property
-    def terms(self) -> list[Term]:
-        """Every way in which its border may be off: along each axis, both ends together and apart."""
+    def terms(self, grasp: str = "") -> list[Term]:
+        """Every way in which its border may be off: along each axis, both ends together and apart; of a grasp, that of its name."""
         found = []
         for axis, reach in zip(self.axes, self.reaches, strict=True):
             values = {f"d{name}": float(v) for name, v in zip(_AXES, axis, strict=True)}
@@ -153,7 +181,7 @@ class Outline:
             values |= {"fading": float(self.reaches.min())}
             for way in ("shift", "stretch"):
                 ways = {"shift": 0.0, "stretch": 0.0, way: 1.0}
-                found.append(Term(border, values | ways))
+                found.append(Term(border, values | ways, place=grasp))
         return found
 
 
@@ -164,7 +192,7 @@ def dimensions() -> list[Term]:
 
 def law_form_term() -> Term:
     """The form of the law."""
-    return Term(law_form, {"part": 0.0})
+    return Term(law_form, {"part": 0.0, "second": 0.0})
 
 
 def grip_term() -> Term:

@@ -67,7 +67,7 @@ class Data:
         slow: standard deviation of what errors of each have besides that persists along its trajectory, m: what of a stated one is
             not like noise.
         stated: whether that is what measurement or scene say of positions, and not an estimate.
-        action, frame, step, fiducial, axis: labels, shape (n,); actions and fiducials (or rows) as numbers.
+        action, grasp, frame, step, fiducial, axis: labels, shape (n,); actions and fiducials (or rows) as numbers.
         kind: of each value, shape (n,): 0 a position, 1 a force, 2 a torque.
         trajectory: number of the (action, fiducial, axis) it belongs to, shape (n,).
         progress: part of its action that is done, 0 at step 0 and 1 at the last step seen, shape (n,).
@@ -120,6 +120,7 @@ class Data:
         actions = np.array([names.index(str(name)) for name in measurement.data["action"].values])
         self.frame, self.fiducial, self.axis = frames, fiducials, axes
         self.action, self.step = actions[frames], measurement.data["step"].values[frames]
+        self.grasp = measurement.data["grasp"].values.astype(str)[frames]
         self.kind = self.kinds[fiducials]
         key = (self.action * len(self.names) + fiducials) * 3 + axes
         _, self.trajectory = np.unique(key, return_inverse=True)

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.forms.mesh import BodyMesh
-from bcid.forms.model import Model
+from bcid.forms.model import Model, Term
 from bcid.forms.probes import Probe, Sensitivities, Wanted
-from bcid.forms.scene_errors import Outline, dimensions, grip_term, law_form_term
+from bcid.forms.scene_errors import Outline, dimensions, grip_term, law_form_term, moved_with
 from bcid.inference.data import Data
 from bcid.inference.force_nuisances import force_modes, largest_force
 from bcid.measurement.frame_error import FrameError
@@ -79,6 +79,23 @@ def placed(model: Model) -> frozenset[str]:
     return frozenset(t.place for t in here if not any(t.values[p.name] > 0 for p in t.effect.parameters if p.onset))
 
 
+def _together(data: Data, term: Term) -> Array:
+    """In which values a nuisance has one size, shape (parts, n): what has to do with a grip is another in each action."""
+    if not (term.effect.drive or term.place):
+        return np.ones((1, len(data)))
+    gripped = data.grasp == term.place if term.place else np.ones(len(data), dtype=bool)
+    return gripped & (data.action == np.unique(data.action[gripped])[:, None])
+
+
+def _on_the_spot(data: Data, border: Term, places: Array | None) -> Array:
+    """What a fiducial would show more if it moved with a border: it stays where the scene says, (frames, rows, 3)."""
+    count = len(data.scene.fiducials)
+    moved = np.zeros((len(data.names), 3))
+    moved[:count] = moved_with(border, data.scene.rest)
+    assert places is not None
+    return np.asarray(np.einsum("frca,ra->frc", places - np.eye(3), moved))
+
+
 class Nuisances:
     """The nuisances of a scene with a mesh of its body.
 
@@ -94,7 +111,8 @@ class Nuisances:
         self._poisson = float(poisson) if poisson is not None else None
         self._size = float(np.linalg.norm(np.ptp(mesh.points, axis=0)))
         self.sizes = self._sizes(0.0)
-        self._outlines = {name: Outline.of(mesh, region, f"patch {name}") for name, region in scene.patches.items()}
+        self._patches = {name: Outline.of(mesh, region, f"patch {name}") for name, region in scene.patches.items()}
+        self._grasps = {name: Outline.of(mesh, grasp.region, f"grasp {name}") for name, grasp in scene.grasps.items()}
 
     def _sizes(self, force: float) -> Uncertainty:
         """Standard deviations where the largest force that was measured is `force`, N."""
@@ -104,15 +122,17 @@ class Nuisances:
         """The sensitivities that are needed with a set of anchors."""
         probes = [Probe(term, ("part",)) for term in dimensions()] if self.sizes.dimensions else []
         if self.sizes.borders:
-            outlines = [self._outlines[patch] for patch in sorted(anchors)]
-            probes += [Probe(term, ("distance",)) for outline in outlines if outline for term in outline.terms]
-        probes += [Probe(law_form_term(), ("part",))] if self.sizes.law else []
+            held = [("", self._patches[patch]) for patch in sorted(anchors)] + sorted(self._grasps.items())
+            probes += [
+                Probe(term, ("distance",)) for grasp, outline in held if outline for term in outline.terms(grasp)
+            ]
+        probes += [Probe(law_form_term(), ("part", "second"))] if self.sizes.law else []
         grip = grip_term()
         wanted = (("grip", "xyz"), ("grip_turn", ("rx", "ry", "rz")))
         probes += [Probe(grip, tuple(names)) for name, names in wanted if getattr(self.sizes, name)]
         law = ["poisson"] if self.sizes.poisson and "poisson" in model.law.complete(model.values) else []
         law += model.stiffnesses if self._forces and self.sizes.stiffness else []
-        return Wanted(tuple(probes), tuple(law), places=bool(self.sizes.markers))
+        return Wanted(tuple(probes), tuple(law), places=bool(self.sizes.markers or self.sizes.borders))
 
     def modes(
         self,
@@ -134,16 +154,12 @@ class Nuisances:
             "border": ("borders", sizes.borders),
             "law_form": ("law", sizes.law),
         }
+        turns = ("grip_turn", sizes.grip_turn), ("grip", sizes.grip)
         for probe, arrays in zip(wanted.probes, found.probes, strict=True):
             for parameter, array in arrays.items():
-                column = np.nan_to_num(data.vector(array))
-                if probe.effect.name in of_effect:
-                    name, size = of_effect[probe.effect.name]
-                    parts = [column]
-                else:
-                    name, size = ("grip_turn", sizes.grip_turn) if parameter.startswith("r") else ("grip", sizes.grip)
-                    # Each action is gripped anew.
-                    parts = [np.where(data.action == number, column, 0.0) for number in range(len(data.actions))]
+                name, size = of_effect.get(probe.effect.name) or turns[not parameter.startswith("r")]
+                seen = array - _on_the_spot(data, probe.term, found.places) if name == "borders" else array
+                parts = _together(data, probe.term) * np.nan_to_num(data.vector(seen))
                 columns += [part * float(size or 0.0) for part in parts]
                 names += [name] * len(parts)
         for name, column in self._of_law(data, found, model):

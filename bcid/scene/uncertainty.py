@@ -37,12 +37,13 @@ class Uncertainty:
     Attributes:
         markers: of a fiducial's place on the body along each axis, m.
         dimensions: of the body's extent along each axis, relative.
-        borders: of where a patch ends, m.
+        borders: of where a patch ends, and in each action where the gripper holds the body, m.
         grip: of the gripper's place against the one reported, the same over an action from its first step on, along each axis, m.
         grip_turn: of its rotation likewise, about each axis, deg.
         camera: of the directions of the measured frame's axes, deg; a measurement that states the error of its frame knows better.
         poisson: of Poisson's ratio.
-        law: of its form at large strains: of the coefficient of (I1bar - 3)^2 in its energy, in units of the shear modulus.
+        law: of its form at large strains: of the coefficient of (I1bar - 3)^2 in its energy, in units of the shear modulus;
+            the part of that which goes with the second invariant is four times as uncertain.
         stiffness: of all stiffnesses of the law together, relative. It and the following count where forces are measured.
         force_gain: of the force sensor's gain, relative.
         force_bias: of what it shows without a force, along each axis of the gripper, N; of a torque in proportion.

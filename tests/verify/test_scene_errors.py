@@ -17,12 +17,14 @@ from bcid.comparison.state import State
 from bcid.forms import effect_trial as trial
 from bcid.forms.forward import Forward
 from bcid.forms.mesh import BodyMesh
-from bcid.forms.model import Model
+from bcid.forms.model import Model, Term
 from bcid.forms.probes import Probe, Sensitivities, Wanted
-from bcid.forms.scene_errors import Outline, dimensions, grip_term
+from bcid.forms.scene_errors import Outline, dimensions, grip_term, moved_with
 from bcid.forms.sensitivity import Sensitivity
-from bcid.forms.simulate import simulate
+from bcid.forms.simulate import recorded, simulate
 from bcid.forms.solver.equilibrium import Settings
+from bcid.inference.data import Data
+from bcid.inference.nuisances import Nuisances
 from bcid.measurement import Action
 from bcid.scene import Grasp, Region, Scene
 from bcid.scene.uncertainty import Uncertainty
@@ -87,9 +89,9 @@ def pulled(turned: bool = False) -> Action:
     return replace(whole, loads={}, rotation=whole.rotation if turned else still)
 
 
-def displacements(action: Action, move: Callable[[Array], Array] = lambda x: x) -> Array:
-    """Of the markers along a motion, of a body whose every point is moved at rest."""
-    here = scene(move)
+def displacements(action: Action, move: Callable[[Array], Array] = lambda x: x, marked: bool = True) -> Array:
+    """Of the markers along a motion, of a body whose every point is moved at rest, they too or not."""
+    here = scene(move if marked else lambda x: x)
     forward = Forward(here, 0, MPI.COMM_SELF, Model.of(here), EXACT, replace(MESH, points=move(MESH.points)))
     prediction = forward.predict(ANCHORS, [action])
     forward.destroy()
@@ -131,8 +133,8 @@ def test_a_larger_body_moves_as_told(axis: int) -> None:
 def test_a_patch_that_ends_elsewhere_moves_the_body_as_told(number: int) -> None:
     """The mesh itself is moved, where the form moves the body between its nodes: they agree as the mesh allows."""
     assert FOOT is not None
-    action, values = pulled(), FOOT.terms[number].values
-    found = told(Wanted((Probe(FOOT.terms[number], ("distance",)),)), action).probes[0]["distance"]
+    action, values = pulled(), FOOT.terms()[number].values
+    found = told(Wanted((Probe(FOOT.terms()[number], ("distance",)),)), action).probes[0]["distance"]
     direction = np.array([values[f"d{axis}"] for axis in "xyz"])
 
     def moved(x: Array, distance: float) -> Array:
@@ -143,6 +145,27 @@ def test_a_patch_that_ends_elsewhere_moves_the_body_as_told(number: int) -> None
 
     expected = central(lambda distance: displacements(action, lambda x: moved(x, distance)), 1e-4)
     assert_near(found, expected, 0.2)
+
+
+@pytest.mark.parametrize("held", ["foot", "end"])
+def test_markers_stay_where_a_patch_or_a_grasp_ends_elsewhere(held: str) -> None:
+    """What the nuisances of a scene say of its borders, where the markers sit where it says."""
+    action, here = pulled(), replace(scene(), uncertainty=replace(Uncertainty.none(), borders=1e-3))
+    nuisances = Nuisances(here, MESH)
+    wanted = nuisances.wanted(Model.of(here), ANCHORS)
+    data = Data(here, recorded(here, [action], displacements(action) + here.rest, 1e-4, np.random.default_rng(0)))
+    modes = nuisances.modes(data, told(wanted, action), wanted)
+    assert modes.names == ("borders",) * 8
+    outline = Outline.of(MESH, Region(groups=(held,)), held)
+    assert outline is not None
+    for number, term in enumerate(outline.terms(), 0 if held == "foot" else 4):
+
+        def moved(distance: float, term: Term = term) -> Array:
+            return displacements(action, lambda x: x + distance * moved_with(term, x), marked=False)
+
+        expected = data.vector(central(moved, 1e-4))
+        # Gradients at the markers jump between the cells, and the face of the grasp has the edges of the body for its own.
+        assert_near(modes.common[:, number] / 1e-3, expected, 0.35)
 
 
 def test_a_gripper_elsewhere_moves_the_body_as_told() -> None:
