@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mpi4py import MPI
+from petsc4py import PETSc
 from verify.problems import Array, box, scene_of, straight
 
 from bcid.forms.mesh import BodyMesh
@@ -116,6 +118,31 @@ def test_a_hierarchy_that_has_become_bad_is_made_anew(solver: Equilibrium, monke
     solver.factor.solve(solver.vector, solver.correction)
     solver.factor.refresh()
     assert hierarchies(solver) == 2
+
+
+def test_what_the_next_hierarchy_could_use_again_is_not_kept(solver: Equilibrium) -> None:
+    """The products of a hierarchy are half of its memory; without them the next one is as good."""
+    assert solver.verify() is Status.CONVERGED
+    multigrid = solver.factor.multigrid
+    assert multigrid is not None
+    found = []
+    for again in (False, True):
+        multigrid._worn |= again
+        solver.factor.refresh()
+        hierarchy = multigrid._krylov.getPC()
+        coarse = [hierarchy.getMGSmoother(level).getOperators()[0] for level in range(hierarchy.getMGLevels() - 1)]
+        assert coarse
+        assert not any(kept(matrix) for matrix in coarse)
+        found.append(solver.factor.solve_block(np.ones((len(solver.u.x.array), 1))))
+    assert hierarchies(solver) == 2
+    close(*found)
+
+
+def kept(matrix: PETSc.Mat) -> bool:
+    """Whether PETSc keeps of what product a matrix is."""
+    kind = ctypes.c_int(-1)
+    assert ctypes.CDLL(PETSc.__file__).MatProductGetType(ctypes.c_void_p(matrix.handle), ctypes.byref(kind)) == 0
+    return kind.value != 0
 
 
 def test_large_and_small_tangents_are_the_same(solver: Equilibrium) -> None:

@@ -203,12 +203,12 @@ class Equilibrium:
         with compat.compiling():
             giving = [self.weak_form.residuals[number] for number in self.weak_form.giving]
             self.springs = GripSprings(giving, self.u, self.vector)
-        modes = self._rigid_modes()
-        kind = SharedTangent if comm.size > 1 else Tangent if modes is None else LargeTangent
+        nodes = self._nodes_of_multigrid()
+        kind = SharedTangent if comm.size > 1 else Tangent if nodes is None else LargeTangent
         self.tangent = kind(self.tangent_forms, self.model.symmetric)
-        self.factor = Factor(self.tangent.matrix, self.model.symmetric, self.body.pressures, modes)
+        self.factor = Factor(self.tangent.matrix, self.model.symmetric, self.body.pressures, nodes)
         # What is kept must be positive definite, and solved with directly.
-        self._keeps = self.model.definite and modes is None
+        self._keeps = self.model.definite and nodes is None
         self.secant = LbfgsUpdate(self.factor, comm, self._keeps)
         snes = PETSc.SNES().create(comm)
         snes.setOptionsPrefix(prefix := f"bcid_snes_{next(_prefixes)}_")
@@ -230,8 +230,8 @@ class Equilibrium:
         self._floor = 1e-13 * shear * self.body.mesh.size**2
         self.least_energy = 1e-12 * shear * self.body.mesh.size**3
 
-    def _rigid_modes(self) -> PETSc.NullSpace | None:
-        """Rigid-body modes for multigrid, when the mesh is to be solved iteratively."""
+    def _nodes_of_multigrid(self) -> Array | None:
+        """Places of this rank's own nodes, when the mesh is to be solved iteratively."""
         settings = self.settings
         if settings.linear not in ("auto", "direct", "gamg"):
             raise InputError(f"linear solver '{settings.linear}': allowed are auto, direct, gamg")
@@ -243,10 +243,7 @@ class Equilibrium:
         wanted = settings.linear == "gamg" or (settings.linear == "auto" and self.body.unknowns > settings.direct_up_to)
         if not (wanted and possible):
             return None
-        coordinates = self.vector.duplicate()
-        coordinates.setBlockSize(3)
-        coordinates.array[:] = self.body.nodes.ravel()[: self._owned]
-        return PETSc.NullSpace().createRigidBody(coordinates)
+        return self.body.nodes[: self._owned // 3]
 
     def _choose_line_search(self, full_steps: bool) -> None:
         kind = "basic" if full_steps else "bt"

@@ -30,7 +30,7 @@ class Factor:
     CHOLMOD, the fastest here on one rank, stops at a pivot that is not positive; then, on shared meshes, for the
     saddle points of the mixed formulation, and where PETSc has no CHOLMOD, MUMPS takes over (LDL^T), which counts the
     negative pivots. A tangent that
-    is not symmetric gets MUMPS' LU, which knows no signs. With rigid-body modes (`modes`) it is not factorised at all:
+    is not symmetric gets MUMPS' LU, which knows no signs. With the places of its nodes (`nodes`) it is not factorised at all:
     conjugate gradients with algebraic multigrid (GAMG) solve with it, and negative curvature is only seen where they
     pass.
 
@@ -38,7 +38,7 @@ class Factor:
         matrix: the assembled tangent.
         symmetric: whether it is symmetric.
         saddle: number of pressures: this many negative pivots are right.
-        modes: near-null space of a large mesh that is to be solved iteratively.
+        nodes: of a large mesh that is to be solved iteratively, see `Multigrid`.
 
     Attributes:
         count: factorisations so far.
@@ -47,9 +47,7 @@ class Factor:
         starved: whether the last one failed because memory was short.
     """
 
-    def __init__(
-        self, matrix: PETSc.Mat, symmetric: bool = True, saddle: int = 0, modes: PETSc.NullSpace | None = None
-    ) -> None:
+    def __init__(self, matrix: PETSc.Mat, symmetric: bool = True, saddle: int = 0, nodes: Array | None = None) -> None:
         self.matrix = matrix
         self.symmetric = symmetric
         self.saddle = saddle
@@ -62,7 +60,7 @@ class Factor:
         self._made: dict[str, PETSc.PC] = {}
         self._current: PETSc.PC | None = None
         self._half = PETSc.Mat()
-        self.multigrid = None if modes is None else Multigrid(matrix, modes)
+        self.multigrid = None if nodes is None else Multigrid(matrix, nodes)
 
     def reset(self) -> None:
         """Another state: the last factor is stale, and CHOLMOD is tried again if it has failed."""

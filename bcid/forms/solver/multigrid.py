@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 
 import numpy as np
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from bcid.base import heap
+
 Array = NDArray[np.float64]
+# What PETSc's Python interface leaves out.
+_petsc = ctypes.CDLL(PETSc.__file__)
 # Weak couplings are left out of the aggregates; one symmetric sweep of SOR needs no estimates of eigenvalues, which
 # Chebyshev smoothing makes anew for every tangent; a coarsest level that is not tiny saves levels and iterations.
 _OPTIONS: dict[str, int | float | str] = {
@@ -49,7 +54,7 @@ class Multigrid:
 
     Args:
         matrix: the tangent; its values may change, its pattern not.
-        modes: rigid-body modes: what the coarse levels must be able to move by.
+        nodes: places of this rank's nodes, shape (n, 3), m: with them the coarse levels can move rigidly, as they must.
 
     Attributes:
         accuracy: of the next solves, residual against right-hand side.
@@ -58,14 +63,13 @@ class Multigrid:
         failed: whether it did not converge.
     """
 
-    def __init__(self, matrix: PETSc.Mat, modes: PETSc.NullSpace) -> None:
-        self.matrix = matrix
-        matrix.setNearNullSpace(modes)
+    def __init__(self, matrix: PETSc.Mat, nodes: Array) -> None:
+        self.matrix, self.nodes = matrix, nodes
         self.accuracy, self._part = _LOOSE, 0.0
         self.built = 0
         self.negative = self.failed = False
         self._first: float | None = None
-        self._worn = True
+        self._new = self._worn = True
         self._krylov = self._create()
 
     def _create(self) -> PETSc.KSP:
@@ -96,7 +100,7 @@ class Multigrid:
     def forget(self) -> None:
         """Other nodes are held: the coarse levels no longer know which may move."""
         self._krylov.getPC().reset()
-        self._worn = True
+        self._new = self._worn = True
 
     def update(self) -> None:
         """Take the matrix as it now is. Collective."""
@@ -106,8 +110,12 @@ class Multigrid:
             self._build()
 
     def _build(self) -> None:
-        options = PETSc.Options()
+        hierarchy, options = self._krylov.getPC(), PETSc.Options()
+        if self._new:
+            hierarchy.setCoordinates(self.nodes)
         alone = self.matrix.comm.size == 1
+        # Most memory is taken here: what the mesh, the pattern and the assembly have freed should not be held besides.
+        heap.trim()
         if alone:
             options[_PRODUCTS[0]] = _PRODUCTS[1]
         try:
@@ -115,8 +123,17 @@ class Multigrid:
         finally:
             if alone:
                 options.delValue(_PRODUCTS[0])
+        self._drop_products()
+        heap.trim()
         self.built += 1
-        self._worn, self._first = False, None
+        self._new, self._worn, self._first = False, False, None
+
+    def _drop_products(self) -> None:
+        """Free what PETSc keeps of the Galerkin products for the next time: half of the hierarchy's memory."""
+        hierarchy = self._krylov.getPC()
+        for level in range(hierarchy.getMGLevels() - 1):
+            coarse, _ = hierarchy.getMGSmoother(level).getOperators()
+            _petsc.MatProductClear(ctypes.c_void_p(coarse.handle))
 
     def solve(self, right: PETSc.Vec, solution: PETSc.Vec) -> None:
         """Solve to `accuracy`; `negative` and `failed` tell how it went. Collective."""
