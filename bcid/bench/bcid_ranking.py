@@ -6,6 +6,7 @@ from bcid.bench.peers.problem import Clock, memory
 
 # isort: split
 import json
+import sys
 
 from mpi4py import MPI
 
@@ -29,7 +30,8 @@ def main() -> None:
     """Time a trajectory on the working level, and rankings of all effects and of those without history or place."""
     clock = Clock("bcid", f"bcid {bcid.__version__}")
     scene = Scene.read(shipped(EXPLAINED))
-    predictor = Predictor(scene, measurement(DEMO), MPI.COMM_SELF)
+    level = 0 if "quick" in sys.argv[1:] else None
+    predictor = Predictor(scene, measurement(DEMO), MPI.COMM_SELF, level=level)
     state = State.of(predictor, Model.of(scene), ANCHORED)
     forward = predictor.forward(state.model)
     clock.start()

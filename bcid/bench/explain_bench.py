@@ -28,7 +28,7 @@ def run(session: Session) -> Part:
         session.progress.say(f"explain: {name}")
         found[name] = session.run("bcid_explain", name, session.scratch / f"explain-{name}")
     session.progress.say("explain: ranking the effects")
-    ranking = session.run("bcid_ranking")
+    ranking = session.run("bcid_ranking", *reduced)
     part.data = {"found": found, "ranking": ranking, "spent": profiled["spent"]}
     part.tables = [_diagnoses(found), _spent(profiled["spent"]), _ranking(ranking)]
     worst = max(record["cpu_s"] for record in found.values())
