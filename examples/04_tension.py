@@ -8,12 +8,16 @@ The measurement was published by Marechal et al., "Toward a common framework and
 (Soft Robotics 2020; github.com/LucMarechal/Soft-Robotics-Materials-Database, ODbL 1.0): Ecoflex 00-30, pulled to failure at
 450 mm/min, engineering strain from the crosshead over 33 mm, engineering stress over 6 x 3 mm. Here a bar of that size is
 pulled by the known forces, and its end is the fiducial. Then it is looked at the other way round: a jaw moves the end, and
-feels the force, which tells how stiff the rubber is.
+feels the force, which tells how stiff the rubber is. With ``--propose`` the energy that the law lacks is looked for among all
+that the grammar has, and its stress is compared with the published one.
 
 ::
 
     ./dev python examples/04_tension.py
+    ./dev python examples/04_tension.py --propose stiffening.py
 """
+
+import argparse
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,8 +26,10 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
 
-from bcid import Measurement, Scene
+from bcid import Measurement, ProposeOptions, Scene, propose
+from bcid.api.results import ProposeResult
 from bcid.base.units import uncertain
 from bcid.comparison import diagnosis_text
 from bcid.comparison.fit import Fit, fit
@@ -98,6 +104,38 @@ def main(curve: Sequence[tuple[float, float]] = CURVE) -> Found:
     return Found(plain, ranking, stiffening, (error(plain, curve), error(stiffening, curve), best), young)
 
 
+def proposed(
+    curve: Sequence[tuple[float, float]] = CURVE, name: str = "stiffening"
+) -> tuple[ProposeResult, NDArray[np.float64], NDArray[np.float64]]:
+    """The energy that is proposed, and stress over the published one at each strain, of the law alone and with it, less one."""
+    scene = Scene.read(HERE / "scenes/bar.toml")
+    measurement = pulled(scene, curve)
+    found = propose(
+        scene, measurement, options=ProposeOptions(terms=1, kinds=("energy",)), model=on_rollers(scene), name=name
+    )
+    print(found.headline)
+    plain, last = (stress_error(model, curve) for model in predicted_strains(found))
+    print("strain  " + " ".join(f"{100 * strain:6.0f} %" for strain, _ in curve))
+    print("alone   " + " ".join(f"{100 * part:+6.1f} %" for part in plain))
+    print("with it " + " ".join(f"{100 * part:+6.1f} %" for part in last))
+    return found, plain, last
+
+
+def predicted_strains(found: ProposeResult) -> list[NDArray[np.float64]]:
+    """Strain at each stress, of the model that was begun with and of the last."""
+    seen = found.documents["residuals.nc"].sel(axis="x").isel(fiducial=0)
+    return [(seen[name] - seen["rest"]).to_numpy() / LENGTH for name in ("predicted_first", "predicted")]
+
+
+def stress_error(strain: NDArray[np.float64], curve: Sequence[tuple[float, float]]) -> NDArray[np.float64]:
+    """By what part the stress of a model misses the published one, at each of its strains.
+
+    The model is loaded by that stress: that at a strain in between is read off the curve through what it does.
+    """
+    published, stress = np.vstack([(0.0, 0.0), curve]).T
+    return np.asarray(PchipInterpolator(strain, stress)(published)[1:] / stress[1:] - 1)
+
+
 def by_jaw(scene: Scene, curve: Sequence[tuple[float, float]]) -> tuple[float, float]:
     """Young's modulus and its standard error, Pa: the jaw moves as the strain says, and feels the force."""
     strain, stress = np.vstack([(0.0, 0.0), curve]).T
@@ -168,4 +206,12 @@ def show(what: str, fitted: Fit, curve: Sequence[tuple[float, float]]) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--propose", type=Path, metavar="FILE", help="look for the energy that the law lacks; its file")
+    chosen = parser.parse_args()
+    if chosen.propose is None:
+        main()
+    else:
+        energy = proposed(name=chosen.propose.stem)[0]
+        for text in energy.files.values():
+            chosen.propose.write_text(text, encoding="utf-8")

@@ -14,6 +14,7 @@ from bcid.comparison.candidates import Start
 from bcid.comparison.fit import held_out
 from bcid.comparison.hypothesis_search import HypothesisSearch, Promise
 from bcid.comparison.loosened import loosens
+from bcid.comparison.predictor import Predictor
 from bcid.comparison.rivals import FAR, WORTH, Rival, best_first, moved, promoted, refit
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
@@ -23,16 +24,24 @@ from bcid.inference.hypotheses import Hypothesis
 
 Anchored = frozenset[str]
 Found = TypeVar("Found")
-# Many sets and effects are looked at in so many steps of each action besides rest.
-STEPS = 2
+# Many sets and effects are looked at in so many steps of each action besides rest, and in more where those are fewer values: they
+# would be explained by anything that has as many numbers.
+_FEWEST, _VALUES = 2, 40
 # With these settings: a set with which steps must be halved more often is seldom the one.
 GLANCE = Settings(rtol=1e-6, halvings=2)
+
+
+def glanced(predictor: Predictor) -> int:
+    """So many steps of each action."""
+    data = predictor.data
+    seen = len(data) / max(len(np.unique(data.frame)), 1)
+    return max(_FEWEST, math.ceil(_VALUES / max(seen * len(predictor.actions), 1)))
 
 
 def at_a_glance(state: State, work: Callable[[State], Found]) -> Found:
     """Work on a state at a few steps of each action; or on itself if it needs smaller ones."""
     try:
-        thin = state.thinned(STEPS, GLANCE)
+        thin = state.thinned(glanced(state.predictor), GLANCE)
     except SolveError:
         return work(state)
     return work(thin)

@@ -31,6 +31,7 @@ from bcid.comparison.rivals import (
     promoted,
     shown_about,
 )
+from bcid.comparison.settle import settled
 from bcid.comparison.state import State
 from bcid.comparison.told_anchors import told_anchors
 from bcid.forms import effects
@@ -124,13 +125,9 @@ class _Loop:
         if self.predictor.left_out:
             first = first_sets(self.predictor, self.model)
         self.starts = first
-        base = State.of(self.predictor, self.model, first[0])
-        stiffness = Fit.at(base).stiffness
-        if stiffness is None:
-            return base
-        # About the stiffness that the forces tell what acts besides is nearly linear.
-        self.model = self.model.with_values(stiffness.values)
-        return State.of(self.predictor, self.model, first[0])
+        base = settled(State.of(self.predictor, self.model, first[0]))
+        self.model = base.model
+        return base
 
     def noised(self, base: State) -> State:
         """The state with the noise that its residual has where none is stated, or where that is surprisingly another."""

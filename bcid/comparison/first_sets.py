@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from bcid.base.errors import SolveError
 from bcid.base.progress import Steps
 from bcid.comparison import anchors as anchor_search
-from bcid.comparison.contest import GLANCE, STEPS
+from bcid.comparison.contest import GLANCE, glanced
 from bcid.comparison.hypothesis_search import HypothesisSearch
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.state import State
@@ -43,7 +43,7 @@ def first_sets(predictor: Predictor, model: Model) -> list[Anchored]:
 
 def _seen(predictor: Predictor, model: Model) -> list[Anchored]:
     """The likely sets with something unknown besides, the likeliest first."""
-    thin, _ = predictor.thinned(STEPS, GLANCE)
+    thin, _ = predictor.thinned(glanced(predictor), GLANCE)
     for anchors in _openings(predictor, model):
         with suppress(SolveError):
             state = State.of(thin, model, anchors, MeshError.unknown(thin.data.mask.shape))
@@ -69,7 +69,7 @@ def _openings(predictor: Predictor, model: Model) -> list[Anchored]:
 
 def _climbed(predictor: Predictor, model: Model) -> list[Anchored]:
     """The likely sets on the coarsest level, with a few steps of each action that may be halved more often."""
-    thin, frames = predictor.thinned(STEPS, Settings(rtol=1e-6, halvings=_HALVINGS))
+    thin, frames = predictor.thinned(glanced(predictor), Settings(rtol=1e-6, halvings=_HALVINGS))
     options = IdentifyOptions(certify="no", seeds=_SEEDS, finest=0)
     try:
         found = identify(thin.whole, thin.measurement, thin.comm, options, model, thin.settings, Steps(thin.progress))

@@ -387,7 +387,7 @@ class Predictor:
         forward = self.forward(model)
         if self._nuisances is None:
             self._nuisances, self._weights = (
-                Nuisances(self.scene, forward.mesh, self.forces is not None),
+                Nuisances(self.scene, forward.mesh, self.data.tells_stiffness),
                 bumps(forward, BUMPS)[1],
             )
         wanted = self._nuisances.wanted(model, anchors) if nuisances is None else Wanted()

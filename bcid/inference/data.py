@@ -183,6 +183,12 @@ class Data:
         return np.asarray(np.isfinite(self.seen.normals[self.frame, self.fiducial, 0]))
 
     @property
+    def tells_stiffness(self) -> bool:
+        """Whether forces are known, those of the gripper or of loads: without any all stiffnesses may be another multiple."""
+        loads = [load for action in self.measurement.actions for load in action.loads.values()]
+        return self.forces is not None or any(load.any() for load in loads)
+
+    @property
     def of_position(self) -> NDArray[np.bool_]:
         """Which values are positions, shape (n,)."""
         return self.kind == 0

@@ -102,7 +102,7 @@ class Nuisances:
     Args:
         scene: with its `uncertainty`.
         mesh: of the body.
-        forces: whether forces are measured.
+        forces: whether forces are known: measured, or those of loads.
     """
 
     def __init__(self, scene: Scene, mesh: BodyMesh, forces: bool = False) -> None:
@@ -185,7 +185,7 @@ class Nuisances:
         return NuisanceModes(markers, matrix, tuple(names), stated)
 
     def _of_law(self, data: Data, found: Sensitivities, model: Model | None) -> list[tuple[str, Array]]:
-        """Of Poisson's ratio, and of all stiffnesses of the law together, which only forces tell."""
+        """Of Poisson's ratio, and of all stiffnesses of the law together, which only forces and loads tell."""
         moved = {name: np.nan_to_num(data.vector(array)) for name, array in found.law.items()}
         columns = [("poisson", moved.pop("poisson") * float(self.sizes.poisson or 0.0))] if "poisson" in moved else []
         if moved and model is not None:

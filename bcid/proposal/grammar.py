@@ -109,6 +109,11 @@ class Grammar:
         """Their weighted areas, shape (holds,), m^2."""
         return self._holds.areas
 
+    @property
+    def normals(self) -> Array:
+        """Their outward normals, shape (holds, 3)."""
+        return self._holds.normals
+
     def held(self, unknowns: Array, solve: Callable[[Array], Array]) -> Array:
         """Compliance and movement of each, see `bcid.forms.sensitivity.Works`."""
         return self._holds.at(unknowns, solve)

@@ -2,12 +2,14 @@
 
 A spring of stiffness k per area on a spot of weighted area A pulls with f = -k A u at its mean movement u. With the compliance Q of
 the place to such a force u = u0 + Q f, so that f = -(Q + 1/(k A))^-1 u0; and what a unit of force does to a marker is known. This
-holds to first order however stiff the spring is; the sensitivity to a stiffness from none holds for soft ones only.
+holds to first order however stiff the spring is; the sensitivity to a stiffness from none holds for soft ones only. Springs that act
+along some directions only have the parts of Q and u0 along these; a stop acts where u0 is on its side.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -17,6 +19,26 @@ from bcid.forms.mesh.body import Body
 from bcid.forms.quadrature import QuadraturePoints
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Grip:
+    """How springs on a spot act.
+
+    Attributes:
+        across, along: whether across the surface, and along it.
+        side: 1 where only if it moves outwards, -1 inwards, 0 both ways.
+    """
+
+    across: bool = True
+    along: bool = True
+    side: int = 0
+
+    def directions(self, normal: Array) -> Array:
+        """Unit vectors of what is held where this is the outward normal, shape (3, m): the normal first where it is one of them."""
+        whole = np.linalg.svd(normal[None])[2].T
+        whole[:, 0] = normal
+        return np.asarray(whole[:, 0 if self.across else 1 : None if self.along else 1])
 
 
 class Holds:
@@ -29,10 +51,13 @@ class Holds:
 
     Attributes:
         areas: their weighted areas, shape (spots,), m^2.
+        normals: their mean outward normals, shape (spots, 3).
     """
 
     def __init__(self, body: Body, points: QuadraturePoints, weights: Sequence[Array]) -> None:
         self.areas = np.array([float(points.weights @ w) for w in weights])
+        normals = np.array([(points.weights * w) @ points.normals for w in weights])
+        self.normals = normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-12 * self.areas)[:, None]
         count = len(body.nodes)
         rows = points.nodes.ravel()
         columns = [
@@ -55,13 +80,21 @@ class Holds:
         return found
 
 
-def held_by(stiffness: float, area: float, held: Array) -> Array:
+def held_by(stiffness: float, area: float, held: Array, normal: Array, grip: Grip) -> Array:
     """Force (N) of springs of a stiffness (Pa/m) on a spot in each frame, shape (frames, 3); zero where nothing is known.
 
-    `held` is what `Holds.at` gives of the spot, shape (frames, 4, 3).
+    Args:
+        stiffness, area: of the springs, and of the spot, m^2.
+        held: what `Holds.at` gives of the spot, shape (frames, 4, 3).
+        normal: its outward normal, (3,).
+        grip: how they act.
     """
-    compliance = held[:, :3] + np.eye(3) / (stiffness * area)
+    held_along = grip.directions(normal)
     known = np.isfinite(held).all(axis=(1, 2))
+    moved = held[known, 3] @ held_along
+    if grip.side:
+        moved[:, 0] = grip.side * np.maximum(grip.side * moved[:, 0], 0.0)
+    compliance = held_along.T @ held[known, :3] @ held_along + np.eye(held_along.shape[1]) / (stiffness * area)
     found = np.zeros((len(held), 3))
-    found[known] = -np.linalg.solve(compliance[known], held[known, 3][..., None])[..., 0]
+    found[known] = -np.linalg.solve(compliance, moved[..., None])[..., 0] @ held_along.T
     return found

@@ -9,7 +9,7 @@ import numpy as np
 from bcid.base.units import WIDE, falls, for_people, percent, uncertain
 from bcid.comparison.diagnosis_text import anchors
 from bcid.comparison.explanation import Rung
-from bcid.forms.model import Term
+from bcid.forms.model import Model, Term
 from bcid.proposal.effect_file import wrapped
 from bcid.proposal.propose import Entry, Proposal
 
@@ -24,15 +24,24 @@ def docstring(proposal: Proposal, term: Term, entry: Entry) -> list[str]:
     lines += _interval_lines(proposal, term)
     place = f"It acts on the surface '{term.place}'. " if term.place else ""
     held = f"The body is held at {anchors(last.state)} ({percent(proposal.explanation.held_by)})."
-    lines += ["", *wrapped(place + held), "", *wrapped(f"{_falls(proposal, first, last)} {_rest(proposal)}")]
+    lines += [
+        "",
+        *wrapped(place + held + _law_beside(proposal)),
+        "",
+        *wrapped(f"{_falls(proposal, first, last)} {_rest(proposal)}"),
+    ]
     if entry.family.polyconvex:
         lines += ["", *wrapped(f"Polyconvexity: {entry.family.polyconvex}.")]
-    others = [
-        name for name, p in proposal.explanation.odds.verdicts.items() if p > 0.01 and name not in _told(proposal)
-    ]
-    if others:
-        lines += ["", *wrapped(f"These data do not rule out: {', '.join(others[:_COMPETED])}.")]
+    if others := _not_ruled_out(proposal):
+        lines += ["", *wrapped(others)]
     return lines
+
+
+def _not_ruled_out(proposal: Proposal) -> str:
+    """What else may be the answer; "" where nothing may."""
+    told = [(name, p) for name, p in proposal.explanation.odds.verdicts.items() if name not in _told(proposal)]
+    names = [f"{name} ({percent(p)})" for name, p in told if p > 0.01]
+    return f"These data do not rule out: {', '.join(names[:_COMPETED])}." if names else ""
 
 
 def _told(proposal: Proposal) -> set[str]:
@@ -58,7 +67,20 @@ def _falls(proposal: Proposal, first: Rung, last: Rung) -> str:
     )
 
 
+def _law_beside(proposal: Proposal) -> str:
+    """The constants of the law that were fitted with it, which it stands beside."""
+    fitted = proposal.explanation.last.fitted
+    model, stderr, told = fitted.state.model, fitted.stderr, list[str]()
+    for name in sorted(set(fitted.values) & set(model.stiffnesses)):
+        first = Model.of(fitted.state.predictor.whole).stiffnesses[name]
+        found = uncertain(fitted.values[name], WIDE * stderr[name], "Pa")
+        told.append(f"{name} = {found} (95 %; the scene has {first:.6g})")
+    return f" The law beside it: {', '.join(told)}.".replace("−", "-") if told else ""
+
+
 def _rest(proposal: Proposal) -> str:
+    if proposal.complete and not proposal.explanation.last.adequacy.adequate:
+        return "Nothing else is seen to be missing, but what is left is more than noise."
     if proposal.complete:
         return "Nothing else is seen to be missing."
     return "Something else is missing besides, which no term of the grammar explains: it is not the whole truth."
@@ -77,14 +99,16 @@ def headline(proposal: Proposal) -> list[str]:
     first, last = found.rungs[0], found.last
     names = " and ".join(entry.family.name for entry in proposal.path)
     sure = percent(found.odds.acting("+".join(term.effect.name for term in proposal.terms)))
-    lines = [f"Proposed: {names} ({sure}). {_falls(proposal, first, last)} {held} {_rest(proposal)}"]
+    lines = [
+        f"Proposed: {names} ({sure}). {_falls(proposal, first, last)} {held}{_law_beside(proposal)} {_rest(proposal)}"
+    ]
     for term, entry in zip(proposal.terms, proposal.path, strict=True):
         place = f" on '{term.place}'" if term.place else ""
         lines += [
             f"  {entry.family.name}{place}: {entry.family.about}: {entry.family.formula}",
             *_interval_lines(proposal, term),
         ]
-    return lines
+    return [*lines, *filter(None, [_not_ruled_out(proposal)])]
 
 
 def path(proposal: Proposal) -> list[str]:

@@ -23,7 +23,7 @@ from bcid.inference.criteria import SEEN
 from bcid.proposal.effect_file import made, source
 from bcid.proposal.family import Family
 from bcid.proposal.grammar import KINDS, Grammar, TermVariant
-from bcid.proposal.holds import held_by
+from bcid.proposal.holds import Grip, held_by
 from bcid.proposal.timed import steady_variants, timed_families, variants_in_time
 
 Array = NDArray[np.float64]
@@ -33,7 +33,14 @@ _SETS, FITTED, _ALIKE, _TIMED = 3, 8, 4, 2
 # Families that promise less than this part of the log-evidence that the best of a set does are not fitted.
 _PART = 0.4
 # Stiffnesses of springs, in notable ones, whose effect is far from proportional to them; what they do is a push on the same spot.
-_STIFFNESSES, _SPRING, _PUSH = (0.3, 3.0, 30.0), "spring_at_a_spot", "traction_at_a_spot"
+_STIFFNESSES, _PUSH = (0.3, 3.0, 30.0, 300.0), "traction_at_a_spot"
+GRIPS = {
+    "spring_at_a_spot": Grip(),
+    "normal_spring_at_a_spot": Grip(along=False),
+    "sliding_spring_at_a_spot": Grip(across=False),
+    "outer_stop_at_a_spot": Grip(along=False, side=1),
+    "inner_stop_at_a_spot": Grip(along=False, side=-1),
+}
 # A set that is exp(_FAR) times less likely with something unknown besides is left out.
 _FAR = 12.0
 
@@ -125,7 +132,7 @@ class TermScores:
         result = []
         for family in families:
             own = ways.get(family.name, [])
-            if family.name == _SPRING:
+            if family.name in GRIPS:
                 own += self._held(state, grammar, family, found)
             if own:
                 row = best_row(state, family.name, own, basis, self.scored, SEEN)
@@ -140,12 +147,13 @@ class TermScores:
             tuple(v.shapes.values()): grammar.ends[k] for k, v in enumerate(grammar.variants) if v.family.name == _PUSH
         }
         scale, made_of = family.amounts[0].scale, list[tuple[TermVariant, Array]]()
+        grip = GRIPS[family.name]
         for number, spot in enumerate(grammar.held_spots):
             end, area = pushes[tuple(spot.values())], grammar.areas[number]
             # Per unit of force, not of traction.
             pushed = found.terms[..., end - 3 : end].astype(float) / area
             for part in _STIFFNESSES:
-                forces = held_by(part * scale, area, found.held[:, number])
+                forces = held_by(part * scale, area, found.held[:, number], grammar.normals[number], grip)
                 moved = np.einsum("fpaj,fj->fpa", np.nan_to_num(pushed), forces) / (part * scale)
                 made_of.append((TermVariant(family, spot), state.predictor.data.vector(moved)))
         columns = state.errors.whiten(np.column_stack([column for _, column in made_of]))

@@ -24,7 +24,7 @@ _USUAL = {
 LENGTHS = ("markers", "borders", "grip")
 ANGLES = ("grip_turn", "camera")
 FORCES = ("force_bias", "force_drift", "gripper_weight")
-# What counts only where forces are measured.
+# What counts only where forces are measured; the first also where loads act.
 FORCED = ("stiffness", "force_gain", *FORCES)
 # Poisson's ratio is not taken to be closer to a half than this part of its distance, in standard deviations.
 _TO_HALF = 1 / 3
@@ -44,7 +44,8 @@ class Uncertainty:
         poisson: of Poisson's ratio.
         law: of its form at large strains: of the coefficient of (I1bar - 3)^2 in its energy, in units of the shear modulus;
             the part of that which goes with the second invariant is four times as uncertain.
-        stiffness: of all stiffnesses of the law together, relative. It and the following count where forces are measured.
+        stiffness: of all stiffnesses of the law together, relative, where forces are measured or known loads act. The following
+            count where forces are measured.
         force_gain: of the force sensor's gain, relative.
         force_bias: of what it shows without a force, along each axis of the gripper, N; of a torque in proportion.
         force_drift: by how much that changes over an action, N.

@@ -273,7 +273,7 @@ class Weighing:
         level = forward.level
         if level not in self._sensitivities:
             self._sensitivities[level] = Sensitivity(forward)
-            self._nuisances[level] = Nuisances(forward.scene, forward.mesh, self.data.forces is not None)
+            self._nuisances[level] = Nuisances(forward.scene, forward.mesh, self.data.tells_stiffness)
             self._weights[level] = bumps(forward, BUMPS)[1]
         nuisances = self._nuisances[level]
         wanted = replace(nuisances.wanted(forward.model, candidate), forces=self._weights[level])

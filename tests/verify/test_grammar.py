@@ -22,6 +22,7 @@ from bcid.proposal.effect_file import check_name, made, source
 from bcid.proposal.family import SURFACE
 from bcid.proposal.grammar import Grammar
 from bcid.proposal.holds import Holds, held_by
+from bcid.proposal.term_scores import GRIPS
 
 ANCHORS = frozenset({"left"})
 
@@ -87,20 +88,34 @@ def test_scores_are_the_sensitivities_of_the_same_terms_in_ufl(forward: Forward,
     sensitivity.destroy()
 
 
-@pytest.mark.parametrize("stiffness", [1e4, 1e7])
-def test_springs_hold_a_spot_however_stiff_they_are(forward: Forward, grammar: Grammar, stiffness: float) -> None:
+@pytest.mark.parametrize(
+    ("name", "stiffness"),
+    [
+        ("spring", 1e4),
+        ("spring", 1e7),
+        ("normal_spring", 1e7),
+        ("sliding_spring", 1e7),
+        ("outer_stop", 1e7),
+        ("inner_stop", 1e7),
+    ],
+)
+def test_springs_hold_a_spot_however_stiff_they_are(
+    forward: Forward, grammar: Grammar, name: str, stiffness: float
+) -> None:
     """Against the same springs solved, in a motion so small that everything else is linear."""
     number = next(k for k, s in enumerate(grammar.held_spots) if s["cy"] > 0.015 and 0.02 < s["cx"] < 0.05)
     spot = grammar.held_spots[number] | {"radius": 0.006}
     near = Holds(
         forward.body, grammar.outside, [grammar.outside.spot(np.array([spot[f"c{axis}"] for axis in "xyz"]), 0.006)]
     )
+    # The spot moves inwards when it is pulled, and outwards when it is pushed.
+    way = -1e-4 if name == "outer_stop" else 1e-4
     action = [
-        replace(a, translation=1e-4 * a.translation, rotation=np.tile([1.0, 0.0, 0.0, 0.0], (len(a), 1)), loads={})
+        replace(a, translation=way * a.translation, rotation=np.tile([1.0, 0.0, 0.0, 0.0], (len(a), 1)), loads={})
         for a in trial.actions()
     ]
     free = forward.predict(ANCHORS, action, keep=True)
-    family = next(f for f in grammar.families if f.name == "spring_at_a_spot")
+    family = next(f for f in grammar.families if f.name == f"{name}_at_a_spot")
     term = Term(made(source(family, "held", spot, "", ())), {"stiffness": stiffness, **spot})
     held = Forward(
         forward.scene,
@@ -119,7 +134,7 @@ def test_springs_hold_a_spot_however_stiff_they_are(forward: Forward, grammar: G
     found = sensitivity.of(ANCHORS, action, free, Wanted((Probe(pushed, ("tx", "ty", "tz")),), terms=_Only(near)))
     sensitivity.destroy()
     assert found.held is not None
-    forces = held_by(stiffness, float(near.areas[0]), found.held[:, 0])
+    forces = held_by(stiffness, float(near.areas[0]), found.held[:, 0], near.normals[0], GRIPS[f"{name}_at_a_spot"])
     per_force = np.stack([found.probes[0][name] for name in ("tx", "ty", "tz")], axis=-1) / near.areas[0]
     moved = np.einsum("fpaj,fj->fpa", per_force, forces)
     count = len(forward.scene.fiducials)
