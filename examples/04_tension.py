@@ -18,7 +18,6 @@ that the grammar has, and its stress is compared with the published one.
 """
 
 import argparse
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

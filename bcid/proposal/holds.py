@@ -2,8 +2,8 @@
 
 A spring of stiffness k per area on a spot of weighted area A pulls with f = -k A u at its mean movement u. With the compliance Q of
 the place to such a force u = u0 + Q f, so that f = -(Q + 1/(k A))^-1 u0; and what a unit of force does to a marker is known. This
-holds to first order however stiff the spring is; the sensitivity to a stiffness from none holds for soft ones only. Springs that act
-along some directions only have the parts of Q and u0 along these; a stop acts where u0 is on its side.
+holds to first order however stiff the spring is; the sensitivity to a stiffness from none holds for soft ones only. Springs that
+act along some directions only have the parts of Q and u0 along these; a stop acts where u0 is on its side.
 """
 
 from __future__ import annotations
