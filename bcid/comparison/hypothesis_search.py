@@ -169,6 +169,14 @@ class HypothesisSearch:
         self.around()
         return self.best_sets()
 
+    def widened(self, starts: Iterable[Anchored]) -> list[Anchored]:
+        """The same, of sets to begin with and those that are likely about the likeliest, until it stays that."""
+        self.look()
+        for anchors in starts:
+            self._look(anchors)
+        self._widen()
+        return self.best_sets()
+
     def alone(self) -> list[Promise]:
         """The set that was begun with, and effects."""
         self.look()

@@ -44,8 +44,11 @@ class Works(Protocol):
         """Of terms."""
         ...
 
-    def works(self, unknowns: Array, fields: Array) -> Array:
-        """Work of a unit of each at a state (unknowns,) on fields (unknowns, fields), shape (fields, count)."""
+    def works(self, unknowns: Array, fields: Array, before: Array) -> Array:
+        """Work of a unit of each at a state (unknowns,) on fields (unknowns, fields), shape (fields, count).
+
+        `before` is the state of the last step; at rest the same.
+        """
         ...
 
     @property

@@ -251,7 +251,8 @@ class Sensitivity:
             for memory in probed:
                 memory.dt.value = max(pose.time - equilibrium.time, 1e-9) if memory.moving.value else LONG
             if seen[frame] and step >= steps[0]:
-                self._step(anchors, action, step, pose, int(frame), moves, wanted, result)
+                before = states[int(action.frames[max(step - 1, 0)])]
+                self._step(anchors, action, step, pose, int(frame), before, moves, wanted, result)
             equilibrium.accept(pose)
             for memory in probed:
                 memory.advance()
@@ -284,11 +285,12 @@ class Sensitivity:
         step: int,
         pose: Pose,
         frame: int,
+        before: Array,
         moves: list[list[tuple[Pose, Pose]] | None],
         wanted: Wanted,
         result: Sensitivities,
     ) -> None:
-        """All sensitivities in one frame."""
+        """All sensitivities in one frame; `before` is the state of the last one."""
         equilibrium, forward = self.equilibrium, self.forward
         places = forward.observer.positions(equilibrium.displacement())
         seen = self._seen(places, action, step)
@@ -334,7 +336,7 @@ class Sensitivity:
             result.forces[frame] = pushed.reshape(forward.rows, 3, -1, 3)
         if result.terms is not None and result.held is not None and wanted.terms is not None:
             result.held[frame] = wanted.terms.held(equilibrium.u.x.array, response.solved)
-            works = wanted.terms.works(equilibrium.u.x.array, response.adjoint)
+            works = wanted.terms.works(equilibrium.u.x.array, response.adjoint, before)
             result.terms[frame] = self._all_seen(seen, works)
 
     def _pushes(self, weights: Array) -> Array:

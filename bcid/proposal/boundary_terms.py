@@ -16,6 +16,19 @@ from bcid.proposal.family import INNER_SPOT, SPOT, SURFACE, Family, Values
 Array = NDArray[np.float64]
 
 
+# Friction is regularised over this part of the body's size, as that of `bcid.forms.effects.support_friction`.
+_CREEP = 1e-3
+_FRICTION = f"""change, edge = point.u - point.past.u, {_CREEP} * point.size
+slid = change - ufl.inner(change, point.N) * point.N
+return c['stress'] * point.past.moving * (ufl.sqrt(ufl.inner(slid, slid) + edge**2) - edge)"""
+
+
+def _slides(d: Deformed, edge: float) -> Array:
+    """Direction in which points slide along the surface, shorter than one where they creep, shape (q, 3)."""
+    slid = d.since - np.einsum("qi,qi->q", d.since, d.points.normals)[:, None] * d.points.normals
+    return np.asarray(slid / np.sqrt(np.einsum("qi,qi->q", slid, slid) + edge**2)[:, None])
+
+
 def boundary_terms(shear: float, box: Array) -> list[Family]:
     """All families, those of a surface, then those of a spot.
 
@@ -104,6 +117,11 @@ def _named(shear: float, size: float) -> list[Family]:
             "traction", "boundary", "a dead traction acts", "-t . u per area",
             "return -ufl.inner(ufl.as_vector([c['tx'], c['ty'], c['tz']]), point.u)",
             tractions, (), lambda d, v: -np.broadcast_to(np.eye(3), (len(d.J), 3, 3)), SURFACE,
+        ),
+        Family(
+            "friction", "boundary", "friction holds it back when it slides", "s |d| per area, d the slide since the last step",
+            _FRICTION, (Amount("stress", "Pa", "shear stress while it slides", lower=0.0, neutral=0.0, scale=0.02 * shear),),
+            (), lambda d, v: _slides(d, _CREEP * size)[..., None], SURFACE, remembers=True,
         ),
     ]  # fmt: skip
 

@@ -24,6 +24,7 @@ class Deformed:
         centre: middle of the body's bounding box at rest, shape (3,), m.
         size: its diagonal, m.
         axes: unit vectors at 0 and 90 degrees in the plane of fibres, and across it, shape (3, 3), by row.
+        since: displacement since the last step, shape (q, 3), m.
     """
 
     points: QuadraturePoints
@@ -32,12 +33,15 @@ class Deformed:
     centre: Array
     size: float
     axes: Array
+    since: Array
 
     def at(self, chosen: slice | NDArray[np.bool_]) -> Deformed:
         """At some of the points alone; all of them for a slice."""
         if isinstance(chosen, slice):
             return self
-        return replace(self, points=self.points.some(chosen), u=self.u[chosen], F=self.F[chosen])
+        return replace(
+            self, points=self.points.some(chosen), u=self.u[chosen], F=self.F[chosen], since=self.since[chosen]
+        )
 
     @cached_property
     def J(self) -> Array:

@@ -100,6 +100,8 @@ def _function(kind: str, family: Family) -> str:
         value = f"{_grouped(value)} * point.surface(point.place)"
     elif family.where == SPOT:
         value = f"{value} * point.boundary"
+    elif family.works:
+        value = f"{_grouped(value)} * ufl.dx"
     return "\n".join([f"def {kind}(point, c):", *(f"    {line}" for line in (*lines, f"return {value}"))])
 
 
@@ -114,6 +116,7 @@ def _effect(kind: str, family: Family, name: str, values: Mapping[str, float], p
     acts = {"energy": "material"}.get(family.kind, family.kind)
     lines += ["    ),", f'    about="{family.about}",', f'    acts_on="{acts}",', f"    {kind}={kind},"]
     lines += ["    symmetric=False,"] if family.works else []
+    lines += ["    uses_past=True,"] if family.remembers else []
     lines += [f'    instead_of="{family.instead_of}",'] if family.instead_of else []
     lines += [f"    places=lambda scene, anchors: {_listed(places)},"] if family.where == SURFACE else []
     return "\n".join([*lines, ")"])

@@ -39,8 +39,9 @@ class Family:
         polyconvex: what is known of that, in words; empty where the question does not arise.
         instead_of: see `bcid.forms.effects.effect.Effect`.
         catalogue: name of the effect of the catalogue that it is made of; `code` and `unit` are empty then.
-        steady: name of the family whose amounts follow a course in it.
+        steady: name of the family whose amounts follow a course, or grow with the pull, in it.
         times: knots of that course, s.
+        remembers: whether `code` uses what was before, and `unit` the movement since the last step.
     """
 
     name: str
@@ -59,6 +60,7 @@ class Family:
     catalogue: str = ""
     steady: str = ""
     times: tuple[float, ...] = ()
+    remembers: bool = False
 
     @property
     def parameters(self) -> tuple[Any, ...]:

@@ -132,12 +132,19 @@ class Grammar:
         values = {p.name: 0.0 for p in family.amounts} | variant.shapes
         return Term(self._effects[family.name], values, place=variant.place)
 
-    def works(self, unknowns: Array, fields: Array) -> Array:
+    def like(self, family: Family) -> Callable[[Term], Term]:
+        """A function that gives the term of a family with the shapes and the place of another term."""
+        return lambda term: self.term(
+            TermVariant(family, {p.name: term.values[p.name] for p in family.shapes}, term.place)
+        )
+
+    def works(self, unknowns: Array, fields: Array, before: Array) -> Array:
         """Virtual work of every term on fields of displacement, per unit of each of its amounts.
 
         Args:
             unknowns: the state, shape (unknowns,).
             fields: shape (unknowns, fields), m.
+            before: the state of the last step, shape (unknowns,); the same at rest.
 
         Returns:
             Shape (fields, count), J.
@@ -147,7 +154,7 @@ class Grammar:
         result = np.zeros((fields.shape[1], self.count))
         for points, outside in ((self.inside, False), (self.outside, True)):
             chosen = [k for k, v in enumerate(self.variants) if (v.family.kind == "boundary") is outside]
-            deformed = self._deformed(points, u)
+            deformed = self._deformed(points, u, u - before[dofs])
             for gradients in (True, False):
                 some = [k for k in chosen if (self.variants[k].family.kind == "energy") is gradients]
                 if some:
@@ -185,6 +192,7 @@ class Grammar:
             found = found * self.surfaces[variant.place].reshape(-1, *([1] * (found.ndim - 1)))
         return np.asarray(found.reshape(-1, found.shape[-1]))
 
-    def _deformed(self, points: QuadraturePoints, u: Array) -> Deformed:
+    def _deformed(self, points: QuadraturePoints, u: Array, since: Array) -> Deformed:
         gradient = points.gradients(u)
-        return Deformed(points, points.values(u), np.eye(3) + gradient, self.centre, self.size, self.axes)
+        where = self.centre, self.size, self.axes
+        return Deformed(points, points.values(u), np.eye(3) + gradient, *where, points.values(since))

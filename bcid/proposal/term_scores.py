@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError
 from bcid.comparison.candidates import Start
+from bcid.comparison.contest import at_a_glance
+from bcid.comparison.hypothesis_search import HypothesisSearch
 from bcid.comparison.ranking import Row, best_row, orthonormal, present_columns
 from bcid.comparison.state import State
 from bcid.comparison.variants import Variant, amounts
@@ -24,12 +26,15 @@ from bcid.proposal.effect_file import made, source
 from bcid.proposal.family import Family
 from bcid.proposal.grammar import KINDS, Grammar, TermVariant
 from bcid.proposal.holds import Grip, held_by
+from bcid.proposal.pulled import gripper_moves, pulled_families, pulled_variants
 from bcid.proposal.timed import steady_variants, timed_families, variants_in_time
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
 # Terms are scored with so many likely sets; so many are fitted, with a set no more than these of one kind, and of those in time.
 _SETS, FITTED, _ALIKE, _TIMED = 3, 8, 4, 2
+# So many sets are looked at for them.
+_WIDENED = 14
 # Families that promise less than this part of the log-evidence that the best of a set does are not fitted.
 _PART = 0.4
 # Stiffnesses of springs, in notable ones, whose effect is far from proportional to them; what they do is a push on the same spot.
@@ -96,7 +101,7 @@ class TermScores:
 
     def beside(self, state: State, begun: Model, sets: Sequence[Anchored]) -> list[Effect]:
         """The most promising terms beside a model with its set, or with others; collective."""
-        found = [self.scored_families(about) for about in _alike([state, *_others(state, sets)])]
+        found = [self.scored_families(about) for about in _alike([state, *_others(state, begun, sets)])]
         self.stages[state.model.name] = _best_of(found)
         # A family may act twice, as fibres in two directions.
         entered = len(state.model.added(begun)) + 1
@@ -127,7 +132,10 @@ class TermScores:
         for family in timed:
             if family.steady in ways:
                 ways[family.name] = variants_in_time(state, family, ways[family.steady])
-        families = [*grammar.families, *timed]
+        pulled = pulled_families(grammar.families) if gripper_moves(state) else []
+        for family in pulled:
+            ways[family.name] = pulled_variants(state, ways[family.steady], grammar.like(family))
+        families = [*grammar.families, *timed, *pulled]
         self._families, self.scored = len(families), sum(len(ways.get(f.name, ())) for f in families)
         result = []
         for family in families:
@@ -172,10 +180,16 @@ def _variant(grammar: Grammar, variant: TermVariant, columns: Array) -> Variant:
     return Variant(term, tuple(amounts(term, [p.name for p in variant.family.amounts])), columns)
 
 
-def _others(state: State, sets: Sequence[Anchored]) -> list[State]:
-    """The same model with other likely sets, as far as it can be followed with them."""
+def _others(state: State, begun: Model, sets: Sequence[Anchored]) -> list[State]:
+    """The same model with other likely sets, as far as it can be followed with them.
+
+    Where the first sets are wrong the right one is found about them: something unknown explains the most beside it.
+    """
+    if not sets:
+        return []
+    likely = at_a_glance(state, lambda thin: HypothesisSearch(thin, begun, (), _WIDENED).widened(sets))
     found = []
-    for anchors in [s for s in sets if s != state.anchors][: _SETS - 1]:
+    for anchors in [s for s in likely if s != state.anchors][: _SETS - 1]:
         with suppress(SolveError):
             found.append(state.of_set(anchors))
     return found
