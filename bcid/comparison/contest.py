@@ -11,7 +11,7 @@ import numpy as np
 
 from bcid.base.errors import SolveError
 from bcid.comparison.candidates import Start
-from bcid.comparison.fit import held_out
+from bcid.comparison.held_out import held_out
 from bcid.comparison.hypothesis_search import HypothesisSearch, Promise
 from bcid.comparison.loosened import loosens
 from bcid.comparison.predictor import Predictor

@@ -16,7 +16,8 @@ from bcid.comparison.checkpoint import Checkpoint
 from bcid.comparison.contest import fitted_beside
 from bcid.comparison.explain import ExplainOptions, explain
 from bcid.comparison.explanation import Explanation, Rung
-from bcid.comparison.fit import Fit, fit, held_out
+from bcid.comparison.fit import Fit, fit
+from bcid.comparison.held_out import held_out
 from bcid.comparison.mesh_ladder import mesh_error
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import rank

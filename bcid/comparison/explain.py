@@ -19,7 +19,8 @@ from bcid.comparison.compared import Compared
 from bcid.comparison.contest import Contest, contest
 from bcid.comparison.explanation import Explanation, Rung, explains
 from bcid.comparison.first_sets import first_sets
-from bcid.comparison.fit import Fit, held_out
+from bcid.comparison.fit import Fit
+from bcid.comparison.held_out import held_out
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import Ranking, rank
 from bcid.comparison.rivals import (

@@ -288,7 +288,7 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL)
     if problem.prediction(inside)[1].failure:
         raise SolveError(f"{start.model.name}: {problem.prediction(inside)[1].failure}")
     # In units of their scales: the optimiser takes a step of 1e-6 for none, and a compliance may be smaller than that.
-    pull, expected = _pulls(start.model, chosen)
+    pull, expected = pulls(start.model, chosen)
     result = least_squares(
         lambda z: np.append(problem.residual(z * scale), pull @ (z - expected)),
         inside / scale,
@@ -311,7 +311,7 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL)
     return Fit(state, tuple(chosen), covariance, jacobian, tuple(warnings), problem.evaluations)
 
 
-def _pulls(model: Model, chosen: Sequence[Coordinate]) -> tuple[Array, Array]:
+def pulls(model: Model, chosen: Sequence[Coordinate]) -> tuple[Array, Array]:
     """What the prior pulls numbers with, (m, p), and what was expected of each, (p,), both in their scales."""
     pulls, expected = np.zeros(len(chosen)), np.zeros(len(chosen))
     for k, c in enumerate(chosen):
@@ -348,37 +348,3 @@ def _warnings(
         if free:
             found.append(f"{c.name} is not identifiable from these data")
     return found
-
-
-def held_out(fitted: Fit) -> float | None:
-    """RMS residual, m, when each action is predicted from a fit to the others; collective.
-
-    The fit without an action is one Gauss-Newton step from the fit to all, with its Jacobian. None with one action only, and
-    where a fit to the others cannot be followed.
-    """
-    state = fitted.state
-    data, predictor = state.predictor.data, state.predictor
-    if len(data.actions) < 2:
-        return None
-    if not fitted.coordinates:
-        return state.rms
-    squares = 0.0
-    scaled, numbers = state.scaled, state.model.constants()
-    x = np.array([c.of(numbers[c.name]) for c in fitted.coordinates])
-    scale = np.array([c.scale for c in fitted.coordinates])
-    bounds = np.array([c.bounds for c in fitted.coordinates])
-    pull, expected = _pulls(state.model, fitted.coordinates)
-    for number, action in enumerate(predictor.actions):
-        others = data.action != number
-        rows = fitted.jacobian[others] * scale
-        ridge = pull.T @ pull + 1e-6 * max(float(np.abs(rows.T @ rows).max(initial=0.0)), 1e-12) * np.eye(len(x))
-        slope = rows.T @ scaled[others] + pull.T @ pull @ (x / scale - expected)
-        step = -np.linalg.solve(rows.T @ rows + ridge, slope) * scale
-        moved = np.clip(x + step, bounds[:, 0], bounds[:, 1])
-        values = {c.name: c.allowed(float(at)) for c, at in zip(fitted.coordinates, moved, strict=True)}
-        prediction = predictor.predict(state.model.with_values(values), state.anchors, actions=[action])
-        if prediction.failure:
-            return None
-        residual = data.values - data.vector(prediction.positions + state.errors.mesh.correction)
-        squares += float(np.sum(residual[data.of_position & (data.action == number)] ** 2))
-    return float(np.sqrt(squares / data.of_position.sum()))

@@ -11,7 +11,7 @@ from typing import Any
 from bcid.base.errors import InputError
 from bcid.forms.effects.effect import Effect
 from bcid.forms.parameter import Amount, Parameter
-from bcid.proposal.family import SPOT, SURFACE, Family
+from bcid.proposal.family import FINE, SPOT, SURFACE, Family
 
 # Digits of numbers that are written: enough for any that a measurement tells.
 _DIGITS = 6
@@ -99,7 +99,7 @@ def _function(kind: str, family: Family) -> str:
     if family.where == SURFACE:
         value = f"{_grouped(value)} * point.surface(point.place)"
     elif family.where == SPOT:
-        value = f"{value} * point.boundary"
+        value = f'{value} * point.boundary(metadata={{"quadrature_degree": {FINE}}})'
     elif family.works:
         value = f"{_grouped(value)} * ufl.dx"
     return "\n".join([f"def {kind}(point, c):", *(f"    {line}" for line in (*lines, f"return {value}"))])

@@ -17,6 +17,8 @@ Values = Mapping[str, float]
 
 # Where a term acts: in the whole body, on a named surface, or about a place on the surface or in the body.
 BODY, SURFACE, SPOT, INNER_SPOT = "body", "surface", "spot", "inner spot"
+# Degree of quadrature on the boundary: a spot is smaller than the facets of a coarse mesh.
+FINE = 12
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from bcid.proposal.boundary_terms import body_forces, boundary_terms
 from bcid.proposal.deformed import Deformed
 from bcid.proposal.effect_file import made, source
 from bcid.proposal.energies import energies
-from bcid.proposal.family import BODY, INNER_SPOT, SPOT, SURFACE, Family
+from bcid.proposal.family import BODY, FINE, INNER_SPOT, SPOT, SURFACE, Family
 from bcid.proposal.holds import Holds
 
 Array = NDArray[np.float64]
@@ -30,8 +30,8 @@ _THINNED = 2
 _REACH = 3.0
 # Products of so many terms are formed at a time.
 _BLOCK = 64
-# Degrees of quadrature, in the body and on its boundary: scores are no more exact than the linear answer they are.
-_INSIDE, _OUTSIDE = 3, 4
+# Degree of quadrature in the body: scores are no more exact than the linear answer they are.
+_INSIDE = 3
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Grammar:
         families = [*energies(shear), *boundary_terms(shear, box), *body_forces(shear, box)]
         self.families = [family for family in families if family.kind in kinds]
         self.inside = QuadraturePoints.volume(body, _INSIDE)
-        self.outside = QuadraturePoints.boundary(body, _OUTSIDE)
+        self.outside = QuadraturePoints.boundary(body, FINE)
         scene = forward.scene
         self.surfaces = self.outside.on(body, {**scene.patches, **scene.places})
         self.held_spots = self._spots(SPOT, _RADII[:1])[::_THINNED]

@@ -26,19 +26,16 @@ class Grip:
     """How springs on a spot act.
 
     Attributes:
-        across, along: whether across the surface, and along it.
+        along: whether along the surface too, and not only across it.
         side: 1 where only if it moves outwards, -1 inwards, 0 both ways.
     """
 
-    across: bool = True
     along: bool = True
     side: int = 0
 
     def directions(self, normal: Array) -> Array:
-        """Unit vectors of what is held where this is the outward normal, shape (3, m): the normal first where it is one of them."""
-        whole = np.linalg.svd(normal[None])[2].T
-        whole[:, 0] = normal
-        return np.asarray(whole[:, 0 if self.across else 1 : None if self.along else 1])
+        """Unit vectors of what is held where this is the outward normal, shape (3, m), the normal alone unless `along`."""
+        return np.eye(3) if self.along else normal[:, None]
 
 
 class Holds:

@@ -15,7 +15,8 @@ from bcid.base.errors import InputError, nearest
 from bcid.comparison.adequacy import judge
 from bcid.comparison.explain import ExplainOptions, explain
 from bcid.comparison.explanation import Explanation, Rung, explained
-from bcid.comparison.fit import Fit, fit, held_out
+from bcid.comparison.fit import Fit, fit
+from bcid.comparison.held_out import held_out
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import Ranking
 from bcid.comparison.state import State

@@ -42,7 +42,6 @@ _STIFFNESSES, _PUSH = (0.3, 3.0, 30.0, 300.0), "traction_at_a_spot"
 GRIPS = {
     "spring_at_a_spot": Grip(),
     "normal_spring_at_a_spot": Grip(along=False),
-    "sliding_spring_at_a_spot": Grip(across=False),
     "outer_stop_at_a_spot": Grip(along=False, side=1),
     "inner_stop_at_a_spot": Grip(along=False, side=-1),
 }

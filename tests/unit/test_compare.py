@@ -15,7 +15,8 @@ from scipy.stats import multivariate_normal
 from bcid.base.progress import Progress, Silent
 from bcid.comparison.adequacy import breaking, judge
 from bcid.comparison.explanation import explains
-from bcid.comparison.fit import WIDEST, Coordinate, _covariance, fit, held_out
+from bcid.comparison.fit import WIDEST, Coordinate, _covariance, fit
+from bcid.comparison.held_out import held_out
 from bcid.comparison.kept_predictions import MeasurementPrediction
 from bcid.comparison.ranking import _bounded, rank
 from bcid.comparison.state import State
