@@ -13,8 +13,8 @@ from bcid.forms.model import Model, Term
 from bcid.proposal.effect_file import wrapped
 from bcid.proposal.propose import Entry, Proposal
 
-# So many competitors are told.
-_COMPETED = 6
+# So many competitors are told; a square of an error beyond noise that is more than this part of what it was has not fallen.
+_COMPETED, _FALLEN = 6, 0.8
 
 
 def docstring(proposal: Proposal, term: Term, entry: Entry) -> list[str]:
@@ -79,6 +79,18 @@ def _law_beside(proposal: Proposal) -> str:
 
 
 def _rest(proposal: Proposal) -> str:
+    """What is left, and whether the term explains more than what is allowed for in the scene."""
+    first, last = (rung.state for rung in (proposal.explanation.rungs[0], proposal.explanation.last))
+    before, after = (state.rms**2 - state.noise**2 for state in (first, last))
+    if after > _FALLEN * max(before, 0.0):
+        return (
+            "The error itself does not fall: the term takes over what the scene may have slightly wrong, and says nothing beyond "
+            f"these data. {_left(proposal)}"
+        )
+    return _left(proposal)
+
+
+def _left(proposal: Proposal) -> str:
     if proposal.complete and not proposal.explanation.last.adequacy.adequate:
         return "Nothing else is seen to be missing, but what is left is more than noise."
     if proposal.complete:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from bcid.base.run_folder import RunFolder
 from bcid.comparison.explain import ExplainOptions
 from bcid.comparison.source import stored_effect
 from bcid.forms import effects
+from bcid.proposal import proposal_text
 from bcid.proposal.effect_file import source
 from bcid.proposal.energies import directions, energies
 from bcid.proposal.family import Family
@@ -90,6 +92,16 @@ def test_a_file_that_is_there_is_not_overwritten(tmp_path: Path, capsys: pytest.
     assert file.read_text("utf-8") == "mine"
     assert main(["propose", str(tmp_path / "run"), "-o", str(tmp_path / "soft-spot.py")]) == 2
     assert "cannot be the name of an effect" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("last", "warned"), [(0.0626, True), (0.0560, True), (0.0200, False), (0.0079, False)])
+def test_a_term_that_lowers_no_error_is_told_as_such(last: float, warned: bool) -> None:
+    def rung(rms: float) -> Any:
+        return SimpleNamespace(state=SimpleNamespace(rms=rms, noise=0.0078), adequacy=SimpleNamespace(adequate=True))
+
+    explanation = SimpleNamespace(rungs=[rung(0.0598)], last=rung(last))
+    found: Any = SimpleNamespace(explanation=explanation, complete=True)
+    assert ("does not fall" in proposal_text._rest(found)) is warned
 
 
 PROPOSAL: dict[str, Any] = {
