@@ -13,9 +13,10 @@ fiducials of a measurement folder, and the model is driven by what the ends of t
 
     ./dev python examples/07_strip.py FOLDER -o strip
     ./dev python examples/07_strip.py FOLDER --explain run
+    ./dev python examples/07_strip.py FOLDER --propose run
 
 With ``--explain`` all speckles in all states are explained as they are, a dense field: is rubber that keeps its volume enough,
-and if not, where does it fail?
+and if not, where does it fail? With ``--propose`` an energy is looked for that explains the fiducials in every third state.
 
 FOLDER holds stereo_calibration.json and uniaxial_points.csv.gz: calibration and tracked pixels, which are counted from 1.
 """
@@ -29,8 +30,8 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from bcid import ExplainOptions, Measurement, Scene, explain
-from bcid.api.results import DiagnosisResult
+from bcid import ExplainOptions, Measurement, ProposeOptions, Scene, explain, propose
+from bcid.api.results import DiagnosisResult, ProposeResult
 from bcid.comparison.fit import Fit, fit
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.state import State
@@ -112,6 +113,16 @@ def explained(folder: Path, every: int = 1, options: ExplainOptions | None = Non
     return explain(scene, pulled(scene, placed[::every, seen], moved[::every]), options=options)
 
 
+def proposed(folder: Path, every: int = 3) -> ProposeResult:
+    """The energy that explains the fiducials, in every so many of the states."""
+    placed, moved = in_body(triangulated(folder))
+    chosen = speckles(placed)
+    plain = Scene.read(HERE / "scenes/strip.toml")
+    scene = replace(plain, fiducials={f"p{i}": tuple(map(float, placed[0, i])) for i in chosen})
+    seen = pulled(scene, placed[::every, chosen], moved[::every])
+    return propose(scene, seen, options=ProposeOptions(kinds=("energy",)), name="rubber")
+
+
 def triangulated(folder: Path) -> Array:
     """Positions of all points in all states, shape (states, points, 3), m."""
     table = np.genfromtxt(folder / "uniaxial_points.csv.gz", delimiter=",", names=True)
@@ -188,10 +199,11 @@ if __name__ == "__main__":
     parser.add_argument("folder", type=Path, metavar="FOLDER")
     parser.add_argument("-o", "--output", type=Path, metavar="MEASUREMENT")
     parser.add_argument("--explain", type=Path, metavar="RUN", help="explain all speckles, into this run folder")
+    parser.add_argument("--propose", type=Path, metavar="RUN", help="look for an energy, into this run folder")
     chosen = parser.parse_args()
-    if chosen.explain is None:
-        main(chosen.folder, chosen.output)
-    else:
-        found = explained(chosen.folder)
+    if chosen.explain or chosen.propose:
+        found = explained(chosen.folder) if chosen.explain else proposed(chosen.folder)
         print(found.summary)
-        found.write(chosen.explain)
+        found.write(chosen.explain or chosen.propose)
+    else:
+        main(chosen.folder, chosen.output)
