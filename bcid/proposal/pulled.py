@@ -48,7 +48,7 @@ def _pulled(family: Family) -> Family:
         name=f"{family.name}_with_pull",
         about=f"{family.about}, in proportion to the gripper's way",
         formula=f"|g|/size times: {family.formula}, g the way of the gripper",
-        code="\n".join([*lines, _PULL, factor]),
+        code="\n".join([*(line for line in lines if not line.startswith("x = ")), _PULL, factor]),
         amounts=tuple(replace(p, scale=p.scale / _NOTABLE) for p in family.amounts),
         unit=None,
         works=True,
