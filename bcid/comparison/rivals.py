@@ -185,7 +185,8 @@ def promoted(
         if rival.names and rival.term.effect.sudden:
             # In which frame it begins is only known once all are looked at.
             own = full.errors.mesh if anchors == full.anchors else None
-            base = State.of(full.predictor, model.without(rival.term.label), anchors, own)
+            others = tuple(name for name in free if name not in rival.term.free)
+            base = State.of(full.predictor, model.without(rival.term.label), anchors, own, others)
             return added(base, rival.term.effect, begun, rival.known, least)
         if anchors != rival.anchors:
             # Its numbers will be others, and the error of the mesh with them.

@@ -12,8 +12,10 @@ import pytest
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from bcid.comparison.fit import fit
 from bcid.comparison.loosened import loosened
 from bcid.comparison.predictor import Predictor
+from bcid.comparison.rivals import Rival, promoted
 from bcid.comparison.state import State
 from bcid.comparison.variants import all_variants
 from bcid.forms import effects
@@ -112,6 +114,18 @@ def test_set_patch_and_frame_are_found_about_another_set(predictor: Predictor) -
     assert best.chi2 < 0.1 * state.chi2
     followed = state.of_set(BOTH, Model.of(predictor.scene) + best.term)
     assert followed.chi2 < 0.1 * best.chi2
+
+
+def test_what_acts_besides_is_fitted_with_it(predictor: Predictor) -> None:
+    """A release that is placed anew in all steps leaves the numbers of the other effects free."""
+    plain, nothing = Model.of(predictor.scene), MeshError.unknown(predictor.data.mask.shape)
+    heavy = plain + Term("gravity", {"weight": 10.0})
+    loose = State.of(predictor, heavy + model(predictor.scene).terms[-1], BOTH, nothing)
+    rival = Rival.of(fit(loose, ("gravity.weight",)), plain, 2)
+    found = promoted(rival, State.of(predictor, plain, BOTH, nothing), plain)
+    assert found is not None
+    assert found.names == ("gravity", "release")
+    assert set(found.fitted.stderr) == {"gravity.weight"}
 
 
 def test_a_gripper_feels_what_is_left(predictor: Predictor) -> None:

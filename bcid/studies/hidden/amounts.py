@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from bcid.forms import effects
+
 Json = Mapping[str, Any]
 NEAR, DEGREES = 0.2, 15.0
 # Half a 95 % interval in standard errors.
@@ -31,12 +33,16 @@ def adopted(diagnosis: Json, effect: str) -> Json | None:
 
 
 def intervals_hold(truth: Json, diagnosis: Json) -> tuple[bool, ...]:
-    """For each amount of the hidden effects that were adopted at their places whether its 95 % interval holds the truth."""
+    """For each amount of the hidden effects that were adopted at their places whether its 95 % interval holds the truth.
+
+    What is only on or off has no interval.
+    """
     held: list[bool] = []
     for effect in truth["effects"]:
         entry = adopted(diagnosis, effect["effect"])
         if entry is not None and entry.get("place", "") == effect["place"]:
-            amounts = {n: p for n, p in effect["parameters"].items() if p["role"] == "amount"}
+            switches = {p.name for p in effects.effect(effect["effect"]).parameters if p.switch}
+            amounts = {n: p for n, p in effect["parameters"].items() if p["role"] == "amount" and n not in switches}
             held += [_holds(entry["parameters"].get(name, {}), p) for name, p in amounts.items()]
     return tuple(held)
 
