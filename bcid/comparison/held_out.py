@@ -27,7 +27,7 @@ def held_out(fitted: Fit) -> float | None:
         residual = _without(fitted, number)
         if residual is None:
             return None
-        squares += _size(residual[data.of_position & (data.action == number)])
+        squares += float(np.sum(residual[data.of_position & (data.action == number)] ** 2))
     return float(np.sqrt(squares / data.of_position.sum()))
 
 
@@ -61,7 +61,3 @@ def _moved(fitted: Fit, step: Array) -> dict[str, float]:
         lower, upper = c.bounds
         values[c.name] = c.allowed(float(np.clip(c.of(numbers[c.name]) + by * c.scale, lower, upper)))
     return values
-
-
-def _size(values: Array) -> float:
-    return float(values @ values)

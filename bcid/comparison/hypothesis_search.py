@@ -151,10 +151,7 @@ class HypothesisSearch:
 
     def run(self, starts: Iterable[Anchored] = ()) -> list[Promise]:
         """Sets and effects, the likeliest first."""
-        self.look()
-        for anchors in starts:
-            self._look(anchors)
-        self._widen()
+        self.widened(starts)
         self._settle()
         self._rank_sets()
         # With an effect another set may be the likeliest: those around it compete too.

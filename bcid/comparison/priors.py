@@ -123,7 +123,7 @@ def log_ways(state: State, begun: Model) -> float:
     for term in state.model.added(begun):
         effect = term.effect
         places = len(effect.places(state.predictor.scene, state.anchors)) if effect.places else 1
-        frames = len(state.predictor.data.mask) if any(p.onset for p in effect.parameters) else 1
+        frames = len(state.predictor.data.mask) if effect.sudden else 1
         periodic = 2 if any(p.off is not None for p in effect.parameters) else 1
         found += log_variants(places * frames * periodic)
     return found
