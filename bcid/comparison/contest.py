@@ -118,9 +118,9 @@ def refitted(
     An effect is worth a fit as long as something unknown acts besides the best, and where it promises to be no more than exp(worth)
     times less likely than that, or may turn out to be.
     What an effect promises is linear in its amount, which a large one is not: each has its best set tried first, and then the one
-    that turns out best competes with itself on other sets. Anchors that give or come off do so at a place, which goes with the
-    set: these are tried with each set that was looked at for them. Some effects are tried first, with sets and numbers that
-    are given.
+    that turns out best competes with itself on other sets, also where something unknown is likelier. Anchors that give or come off
+    do so at a place, which goes with the set: these are tried with each set that was looked at for them. Some effects are tried
+    first, with sets and numbers that are given.
     """
     promises = _in_turn(promises, starts_of or {})
     rivals = [Rival.looked_at(p.look, begun, count) for p in promises if p.row is None]
@@ -149,8 +149,9 @@ def refitted(
         rivals += found
     best = best_first(rivals)[0]
     fitted = {effect for effect, _ in tried}
-    if best.names and best.names[-1] in fitted:
-        rivals += moved(best, begun, count)
+    named = [rival for rival in best_first(rivals) if rival.names and rival.names[-1] in fitted]
+    if named and (named[0] is best or not best.complete):
+        rivals += moved(named[0], begun, count)
     promised = {}
     for promise in promises:
         if promise.row and promise.row.effect not in fitted and math.isfinite(promise.log):

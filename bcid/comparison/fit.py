@@ -24,8 +24,9 @@ Array = NDArray[np.float64]
 # A step that moves no number by more than this part of its scale ends the fit.
 _XTOL = 1e-3
 _FTOL = 1e-4
-# Relative step of a difference of whole trajectories.
-_STEP = 1e-2
+# Step of a difference of whole trajectories, in scales; where what acts depends on the last step it jumps with every step that
+# is halved in one of them only, and the difference must be large against that.
+_STEP, _STEP_FROM_PAST = 1e-2, 0.3
 # A number is not identified when its standard error exceeds this many of its scales.
 _LOOSE = 3.0
 # The widest that is believed of an amount, in notable ones: what data tell from no larger one is taken for no larger than that.
@@ -246,10 +247,12 @@ def _differences(
     coordinates: Sequence[Coordinate],
 ) -> Array:
     found, numbers = [], model.constants()
+    past = {term.full(p.name) for term in model.terms if term.effect.uses_past for p in term.effect.parameters}
     for c in coordinates:
         at = c.of(numbers[c.name])
         lower, upper = c.bounds
-        step = _STEP * c.scale if at + _STEP * c.scale <= upper else -_STEP * c.scale
+        step = (_STEP_FROM_PAST if c.name in past else _STEP) * c.scale
+        step = step if at + step <= upper else -step
         moved = predictor.predict(model.with_values({c.name: c.value(max(at + step, lower))}), anchors)
         change = (moved.positions - prediction.positions) / step
         found.append(predictor.data.vector(np.nan_to_num(change)))

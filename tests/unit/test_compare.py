@@ -430,6 +430,25 @@ def test_a_stiffness_is_fitted_whatever_its_size(stiffness: float) -> None:
     assert fitted.values["soft_anchor.stiffness"] == pytest.approx(stiffness, rel=0.01)
 
 
+class Halving(Toy):
+    """Some trajectories take a step in halves, and end a little elsewhere."""
+
+    def numbers(self, model: Model) -> dict[str, float]:
+        found = super().numbers(model)
+        halved = round(13 * sum(found.values())) % 2
+        return {name: value + 0.5 * halved for name, value in found.items()}
+
+
+def test_friction_is_found_though_trajectories_jump_where_a_step_is_halved() -> None:
+    model = Model.of(SCENE) + Term(effects.effect("support_friction"), {"shear_stress": 200.0})
+    plain = toy(model, ("support_friction.shear_stress",), (0.3 * SIGMA,))
+    jumping = Halving(plain.data, plain.actions, plain.shapes)
+    for start in (20.0, 34.0, 60.0):
+        begun = model.with_values({"support_friction.shear_stress": start})
+        fitted = fit(state_of(jumping, begun), ("support_friction.shear_stress",), most=8)
+        assert fitted.values["support_friction.shear_stress"] == pytest.approx(200.0, rel=0.05)
+
+
 def test_an_effect_that_comes_and_goes_shows_its_period() -> None:
     effect, plain = effects.effect("active_stress"), Model.of(SCENE)
     made = toy(plain, (), ())
