@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -11,8 +12,9 @@ from bcid.base.errors import SolveError
 from bcid.base.progress import Steps
 from bcid.comparison import anchors as anchor_search
 from bcid.comparison.contest import GLANCE, glanced
-from bcid.comparison.hypothesis_search import HypothesisSearch
+from bcid.comparison.hypothesis_search import HypothesisSearch, weighed
 from bcid.comparison.predictor import Predictor
+from bcid.comparison.rivals import WORTH
 from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
@@ -23,6 +25,8 @@ from bcid.search.identify import IdentifyOptions, identify
 Anchored = frozenset[str]
 # So many of the likeliest sets are looked at.
 _LOOKED_AT = 8
+# So many of those that are shown to be likelier but cannot be followed in a few steps are tried in all.
+_LOST = 2
 # Where none of them can be followed the coarsest level is climbed from so many seeds, with steps halved so often.
 _SEEDS, _HALVINGS = 2, 3
 
@@ -31,24 +35,54 @@ def first_sets(predictor: Predictor, model: Model) -> list[Anchored]:
     """Likely sets, the first of which the working level can be followed with; collective.
 
     Raises:
-        NotFollowed: no set can be followed to the end.
+        NotFollowed: no set can be followed to the end, or one that cannot is likelier on the frames before.
     """
-    sets = _seen(predictor, model)
+    sets, lost = _seen(predictor, model)
     for number, anchors in enumerate(sets):
         if not predictor.predict(model, anchors, keep=True).failure:
-            return sets[number:]
+            return [*_recovered(predictor, model, lost, anchors), *sets[number:]]
     nothing = MeshError.unknown(predictor.data.mask.shape)
     return [frozenset(anchor_search.search(predictor, model, nothing, sets, "no").anchored)]
 
 
-def _seen(predictor: Predictor, model: Model) -> list[Anchored]:
-    """The likely sets with something unknown besides, the likeliest first."""
+def _recovered(predictor: Predictor, model: Model, lost: Sequence[Anchored], best: Anchored) -> list[Anchored]:
+    """Those of some sets that are followed to the end in small steps.
+
+    Where solves fail says nothing about a set. If one explains what comes before better than the best that is followed further,
+    and something unknown would have to act with that, what comes after is not compared.
+    """
+    found = []
+    for anchors in lost[:_LOST]:
+        try:
+            State.of(predictor, model, anchors, MeshError.unknown(predictor.data.mask.shape))
+        except NotFollowed as error:
+            if _outdone(predictor, model, error, anchors, best):
+                raise
+        else:
+            found.append(anchors)
+    return found
+
+
+def _outdone(predictor: Predictor, model: Model, error: NotFollowed, anchors: Anchored, best: Anchored) -> bool:
+    """Whether another set is worse than one that cannot be followed any further, on the frames that this can be followed in."""
+    try:
+        before = predictor.repeating(error.before(predictor.measurement))
+        nothing = MeshError.unknown(before.data.mask.shape)
+        here, there = (weighed(State.of(before, model, a, nothing), model) for a in (anchors, best))
+    except SolveError:
+        return False
+    return there.forced > there.plain and here.total > there.total + WORTH
+
+
+def _seen(predictor: Predictor, model: Model) -> tuple[list[Anchored], list[Anchored]]:
+    """The likely sets with something unknown besides, and those that could not be followed though likelier; the likeliest first."""
     thin, _ = predictor.thinned(glanced(predictor), GLANCE)
     for anchors in _openings(predictor, model):
         with suppress(SolveError):
             state = State.of(thin, model, anchors, MeshError.unknown(thin.data.mask.shape))
-            return HypothesisSearch(state, model, (), _LOOKED_AT).sets()
-    return _climbed(predictor, model)
+            search = HypothesisSearch(state, model, (), _LOOKED_AT)
+            return search.sets(), search.lost()
+    return _climbed(predictor, model), []
 
 
 def _openings(predictor: Predictor, model: Model) -> list[Anchored]:

@@ -166,6 +166,12 @@ class HypothesisSearch:
         self.around()
         return self.best_sets()
 
+    def lost(self) -> list[Anchored]:
+        """Sets that could not be followed, though shown to be likelier than the likeliest that was; the likeliest first."""
+        best = self.best_sets()[0]
+        shown = self.shown(best)
+        return [s for s in self._likely(best) if shown[s] > shown[best] and s in self.looks and self.looks[s] is None]
+
     def widened(self, starts: Iterable[Anchored]) -> list[Anchored]:
         """The same, of sets to begin with and those that are likely about the likeliest, until it stays that."""
         self.look()

@@ -6,7 +6,7 @@ A slab is measured on a mesh of 8 or 25 mm and compared on one of 75 mm, which 2
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,7 +22,7 @@ from bcid.comparison.adequacy import judge
 from bcid.comparison.buckled_frames import buckled, leave_out
 from bcid.comparison.contest import GLANCE, Contest, contest, fitted_beside
 from bcid.comparison.explain import ExplainOptions, explain
-from bcid.comparison.explanation import explained, explains
+from bcid.comparison.explanation import Explanation, explained, explains
 from bcid.comparison.fit import Fit, columns, coordinates, fit
 from bcid.comparison.hypothesis_search import HypothesisSearch
 from bcid.comparison.mesh_ladder import mesh_error
@@ -34,11 +34,14 @@ from bcid.comparison.separate import separating_pulls
 from bcid.comparison.state import State
 from bcid.comparison.variants import _meanwhile
 from bcid.forms import effects
+from bcid.forms.forward import Forward, Prediction
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.responses import Responses
 from bcid.forms.simulate import simulate
 from bcid.forms.solver.equilibrium import Settings
+from bcid.forms.solver.status import Status
 from bcid.inference.criteria import SEEN
+from bcid.inference.followed import as_far_as_followed
 from bcid.inference.hypotheses import Hypothesis
 from bcid.inference.mesh_error import MeshError
 from bcid.measurement import Action, Measurement
@@ -47,6 +50,7 @@ from bcid.scene import Level, Scene
 ANCHORED = frozenset({"1", "3"})
 HEAVY = frozenset({"3", "4"})
 NOISE = 0.2e-3
+WHOLE: Any = Forward.predict
 STEPS = 5
 FEW = ("gravity", "fibres", "grasp_slip", "stiffness_gradient", "marker_fault", "soft_anchor", "strain_stiffening")
 
@@ -391,6 +395,38 @@ def test_without_a_noise_nothing_is_certain_of_what_is_not_there(slab: Scene) ->
 
 # -- a body that buckles
 # ------------------------------------------------------------------------------------------------------------------
+
+
+def inverting(self: Forward, anchors: Iterable[str], actions: Sequence[Action], *more: Any, **named: Any) -> Prediction:
+    """Predictions of which the true set fails at the end of the last pull, as where an element is turned inside out."""
+    found: Prediction = WHOLE(self, anchors, actions, *more, **named)
+    trajectories = list(found.trajectories)
+    for number, action in enumerate(actions):
+        if frozenset(anchors) == ANCHORED and action.name == "3" and np.ptp(action.translation[:, 0]) > 0.0099:
+            last = int(action.frames[-1])
+            found.positions[last] = np.nan
+            (found.states or {}).pop(last, None)
+            steps = {
+                "steps": len(action) - 1,
+                "reason": "an element is turned inside out; action 3 ended at its last step",
+            }
+            trajectories[number] = replace(trajectories[number], status=Status.INVERTED, **steps)
+    return replace(found, trajectories=tuple(trajectories))
+
+
+def test_that_solves_fail_is_no_evidence(slab: Scene, plain: Measurement, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The true set cannot be followed in the last frame: what comes there is not compared, as no other set explains all before."""
+    monkeypatch.setattr(Forward, "predict", inverting)
+    compared = []
+
+    def work(measurement: Measurement) -> Explanation:
+        compared.append(measurement)
+        return explain(Predictor(slab, measurement, MPI.COMM_SELF, level=1), ExplainOptions(level=1, only=FEW))
+
+    found = as_far_as_followed(plain, work)
+    assert (found.verdict, found.last.state.anchors) == ("none", ANCHORED)
+    (remark,) = compared[-1].remarks
+    assert remark.startswith(f"action 3 is compared up to step {STEPS - 2} only")
 
 
 def test_what_follows_buckling_is_no_evidence(slab: Scene, measurement_folder: Callable[[str], Path]) -> None:
