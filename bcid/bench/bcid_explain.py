@@ -48,7 +48,7 @@ def main() -> None:
     """Explain it, as the command does without pictures."""
     name, folder, *also = sys.argv[1:]
     clock, profile = Clock("bcid", f"bcid {bcid.__version__}"), cProfile.Profile()
-    options = ExplainOptions(effects=1, fitted=3, sets=12, only=FEW) if "quick" in also else None
+    options = ExplainOptions(level=0, effects=1, fitted=3, sets=12, only=FEW) if "quick" in also else None
     if "profile" in also:
         profile.enable()
     clock.start()

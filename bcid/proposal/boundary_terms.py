@@ -132,7 +132,7 @@ def _at_a_spot(family: Family, where: str, box: Array) -> Family:
 
     def unit(d: Deformed, values: Values) -> Array:
         assert family.unit is not None
-        weight = d.points.spot(np.array([values[f"c{axis}"] for axis in "xyz"]), values["radius"])
+        weight = d.spot((values["cx"], values["cy"], values["cz"]), values["radius"])
         return np.asarray(weight[:, None, None] * family.unit(d, values))
 
     shapes = (

@@ -39,9 +39,12 @@ class Deformed:
         """At some of the points alone; all of them for a slice."""
         if isinstance(chosen, slice):
             return self
-        return replace(
+        some = replace(
             self, points=self.points.some(chosen), u=self.u[chosen], F=self.F[chosen], since=self.since[chosen]
         )
+        # Many overlapping choices are made: determinants and inverses are those of all points.
+        some.__dict__.update(J=self.J[chosen], inverse_transposed=self.inverse_transposed[chosen])
+        return some
 
     @cached_property
     def J(self) -> Array:
@@ -93,6 +96,16 @@ class Deformed:
     def volume_slope(self) -> Array:
         """dJ/dF, shape (q, 3, 3)."""
         return _scaled(self.J, self.inverse_transposed)
+
+    def spot(self, centre: tuple[float, float, float], radius: float) -> Array:
+        """`QuadraturePoints.spot`, computed once for all terms at a place; shape (q,)."""
+        if (centre, radius) not in self._spots:
+            self._spots[centre, radius] = self.points.spot(np.array(centre), radius)
+        return self._spots[centre, radius]
+
+    @cached_property
+    def _spots(self) -> dict[tuple[tuple[float, float, float], float], Array]:
+        return {}
 
     def direction(self, azimuth: float, elevation: float) -> Array:
         """Unit vector at angles in degrees: in the plane of fibres, and out of it; shape (3,)."""
