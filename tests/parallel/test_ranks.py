@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
@@ -18,13 +18,13 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from verify.problems import box, move, pull_and_lift, scene_of, straight
 
-from bcid.base.collective import on_root
+from bcid.base.collective import Comm, on_root
 from bcid.base.errors import BcidError, InputError
 from bcid.comparison.checkpoint import Checkpoint
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.source import from_files
 from bcid.comparison.state import State
-from bcid.exploration.loop import ExploreOptions, explore
+from bcid.exploration.loop import Exploration, ExploreOptions, explore
 from bcid.exploration.predictions import PullPredictor
 from bcid.exploration.robots import Simulated
 from bcid.forms.forward import Forward, Prediction
@@ -48,6 +48,7 @@ from bcid.search.scheduler import counter, share
 
 pytestmark = pytest.mark.parallel
 
+T = TypeVar("T")
 Array = NDArray[np.float64]
 WORLD = MPI.COMM_WORLD
 SAME = 1e-10
@@ -87,6 +88,12 @@ def test_a_shared_mesh_gives_the_same_field(slab40: Callable[..., Any]) -> None:
     assert np.abs(fields[1] - benchmark.field).max() <= 1e-9 * np.abs(benchmark.field).max()
 
 
+def alone_and_together(made: Callable[[Comm], T]) -> tuple[T, T]:
+    """What is made on each rank for itself, and by all together; a single rank makes it once."""
+    alone = made(MPI.COMM_SELF)
+    return alone, made(WORLD) if WORLD.size > 1 else alone
+
+
 def twisted() -> list[Any]:
     """Two actions: a pull with a twist, and one with another grasp."""
     part = np.arange(5) / 4
@@ -95,15 +102,17 @@ def twisted() -> list[Any]:
     return [first, replace(second, name="2", frames=second.frames + len(first))]
 
 
-def predictions(scene: Scene, model: Model, level: int) -> list[Prediction]:
+def predictions(scene: Scene, model: Model, level: int) -> tuple[Prediction, Prediction]:
     """On one rank and on all."""
-    result = []
-    for comm in (MPI.COMM_SELF, WORLD):
+
+    def predicted(comm: Comm) -> Prediction:
         forward = Forward(scene, level, comm, model, EXACT)
         made = forward.predict({"1", "4"}, twisted(), keep=True)
-        result.append(forward.detail({"1", "4"}, twisted(), made))
+        found = forward.detail({"1", "4"}, twisted(), made)
         forward.destroy()
-    return result
+        return found
+
+    return alone_and_together(predicted)
 
 
 @pytest.mark.parametrize("degree", [1, 2])
@@ -176,18 +185,19 @@ def test_what_some_ranks_have_kept_is_known_to_others(slab: Scene, tmp_path: Pat
 
 def test_multigrid_on_a_shared_mesh_gives_the_same_field() -> None:
     """With a mesh of more unknowns than the coarsest level may have."""
-    fields = []
-    for comm in (MPI.COMM_SELF, WORLD):
-        scene = scene_of(("x0",), "x1")
+    scene = scene_of(("x0",), "x1")
+    model = Model.of(scene) + Anchors({"x0"}) + Held("x1")
+
+    def solved(comm: Comm) -> Array:
         body = Body(comm, box((0.1, 0.065, 0.006), (36, 24, 3)))
-        solver = Equilibrium(
-            body, Model.of(scene) + Anchors({"x0"}) + Held("x1"), scene, Settings(1e-11, linear="gamg")
-        )
+        solver = Equilibrium(body, model, scene, Settings(1e-11, linear="gamg"))
         result = follow(solver, straight((0.004, 0.0, 0.002), 2, "x1"), lambda _k, _pose: None)
         assert result.status is Status.CONVERGED
-        fields.append(body.at_mesh_nodes(solver.displacement()))
+        found = body.at_mesh_nodes(solver.displacement())
         solver.destroy()
-    close(*fields)
+        return found
+
+    close(*alone_and_together(solved))
 
 
 def test_a_dead_load_is_shared_out_once(project: Path) -> None:
@@ -268,7 +278,7 @@ def test_refined_patches_are_the_same_on_every_number_of_ranks(slab: Scene) -> N
     made = simulate(truth, {"7.1"}, pull, level=1, noise=0.0003, random_state=1, comm=WORLD)
     measurement = WORLD.bcast(made, root=0)
     options = IdentifyOptions(seeds=4, coarsest=1, finest=1)
-    alone, together = (identify_refined(scene, measurement, comm, options, 1) for comm in (MPI.COMM_SELF, WORLD))
+    alone, together = alone_and_together(lambda comm: identify_refined(scene, measurement, comm, options, 1))
     assert together.found.anchored == alone.found.anchored == ("7.1",)
     assert together.refined == alone.refined == {"7": ("7.1", "7.2")}
     assert together.log == alone.log
@@ -382,14 +392,16 @@ def test_an_exploration_does_not_depend_on_the_number_of_ranks(slab: Scene) -> N
     directions = {"+x": (1.0, 0.0, 0.0), "+y": (0.0, 1.0, 0.0)}
     limits = Limits(0.008, amplitudes=(0.008,), directions=directions)
     scene = replace(slab, patches={name: slab.patches[name] for name in "12345"}, limits=limits)
-    found = []
-    for comm in (MPI.COMM_SELF, WORLD):
+
+    def explored(comm: Comm) -> Exploration:
         predictor, body = PullPredictor(scene, 0, comm), PullPredictor(scene, 0, MPI.COMM_SELF)
         plan = ExploreOptions(noise=3e-3, budget=3, samples=100, grasps=("II",))
-        found.append(explore(scene, Simulated(body, "12", 3e-3, 1), plan, predictor))
+        found = explore(scene, Simulated(body, "12", 3e-3, 1), plan, predictor)
         predictor.destroy()
         body.destroy()
-    one, all_ranks = found
+        return found
+
+    one, all_ranks = alone_and_together(explored)
     assert all(WORLD.allgather([s.move for s in one.steps] == [s.move for s in all_ranks.steps]))
     close(np.array(list(all_ranks.view.patches.values())), np.array(list(one.view.patches.values())))
     assert same_everywhere([s.expected for s in all_ranks.steps])
@@ -400,14 +412,16 @@ def test_rival_effects_do_not_depend_on_the_ranks(coarse_scene: Path) -> None:
     whole = Scene.read(coarse_scene)
     scene = replace(whole, patches={name: whole.patches[name] for name in "34"})
     heavy = replace(scene, effects={"gravity": {"weight": "1500 N/m^3"}})
-    found = []
-    for comm in (MPI.COMM_SELF, WORLD):
+
+    def explored(comm: Comm) -> Exploration:
         predictor, body = PullPredictor(scene, 0, comm), PullPredictor(heavy, 0, MPI.COMM_SELF)
         plan = ExploreOptions(noise=3e-3, budget=1, samples=100, grasps=("II",), effects=("gravity",))
-        found.append(explore(scene, Simulated(body, "34", 3e-3, 1), plan, predictor))
+        found = explore(scene, Simulated(body, "34", 3e-3, 1), plan, predictor)
         predictor.destroy()
         body.destroy()
-    one, all_ranks = found
+        return found
+
+    one, all_ranks = alone_and_together(explored)
     assert same_everywhere([s.view.probabilities for s in all_ranks.steps])
     apart = [
         abs(a - b)

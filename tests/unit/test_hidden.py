@@ -616,8 +616,8 @@ def reduced(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     body = BODIES[name]
     quick = replace(
         body,
-        true=Level(3, body.coarse.element_size * 1.25),
-        coarse=Level(2, body.coarse.element_size * 1.25),
+        true=Level(3, body.coarse.element_size * 1.8),
+        coarse=Level(2, body.coarse.element_size * 1.8),
         sound=(body.sound[0],),
     )
     monkeypatch.setitem(drawing.BODIES, name, quick)
