@@ -13,10 +13,12 @@ import pytest
 from mpi4py import MPI
 
 from bcid.base.progress import Silent
+from bcid.exploration.moves import limits_of, moves
 from bcid.forms import effects
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.simulate import simulate
+from bcid.forms.solver import equilibrium
 from bcid.forms.solver.equilibrium import Equilibrium, Settings
 from bcid.forms.solver.factor import Factor
 from bcid.forms.solver.status import Status
@@ -166,6 +168,29 @@ def test_negative_curvature_ends_an_iteration_with_an_old_tangent(slab: Scene) -
     assert secant._from == secant._to
     equilibrium._first = equilibrium._previous = 1.0
     assert equilibrium._judge(1, 0.5) < 0
+    forward.destroy()
+
+
+@pytest.mark.parametrize(
+    ("pull", "anchors", "followed"), [("I+z", "136", True), ("I-z", "126", False), ("III+z", "12", False)]
+)
+def test_giving_up_bodies_that_are_inside_out_changes_nothing(
+    project: Path, monkeypatch: pytest.MonkeyPatch, pull: str, anchors: str, followed: bool
+) -> None:
+    """Where steps are cut, and where a pull cannot be followed: it ends where it did, and what it shows to there is the same."""
+    scene = Scene.read(project / "examples" / "scenes" / "slab_explain.toml", physics=check_physics)
+    scene = replace(scene, levels=(Level(2, 0.018),))
+    (move,) = (m for m in moves(scene) if m.grasp + m.direction == pull and m.amplitude == 0.008)
+    forward = Forward(scene, 0, settings=Settings(rtol=1e-9, halvings=3, max_iterations=20))
+    found = forward.predict(anchors, [move.action(limits_of(scene))])
+    monkeypatch.setattr(equilibrium, "_INVERTED", 10**9)
+    patient = forward.predict(anchors, [move.action(limits_of(scene))])
+    assert found.complete == patient.complete == followed
+    assert np.allclose(found.positions, patient.positions, rtol=0, atol=1e-9, equal_nan=True)
+    one, other = found.trajectories[0], patient.trajectories[0]
+    assert (one.steps, one.halvings) == (other.steps, other.halvings)
+    assert one.factorisations <= (1.0 if followed else 0.7) * other.factorisations
+    assert bool(one.halvings) or not followed
     forward.destroy()
 
 

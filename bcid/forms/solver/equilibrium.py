@@ -34,6 +34,9 @@ _prefixes = count()
 _SLOW = 0.8
 _PATIENCE = 20
 _HOPELESS = 1e3
+# Newton's method is given up after so many iterates in a row in which an element is inside out: what it may still come to is
+# another such state, as a body that is pulled there step by step never is.
+_INVERTED = 3
 # Prescribed changes smaller than this part of the body's size need not be spread by a solve of their own.
 _FAR = 1e-4
 
@@ -93,7 +96,7 @@ class Equilibrium:
         self._prepare_solver()
         self.supports = Supports(body, scene, self.places, model.rollers, self._owned, self.weak_form.gripper)
         self._lagging = self._stale = self._verified = self._chord = False
-        self._iteration = self._slow = 0
+        self._iteration = self._slow = self._inverted = 0
         self._held: tuple[frozenset[str], frozenset[str], str] | None = None
         self.hold(model.anchors, model.grasp)
 
@@ -319,7 +322,15 @@ class Equilibrium:
         if residual <= allowed:
             return PETSc.SNES.ConvergedReason.CONVERGED_FNORM_RELATIVE
         self._chord = self.factor.aim(allowed / residual, iteration)
-        return self._judge(iteration, residual) if self._lagging else PETSc.SNES.ConvergedReason.CONVERGED_ITERATING
+        return self._judge(iteration, residual) if self._lagging else self._look(iteration)
+
+    def _look(self, iteration: int) -> Any:
+        """Whether Newton's method with a tangent of its own for every iteration goes on, see `_INVERTED`."""
+        inverted = iteration > 0 and self.smallest_jacobian() <= 0
+        self._inverted = self._inverted + 1 if inverted else 0
+        if self._inverted < _INVERTED:
+            return PETSc.SNES.ConvergedReason.CONVERGED_ITERATING
+        return PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH
 
     def _judge(self, iteration: int, residual: float) -> Any:
         """Whether an iteration with an old tangent goes on with it, asks for a fresh one, or is given up."""
@@ -386,7 +397,7 @@ class Equilibrium:
 
     def _newton(self) -> Status:
         self.iterate.array[:] = self.u.x.array[: self._owned]
-        factored = self.factor.count
+        factored, self._inverted = self.factor.count, 0
         self.secant.pause()
         try:
             self.snes.solve(None, self.iterate)
@@ -403,6 +414,8 @@ class Equilibrium:
         reason = self.snes.getConvergedReason()
         if self.factor.starved or (self.factor.count > factored and not self.factor.usable):
             return self._unfactored()
+        if self._inverted == _INVERTED:
+            return Status.INVERTED
         if reason <= 0:
             return REASONS.get(reason, Status.DIVERGED)
         self._copy_in(self.iterate)
