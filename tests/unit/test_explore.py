@@ -434,8 +434,10 @@ def test_the_budget_ends_it() -> None:
     assert [step.spent for step in found.steps] == [2.0, 4.0, 6.0]
 
 
-def test_answers_are_as_certain_as_they_say() -> None:
+def test_answers_are_as_certain_as_they_say(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 240 explorations that decide at 95 % under strong noise at least 93 % are right."""
+    # What is odd about a measurement decides nothing, and looking for it takes a third of the time.
+    monkeypatch.setattr(Measurement, "check", lambda *_: ())
     body = MadeUp(scene(), by_count)
     right = []
     for trial in range(240):
