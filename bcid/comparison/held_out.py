@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.comparison.fit import Fit, pulls
+from bcid.base.errors import SolveError
+from bcid.comparison.fit import Fit, fit, pulls
+from bcid.inference.likelihood import Errors
 
 Array = NDArray[np.float64]
+# A linear step stands for a fit where what it promises of the action comes true within this part of the noise (RMS).
+_TRUE = 0.3
+# A fit without an action takes so many predictions at most; it begins at the fit to all.
+_MOST = 8
 
 
 def held_out(fitted: Fit) -> float | None:
     """RMS residual, m, when each action is predicted from a fit to the others; collective.
 
-    The fit without an action is one Gauss-Newton step from the fit to all, with its Jacobian. None with one action only, and
-    where a fit to the others cannot be followed.
+    The others tell the numbers of the model, and what the scene may have slightly wrong (`Errors.expected`): an action is predicted
+    with both. The fit without it is one Gauss-Newton step from the fit to all, with its Jacobian, and where the action does not
+    move as the step promises, one in full. None with one action only, and where a fit to the others cannot be followed.
     """
-    state = fitted.state
-    data, count = state.predictor.data, len(state.predictor.data.actions)
+    data, count = fitted.state.predictor.data, len(fitted.state.predictor.data.actions)
     if count < 2:
         return None
-    if not fitted.coordinates:
-        return state.rms
     squares = 0.0
     for number in range(count):
         residual = _without(fitted, number)
@@ -32,32 +38,62 @@ def held_out(fitted: Fit) -> float | None:
 
 
 def _without(fitted: Fit, number: int) -> Array | None:
-    """The residual (n,), m, of a fit without an action, at least in that; None where it cannot be followed."""
+    """What a fit without an action misses, (n,), m; None where it cannot be followed."""
+    errors = fitted.state.errors.unseeing(fitted.state.predictor.data.action == number)
+    residual = _stepped(fitted, errors, number) if fitted.coordinates else fitted.state.residual
+    if residual is None:
+        residual = _refitted(fitted, errors)
+    return None if residual is None else residual - errors.expected(residual)
+
+
+def _stepped(fitted: Fit, errors: Errors, number: int) -> Array | None:
+    """The residual (n,), m, after a linear step, that of the action with solves; None where the step does not stand for a fit."""
     state = fitted.state
-    data, predictor, others = state.predictor.data, state.predictor, state.predictor.data.action != number
-    values = _moved(fitted, _step(fitted, others))
+    data, predictor = state.predictor.data, state.predictor
+    slopes = np.column_stack([state.errors.unwhiten(column) for column in fitted.jacobian.T])
+    step = _step(fitted, errors, slopes)
+    values = _moved(fitted, step)
+    if values is None:
+        return None
     prediction = predictor.predict(state.model.with_values(values), state.anchors, actions=[predictor.actions[number]])
     if prediction.failure:
         return None
-    return np.asarray(data.values - data.vector(prediction.positions + state.errors.mesh.correction))
+    promised = state.residual + slopes @ step
+    found = data.values - data.vector(prediction.positions + state.errors.mesh.correction)
+    here = data.action == number
+    missed = (found - promised)[here] / state.errors.sigma[here]
+    return np.where(here, found, promised) if np.sqrt(np.mean(missed**2)) <= _TRUE else None
 
 
-def _step(fitted: Fit, others: NDArray[np.bool_]) -> Array:
-    """From the fit to all to one to some of the values, in units of the scales, shape (p,)."""
+def _step(fitted: Fit, errors: Errors, slopes: Array) -> Array:
+    """From the fit to all to one with errors that see only some of the values, shape (p,)."""
     chosen, numbers = fitted.coordinates, fitted.state.model.constants()
     scale = np.array([c.scale for c in chosen])
     x = np.array([c.of(numbers[c.name]) for c in chosen]) / scale
     pull, expected = pulls(fitted.state.model, chosen)
-    rows = fitted.jacobian[others] * scale
+    rows = errors.whiten(slopes * scale)
     ridge = pull.T @ pull + 1e-6 * max(float(np.abs(rows.T @ rows).max(initial=0.0)), 1e-12) * np.eye(len(x))
-    slope = rows.T @ fitted.state.scaled[others] + pull.T @ pull @ (x - expected)
-    return np.asarray(-np.linalg.solve(rows.T @ rows + ridge, slope))
+    slope = rows.T @ errors.whiten(fitted.state.residual) + pull.T @ pull @ (x - expected)
+    return np.asarray(-np.linalg.solve(rows.T @ rows + ridge, slope) * scale)
 
 
-def _moved(fitted: Fit, step: Array) -> dict[str, float]:
-    """Values after a step in units of the scales, within their bounds."""
+def _moved(fitted: Fit, step: Array) -> dict[str, float] | None:
+    """Values after a step; None where a bound is in its way, so that it ends elsewhere than a fit would."""
     numbers, values = fitted.state.model.constants(), {}
     for c, by in zip(fitted.coordinates, step, strict=True):
-        lower, upper = c.bounds
-        values[c.name] = c.allowed(float(np.clip(c.of(numbers[c.name]) + by * c.scale, lower, upper)))
+        (lower, upper), before = c.bounds, c.of(numbers[c.name])
+        to = before + by
+        # A number that is at its bound already may be pushed against it.
+        free = lower <= to <= upper or min(before - lower, upper - before) < 1e-3 * c.scale
+        if not free:
+            return None
+        values[c.name] = c.allowed(float(np.clip(to, lower, upper)))
     return values
+
+
+def _refitted(fitted: Fit, errors: Errors) -> Array | None:
+    """The residual (n,), m, of a fit with these errors, with solves; None where it cannot be followed."""
+    try:
+        return fit(replace(fitted.state, errors=errors), fitted.state.free, most=_MOST).state.residual
+    except SolveError:
+        return None

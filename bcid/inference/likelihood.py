@@ -29,6 +29,8 @@ _OF_FIDUCIAL = 1.5
 _OF_SLOW = math.sqrt(3 / 4)
 # A mesh is too stiff everywhere: of all forces and torques together.
 _OF_FORCES = 0.5
+# What was not seen has a noise so many times as large: it tells nothing.
+_UNSEEN = 1e4
 # Columns that are smaller than this part of the noise are left out.
 _NEGLIGIBLE = 1e-6
 
@@ -124,6 +126,10 @@ class Errors:
             kept = replace(kept, markers=np.where(apart[:, None], 0.0, kept.markers))
         return self if kept is self.nuisances else Errors(self.data, self.sigma, self.mesh, kept)
 
+    def unseeing(self, rows: NDArray[np.bool_]) -> Errors:
+        """The same as if some of the values (n,) had not been measured: whatever they are, they tell nothing."""
+        return Errors(self.data, np.where(rows, _UNSEEN, 1.0) * self.sigma, self.mesh, self.nuisances)
+
     # -- columns, m
 
     def _of_actions(self, left: Array) -> Array:
@@ -201,6 +207,13 @@ class Errors:
         for part in (self._common, *self._single):
             part.apply(scaled)
         return np.asarray(scaled * self.sigma)
+
+    def expected(self, residual: Array) -> Array:
+        """The part of a residual (n,), m, that nuisances, mesh and frame most likely have: the mean of it given the values.
+
+        Of values that were not seen what the others tell (Rasmussen & Williams 2006, equation 2.19).
+        """
+        return np.asarray(residual - self.rough(residual))
 
     def told(self, residual: Array) -> list[NuisanceEstimate]:
         """What a residual (n,), m, says of every nuisance: the mean of its values given the data."""

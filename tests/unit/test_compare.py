@@ -15,7 +15,7 @@ from scipy.stats import multivariate_normal
 from bcid.base.progress import Progress, Silent
 from bcid.comparison.adequacy import breaking, judge
 from bcid.comparison.explanation import explains
-from bcid.comparison.fit import WIDEST, Coordinate, _covariance, fit
+from bcid.comparison.fit import WIDEST, Coordinate, Fit, _covariance, fit
 from bcid.comparison.held_out import held_out
 from bcid.comparison.kept_predictions import MeasurementPrediction
 from bcid.comparison.ranking import _bounded, rank
@@ -238,6 +238,7 @@ class Toy:
     left_out: tuple[str, ...] = ()
     progress: Progress = field(default_factory=Silent)
     fails: str = ""
+    power: float = 1.0
 
     @property
     def scene(self) -> Scene:
@@ -249,7 +250,7 @@ class Toy:
 
     def numbers(self, model: Model) -> dict[str, float]:
         values = model.constants()
-        return {name: 1 / values[name] if name.endswith("stiffness") else values[name] for name in self.shapes}
+        return {k: 1 / values[k] if k.endswith("stiffness") else values[k] ** self.power for k in self.shapes}
 
     def predict(
         self,
@@ -262,13 +263,16 @@ class Toy:
         seen = np.full_like(positions, np.nan)
         for action in self.actions if actions is None else actions:
             seen[action.frames] = positions[action.frames]
-        failed = self.fails in [action.name for action in actions or ()]
+        failed = self.fails in [action.name for action in actions or self.actions]
         return MeasurementPrediction(seen, {}, "it buckles" if failed else "")
 
     def sensitivities(
-        self, _model: Model, _anchors: object, _reply: MeasurementPrediction, wanted: Wanted
+        self, model: Model, _anchors: object, _reply: MeasurementPrediction, wanted: Wanted
     ) -> Sensitivities:
-        return Sensitivities([{n: self.shapes[p.term.full(n)] for n in p.wanted} for p in wanted.probes], {})
+        slopes = {**self.shapes}
+        if self.power != 1.0:
+            slopes = {k: s * self.power * model.constants()[k] ** (self.power - 1) for k, s in self.shapes.items()}
+        return Sensitivities([{n: slopes[p.term.full(n)] for n in p.wanted} for p in wanted.probes], {})
 
 
 def state_of(toy: Toy, model: Model, mesh: MeshError | None = None) -> State:
@@ -419,6 +423,45 @@ def test_a_linear_model_is_fitted_and_predicts_what_it_was_not_fitted_to() -> No
     # What cannot be predicted from the others is not known: the fit to all is no substitute.
     failing = replace(made, fails="2")
     assert held_out(replace(fitted, state=replace(fitted.state, predictor=failing))) is None
+
+
+def test_an_action_is_fitted_without_in_full_where_a_step_is_not_enough() -> None:
+    name, model = "gravity.weight", Model.of(SCENE) + Term(effects.effect("gravity"), {"weight": 6000.0})
+    made = toy(model, (name,), (1e-3,))
+    # What is seen goes with a high power of the number, of which the first pull tells the most.
+    shape = made.shapes[name] * np.where(np.arange(24) < 8, 3.0, 0.05)[:, None, None] / 6000.0**8
+    noise = np.random.default_rng(4).normal(0, SIGMA, shape.shape)
+    made = Toy(
+        data_of(rest(made.actions) + 6000.0**8 * shape + noise, made.actions), made.actions, {name: shape}, power=8.0
+    )
+    fitted = fit(state_of(made, model), (name,))
+    squares, away, column = 0.0, made.data.values - made.data.vector(rest(made.actions)), made.data.vector(shape)
+    for number in range(3):
+        own = made.data.action == number
+        amount = float(column[~own] @ away[~own] / (column[~own] @ column[~own]))
+        squares += float(np.sum((away - amount * column)[own] ** 2))
+    assert held_out(fitted) == pytest.approx(np.sqrt(squares / len(away)), rel=2e-2)
+
+
+@pytest.mark.parametrize("coarse", [False, True])
+def test_what_others_tell_of_the_scene_is_held_when_an_action_is_predicted(coarse: bool) -> None:
+    made = actions()
+    data = data_of(rest(made), made)
+    state = state_of(Toy(data, made, {}), Model.of(SCENE), mesh_error(made) if coarse else None)
+    state = state.with_errors(state.errors.mesh, modes(data))
+    covariance = explicit(state.errors)
+    data.values = data.vector(rest(made)) + np.random.default_rng(11).multivariate_normal(
+        np.zeros(len(data)), covariance
+    )
+    squares, residual = 0.0, state.residual
+    for number in range(3):
+        own = data.action == number
+        told = covariance[np.ix_(own, ~own)] @ np.linalg.solve(covariance[np.ix_(~own, ~own)], residual[~own])
+        squares += float(np.sum((residual[own] - told) ** 2))
+    found = held_out(Fit.at(state))
+    assert found == pytest.approx(np.sqrt(squares / len(data)), rel=1e-4)
+    assert found is not None
+    assert found < 0.8 * state.rms
 
 
 @pytest.mark.parametrize("stiffness", [1e5, 1e8])
