@@ -230,6 +230,17 @@ class Errors:
             found.append(NuisanceEstimate(name, size, size * rms, most, values.size))
         return found
 
+    def values(self, residual: Array, name: str, fitted: Array | None = None) -> tuple[Array, Array]:
+        """Values of a nuisance given a residual (n,), m: means (k,) and covariance (k, k), in its standard deviations.
+
+        `fitted` as for `estimate`.
+        """
+        seen = self.whiten(self._modes[:, np.array(self.nuisances.names) == name])
+        if fitted is not None and fitted.size:
+            basis = np.linalg.svd(self.whiten(fitted), full_matrices=False)[0]
+            seen = seen - basis @ (basis.T @ seen)
+        return seen.T @ self.whiten(residual), np.eye(seen.shape[1]) - seen.T @ seen
+
     def estimate(self, residual: Array, name: str, fitted: Array | None = None) -> tuple[float, float] | None:
         """Mean and standard deviation of a nuisance of one number, given a residual (n,), m; None where it is not allowed for.
 

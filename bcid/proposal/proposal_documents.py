@@ -9,6 +9,7 @@ from typing import Any
 
 from bcid.base.units import unit_factor
 from bcid.comparison.diagnosis import Diagnosis
+from bcid.comparison.law_form import LawForm
 from bcid.comparison.output import beliefs, documents, finite
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.source import Source
@@ -79,12 +80,14 @@ def proposal_documents(
 def _json(written: WrittenProposal, length: str) -> dict[str, Any]:
     """The content of `proposal.json`: numbers of terms in SI units, residuals in a unit of length."""
     unit, found = unit_factor(length, "m"), written.proposal
+    form = LawForm.of(found.explanation.last.fitted)
     return {
         "length_unit": length,
         "proposed": [_term(written, k, name) for k, name in enumerate(written.files)],
         "complete": found.complete,
         "explained": found.explained if found.path else 0.0,
         "scored": found.scored,
+        "law_form": form.to_json() if form and form.seen else None,
         "path": [
             {
                 "beside": entry.beside,

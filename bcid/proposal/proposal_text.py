@@ -9,6 +9,7 @@ import numpy as np
 from bcid.base.units import WIDE, falls, for_people, percent, uncertain
 from bcid.comparison.diagnosis_text import anchors
 from bcid.comparison.explanation import Rung
+from bcid.comparison.law_form import LawForm
 from bcid.forms.model import Model, Term
 from bcid.proposal.effect_file import wrapped
 from bcid.proposal.propose import Entry, Proposal
@@ -78,6 +79,12 @@ def _law_beside(proposal: Proposal) -> str:
     return f" The law beside it: {', '.join(told)}.".replace("−", "-") if told else ""
 
 
+def _law_form(proposal: Proposal) -> str:
+    """How the law differs beside what is proposed, as far as the scene allows for it; "" where nothing of that is seen."""
+    form = LawForm.of(proposal.explanation.last.fitted)
+    return f" {form.text}" if form and form.seen else ""
+
+
 def _rest(proposal: Proposal) -> str:
     """What is left, and whether the term explains more than what is allowed for in the scene."""
     first, last = (rung.state for rung in (proposal.explanation.rungs[0], proposal.explanation.last))
@@ -107,13 +114,12 @@ def headline(proposal: Proposal) -> list[str]:
             text = f"Nothing is missing that these data could show ({percent(found.odds.verdicts['none'])}): no term is proposed."
         else:
             text = f"Nothing in the grammar explains it: {proposal.scored} terms were scored."
-        return [f"{text} {held}"]
+        return [f"{text} {held}{_law_form(proposal)}"]
     first, last = found.rungs[0], found.last
     names = " and ".join(entry.family.name for entry in proposal.path)
     sure = percent(found.odds.acting("+".join(term.effect.name for term in proposal.terms)))
-    lines = [
-        f"Proposed: {names} ({sure}). {_falls(proposal, first, last)} {held}{_law_beside(proposal)} {_rest(proposal)}"
-    ]
+    law = f"{_law_beside(proposal)}{_law_form(proposal)}"
+    lines = [f"Proposed: {names} ({sure}). {_falls(proposal, first, last)} {held}{law} {_rest(proposal)}"]
     for term, entry in zip(proposal.terms, proposal.path, strict=True):
         place = f" on '{term.place}'" if term.place else ""
         lines += [

@@ -18,6 +18,7 @@ from bcid.comparison.explanation import explains
 from bcid.comparison.fit import WIDEST, Coordinate, Fit, _covariance, fit
 from bcid.comparison.held_out import held_out
 from bcid.comparison.kept_predictions import MeasurementPrediction
+from bcid.comparison.law_form import LawForm
 from bcid.comparison.ranking import _bounded, rank
 from bcid.comparison.state import State
 from bcid.comparison.variants import Variant, _harmonics
@@ -441,6 +442,43 @@ def test_an_action_is_fitted_without_in_full_where_a_step_is_not_enough() -> Non
         amount = float(column[~own] @ away[~own] / (column[~own] @ column[~own]))
         squares += float(np.sum((away - amount * column)[own] ** 2))
     assert held_out(fitted) == pytest.approx(np.sqrt(squares / len(away)), rel=2e-2)
+
+
+def law_state(amounts: tuple[float, float]) -> State:
+    """A law whose form is off by so many standard deviations, of which two nuisances tell."""
+    made = actions()
+    data = data_of(rest(made), made)
+    common = 1e-3 * np.random.default_rng(12).normal(size=(len(data), 3))
+    nuisances = NuisanceModes(np.zeros((len(data), 3)), common, ("law", "law", "grip"), {"law": 0.05, "grip": 1e-3})
+    noise = np.random.default_rng(2).normal(0, SIGMA, len(data))
+    data.values = data.vector(rest(made)) + common @ [*amounts, 0.7] + noise
+    state = state_of(Toy(data, made, {}), Model.of(SCENE))
+    return state.with_errors(state.errors.mesh, nuisances)
+
+
+def test_the_form_of_the_law_is_told_where_it_is_off() -> None:
+    form = LawForm.of(Fit.at(law_state((0.0, 1.5))))
+    assert form is not None
+    assert form.seen
+    assert np.abs(form.values / 0.05 - [0.0, 1.5]).max() < 4 * form.stderr.max() / 0.05
+    assert form.stderr.max() < 0.05 * 0.03
+    second = form.to_json()["second_invariant"]
+    assert second["value"] == pytest.approx(0.3, abs=0.01)
+    assert second["allowed"] == pytest.approx(0.2)
+    assert "The law is slightly off: 30" in form.text
+    assert form.beside(Model.of(SCENE)).terms[-1].values["second"] == form.values[1]
+    assert not LawForm(0.0 * form.values, form.stderr, 0.05).seen
+    # Where a model says it itself, or the scene is sure of it, nothing is told.
+    state = law_state((0.0, 1.5))
+    assert LawForm.of(Fit.at(replace(state, errors=state.errors.without(["law"])))) is None
+
+
+def test_several_values_of_a_nuisance_are_told_as_one_is() -> None:
+    state = law_state((0.0, 1.5))
+    means, covariance = state.errors.values(state.residual, "grip")
+    alone = state.errors.estimate(state.residual, "grip")
+    assert alone is not None
+    assert (1e-3 * means[0], 1e-3 * np.sqrt(covariance[0, 0])) == pytest.approx(alone, rel=1e-6)
 
 
 @pytest.mark.parametrize("coarse", [False, True])

@@ -219,7 +219,7 @@ def proposed(folder: Path) -> dict[str, Any]:
         }
         known = read_json(folder / "truth.json")
         if known["kind"] in LAWS:
-            told["energy_apart"] = energy_apart(predictor, last.state, known["law"])
+            told["energy_apart"] = energy_apart(predictor, last.fitted, known["law"])
         return told
     finally:
         predictor.destroy()

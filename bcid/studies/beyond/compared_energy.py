@@ -11,8 +11,9 @@ import ufl
 from dolfinx import fem
 from numpy.typing import NDArray
 
+from bcid.comparison.fit import Fit
+from bcid.comparison.law_form import LawForm
 from bcid.comparison.predictor import Predictor
-from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.forms.weak_form import WeakForm
 from bcid.scene import Material
@@ -22,17 +23,20 @@ Array = NDArray[np.float64]
 _MOST = 0.95
 
 
-def energy_apart(predictor: Predictor, state: State, law: Mapping[str, Any]) -> float:
+def energy_apart(predictor: Predictor, fitted: Fit, law: Mapping[str, Any]) -> float:
     """RMS difference of the energies per volume of cells in all frames, relative to the RMS of the true one.
 
+    The energy of a model is that of its law and its terms, with the form of the law that is told beside them.
     Without measured forces a scale common to all energies cannot be known: the best is taken. The most strained cells are left out:
     there an exponential is larger than all else, and the mesh decides how large.
     """
+    state, form = fitted.state, LawForm.of(fitted)
     forward = predictor.forward(state.model)
     scene = replace(predictor.scene, material=Material(law["name"], dict(law["values"])))
     equilibrium = forward.equilibrium
     true = _density(WeakForm(forward.body, Model.of(scene), scene, equilibrium.u))
-    found = _density(equilibrium.weak_form)
+    told = form.beside(state.model) if form and form.seen else state.model
+    found = _density(WeakForm(forward.body, told, predictor.scene, equilibrium.u))
     pairs = []
     for part in state.prediction.parts.values():
         for unknowns in (part.states or {}).values():
