@@ -11,7 +11,7 @@ from typing import Any
 from bcid.base.errors import InputError
 from bcid.forms.effects.effect import Effect
 from bcid.forms.parameter import Amount, Parameter
-from bcid.proposal.family import FINE, SPOT, SURFACE, Family
+from bcid.proposal.family import FINE, OBSERVATION, SPOT, SURFACE, Family
 
 # Digits of numbers that are written: enough for any that a measurement tells.
 _DIGITS = 6
@@ -19,6 +19,11 @@ _SPOT = (
     'away = point.X - ufl.as_vector([c["cx"], c["cy"], c["cz"]])',
     'weight = ufl.exp(-ufl.inner(away, away) / (2 * c["radius"] ** 2))',
 )
+_PICTURE = (
+    ("away = positions - frame.rest.mean(axis=0)", "away"),
+    ("size = np.linalg.norm(np.ptp(frame.rest, axis=0))", "size"),
+)
+_LIBRARIES = ("import math", "import numpy as np", "import ufl")
 _WIDTH = 120
 
 
@@ -49,9 +54,9 @@ def source(
     imports, code = _imports(family), []
     effect = f'effects.effect("{family.catalogue}")'
     if not family.catalogue:
-        kind = "work" if family.works else "potential" if family.kind == "boundary" else "energy"
-        function = _function(kind, family)
-        needed = [line for line in ("import math", "import ufl") if f"{line.split()[1]}." in function]
+        kind = _kind(family)
+        function = _observe(family) if kind == "observe" else _function(kind, family)
+        needed = [line for line in _LIBRARIES if f"{line.split()[-1]}." in function]
         imports[1:1] = ["\n".join(needed)]
         code = [function, _effect(kind, family, name, values, list(places) or [place])]
         effect = "effect"
@@ -69,7 +74,7 @@ def source(
 
 def _imports(family: Family) -> list[str]:
     """Blocks of imports: of Python's library, and of bcid."""
-    own = [] if family.catalogue else ["from bcid.forms.effects.effect import BodyEffect"]
+    own = [] if family.catalogue else [f"from bcid.forms.effects.effect import {_class(family)}"]
     own += [] if family.catalogue else [f"from bcid.forms.parameter import {_kinds(family)}"]
     own += ["from bcid.forms import effects"] if family.catalogue else []
     own += ["from bcid.forms.course import in_time"] if family.times else []
@@ -87,6 +92,31 @@ def made(text: str) -> Effect:
 
 def _kinds(family: Family) -> str:
     return "Amount, Shape" if family.shapes else "Amount"
+
+
+def _class(family: Family) -> str:
+    return "ObservationEffect" if family.kind == OBSERVATION else "BodyEffect"
+
+
+def _kind(family: Family) -> str:
+    """Which function of the effect a family's code is."""
+    if family.kind == OBSERVATION:
+        return "observe"
+    return "work" if family.works else "potential" if family.kind == "boundary" else "energy"
+
+
+def _observe(family: Family) -> str:
+    """The function that says where fiducials appear."""
+    *lines, last = family.code.replace("'", '"').splitlines()
+    value = last.removeprefix("return ")
+    lines = [line for line, needed in _PICTURE if needed in family.code] + lines
+    return "\n".join(
+        [
+            "def observe(positions, c, frame, place):",
+            *(f"    {line}" for line in lines),
+            f"    return positions + {value}",
+        ]
+    )
 
 
 def _function(kind: str, family: Family) -> str:
@@ -111,7 +141,7 @@ def _grouped(value: str) -> str:
 
 
 def _effect(kind: str, family: Family, name: str, values: Mapping[str, float], places: Sequence[str]) -> str:
-    lines = ["effect = BodyEffect(", f'    name="{name}",', "    parameters=("]
+    lines = [f"effect = {_class(family)}(", f'    name="{name}",', "    parameters=("]
     lines += [f"        {_parameter(p, values)}," for p in family.parameters]
     acts = {"energy": "material"}.get(family.kind, family.kind)
     lines += ["    ),", f'    about="{family.about}",', f'    acts_on="{acts}",', f"    {kind}={kind},"]

@@ -17,6 +17,8 @@ Values = Mapping[str, float]
 
 # Where a term acts: in the whole body, on a named surface, or about a place on the surface or in the body.
 BODY, SURFACE, SPOT, INNER_SPOT = "body", "surface", "spot", "inner spot"
+# The kind of a family of terms that leave the body alone.
+OBSERVATION = "observation"
 # Degree of quadrature on the boundary: a spot is smaller than the facets of a coarse mesh.
 FINE = 12
 
@@ -27,11 +29,11 @@ class Family:
 
     Attributes:
         name: an identifier.
-        kind: "energy", "boundary" or "body force".
+        kind: "energy", "boundary", "body force" or "observation".
         about: one phrase.
         formula: as it is written in a text.
         code: lines of Python with UFL that end in ``return``: the energy per rest volume of a term in the body, or per rest area on
-            a surface; the virtual work per rest area where `works`.
+            a surface; the virtual work per rest area where `works`; see `bcid.proposal.observation_terms` for terms of the picture.
         amounts, shapes: its numbers; shapes of a spot (cx, cy, cz, radius) are added by where it acts.
         unit: change of the residual per unit of each amount at deformed points: first Piola stress, (q, 3, 3, amounts), of an
             energy; traction or body force with the sign of the residual, (q, 3, amounts), of the others.

@@ -23,9 +23,10 @@ from bcid.forms.model import Model
 from bcid.forms.probes import Sensitivities, Wanted
 from bcid.inference.criteria import SEEN
 from bcid.proposal.effect_file import made, source
-from bcid.proposal.family import Family
+from bcid.proposal.family import OBSERVATION, Family
 from bcid.proposal.grammar import KINDS, Grammar, TermVariant
 from bcid.proposal.holds import Grip, held_by
+from bcid.proposal.observation_terms import observation_terms, observed_variant, picture_is_told
 from bcid.proposal.pulled import gripper_moves, pulled_families, pulled_variants
 from bcid.proposal.timed import steady_variants, timed_families, variants_in_time
 
@@ -134,7 +135,10 @@ class TermScores:
         pulled = pulled_families(grammar.families) if gripper_moves(state) else []
         for family in pulled:
             ways[family.name] = pulled_variants(state, ways[family.steady], grammar.like(family))
-        families = [*grammar.families, *timed, *pulled]
+        seen = observation_terms() if OBSERVATION in self.kinds and picture_is_told(state) else []
+        for family in seen:
+            ways[family.name] = [observed_variant(state, grammar.term(TermVariant(family)))]
+        families = [*grammar.families, *timed, *pulled, *seen]
         self._families, self.scored = len(families), sum(len(ways.get(f.name, ())) for f in families)
         result = []
         for family in families:

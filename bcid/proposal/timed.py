@@ -20,6 +20,7 @@ _CATALOGUE = {
     "grasp_slip": "grip",
     "grasp_offset": "grip",
     "camera_offset": "observation",
+    "time_lag": "observation",
 }
 _FAMILIES = ("pressure", "traction", "body_force", "pressure_at_a_spot")
 # By how many knots, and how a family of that kind is called.
