@@ -82,6 +82,10 @@ def _isotropic(shear: float) -> list[Family]:
             convex="polyconvex with the exponent 3/2 only; the law itself keeps it stable",
         ),
         family(
+            "second_for_first", "the energy depends on the second invariant in the place of the first", "c (I2bar - I1bar)",
+            f"return c['c'] * ({b} - {a})", 0.2, lambda d, v: (-1.0, 1.0, 0.0), convex=_UNKNOWN,
+        ),
+        family(
             "first_squared", "the body gets stiffer the more it is stretched", "c (I1bar - 3)^2",
             f"return c['c'] * {a} ** 2", 1.0, lambda d, v: (2 * d.first, 0.0, 0.0), -0.2 * shear,
         ),
