@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,7 +14,7 @@ import pytest
 import runs
 
 from bcid.app.cli import main
-from bcid.base.errors import InputError
+from bcid.base.errors import InputError, SolveError
 from bcid.base.run_folder import RunFolder
 from bcid.comparison.explain import ExplainOptions
 from bcid.comparison.source import stored_effect
@@ -29,6 +30,7 @@ from bcid.report.found import Found
 from bcid.report.page import write_report
 from bcid.studies.beyond.beyond_study import judge, rates, table
 from bcid.studies.beyond.true_laws import LAWS, true_scene
+from bcid.studies.hidden import truth
 from bcid.studies.hidden.chance import generator
 
 
@@ -154,11 +156,12 @@ def test_a_report_shows_what_is_proposed(tmp_path: Path) -> None:
 
 
 def result(kind: str, **found: Any) -> dict[str, Any]:
-    truth = {
+    known = {
         "kind": kind,
         "body": "slab",
         "size": 5.0,
         "anchored": ["3", "4"],
+        "not_asked": ["7"],
         "term": {"cx": 0.05, "cy": 0.0, "cz": 0.04, "radius": 0.01},
     }
     told = {
@@ -169,7 +172,7 @@ def result(kind: str, **found: Any) -> dict[str, Any]:
         "verdicts": {},
         "energy_apart": 0.03,
     } | found
-    return {"truth": truth, "found": told, "cpu_seconds": 50.0}
+    return {"truth": known, "found": told, "cpu_seconds": 50.0}
 
 
 def test_cases_are_judged_question_by_question() -> None:
@@ -187,6 +190,10 @@ def test_cases_are_judged_question_by_question() -> None:
     assert judge(result("gent"))["energy"]
     assert not judge(result("gent", energy_apart=0.06))["energy"]
     assert not judge(result("none", terms=[near]))["nothing"]
+    assert right["anchors"]
+    # Nobody could tell whether the seventh patch is anchored.
+    assert judge(result("none", anchored=["3", "4", "7"]))["anchors"]
+    assert not judge(result("none", anchored=["3", "7"]))["anchors"]
     judged = [judge(result("none")), right]
     found = rates(judged)
     assert found["boundary: place"]["met"] == 1
@@ -194,6 +201,20 @@ def test_cases_are_judged_question_by_question() -> None:
     text = table({"cases": 2, "judged": judged, "rates": found, "lost": {"0003": "why"}})
     assert "spring_at_a_spot 1" in text
     assert "0003: why" in text
+
+
+def test_patches_that_hardly_show_are_not_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    case: Any = SimpleNamespace(noise=2e-4, body=SimpleNamespace(coarse=None))
+    scene: Any = None
+    toggles = {"1": 1.9e-4, "2": 2.1e-4, "3": math.nan}
+    monkeypatch.setattr(truth, "_plain", lambda *args: (None, toggles))
+    assert truth.untold_patches(scene, case) == ["1"]
+
+    def buckles(*args: object) -> None:
+        raise SolveError("it buckles")
+
+    monkeypatch.setattr(truth, "_plain", buckles)
+    assert truth.untold_patches(scene, case) == []
 
 
 @pytest.mark.parametrize("law", LAWS)

@@ -98,7 +98,7 @@ def make(folder: Path, index: int, seed: int, bodies: tuple[str, ...]) -> None:
         except SolveError as error:
             reasons.append(str(error))
             continue
-        _write(folder, kind, case, scene, made, rng)
+        _write(folder, kind, case, scene, made, truth.untold_patches(scene, case), rng)
         return
     raise SolveError(f"case {index} of seed {seed} could not be made in {_ATTEMPTS} attempts: {'; '.join(reasons)}")
 
@@ -172,11 +172,12 @@ def _place(scene: Scene, case: Case, mesh: BodyMesh, rng: Rng) -> Array:
     return np.asarray(middles[rng.choice(usable)])
 
 
-def _write(folder: Path, kind: str, case: Case, scene: Scene, made: Made, rng: Rng) -> None:
+def _write(folder: Path, kind: str, case: Case, scene: Scene, made: Made, untold: list[str], rng: Rng) -> None:
     times = np.concatenate([action.clock for action in case.actions])
     seen = recorded(scene, case.actions, made.positions, NOISE, rng, times, f"beyond the catalogue, case {case.index}")
     told = {
-        "index": case.index, "kind": kind, "body": case.body.name, "anchored": list(case.anchors), "size": made.size,
+        "index": case.index, "kind": kind, "body": case.body.name, "anchored": list(case.anchors), "not_asked": untold,
+        "size": made.size,
         "law": {"name": made.scene.material.law, "values": dict(made.scene.material.values)},
         "term": None if made.term is None else dict(made.term.values),
     }  # fmt: skip

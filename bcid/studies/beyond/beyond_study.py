@@ -98,7 +98,7 @@ def judge(result: Json) -> dict[str, Any]:
         "size": truth["size"],
         "cpu_seconds": result["cpu_seconds"],
     }
-    told["anchors"] = sorted(truth["anchored"]) == found["anchored"]
+    told["anchors"] = not (set(truth["anchored"]) ^ set(found["anchored"])) - set(truth["not_asked"])
     told["proposed"] = " + ".join(term["family"] for term in terms) or found["verdict"]
     if kind == "none":
         return told | {"nothing": not terms}

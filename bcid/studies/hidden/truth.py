@@ -209,6 +209,18 @@ def _plain(scene: Scene, case: Case, coarse: Level) -> tuple[Array, dict[str, fl
         forward.destroy()
 
 
+def untold_patches(scene: Scene, case: Case) -> list[str]:
+    """Patches that move the fiducials by less than the noise if they are toggled: nobody could tell whether they are anchored.
+
+    None where the plain body passes an instability, and where nothing would hold it.
+    """
+    try:
+        _, toggles = _plain(scene, case, case.body.coarse)
+    except SolveError:
+        return []
+    return [patch for patch, moved in toggles.items() if moved < ASKED * case.noise]
+
+
 def visible(case: Case, toggles: Mapping[str, float]) -> float:
     """The noise, m, lowered as far as the range of noises allows until it shows of every anchor that it is one.
 
