@@ -14,8 +14,9 @@ from bcid.inference.likelihood import Errors
 Array = NDArray[np.float64]
 # A linear step stands for a fit where what it promises of the action comes true within this part of the noise (RMS).
 _TRUE = 0.3
-# A fit without an action takes so many predictions at most; it begins at the fit to all.
-_MOST = 8
+# A fit without an action, which begins at the fit to all, takes so many predictions at most, and ends at this relative change of
+# chi-square.
+_MOST, _ROUGH = 8, 2e-3
 
 
 def held_out(fitted: Fit) -> float | None:
@@ -94,6 +95,6 @@ def _moved(fitted: Fit, step: Array) -> dict[str, float] | None:
 def _refitted(fitted: Fit, errors: Errors) -> Array | None:
     """The residual (n,), m, of a fit with these errors, with solves; None where it cannot be followed."""
     try:
-        return fit(replace(fitted.state, errors=errors), fitted.state.free, most=_MOST).state.residual
+        return fit(replace(fitted.state, errors=errors), fitted.state.free, most=_MOST, ftol=_ROUGH).state.residual
     except SolveError:
         return None

@@ -16,7 +16,6 @@ from bcid.comparison.adequacy import judge
 from bcid.comparison.explain import ExplainOptions, explain
 from bcid.comparison.explanation import Explanation, Rung, explained
 from bcid.comparison.fit import Fit, fit
-from bcid.comparison.held_out import held_out
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import Ranking
 from bcid.comparison.state import State
@@ -180,4 +179,5 @@ def as_written(proposal: Proposal, effects: Sequence[Effect]) -> Rung:
         model = replace(model, terms=tuple(written if t is term else t for t in model.terms))
     free = tuple(names.get(name, name) for name in state.free)
     again: Fit = fit(State.of(state.predictor, model, state.anchors, state.errors.mesh, free), free, most=4)
-    return Rung(again, judge(again.state), held_out(again))
+    # The files hold the same terms: what one action tells of another is as the search had it.
+    return Rung(again, judge(again.state), last.held_out)
