@@ -62,7 +62,7 @@ class LawForm:
         share = uncertain(percents * second, percents * second_error, "%")
         squared = uncertain(first, first_error)
         return (
-            f"The law is slightly off: {share} of the shear modulus go with the second invariant, and {squared} shear moduli with "
+            f"The law has another form: {share} of the shear modulus go with the second invariant, and {squared} shear moduli with "
             f"(I1bar - 3)^2 (95 %). The scene allows for {percents * self.allowed:.2g} % and {self.allowed:.2g} "
             "(standard deviations: law in its [uncertainty])."
         )

@@ -465,7 +465,7 @@ def test_the_form_of_the_law_is_told_where_it_is_off() -> None:
     second = form.to_json()["second_invariant"]
     assert second["value"] == pytest.approx(0.3, abs=0.01)
     assert second["allowed"] == pytest.approx(0.2)
-    assert "The law is slightly off: 30" in form.text
+    assert "The law has another form: 30" in form.text
     assert form.beside(Model.of(SCENE)).terms[-1].values["second"] == form.values[1]
     assert not LawForm(0.0 * form.values, form.stderr, 0.05).seen
     # Where a model says it itself, or the scene is sure of it, nothing is told.
