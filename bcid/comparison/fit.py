@@ -110,6 +110,7 @@ class Fit:
         jacobian: of the scaled residual by the coordinates, shape (n, p).
         warnings: what is doubtful, in words.
         evaluations: predictions that were needed.
+        settled: whether it came to an end by itself.
     """
 
     state: State
@@ -118,6 +119,7 @@ class Fit:
     jacobian: Array
     warnings: tuple[str, ...]
     evaluations: int
+    settled: bool = True
 
     @classmethod
     def at(cls, state: State) -> Fit:
@@ -160,7 +162,7 @@ class _Problem:
         self.predictor, self.anchors, self.errors = start.predictor, start.anchors, start.errors
         self._known: dict[bytes, tuple[Model, MeasurementPrediction]] = {}
         self._last = start.scaled
-        self.evaluations = 0
+        self.evaluations, self.blocked = 0, False
 
     def model(self, x: Array) -> Model:
         """The model at these coordinates."""
@@ -182,6 +184,7 @@ class _Problem:
         """Scaled residual; where the model fails, a worse one than before, so that the step is refused."""
         _, prediction = self.prediction(x)
         if prediction.failure:
+            self.blocked = True
             return 3.0 * self._last
         found = self.scaled(prediction)
         self._last = found
@@ -309,9 +312,16 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL)
     told = pull[:, [c.parameter.neutral is None for c in chosen]].any(axis=1)
     covariance, loose = _covariance(np.vstack([jacobian, pull[told] / scale]), scale)
     warnings = _warnings(chosen, x, lower, upper, scale, loose)
-    if result.status == 0:
-        warnings.append(f"the fit did not settle within {most} predictions")
-    return Fit(state, tuple(chosen), covariance, jacobian, tuple(warnings), problem.evaluations)
+    settled = result.status != 0
+    if problem.blocked or not settled:
+        # By as much as the step that was not taken its numbers may be off besides.
+        left = _left(result.jac, result.fun, result.active_mask) * scale
+        if problem.blocked and (np.abs(left) > np.sqrt(np.diag(covariance))).any():
+            warnings.append("the fit ended where the model cannot be followed any further")
+        elif not settled:
+            warnings.append(f"the fit did not settle within {most} predictions")
+        covariance = covariance + np.outer(left, left)
+    return Fit(state, tuple(chosen), covariance, jacobian, tuple(warnings), problem.evaluations, settled)
 
 
 def pulls(model: Model, chosen: Sequence[Coordinate]) -> tuple[Array, Array]:
@@ -324,6 +334,13 @@ def pulls(model: Model, chosen: Sequence[Coordinate]) -> tuple[Array, Array]:
         elif p.prior is not None and c.scale == p.scale:
             pulls[k], expected[k] = p.scale / p.prior[1], p.prior[0] / p.scale
     return np.diag(pulls)[pulls > 0], expected
+
+
+def _left(jacobian: Array, residual: Array, at_bounds: NDArray[np.int64]) -> Array:
+    """The Gauss-Newton step that a fit would take next, of numbers that are not at a bound; shape (p,)."""
+    step, free = np.zeros(jacobian.shape[1]), at_bounds == 0
+    step[free] = -np.linalg.lstsq(jacobian[:, free], residual, rcond=1e-8)[0]
+    return step
 
 
 def _covariance(jacobian: Array, scale: Array) -> tuple[Array, list[bool]]:

@@ -32,6 +32,8 @@ _CAUTION = (1.0, 0.5, 0.2)
 UNLIKELY, WORTH, FAR = 12.0, 3.0, 60.0
 # The error of the mesh is that of numbers that are no more than this part of a notable change off; it is asked for so often anew.
 _FAR_OFF, _REMESHED = 0.2, 2
+# A fit to all steps that has not come to an end goes on for so many predictions at most.
+_SETTLING = 16
 # With the numbers of the best candidate sets are searched again, so often and with so many sets at most.
 _MOVES, _WEIGHED = 4, 5
 
@@ -202,6 +204,9 @@ def promoted(
                 break
             model, rival = found.state.model, replace(rival, fitted=found)
             found = fit(found.state.with_own_errors(anew=True), free, most=4)
+        if not found.settled:
+            # Standard errors are those at the end of a fit, and say nothing of how far that still is.
+            found = fit(found.state, free, most=_SETTLING)
     except (SolveError, InputError):
         return None
     return Rival.of(found, begun, rival.known, least)

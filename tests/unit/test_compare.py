@@ -530,6 +530,29 @@ def test_friction_is_found_though_trajectories_jump_where_a_step_is_halved() -> 
         assert fitted.values["support_friction.shear_stress"] == pytest.approx(200.0, rel=0.05)
 
 
+class Ending(Toy):
+    """It cannot be followed with more than this weight, N/m^3."""
+
+    most = 3000.0
+
+    def predict(self, model: Model, *more: Any, **named: Any) -> MeasurementPrediction:
+        found = super().predict(model, *more, **named)
+        return replace(found, failure="it inverts") if model.constants()["gravity.weight"] > self.most else found
+
+
+def test_a_fit_that_ends_where_nothing_can_be_followed_is_as_uncertain_as_that() -> None:
+    model = Model.of(SCENE) + Term(effects.effect("gravity"), {"weight": 6000.0})
+    made = toy(model, ("gravity.weight",), (1e-7,))
+    free = fit(state_of(made, model.with_values({"gravity.weight": 1000.0})), ("gravity.weight",))
+    assert not free.warnings
+    assert free.stderr["gravity.weight"] < 1000.0
+    ending = Ending(made.data, made.actions, made.shapes)
+    found = fit(state_of(ending, model.with_values({"gravity.weight": 1000.0})), ("gravity.weight",))
+    assert found.values["gravity.weight"] <= Ending.most
+    assert abs(found.values["gravity.weight"] - 6000.0) < 1.1 * found.stderr["gravity.weight"]
+    assert found.warnings == ("the fit ended where the model cannot be followed any further",)
+
+
 def test_an_effect_that_comes_and_goes_shows_its_period() -> None:
     effect, plain = effects.effect("active_stress"), Model.of(SCENE)
     made = toy(plain, (), ())
