@@ -233,29 +233,23 @@ class Errors:
     def values(self, residual: Array, name: str, fitted: Array | None = None) -> tuple[Array, Array]:
         """Values of a nuisance given a residual (n,), m: means (k,) and covariance (k, k), in its standard deviations.
 
-        `fitted` as for `estimate`.
-        """
-        seen = self.whiten(self._modes[:, np.array(self.nuisances.names) == name])
-        if fitted is not None and fitted.size:
-            basis = np.linalg.svd(self.whiten(fitted), full_matrices=False)[0]
-            seen = seen - basis @ (basis.T @ seen)
-        return seen.T @ self.whiten(residual), np.eye(seen.shape[1]) - seen.T @ seen
-
-    def estimate(self, residual: Array, name: str, fitted: Array | None = None) -> tuple[float, float] | None:
-        """Mean and standard deviation of a nuisance of one number, given a residual (n,), m; None where it is not allowed for.
-
         `fitted` are columns (n, p), m, of numbers that were fitted to the same data: they could be others with it.
         """
-        if name not in self.nuisances.names:
-            return None
-        column = self._modes[:, self.nuisances.names.index(name)]
-        others, size = self.without([name]), self.nuisances.sizes[name]
-        seen, scaled = others.whiten(column), others.whiten(residual)
+        others = self.without([name])
+        seen = others.whiten(self._modes[:, np.array(self.nuisances.names) == name])
         if fitted is not None and fitted.size:
             basis = np.linalg.svd(others.whiten(fitted), full_matrices=False)[0]
             seen = seen - basis @ (basis.T @ seen)
-        variance = 1 / (1 + float(seen @ seen))
-        return size * variance * float(seen @ scaled), size * math.sqrt(variance)
+        covariance = np.asarray(np.linalg.inv(np.eye(seen.shape[1]) + seen.T @ seen))
+        return covariance @ (seen.T @ others.whiten(residual)), covariance
+
+    def estimate(self, residual: Array, name: str, fitted: Array | None = None) -> tuple[float, float] | None:
+        """Mean and standard deviation of a nuisance of one number; None where it is not allowed for. See `values`."""
+        if name not in self.nuisances.names:
+            return None
+        means, covariance = self.values(residual, name, fitted)
+        size = self.nuisances.sizes[name]
+        return size * float(means[0]), size * math.sqrt(covariance[0, 0])
 
 
 def _along(data: Data, rows: NDArray[np.int64], left: Array, sizes: dict[tuple[int, int], float]) -> Array:
