@@ -473,12 +473,20 @@ def test_the_form_of_the_law_is_told_where_it_is_off() -> None:
     assert LawForm.of(Fit.at(replace(state, errors=state.errors.without(["law"])))) is None
 
 
-def test_several_values_of_a_nuisance_are_told_as_one_is() -> None:
+def test_values_of_nuisances_are_those_given_the_data() -> None:
+    """By the covariance of all values, written out; so weak that what was believed before counts."""
     state = law_state((0.0, 1.5))
-    means, covariance = state.errors.values(state.residual, "grip")
-    alone = state.errors.estimate(state.residual, "grip")
-    assert alone is not None
-    assert (1e-3 * means[0], 1e-3 * np.sqrt(covariance[0, 0])) == pytest.approx(alone, rel=1e-6)
+    nuisances = state.errors.nuisances
+    weak = replace(nuisances, common=1e-2 * nuisances.common)
+    errors = state.with_errors(state.errors.mesh, weak).errors
+    covariance = explicit(errors)
+    for name, columns in (("law", weak.common[:, :2]), ("grip", weak.common[:, 2:])):
+        means, spread = errors.values(state.residual, name)
+        weighed = np.linalg.solve(covariance, columns)
+        assert means == pytest.approx(weighed.T @ state.residual, rel=1e-6)
+        assert spread == pytest.approx(np.eye(columns.shape[1]) - weighed.T @ columns, rel=1e-6)
+    alone = errors.estimate(state.residual, "grip")
+    assert alone == pytest.approx((1e-3 * means[0], 1e-3 * math.sqrt(spread[0, 0])))
 
 
 @pytest.mark.parametrize("coarse", [False, True])
