@@ -93,6 +93,34 @@ def test_an_unstable_equilibrium_is_told_from_a_stable_one(column: Equilibrium) 
     assert column.verify() is Status.CONVERGED
 
 
+def test_the_faster_factorisation_is_taken_wherever_it_can_be(column: Equilibrium) -> None:
+    """Also after a tangent that was not positive definite, and after one to which springs were added."""
+
+    def package() -> str:
+        assert column.factor._current is not None
+        return str(column.factor._current.getFactorSolverType())
+
+    column.reset()
+    assert column.verify() is Status.CONVERGED
+    if package() != "cholmod":
+        pytest.skip("this PETSc has no CHOLMOD")
+    column.reset()
+    assert column.verify(springs=0.1) is Status.CONVERGED
+    column._assemble_tangent()
+    assert column.factor.refresh()
+    assert package() == "cholmod"
+    column._prescribe(Pose(translation=np.array([-0.008, 0, 0])))
+    column._lift()
+    assert column._newton() is Status.UNSTABLE
+    assert package() == "mumps"
+    column.u.x.array[:] = 0.0
+    for wanted in ("mumps", "cholmod"):
+        column._assemble_tangent()
+        assert column.factor.refresh()
+        assert package() == wanted
+    column.reset()
+
+
 def test_a_state_that_the_gripper_has_not_paid_for_is_refused(column: Equilibrium) -> None:
     """After a full turn the gripper stands as before, and the column is twisted: an equilibrium too, and a stable one."""
     turns = 15.0 * np.r_[:25, 23:-1:-1]

@@ -111,6 +111,7 @@ class Factor:
         elif self.symmetric:
             negative, zero, _ = inner.getFactorMatrix().getInertia()
             self.negative = abs(negative - self.saddle) + zero
+            self._indefinite = self.negative > 0
         self._current = inner
         return True
 

@@ -35,6 +35,8 @@ class Tangent:
         self.forms = forms
         self.matrix = self._create()
         self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
+        # To stiffen it would otherwise end that, and CHOLMOD takes only what is known to be symmetric.
+        self.matrix.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
 
     def _create(self) -> PETSc.Mat:
         """The PETSc matrix of the same pattern; `_order` tells where in the blocks each of its values stands."""
@@ -74,7 +76,8 @@ class Tangent:
             _fill(self._full, self.forms)
             if key is not None:
                 self._remembered = {key: self._full.data.copy()}
-        np.take(self._full.data, self._order, out=self._values)
+        # All numbers are within: to look whether they are costs half of the time.
+        np.take(self._full.data, self._order, out=self._values, mode="clip")
         self._values[self._cleared] = 0.0
         self._values[self._unit] = 1.0
         self.matrix.stateIncrease()
