@@ -115,17 +115,17 @@ class State:
         """Positions as the model has them with the error of the mesh taken out, shape (frames, fiducials, 3), m."""
         return np.asarray(self.prediction.positions + self.errors.mesh.correction)
 
-    @property
+    @cached_property
     def residual(self) -> Array:
         """Measured minus predicted, shape (n,), m."""
         return np.asarray(self.predictor.data.values - self.predictor.data.vector(self.predicted))
 
-    @property
+    @cached_property
     def scaled(self) -> Array:
         """The residual in units of its errors, shape (n,)."""
         return self.errors.whiten(self.residual)
 
-    @property
+    @cached_property
     def chi2(self) -> float:
         """Sum of its squares."""
         scaled = self.scaled

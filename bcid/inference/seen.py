@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -42,12 +43,17 @@ class Seen:
     def take(self, values: Any) -> Any:
         """What is seen of values (frames, rows, 3, ...), shape (n, ...)."""
         found = np.asarray(values[self.mask])
-        frames, rows, _ = np.nonzero(self.mask)
-        along = np.isfinite(self.normals[frames, rows, 0])
-        if along.any():
-            frames, rows = frames[along], rows[along]
+        along, frames, rows = self._along
+        if len(along):
             found[along] = np.einsum("na,na...->n...", self.normals[frames, rows], values[frames, rows])
         return found
+
+    @cached_property
+    def _along(self) -> tuple[NDArray[np.int64], ...]:
+        """Which of the seen values are along a normal, and their frames and rows."""
+        frames, rows, _ = np.nonzero(self.mask)
+        along = np.flatnonzero(np.isfinite(self.normals[frames, rows, 0]))
+        return along, frames[along], rows[along]
 
     def take_frame(self, index: int, values: Array) -> Array:
         """What is seen in one frame of values (rows, 3), shape (n,)."""
