@@ -238,7 +238,7 @@ class PullPredictor:
         model = model or self.model
         if model.name not in self._forwards:
             mesh = self._mesh = self._mesh or level_mesh(self.scene, self.scene.levels[self.level], self.comm)
-            settings = Settings(rtol=1e-7, halvings=3, max_iterations=_ITERATIONS)
+            settings = Settings(rtol=1e-6, halvings=3, max_iterations=_ITERATIONS)
             self._forwards[model.name] = in_turns(
                 self.comm,
                 self.comm.rank == 0,
