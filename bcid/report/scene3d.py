@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -11,14 +10,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from bcid.base.off_screen import off_screen
 from bcid.report.lengths import round_length
 from bcid.report.surface_field import coloured
 
 if TYPE_CHECKING:
     import pyvista as pv
-
-# VTK writes warnings about a missing display before it falls back to drawing in memory.
-os.environ.setdefault("VTK_LOGGING_LEVEL", "ERROR")
 
 # Height of the letters of a name, pixels of a picture of usual size.
 _LETTER = 36
@@ -209,9 +206,7 @@ def _add_marks(plotter: pv.Plotter, rest: pv.PolyData, points: Mapping[str, Arra
 
 
 def _plotter(size: tuple[int, int]) -> pv.Plotter:
-    import pyvista as pv
-
-    plotter = pv.Plotter(off_screen=True, window_size=list(size), lighting="three lights")
+    plotter = off_screen(size, "three lights")
     plotter.set_background("white")
     plotter.enable_anti_aliasing("ssaa")
     plotter.enable_depth_peeling(10)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import os
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import InputError
+from bcid.base.off_screen import off_screen
 from bcid.scene.rotation import rotate
 from bcid.studies.rendering.appearance import Appearance
 from bcid.studies.rendering.shapes import Triangles, box_mesh, normals_of, rod_mesh, shaded_body
@@ -17,9 +17,6 @@ from bcid.studies.rendering.shot import Rod, Shot
 from bcid.studies.rendering.vectors import frame_along
 from bcid.studies.rendering.view import View
 from bcid.vision.images import Image
-
-# VTK writes warnings about a missing display before it falls back to drawing in memory.
-os.environ.setdefault("VTK_LOGGING_LEVEL", "ERROR")
 
 Array = NDArray[np.float64]
 
@@ -76,10 +73,8 @@ class Stage:
     def __init__(
         self, window: tuple[int, int], shot: Shot, appearance: Appearance, random: np.random.Generator
     ) -> None:
-        import pyvista as pv
-
         self._size = window
-        self._plotter = pv.Plotter(off_screen=True, window_size=list(window), lighting="none")
+        self._plotter = off_screen(window, "none")
         self._plotter.set_background("black")
         self._plotter.camera_set = True
         self._plotter.render_window.SetMultiSamples(0)
