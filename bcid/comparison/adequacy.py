@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, norm
 
+from bcid.base.tails import chi2_tail, normal_tail
 from bcid.comparison.state import State
 from bcid.inference.criteria import SURPRISE
 
@@ -77,7 +78,7 @@ def judge(state: State) -> Adequacy:
 
 def _size(state: State) -> Finding:
     scaled, dof = state.scaled, max(len(state.scaled) - len(state.free), 1)
-    p = float(chi2.sf(float(scaled @ scaled), dof))
+    p = chi2_tail(float(scaled @ scaled), dof)
     ratio = float(np.sqrt(scaled @ scaled / dof))
     return Finding("size", p, f"the residual is {ratio:.2f} times what noise and mesh explain", True)
 
@@ -101,7 +102,7 @@ def _slow(state: State) -> Finding:
     shapes = np.column_stack([np.ones(len(data)), data.step - np.mean(data.step)])
     total, dof = _projected(state, data.trajectory, shapes)
     dof = max(dof - len(state.free), 1)
-    p = float(chi2.sf(total, dof))
+    p = chi2_tail(total, dof)
     return Finding("slow", p, f"its slow part is {np.sqrt(total / dof):.2f} times that of noise", True)
 
 
@@ -112,7 +113,7 @@ def _bias(state: State) -> Finding:
     shapes = np.column_stack([np.ones(len(data)), way / max(float(way.max()), 1e-12)])
     total, dof = _projected(state, data.fiducial * 3 + data.axis, shapes)
     dof = max(dof - len(state.free), 1)
-    p = float(chi2.sf(total, dof))
+    p = chi2_tail(total, dof)
     return Finding(
         "bias", p, f"what a fiducial misses in all actions is {np.sqrt(total / dof):.2f} times that of noise", True
     )
@@ -127,17 +128,17 @@ def _describing(state: State) -> list[Finding]:
     products = (scaled[order][1:] * scaled[order][:-1])[pairs]
     if len(products):
         along = float(products.mean() / np.mean(scaled**2))
-        p = float(norm.sf(along * np.sqrt(len(products))))
+        p = normal_tail(along * math.sqrt(len(products)))
         found.append(Finding("correlation along time", p, f"neighbouring steps correlate by {along:.2f}"))
     rest = data.step == 0
     if rest.any():
         value = float(np.sum(scaled[rest] ** 2))
-        p = float(chi2.sf(value, int(rest.sum())))
+        p = chi2_tail(value, int(rest.sum()))
         found.append(Finding("error at rest", p, f"at step 0 it is {np.sqrt(value / rest.sum()):.2f} times noise"))
     way = np.linalg.norm(state.predicted - data.rest, axis=2)[data.frame, data.fiducial]
     if np.ptp(way) > 0:
         grows = float(np.corrcoef(way, scaled**2)[0, 1])
-        p = float(norm.sf(grows * np.sqrt(len(data))))
+        p = normal_tail(grows * math.sqrt(len(data)))
         found.append(Finding("growth with amplitude", p, f"its square correlates with the way by {grows:.2f}"))
     found += _hysteresis(state)
     broken = breaking(state)
@@ -161,9 +162,9 @@ def breaking(state: State) -> Finding | None:
     means = np.maximum([before / few, after / many], 1e-12)
     ratio = counts.sum() * np.log(squares.sum() / counts.sum()) - few * np.log(means[0]) - many * np.log(means[1])
     at = int(np.argmax(np.where(means[1] > means[0], ratio, -np.inf)))
-    p = min(1.0, len(frames) * float(chi2.sf(ratio[at], 1)))
-    fits = float(chi2.sf(before[at], int(few[at]))) >= FALSE_ALARMS
-    fails = float(chi2.sf(after[at], int(many[at]))) < SURPRISE
+    p = min(1.0, len(frames) * chi2_tail(ratio[at], 1))
+    fits = chi2_tail(before[at], few[at]) >= FALSE_ALARMS
+    fails = chi2_tail(after[at], many[at]) < SURPRISE
     if not (fits and fails and p < SURPRISE):
         return None
     row = int(np.flatnonzero(data.frame == frames[at + 1])[0])
@@ -193,7 +194,7 @@ def _hysteresis(state: State) -> list[Finding]:
     if not len(values):
         return []
     total = float(values @ values)
-    p = float(chi2.sf(total, len(values)))
+    p = chi2_tail(total, len(values))
     text = f"there and back at the same pose differ by {np.sqrt(total / len(values)):.2f} times noise"
     return [Finding("hysteresis", p, text)]
 

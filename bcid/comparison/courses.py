@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from bcid.base.errors import InputError
+from bcid.base.tails import chi2_tail
 from bcid.base.units import UNTOLD
 from bcid.comparison.fit import Fit
 from bcid.comparison.state import State
@@ -142,7 +142,7 @@ def _p_value(fitted: Fit, term: Term, names: Sequence[str], contrasts: Array, no
     if covariance is None or np.diag(covariance).max() > UNTOLD**2:
         return None
     apart = contrasts @ (np.array([term.values[name] for name in names]) - none)
-    return float(chi2.sf(apart @ np.linalg.lstsq(covariance, apart)[0], len(contrasts)))
+    return chi2_tail(float(apart @ np.linalg.lstsq(covariance, apart)[0]), len(contrasts))
 
 
 def _apart(fitted: Fit, term: Term, names: Sequence[str]) -> list[float | None]:

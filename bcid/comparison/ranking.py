@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 from scipy.special import logsumexp
-from scipy.stats import chi2, ncx2
 
 from bcid.base.errors import InputError
+from bcid.base.tails import chi2_limit, chi2_tail, shifted_chi2_tail
 from bcid.comparison.fit import columns, coordinates
 from bcid.comparison.priors import log_share, log_variants, one_sided, visible
 from bcid.comparison.state import State
@@ -239,8 +239,8 @@ def best_row(state: State, name: str, variants: Sequence[Variant], basis: Array,
         # Of numbers that cannot be told apart round-off leaves a variance that is none.
         errors[c.parameter.name] = float(np.sqrt(v)) * factor if v >= 0 else math.inf
     dof = len(best.amounts)
-    limit = float(chi2.isf(SIGNIFICANT / tried, dof))
-    power = float(ncx2.sf(limit, dof, max(float(np.trace(information)) / dof, 1e-12)))
+    limit = chi2_limit(SIGNIFICANT / tried, dof)
+    power = shifted_chi2_tail(limit, dof, max(float(np.trace(information)) / dof, 1e-12))
     explained = left @ step
     after = state.residual - state.errors.unwhiten(explained)
     return Row(
@@ -249,7 +249,7 @@ def best_row(state: State, name: str, variants: Sequence[Variant], basis: Array,
         errors,
         gain,
         dof,
-        min(1.0, float(chi2.sf(gain, dof)) * tried),
+        min(1.0, chi2_tail(gain, dof) * tried),
         state.predictor.data.rms(after),
         power if math.isfinite(power) else 1.0,
         identifiable,

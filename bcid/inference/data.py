@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
+from bcid.base.tails import normal_tail
 from bcid.forms.gripper_force import ROWS, ForceScale
 from bcid.inference.criteria import SURPRISE
 from bcid.inference.force_noise import force_noise
@@ -43,7 +43,7 @@ class Noise:
     @property
     def surprising(self) -> bool:
         """Whether chance lets expect no such difference from what is stated."""
-        return bool(2 * norm.sf(abs(math.log(self.factor)) / self.error) < SURPRISE)
+        return bool(2 * normal_tail(abs(math.log(self.factor)) / self.error) < SURPRISE)
 
 
 class Data:

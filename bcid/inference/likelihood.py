@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
+from bcid.base.tails import normal_tail
 from bcid.inference.criteria import SURPRISE
 from bcid.inference.data import Data
 from bcid.inference.mesh_error import MeshError
@@ -88,7 +88,7 @@ class NuisanceEstimate:
     @property
     def used_up(self) -> bool:
         """Whether a value is larger than chance lets expect of so many: the scene is wrong by more than it says."""
-        return bool(2 * self.count * norm.sf(self.most) < SURPRISE)
+        return bool(2 * self.count * normal_tail(self.most) < SURPRISE)
 
 
 class Errors:

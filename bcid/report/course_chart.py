@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
+from bcid.base.tails import normal_quantile
 from bcid.base.units import for_people
 from bcid.report.figure import DARK, LIGHT, open_frame
 from bcid.report.text import plain
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 # Half the width of an interval that holds 95 %, in standard errors.
-_HALF = float(norm.ppf(0.975))
+_HALF = normal_quantile(0.975)
 # Between the light band and the dark line.
 _MIDDLE = "#5fa8d6"
 # Inches of a panel, and of a figure's lower edge.

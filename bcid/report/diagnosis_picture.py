@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from bcid.base.run_folder import RunFolder, writing
+from bcid.base.tails import chi2_tail
 from bcid.base.units import percent, uncertain, unit_factor
 from bcid.report.figure import body_entries, cropped, save, styled
 from bcid.report.ladder import head, ladder_figure
@@ -172,7 +172,7 @@ def _said_of(action: str, told: list[dict[str, Any]], everywhere: list[dict[str,
 def _told(place: dict[str, Any], tries: int) -> bool:
     """Whether chance would not make so large a force on any of so many regions (Bonferroni)."""
     ratio = _size(place) / max(place["stderr"], 1e-300)
-    return bool(chi2.sf(min(ratio, 1e6) ** 2, 3) * tries < _CHANCE)
+    return bool(chi2_tail(min(ratio, 1e6) ** 2, 3) * tries < _CHANCE)
 
 
 def _size(place: dict[str, Any]) -> float:

@@ -161,6 +161,13 @@ def test_import_is_light() -> None:
     assert out.stdout.strip() == "[]"
 
 
+def test_what_explains_is_loaded_without_a_slow_library() -> None:
+    """Every command and every child of a study pays for it."""
+    code = "import bcid.comparison.compare_runs, sys; print('scipy.stats' in sys.modules)"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.split() == ["False"]
+
+
 def test_every_public_name_is_there() -> None:
     import bcid
 
