@@ -97,6 +97,19 @@ class Deformed:
         """dJ/dF, shape (q, 3, 3)."""
         return _scaled(self.J, self.inverse_transposed)
 
+    @cached_property
+    def _principal(self) -> tuple[Array, Array]:
+        """Eigenvalues of C, shape (q, 3), and unit vectors, shape (q, 3, 3), by column."""
+        values, vectors = np.linalg.eigh(self.C)
+        return np.asarray(values), np.asarray(vectors)
+
+    def power_slope(self, exponent: float) -> Array:
+        """Derivative by F of the sum of the isochoric principal stretches to a power, shape (q, 3, 3)."""
+        values, vectors = self._principal
+        powers = (self.J[:, None] ** (-2 / 3) * values) ** (exponent / 2)
+        apart = exponent * (powers - powers.mean(axis=1, keepdims=True)) / values
+        return np.asarray(self.F @ np.einsum("qip,qp,qjp->qij", vectors, apart, vectors))
+
     def spot(self, centre: tuple[float, float, float], radius: float) -> Array:
         """`QuadraturePoints.spot`, computed once for all terms at a place; shape (q,)."""
         if (centre, radius) not in self._spots:

@@ -78,6 +78,7 @@ def _imports(family: Family) -> list[str]:
     own += [] if family.catalogue else [f"from bcid.forms.parameter import {_kinds(family)}"]
     own += ["from bcid.forms import effects"] if family.catalogue else []
     own += ["from bcid.forms.course import in_time"] if family.times else []
+    own += ["from bcid.forms.spectrum import Spectrum"] if "Spectrum." in family.code else []
     return ["from dataclasses import replace" if family.times else "", "\n".join(sorted(own))]
 
 

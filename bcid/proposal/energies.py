@@ -7,7 +7,7 @@ Invariants and their polyconvexity: Ball, Arch. Ration. Mech. Anal. 63 (1977) 33
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +20,25 @@ Array = NDArray[np.float64]
 Slopes = Callable[[Deformed, Values], tuple[Array | float, Array | float, Array | float]]
 
 _POSITIVE = "polyconvex as the coefficient is not negative"
-_UNKNOWN = "not known to be polyconvex"
+UNKNOWN = "not known to be polyconvex"
 # Rates of an exponential and exponents that are tried. A steep exponential seems to do far more in a body that is soft without it
 # than it will once it holds back: from the mildest a fit gets to the others.
 _RATES, _POWERS = (0.3, 3.0, 12.0), (0.25, 0.5, 2.0)
 # Directions that are tried: elevations out of the plane of fibres, with azimuths about so far apart, degrees.
 _APART = 22.5
-_RATE = Shape("rate", "1", "how fast it grows", default=3.0, lower=0.0, open_lower=True, upper=200.0, scale=2.0)
+RATE = Shape("rate", "1", "how fast it grows", default=3.0, lower=0.0, open_lower=True, upper=200.0, scale=2.0)
+
+TURNED = (
+    Shape("azimuth", "deg", "of the direction, in the plane of fibres", 0.0, -360.0, 720.0, scale=20.0, period=360.0),
+    Shape("elevation", "deg", "of the direction, out of that plane", 0.0, -180.0, 180.0, scale=20.0, period=180.0),
+)
+# The direction, a, as code.
+AXIS = (
+    "plane = point.kin.direction(c['azimuth'])",
+    "across = ufl.cross(*map(ufl.as_vector, point.kin.axes))",
+    "tilt = c['elevation'] * (math.pi / 180)",
+    "a = ufl.cos(tilt) * plane + ufl.sin(tilt) * across",
+)
 
 
 def energies(shear: float) -> list[Family]:
@@ -34,7 +46,7 @@ def energies(shear: float) -> list[Family]:
     return [*_isotropic(shear), *_graded(shear), *_directed(shear)]
 
 
-def _coefficient(scale: float, lower: float = 0.0, name: str = "c") -> Amount:
+def coefficient(scale: float, lower: float = 0.0, name: str = "c") -> Amount:
     return Amount(name, "Pa", "coefficient", lower=lower, neutral=0.0, scale=scale)
 
 
@@ -68,7 +80,7 @@ def _isotropic(shear: float) -> list[Family]:
         scans: tuple[dict[str, float], ...] = ({},),
         convex: str = _POSITIVE,
     ) -> Family:
-        amounts = (_coefficient(scale * shear, lower),)
+        amounts = (coefficient(scale * shear, lower),)
         return Family(
             name, "energy", about, formula, code, amounts, shapes, _stress(slopes), scans=scans, polyconvex=convex,
             instead_of="law",
@@ -83,7 +95,7 @@ def _isotropic(shear: float) -> list[Family]:
         ),
         family(
             "second_for_first", "the energy depends on the second invariant in the place of the first", "c (I2bar - I1bar)",
-            f"return c['c'] * ({b} - {a})", 0.2, lambda d, v: (-1.0, 1.0, 0.0), convex=_UNKNOWN,
+            f"return c['c'] * ({b} - {a})", 0.2, lambda d, v: (-1.0, 1.0, 0.0), convex=UNKNOWN,
         ),
         family(
             "first_squared", "the body gets stiffer the more it is stretched", "c (I1bar - 3)^2",
@@ -95,7 +107,7 @@ def _isotropic(shear: float) -> list[Family]:
         ),
         family(
             "both_invariants", "the invariants act together", "c (I1bar - 3) (I2bar - 3)",
-            f"return c['c'] * {a} * {b}", 1.0, lambda d, v: (d.second, d.first, 0.0), convex=_UNKNOWN,
+            f"return c['c'] * {a} * {b}", 1.0, lambda d, v: (d.second, d.first, 0.0), convex=UNKNOWN,
         ),
         family(
             "first_cubed", "the body gets stiffer late", "c (I1bar - 3)^3",
@@ -105,11 +117,11 @@ def _isotropic(shear: float) -> list[Family]:
             "exponential", "the body gets stiffer exponentially", "c (exp(rate (I1bar - 3)) - 1 - rate (I1bar - 3)) / rate^2",
             f"x = c['rate'] * {a}\nreturn c['c'] * (ufl.exp(x) - 1 - x) / c['rate'] ** 2", 1.0,
             lambda d, v: (np.expm1(np.minimum(v["rate"] * d.first, 50.0)) / v["rate"], 0.0, 0.0),
-            shapes=(_RATE,), scans=tuple({"rate": r} for r in _RATES),
+            shapes=(RATE,), scans=tuple({"rate": r} for r in _RATES),
         ),
         family(
             "logarithm", "the energy grows with the logarithm of the second invariant", "c ln(I2bar / 3)",
-            f"return c['c'] * ufl.ln(1 + {b} / 3)", 1.0, lambda d, v: (0.0, 1 / (3 + d.second), 0.0), convex=_UNKNOWN,
+            f"return c['c'] * ufl.ln(1 + {b} / 3)", 1.0, lambda d, v: (0.0, 1 / (3 + d.second), 0.0), convex=UNKNOWN,
         ),
         family(
             "power", "the energy is a power of the first invariant", "c ((I1bar / 3)^power - 1)",
@@ -168,7 +180,7 @@ def _graded(shear: float) -> list[Family]:
                 amounts,
                 (),
                 unit,
-                polyconvex=_UNKNOWN,
+                polyconvex=UNKNOWN,
             )
         )
     return found
@@ -186,19 +198,6 @@ def directions() -> list[dict[str, float]]:
 
 def _directed(shear: float) -> list[Family]:
     """Energies of the stretch along a direction, or of the shear across it."""
-    turned = (
-        Shape(
-            "azimuth", "deg", "of the direction, in the plane of fibres", 0.0, -360.0, 720.0, scale=20.0, period=360.0
-        ),
-        Shape("elevation", "deg", "of the direction, out of that plane", 0.0, -180.0, 180.0, scale=20.0, period=180.0),
-    )
-    axis = (
-        "plane = point.kin.direction(c['azimuth'])",
-        "across = ufl.cross(*map(ufl.as_vector, point.kin.axes))",
-        "tilt = c['elevation'] * (math.pi / 180)",
-        "a = ufl.cos(tilt) * plane + ufl.sin(tilt) * across",
-        "x = point.kin.invariant4_minus_1(a)",
-    )
 
     def family(
         name: str,
@@ -219,9 +218,9 @@ def _directed(shear: float) -> list[Family]:
 
         tried = [{"rate": r} for r in _RATES] if rates else [{}]
         scans = tuple(where | r for where, r in itertools.product(directions(), tried))
-        code = "\n".join([*axis, f"return {last}"])
-        shapes = (*turned, _RATE) if rates else turned
-        amounts = (_coefficient(scale * shear, lower),)
+        code = "\n".join([*AXIS, "x = point.kin.invariant4_minus_1(a)", f"return {last}"])
+        shapes = (*TURNED, RATE) if rates else TURNED
+        amounts = (coefficient(scale * shear, lower),)
         text = f"{formula} with I4 = a . C a, a the direction"
         return Family(name, "energy", about, text, code, amounts, shapes, unit, scans=scans, polyconvex=convex)
 
@@ -229,21 +228,21 @@ def _directed(shear: float) -> list[Family]:
         return np.maximum(x, 0.0)
 
     return [
-        _crossed(shear, turned[0]),
-        _transverse(shear, turned, axis[:-1]),
+        _crossed(shear, TURNED[0]),
+        _transverse(shear),
         family("fibre", "fibres make the body stiffer along a direction in space", "c/2 (I4 - 1)^2",
-               "c['c'] / 2 * x**2", 0.4, lambda x, v: x, convex=_UNKNOWN),
+               "c['c'] / 2 * x**2", 0.4, lambda x, v: x, convex=UNKNOWN),
         family("fibre_in_tension", "fibres resist being stretched, and do not resist being pressed", "c/2 max(I4 - 1, 0)^2",
                "c['c'] / 2 * ufl.max_value(x, 0.0) ** 2", 0.4, lambda x, v: tension(x)),
         family("fibre_exponential", "fibres get stiffer exponentially", "c/(2 rate) (exp(rate (I4 - 1)^2) - 1)",
                "c['c'] / (2 * c['rate']) * (ufl.exp(c['rate'] * x**2) - 1)", 0.4,
-               lambda x, v: x * np.exp(np.minimum(v["rate"] * x**2, 50.0)), rates=True, convex=_UNKNOWN),
+               lambda x, v: x * np.exp(np.minimum(v["rate"] * x**2, 50.0)), rates=True, convex=UNKNOWN),
         family("fibre_stress", "the body pulls itself together along a direction in space", "c/2 (I4 - 1)",
                "c['c'] / 2 * x", 0.1, lambda x, v: np.full_like(x, 0.5), lower=-np.inf, convex=""),
     ]  # fmt: skip
 
 
-def _transverse(shear: float, turned: tuple[Shape, Shape], axis: Sequence[str]) -> Family:
+def _transverse(shear: float) -> Family:
     """One direction in which stretch and shear are resisted otherwise (Spencer, in: Continuum Theory of the Mechanics of
     Fibre-Reinforced Composites, 1984): at small strain c_shear adds to the shear modulus in planes that hold the direction."""
 
@@ -255,17 +254,17 @@ def _transverse(shear: float, turned: tuple[Shape, Shape], axis: Sequence[str]) 
         across = stretched[:, :, None] * pulled[:, None, :] + (d.F @ pulled[..., None]) * a - 2 * square * along
         return np.stack([2 * (square - 1) * along, across], axis=-1)
 
-    code = (*axis, "square = point.kin.invariant4(a)", "sheared = point.kin.invariant5(a) - square**2",
+    code = (*AXIS, "square = point.kin.invariant4(a)", "sheared = point.kin.invariant5(a) - square**2",
             "return c['c_stretch'] / 2 * (square - 1) ** 2 + c['c_shear'] / 2 * sheared")  # fmt: skip
     amounts = (
-        _coefficient(0.4 * shear, -0.4 * shear, "c_stretch"),
+        coefficient(0.4 * shear, -0.4 * shear, "c_stretch"),
         # Beyond minus the shear modulus the body would shear by itself.
-        _coefficient(0.2 * shear, -0.9 * shear, "c_shear"),
+        coefficient(0.2 * shear, -0.9 * shear, "c_shear"),
     )
     return Family(
         "transverse", "energy", "the body resists stretch and shear along one direction otherwise than along others",
         "c_stretch/2 (I4 - 1)^2 + c_shear/2 (I5 - I4^2) with I4 = a . C a, I5 = a . C^2 a, a the direction", "\n".join(code),
-        amounts, turned, unit, scans=tuple(directions()), polyconvex=_UNKNOWN,
+        amounts, TURNED, unit, scans=tuple(directions()), polyconvex=UNKNOWN,
     )  # fmt: skip
 
 
@@ -307,6 +306,6 @@ def _crossed(shear: float, azimuth: Shape) -> Family:
     )
     return Family(
         "crossed_fibres", "energy", "two families of fibres that cross get stiffer exponentially",
-        "c/(2 rate) sum of exp(rate max(I4 - 1, 0)^2) - 1 over both families", "\n".join(code), (_coefficient(0.4 * shear),),
-        (azimuth, half, _RATE), unit, scans=scans, polyconvex=_POSITIVE,
+        "c/(2 rate) sum of exp(rate max(I4 - 1, 0)^2) - 1 over both families", "\n".join(code), (coefficient(0.4 * shear),),
+        (azimuth, half, RATE), unit, scans=scans, polyconvex=_POSITIVE,
     )  # fmt: skip

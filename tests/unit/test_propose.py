@@ -20,9 +20,10 @@ from bcid.comparison.explain import ExplainOptions
 from bcid.comparison.source import stored_effect
 from bcid.forms import effects
 from bcid.proposal import proposal_text
-from bcid.proposal.effect_file import source
+from bcid.proposal.effect_file import made, source
 from bcid.proposal.energies import directions, energies
 from bcid.proposal.family import Family
+from bcid.proposal.other_laws import other_laws
 from bcid.proposal.propose import ProposeOptions
 from bcid.proposal.propose_run import effect_names
 from bcid.report import tables
@@ -35,7 +36,7 @@ from bcid.studies.hidden.chance import generator
 
 
 def family(name: str) -> Family:
-    return next(f for f in energies(5e3) if f.name == name)
+    return next(f for f in (*energies(5e3), *other_laws(5e3)) if f.name == name)
 
 
 def test_directions_cover_half_of_the_sphere() -> None:
@@ -58,6 +59,43 @@ def test_the_file_of_a_term_is_the_effect_that_was_fitted(tmp_path: Path) -> Non
     # How much there is of it is fitted: it begins with none.
     assert [(p.name, p.neutral) for p in found.amounts] == [("c", 0.0)]
     assert "Seen once." in file.read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("name", "shapes", "law", "constants"),
+    [
+        ("longest_stretch", {"power": 8.0}, "ogden", {"alpha1": 8.0, "mu1": 2 / 8.0}),
+        ("shortest_stretch", {"power": -6.0}, "ogden", {"alpha1": -6.0, "mu1": -2 / 6.0}),
+        (
+            "strain_exponential",
+            {"azimuth": 30.0, "elevation": 0.0, "rate": 5.0, "along": 3.0, "sliding": 0.5},
+            "fung",
+            {"bf": 15.0, "bt": 5.0, "bfs": 2.5, "angle": 30.0, "c": 6 / (2 * 2.5 + 5.0)},
+        ),
+    ],
+)
+def test_all_of_the_law_may_be_another_one(
+    name: str, shapes: dict[str, float], law: str, constants: dict[str, float]
+) -> None:
+    """With as much of the term as the shear modulus the plain law and its term are the other law."""
+    import ufl
+
+    from bcid.forms import materials
+    from bcid.forms.kinematics import Kinematics
+
+    shear, other = 5e3, materials.law(law)
+    effect = made(source(family(name), "other", shapes, "", ()))
+    values = {k: shear * v if k in ("mu1", "c") else v for k, v in constants.items()} | {"poisson": 0.35}
+    whole = other.complete(values)
+    for stretch in ([1.2, 0.9, 0.95], [1.1, 1.1, 0.8], [1.0, 1.0, 1.0]):
+        gradient = np.diag(stretch) + 0.1 * np.eye(3, k=1)
+        kin = Kinematics.from_gradient(ufl.as_matrix(gradient.tolist()), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
+        plain = shear / 2 * (kin.I1bar_minus_3 + 2 * 1.35 / 0.9 * kin.lnJ**2)
+        found = float(plain + effect.energy(SimpleNamespace(kin=kin), shapes | {"c": shear}))
+        # Of Fung's law the volumetric part is the first Lame constant's; of the others the bulk modulus's.
+        bulk = 2 * 0.35 / 0.3 if law == "fung" else 2 * 1.35 / 0.9
+        expected = float(other.energy(kin, whole) + shear * bulk / 2 * kin.lnJ**2)
+        assert found == pytest.approx(expected, rel=1e-6, abs=1e-3), stretch
 
 
 @pytest.mark.parametrize("catalogue", ["", "active_stress"])

@@ -32,9 +32,9 @@ from ufl.core.expr import Expr
 
 from bcid.forms.kinematics import Kinematics
 from bcid.forms.materials._moduli import POISSON, bulk_compliance, bulk_modulus
-from bcid.forms.materials._spectrum import Spectrum
 from bcid.forms.materials.law import Constants, Law, Scalar
 from bcid.forms.parameter import Amount, Parameter
+from bcid.forms.spectrum import Spectrum
 
 TERMS = (1, 2, 3)
 

@@ -21,12 +21,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import ufl
 from ufl.core.expr import Expr
 
 from bcid.forms.kinematics import Kinematics
-from bcid.forms.materials.law import Scalar
+
+# A number, or a UFL expression.
+Scalar = Any
 
 SHIFT = 1e-5
 """Smallest radius p of the spectrum, relative to the mean eigenvalue."""
