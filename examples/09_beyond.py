@@ -29,7 +29,7 @@ from bcid.forms.parameter import Amount
 from bcid.scene import Level
 
 HERE = Path(__file__).resolve().parent
-PLACE, RADIUS = np.array([0.045, 0.0, 0.040]), 0.009
+PLACE, RADIUS = np.array([0.045, 0.0, 0.040]), 0.012
 
 
 def springs(point, c):
@@ -56,13 +56,13 @@ def main(folder: Path, known: tuple[str, ...] | None = None) -> tuple[str, str, 
     """
     slab = Scene.read(HERE / "scenes" / "slab.toml", physics=check_physics)
     patches = {name: slab.patches[name] for name in ("2", "3", "4", "5")}
-    scene = replace(slab, patches=patches, levels=(Level(2, 0.05), Level(2, 0.008)), noise_sigma=0.2e-3)
+    scene = replace(slab, patches=patches, levels=(Level(2, 0.05), Level(2, 0.0095)), noise_sigma=0.3e-3)
     body = replace(scene, levels=(Level(3, 0.018),))
     ways = ((0.014, 0.0, 0.0), (0.006, 0.010, 0.0), (0.010, 0.0, -0.007), (0.004, 0.0, 0.009))
     straight = [np.arange(4)[:, None] / 3 * np.array(way) for way in ways]
     pulls = motions.actions([(way, np.tile([1.0, 0.0, 0.0, 0.0], (4, 1))) for way in straight], "II")
     measured = bcid.simulate(
-        body, ["3", "4"], pulls, noise=0.2e-3, model=Model.of(body) + Term(STUCK, {"stiffness": 5e5})
+        body, ["3", "4"], pulls, noise=0.3e-3, model=Model.of(body) + Term(STUCK, {"stiffness": 5e5})
     )
     before = bcid.explain(scene, measured, options=ExplainOptions(only=known))
     print(f"explain: {before.verdict}, {1e3 * before.rms:.3g} mm left (noise {1e3 * before.noise:.2g})")
