@@ -106,7 +106,7 @@ class Fit:
     Attributes:
         state: the model at its optimum, compared with the data.
         coordinates: what was fitted.
-        covariance: of the coordinates, shape (p, p).
+        covariance: of the coordinates, shape (p, p), with what the scene may have wrong in the place of effects.
         jacobian: of the scaled residual by the coordinates, shape (n, p).
         warnings: what is doubtful, in words.
         evaluations: predictions that were needed.
@@ -321,6 +321,9 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL)
         elif not settled:
             warnings.append(f"the fit did not settle within {most} predictions")
         covariance = covariance + np.outer(left, left)
+    if start.replaced is not None:
+        beside = _shifts(jacobian * scale, start.errors.whiten(start.replaced)) * scale[:, None]
+        covariance = covariance + beside @ beside.T
     return Fit(state, tuple(chosen), covariance, jacobian, tuple(warnings), problem.evaluations, settled)
 
 
@@ -336,10 +339,15 @@ def pulls(model: Model, chosen: Sequence[Coordinate]) -> tuple[Array, Array]:
     return np.diag(pulls)[pulls > 0], expected
 
 
+def _shifts(jacobian: Array, columns: Array) -> Array:
+    """By how much fitted numbers are off where the data hold one of each column (n, k) besides; shape (p, k)."""
+    return np.asarray(np.linalg.lstsq(jacobian, columns, rcond=1e-8)[0])
+
+
 def _left(jacobian: Array, residual: Array, at_bounds: NDArray[np.int64]) -> Array:
     """The Gauss-Newton step that a fit would take next, of numbers that are not at a bound; shape (p,)."""
     step, free = np.zeros(jacobian.shape[1]), at_bounds == 0
-    step[free] = -np.linalg.lstsq(jacobian[:, free], residual, rcond=1e-8)[0]
+    step[free] = -_shifts(jacobian[:, free], residual[:, None])[:, 0]
     return step
 
 

@@ -19,7 +19,7 @@ from bcid.inference.evidence import Force, Numbers
 from bcid.inference.followed import NotFollowed
 from bcid.inference.likelihood import Errors, NuisanceEstimate
 from bcid.inference.mesh_error import MeshError
-from bcid.inference.nuisances import NuisanceModes, placed, stood_for
+from bcid.inference.nuisances import NuisanceModes, placed, replaced, stood_for
 from bcid.inference.unknown_force import Evidence, courses, unknown_force
 
 Array = NDArray[np.float64]
@@ -35,6 +35,7 @@ class State:
         errors: covariance of the residual.
         slopes: what an unknown force in each frame does to the values, shape (n, forces), m.
         free: numbers of the model, by full name, that were fitted to the data.
+        replaced: what the nuisances do in whose place effects of the model act, shape (n, k), m; None where there are none.
     """
 
     predictor: Predictor
@@ -44,6 +45,7 @@ class State:
     errors: Errors
     slopes: Array
     free: tuple[str, ...] = ()
+    replaced: Array | None = None
 
     @classmethod
     def of(
@@ -77,7 +79,8 @@ class State:
         modes, slopes = predictor.disturbances(model, anchors, prediction, nuisances)
         errors = Errors(predictor.data, predictor.data.noise(residual), mesh, modes)
         errors = errors.without(stood_for(model), placed(model))
-        return cls(predictor, model, anchors, prediction, errors, slopes, free)
+        instead = replaced(modes, predictor.data, model)
+        return cls(predictor, model, anchors, prediction, errors, slopes, free, instead if instead.size else None)
 
     def thinned(self, steps: int, settings: Settings) -> State:
         """The same hypothesis in a few steps of each action, see `Predictor.thinned`."""

@@ -79,6 +79,20 @@ def placed(model: Model) -> frozenset[str]:
     return frozenset(t.place for t in here if not any(t.values[p.name] > 0 for p in t.effect.parameters if p.onset))
 
 
+def replaced(modes: NuisanceModes, data: Data, model: Model) -> Array:
+    """What nuisances of one standard deviation do in whose place effects of a model act, (n, k), m.
+
+    The numbers of these effects hold them besides: of a marker's fault where it sits on the body too. An amount that is a
+    constant of the law is all that there is of it.
+    """
+    names = {t.effect.instead_of for t in model.terms if not any(p.law for p in t.effect.amounts)} - {"", MARKERS}
+    columns = [modes.common[:, np.isin(modes.names, sorted(names))]]
+    for fiducial in sorted(placed(model)):
+        own = data.fiducial == data.names.index(fiducial)
+        columns.append(np.where(own[:, None], modes.markers, 0.0))
+    return np.hstack(columns)
+
+
 def _together(data: Data, term: Term) -> Array:
     """In which values a nuisance has one size, shape (parts, n): what has to do with a grip is another in each action."""
     if not (term.effect.drive or term.place):

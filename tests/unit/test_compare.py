@@ -30,7 +30,7 @@ from bcid.forms.simulate import recorded
 from bcid.inference.data import Data, estimate_noise
 from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
-from bcid.inference.nuisances import NuisanceModes, Nuisances, placed
+from bcid.inference.nuisances import NuisanceModes, Nuisances, placed, replaced
 from bcid.measurement import Action, Measurement
 from bcid.measurement.frame_error import FrameError
 from bcid.scene import Scene
@@ -559,6 +559,30 @@ def test_a_fit_that_ends_where_nothing_can_be_followed_is_as_uncertain_as_that()
     assert found.values["gravity.weight"] <= Ending.most
     assert abs(found.values["gravity.weight"] - 6000.0) < 1.1 * found.stderr["gravity.weight"]
     assert found.warnings == ("the fit ended where the model cannot be followed any further",)
+
+
+def test_a_number_is_as_uncertain_as_what_it_takes_the_place_of() -> None:
+    """Where a marker sits cannot be told from its fault, nor how the camera is turned from how well that is known."""
+    name = SCENE.fiducial_names[1]
+    model = Model.of(SCENE) + Term("marker_fault", {"x": 3e-3, "y": 0.0, "z": 0.0, "onset": 0.0}, place=name)
+    number = f"{model.terms[-1].label}.x"
+    made, shape = toy(model, (number,), (1.0,)), np.zeros((24, 4, 3))
+    shape[:, 1, 0] = 1.0
+    made = replace(made, shapes={number: shape})
+    data = made.data
+    markers = np.tile(0.4e-3 * np.eye(3), (len(data) // 3, 1))
+    known = NuisanceModes(markers, modes(data).common, ("camera", "camera", "poisson"), {"markers": 0.4e-3})
+    beside = replaced(known, data, model)
+    exact = fit(state_of(made, model), (number,)).stderr[number]
+    assert exact == pytest.approx(SIGMA / math.sqrt(24), rel=0.01)
+    found = fit(replace(state_of(made, model), replaced=beside), (number,)).stderr[number]
+    assert found == pytest.approx(math.hypot(exact, 0.4e-3), rel=1e-6)
+    # What a camera's frame is turned by holds what it is known to; of a Poisson's ratio there is but one.
+    turned = Model.of(SCENE) + Term(
+        "camera_offset", dict.fromkeys(("rx", "ry", "rz", "tx", "ty", "tz"), 0.0) | {"scale": 1.0}
+    )
+    assert np.array_equal(replaced(known, data, turned), known.common[:, :2])
+    assert not replaced(known, data, Model.of(SCENE) + Term("compressibility", {"poisson": 0.3})).size
 
 
 def test_an_effect_that_comes_and_goes_shows_its_period() -> None:
