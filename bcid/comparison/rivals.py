@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from bcid.base.errors import InputError, SolveError
 from bcid.comparison.fit import Fit, fit
 from bcid.comparison.hypothesis_search import HypothesisSearch, Look, weighed
+from bcid.comparison.loosened import loosens
 from bcid.comparison.ranking import Row, rank
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
@@ -240,6 +241,9 @@ def refit(state: State, row: Row, begun: Model, known: int, least: float = SEEN)
         try:
             term = _careful(row, state.model, part)
             start = state.of_set(state.anchors, state.model + term)
+            if loosens(term.effect):
+                # Where anchors give, what is slightly wrong moves the body otherwise than where they hold.
+                start = start.with_own_errors(anew=True)
             again = fit(start, (*state.free, *term.free), most=8, ftol=_ROUGH)
         except (SolveError, InputError):
             continue

@@ -29,7 +29,7 @@ from bcid.comparison.mesh_ladder import mesh_error
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.priors import of_state
 from bcid.comparison.ranking import rank
-from bcid.comparison.rivals import Rival, promoted
+from bcid.comparison.rivals import Rival, promoted, refit
 from bcid.comparison.separate import separating_pulls
 from bcid.comparison.state import State
 from bcid.comparison.variants import _meanwhile
@@ -356,6 +356,16 @@ def test_anchors_that_give_are_named_with_their_set(slab: Scene) -> None:
     assert (found.verdict, found.last.state.anchors) == ("soft_anchor", true)
     assert found.last.fitted.values["soft_anchor.stiffness"] == pytest.approx(5e4, rel=0.2)
     predictor.destroy()
+
+
+def test_where_anchors_give_the_errors_are_not_those_of_a_rigid_hold(predictor: Predictor) -> None:
+    state = at(predictor)
+    found = {}
+    for name in ("soft_anchor", "gravity"):
+        row = rank(state, [effects.effect(name)], strict=False).rows[0]
+        found[name] = refit(state, row, state.model, 1)[0].fitted.state
+    assert found["soft_anchor"].errors.mesh.about == (found["soft_anchor"].model.name, ANCHORED)
+    assert found["gravity"].errors.mesh.about == (state.model.name, ANCHORED)
 
 
 def test_an_amount_that_cannot_be_told_from_a_smaller_one_stays_near_none(slab: Scene) -> None:
