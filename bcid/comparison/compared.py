@@ -100,17 +100,30 @@ class Compared:
         """
         if self.about is None:
             return {}
-        here = logsumexp([log for h, log in fitted.items() if h.anchors == self.about.anchors])
+        here = float(logsumexp([log for h, log in fitted.items() if h.anchors == self.about.anchors]))
         acting: dict[tuple[str, bool], list[float]] = {}
         for h, log in fitted.items():
             acting.setdefault((h.effect, h.unknown), []).append(log)
         shares = {what: float(logsumexp(logs)) for what, logs in acting.items()}
         whole = logsumexp(list(shares.values()))
+        apart = {anchors: power * moderated(log, self.misses) for anchors, log in self.shown.items()}
+        here -= self._too_many(apart.values())
         return {
-            Hypothesis(anchors, *what): float(here + power * moderated(log, self.misses) + share - whole)
-            for anchors, log in self.shown.items()
+            Hypothesis(anchors, *what): float(here + log + share - whole)
+            for anchors, log in apart.items()
             for what, share in shares.items()
         }
+
+    def _too_many(self, apart: Iterable[float]) -> float:
+        """By how much less likely sets must be, with these logarithms of odds, than each of them alone seems.
+
+        A tangent that misses by much says little of any of many sets. But they were fitted in the order in which it shows them:
+        that one of the others wins where n have lost is no likelier than Laplace's rule of succession has it, odds of 1 to n + 1.
+        """
+        told = [miss for miss in self.misses if math.isfinite(miss)]
+        if not told or self.about is None or self.about.anchors != self.full[0].anchors:
+            return 0.0
+        return max(0.0, float(logsumexp(list(apart) or [-math.inf])) + math.log(len(told) + 1))
 
     def unconfirmed(self) -> Hypothesis | None:
         """The likeliest hypothesis, if it was not compared with all steps and can be: if it says what acts."""

@@ -67,10 +67,9 @@ class Explanation:
 
     @property
     def probability(self) -> float:
-        """Of the verdict."""
-        return (
-            self.odds.verdicts[self.verdict] if self.verdict in ("none", "unknown") else self.odds.named(self.verdict)
-        )
+        """Of the verdict: of what it names that it acts, and perhaps more besides that these data do not show."""
+        told = self.verdict in ("none", "unknown")
+        return self.odds.verdicts[self.verdict] if told else self.odds.acting(self.verdict)
 
     @property
     def held_by(self) -> float:
@@ -80,17 +79,12 @@ class Explanation:
     @property
     def open(self) -> bool:
         """Whether verdict or anchors are not certain."""
-        return min(self.certainty, self.held_by) < CERTAIN
-
-    @property
-    def certainty(self) -> float:
-        """Probability that what the verdict names acts, and perhaps more besides that these data do not show."""
-        return self.probability if self.verdict in ("none", "unknown") else self.odds.acting(self.verdict)
+        return min(self.probability, self.held_by) < CERTAIN
 
     @property
     def ambiguous(self) -> tuple[str, ...]:
         """Other verdicts that have a part in the belief, where none has nearly all of it."""
-        if self.certainty >= CERTAIN:
+        if self.probability >= CERTAIN:
             return ()
         return tuple(name for name, p in self.odds.verdicts.items() if name != self.verdict and p > 1 - CERTAIN)
 

@@ -105,10 +105,6 @@ class HypothesisOdds:
         verdict = next(iter(self.verdicts))
         return next(h for h in self.probabilities if h.verdict == verdict)
 
-    def named(self, effect: str) -> float:
-        """Probability that these effects act, and no others of those that are known."""
-        return min(1.0, math.fsum(p for h, p in self.probabilities.items() if h.effect == effect))
-
     def acting(self, effect: str) -> float:
         """Probability that these effects act, and perhaps others besides."""
         wanted = set(effect.split("+"))

@@ -145,7 +145,6 @@ def test_what_is_believed_is_told_by_verdict_and_by_patch() -> None:
     )
     assert odds.verdicts == pytest.approx({"gravity": 0.45, "none": 0.3, "unknown": 0.25})
     assert odds.best == Hypothesis(a, "gravity")
-    assert odds.named("gravity") == pytest.approx(0.6)
     assert odds.held_by(b) == pytest.approx(0.45)
     assert patches(odds.probabilities, "123") == pytest.approx({"1": 1.0, "2": 0.55, "3": 0.45})
 
