@@ -270,6 +270,13 @@ SPRING = [effect("soft_anchor", "3", stiffness=parameter(1e5, neutral=None, reci
             {"adopted": adopted("soft_anchor", "4", stiffness=1e5)},
         ),
         ("held out", "one", GRAVITY, {}, {"held_out_rms": 0.25}),
+        (
+            "held out, mesh",
+            "one",
+            GRAVITY,
+            {"held_out_rms": 0.29, "discretisation_rms": 0.15},
+            {"held_out_rms": 0.31, "discretisation_rms": 0.15},
+        ),
         ("intervals", "one", GRAVITY, {}, {"adopted": adopted("gravity", weight=12.6)}),
         (
             "intervals",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -28,6 +29,7 @@ QUESTIONS = {
     "intervals": "amounts of effects that were named rightly: the 95 % interval holds the truth",
     "stiffness": "forces: the 95 % interval of the stiffness holds the truth",
     "held out": "one, two or none: held-out error at most 1.2 times the noise",
+    "held out, mesh": "the same of the noise and the told error of the mesh together",
     "adequate": "nothing hidden: the model is called adequate",
     "not misnamed": "outside the catalogue: the verdict is 'unknown', or 'none'",
     "both": "two effects: the verdict names both",
@@ -108,11 +110,16 @@ def _among(count: int) -> Callable[[Json, Json], bool]:
     return lambda truth, diagnosis: hidden(truth)[0] in ranked(diagnosis, count)
 
 
-def _held_out(truth: Json, diagnosis: Json) -> bool:
-    """Compared with the true noise, whatever is stated."""
+def _held_out(truth: Json, diagnosis: Json, mesh: float = 0.0) -> bool:
+    """Compared with the true noise, whatever is stated, and an error of the mesh (in the unit of the diagnosis) besides."""
     error = diagnosis.get("held_out_rms")
     unit = unit_factor(diagnosis.get("length_unit", "mm"), "m")
-    return error is not None and error * unit <= HELD_OUT * truth["noise"]
+    return error is not None and error * unit <= HELD_OUT * math.hypot(truth["noise"], mesh * unit)
+
+
+def _held_out_beside_mesh(truth: Json, diagnosis: Json) -> bool:
+    """The error of the mesh that is told may be left in what is predicted."""
+    return _held_out(truth, diagnosis, diagnosis.get("discretisation_rms") or 0.0)
 
 
 def _intervals(truth: Json, diagnosis: Json) -> tuple[bool, ...]:
@@ -157,6 +164,7 @@ _JUDGES: dict[str, tuple[Callable[[Json], bool], Callable[[Json, Json], bool | t
     "intervals": (_of("one", "two"), _intervals),
     "stiffness": (lambda truth: truth.get("stiffness") is not None, _stiffness),
     "held out": (_of("none", "one", "two"), _held_out),
+    "held out, mesh": (_of("none", "one", "two"), _held_out_beside_mesh),
     "adequate": (_of("none"), lambda truth, diagnosis: bool(diagnosis["adequate"]) and named(diagnosis) == ["none"]),
     "not misnamed": (_of("outside"), lambda truth, diagnosis: named(diagnosis) in (["unknown"], ["none"])),
     "both": (_of("two"), _named),
