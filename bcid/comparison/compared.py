@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from bcid.comparison.contest import Contest
+from bcid.comparison.loosened import loosens
 from bcid.comparison.ranking import Row
 from bcid.comparison.rivals import UNLIKELY, Rival, best_first
 from bcid.forms.model import Model
@@ -131,9 +132,18 @@ class Compared:
         return None if told.effect == OTHERS or self._fitted(told) else told
 
     def unopposed(self) -> Hypothesis | None:
-        """The likeliest without one of its effects, on the same set, if that was not compared with all steps and may be."""
+        """The likeliest without one of its effects, if that was not compared with all steps and may be.
+
+        On the same set; without a patch that gives or comes off also on the set that never had it.
+        """
         best = self.best()
-        lesser = (Hypothesis(best.anchors, "+".join(n for n in best.names if n != name)) for name in best.names[::-1])
+        held = {t.effect.name: t.place for t in best.fitted.state.model.terms if t.place and loosens(t.effect)}
+        lesser = []
+        for name in best.names[::-1]:
+            others = "+".join(n for n in best.names if n != name)
+            lesser += [
+                Hypothesis(best.anchors - {place}, others) for place in ("", *([held[name]] if name in held else []))
+            ]
         return next((h for h in lesser if not self._fitted(h) and h not in self.refused), None)
 
     def _fitted(self, hypothesis: Hypothesis) -> bool:

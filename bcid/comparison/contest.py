@@ -161,17 +161,34 @@ def refitted(
 
 
 def _in_turn(promises: Sequence[Promise], starts: Mapping[str, Start]) -> list[Promise]:
-    """Promises of effects that have a start first, with its numbers, in the order of the starts; none of them with another set."""
+    """Promises of effects that have a start first, with its numbers, in the order of the starts; none of them with another set.
+
+    After what promises most of the others comes what explains most on the set that is likeliest with something unknown: other sets
+    may promise more that only seem to hold the body in place of what acts.
+    """
     first = []
     for name, start in starts.items():
         here = [p for p in promises if p.row and p.row.effect == name and p.anchors == start.anchors]
         first += [replace(p, row=replace(p.row, term=p.row.term.with_values(start.values))) for p in here if p.row]
     own = {p.row.effect for p in first if p.row}
+    others = [p for p in promises if p.row and p.row.effect not in own]
     return [
         *(p for p in promises if p.row is None),
         *first,
-        *(p for p in promises if p.row and p.row.effect not in own),
+        *others[:1],
+        *_explaining_most(promises, others),
+        *others[1:],
     ]
+
+
+def _explaining_most(promises: Sequence[Promise], others: Sequence[Promise]) -> list[Promise]:
+    """Of effects other than the first one the one that makes the likeliest set likelier by most, where something unknown acts."""
+    alone = [p for p in promises if p.row is None]
+    if not alone or alone[0].look.evidence.plain > alone[0].look.evidence.forced:
+        return []
+    here = [(p.row.gain, p) for p in others if p.row and p.anchors == alone[0].anchors and math.isfinite(p.row.gain)]
+    most = max(here, key=lambda pair: pair[0])[1] if here else None
+    return [most] if most and most.row and others[0].row and most.row.effect != others[0].row.effect else []
 
 
 def _unlikely(promise: Promise) -> float:

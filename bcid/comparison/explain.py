@@ -242,8 +242,8 @@ class _Loop:
         """A hypothesis that was compared with a few steps, or not at all, with all of them; None where that fails."""
         names, effects, best = told.names, {effect.name: effect for effect in self.lacking}, self.compared.best()
         more = [name for name in best.names if name not in names]
-        if told.anchors == best.anchors and len(more) == 1 and len(names) < len(best.names):
-            return promoted(best.without(more[0]), base, self.model)
+        if told.anchors <= best.anchors and len(more) == 1 and len(names) < len(best.names):
+            return promoted(best.without(more[0]), base, self.model, anchors=told.anchors)
         rough = next((r for r in self.compared.thin if (r.names, r.anchors) == (names, told.anchors)), None)
         if rough is not None:
             return promoted(rough, base, self.model)

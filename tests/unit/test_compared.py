@@ -10,17 +10,23 @@ from typing import Any, cast
 import pytest
 
 from bcid.comparison.compared import Compared
+from bcid.comparison.contest import _in_turn
 from bcid.comparison.explanation import Explanation
 from bcid.comparison.rivals import Rival
+from bcid.forms.model import Term
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
 from bcid.inference.unknown_force import Evidence
 
 
-def rival(names: tuple[str, ...], anchors: str, evidence: float) -> Rival:
+def rival(names: tuple[str, ...], anchors: str, evidence: float, terms: tuple[Term, ...] = ()) -> Rival:
     """A hypothesis that was compared with all steps, with so much evidence and no error of the mesh."""
     errors = SimpleNamespace(mesh=SimpleNamespace(rms=0.0))
-    state = SimpleNamespace(anchors=frozenset(anchors), noise=1.0, errors=errors)
+    model = SimpleNamespace(terms=terms)
+    state = SimpleNamespace(anchors=frozenset(anchors), noise=1.0, errors=errors, model=model)
     return Rival(names, cast("Any", SimpleNamespace(state=state)), Evidence(evidence, evidence - 50, 1.0), 20)
+
+
+SOFT = (Term("soft_anchor", {"stiffness": 5e4}, place="1"),)
 
 
 def less(anchors: str, effect: str = "") -> Hypothesis:
@@ -35,6 +41,9 @@ def less(anchors: str, effect: str = "") -> Hypothesis:
         ([rival(("gravity", "fibres"), "1", 100), rival((), "1", 80)], less("1", "gravity")),
         ([rival(("gravity", "fibres"), "1", 100), rival(("gravity",), "1", 80)], less("1", "fibres")),
         ([rival((), "1", 100), rival(("gravity",), "2", 80)], None),
+        ([rival(("soft_anchor",), "12", 100, SOFT), rival((), "2", 80)], less("12")),
+        ([rival(("soft_anchor",), "12", 100, SOFT), rival((), "12", 80)], less("2")),
+        ([rival(("soft_anchor",), "12", 100, SOFT), rival((), "12", 80), rival((), "2", 80)], None),
     ],
 )
 def test_an_effect_is_weighed_against_the_same_anchors_without_it(full: list[Rival], wanted: Hypothesis | None) -> None:
@@ -63,6 +72,33 @@ def test_of_an_effect_it_is_told_how_probable_it_is_whatever_else_acts() -> None
     assert found.probability == pytest.approx(0.9)
     assert found.ambiguous == ("gravity+fibres", "none")
     assert Explanation("none", odds, (), nothing, (), nothing, {}, 0.0).probability == pytest.approx(0.1)
+
+
+def promise(anchors: str, effect: str, log: float, gain: float = 0.0, forced: float = 0.0) -> Any:
+    """What sensitivities promise of an effect with a set; of the set alone without an effect."""
+    evidence = SimpleNamespace(plain=0.0, forced=forced)
+    row = SimpleNamespace(effect=effect, gain=gain) if effect else None
+    return SimpleNamespace(anchors=frozenset(anchors), row=row, log=log, look=SimpleNamespace(evidence=evidence))
+
+
+@pytest.mark.parametrize(("forced", "second"), [(200.0, ("346", "foundation")), (-5.0, ("123568", "fibres"))])
+def test_what_explains_most_on_the_likeliest_set_is_fitted_second(forced: float, second: tuple[str, str]) -> None:
+    """Where something unknown acts with that: other sets may promise more that only seem to hold the body."""
+    promises = [
+        promise("123568", "release", 400.0, 300.0),
+        promise("123568", "fibres", 300.0, 90.0),
+        promise("346", "", 200.0, forced=forced),
+        promise("346", "fibres", 70.0, 60.0),
+        promise("346", "foundation", 69.0, 80.0),
+        promise("123568", "", 60.0),
+        promise("123568", "foundation", 50.0, 8.0),
+    ]
+    turns = [("".join(sorted(p.anchors)), p.row.effect) for p in _in_turn(promises, {}) if p.row]
+    assert turns[:2] == [("123568", "release"), second]
+    # What promises most anyway keeps the set with which it does.
+    promises.insert(0, promise("123568", "foundation", 500.0, 8.0))
+    turns = [("".join(sorted(p.anchors)), p.row.effect) for p in _in_turn(promises, {}) if p.row]
+    assert turns[:2] == [("123568", "foundation"), ("123568", "release")]
 
 
 def test_what_cannot_be_followed_is_not_asked_for_again() -> None:
