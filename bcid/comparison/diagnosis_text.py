@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -115,11 +115,16 @@ def beliefs(found: Explanation) -> list[str]:
     """Probabilities of verdicts, sets and hypotheses."""
     names = list(found.last.state.predictor.whole.patches)
     told = {name if name != OTHERS else _OTHERS[name]: p for name, p in found.odds.verdicts.items() if p > _LITTLE}
-    effects = ", ".join(f"{name} {percent(p)}" for name, p in told.items())
+    effects = ", ".join(f"{name}{_alone(name, told)} {percent(p)}" for name, p in told.items())
     lines = [f"How probable: {effects}."]
     likely = [(h, p) for h, p in found.odds.probabilities.items() if p > _LITTLE and h.effect != OTHERS][:6]
     lines += [f"  {h.label(names)}{' and something unknown' if h.unknown else ''}: {percent(p)}" for h, p in likely]
     return lines
+
+
+def _alone(name: str, told: Iterable[str]) -> str:
+    """What is said of effects where the same ones with others are told too."""
+    return " alone" if any(set(name.split("+")) < set(other.split("+")) for other in told) else ""
 
 
 def verdict(state: State, adequacy: Adequacy, unit: float, name: str) -> list[str]:

@@ -11,6 +11,7 @@ import pytest
 
 from bcid.comparison.compared import Compared
 from bcid.comparison.contest import _in_turn
+from bcid.comparison.diagnosis_text import _alone
 from bcid.comparison.explanation import Explanation
 from bcid.comparison.rivals import Rival
 from bcid.forms.model import Term
@@ -106,3 +107,8 @@ def test_what_cannot_be_followed_is_not_asked_for_again() -> None:
     compared = Compared(own=full, full=full)
     compared.refuse(less("1"))
     assert compared.unopposed() is None
+
+
+def test_an_effect_is_told_to_act_alone_where_others_may_act_with_it() -> None:
+    told = ["gravity", "gravity+swelling", "unknown", "none"]
+    assert [name + _alone(name, told) for name in told] == ["gravity alone", *told[1:]]
