@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -219,15 +220,12 @@ class WeakForm:
 
     def density(self, terms: Sequence[Term]) -> tuple[Any, int]:
         """Strain energy per volume of the undeformed body, as the effects change it, and a degree of quadrature for it."""
-        model, kin, factor, varying = self.model, self.kin, None, False
+        model = self.model
         # Another body at rest comes before what happens to its material.
-        for term in sorted(terms, key=lambda term: not term.effect.reshaped):
+        kin, factor = self.reshaped(terms)
+        varying = factor is not None
+        for term in terms:
             c = self.term_constants(term)
-            if term.effect.reshaped:
-                shape = term.effect.reshaped(self.point(term), c)
-                gradient = kin.H * shape
-                kin = Kinematics(gradient, ufl.Identity(3) + gradient, kin.axes)
-                factor, varying = (factor or 1.0) / ufl.det(shape), True
             if term.effect.growth:
                 stretch = term.effect.growth(self.point(term), c)
                 kin = Kinematics.from_gradient(kin.F * stretch, kin.axes)
@@ -244,15 +242,35 @@ class WeakForm:
         degree = max(self.body.quadrature_degree, _VARYING) if varying else self.body.quadrature_degree
         return (density if factor is None else factor * density), degree
 
-    def added(self, term: Term) -> tuple[Any, Any]:
-        """Energy (a form or None) and virtual work (a form or None) that an effect adds."""
+    def reshaped(self, terms: Sequence[Term]) -> tuple[Kinematics, Any]:
+        """The deformation of a body that effects give another shape at rest, and a factor of its volume; None where none do."""
+        kin, factor = self.kin, None
+        for term in terms:
+            if term.effect.reshaped:
+                shape = term.effect.reshaped(self.point(term), self.term_constants(term))
+                gradient = kin.H * shape
+                kin = Kinematics(gradient, ufl.Identity(3) + gradient, kin.axes)
+                factor = (factor or 1.0) / ufl.det(shape)
+        return kin, factor
+
+    def added(self, term: Term, reshaped: Sequence[Term] = ()) -> tuple[Any, Any]:
+        """Energy (a form or None) and virtual work (a form or None) that an effect adds.
+
+        Args:
+            term: with the effect.
+            reshaped: effects that give the body another shape at rest.
+        """
         effect, c = term.effect, self.term_constants(term)
         if effect.gives and not self.grips:
             raise InputError(f"{term.label}: no grasp of the scene is a surface: no springs can be spread over it")
-        point = self.point(term)
+        kin, factor = self.reshaped(reshaped)
+        point = replace(self.point(term), kin=kin)
         # Body forces need more than the one point that is exact for the energy of linear elements.
         degree = self._remembering if effect.memory else 2 * self.body.degree
-        energy = effect.energy(point, c) * self.measure(degree) if effect.energy else None
+        density = effect.energy(point, c) if effect.energy else None
+        if density is not None and factor is not None:
+            density = factor * density
+        energy = None if density is None else density * self.measure(degree)
         if effect.potential:
             potential = effect.potential(point, c)
             energy = potential if energy is None else energy + potential
@@ -264,12 +282,17 @@ class WeakForm:
         The effect need not be part of the model; its Constants are made then (see `term_constants`).
         """
         energy, work = self.added(term)
+        beside = []
+        if term.effect.reshaped:
+            # What effects store in the material is stored in the other body.
+            materials = [t for t in self.model.terms if t.effect.energy and t.effect.acts_on == "material"]
+            beside = [self.added(t, [term])[0] for t in materials if not t.effect.memory]
         if term.effect.changes_law:
             others = [t for t in self.model.terms if t.effect.changes_law and t.label != term.label]
             stored = self.stored([*others, term])
             energy = stored if energy is None else energy + stored
         self.term_constants(term)
-        return self._by_number([energy], [work], term.full(name))
+        return self._by_number([energy, *beside], [work], term.full(name))
 
     def law_derivative(self, name: str) -> Any:
         """Compiled derivative of the residual by a constant of the law; None where the residual does not depend on it."""

@@ -15,6 +15,7 @@ from bcid.comparison.adequacy import judge
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.state import State
 from bcid.forms import effect_trial as trial
+from bcid.forms import effects
 from bcid.forms.forward import Forward
 from bcid.forms.mesh import BodyMesh
 from bcid.forms.model import Model, Term
@@ -89,20 +90,34 @@ def pulled(turned: bool = False) -> Action:
     return replace(whole, loads={}, rotation=whole.rotation if turned else still)
 
 
-def displacements(action: Action, move: Callable[[Array], Array] = lambda x: x, marked: bool = True) -> Array:
+def plain(here: Scene) -> Model:
+    return Model.of(here)
+
+
+def stiffened(here: Scene) -> Model:
+    """With an effect that stores more than the law does."""
+    return Model.of(here) + Term(effects.effect("strain_stiffening"), {"c2": 3e4})
+
+
+def displacements(
+    action: Action,
+    move: Callable[[Array], Array] = lambda x: x,
+    marked: bool = True,
+    model: Callable[[Scene], Model] = plain,
+) -> Array:
     """Of the markers along a motion, of a body whose every point is moved at rest, they too or not."""
     here = scene(move if marked else lambda x: x)
-    forward = Forward(here, 0, MPI.COMM_SELF, Model.of(here), EXACT, replace(MESH, points=move(MESH.points)))
+    forward = Forward(here, 0, MPI.COMM_SELF, model(here), EXACT, replace(MESH, points=move(MESH.points)))
     prediction = forward.predict(ANCHORS, [action])
     forward.destroy()
     assert prediction.complete
     return prediction.positions - here.rest
 
 
-def told(wanted: Wanted, action: Action) -> Sensitivities:
+def told(wanted: Wanted, action: Action, model: Callable[[Scene], Model] = plain) -> Sensitivities:
     """The same by the tangent, of the scene's own body."""
     here = scene()
-    forward = Forward(here, 0, MPI.COMM_SELF, Model.of(here), EXACT, MESH)
+    forward = Forward(here, 0, MPI.COMM_SELF, model(here), EXACT, MESH)
     prediction = forward.predict(ANCHORS, [action], keep=True)
     found = Sensitivity(forward).of(ANCHORS, [action], prediction, wanted)
     forward.destroy()
@@ -118,12 +133,12 @@ def assert_near(found: Array, expected: Array, tolerance: float) -> None:
     assert np.linalg.norm(found - expected) <= tolerance * np.linalg.norm(expected)
 
 
-@pytest.mark.parametrize("axis", range(3))
-def test_a_larger_body_moves_as_told(axis: int) -> None:
+@pytest.mark.parametrize(("axis", "model"), [(0, plain), (1, plain), (2, plain), (0, stiffened)])
+def test_a_larger_body_moves_as_told(axis: int, model: Callable[[Scene], Model]) -> None:
     action, direction = pulled(), np.eye(3)[axis]
-    found = told(Wanted((Probe(dimensions()[axis], ("part",)),)), action).probes[0]["part"]
+    found = told(Wanted((Probe(dimensions()[axis], ("part",)),)), action, model).probes[0]["part"]
     expected = central(
-        lambda part: displacements(action, lambda x: x * (1 + part * direction)),
+        lambda part: displacements(action, lambda x: x * (1 + part * direction), model=model),
         1e-3,
     )
     assert_near(found, expected, 1e-3)
