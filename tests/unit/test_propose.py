@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import shutil
 from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,6 +21,8 @@ from bcid.base.run_folder import RunFolder
 from bcid.comparison.explain import ExplainOptions
 from bcid.comparison.source import stored_effect
 from bcid.forms import effects
+from bcid.inference.followed import NotFollowed
+from bcid.measurement import Measurement
 from bcid.proposal import proposal_text
 from bcid.proposal.effect_file import made, source
 from bcid.proposal.energies import directions, energies
@@ -29,6 +33,7 @@ from bcid.proposal.propose_run import effect_names
 from bcid.report import tables
 from bcid.report.found import Found
 from bcid.report.page import write_report
+from bcid.studies.beyond import beyond_case
 from bcid.studies.beyond.beyond_study import judge, rates, table
 from bcid.studies.beyond.true_laws import LAWS, true_scene
 from bcid.studies.hidden import truth
@@ -239,6 +244,32 @@ def test_cases_are_judged_question_by_question() -> None:
     text = table({"cases": 2, "judged": judged, "rates": found, "lost": {"0003": "why"}})
     assert "spring_at_a_spot 1" in text
     assert "0003: why" in text
+
+
+def test_a_case_is_compared_as_far_as_it_can_be_followed(
+    project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = (project / "examples/scenes/slab.toml").read_text("utf-8")
+    geometry = re.search(r'^file = "(.*)"$', scene, re.MULTILINE)
+    assert geometry is not None
+    (tmp_path / "scene.toml").write_text(
+        scene.replace(geometry[1], str(project / "examples/scenes" / geometry[1])), "utf-8"
+    )
+    shutil.copytree(project / "examples/measurements/slab-34-heavy", tmp_path / "measurement")
+    (tmp_path / "truth.json").write_text(json.dumps({"kind": "stop"}), "utf-8")
+    seen: list[Measurement] = []
+
+    def proposed(scene: Any, measurement: Measurement, known: Any) -> dict[str, Any]:
+        seen.append(measurement)
+        if len(seen) == 1:
+            came = np.ones(len(measurement.positions), dtype=bool)
+            came[measurement.actions[-1].frames[-1]] = False
+            raise NotFollowed("it buckles", "no set can be followed", came)
+        return dict(known)
+
+    monkeypatch.setattr(beyond_case, "_proposed", proposed)
+    assert beyond_case.proposed(tmp_path) == {"kind": "stop"}
+    assert len(seen[1].positions) == len(seen[0].positions) - 1
 
 
 def test_patches_that_hardly_show_are_not_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:

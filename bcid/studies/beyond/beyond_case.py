@@ -19,6 +19,7 @@ from bcid.base.text_file import read_json
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.simulate import recorded
+from bcid.inference.followed import as_far_as_followed
 from bcid.measurement import Measurement
 from bcid.scene import Scene
 from bcid.studies.beyond.compared_energy import energy_apart
@@ -187,14 +188,19 @@ def _write(folder: Path, kind: str, case: Case, scene: Scene, made: Made, untold
 
 
 def proposed(folder: Path) -> dict[str, Any]:
-    """What is proposed, given scene and measurement alone; then compared with the truth."""
+    """What is proposed, given scene and measurement alone, as far as that can be followed; then compared with the truth."""
+    scene = Scene.read(folder / FILE, physics=check_physics)
+    measurement = Measurement.read(folder / "measurement")
+    known = read_json(folder / "truth.json")
+    return as_far_as_followed(measurement, lambda seen: _proposed(scene, seen, known))
+
+
+def _proposed(scene: Scene, measurement: Measurement, known: Mapping[str, Any]) -> dict[str, Any]:
     from mpi4py import MPI
 
     from bcid.comparison.predictor import Predictor
     from bcid.proposal.propose import propose
 
-    scene = Scene.read(folder / FILE, physics=check_physics)
-    measurement = Measurement.read(folder / "measurement")
     predictor = Predictor(scene, measurement, MPI.COMM_SELF)
     try:
         found = propose(predictor, Model.of(scene))
@@ -218,7 +224,6 @@ def proposed(folder: Path) -> dict[str, Any]:
                 for term, entry in zip(found.terms, found.path, strict=True)
             ],
         }
-        known = read_json(folder / "truth.json")
         if known["kind"] in LAWS:
             told["energy_apart"] = energy_apart(predictor, last.fitted, known["law"])
         return told
