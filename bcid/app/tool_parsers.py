@@ -206,7 +206,7 @@ def add_bench(commands: Any) -> None:
         commands, "bench", bench, help_text, "Prints a table per part; writes bench.json and plots. See docs/bench.md."
     )
     parser.add_argument(
-        "parts", nargs="*", metavar="PART", help="trajectory, toggles, identification, explain, growth (all)"
+        "parts", nargs="*", metavar="PART", help="trajectory, toggles, identification, explain, explore, growth (all)"
     )
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("bcid-bench"), metavar="FOLDER", help="folder to write (bcid-bench)"
