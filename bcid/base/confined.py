@@ -29,17 +29,8 @@ from bcid.base.shipped import IMPORT_ROOT
 
 # The folder that holds the package.
 
-# What a child is given of the environment: where its libraries and compiled modules are, and how it writes text. Nothing that
-# loads plugins.
-_KEPT = (
-    "LD_LIBRARY_PATH",
-    "PYTHONHOME",
-    "PYTHONPYCACHEPREFIX",
-    "PYTHONDONTWRITEBYTECODE",
-    "LANG",
-    "LC_ALL",
-    "LC_CTYPE",
-)
+# What a child is given of the environment: where its libraries are, and how it writes text. Nothing that loads plugins.
+_KEPT = ("LD_LIBRARY_PATH", "PYTHONHOME", "LANG", "LC_ALL", "LC_CTYPE")
 _COVERAGE = "COVERAGE_"
 # Of a child that reads a file, bytes of address space, and how much more a byte of the file may take.
 _SPACE = 2_000_000_000
