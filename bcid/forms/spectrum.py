@@ -21,15 +21,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import ufl
 from ufl.core.expr import Expr
 
 from bcid.forms.kinematics import Kinematics
-
-# A number, or a UFL expression.
-Scalar = Any
+from bcid.forms.materials.law import Scalar
 
 SHIFT = 1e-5
 """Smallest radius p of the spectrum, relative to the mean eigenvalue."""
