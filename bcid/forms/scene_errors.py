@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import ufl
 from numpy.typing import NDArray
+from ufl.geometry import CellVertices
 
 from bcid.forms.effects.effect import BodyEffect, GripEffect, Point
 from bcid.forms.mesh import BodyMesh
@@ -58,10 +59,27 @@ def _part_moved(
 
 
 def _patch_moved(point: Point, c: Mapping[str, Any]) -> Any:
-    away, direction = point.X - _vector(c, "c"), _vector(c, "d")
-    distance = ufl.sqrt(ufl.inner(away, away) + 1e-12 * point.size**2)
-    moved = _part_moved(ufl.inner(away, direction), distance, c, ufl.max_value, ufl.exp) * direction
-    return ufl.Identity(3) - c["distance"] * ufl.grad(moved)
+    middle, direction = _vector(c, "c"), _vector(c, "d")
+
+    def moved(place: Any) -> Any:
+        away = place - middle
+        distance = ufl.sqrt(ufl.inner(away, away) + 1e-12 * point.size**2)
+        return _part_moved(ufl.inner(away, direction), distance, c, ufl.max_value, ufl.exp) * direction
+
+    return ufl.Identity(3) - c["distance"] * _corners_moved(point.X, moved)
+
+
+def _corners_moved(X: Any, moved: Callable[[Any], Any]) -> Any:
+    """Gradient of a movement of a mesh whose corners move by a field, and whose cells stay affine.
+
+    It is the same all over a cell, so that the points at which the law is integrated do for it, and give the derivative of the
+    discrete solution. At other points a law that locks stores energies that no equilibrium has seen.
+    """
+    domain = ufl.domain.extract_unique_domain(X)
+    corners, inverse = CellVertices(domain), ufl.JacobianInverse(domain)
+    first, *others = (moved(ufl.as_vector([corners[k, i] for i in range(3)])) for k in range(4))
+    parts = [ufl.outer(other - first, inverse[k, :]) for k, other in enumerate(others)]
+    return sum(parts[1:], start=parts[0])
 
 
 def moved_with(border: Term, places: Array) -> Array:

@@ -223,7 +223,7 @@ class WeakForm:
         model = self.model
         # Another body at rest comes before what happens to its material.
         kin, factor = self.reshaped(terms)
-        varying = factor is not None
+        varying = False
         for term in terms:
             c = self.term_constants(term)
             if term.effect.growth:
