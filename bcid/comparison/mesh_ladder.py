@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.comparison.kept_predictions import MeasurementPrediction
-from bcid.comparison.knots import Knots
 from bcid.comparison.predictor import Predictor
 from bcid.forms.model import Model
+from bcid.inference.knots import Knots
 from bcid.inference.mesh_error import MeshError, gains
 
 Array = NDArray[np.float64]
@@ -21,8 +21,8 @@ _ORDER = 2
 _LEAST_GAIN = 0.5
 # A distance of positions need not be known as well as they themselves; and that the states are stable the working level has shown.
 _FINE_RTOL = 3e-5
-# Between steps in which the fine level is followed its distance is bent by no more than this part of the noise.
-_BENT = 0.5
+# Between steps in which the fine level is followed its distance is known to no less than this part of the noise.
+_BENT = 0.2
 
 
 def mesh_error(

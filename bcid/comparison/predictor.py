@@ -17,7 +17,6 @@ from bcid.base.progress import Progress, Silent
 from bcid.comparison import questions
 from bcid.comparison.checkpoint import Checkpoint, ResultFormat
 from bcid.comparison.kept_predictions import KeptPredictions, MeasurementPrediction, PredictionKey
-from bcid.comparison.knots import Knots, spread
 from bcid.comparison.levels import affordable, pair
 from bcid.comparison.result_formats import PredictionFormat, SensitivitiesFormat, TangentsFormat
 from bcid.forms.force_bumps import BUMPS, bumps
@@ -31,6 +30,7 @@ from bcid.forms.set_tangent import SetTangent, SetTangents, StepTangent
 from bcid.forms.solver.equilibrium import Settings
 from bcid.forms.solver.supports import Pose
 from bcid.inference.data import Data, Noise
+from bcid.inference.knots import Knots, knots_of, known_frames, spread
 from bcid.inference.nuisances import NuisanceModes, Nuisances
 from bcid.measurement import Action, Measurement
 from bcid.scene import Scene
@@ -466,17 +466,13 @@ class Predictor:
 
     def _known(self, model: Model) -> list[Knots] | None:
         """The steps of each action in which what changes with the motion need be known; None where in all."""
-        smooth = not self.thin and all(term.effect.smooth or term.effect.observe for term in model.terms)
-        return [Knots.of(action, 1) for action in self.actions] if smooth else None
+        return None if self.thin else knots_of(model, self.actions, np.ones(len(self.data.mask), dtype=bool))
 
     def _frames(self, known: Sequence[Knots] | None) -> NDArray[np.bool_]:
         """Rest and the frames of known steps; all that are seen where none are given."""
-        seen = np.asarray(self.data.mask.any(axis=(1, 2)))
         if known is not None:
-            seen = np.zeros(len(seen), dtype=bool)
-            for one in known:
-                seen[one.frames[[0, *one.steps]]] = True
-        return seen
+            return known_frames(known, len(self.data.mask))
+        return np.asarray(self.data.mask.any(axis=(1, 2)))
 
     def _whole(self, part: Prediction) -> Prediction:
         """A part's positions in the frames of the whole measurement."""

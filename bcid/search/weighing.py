@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from bcid.forms.gripper_force import ForceScale
 from bcid.forms.model import Model
 from bcid.forms.sensitivity import Sensitivity
 from bcid.inference.data import Data
+from bcid.inference.knots import knots_of, known_frames
 from bcid.inference.likelihood import Errors, NuisanceEstimate
 from bcid.inference.mesh_error import MeshError, gains
 from bcid.inference.nuisances import NuisanceModes, Nuisances
@@ -280,11 +282,15 @@ class Weighing:
         actions, failed = self.evaluator.actions, prediction.failure is not None
         followed = np.asarray(np.isfinite(prediction.positions).all(axis=(1, 2)))
         data = self.data.within(followed)
+        known = knots_of(forward.model, actions, followed)
+        seen = self._seen & followed if known is None else known_frames(known, len(followed))
         try:
-            found = self._sensitivities[level].of(candidate, actions, prediction, wanted, None, self._seen & followed)
+            found = self._sensitivities[level].of(candidate, actions, prediction, wanted, None, seen)
         except SolveError:
             # Where the tangent says nothing, neither nuisances nor an unknown force do.
             return Pan(prediction.positions, NuisanceModes.none(len(data)), np.zeros((len(data), 1)), failed)
+        for array, one in product(found.arrays, known or ()):
+            one.fill(array)
         assert found.forces is not None
         slopes = data.vector(found.forces).astype(float).reshape(len(data), math.prod(found.forces.shape[3:]))
         modes = nuisances.modes(data, found, wanted, forward.model, prediction.positions)
