@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from bcid.forms.model import Model
 from bcid.forms.probes import Sensitivities, Wanted
 from bcid.forms.sensitivity import Sensitivity
 from bcid.inference.data import Data
+from bcid.inference.knots import knots_of, known_frames
 from bcid.inference.nuisances import NuisanceModes, Nuisances
 from bcid.measurement import Action
 
@@ -61,14 +63,18 @@ class Differentiator:
         states = {frame: prediction.states[int(same)] for frame, same in enumerate(mirror)}
         whole = replace(prediction, positions=prediction.positions[mirror], states=states)
         numbered = replace(action, frames=np.arange(len(action)))
+        way = np.arange(len(action)) < len(first)
+        known = knots_of(self.forward.model, [first], np.ones(len(first), dtype=bool))
+        seen = way.copy() if known is None else known_frames(known, len(action))
         # A gripper that is off is so at the end as well, where it is back at rest.
-        seen = np.arange(len(action)) < len(first)
-        seen[-1] = True
+        way[-1] = seen[-1] = True
         try:
             found = self._sensitivity.of(anchors, [numbered], whole, wanted, None, seen)
         except SolveError:
             return None
-        return PullTangent(_at(found, np.where(seen, np.arange(len(action)), mirror)), wanted)
+        for array, one in product(found.arrays, known or ()):
+            one.fill(array)
+        return PullTangent(_at(found, np.where(way, np.arange(len(action)), mirror)), wanted)
 
     def destroy(self) -> None:
         """Free the PETSc objects."""

@@ -23,6 +23,8 @@ Steps = NDArray[np.int64]
 # Steps are added until the variance of all others is at most this part of that about the parabola, whose own is so many times as
 # large.
 _KNOWN, _TREND = 1e-3, 10.0
+# Turns by less than this, in rad, count for as little as they are.
+_TURN = np.radians(10.0)
 # Added to the variance of what is known, for the kernel's matrix to be solved with.
 _NUGGET = 1e-8
 
@@ -124,10 +126,13 @@ def known_frames(known: Sequence[Knots], count: int) -> NDArray[np.bool_]:
 
 
 def _way(action: Action) -> Array:
-    """Where the gripper is and what loads act, each as part of its range, shape (steps, n)."""
+    """Where the gripper is and what loads act, each as part of its range, shape (steps, n).
+
+    A gripper that hardly turns is not taken to turn at random.
+    """
     turned = (as_rotation(action.rotation) * as_rotation(action.rotation[0]).inv()).as_rotvec()
     way = np.hstack([action.translation, turned, *action.loads.values()])
     kinds = [slice(0, 3), slice(3, 6), *(slice(k, k + 3) for k in range(6, way.shape[1], 3))]
-    for kind in kinds:
-        way[:, kind] /= max(float(np.linalg.norm(np.ptp(way[:, kind], axis=0))), 1e-12)
+    for number, kind in enumerate(kinds):
+        way[:, kind] /= max(float(np.linalg.norm(np.ptp(way[:, kind], axis=0))), _TURN if number == 1 else 1e-12)
     return way

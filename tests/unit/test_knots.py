@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from bcid.inference.knots import Knots, spread
 from bcid.scene.action import Action
+from bcid.scene.rotation import from_vector
 
 
 def action(along: list[float], across: list[float] | None = None) -> Action:
@@ -32,6 +35,13 @@ def test_what_bends_needs_more() -> None:
     angle = np.linspace(0, np.pi, 21)
     around = Knots.of(action(list(np.cos(angle)), list(np.sin(angle))))
     assert 5 <= len(around.steps) <= 9
+
+
+def test_what_the_gripper_is_measured_to_shake_needs_no_more() -> None:
+    straight = action([0, 1, 2, 3, 4, 5, 6, 7, 8])
+    shaken = np.random.default_rng(1).normal(0, np.radians(0.02), (9, 3))
+    turned = replace(straight, rotation=from_vector(np.degrees(shaken)))
+    assert len(Knots.of(turned).steps) <= 4
 
 
 @pytest.mark.parametrize("steps", [1, 2, 3])
