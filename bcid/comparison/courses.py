@@ -14,7 +14,7 @@ from bcid.base.tails import chi2_tail
 from bcid.base.units import UNTOLD
 from bcid.comparison.fit import Fit
 from bcid.comparison.state import State
-from bcid.comparison.variants import Variant, amounts, frame_times
+from bcid.comparison.variants import Variant, amounts
 from bcid.forms.course import Course, course_of, in_time
 from bcid.forms.model import Term
 from bcid.measurement import Measurement
@@ -80,7 +80,7 @@ def variant_in_time(state: State, variant: Variant, times: tuple[float, ...], st
     values = {p.name: term.values[p.name] for p in effect.shapes}
     for p in term.effect.amounts:
         values |= dict.fromkeys(course.names(p.name), term.values[p.name])
-    weights = course.weights(frame_times(state.predictor))[data.frame]
+    weights = course.weights(state.predictor.times)[data.frame]
     plain = [state.errors.unwhiten(column) for column in variant.sensitivity.T]
     columns = state.errors.whiten(np.hstack([weights * column[:, None] for column in plain]))
     moving = Term(effect, values, place=term.place)

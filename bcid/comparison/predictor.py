@@ -15,6 +15,7 @@ from bcid.base.collective import Comm, agree, in_turns, overlaid
 from bcid.base.errors import BcidError, InputError
 from bcid.base.progress import Progress, Silent
 from bcid.comparison import questions
+from bcid.comparison.acting import by_the_clock, steady
 from bcid.comparison.checkpoint import Checkpoint, ResultFormat
 from bcid.comparison.kept_predictions import KeptPredictions, MeasurementPrediction, PredictionKey
 from bcid.comparison.levels import affordable, pair
@@ -320,17 +321,26 @@ class Predictor:
         known = self._known(model)
         if known is None:
             return self._sensitivities_in(model, anchors, prediction, wanted, None)
-        often = [probe.effect.smooth for probe in wanted.probes]
-        few = replace(wanted, probes=tuple(p for p, yes in zip(wanted.probes, often, strict=True) if yes))
+        times = self.times
+        steadily = [steady(probe, model, times) for probe in wanted.probes]
+        asked = [other or probe for probe, other in zip(wanted.probes, steadily, strict=True)]
+        few = replace(wanted, probes=tuple(probe for probe in asked if probe.effect.smooth))
         found = self._sensitivities_in(model, anchors, prediction, few, known)
         for array, one in product(found.arrays, known):
             one.fill(array)
-        if all(often):
-            return found
-        rest = Wanted(tuple(p for p, yes in zip(wanted.probes, often, strict=True) if not yes))
-        others = iter(self._sensitivities_in(model, anchors, prediction, rest, None).probes)
-        first = iter(found.probes)
-        return replace(found, probes=[next(first) if yes else next(others) for yes in often])
+        smooth, rest = iter(found.probes), Wanted(tuple(probe for probe in asked if not probe.effect.smooth))
+        others = iter(self._sensitivities_in(model, anchors, prediction, rest, None).probes if rest.probes else ())
+        probes = [next(smooth) if probe.effect.smooth else next(others) for probe in asked]
+        told = zip(wanted.probes, steadily, probes, strict=True)
+        return replace(found, probes=[by_the_clock(p, one, times) if other else one for p, other, one in told])
+
+    @property
+    def times(self) -> Array:
+        """When each frame was seen, by the clock of its action, shape (frames,), s."""
+        times = np.zeros(len(self.data.mask))
+        for action in self.actions:
+            times[action.frames] = action.clock
+        return times
 
     def _sensitivities_in(
         self,

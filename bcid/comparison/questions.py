@@ -39,7 +39,7 @@ def of_term(term: Term) -> str:
 def _effect(effect: Effect) -> str:
     course = course_of(effect)
     timed = "" if course is None else f"{_effect(course.effect)} {course.times} {course.stepwise}"
-    return f"{effect.name} {[(p.name, p.scale) for p in effect.parameters]} {timed}"
+    return f"{effect.name} {[(p.name, p.scale) for p in effect.parameters]} {bool(effect.acting)} {timed}"
 
 
 def of_wanted(wanted: Wanted) -> str:

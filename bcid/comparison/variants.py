@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from bcid.comparison.ahead import balls
 from bcid.comparison.fit import Coordinate
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
 from bcid.forms.force_bumps import scattered
@@ -206,7 +205,7 @@ def _all_directions(state: State, group: Sequence[tuple[Probe, dict[str, Array]]
 def _all_periods(state: State, steady: Variant, period: Parameter) -> list[Variant]:
     """An effect that comes and goes: the part of its amounts that acts, times what it does when it is steady."""
     effect, data = steady.term.effect, state.predictor.data
-    times, frames = np.unique(frame_times(state.predictor), return_inverse=True)
+    times, frames = np.unique(state.predictor.times, return_inverse=True)
     found = []
     # Two frequencies are told apart when they are out of step at the end.
     for cycles in np.arange(_CYCLES[0], _CYCLES[1], _CYCLES[2]) if np.ptp(times) > 0 else ():
@@ -216,14 +215,6 @@ def _all_periods(state: State, steady: Variant, period: Parameter) -> list[Varia
         )
         found.append(replace(steady, term=term, sensitivity=steady.sensitivity * share[frames[data.frame]]))
     return found
-
-
-def frame_times(predictor: Predictor) -> Array:
-    """When each frame was seen, by the clock of its action, shape (frames,), s."""
-    times = np.zeros(len(predictor.data.mask))
-    for action in predictor.actions:
-        times[action.frames] = action.clock
-    return times
 
 
 def _harmonics(degrees: NDArray[np.floating], period: float, highest: int) -> Array:
