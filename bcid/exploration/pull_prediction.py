@@ -84,11 +84,12 @@ class _Details:
     def __init__(self, forward: Forward, action: Action) -> None:
         self.forward, self.action = forward, action
         self._read: dict[int, tuple[float, float, float]] = {}
+        self._mode: Array | None = None
 
     def __call__(self, frame: int, pose: Pose) -> None:
         """Read the present state; one that comes again holds."""
         equilibrium = self.forward.equilibrium
-        size = smallest_eigenvalue(equilibrium)[0]
+        size, self._mode = smallest_eigenvalue(equilibrium, self._mode)
         force = float(np.linalg.norm(equilibrium.wrench(pose)[:3]))
         self._read[frame] = force, strain_of_most(self.forward, equilibrium.displacement()), size
 

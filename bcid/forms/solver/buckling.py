@@ -24,17 +24,23 @@ from bcid.scene.rotation import slerp
 Array = NDArray[np.float64]
 # Below this part of its value at rest another state may exist: which one is taken is for imperfections to choose.
 NEAR_BUCKLING = 0.5
-# Iterations; the direction in which a body will buckle need not be exact.
-_SWEEPS = 8
+# Iterations at most, and the part by which an eigenvalue changes in the last; the direction in which a body will buckle need not be
+# exact.
+_SWEEPS, _SETTLED = 24, 1e-3
 # Part of a motion in which the tangent changes in proportion to it; accuracy and restarts of the mode.
 _SMALL, _ACCURATE, _RESTARTS = 0.01, 1e-2, 30
 # Two states are different when a fiducial is this part of the body's size apart.
 APART = 1e-3
 
 
-def smallest_eigenvalue(equilibrium: Equilibrium) -> tuple[float, Array]:
-    """Smallest eigenvalue of the tangent at the present state, N/m, and its eigenvector, by inverse iteration; collective."""
-    vector = np.random.default_rng(0).normal(size=len(equilibrium.u.x.array))
+def smallest_eigenvalue(equilibrium: Equilibrium, start: Array | None = None) -> tuple[float, Array]:
+    """Smallest eigenvalue of the tangent at the present state, N/m, and its eigenvector, by inverse iteration; collective.
+
+    Args:
+        equilibrium: with what is held.
+        start: eigenvector of a state near by, shape (unknowns,); at random by default.
+    """
+    vector = np.random.default_rng(0).normal(size=len(equilibrium.u.x.array)) if start is None else start.copy()
     vector[equilibrium.supports.prescribed] = 0.0
     size = np.inf
     if equilibrium.verify() is Status.LINEAR_SOLVER:
@@ -42,7 +48,9 @@ def smallest_eigenvalue(equilibrium: Equilibrium) -> tuple[float, Array]:
     for _ in range(_SWEEPS):
         vector /= np.linalg.norm(vector)
         solved = equilibrium.factor.solve_block(vector[:, None])[:, 0]
-        size, vector = 1 / float(vector @ solved), solved
+        before, size, vector = size, 1 / float(vector @ solved), solved
+        if abs(before - size) <= _SETTLED * size:
+            break
     return size, vector / np.linalg.norm(vector)
 
 
