@@ -35,6 +35,7 @@ from bcid.report.found import Found
 from bcid.report.page import write_report
 from bcid.studies.beyond import beyond_case
 from bcid.studies.beyond.beyond_study import judge, rates, table
+from bcid.studies.beyond.mesh_floor import BeyondMesh, MeshFloor
 from bcid.studies.beyond.true_laws import LAWS, true_scene
 from bcid.studies.hidden import truth
 from bcid.studies.hidden.chance import generator
@@ -206,6 +207,8 @@ def result(kind: str, **found: Any) -> dict[str, Any]:
         "anchored": ["3", "4"],
         "not_asked": ["7"],
         "term": {"cx": 0.05, "cy": 0.0, "cz": 0.04, "radius": 0.01},
+        "floor": 2.2e-4,
+        "refused": ["the slab folds"],
     }
     told = {
         "verdict": "none",
@@ -241,8 +244,11 @@ def test_cases_are_judged_question_by_question() -> None:
     found = rates(judged)
     assert found["boundary: place"]["met"] == 1
     assert found["laws: held out"]["count"] == 0
-    text = table({"cases": 2, "judged": judged, "rates": found, "lost": {"0003": "why"}})
+    numbered = [one | {"index": k} for k, one in enumerate(judged)]
+    text = table({"cases": 2, "judged": numbered, "rates": found, "lost": {"0003": "why"}})
     assert "spring_at_a_spot 1" in text
+    # Size, what is held out, and what the truth itself has there, in noises.
+    assert re.search(r"0001 +slab +held patch +5\.0 +1\.05 +1\.10", text)
     assert "0003: why" in text
 
 
@@ -270,6 +276,32 @@ def test_a_case_is_compared_as_far_as_it_can_be_followed(
     monkeypatch.setattr(beyond_case, "_proposed", proposed)
     assert beyond_case.proposed(tmp_path) == {"kind": "stop"}
     assert len(seen[1].positions) == len(seen[0].positions) - 1
+
+
+def test_a_truth_that_the_working_mesh_does_not_show_is_refused(project: Path) -> None:
+    from dataclasses import replace
+
+    from bcid import Scene
+    from bcid.forms.model import check_physics
+    from bcid.forms.simulate import simulate
+    from bcid.measurement import Action
+    from bcid.scene import Level, Material
+
+    scene = Scene.read(project / "examples/scenes/slab.toml", physics=check_physics)
+    scene = replace(scene, levels=(Level(2, 0.06), Level(2, 0.03)), noise_sigma=2e-4)
+    unturned, steps = np.tile([1.0, 0.0, 0.0, 0.0], (4, 1)), np.arange(4)
+    ways = {"1": (0.004, 0.0, 0.0), "2": (0.0, 0.004, 0.0)}
+    pulls = [
+        Action(name, 4 * k + steps, steps, "I", steps[:, None] * np.array(way), unturned)
+        for k, (name, way) in enumerate(ways.items())
+    ]
+    other = replace(scene, material=Material("ogden", {"poisson": 0.35, "mu1": "-900 Pa", "alpha1": -12.0}))
+    seen = simulate(other, ("3", "4"), pulls, level=1, noise=2e-4)
+    floor = MeshFloor.of(other, seen, frozenset("34"), None)
+    assert floor.held_out is not None
+    assert 1.8e-4 < floor.rms < floor.held_out < 3e-4
+    with pytest.raises(BeyondMesh, match="the truth leaves"):
+        MeshFloor.of(other, seen, frozenset("45"), None)
 
 
 def test_patches_that_hardly_show_are_not_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,6 +23,7 @@ from bcid.inference.followed import as_far_as_followed
 from bcid.measurement import Measurement
 from bcid.scene import Scene
 from bcid.studies.beyond.compared_energy import energy_apart
+from bcid.studies.beyond.mesh_floor import BeyondMesh, MeshFloor
 from bcid.studies.beyond.true_laws import LAWS, true_scene
 from bcid.studies.beyond.true_terms import TERMS
 from bcid.studies.hidden import truth
@@ -83,12 +84,14 @@ def kind_of(index: int) -> str:
 def make(folder: Path, index: int, seed: int, bodies: tuple[str, ...]) -> None:
     """Write scene and measurement of a case, and apart from them its truth; what is there stays.
 
+    A truth that the working mesh does not show is drawn again: whatever is proposed for it, that mesh would be measured.
+
     Raises:
-        SolveError: no attempt could be solved.
+        SolveError: no attempt could be solved, and be followed on the working mesh.
     """
     if (folder / "measurement").is_dir():
         return
-    kind, reasons = kind_of(index), []
+    kind, reasons, refused = kind_of(index), [], list[str]()
     body = bodies[index // len(KINDS) % len(bodies)]
     for attempt in range(_ATTEMPTS):
         case = _drawn(index, attempt, seed, body)
@@ -96,10 +99,18 @@ def make(folder: Path, index: int, seed: int, bodies: tuple[str, ...]) -> None:
         rng = generator(seed, 21, index, attempt)
         try:
             made = _made(kind, case, scene, rng)
+            seen = _seen(case, scene, made, rng)
+            true = replace(made.scene, noise_sigma=NOISE)
+            floor = MeshFloor.of(true, seen, frozenset(case.anchors), made.term)
         except SolveError as error:
             reasons.append(str(error))
+            refused += [str(error)] if isinstance(error, BeyondMesh) else []
             continue
-        _write(folder, kind, case, scene, made, truth.untold_patches(scene, case), rng)
+        known = _told(kind, case, made) | {"not_asked": truth.untold_patches(scene, case), "refused": refused}
+        known |= {"floor": floor.held_out, "floor_rms": floor.rms}
+        write_whole(folder / "truth.json", json.dumps(known, indent=1) + "\n")
+        write_scene(folder, shipped(case.body.scene), case.conditions, NOISE)
+        replace(seen, noise_sigma=None).write(folder / "measurement")
         return
     raise SolveError(f"case {index} of seed {seed} could not be made in {_ATTEMPTS} attempts: {'; '.join(reasons)}")
 
@@ -173,18 +184,20 @@ def _place(scene: Scene, case: Case, mesh: BodyMesh, rng: Rng) -> Array:
     return np.asarray(middles[rng.choice(usable)])
 
 
-def _write(folder: Path, kind: str, case: Case, scene: Scene, made: Made, untold: list[str], rng: Rng) -> None:
+def _seen(case: Case, scene: Scene, made: Made, rng: Rng) -> Measurement:
+    """The measurement, with noise."""
     times = np.concatenate([action.clock for action in case.actions])
-    seen = recorded(scene, case.actions, made.positions, NOISE, rng, times, f"beyond the catalogue, case {case.index}")
-    told = {
-        "index": case.index, "kind": kind, "body": case.body.name, "anchored": list(case.anchors), "not_asked": untold,
-        "size": made.size,
+    name = f"beyond the catalogue, case {case.index}"
+    return recorded(scene, case.actions, made.positions, NOISE, rng, times, name)
+
+
+def _told(kind: str, case: Case, made: Made) -> dict[str, Any]:
+    """What is true."""
+    return {
+        "index": case.index, "kind": kind, "body": case.body.name, "anchored": list(case.anchors), "size": made.size,
         "law": {"name": made.scene.material.law, "values": dict(made.scene.material.values)},
         "term": None if made.term is None else dict(made.term.values),
     }  # fmt: skip
-    write_whole(folder / "truth.json", json.dumps(told, indent=1) + "\n")
-    write_scene(folder, shipped(case.body.scene), case.conditions, NOISE)
-    replace(seen, noise_sigma=None).write(folder / "measurement")
 
 
 def proposed(folder: Path) -> dict[str, Any]:

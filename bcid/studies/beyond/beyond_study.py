@@ -96,6 +96,8 @@ def judge(result: Json) -> dict[str, Any]:
         "kind": kind,
         "body": truth["body"],
         "size": truth["size"],
+        "floor_noises": None if truth["floor"] is None else truth["floor"] / NOISE,
+        "refused": len(truth["refused"]),
         "cpu_seconds": result["cpu_seconds"],
     }
     told["anchors"] = not (set(truth["anchored"]) ^ set(found["anchored"])) - set(truth["not_asked"])
@@ -166,10 +168,28 @@ def table(found: Json) -> str:
     title = f"Beyond the catalogue: {found['cases']} cases, five pulls each, noise {NOISE * 1e3:g} mm, truth of cubic elements"
     first = TextTable(title, ("question", "goal", "rate", "cases", "95 % interval"), tuple(rows))
     kinds = [(kind, *_of_kind([one for one in found["judged"] if one["kind"] == kind])) for kind in KINDS]
-    head = ("truth", "cases", "size (noises)", "held out (noises)", "energy off", "CPU s", "proposed")
+    head = (
+        "truth",
+        "cases",
+        "size (noises)",
+        "held out (noises)",
+        "truth's own",
+        "energy off",
+        "CPU s",
+        "drawn again",
+        "proposed",
+    )
     second = TextTable("By what was hidden (medians)", head, tuple(kinds))
+    cases = [(f"{one['index']:04d}", one["body"], one["kind"], *_of_case(one)) for one in found["judged"]]
+    head = ("case", "body", "truth", "size", "held out", "truth's own", "energy off", "anchors", "proposed")
+    third = TextTable("Case by case (sizes and errors in noises)", head, tuple(cases))
     lost = [f"{name}: {why}" for name, why in found["lost"].items()]
-    return "\n".join([first.text(), "", second.text(), *(["", "Without a result:", *lost] if lost else [])]) + "\n"
+    return (
+        "\n".join(
+            [first.text(), "", second.text(), "", third.text(), *(["", "Without a result:", *lost] if lost else [])]
+        )
+        + "\n"
+    )
 
 
 def _of_kind(judged: Sequence[Json]) -> tuple[str, ...]:
@@ -179,5 +199,15 @@ def _of_kind(judged: Sequence[Json]) -> tuple[str, ...]:
 
     names = [one["proposed"] for one in judged]
     most = ", ".join(f"{name} {names.count(name)}" for name in sorted(set(names), key=lambda n: (-names.count(n), n)))
-    seconds = median("cpu_seconds", ".0f")
-    return str(len(judged)), median("size"), median("held_out_noises"), median("energy_apart"), seconds, most
+    seconds, refused = median("cpu_seconds", ".0f"), str(sum(one["refused"] for one in judged))
+    errors = median("held_out_noises", ".3g"), median("floor_noises", ".3g"), median("energy_apart")
+    return str(len(judged)), median("size"), *errors, seconds, refused, most
+
+
+def _of_case(one: Json) -> tuple[str, ...]:
+    def told(name: str, digits: str = ".2f") -> str:
+        return "" if one.get(name) is None else f"{one[name]:{digits}}"
+
+    held = "right" if one["anchors"] else "wrong"
+    energy = told("energy_apart", ".1%").replace("%", " %")
+    return told("size", ".1f"), told("held_out_noises"), told("floor_noises"), energy, held, one["proposed"]
