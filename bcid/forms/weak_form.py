@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bcid.base import compat
 from bcid.base.errors import InputError, nearest
-from bcid.forms.effects.effect import Past, Point
+from bcid.forms.effects.effect import Effect, Past, Point
 from bcid.forms.kinematics import Kinematics
 from bcid.forms.mesh.body import Body
 from bcid.forms.model import Model, Term
@@ -265,16 +265,24 @@ class WeakForm:
             raise InputError(f"{term.label}: no grasp of the scene is a surface: no springs can be spread over it")
         kin, factor = self.reshaped(reshaped)
         point = replace(self.point(term), kin=kin)
-        # Body forces need more than the one point that is exact for the energy of linear elements.
-        degree = self._remembering if effect.memory else 2 * self.body.degree
         density = effect.energy(point, c) if effect.energy else None
         if density is not None and factor is not None:
             density = factor * density
-        energy = None if density is None else density * self.measure(degree)
+        energy = None if density is None else density * self.measure(self._degree_of(effect))
         if effect.potential:
             potential = effect.potential(point, c)
             energy = potential if energy is None else energy + potential
         return energy, effect.work(point, c) if effect.work else None
+
+    def _degree_of(self, effect: Effect) -> int:
+        """Degree of the quadrature of what an effect stores per volume.
+
+        What acts in the place of the law takes away a part of it, which only goes where it is integrated.
+        """
+        if effect.memory:
+            return self._remembering
+        # Body forces need more than the one point that is exact for the energy of linear elements.
+        return self.body.quadrature_degree if effect.instead_of == "law" else 2 * self.body.degree
 
     def derivative(self, term: Term, name: str) -> Any:
         """Compiled derivative of the residual by a number of an effect; None where the residual does not depend on it.

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from bcid.forms.parameter import Amount, Shape
 from bcid.proposal.deformed import Deformed
 from bcid.proposal.family import Family, Values
+from bcid.proposal.replaced_law import APART, ReplacedLaw
 
 Array = NDArray[np.float64]
 Slopes = Callable[[Deformed, Values], tuple[Array | float, Array | float, Array | float]]
@@ -41,9 +42,9 @@ AXIS = (
 )
 
 
-def energies(shear: float) -> list[Family]:
-    """All families, for a body of this shear modulus, Pa."""
-    return [*_isotropic(shear), *_graded(shear), *_directed(shear)]
+def energies(shear: float, law: ReplacedLaw = APART) -> list[Family]:
+    """All families, for a body of this shear modulus, Pa; of `law` what acts in its place takes away."""
+    return [*_isotropic(shear), _second_for_first(shear, law), *_graded(shear), *_directed(shear)]
 
 
 def coefficient(scale: float, lower: float = 0.0, name: str = "c") -> Amount:
@@ -94,10 +95,6 @@ def _isotropic(shear: float) -> list[Family]:
             convex="polyconvex with the exponent 3/2 only; the law itself keeps it stable",
         ),
         family(
-            "second_for_first", "the energy depends on the second invariant in the place of the first", "c (I2bar - I1bar)",
-            f"return c['c'] * ({b} - {a})", 0.2, lambda d, v: (-1.0, 1.0, 0.0), convex=UNKNOWN,
-        ),
-        family(
             "first_squared", "the body gets stiffer the more it is stretched", "c (I1bar - 3)^2",
             f"return c['c'] * {a} ** 2", 1.0, lambda d, v: (2 * d.first, 0.0, 0.0), -0.2 * shear,
         ),
@@ -134,6 +131,17 @@ def _isotropic(shear: float) -> list[Family]:
             "return c['c'] * (point.kin.J - 1) ** 2", 1.0, lambda d, v: (0.0, 0.0, 2 * (d.J - 1)),
         ),
     ]  # fmt: skip
+
+
+def _second_for_first(shear: float, law: ReplacedLaw) -> Family:
+    def unit(d: Deformed, values: Values) -> Array:
+        return np.asarray((d.second_slope - 2 * law.slope(d))[..., None])
+
+    return Family(
+        "second_for_first", "energy", "the energy depends on the second invariant in the place of the first",
+        f"c (I2bar - 3 - 2 {law.text})", f"return c['c'] * (point.kin.I2bar_minus_3 - 2 * {law.code})",
+        (coefficient(0.2 * shear),), (), unit, polyconvex=UNKNOWN, instead_of="law",
+    )  # fmt: skip
 
 
 def _graded(shear: float) -> list[Family]:

@@ -20,6 +20,7 @@ from bcid.proposal.energies import energies
 from bcid.proposal.family import BODY, FINE, INNER_SPOT, SPOT, SURFACE, Family
 from bcid.proposal.holds import Holds
 from bcid.proposal.other_laws import other_laws
+from bcid.proposal.replaced_law import ReplacedLaw
 
 Array = NDArray[np.float64]
 KINDS = ("energy", "boundary", "body force", "grip", "observation")
@@ -67,7 +68,13 @@ class Grammar:
         self.centre, self.size = box.mean(axis=0), float(np.linalg.norm(box[1] - box[0]))
         first, second = (np.array(axis) for axis in model.fibre_axes)
         self.axes = np.array([first, second, np.cross(first, second)])
-        families = [*energies(shear), *other_laws(shear), *boundary_terms(shear, box), *body_forces(shear, box)]
+        law = ReplacedLaw.of(model)
+        families = [
+            *energies(shear, law),
+            *other_laws(shear, law),
+            *boundary_terms(shear, box),
+            *body_forces(shear, box),
+        ]
         self.families = [family for family in families if family.kind in kinds]
         self.inside = QuadraturePoints.volume(body, _INSIDE)
         self.outside = QuadraturePoints.boundary(body, FINE)

@@ -2,7 +2,8 @@
 
 Their forms differ from that of the law at every strain, so that no term which only adds to it can make them: powers of the
 principal stretches (Ogden, Proc. R. Soc. A 326 (1972) 565), and the exponential of a quadratic form of Green's strain
-(Guccione, McCulloch & Waldman, J. Biomech. Eng. 113 (1991) 42). The shear modulus at small strain is that of the law.
+(Guccione, McCulloch & Waldman, J. Biomech. Eng. 113 (1991) 42). The shear modulus at small strain is that of the law; what
+they take away of it says `bcid.proposal.replaced_law`.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from bcid.forms.parameter import Shape
 from bcid.proposal.deformed import Deformed
 from bcid.proposal.energies import AXIS, RATE, TURNED, UNKNOWN, coefficient, directions
 from bcid.proposal.family import Family, Values
+from bcid.proposal.replaced_law import APART, ReplacedLaw
 
 Array = NDArray[np.float64]
 # Exponents that are tried. A rate is tried that is as good as none: in a body that is soft without it a steep exponential seems to
@@ -29,36 +31,48 @@ _LEAST, _MOST = 0.5, 40.0
 _SHARE = 0.5
 
 
-def other_laws(shear: float) -> list[Family]:
-    """All families, for a body of this shear modulus, Pa."""
-    return [_principal(shear, 1.0), _principal(shear, -1.0), _strain_exponential(shear)]
+def other_laws(shear: float, law: ReplacedLaw = APART) -> list[Family]:
+    """All families, for a body of this shear modulus, Pa, in the place of a part of its law."""
+    laws = [_principal(shear, law, 1.0), _principal(shear, law, -1.0), _strain_exponential(shear, law)]
+    return [*laws, _apart(shear, law)] if law.coupled else laws
 
 
-def _principal(shear: float, sign: float) -> Family:
+def _apart(shear: float, law: ReplacedLaw) -> Family:
+    def unit(d: Deformed, values: Values) -> Array:
+        return np.asarray((d.first_slope / 2 - law.slope(d))[..., None])
+
+    return Family(
+        "first_apart", "energy", "distortion stores energy apart from the change of volume", f"c ((I1bar - 3)/2 - {law.text})",
+        f"return c['c'] * (point.kin.I1bar_minus_3 / 2 - {law.code})", (coefficient(_SHARE * shear),), (), unit,
+        polyconvex=UNKNOWN, instead_of="law",
+    )  # fmt: skip
+
+
+def _principal(shear: float, law: ReplacedLaw, sign: float) -> Family:
     longest = sign > 0
     lower, upper = (_LEAST, _MOST) if longest else (-_MOST, -_LEAST)
     power = Shape("power", "1", "exponent", default=sign * _POWERS[0], lower=lower, upper=upper, scale=2.0)
 
     def unit(d: Deformed, values: Values) -> Array:
         exponent = values["power"]
-        return np.asarray((2 / exponent**2 * d.power_slope(exponent) - d.first_slope / 2)[..., None])
+        return np.asarray((2 / exponent**2 * d.power_slope(exponent) - law.slope(d))[..., None])
 
     code = (
         "half = c['power'] / 2",
         "powers = Spectrum.isochoric(point.kin).power(half) - Spectrum.rest().power(half)",
-        "return c['c'] * (2 * powers / c['power'] ** 2 - point.kin.I1bar_minus_3 / 2)",
+        f"return c['c'] * (2 * powers / c['power'] ** 2 - {law.code})",
     )
     name, which = ("longest_stretch", "longest") if longest else ("shortest_stretch", "shortest")
     return Family(
         name, "energy", f"the body gets stiffer with its {which} principal stretch, in the place of the first invariant",
-        "c (2 (s1^power + s2^power + s3^power - 3) / power^2 - (I1bar - 3)/2) with the isochoric principal stretches s",
+        f"c (2 (s1^power + s2^power + s3^power - 3) / power^2 - {law.text}) with the isochoric principal stretches s",
         "\n".join(code), (coefficient(_SHARE * shear),), (power,), unit, scans=tuple({"power": sign * p} for p in _POWERS),
         polyconvex="polyconvex for exponents from 2 on and c up to the shear modulus" if longest else UNKNOWN,
         instead_of="law",
     )  # fmt: skip
 
 
-def _strain_exponential(shear: float) -> Family:
+def _strain_exponential(shear: float, law: ReplacedLaw) -> Family:
     ratios = (
         Shape("along", "1", "resistance to stretch along the direction, relative to across it", 2.0, 0.0, 50.0, scale=1.0),
         Shape("sliding", "1", "resistance to shear along the direction, relative to across it", 1.0, 0.02, 20.0, scale=0.5),
@@ -74,7 +88,7 @@ def _strain_exponential(shear: float) -> Family:
         slope = 2 * strain + 2 * (along + 1 - 2 * sliding) * stretch[:, None, None] * np.outer(a, a)
         slope += 2 * (sliding - 1) * (mixed + np.swapaxes(mixed, 1, 2))
         grown = 3 / (1 + 2 * sliding) * np.exp(np.minimum(rate * form, 50.0))
-        instead = d.first_slope / 2 + (2 / 3 * np.log(d.J) / d.J)[:, None, None] * d.volume_slope
+        instead = law.slope(d) + (2 / 3 * np.log(d.J) / d.J)[:, None, None] * d.volume_slope
         return np.asarray((d.F @ (grown[:, None, None] * slope) - instead)[..., None])
 
     code = (
@@ -86,7 +100,7 @@ def _strain_exponential(shear: float) -> Family:
         "around = ufl.inner(strain, strain) - along - 2 * sliding",
         "form = c['along'] * along + around + 2 * c['sliding'] * sliding",
         "whole = 3 / (c['rate'] * (1 + 2 * c['sliding'])) * (ufl.exp(c['rate'] * form) - 1)",
-        "return c['c'] * (whole - point.kin.I1bar_minus_3 / 2 - point.kin.lnJ**2 / 3)",
+        f"return c['c'] * (whole - {law.code} - point.kin.lnJ**2 / 3)",
     )
     scans = tuple(
         where | {"rate": _MILD, "along": along, "sliding": sliding}
@@ -94,7 +108,7 @@ def _strain_exponential(shear: float) -> Family:
     )
     return Family(
         "strain_exponential", "energy", "the body gets stiffer exponentially, and along one direction otherwise than across it",
-        "c (3 (exp(rate Q) - 1) / (rate (1 + 2 sliding)) - (I1bar - 3)/2 - (ln J)^2/3), Q = along Eaa^2 + Ebb^2 + Ecc^2 + "
+        f"c (3 (exp(rate Q) - 1) / (rate (1 + 2 sliding)) - {law.text} - (ln J)^2/3), Q = along Eaa^2 + Ebb^2 + Ecc^2 + "
         "2 Ebc^2 + 2 sliding (Eab^2 + Eac^2) with Green's strain E, a the direction", "\n".join(code),
         (coefficient(_SHARE * shear),), (*TURNED, RATE, *ratios), unit, scans=scans, polyconvex=UNKNOWN, instead_of="law",
     )  # fmt: skip
