@@ -19,11 +19,14 @@ from bcid.forms.quadrature import QuadraturePoints
 from bcid.forms.sensitivity import Sensitivity
 from bcid.forms.solver.equilibrium import Settings
 from bcid.proposal.effect_file import check_name, made, source
+from bcid.proposal.energies import energies
 from bcid.proposal.family import SURFACE
 from bcid.proposal.grammar import Grammar
 from bcid.proposal.holds import Holds, held_by
 from bcid.proposal.pulled import pulled_families
+from bcid.proposal.replaced_law import ReplacedLaw
 from bcid.proposal.term_scores import GRIPS
+from bcid.scene import Level, Material
 
 ANCHORS = frozenset({"left"})
 
@@ -60,6 +63,21 @@ def test_points_integrate_volume_area_and_what_is_linear_in_place(forward: Forwa
         assert points.gradients(linear)[-1] == pytest.approx(
             np.array([[1.0, 2.0, 0.0], [0.0, -1.0, 3.0], [0.5, 0.0, 1.0]])
         )
+
+
+def test_a_law_made_up_of_terms_moves_the_body_as_the_law_does() -> None:
+    """Of the scene's law nothing is left: neither its coupling of shape and volume, nor what quadrature makes of it."""
+    scene, shear = replace(trial.scene(), levels=(Level(2, element_size=0.02),)), 15e3 / 2.7
+    scene = replace(scene, material=Material("neo_hooke", {"young": "15 kPa", "poisson": 0.35}))
+    other = Material("mooney_rivlin", {"c10": "0 Pa", "c01": f"{shear / 2} Pa", "poisson": 0.35})
+    family = next(f for f in energies(shear, ReplacedLaw.of(Model.of(scene))) if f.name == "second_for_first")
+    term = Term(made(source(family, "other", {}, "", ())), {"c": shear / 2})
+    found = []
+    for model in (Model.of(replace(scene, material=other)), Model.of(scene) + term):
+        forward = Forward(scene, 0, MPI.COMM_SELF, model, Settings(rtol=1e-10), trial.box())
+        found.append(forward.predict(ANCHORS, trial.actions()[:1]).positions - scene.rest)
+        forward.destroy()
+    assert np.abs(found[0] - found[1]).max() < 1e-6 * np.abs(found[0]).max()
 
 
 def test_scores_are_the_sensitivities_of_the_same_terms_in_ufl(forward: Forward, grammar: Grammar) -> None:
