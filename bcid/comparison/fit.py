@@ -17,7 +17,7 @@ from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.forms.parameter import Parameter
 from bcid.forms.probes import Probe, Wanted
-from bcid.inference.nuisances import STIFFNESS
+from bcid.inference.nuisances import fitted_instead
 from bcid.inference.stiffness import Stiffness
 
 Array = NDArray[np.float64]
@@ -280,9 +280,8 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL)
         SolveError: the model cannot be followed at its start, or the influence of its numbers.
     """
     chosen = coordinates(start.model, names)
-    # What is fitted is not integrated over besides; a stiffness of the law is any of its constants that is one.
-    stiffness = [STIFFNESS] if set(names) & set(start.model.stiffnesses) else []
-    start = replace(start, errors=start.errors.without([*names, *stiffness]))
+    # What is fitted is not integrated over besides.
+    start = replace(start, errors=start.errors.without(fitted_instead(start.model, names)))
     problem = _Problem(start, chosen)
     if not chosen:
         return Fit.at(replace(start, free=()))
@@ -321,7 +320,7 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL)
         elif not settled:
             warnings.append(f"the fit did not settle within {most} predictions")
         covariance = covariance + np.outer(left, left)
-    if start.replaced is not None:
+    if start.replaced.size:
         beside = _shifts(jacobian * scale, start.errors.whiten(start.replaced)) * scale[:, None]
         covariance = covariance + beside @ beside.T
     return Fit(state, tuple(chosen), covariance, jacobian, tuple(warnings), problem.evaluations, settled)

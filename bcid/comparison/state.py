@@ -19,7 +19,7 @@ from bcid.inference.evidence import Force, Numbers
 from bcid.inference.followed import NotFollowed
 from bcid.inference.likelihood import Errors, NuisanceEstimate
 from bcid.inference.mesh_error import MeshError
-from bcid.inference.nuisances import NuisanceModes, placed, replaced, stood_for
+from bcid.inference.nuisances import NuisanceModes, fitted_instead, placed, replaced, stood_for
 from bcid.inference.unknown_force import Evidence, courses, unknown_force
 
 Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ class State:
         errors: covariance of the residual.
         slopes: what an unknown force in each frame does to the values, shape (n, forces), m.
         free: numbers of the model, by full name, that were fitted to the data.
-        replaced: what the nuisances do in whose place effects of the model act, shape (n, k), m; None where there are none.
+        modes: what all nuisances do, those in whose place effects of the model act included; None where these are of `errors`.
     """
 
     predictor: Predictor
@@ -45,7 +45,7 @@ class State:
     errors: Errors
     slopes: Array
     free: tuple[str, ...] = ()
-    replaced: Array | None = None
+    modes: NuisanceModes | None = None
 
     @classmethod
     def of(
@@ -78,9 +78,8 @@ class State:
         residual = predictor.data.values - predictor.data.vector(prediction.positions + mesh.correction)
         modes, slopes = predictor.disturbances(model, anchors, prediction, nuisances)
         errors = Errors(predictor.data, predictor.data.noise(residual), mesh, modes)
-        errors = errors.without(stood_for(model), placed(model))
-        instead = replaced(modes, predictor.data, model)
-        return cls(predictor, model, anchors, prediction, errors, slopes, free, instead if instead.size else None)
+        errors = _beside(errors, model, free)
+        return cls(predictor, model, anchors, prediction, errors, slopes, free, modes)
 
     def thinned(self, steps: int, settings: Settings) -> State:
         """The same hypothesis in a few steps of each action, see `Predictor.thinned`."""
@@ -93,8 +92,8 @@ class State:
         Raises:
             SolveError: as `of`.
         """
-        model, errors = model or self.model, self.errors
-        return State.of(self.predictor, model, anchors, errors.mesh, self.free, nuisances=errors.nuisances)
+        model = model or self.model
+        return State.of(self.predictor, model, anchors, self.errors.mesh, self.free, nuisances=self.whole_modes)
 
     def with_own_errors(self, anew: bool = False) -> State:
         """The same with the error of the mesh, and what is slightly wrong, as they are with these anchors; collective.
@@ -110,8 +109,19 @@ class State:
 
     def with_errors(self, mesh: MeshError, nuisances: NuisanceModes | None = None) -> State:
         """The same with another error of the mesh, and what else is slightly wrong."""
-        nuisances = nuisances or self.errors.nuisances
-        return replace(self, errors=Errors(self.predictor.data, self.errors.sigma, mesh, nuisances))
+        modes = nuisances or self.whole_modes
+        errors = Errors(self.predictor.data, self.errors.sigma, mesh, modes)
+        return replace(self, errors=_beside(errors, self.model, self.free), modes=modes)
+
+    @property
+    def whole_modes(self) -> NuisanceModes:
+        """What all nuisances do, whatever the model has in their place."""
+        return self.errors.nuisances if self.modes is None else self.modes
+
+    @property
+    def replaced(self) -> Array:
+        """What the nuisances do in whose place effects of the model act, shape (n, k), m."""
+        return replaced(self.whole_modes, self.predictor.data, self.model)
 
     @property
     def predicted(self) -> Array:
@@ -184,3 +194,8 @@ class State:
     def noise(self) -> float:
         """RMS of the noise of positions, m."""
         return self.predictor.data.rms(self.errors.sigma)
+
+
+def _beside(errors: Errors, model: Model, free: tuple[str, ...]) -> Errors:
+    """Errors without what a model says in their place."""
+    return errors.without(stood_for(model) | fitted_instead(model, free), placed(model))

@@ -35,6 +35,7 @@ class NuisanceModes:
         markers: of the fiducial that a value belongs to, along each axis on the body, shape (n, 3).
         common: of all others, shape (n, k).
         names: of the nuisances that the columns of `common` belong to.
+        parts: which numbers of these they are, where an effect may take the place of one alone; none by default.
         sizes: standard deviation of every nuisance in its own unit (m, deg or 1), those of markers included.
     """
 
@@ -42,6 +43,7 @@ class NuisanceModes:
     common: Array
     names: tuple[str, ...]
     sizes: dict[str, float]
+    parts: tuple[str, ...] = ()
 
     @classmethod
     def none(cls, count: int) -> NuisanceModes:
@@ -54,20 +56,37 @@ class NuisanceModes:
 
     def beside(self, columns: Array) -> NuisanceModes:
         """With something that is not told of besides, of one standard deviation, (n, m), m."""
-        return replace(self, common=np.hstack([self.common, columns]), names=(*self.names, *[""] * columns.shape[1]))
+        more = ("",) * columns.shape[1]
+        parts = (*self.parts, *more) if self.parts else ()
+        return replace(self, common=np.hstack([self.common, columns]), names=(*self.names, *more), parts=parts)
+
+    def of(self, names: Collection[str]) -> NDArray[np.bool_]:
+        """Which columns belong to some names, of nuisances or of a part of one ("law.part")."""
+        parts = self.parts or ("",) * len(self.names)
+        own = zip(self.names, parts, strict=True)
+        return np.array([name in names or f"{name}.{part}" in names for name, part in own], dtype=bool)
 
     def without(self, names: Collection[str]) -> NuisanceModes:
-        """Without those of some names, of which that of the markers is none."""
-        kept = [number for number, name in enumerate(self.names) if name not in names]
-        if len(kept) == len(self.names):
+        """Without those of some names, see `of`, of which that of the markers is none."""
+        gone = self.of(names)
+        if not gone.any():
             return self
-        sizes = {name: size for name, size in self.sizes.items() if name not in names}
-        return NuisanceModes(self.markers, self.common[:, kept], tuple(self.names[n] for n in kept), sizes)
+        kept = np.flatnonzero(~gone)
+        left = tuple(self.names[n] for n in kept)
+        sizes = {name: size for name, size in self.sizes.items() if name in left or name not in self.names}
+        return NuisanceModes(
+            self.markers, self.common[:, kept], left, sizes, tuple(self.parts[n] for n in kept if self.parts)
+        )
 
 
 def stood_for(model: Model) -> frozenset[str]:
     """The nuisances that effects of a model take the place of; of fiducials `placed` says which."""
     return frozenset(term.effect.instead_of for term in model.terms) - {"", MARKERS}
+
+
+def fitted_instead(model: Model, free: Collection[str]) -> frozenset[str]:
+    """The nuisances that are no longer, where numbers of a model are fitted: these, or any stiffness of the law."""
+    return frozenset(free) | ({STIFFNESS} if set(free) & set(model.stiffnesses) else frozenset())
 
 
 def placed(model: Model) -> frozenset[str]:
@@ -86,7 +105,7 @@ def replaced(modes: NuisanceModes, data: Data, model: Model) -> Array:
     constant of the law is all that there is of it.
     """
     names = {t.effect.instead_of for t in model.terms if not any(p.law for p in t.effect.amounts)} - {"", MARKERS}
-    columns = [modes.common[:, np.isin(modes.names, sorted(names))]]
+    columns = [modes.common[:, modes.of(names)]]
     for fiducial in sorted(placed(model)):
         own = data.fiducial == data.names.index(fiducial)
         columns.append(np.where(own[:, None], modes.markers, 0.0))
@@ -162,6 +181,7 @@ class Nuisances:
         """
         columns: list[Array] = []
         names: list[str] = []
+        numbers: list[str] = []
         sizes = self._sizes(largest_force(data))
         of_effect = {
             "dimension": ("dimensions", sizes.dimensions),
@@ -176,6 +196,7 @@ class Nuisances:
                 parts = _together(data, probe.term) * np.nan_to_num(data.vector(seen))
                 columns += [part * float(size or 0.0) for part in parts]
                 names += [name] * len(parts)
+                numbers += [parameter] * len(parts)
         for name, column in self._of_law(data, found, model):
             columns.append(column)
             names.append(name)
@@ -196,7 +217,8 @@ class Nuisances:
         stated = {
             name: float(getattr(sizes, name)) for name in (MARKERS, *dict.fromkeys(names)) if getattr(sizes, name)
         }
-        return NuisanceModes(markers, matrix, tuple(names), stated)
+        numbers += [""] * (len(columns) - len(numbers))
+        return NuisanceModes(markers, matrix, tuple(names), stated, tuple(numbers[number] for number in felt))
 
     def _of_law(self, data: Data, found: Sensitivities, model: Model | None) -> list[tuple[str, Array]]:
         """Of Poisson's ratio, and of all stiffnesses of the law together, which only forces and loads tell."""

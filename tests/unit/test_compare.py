@@ -473,6 +473,25 @@ def test_the_form_of_the_law_is_told_where_it_is_off() -> None:
     assert LawForm.of(Fit.at(replace(state, errors=state.errors.without(["law"])))) is None
 
 
+def test_stiffening_takes_the_place_of_the_part_of_the_law_that_it_is() -> None:
+    """Of the part that goes with the second invariant it says nothing; and errors of another state leave it so."""
+    known = replace(law_state((0.0, 1.5)).errors.nuisances, parts=("part", "second", ""))
+    stiffer = Model.of(SCENE) + Term("strain_stiffening", {"c2": 100.0})
+    state = law_state((0.0, 1.5))
+    state = replace(state, model=stiffer, modes=None).with_errors(state.errors.mesh, known)
+    assert np.array_equal(state.replaced, known.common[:, :1])
+    again = state.with_errors(state.errors.mesh)
+    for one in (state, again, state.with_errors(state.errors.mesh, replace(known, common=2 * known.common))):
+        assert one.errors.nuisances.names == ("law", "grip")
+        assert set(one.errors.nuisances.sizes) == {"law", "grip"}
+        assert one.replaced.shape[1] == 1
+    assert np.array_equal(one.replaced, 2 * state.replaced)
+    # Without it there are both again.
+    plain = replace(again, model=Model.of(SCENE)).with_errors(state.errors.mesh)
+    assert plain.errors.nuisances.names == ("law", "law", "grip")
+    assert not plain.replaced.size
+
+
 def test_values_of_nuisances_are_those_given_the_data() -> None:
     """By the covariance of all values, written out; so weak that what was believed before counts."""
     state = law_state((0.0, 1.5))
@@ -572,10 +591,11 @@ def test_a_number_is_as_uncertain_as_what_it_takes_the_place_of() -> None:
     data = made.data
     markers = np.tile(0.4e-3 * np.eye(3), (len(data) // 3, 1))
     known = NuisanceModes(markers, modes(data).common, ("camera", "camera", "poisson"), {"markers": 0.4e-3})
-    beside = replaced(known, data, model)
-    exact = fit(state_of(made, model), (number,)).stderr[number]
+    state = state_of(made, model)
+    exact = fit(state, (number,)).stderr[number]
     assert exact == pytest.approx(SIGMA / math.sqrt(24), rel=0.01)
-    found = fit(replace(state_of(made, model), replaced=beside), (number,)).stderr[number]
+    marked = replace(known, common=known.common[:, :0], names=())
+    found = fit(state.with_errors(state.errors.mesh, marked), (number,)).stderr[number]
     assert found == pytest.approx(math.hypot(exact, 0.4e-3), rel=1e-6)
     # What a camera's frame is turned by holds what it is known to; of a Poisson's ratio there is but one.
     turned = Model.of(SCENE) + Term(

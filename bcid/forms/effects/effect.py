@@ -130,7 +130,8 @@ class Effect:
         about: one phrase.
         places: the places it can act at, given scene and anchors; by default it has none.
         needs: why it cannot act in a scene and measurement, in words; "" if it can.
-        instead_of: what the scene may have slightly wrong (a name of `bcid.scene.uncertainty`) that this is when it is large.
+        instead_of: what the scene may have slightly wrong (a name of `bcid.scene.uncertainty`) that this is when it is large; of a
+            law "law.part" and "law.second", see `bcid.forms.scene_errors.law_form`.
         only_named: whether it is looked for only where it is named, for it does nearly what a scene does that is slightly wrong.
         acting: the values that act at a time (s), which all other functions are handed instead of the parameters' own; those by
             default. With every amount neutral they must not change with time.

@@ -14,6 +14,6 @@ effect = BodyEffect(
     parameters=(Amount("c2", "Pa", "coefficient of (I1bar - 3)^2", lower=0.0, upper=1e8, neutral=0.0, scale=5000.0),),
     about="the body gets stiffer the more it is stretched",
     acts_on="material",
-    instead_of="law",
+    instead_of="law.part",
     energy=lambda point, c: c["c2"] * point.kin.I1bar_minus_3**2,
 )
