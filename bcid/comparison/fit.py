@@ -27,6 +27,8 @@ _FTOL = 1e-4
 # Step of a difference of whole trajectories, in scales; where what acts depends on the last step it jumps with every step that
 # is halved in one of them only, and the difference must be large against that.
 _STEP, _STEP_FROM_PAST = 1e-2, 0.3
+# Up to so many scales further on such a difference serves as well: as far as its step reaches where that is large.
+_ALIKE = 0.1
 # A number is not identified when its standard error exceeds this many of its scales.
 _LOOSE = 3.0
 # The widest that is believed of an amount, in notable ones: what data tell from no larger one is taken for no larger than that.
@@ -155,10 +157,11 @@ class Fit:
 
 
 class _Problem:
-    """What the optimiser calls: scaled residual and Jacobian at given coordinates."""
+    """What the optimiser calls: scaled residual and Jacobian at given coordinates; `like` is an earlier fit of them."""
 
-    def __init__(self, start: State, coordinates: Sequence[Coordinate]) -> None:
+    def __init__(self, start: State, coordinates: Sequence[Coordinate], like: Fit | None = None) -> None:
         self.start, self.coordinates = start, list(coordinates)
+        self._slopes = None if like is None else _slopes(like)
         self.predictor, self.anchors, self.errors = start.predictor, start.anchors, start.errors
         self._known: dict[bytes, tuple[Model, MeasurementPrediction]] = {}
         self._last = start.scaled
@@ -198,19 +201,39 @@ class _Problem:
     def jacobian(self, x: Array) -> Array:
         """Its derivative by the coordinates.
 
+        Where that takes differences of whole trajectories it serves as far as these differences reach.
+
         Raises:
             SolveError: it is not finite.
         """
         model, prediction = self.prediction(x)
         if prediction.failure:
             return np.zeros((len(self.predictor.data), len(self.coordinates)))
+        if self._slopes is not None and model.remembers and self._near(x, self._slopes[0]):
+            return -self.errors.whiten(self._slopes[1])
         found = columns(self.predictor, model, self.anchors, prediction, self.coordinates)
         if not np.isfinite(found).all():
             unknown = [
                 c.name for c, column in zip(self.coordinates, found.T, strict=True) if not np.isfinite(column).all()
             ]
             raise SolveError(f"{model.name}: the influence of {', '.join(unknown)} is not finite")
+        self._slopes = np.array(x), found
         return -self.errors.whiten(found)
+
+    def _near(self, x: Array, known: Array) -> bool:
+        past = _from_past(self.start.model)
+        reach = np.array([(_STEP_FROM_PAST if c.name in past else _ALIKE) * c.scale for c in self.coordinates])
+        return bool(np.all(np.abs(x - known) <= reach))
+
+
+def _slopes(found: Fit) -> tuple[Array, Array] | None:
+    """Coordinates of a fit, and change of every measured coordinate per unit of each, m."""
+    if not found.coordinates:
+        return None
+    numbers = found.state.model.constants()
+    errors = found.state.errors
+    moved = [-errors.unwhiten(column) for column in found.jacobian.T]
+    return np.array([c.of(numbers[c.name]) for c in found.coordinates]), np.column_stack(moved)
 
 
 def columns(
@@ -250,7 +273,7 @@ def _differences(
     coordinates: Sequence[Coordinate],
 ) -> Array:
     found, numbers = [], model.constants()
-    past = {term.full(p.name) for term in model.terms if term.effect.uses_past for p in term.effect.parameters}
+    past = _from_past(model)
     for c in coordinates:
         at = c.of(numbers[c.name])
         lower, upper = c.bounds
@@ -262,7 +285,12 @@ def _differences(
     return np.column_stack(found)
 
 
-def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL) -> Fit:
+def _from_past(model: Model) -> set[str]:
+    """Numbers of effects that depend on the last step."""
+    return {term.full(p.name) for term in model.terms if term.effect.uses_past for p in term.effect.parameters}
+
+
+def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL, like: Fit | None = None) -> Fit:
     """Fit numbers of a model to the data; collective.
 
     Amounts are those of the maximum of the posterior with the widest prior, a standard deviation of `WIDEST` notable ones about
@@ -274,6 +302,7 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL)
         names: full names of the numbers.
         most: predictions at most.
         ftol: relative change of chi-square that ends the fit.
+        like: a fit of the same numbers with the same anchors, of which the derivatives serve where these are dear.
 
     Raises:
         InputError: the model has no such number.
@@ -282,7 +311,7 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL)
     chosen = coordinates(start.model, names)
     # What is fitted is not integrated over besides.
     start = replace(start, errors=start.errors.without(fitted_instead(start.model, names)))
-    problem = _Problem(start, chosen)
+    problem = _Problem(start, chosen, like if like and [c.name for c in like.coordinates] == list(names) else None)
     if not chosen:
         return Fit.at(replace(start, free=()))
     numbers = start.model.constants()

@@ -204,10 +204,10 @@ def promoted(
             if anchors == rival.anchors and not _elsewhere(found, model):
                 break
             model, rival = found.state.model, replace(rival, fitted=found)
-            found = fit(found.state.with_own_errors(anew=True), free, most=4)
+            found = fit(found.state.with_own_errors(anew=True), free, most=4, like=found)
         if not found.settled:
             # Standard errors are those at the end of a fit, and say nothing of how far that still is.
-            found = fit(found.state, free, most=_SETTLING)
+            found = fit(found.state, free, most=_SETTLING, like=found)
     except (SolveError, InputError):
         return None
     return Rival.of(found, begun, rival.known, least)

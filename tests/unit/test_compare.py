@@ -580,6 +580,44 @@ def test_a_fit_that_ends_where_nothing_can_be_followed_is_as_uncertain_as_that()
     assert found.warnings == ("the fit ended where the model cannot be followed any further",)
 
 
+def test_differences_of_whole_trajectories_serve_near_by() -> None:
+    """A model that remembers is fitted again beside another error of the mesh with the derivatives that are known."""
+
+    @dataclass
+    class Counting(Toy):
+        asked: list[dict[str, float]] = field(default_factory=list)
+
+        def predict(
+            self,
+            model: Model,
+            anchors: Iterable[str],
+            actions: Iterable[Action] | None = None,
+            keep: bool = False,
+        ) -> MeasurementPrediction:
+            self.asked.append(self.numbers(model))
+            return super().predict(model, anchors, actions, keep)
+
+    name = "support_friction.shear_stress"
+    friction = Term(effects.effect("support_friction"), {"shear_stress": 80.0})
+    model = Model.of(SCENE) + friction
+    assert model.remembers
+    made = toy(model, (name,), (1e-5,))
+    counting = Counting(made.data, made.actions, made.shapes, power=1.2)
+    first = fit(state_of(counting, model), (name,))
+    counting.asked.clear()
+    again = fit(first.state, (name,), like=first)
+    known = len(counting.asked)
+    counting.asked.clear()
+    assert fit(first.state, (name,)).values[name] == pytest.approx(again.values[name], rel=1e-3)
+    assert known < len(counting.asked)
+    assert again.stderr[name] == pytest.approx(first.stderr[name], rel=0.05)
+    # Far from there they are computed anew.
+    counting.asked.clear()
+    far = fit(state_of(counting, model.with_values({name: 10.0})), (name,), like=first)
+    assert far.values[name] == pytest.approx(first.values[name], rel=1e-2)
+    assert sum(abs(value[name] - (10.0 + 3.0) ** 1.2) < 0.2 for value in counting.asked) == 1
+
+
 def test_a_number_is_as_uncertain_as_what_it_takes_the_place_of() -> None:
     """Where a marker sits cannot be told from its fault, nor how the camera is turned from how well that is known."""
     name = SCENE.fiducial_names[1]
