@@ -85,7 +85,7 @@ class Compared:
         likelihood counts (the coarsened posterior of Miller & Dunson, J. Am. Stat. Assoc. 114, 2019), the noise's part of both.
         """
         state = self.full[0].fitted.state
-        power = state.noise**2 / (state.noise**2 + state.errors.mesh.rms**2)
+        power = state.noise**2 / (state.noise**2 + state.errors.mesh.rms**2) / self.full[0].evidence.left
         logs = _logs([rival.weights for rival in self.full], power)
         others = self._unfitted(logs, power)
         for hypothesis, log in _logs([*(rival.weights for rival in self.thin), self.promised], power).items():

@@ -74,6 +74,8 @@ class Data:
         way: how far the gripper is from where it began, as part of the furthest of the action, shape (n,); the progress where
             nothing is gripped.
         motion: number of the first action in which the gripper moves alike, shape (n,).
+        late: when it was seen, by the clock, 0 in the first and 1 in the last frame, shape (n,); 0 where all actions begin at the
+            same time, as where nothing is known of the times.
     """
 
     def __init__(self, scene: Scene, measurement: Measurement, forces: ForceScale | None = None) -> None:
@@ -93,6 +95,7 @@ class Data:
             self._take_forces(forces)
         self.about = np.where(np.isfinite(self.measured), self.measured, self.rest)
         self._ways, self._alike = np.full(shape[0], np.nan), np.zeros(shape[0], dtype=np.int64)
+        self._late = lateness(measurement)
         moved = measurement.actions
         for action in moved:
             if action.grasp:
@@ -128,6 +131,7 @@ class Data:
         last = np.array([self.step[self.action == a].max(initial=1) for a in range(len(names))])
         self.progress = self.step / last[self.action]
         self.motion = self._alike[frames]
+        self.late = self._late[frames]
         self.way = np.where(np.isfinite(self._ways[frames]), self._ways[frames], self.progress)
 
     def __len__(self) -> int:
@@ -218,6 +222,17 @@ def way(action: Action, scene: Scene) -> Array:
     turned = (as_rotation(action.rotation) * as_rotation(action.rotation[0]).inv()).magnitude()
     gone = np.linalg.norm(action.translation, axis=1) + turned * np.linalg.norm(far, axis=1).min()
     return np.asarray(gone / max(float(gone.max()), 1e-12))
+
+
+def lateness(measurement: Measurement) -> Array:
+    """When each frame was seen, as part of the whole time; 0 where all actions begin at the same, shape (frames,)."""
+    moved = measurement.actions
+    times = np.zeros(measurement.data.sizes["frame"])
+    for action in moved:
+        times[action.frames] = action.clock
+    begun = [float(action.clock[0]) for action in moved]
+    apart = np.ptp(begun) if begun else 0.0
+    return np.asarray((times - times.min()) / np.ptp(times)) if apart > 0 else np.zeros(len(times))
 
 
 def same_motion(one: Action, other: Action) -> bool:

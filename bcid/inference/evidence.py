@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, logsumexp
+from scipy.special import log_ndtr, logsumexp, softmax
 
 Array = NDArray[np.float64]
 # Errors may be larger than they are taken for by any of these factors, all equally likely: where no noise is stated, and where
@@ -122,6 +122,11 @@ class Integrated:
         found = _density(self.squares.ravel(), self.volumes.ravel(), self.count, factors) + self.inside.ravel()
         return float(logsumexp(found)) - math.log(len(found)) + self.log_prior
 
+    def excess(self, factors: Array) -> float:
+        """By what the squares of errors are larger on average, that may be so by any of some factors, all equally likely."""
+        found = _each(self.squares.ravel(), self.volumes.ravel(), self.count, factors) + self.inside.ravel()[:, None]
+        return float(np.sum(softmax(found) * factors**2))
+
 
 def log_gains(
     scaled: Array, columns: Array, widths: Array, positive: NDArray[np.bool_], factors: Array | None = None
@@ -188,5 +193,9 @@ def _integrated(p: _Products, numbers: Numbers) -> tuple[Array, Array, Array]:
 def _density(squares: Array, volumes: Array, count: int, factors: Array | None) -> Array:
     if factors is None:
         return np.asarray(-0.5 * squares - volumes)
-    every = -0.5 * squares[:, None] / factors**2 - count * np.log(factors)
-    return np.asarray(logsumexp(every, axis=1) - math.log(len(factors)) - volumes)
+    return np.asarray(logsumexp(_each(squares, volumes, count, factors), axis=1) - math.log(len(factors)))
+
+
+def _each(squares: Array, volumes: Array, count: int, factors: Array) -> Array:
+    """Logarithms of the density for each of some factors, shape (squares, factors)."""
+    return np.asarray(-0.5 * squares[:, None] / factors**2 - count * np.log(factors) - volumes[:, None])

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 from bcid.inference.criteria import NOTABLE
 from bcid.inference.data import Data
@@ -31,10 +32,10 @@ _APART = 0.2
 def courses(data: Data, slopes: Array) -> Array:
     """Movements (n, m), m per unit of each force, from the `slopes` (n, forces) of forces that act in a frame.
 
-    Each may act in all frames alike, grow along an action with the gripper's way, and where that leads back also with time; it is
-    the same in actions that are the same.
+    Each may act in all frames alike, grow from the first frame of the measurement to the last, and along an action with the
+    gripper's way, and where that leads back also with time; along an action it is the same in those that are the same.
     """
-    parts: list[Array] = [np.ones(len(data))]
+    parts: list[Array] = [np.ones(len(data)), *([data.late] if data.late.any() else [])]
     for number in np.unique(data.motion):
         inside = data.motion == number
         parts.append(np.where(inside, data.way, 0.0))
@@ -64,11 +65,14 @@ class Evidence:
         plain: nothing is missing.
         forced: an unknown force acts, integrated over its size.
         size: the likeliest standard deviation of its density.
+        excess: how many times as large as they are taken for the squares of all other errors are beside it, on average; 1 where
+            the force explains what is missing, or nothing is.
     """
 
     plain: float
     forced: float
     size: float
+    excess: float = 1.0
 
     @classmethod
     def of(cls, errors: Errors, residual: Array, force: Force, numbers: Numbers | None = None) -> Evidence:
@@ -89,12 +93,19 @@ class Evidence:
         larger = pushed.log(LARGER)
         forced = np.logaddexp(pushed.log(), larger) if stated else larger + math.log(2)
         size = float(force.sizes[int(np.argmax(pushed.forced))])
-        return cls(plain - volume, float(forced) - math.log(2) - volume, size)
+        share = float(expit(larger - pushed.log())) if stated else 1.0
+        excess = 1 + share * (pushed.excess(LARGER) - 1)
+        return cls(plain - volume, float(forced) - math.log(2) - volume, size, excess)
 
     @property
     def total(self) -> float:
         """Whether or not something is missing."""
         return float(np.logaddexp(self.plain + math.log(1 - MISSING), self.forced + math.log(MISSING)))
+
+    @property
+    def left(self) -> float:
+        """How many times as large as they are taken for the squares of errors are, whether or not something is missing."""
+        return 1 + self.missing * (self.excess - 1)
 
     @property
     def missing(self) -> float:

@@ -65,6 +65,17 @@ def test_sets_that_were_not_fitted_are_no_likelier_together_than_that_one_more_w
     assert elsewhere.odds.held_by(frozenset("1")) > 0.999
 
 
+def test_where_nothing_explains_the_data_less_of_the_likelihood_counts() -> None:
+    """What is left then has no shape that is known, as the error of the mesh has not: it says little of sets."""
+    full = [rival((), "1", 100), rival((), "2", 94)]
+    forced = [replace(r, evidence=replace(r.evidence, forced=r.evidence.plain + 90, excess=4.0)) for r in full]
+    gone = [replace(r, evidence=replace(r.evidence, excess=4.0)) for r in full]
+    for some, apart in ((full, 6.0), (gone, 6.0), (forced, 6.0 / 4)):
+        odds = Compared(own=some, full=some).odds
+        found = odds.held_by(frozenset("1")) / odds.held_by(frozenset("2"))
+        assert math.log(found) == pytest.approx(apart)
+
+
 def test_of_an_effect_it_is_told_how_probable_it_is_whatever_else_acts() -> None:
     names = {"gravity": 0.6, "gravity+fibres": 0.3, "": 0.1}
     odds = HypothesisOdds.of({less("1", name): math.log(share) for name, share in names.items()})

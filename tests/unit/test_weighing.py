@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -98,6 +99,37 @@ def test_what_a_force_does_is_missed_and_noise_is_not(pushed: float, missing: bo
     found = Evidence.of(known, residual + pushed * slopes(data)[:, 1], force)
     assert (found.missing > 0.95) == missing
     assert missing or found.missing < 0.5
+
+
+def test_what_no_force_explains_is_told_as_larger_errors() -> None:
+    data = Data(SCENE, measurement())
+    residual = data.values - data.vector(np.tile(SCENE.rest, (2 * STEPS, 1, 1)))
+    known = errors(data)
+    force = unknown_force(known, courses(data, slopes(data)), UNIT)
+    found = [Evidence.of(known, factor * residual, force) for factor in (1.0, 4.0)]
+    assert found[0].left == pytest.approx(1.0, abs=0.3)
+    assert found[1].excess == found[1].left == pytest.approx(16.0, rel=0.2)
+    pushed = Evidence.of(known, residual + 3e3 * slopes(data)[:, 1], force)
+    assert pushed.missing > 0.95
+    assert pushed.left == pytest.approx(1.0, abs=0.3)
+
+
+def test_an_unknown_force_may_grow_from_the_first_frame_to_the_last() -> None:
+    """What dries or swells goes on between actions; where all begin at the same time nothing is known of that."""
+    seen = measurement()
+    clocks = np.concatenate([number * 30.0 + np.arange(STEPS) for number in range(2)])
+    later = replace(seen, data=seen.data.assign(time=("frame", clocks)))
+    data = Data(SCENE, later)
+    assert data.late == pytest.approx(clocks[data.frame] / clocks[-1])
+    moved, steady = courses(data, slopes(data)), slopes(data)
+    assert moved.shape == (len(data), 3 * 3)
+    drift = data.late[:, None] * steady
+    assert np.linalg.lstsq(moved, drift, rcond=None)[0].shape == (9, 3)
+    assert moved @ np.linalg.lstsq(moved, drift, rcond=None)[0] == pytest.approx(drift, abs=1e-12)
+    alone = data.within(np.arange(2 * STEPS) >= STEPS)
+    assert alone.late.min() == pytest.approx(30.0 / clocks[-1])
+    again = replace(seen, data=seen.data.assign(time=("frame", np.tile(np.arange(float(STEPS)), 2))))
+    assert not Data(SCENE, again).late.any()
 
 
 def test_both_levels_tell_the_same_limit() -> None:
