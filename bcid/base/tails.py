@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
-from scipy.special import chdtrc, chdtri, chndtr, ndtr, ndtri
+import math
+
+from scipy.special import chdtrc, chdtri, chndtr, log_ndtr, ndtr, ndtri, ndtri_exp
 
 
 def normal_tail(value: float) -> float:
@@ -16,6 +18,11 @@ def normal_tail(value: float) -> float:
 def normal_quantile(probability: float) -> float:
     """What a standard normal number is smaller than with a probability."""
     return float(ndtri(probability))
+
+
+def limit_beyond(least: float, probability: float) -> float:
+    """What a standard normal number that is known to be larger than `least` exceeds that by, with a probability."""
+    return float(-ndtri_exp(math.log(probability) + log_ndtr(-least)) - least)
 
 
 def chi2_tail(value: float, dof: float) -> float:

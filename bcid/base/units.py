@@ -201,6 +201,13 @@ def uncertain(value: float, error: float | None = None, unit: str = "1") -> str:
     return f"{value:.{places}f} ± {error:.{places}f}{after}".replace("-", "−")
 
 
+def limited(value: float, limit: float, unit: str) -> str:
+    """A number that ended at a bound, by what it is on this side of with 95 %: "at most 120 Pa (95 %)"."""
+    shown, _, unit = for_people(limit, None, unit)
+    after = "" if unit == "1" else f" {unit}"
+    return f"at {'most' if limit > value else 'least'} {shown:.3g}{after} (95 %)".replace("-", "−")
+
+
 # Units of the arrays that bcid writes, by name of the variable.
 _METRES = ("position", "measured", "predicted", "predicted_first", "rest", "sigma", "mesh_error", "layout_residual")
 _ARRAYS = dict.fromkeys((*_METRES, "points", "displacement", "translation"), "m") | {

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from bcid.base.units import UNTOLD, falls, for_people, hardly_falls, p_value, percent, significance, uncertain
+from bcid.base.units import UNTOLD, falls, for_people, hardly_falls, limited, p_value, percent, significance, uncertain
 from bcid.comparison.adequacy import BREAKING, Adequacy, groups
 from bcid.comparison.explanation import Explanation, Rung
+from bcid.comparison.fit import Fit
 from bcid.comparison.ranking import Ranking, Row
 from bcid.comparison.rivals import Rival
 from bcid.comparison.separate import Pull
@@ -45,17 +46,29 @@ def anchors(state: State) -> str:
     return label(state.anchors, state.predictor.whole.patches)
 
 
-def term(one: Term, errors: dict[str, float]) -> str:
-    """An effect with its numbers: "gravity: weight = 305 ± 4 N/m^3"; a course by its least and its largest value."""
+def term(one: Term, errors: Mapping[str, float], limits: Mapping[str, float] | None = None) -> str:
+    """An effect with its numbers: "gravity: weight = 305 ± 4 N/m^3"; a course by its least and its largest value.
+
+    Of a number that ended at a bound its limit: "stiffness at least 2.1e6 Pa/m (95 %)".
+    """
     course = course_of(one.effect)
     parts = [] if course is None else [_ends(one, course, p, errors) for p in course.effect.amounts]
     for p in one.effect.parameters if course is None else one.effect.shapes:
         value, error, unit = for_people(one.values[p.name], errors.get(p.name), p.unit)
-        parts.append(f"{p.name} = {uncertain(value, error, unit)}")
+        limit = (limits or {}).get(p.name)
+        if limit is None:
+            parts.append(f"{p.name} = {uncertain(value, error, unit)}")
+        else:
+            parts.append(f"{p.name} {limited(one.values[p.name], limit, p.unit)}")
     return f"{one.label}: {', '.join(parts)}"
 
 
-def _ends(one: Term, course: Course, amount: Parameter, errors: dict[str, float]) -> str:
+def own(fitted: Fit, one: Term, of: Mapping[str, float]) -> dict[str, float]:
+    """What a fit has of the numbers of one of its effects, by parameter."""
+    return {name: of[one.full(name)] for name in one.values if one.full(name) in of}
+
+
+def _ends(one: Term, course: Course, amount: Parameter, errors: Mapping[str, float]) -> str:
     """Least and largest value of an amount in time: "amplitude from −310 ± 9 Pa (at 10 s) to 290 ± 11 Pa (at 20 s)"."""
     names, told = course.names(amount.name), []
     values = [one.values[name] for name in names]
@@ -216,15 +229,11 @@ def _what(row: Row, rival: Rival | None) -> str:
     if row.p_value > 0.01 and rival is None:
         return "nothing of it is seen"
     one = rival.term if rival else row.term
-    errors = row.stderr if rival is None else errors_of(rival)
+    fitted = rival.fitted if rival else None
+    errors = own(fitted, one, fitted.stderr) if fitted else row.stderr
+    limits = own(fitted, one, fitted.limits) if fitted else {}
     same = f"  (like {', '.join(row.confounded_with)})" if row.confounded_with else ""
-    return term(one, errors).split(": ", 1)[1] + (f" at {one.place}" if one.place else "") + same
-
-
-def errors_of(rival: Rival) -> dict[str, float]:
-    """Standard errors of a rival's own effect by parameter."""
-    prefix = f"{rival.term.label}."
-    return {n.removeprefix(prefix): e for n, e in rival.fitted.stderr.items() if n.startswith(prefix)}
+    return term(one, errors, limits).split(": ", 1)[1] + (f" at {one.place}" if one.place else "") + same
 
 
 def ladder(rungs: Sequence[Rung], unit: float, name: str) -> list[str]:
@@ -261,7 +270,7 @@ def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull]
             _held(found, held),
             *_open(found, pulls),
         ]
-    errors, noise = last.fitted.stderr, last.state.noise / unit
+    noise = last.state.noise / unit
     lines = [
         f"Missing in the plain model: {' and '.join(found.verdict.split('+'))} ({percent(found.probability)}). The error "
         f"{falls(first.state.rms / unit, last.state.rms / unit, noise, name)} (noise {noise:.3g}){_beyond(first, last)}. "
@@ -278,9 +287,8 @@ def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull]
             f"  Alone, the plain model does best with {anchors(first.state)}{alone}: the rest is the effect's."
         )
     for one in last.state.model.terms:
-        own = {n.removeprefix(f"{one.label}."): e for n, e in errors.items() if n.startswith(f"{one.label}.")}
-        if own:
-            lines.append("  " + term(one, own))
+        if known := own(last.fitted, one, last.fitted.stderr):
+            lines.append("  " + term(one, known, own(last.fitted, one, last.fitted.limits)))
     lines += [f"  Note: {text}" for text in last.fitted.warnings]
     return lines + _open(found, pulls)
 

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from bcid.base.errors import InputError, SolveError, nearest
+from bcid.base.tails import limit_beyond
 from bcid.comparison.kept_predictions import MeasurementPrediction
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.forms.parameter import Parameter
 from bcid.forms.probes import Probe, Wanted
+from bcid.inference.criteria import CERTAIN
 from bcid.inference.nuisances import fitted_instead
 from bcid.inference.stiffness import Stiffness
 
@@ -113,6 +115,7 @@ class Fit:
         warnings: what is doubtful, in words.
         evaluations: predictions that were needed.
         settled: whether it came to an end by itself.
+        limits: of numbers that ended at a bound, by full name, what they are on this side of with 95 %.
     """
 
     state: State
@@ -122,6 +125,7 @@ class Fit:
     warnings: tuple[str, ...]
     evaluations: int
     settled: bool = True
+    limits: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def at(cls, state: State) -> Fit:
@@ -352,7 +356,9 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL,
     if start.replaced.size:
         beside = _shifts(jacobian * scale, start.errors.whiten(start.replaced)) * scale[:, None]
         covariance = covariance + beside @ beside.T
-    return Fit(state, tuple(chosen), covariance, jacobian, tuple(warnings), problem.evaluations, settled)
+    onward = _shifts(result.jac, -result.fun[:, None])[:, 0] * scale
+    limits = _limits(chosen, x, (lower, upper, scale), np.sqrt(np.diag(covariance)), onward)
+    return Fit(state, tuple(chosen), covariance, jacobian, tuple(warnings), problem.evaluations, settled, limits)
 
 
 def pulls(model: Model, chosen: Sequence[Coordinate]) -> tuple[Array, Array]:
@@ -392,12 +398,39 @@ def _covariance(jacobian: Array, scale: Array) -> tuple[Array, list[bool]]:
     return np.asarray(covariance * np.outer(scale, scale)), loose
 
 
+def _at_bound(at: float, low: float, high: float, size: float) -> bool:
+    return min(at - low, high - at) < 1e-3 * size
+
+
+def _limits(
+    chosen: Sequence[Coordinate], x: Array, within: tuple[Array, Array, Array], errors: Array, onward: Array
+) -> dict[str, float]:
+    """Limits of numbers at a bound, or that would be beyond it, from a normal distribution that ends there.
+
+    Args:
+        chosen: the coordinates.
+        x: where they ended.
+        within: their bounds and scales.
+        errors: their standard deviations.
+        onward: the step that they would take without bounds.
+    """
+    found = {}
+    for c, at, low, high, size, error, step in zip(chosen, x, *within, errors, onward, strict=True):
+        if c.parameter.period is not None or not (_at_bound(at, low, high, size) or not low < at + step < high):
+            continue
+        bound, inward = (low, 1.0) if at - low < high - at else (high, -1.0)
+        end = bound + inward * error * limit_beyond(max(inward * (bound - at - step) / error, 0.0), 1 - CERTAIN)
+        if low < end < high:
+            found[c.name] = c.value(float(end))
+    return found
+
+
 def _warnings(
     chosen: Sequence[Coordinate], x: Array, lower: Array, upper: Array, scale: Array, loose: Sequence[bool]
 ) -> list[str]:
     found = []
     for c, at, low, high, size, free in zip(chosen, x, lower, upper, scale, loose, strict=True):
-        if min(at - low, high - at) < 1e-3 * size:
+        if _at_bound(at, low, high, size):
             found.append(
                 f"{c.name} is at a bound ({c.value(float(at)):.4g} {c.parameter.unit}; allowed: {c.parameter.allowed})"
             )

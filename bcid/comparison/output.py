@@ -137,7 +137,7 @@ def diagnosis_json(done: Diagnosis, unit: float) -> dict[str, Any]:
         "verdict": verdict,
         "model": state.model.name,
         "adopted": [
-            {"effect": d.effect.name, "place": d.place, "parameters": _parameters(d, _own(last.fitted, d))}
+            {"effect": d.effect.name, "place": d.place, "parameters": _parameters(d, *_own(last.fitted, d))}
             for d in state.model.terms
         ],
         "courses": courses.to_json(last.fitted),
@@ -197,7 +197,7 @@ def beliefs(found: Explanation, order: list[str]) -> dict[str, Any]:
 
 def _seen(fitted: Fit, one: Term) -> bool:
     """Whether an effect differs from nothing by more than its standard error lets expect; always, when it was not fitted."""
-    errors, model = _own(fitted, one), fitted.state.model
+    errors, model = _own(fitted, one)[0], fitted.state.model
     if course_of(one.effect) and any(p.name in errors for p in one.effect.amounts):
         return courses.seen(fitted, one, _UNLIKELY)
     for p in one.effect.amounts:
@@ -212,16 +212,19 @@ def _seen(fitted: Fit, one: Term) -> bool:
     return not any(p.name in errors for p in one.effect.amounts)
 
 
-def _own(fitted: Fit, one: Term) -> dict[str, float]:
-    prefix = f"{one.label}."
-    return {n.removeprefix(prefix): e for n, e in fitted.stderr.items() if n.startswith(prefix)}
+def _own(fitted: Fit, one: Term) -> tuple[dict[str, float], dict[str, float]]:
+    """Standard errors and limits of an effect's own numbers."""
+    return diagnosis_text.own(fitted, one, fitted.stderr), diagnosis_text.own(fitted, one, fitted.limits)
 
 
-def _parameters(one: Term, errors: dict[str, float], identifiable: bool = True) -> dict[str, Any]:
+def _parameters(
+    one: Term, errors: Mapping[str, float], limits: Mapping[str, float], identifiable: bool = True
+) -> dict[str, Any]:
     return {
         p.name: {
             "value": finite(one.values[p.name]) if identifiable else None,
             "stderr": finite(errors.get(p.name)),
+            "limit": finite(limits.get(p.name)),
             "unit": p.unit,
         }
         for p in one.effect.parameters
@@ -235,13 +238,14 @@ def _ranking(ranking: Ranking, rivals: Sequence[Rival], unit: float, order: list
     rows = []
     for row in diagnosis_text.ordered(ranking, rivals):
         own = best.get(row.effect)
-        one, errors = (own.term, diagnosis_text.errors_of(own)) if own else (row.term, row.stderr)
+        one = own.term if own else row.term
+        told = _own(own.fitted, one) if own else (row.stderr, {})
         rows.append(
             {
                 "effect": row.effect,
                 "place": one.place,
                 "anchored": sorted(own.anchors, key=order.index) if own else None,
-                "parameters": _parameters(one, errors, row.identifiable or own is not None),
+                "parameters": _parameters(one, *told, row.identifiable or own is not None),
                 "score": row.score,
                 "p_value": row.p_value,
                 "expected_rms": row.expected_rms / unit,
@@ -336,7 +340,7 @@ def summary(done: Diagnosis, shares: Mapping[str, float], remarks: Sequence[str]
         told = stiffness_in_words(rung.fitted.stiffness)
         lines += [*told, ""] if told else []
         if rung.fitted.coordinates:
-            lines += [f"  {diagnosis_text.term(d, _own(rung.fitted, d))}" for d in rung.state.model.terms]
+            lines += [f"  {diagnosis_text.term(d, *_own(rung.fitted, d))}" for d in rung.state.model.terms]
             lines += [f"  {diagnosis_text.in_time(row)}" for row in courses.to_json(rung.fitted)]
             lines += [f"  Note: {text}" for text in rung.fitted.warnings] + [""]
         if rung.ranking is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from bcid.base.units import for_people, percent, uncertain
+from bcid.base.units import for_people, limited, percent, uncertain
 
 
 def plain(name: str) -> str:
@@ -59,10 +59,12 @@ def listed(names: Sequence[str]) -> str:
 
 
 def amount(name: str, number: dict[str, Any]) -> str:
-    """A fitted number: "weight = 1257.6 ± 9.4 N/m³"; lengths in mm."""
+    """A fitted number: "weight = 1257.6 ± 9.4 N/m³", "lag: at most 0.02 (95 %)"; lengths in mm."""
     value, error, unit = number["value"], number["stderr"], str(number["unit"])
     if value is None:
         return f"{plain(name)}: cannot be told"
+    if number.get("limit") is not None:
+        return f"{plain(name)}: {limited(value, number['limit'], unit)}".replace("^3", "³").replace("^2", "²")
     value, error, unit = for_people(value, error, unit)
     shown = unit.replace("^3", "³").replace("^2", "²")
     return f"{plain(name)} = {uncertain(value, error, shown)}"

@@ -149,7 +149,8 @@ def _moves(course: dict[str, Any]) -> float:
 
 
 def _pair(effect: str, name: str, number: dict[str, Any]) -> tuple[str, str]:
-    key, _, value = amount(name, number).partition(" = ")
+    told = amount(name, number)
+    key, _, value = told.partition(" = " if " = " in told else ": ")
     return f"{plain(effect)}: {key}", value
 
 

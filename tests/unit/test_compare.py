@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 
 from bcid.base.progress import Progress, Silent
+from bcid.comparison import diagnosis_text
 from bcid.comparison.adequacy import breaking, judge
 from bcid.comparison.explanation import explains
 from bcid.comparison.fit import WIDEST, Coordinate, Fit, _covariance, fit
@@ -33,6 +34,7 @@ from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes, Nuisances, placed, replaced
 from bcid.measurement import Action, Measurement
 from bcid.measurement.frame_error import FrameError
+from bcid.report.text import amount
 from bcid.scene import Scene
 from bcid.scene.uncertainty import Uncertainty
 
@@ -578,6 +580,30 @@ def test_a_fit_that_ends_where_nothing_can_be_followed_is_as_uncertain_as_that()
     assert found.values["gravity.weight"] <= Ending.most
     assert abs(found.values["gravity.weight"] - 6000.0) < 1.1 * found.stderr["gravity.weight"]
     assert found.warnings == ("the fit ended where the model cannot be followed any further",)
+
+
+@pytest.mark.parametrize("true", [-0.004, -0.0005, -0.03])
+def test_a_number_at_a_bound_is_told_by_a_limit(true: float) -> None:
+    """Against the density on this side of the bound, summed up."""
+    model, name = Model.of(SCENE) + Term("grasp_slip", {"lag": 0.02}), "grasp_slip.lag"
+    made = toy(model, (name,), (2e-3,))
+    away = made.data.vector(made.shapes[name])
+    made.data.values = made.data.values + (true - 0.02) * away
+    # What the noise happens to say of it is taken out.
+    residual = made.data.values - made.data.vector(rest(made.actions))
+    made.data.values = made.data.values + (true - float(away @ residual) / float(away @ away)) * away
+    found = fit(state_of(made, model), (name,))
+    assert found.values[name] == pytest.approx(0.0, abs=5e-4)
+    lags = np.linspace(0.0, 0.1, 100_001)
+    residual = made.data.values - made.data.vector(rest(made.actions))
+    chi2 = (float(residual @ residual) - 2 * lags * float(away @ residual) + lags**2 * float(away @ away)) / SIGMA**2
+    share = np.cumsum(np.exp(-0.5 * (chi2 - chi2.min())))
+    assert found.limits[name] == pytest.approx(lags[np.searchsorted(share, 0.95 * share[-1])], rel=0.02, abs=1e-4)
+    slip = found.state.model.terms[-1]
+    told = diagnosis_text.term(slip, {}, diagnosis_text.own(found, slip, found.limits))
+    assert told == f"grasp_slip: lag at most {found.limits[name]:.3g} (95 %)"
+    assert amount("lag", {"value": 0.0, "stderr": 0.1, "limit": 0.25, "unit": "1"}) == "lag: at most 0.25 (95 %)"
+    assert not fit(state_of(toy(model, (name,), (2e-3,)), model), (name,)).limits
 
 
 def test_differences_of_whole_trajectories_serve_near_by() -> None:

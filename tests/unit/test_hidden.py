@@ -221,6 +221,11 @@ def adopted(name: str, place: str = "", **values: float) -> list[dict[str, Any]]
     return [{"effect": name, "place": place, "parameters": parameters}]
 
 
+def at_bound(name: str, number: str, value: float, limit: float) -> list[dict[str, Any]]:
+    """With a number that ended at a bound, whose standard error would reach far."""
+    return [{"effect": name, "place": "", "parameters": {number: {"value": value, "stderr": 5.0, "limit": limit}}}]
+
+
 GRAVITY = [effect()]
 ANGLED = [effect("fibres", k1=parameter(5.0), angle=parameter(175.0, "shape", unit="deg", period=180.0))]
 VECTOR = [effect("prestrain", sx=parameter(1.1, neutral=1.0, scale=0.1), sz=parameter(1.0, neutral=1.0, scale=0.1))]
@@ -285,6 +290,13 @@ SPRING = [effect("soft_anchor", "3", stiffness=parameter(1e5, neutral=None, reci
             {"verdict": "soft_anchor(3)", "adopted": adopted("soft_anchor", "3", stiffness=1.19e5)},
             # On the scale of the stiffness itself this one would hold.
             {"verdict": "soft_anchor(3)", "adopted": adopted("soft_anchor", "3", stiffness=1.243e5)},
+        ),
+        (
+            "intervals",
+            "one",
+            GRAVITY,
+            {"adopted": at_bound("gravity", "weight", 8.0, 10.5)},
+            {"adopted": at_bound("gravity", "weight", 8.0, 9.5)},
         ),
         ("adequate", "none", [], {"adequate": True, "verdict": "none"}, {}),
         ("not misnamed", "outside", [effect("tear")], {"verdict": "unknown"}, {}),

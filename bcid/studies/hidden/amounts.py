@@ -48,8 +48,14 @@ def intervals_hold(truth: Json, diagnosis: Json) -> tuple[bool, ...]:
 
 
 def _holds(found: Json, p: Json) -> bool:
-    """Whether value and standard error go with the truth; of a reciprocal parameter its reciprocal is normal."""
+    """Whether value and standard error, or the limit of what is at a bound, go with the truth.
+
+    Of a reciprocal parameter its reciprocal is normal.
+    """
     value, error, true = found.get("value"), found.get("stderr"), p["value"]
+    limit = found.get("limit")
+    if value is not None and limit is not None:
+        return bool(min(value, limit) <= true <= max(value, limit))
     if value is None or error is None or (p["reciprocal"] and value == 0):
         return False
     if p["reciprocal"]:
