@@ -403,7 +403,10 @@ def test_calibration_compares_what_is_told_with_what_is_right() -> None:
     assert found["expected_error"] == pytest.approx((0.4 + 2 * 0.42 + 0.97) / 5)
     assert (found["sure_and_wrong"]["met"], found["sure_and_wrong"]["count"]) == (1, 2)
     text = table(scores([right, wrong, modest]))
-    assert "expected calibration error 0.442 (goal 0.05: NO)" in text
+    assert "expected calibration error 0.442 (goal 0.05: NO); by chance alone" in text
+    # Written out: one answer that is told with 0.6, two with 0.92, one with 0.97 and one with certainty.
+    two = 0.92**2 * 0.16 + 2 * 0.92 * 0.08 * 0.84 + 0.08**2 * 1.84
+    assert found["by_chance"] == pytest.approx((2 * 0.6 * 0.4 + two + 2 * 0.97 * 0.03) / 5)
     assert "told with 95 % or more and wrong: 1 of 2" in text
 
 

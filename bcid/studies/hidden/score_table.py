@@ -85,7 +85,8 @@ def _calibration(found: Json) -> list[str]:
             lines.append(f"{name:16}{told:>12}{b['rate']:>8.0%}{b['count']:>9}   {interval}")
         else:
             lines.append(f"{name:16}{'-':>12}{'-':>8}{0:>9}")
-    lines += ["", f"expected calibration error {error:.3f} (goal {CALIBRATED:g}: {_met(error <= CALIBRATED)})"]
+    reached = f"goal {CALIBRATED:g}: {_met(error <= CALIBRATED)}"
+    lines += ["", f"expected calibration error {error:.3f} ({reached}); by chance alone {found['by_chance']:.3f}"]
     if sure["count"]:
         reached = _met(sure["rate"] <= SURE_AND_WRONG)
         count = f"{sure['met']} of {sure['count']}"

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bcid.studies.hidden.judge import SURE, anchors_right, anchors_told, verdict_right
 from bcid.studies.hidden.wilson import rate
@@ -30,17 +31,31 @@ def told(result: Mapping[str, Any]) -> list[Told]:
 
 
 def calibration(results: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """Told and found by bins of what was told, their expected difference, and how many of the sure answers are wrong."""
+    """Told and found by bins of what was told, their expected difference, and how many of the sure answers are wrong.
+
+    `by_chance` is that difference where each answer is right exactly as often as it is told: there are only so many of them.
+    """
     every = [pair for result in results for pair in told(result)]
     place = np.clip(np.digitize([p for p, _ in every], BINS) - 1, 0, len(BINS) - 2)
-    bins = [_bin(k, [pair for at, pair in zip(place, every, strict=True) if at == k]) for k in range(len(BINS) - 1)]
+    binned = [[pair for at, pair in zip(place, every, strict=True) if at == k] for k in range(len(BINS) - 1)]
+    bins = [_bin(k, pairs) for k, pairs in enumerate(binned)]
     error = sum(b["count"] * abs(b["told"] - b["rate"]) for b in bins if b["count"])
+    chance = sum(_by_chance([p for p, _ in pairs]) for pairs in binned)
     return {
         "count": len(every),
         "expected_error": error / len(every) if every else None,
+        "by_chance": chance / len(every) if every else None,
         "sure_and_wrong": rate([not right for p, right in every if p >= SURE]),
         "bins": bins,
     }
+
+
+def _by_chance(told: Sequence[float]) -> float:
+    """By how much the number of right answers differs from what is expected of them, on average."""
+    counts: NDArray[np.float64] = np.ones(1)
+    for p in told:
+        counts = np.asarray(np.convolve(counts, [1 - p, p]), dtype=float)
+    return float(counts @ np.abs(np.arange(len(counts)) - sum(told)))
 
 
 def _bin(k: int, pairs: Sequence[Told]) -> dict[str, Any]:
