@@ -289,6 +289,15 @@ def _differences(
     return np.column_stack(found)
 
 
+def _bounds(start: State, c: Coordinate) -> tuple[float, float]:
+    """Bounds of a coordinate, and those of the body where it lies within that."""
+    lower, upper = c.bounds
+    if not c.parameter.within:
+        return lower, upper
+    low, high = start.room(c.parameter.within)
+    return max(lower, low), min(upper, high)
+
+
 def _from_past(model: Model) -> set[str]:
     """Numbers of effects that depend on the last step."""
     return {term.full(p.name) for term in model.terms if term.effect.uses_past for p in term.effect.parameters}
@@ -319,7 +328,7 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL,
     if not chosen:
         return Fit.at(replace(start, free=()))
     numbers = start.model.constants()
-    lower, upper = (np.array(b) for b in zip(*(c.bounds for c in chosen), strict=True))
+    lower, upper = (np.array(b) for b in zip(*(_bounds(start, c) for c in chosen), strict=True))
     scale = np.array([c.scale for c in chosen])
     x = np.clip([c.of(numbers[c.name]) for c in chosen], lower, upper)
     inside = np.clip(x, lower + 1e-6 * scale, upper - 1e-6 * scale)

@@ -155,6 +155,9 @@ def _width(c: Coordinate, value: float, state: State) -> float:
         return p.prior[1]
     if p.period is not None:
         return p.period / math.sqrt(12)
+    if p.within:
+        low, high = state.room(p.within)
+        return (high - low) / math.sqrt(12)
     if p.unit == "m":
         points = state.predictor.forward(state.model).mesh.points
         return float(np.linalg.norm(np.ptp(points, axis=0))) / 6

@@ -123,6 +123,15 @@ class State:
         """What the nuisances do in whose place effects of the model act, shape (n, k), m."""
         return replaced(self.whole_modes, self.predictor.data, self.model)
 
+    def room(self, within: str) -> tuple[float, float]:
+        """Where a number can be that lies within the body, see `bcid.forms.parameter.Shape`, m."""
+        points = self.predictor.forward(self.model).mesh.points
+        low, high = points.min(axis=0), points.max(axis=0)
+        if within == "size":
+            return 0.0, float(np.linalg.norm(high - low)) / 2
+        axis = "xyz".index(within)
+        return float(low[axis]), float(high[axis])
+
     @property
     def predicted(self) -> Array:
         """Positions as the model has them with the error of the mesh taken out, shape (frames, fiducials, 3), m."""

@@ -68,6 +68,10 @@ class Parameter:
         return None
 
     @property
+    def within(self) -> str:
+        return ""
+
+    @property
     def switch(self) -> bool:
         return False
 
@@ -146,6 +150,8 @@ class Shape(Parameter):
         harmonics: highest harmonic in that period of what the effect does, if it is a trigonometric polynomial.
         onset: it is the number of the first frame in which the effect acts: every frame is tried, and no fit moves it.
         off: value that stands for none (a period of 0 for what is steady): a fit leaves it alone.
+        within: it is a place that lies in the body, along "x", "y" or "z"; or, for "size", no more than half its diagonal. A fit
+            keeps to that.
     """
 
     scan: tuple[float, ...] = ()
@@ -153,3 +159,4 @@ class Shape(Parameter):
     harmonics: int | None = None
     onset: bool = False
     off: float | None = None
+    within: str = ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from bcid.comparison.fit import WIDEST, Coordinate, Fit, _covariance, fit
 from bcid.comparison.held_out import held_out
 from bcid.comparison.kept_predictions import MeasurementPrediction
 from bcid.comparison.law_form import LawForm
+from bcid.comparison.priors import of_state
 from bcid.comparison.ranking import _bounded, rank
 from bcid.comparison.state import State
 from bcid.comparison.variants import Variant, _harmonics
@@ -604,6 +606,26 @@ def test_a_number_at_a_bound_is_told_by_a_limit(true: float) -> None:
     assert told == f"grasp_slip: lag at most {found.limits[name]:.3g} (95 %)"
     assert amount("lag", {"value": 0.0, "stderr": 0.1, "limit": 0.25, "unit": "1"}) == "lag: at most 0.25 (95 %)"
     assert not fit(state_of(toy(model, (name,), (2e-3,)), model), (name,)).limits
+
+
+def test_an_inclusion_stays_in_the_body() -> None:
+    """A ball beyond it whose rim reaches in is no inclusion, whatever explains the data best."""
+    values = {"ratio": 3.0, "cx": 0.05, "cy": 0.005, "cz": 0.05, "radius": 0.02}
+    model = Model.of(SCENE) + Term("inclusion", values)
+    names = tuple(f"inclusion.{name}" for name in ("ratio", "cx", "radius"))
+    made = toy(model, names, (1e-3, 1e-1, 1e-1))
+    away = {"inclusion.ratio": 3.0, "inclusion.cx": -0.06, "inclusion.radius": 0.11}
+    made.data.values = made.data.vector(made.predict(model.with_values(away), ()).positions)
+    corners = np.array([[0.0, 0.0, 0.0], [0.1, 0.01, 0.1]])
+    mesh = SimpleNamespace(mesh=SimpleNamespace(points=corners))
+    whole: Any = made
+    whole.forward = lambda _model: mesh
+    found = fit(state_of(made, model), names)
+    assert 0.0 <= found.values["inclusion.cx"] < 1e-3
+    assert found.values["inclusion.radius"] <= np.linalg.norm(corners[1]) / 2
+    known = of_state(found.state, Model.of(SCENE), found.jacobian)
+    assert known is not None
+    assert known.widths[0, 1:] == pytest.approx([0.1 / math.sqrt(12), np.linalg.norm(corners[1]) / 2 / math.sqrt(12)])
 
 
 def test_differences_of_whole_trajectories_serve_near_by() -> None:

@@ -3,7 +3,8 @@
 The law's energy is multiplied by 1 + (ratio - 1) w with w = 1/(1 + exp((|X - c| - radius)/(0.1 radius))), which falls
 from 1 to 0 at the distance radius (m) from the centre c (m, coordinates of the scene). The mesh is not fitted to it:
 elements should not be much larger than the radius. Where it is must be given; a scan tries places in the body and radii
-of 0.1 to 0.3 of its size.
+of 0.1 to 0.3 of its size, and a fit keeps the centre in the body's bounding box and the radius below half its diagonal:
+a larger ball has no side that is seen to be round.
 """
 
 from __future__ import annotations
@@ -47,8 +48,8 @@ effect = BodyEffect(
     name="inclusion",
     parameters=(
         Amount("ratio", "1", "its stiffness to that of the body", lower=0.02, upper=50.0, neutral=1.0, scale=1.0),
-        *(Shape(f"c{axis}", "m", f"centre, {axis}", scale=0.02) for axis in "xyz"),
-        Shape("radius", "m", "radius", lower=0.0, open_lower=True, scale=0.02),
+        *(Shape(f"c{axis}", "m", f"centre, {axis}", scale=0.02, within=axis) for axis in "xyz"),
+        Shape("radius", "m", "radius", lower=0.0, open_lower=True, scale=0.02, within="size"),
     ),
     about="a round part of the body is stiffer or softer",
     acts_on="material",
