@@ -30,7 +30,7 @@ from bcid.forms.sensitivity import Sensitivity
 from bcid.forms.set_tangent import SetTangent, SetTangents, StepTangent
 from bcid.forms.solver.equilibrium import Settings
 from bcid.forms.solver.supports import Pose
-from bcid.inference.data import Data, Noise
+from bcid.inference.data import Data, Noise, frame_times
 from bcid.inference.knots import Knots, knots_of, known_frames, spread
 from bcid.inference.nuisances import NuisanceModes, Nuisances
 from bcid.measurement import Action, Measurement
@@ -337,10 +337,7 @@ class Predictor:
     @property
     def times(self) -> Array:
         """When each frame was seen, by the clock of its action, shape (frames,), s."""
-        times = np.zeros(len(self.data.mask))
-        for action in self.actions:
-            times[action.frames] = action.clock
-        return times
+        return frame_times(self.actions, len(self.data.mask))
 
     def _sensitivities_in(
         self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from copy import copy
 from dataclasses import dataclass
 from typing import Any
@@ -224,12 +225,18 @@ def way(action: Action, scene: Scene) -> Array:
     return np.asarray(gone / max(float(gone.max()), 1e-12))
 
 
+def frame_times(actions: Iterable[Action], count: int) -> Array:
+    """When each of so many frames was seen, by the clock of its action, shape (count,), s."""
+    times = np.zeros(count)
+    for action in actions:
+        times[action.frames] = action.clock
+    return times
+
+
 def lateness(measurement: Measurement) -> Array:
     """When each frame was seen, as part of the whole time; 0 where all actions begin at the same, shape (frames,)."""
     moved = measurement.actions
-    times = np.zeros(measurement.data.sizes["frame"])
-    for action in moved:
-        times[action.frames] = action.clock
+    times = frame_times(moved, measurement.data.sizes["frame"])
     begun = [float(action.clock[0]) for action in moved]
     apart = np.ptp(begun) if begun else 0.0
     return np.asarray((times - times.min()) / np.ptp(times)) if apart > 0 else np.zeros(len(times))
