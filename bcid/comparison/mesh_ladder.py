@@ -49,7 +49,7 @@ def _finer_positions(
     """
     if not (predictor.thin or model.remembers or model.jumps):
         ends = zip(predictor.actions, predictor.last_seen(), strict=True)
-        known = [Knots.of(action, 0, last) for action, last in ends]
+        known = [Knots.of(action, 0, last, timed=not model.steady) for action, last in ends]
         few, frames = predictor.in_steps(
             [k.steps for k in known], replace(predictor.settings, rtol=_FINE_RTOL, pivots=False)
         )

@@ -318,7 +318,8 @@ class Predictor:
 
         What changes along an action as smoothly as the motion does is computed in a few steps, and interpolated between them.
         """
-        known = self._known(model)
+        # Friction is among the terms.
+        known = self._known(model, directed=wanted.terms is not None)
         if known is None:
             return self._sensitivities_in(model, anchors, prediction, wanted, None)
         times = self.times
@@ -471,9 +472,10 @@ class Predictor:
             known.fill(one)
         return moved
 
-    def _known(self, model: Model) -> list[Knots] | None:
+    def _known(self, model: Model, directed: bool = False) -> list[Knots] | None:
         """The steps of each action in which what changes with the motion need be known; None where in all."""
-        return None if self.thin else knots_of(model, self.actions, np.ones(len(self.data.mask), dtype=bool))
+        followed = np.ones(len(self.data.mask), dtype=bool)
+        return None if self.thin else knots_of(model, self.actions, followed, directed)
 
     def _frames(self, known: Sequence[Knots] | None) -> NDArray[np.bool_]:
         """Rest and the frames of known steps; all that are seen where none are given."""

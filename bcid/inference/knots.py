@@ -25,6 +25,8 @@ Steps = NDArray[np.int64]
 _KNOWN, _TREND = 1e-3, 10.0
 # Turns by less than this, in rad, count for as little as they are.
 _TURN = np.radians(10.0)
+# The cosine of the least angle that is a turn.
+_AHEAD = np.sqrt(0.5)
 # Added to the variance of what is known, for the kernel's matrix to be solved with.
 _NUGGET = 1e-8
 
@@ -51,11 +53,17 @@ class Knots:
     rougher: Array
 
     @classmethod
-    def of(cls, action: Action, first: int = 0, last: int | None = None) -> Knots:
-        """Of an action, from one of its steps to another; by default from rest to its end."""
+    def of(cls, action: Action, first: int = 0, last: int | None = None, timed: bool = False) -> Knots:
+        """Of an action, from one of its steps to another; by default from rest to its end.
+
+        `timed`: what is interpolated is a matter of time as well.
+        """
         last = len(action) - 1 if last is None else last
         first = min(first, last)
         way = _way(action)[first : last + 1]
+        if timed:
+            clock = action.clock[first : last + 1]
+            way = np.column_stack([way, clock / max(float(np.ptp(clock)), 1e-12)])
         smooth, rough = _kernel(way, 1.0, 2), _kernel(way, 0.5, 1)
         chosen = _chosen(smooth)
         return cls(action.frames, first + chosen, _weights(smooth, chosen), _weights(rough, chosen))
@@ -103,18 +111,40 @@ def _within(kernel: Array, chosen: Steps) -> Array:
     return np.asarray(kernel[np.ix_(chosen, chosen)] + _NUGGET * np.eye(len(chosen)))
 
 
-def knots_of(model: Model, actions: Sequence[Action], frames: NDArray[np.bool_]) -> list[Knots] | None:
+def knots_of(
+    model: Model, actions: Sequence[Action], frames: NDArray[np.bool_], directed: bool = False
+) -> list[Knots] | None:
     """The steps in which what changes as smoothly as the motion need be known besides rest; None where in all that are seen.
 
     Args:
         model: law and effects: what some of them do changes more suddenly than the motion.
         actions: those without a frame that was followed are left out.
         frames: that were followed, shape (frames,); of each action they are the first.
+        directed: whether it depends on where the gripper comes from as well: each stretch up to a turn is then for itself.
     """
     if not all(term.effect.smooth or term.effect.observe for term in model.terms):
         return None
     counts = [int(frames[action.frames].sum()) for action in actions]
-    return [Knots.of(action, 1, count - 1) for action, count in zip(actions, counts, strict=True) if count]
+    stretches = _stretches if directed else _whole
+    ways = ((action, count - 1) for action, count in zip(actions, counts, strict=True) if count)
+    return [Knots.of(*stretch) for action, last in ways for stretch in stretches(action, last)]
+
+
+def _whole(action: Action, last: int) -> list[tuple[Action, int, int]]:
+    return [(action, 1, last)]
+
+
+def _stretches(action: Action, last: int) -> list[tuple[Action, int, int]]:
+    """Parts of an action between which it turns, with their first and last step; all but the last end with that."""
+    moves = np.diff(_way(action)[: last + 1], axis=0)
+    sizes = np.linalg.norm(moves, axis=1)
+    moving = np.flatnonzero(sizes)
+    ahead = moves[moving] / sizes[moving, None]
+    turned = 1 + moving[1:][np.sum(ahead[1:] * ahead[:-1], axis=1) < _AHEAD]
+    firsts = [min(1, last), *map(int, turned)]
+    ends = [*(first - 1 for first in firsts[1:]), last]
+    parts = [action if end == last else action.until(end + 1) for end in ends]
+    return list(zip(parts, firsts, ends, strict=True))
 
 
 def known_frames(known: Sequence[Knots], count: int) -> NDArray[np.bool_]:

@@ -30,7 +30,7 @@ from bcid.forms import effects
 from bcid.forms.model import Model, Term
 from bcid.forms.probes import Sensitivities, Wanted
 from bcid.forms.simulate import recorded
-from bcid.inference.data import Data, estimate_noise
+from bcid.inference.data import Data, estimate_noise, frame_times
 from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes, Nuisances, placed, replaced
@@ -252,6 +252,10 @@ class Toy:
     @property
     def measurement(self) -> Measurement:
         return self.data.measurement
+
+    @property
+    def times(self) -> Array:
+        return frame_times(self.actions, len(self.data.mask))
 
     def numbers(self, model: Model) -> dict[str, float]:
         values = model.constants()

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from bcid.inference.knots import Knots, spread
+from bcid.inference.knots import Knots, knots_of, spread
 from bcid.scene.action import Action
 from bcid.scene.rotation import from_vector
 
@@ -29,6 +31,31 @@ def test_the_way_back_is_known_from_the_way_there() -> None:
     back.fill(values)
     assert len(back.steps) == 3
     assert np.allclose(values[10:15], values[18:13:-1], atol=1e-6)
+
+
+def test_what_is_a_matter_of_time_is_not_the_same_on_the_way_back() -> None:
+    there = action([0, 1, 2, 3, 4, 3, 2, 1, 0])
+    values = np.zeros((30, 1))
+    values[10:19, 0] = np.arange(9.0) * (4 - np.abs(np.arange(9.0) - 4))
+    exact = values.copy()
+    known = Knots.of(there, timed=True)
+    values[10 + np.setdiff1d(np.arange(9), known.steps)] = np.nan
+    known.fill(values)
+    assert np.allclose(values, exact, atol=0.2)
+
+
+def test_what_depends_on_the_direction_is_known_on_both_sides_of_a_turn() -> None:
+    there = action([0, 1, 2, 3, 4, 5, 6, 5, 4, 3, 2], [0] * 11)
+    plain: Any = SimpleNamespace(terms=())
+    known = knots_of(plain, [there], np.ones(21, dtype=bool), directed=True)
+    assert known is not None
+    assert [(one.steps[0], one.steps[-1]) for one in known] == [(1, 6), (7, 10)]
+    values = np.full((21, 1), np.nan)
+    for one, sign in zip(known, (1.0, -1.0), strict=True):
+        values[10 + one.steps] = sign
+    for one in known:
+        one.fill(values)
+    assert np.allclose(values[11:, 0], [1.0] * 6 + [-1.0] * 4, atol=0.01)
 
 
 def test_what_bends_needs_more() -> None:

@@ -64,7 +64,7 @@ def compared(forward: Forward, seen: np.ndarray, predicted: np.ndarray) -> State
     data = Data(scene, replace(measurement, noise_sigma=SIGMA))
     predictor: Any = SimpleNamespace(
         scene=scene, data=data, measurement=measurement, actions=made_of, forward=lambda model: forward,
-        sensitivities=lambda *args: SimpleNamespace(probes=()),
+        sensitivities=lambda *args: SimpleNamespace(probes=()), times=made_of[0].clock,
     )  # fmt: skip
     errors = Errors(data, data.sigma, MeshError.unknown(data.mask.shape))
     prediction = MeasurementPrediction(predicted, {})

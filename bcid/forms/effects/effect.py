@@ -245,8 +245,10 @@ class Effect:
 
     @property
     def smooth(self) -> bool:
-        """Whether what it does changes along an action as smoothly as the motion does."""
-        return not (self.sudden or self.memory or self.uses_past or self.acting or self.observe)
+        """Whether what it does in the body depends on where the gripper is, whatever the time and the way there."""
+        return not (
+            self.sudden or self.memory or self.uses_past or self.acting or self.observe or self.retimed or self.held
+        )
 
     @property
     def sudden(self) -> bool:
