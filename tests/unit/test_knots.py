@@ -45,7 +45,7 @@ def test_what_is_a_matter_of_time_is_not_the_same_on_the_way_back() -> None:
 
 
 def test_what_depends_on_the_direction_is_known_on_both_sides_of_a_turn() -> None:
-    there = action([0, 1, 2, 3, 4, 5, 6, 5, 4, 3, 2], [0] * 11)
+    there = action([0, 1, 2, 3, 4, 5, 6, 5, 4, 3, 2])
     plain: Any = SimpleNamespace(terms=())
     known = knots_of(plain, [there], np.ones(21, dtype=bool), directed=True)
     assert known is not None
