@@ -43,7 +43,7 @@ def _parameter(effect: Effect, name: str) -> Parameter:
 
 @dataclass(frozen=True)
 class Cause:
-    """What moves the fiducials: a change of the residual and one of what is prescribed (None: none), by shape (unknowns,).
+    """What moves the fiducials: a change of the residual and one of what is prescribed, by shape (unknowns,).
 
     `target`, shape (rows, 3), is where the movement is added; `turned`, shape (6,), m, what force and torque change by as the
     gripper itself moves, or as its springs change.
@@ -51,7 +51,7 @@ class Cause:
 
     target: Array
     force: Array | float
-    increment: Array | None = None
+    increment: Array | float = 0.0
     turned: Array | float = 0.0
 
 
@@ -314,18 +314,14 @@ class Sensitivity:
         count = 0 if wanted.forces is None else 3 * wanted.forces.shape[1]
         count += len(forward.mesh.cells) if wanted.stiffness else 0
         count += wanted.terms.count if wanted.terms else 0
-        increments = any(cause.increment is not None for cause in causes)
-        factorised = wanted.terms is not None
-        response = self.responses.at(pose, self.model, len(causes), count, increments, factorised)
-        columns = np.zeros((len(equilibrium.u.x.array), len(causes)))
-        moved, observe = np.zeros((3 * forward.rows, len(causes))), self.responses.observe
+        response = self.responses.at(pose, self.model, len(causes), count, factorised=wanted.terms is not None)
+        columns, increments = np.zeros((2, len(equilibrium.u.x.array), len(causes)))
         for j, cause in enumerate(causes):
             columns[:, j] = cause.force
-            if cause.increment is not None:
-                columns[:, j] += equilibrium.tangent.times(cause.increment)
-                moved[: observe.shape[0], j] = observe @ cause.increment
-            moved[observe.shape[0] :, j] = cause.turned
-        moved += response.moved(columns)
+            increments[:, j] = cause.increment
+        moved = response.moved(columns, increments)
+        for j, cause in enumerate(causes):
+            moved[3 * len(places) :, j] += cause.turned
         for cause, change in zip(causes, moved.T, strict=True):
             cause.target[:] += seen(change.reshape(-1, 3))
         if result.stiffness is not None:
@@ -368,7 +364,7 @@ class Sensitivity:
         elif probe.effect.mechanical:
             scale = -(value**2) if parameter.reciprocal else 1.0
             change = scale * self._change(probe, name, pose.time)
-            found.append(Cause(target, change, None, self._felt(change, pose) if probe.effect.gives else 0.0))
+            found.append(Cause(target, change, 0.0, self._felt(change, pose) if probe.effect.gives else 0.0))
         if pair is not None:
             found.append(self._of_drive(target, pose, pair, 2 * STEP * parameter.scale))
         return found
@@ -382,7 +378,7 @@ class Sensitivity:
         if not equilibrium.supports.sprung:
             return Cause(target, loads, moved, turned)
         pulled = -(equilibrium.springs.stiffness() @ moved)
-        return Cause(target, loads + pulled, None, turned + self._felt(pulled, pose))
+        return Cause(target, loads + pulled, 0.0, turned + self._felt(pulled, pose))
 
     def _felt(self, change: Array | float, pose: Pose) -> Array | float:
         """What force and torque change by where the springs of the gripper change their part of the residual, shape (6,), m."""

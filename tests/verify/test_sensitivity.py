@@ -24,6 +24,7 @@ from bcid.forms.forward import Forward
 from bcid.forms.gripper_force import ForceScale
 from bcid.forms.model import Model, Term
 from bcid.forms.probes import Probe, Sensitivities, Wanted
+from bcid.forms.responses import Responses
 from bcid.forms.sensitivity import Sensitivity
 from bcid.forms.solver.equilibrium import Settings
 from bcid.scene import Level, Material
@@ -166,6 +167,34 @@ def test_a_rigid_hold_that_may_yield(name: str, place: str) -> None:
     expected = 2 * yielding(1e9) - yielding(5e8)
     found = sensitivities(rigid, Wanted((Probe(asked, ("stiffness",)),))).probes[0]["stiffness"]
     assert_same(found, expected)
+
+
+@pytest.mark.parametrize("formulation", ["displacement", "mixed"])
+@pytest.mark.parametrize("others", [(HEAVY,), (GIVING,)], ids=["rigid", "springs"])
+def test_products_tell_what_solves_tell(
+    formulation: str, others: tuple[Term, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of forces, of a gripper that moves elsewhere, and of holds that yield; and once they are known without the tangent."""
+    material = replace(SCENE.material, formulation=formulation)
+    scene = replace(SCENE, material=material, levels=(Level(2 if formulation == "mixed" else 1),))
+    model = Model.of(scene)
+    for part in others:
+        model = model + part
+    asked = [Probe(term("gravity", weight=9000.0), ("weight",)), Probe(term("grasp_slip", lag=0.0), ("lag",))]
+    asked += [Probe(term("soft_anchor", "left", stiffness=math.inf), ("stiffness",))]
+    asked += [Probe(term("grasp_compliance", stiffness=math.inf), ("stiffness",))] if others == (HEAVY,) else []
+    forward = Forward(scene, 0, MPI.COMM_SELF, model, Settings(rtol=1e-12), MESH, FORCES)
+    prediction = forward.predict(ANCHORS, ACTIONS, keep=True)
+    told = Sensitivity(forward)
+    monkeypatch.setattr(Responses, "_serve", lambda *_: False)
+    expected = told.of(ANCHORS, ACTIONS, prediction, Wanted(tuple(asked))).probes
+    monkeypatch.setattr(Responses, "_serve", lambda *_: True)
+    told.of(ANCHORS, ACTIONS, prediction, Wanted(tuple(asked)))
+    monkeypatch.setattr(forward.equilibrium.tangent, "assemble", None)
+    found = told.of(ANCHORS, ACTIONS, prediction, Wanted(tuple(asked))).probes
+    for probe, one, other in zip(asked, found, expected, strict=True):
+        assert_same(one[probe.wanted[0]], other[probe.wanted[0]], 1e-8)
+    forward.destroy()
 
 
 def test_a_constant_of_the_law_under_known_loads() -> None:

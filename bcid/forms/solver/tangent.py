@@ -92,6 +92,25 @@ class Tangent:
         """Product of the full matrix, as it was last assembled, or its transpose, with changes of all unknowns; one rank only."""
         return np.asarray((self._blocked.T if transpose else self._blocked) @ change)
 
+    def times_in(self, rows: Index, change: Array, transpose: bool = False) -> Array:
+        """The same in some rows."""
+        if transpose and not self.matrix.isSymmetricKnown()[1]:
+            return self.times(change, transpose)[rows]
+        return self._some(rows) @ change
+
+    def _some(self, rows: Index) -> sp.csr_matrix:
+        """Rows of the full matrix."""
+        size, start = self._blocked.blocksize[0], self._blocked.indptr
+        blocks = np.unique(rows // size)
+        counts = start[blocks + 1] - start[blocks]
+        ends = np.cumsum(counts)
+        taken = np.arange(counts.sum()) + np.repeat(start[blocks] - (ends - counts), counts)
+        part = sp.bsr_matrix(
+            (self._blocked.data[taken], self._blocked.indices[taken], np.concatenate([[0], ends])),
+            shape=(size * len(blocks), self._blocked.shape[1]),
+        )
+        return part.tocsr()[size * np.searchsorted(blocks, rows // size) + rows % size]
+
     def copied(self) -> sp.csr_matrix:
         """The constrained matrix as it was last assembled, this rank's rows."""
         rows, columns, values = self.matrix.getValuesCSR()
@@ -155,6 +174,10 @@ class LargeTangent(Tangent):
         product = np.asarray((full.T if transpose else full) @ change)
         data[self._cleared] = constrained
         return product
+
+    def times_in(self, rows: Index, change: Array, transpose: bool = False) -> Array:
+        """The same in some rows."""
+        return self.times(change, transpose)[rows]
 
     def lifting(self, increment: Array, right: PETSc.Vec, _state: PETSc.Vec) -> None:
         """Right-hand side for prescribed changes `increment` of the held unknowns (zero elsewhere)."""
