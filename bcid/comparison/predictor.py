@@ -467,7 +467,7 @@ class Predictor:
         `soft` has for each set the compliance of patches that give, m/Pa.
         """
         tangent = self.set_tangent(model, anchors, prediction)
-        moved = [tangent.moved(*case) for case in zip(sets, soft or [{}] * len(sets), strict=True)]
+        moved = tangent.all_moved(sets, soft or [{}] * len(sets))
         for one, known in product(moved, self._known(model) or ()):
             known.fill(one)
         return moved

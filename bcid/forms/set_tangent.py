@@ -6,16 +6,18 @@ tractions that the patches may exert, a set S that holds its patches in the mean
     K du + B_S l = -r,    B_S' (u + du) = 0,    so that    du = -K^-1 r - K^-1 B_S (B_S' K^-1 B_S)^-1 B_S' (u - K^-1 r).
 
 The products with K^-1 cost one factorisation and one block of triangular solves per step, and every set after that a small
-dense system: the dual substructuring of Farhat & Roux (Int. J. Numer. Meth. Eng. 32 (1991) 1205). A patch that springs hold
+dense system: the dual substructuring of Farhat & Roux (Int. J. Numer. Meth. Eng. 32 (1991) 1205). It is eliminated patch after
+patch, so that a set costs one patch more than the set that lacks its last one. A patch that springs hold
 yields to its tractions. Tractions are polynomials on each patch; what that leaves out of a reaction is the same with and
 without du, and only differences to the set that was followed are told.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
+from itertools import takewhile
 
 import numpy as np
 import ufl
@@ -55,11 +57,12 @@ class StepTangent:
 
 @dataclass(frozen=True)
 class _Steps:
-    """Steps as one, the step as the first axis, each traction in units of its own compliance.
+    """Steps as one, the step as the first axis, where some patches are held; each traction in units of its own compliance.
 
     Attributes:
-        compliance, apart, shown, freed: as of a `StepTangent`.
+        compliance, apart, shown, freed: as of a `StepTangent`, with what is held; of the tractions from the `first` one on.
         scale: the units, shape (steps, tractions).
+        first: number of the first traction that may still be added.
     """
 
     compliance: Array
@@ -67,10 +70,11 @@ class _Steps:
     shown: Array
     freed: Array
     scale: Array
+    first: int = 0
 
     @classmethod
     def of(cls, steps: Sequence[StepTangent]) -> _Steps:
-        """All of them."""
+        """All of them, with no patch held."""
         compliance, apart, shown, freed = (
             np.array([getattr(step, f.name) for step in steps]) for f in fields(StepTangent)
         )
@@ -80,7 +84,28 @@ class _Steps:
 
     def among(self, numbers: Sequence[int]) -> _Steps:
         """Some of them."""
-        return _Steps(*(getattr(self, f.name)[list(numbers)] for f in fields(self)))
+        some = list(numbers)
+        compliance, apart, shown = self.compliance[some], self.apart[some], self.shown[some]
+        return _Steps(compliance, apart, shown, self.freed[some], self.scale[some], self.first)
+
+    def held(self, own: NDArray[np.int64], springs: Array | None) -> _Steps:
+        """The same with a patch held besides, by its `own` tractions or by springs of a compliance; those after it are left."""
+        inside, left = slice(own[0] - self.first, own[-1] + 1 - self.first), slice(own[-1] + 1 - self.first, None)
+        block = self.compliance[:, inside, inside]
+        if springs is not None:
+            scale = self.scale[:, inside]
+            block = block + scale[:, :, None] * springs * scale[:, None, :]
+        right = np.concatenate([self.compliance[:, inside, left], self.apart[:, inside, None]], axis=2)
+        found = np.linalg.solve(block, right)
+        below, shown = self.compliance[:, left, inside] @ found, self.shown[:, :, inside] @ found
+        return _Steps(
+            self.compliance[:, left, left] - below[:, :, :-1],
+            self.apart[:, left] - below[:, :, -1],
+            self.shown[:, :, left] - shown[:, :, :-1],
+            self.freed - shown[:, :, -1],
+            self.scale[:, left],
+            int(own[-1] + 1),
+        )
 
 
 @dataclass(frozen=True)
@@ -108,44 +133,64 @@ class SetTangent:
 
         `soft` has the compliance of anchored patches that springs hold instead of a rigid anchor, m/Pa.
         """
-        result = np.zeros(self.shape)
-        result[list(self.steps)] = self._anchored(anchors, soft or {}) - self._here
+        return self.all_moved([frozenset(anchors)], [soft or {}])[0]
+
+    def all_moved(self, sets: Sequence[frozenset[str]], soft: Sequence[Mapping[str, float]]) -> list[Array]:
+        """The same of many sets, each with what is soft in it."""
+        result = [np.zeros(self.shape) for _ in sets]
+        for one, found in zip(result, self._anchored(sets, soft), strict=True):
+            one[list(self.steps)] = found - self._here
         return result
 
     @cached_property
     def _here(self) -> Array:
-        return self._anchored(self.anchors, {})
+        return self._anchored([self.anchors], [{}])[0]
 
     @cached_property
     def _stacked(self) -> _Steps:
         return _Steps.of(list(self.steps.values()))
 
-    def _anchored(self, anchors: Iterable[str], soft: Mapping[str, float]) -> Array:
-        """Movement of the fiducials with these anchors, each as long as it holds, (steps, fiducials, 3), m."""
-        sets: dict[frozenset[str], list[int]] = {}
-        for number, frame in enumerate(self.steps):
-            sets.setdefault(self.held(frozenset(anchors), frame), []).append(number)
-        result = np.zeros((len(self.steps), *self.shape[1:]))
-        for held, numbers in sets.items():
-            some = self._stacked if len(numbers) == len(self.steps) else self._stacked.among(numbers)
-            result[numbers] = self._held(some, held, soft)
+    def _anchored(self, sets: Sequence[frozenset[str]], soft: Sequence[Mapping[str, float]]) -> list[Array]:
+        """Movement of the fiducials with these anchors, each as long as it holds, each (steps, fiducials, 3), m.
+
+        Sets that begin with the same patches follow each other, so that these are held once for all of them.
+        """
+        result = [np.zeros((len(self.steps), *self.shape[1:])) for _ in sets]
+        places = list(self.tractions)
+        parts: dict[tuple[int, ...], list[tuple[list[tuple[int, float]], int]]] = {}
+        for case, (anchors, compliance) in enumerate(zip(sets, soft, strict=True)):
+            for held, numbers in self._stages(anchors).items():
+                chain = sorted((places.index(patch), compliance.get(patch, 0.0)) for patch in held)
+                parts.setdefault(numbers, []).append((chain, case))
+        for numbers, chains in parts.items():
+            steps = self._stacked if len(numbers) == len(self.steps) else self._stacked.among(numbers)
+            for case, moved in self._along(steps, sorted(chains)):
+                result[case][list(numbers)] = moved.reshape(len(moved), *self.shape[1:])
         return result
 
-    def _held(self, steps: _Steps, anchors: Iterable[str], soft: Mapping[str, float]) -> Array:
-        """Movement of the fiducials where these patches hold in some scaled steps, (steps, fiducials, 3), m."""
-        chosen = np.concatenate([np.zeros(0, np.int64), *(self.tractions[patch] for patch in sorted(anchors))])
-        moved = steps.freed
-        if len(chosen):
-            matrix = steps.compliance[:, chosen[:, None], chosen]
-            for patch, compliance in soft.items():
-                inside = np.flatnonzero(np.isin(chosen, self.tractions[patch]))
-                own = chosen[inside]
-                springs = compliance * self.areas[own[:, None], own]
-                scale = steps.scale[:, own]
-                matrix[:, inside[:, None], inside] += scale[:, :, None] * springs * scale[:, None, :]
-            held = np.linalg.solve(matrix, steps.apart[:, chosen, None])
-            moved = moved - (steps.shown[:, :, chosen] @ held)[..., 0]
-        return np.asarray(moved.reshape(len(moved), *self.shape[1:]))
+    def _stages(self, anchors: frozenset[str]) -> dict[frozenset[str], tuple[int, ...]]:
+        """Which of some anchors are held in which steps."""
+        found: dict[frozenset[str], list[int]] = {}
+        for number, frame in enumerate(self.steps):
+            found.setdefault(self.held(anchors, frame), []).append(number)
+        return {held: tuple(numbers) for held, numbers in found.items()}
+
+    def _along(
+        self, steps: _Steps, chains: Sequence[tuple[list[tuple[int, float]], int]]
+    ) -> Iterator[tuple[int, Array]]:
+        """For each chain of patches, in order, with their compliances, its case and the movement, (steps, 3 * rows), m."""
+        tractions = list(self.tractions.values())
+        path: list[tuple[int, float]] = []
+        states = [steps]
+        for chain, case in chains:
+            same = sum(1 for _ in takewhile(lambda both: both[0] == both[1], zip(path, chain, strict=False)))
+            del path[same:], states[same + 1 :]
+            for patch, compliance in chain[same:]:
+                own = tractions[patch]
+                springs = compliance * self.areas[np.ix_(own, own)] if compliance else None
+                path.append((patch, compliance))
+                states.append(states[-1].held(own, springs) if len(own) else states[-1])
+            yield case, states[-1].freed
 
 
 class SetTangents:

@@ -101,3 +101,27 @@ def test_no_compliance_is_a_rigid_anchor(predictor: Predictor) -> None:
 
 def test_nothing_moves_with_the_set_that_was_followed(predictor: Predictor) -> None:
     assert not about(predictor, Model.of(predictor.scene)).moved(ABOUT).any()
+
+
+@pytest.mark.parametrize("reach", [1e-2], indirect=True)
+def test_many_sets_are_what_each_system_of_its_own_tells(predictor: Predictor) -> None:
+    """In whatever order they are asked for, and whichever patches give."""
+    tangent = about(predictor, Model.of(predictor.scene))
+    cases = [("1 3 4", {}), ("3 4", {}), ("", {}), ("1 3 4", {"3": 1e-6}), ("1", {}), ("1 3", {"1": 1e-5}), ("1 3", {})]
+    cases += [("1 2 3 4 5 6 7 8", {"8": 1e-6}), ("8", {"8": 1e-6}), ("1 3 4", {"3": 1e-5, "4": 1e-6})]
+    found = tangent.all_moved([frozenset(names.split()) for names, _ in cases], [soft for _, soft in cases])
+
+    def alone(names: str, soft: dict[str, float], frame: int) -> NDArray[np.float64]:
+        step, own = tangent.steps[frame], [tangent.tractions[name] for name in sorted(names.split())]
+        chosen = np.concatenate([np.zeros(0, np.int64), *own])
+        springs = np.zeros_like(step.compliance)
+        for name, compliance in soft.items():
+            inside = np.ix_(tangent.tractions[name], tangent.tractions[name])
+            springs[inside] = compliance * tangent.areas[inside]
+        matrix = (step.compliance + springs)[np.ix_(chosen, chosen)]
+        return step.freed - step.shown[:, chosen] @ np.linalg.solve(matrix, step.apart[chosen])
+
+    for (names, soft), moved in zip(cases, found, strict=True):
+        for frame in tangent.steps:
+            expected = alone(names, soft, frame) - alone(" ".join(sorted(ABOUT)), {}, frame)
+            assert moved[frame].ravel() == pytest.approx(expected, abs=1e-9)
