@@ -53,7 +53,7 @@ def _finer_positions(
         few, frames = predictor.in_steps(
             [k.steps for k in known], replace(predictor.settings, rtol=_FINE_RTOL, pivots=False)
         )
-        second = few.predict(model, anchors, level, keep=True)
+        second = few.predict(model, anchors, level, keep=True, near=_in_frames(prediction, frames))
         if not second.failure:
             apart = np.full(prediction.positions.shape, np.nan)
             apart[frames] = second.positions - prediction.positions[frames]
@@ -68,3 +68,9 @@ def _finer_positions(
                 return np.asarray(prediction.positions + apart * units)
     second = predictor.predict(model, anchors, level, keep=True)
     return None if second.failure else second.positions
+
+
+def _in_frames(prediction: MeasurementPrediction, frames: NDArray[np.int64]) -> dict[int, Array]:
+    """The states that this rank has of some frames, by their numbers among these."""
+    states = {frame: state for part in prediction.parts.values() for frame, state in (part.states or {}).items()}
+    return {k: states[int(frame)] for k, frame in enumerate(frames) if int(frame) in states}

@@ -96,7 +96,7 @@ class Predictor:
         self.actions = measurement.actions
         self.numbers: NDArray[np.int64] = np.arange(len(self.data.mask))
         self.trajectories: dict[str, float] = {}
-        self._steps = sum(len(a) for a in self.actions)
+        self._lengths = {action.name: len(action) for action in self.actions}
         self._kept = KeptPredictions(self.thin)
         self._forwards: dict[tuple[int, str], Forward] = {}
         self._sensitivities: dict[tuple[int, str], Sensitivity] = {}
@@ -128,7 +128,7 @@ class Predictor:
         other.look_at(measurement)
         other.actions = measurement.actions
         other.numbers = np.arange(len(other.data.mask))
-        other._steps = sum(len(a) for a in other.actions)
+        other._lengths = {action.name: len(action) for action in other.actions}
         other._kept, other._thinned, other._about = KeptPredictions(other.thin), {}, None
         return other
 
@@ -201,12 +201,16 @@ class Predictor:
                 self._sensitivities.pop(key).destroy()
 
     def mine(self, actions: Iterable[Action]) -> list[Action]:
-        """The actions that this rank computes: the longest first, each to the rank with the least to do."""
+        """The actions that this rank computes: the longest first, each to the rank with the least to do.
+
+        A few steps of an action are computed where all of them are, for they may start from their states.
+        """
+        lengths = {action.name: self._lengths.get(action.name, len(action)) for action in actions}
         loads = [0] * self.comm.size
         chosen = []
-        for action in sorted(actions, key=lambda a: (-len(a), a.name)):
+        for action in sorted(actions, key=lambda a: (-lengths[a.name], a.name)):
             rank = loads.index(min(loads))
-            loads[rank] += len(action)
+            loads[rank] += lengths[action.name]
             if rank == self.comm.rank:
                 chosen.append(action)
         return sorted(chosen, key=lambda a: int(a.frames[0]))
@@ -218,6 +222,7 @@ class Predictor:
         level: int | None = None,
         actions: Iterable[Action] | None = None,
         keep: bool = False,
+        near: Mapping[int, Array] | None = None,
     ) -> MeasurementPrediction:
         """What the model shows with these patches anchored.
 
@@ -227,6 +232,7 @@ class Predictor:
             level: mesh level; the working level by default.
             actions: only these; all by default.
             keep: keep the states, for `sensitivities`.
+            near: states of the working level by frame, to start from on another level; see `Forward.nearly`.
         """
         actions = self.actions if actions is None else list(actions)
         level = self.level if level is None else level
@@ -236,24 +242,27 @@ class Predictor:
             known = self._recalled(
                 lambda: f"{key.level} {questions.of_model(key.model)} {sorted(key.anchors)} {key.actions} {keep}",
                 PredictionFormat(self.mine(actions), self.comm),
-                lambda: self._followed(key, actions, keep),
+                lambda: self._followed(key, actions, keep, near or {}),
             )
-            share = sum(len(a) for a in actions) / self._steps
+            share = sum(len(a) for a in actions) / sum(self._lengths.values())
             self.count("fine" if key.level else "working", share)
             self._kept.add(key, keep, known)
         return replace(known, positions=self._pictured(model, known.positions, level))
 
-    def _followed(self, key: PredictionKey, actions: list[Action], keep: bool) -> MeasurementPrediction:
+    def _followed(
+        self, key: PredictionKey, actions: list[Action], keep: bool, states: Mapping[int, Array]
+    ) -> MeasurementPrediction:
         """Prediction before effects on the picture."""
         forward = self.forward(key.model, key.level)
         forward.equilibrium.settings = self.settings
         near = self._kept.near(key)
+        begun = forward.nearly(self.forward(key.model), states) if states else None
         look = self._looking(forward) if keep and key.level == self.level else None
         positions = np.full(self.data.mask.shape, np.nan)
         parts, failure, error = {}, "", None
         for action in self.mine(actions):
             try:
-                part = forward.predict(key.anchors, [action], keep=keep, known=near.get(action.name), look=look)
+                part = forward.predict(key.anchors, [action], keep=keep, known=near.get(action.name, begun), look=look)
             except BcidError as caught:
                 error = caught
                 break

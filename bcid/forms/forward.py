@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from dolfinx import fem
 from numpy.typing import NDArray
 
 from bcid.base.collective import Comm
@@ -186,6 +187,30 @@ class Forward:
             if len(missed) and trajectories[-1].status is Status.CONVERGED:
                 break
         return Prediction(positions, tuple(trajectories), states if keep else None)
+
+    def nearly(self, other: Forward, states: Mapping[int, Array]) -> dict[int, Array]:
+        """States on another mesh of the same body as states on this one: where a prediction may start from (`known`).
+
+        None with a pressure as unknown, or where a node of this mesh is far outside of the other. Local to the process:
+        neither mesh may be shared over ranks.
+        """
+        if self.model.mixed or other.model.mixed:
+            return {}
+        target, source = self.body.displacement_space, other.body.displacement_space
+        cells = np.arange(len(self.mesh.cells), dtype=np.int32)
+        corners = other.mesh.points[other.mesh.cells]
+        reach = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
+        data = fem.create_interpolation_data(target, source, cells, padding=reach)
+        there, here = fem.Function(source), fem.Function(target)
+
+        def carried(values: Array | float) -> Array:
+            there.x.array[:] = values
+            here.interpolate_nonmatching(there, cells, data)
+            return np.array(here.x.array)
+
+        if not np.allclose(carried(1.0), 1.0):
+            return {}
+        return {frame: carried(state) for frame, state in states.items()}
 
     def detail(self, anchors: Iterable[str], actions: Sequence[Action], prediction: Prediction) -> Prediction:
         """The prediction with `wrench`, `displacement` and `energy`, from the states that it kept."""

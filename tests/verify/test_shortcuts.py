@@ -13,6 +13,8 @@ import pytest
 from mpi4py import MPI
 
 from bcid.base.progress import Silent
+from bcid.comparison.mesh_ladder import mesh_error
+from bcid.comparison.predictor import Predictor
 from bcid.exploration.moves import limits_of, moves
 from bcid.forms import effects
 from bcid.forms.force_bumps import bumps
@@ -250,3 +252,34 @@ def test_sensitivities_in_a_few_steps_tell_those_in_all(project: Path) -> None:
         known[0].fill(array)
         assert np.linalg.norm(array - every.named[name]) <= 0.02 * np.linalg.norm(every.named[name]), name
     forward.destroy()
+
+
+@pytest.mark.parametrize("body", ["slab", "gallbladder"])
+def test_states_of_a_coarse_mesh_are_carried_to_a_fine_one(project: Path, body: str) -> None:
+    """What is linear in place exactly, outside of facets that cut a round body off as well."""
+    scene = Scene.read(project / "examples" / "scenes" / f"{body}.toml", physics=check_physics)
+    coarse, fine = (Forward(scene, level, MPI.COMM_SELF, Model.of(scene)) for level in (0, 1))
+    slope = np.array([[0.1, 0.2, 0.3], [0.0, 0.1, -0.2], [0.3, 0.0, 0.1]])
+    state = np.zeros(coarse.body.unknowns)
+    state[coarse.body.displacement_dofs] = (coarse.body.nodes @ slope).ravel()
+    found = fine.nearly(coarse, {7: state})[7][fine.body.displacement_dofs]
+    assert found == pytest.approx((fine.body.nodes @ slope).ravel(), abs=1e-12)
+    coarse.destroy()
+    fine.destroy()
+
+
+def test_the_fine_mesh_is_as_far_away_wherever_it_is_begun(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From states of the working mesh, or from rest; the first with less work."""
+    scene = Scene.read(project / "examples" / "scenes" / "slab_explain.toml", physics=check_physics)
+    anchors, model = frozenset({"3", "4"}), Model.of(scene)
+    measurement = simulate(scene, anchors, motion("pull", "II"), level=0)
+    apart, iterations = [], []
+    for begun in (True, False):
+        if not begun:
+            monkeypatch.setattr(Forward, "nearly", lambda *_: {})
+        predictor = Predictor(scene, measurement, MPI.COMM_SELF)
+        apart.append(mesh_error(predictor, model, anchors, predictor.predict(model, anchors, keep=True)).correction)
+        iterations.append(predictor.forward(model, 1).equilibrium.iterations)
+        predictor.destroy()
+    assert apart[0] == pytest.approx(apart[1], abs=1e-3 * np.abs(apart[1]).max())
+    assert iterations[0] < 0.8 * iterations[1]
