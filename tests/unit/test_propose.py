@@ -6,7 +6,7 @@ import json
 import math
 import re
 import shutil
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,13 +14,18 @@ from typing import Any
 import numpy as np
 import pytest
 import runs
+from mpi4py import MPI
 
 from bcid.app.cli import main
 from bcid.base.errors import InputError, SolveError
 from bcid.base.run_folder import RunFolder
 from bcid.comparison.explain import ExplainOptions
+from bcid.comparison.predictor import Predictor
 from bcid.comparison.source import stored_effect
 from bcid.forms import effects
+from bcid.forms.mesh import level_mesh
+from bcid.forms.model import Term, check_physics
+from bcid.forms.simulate import simulate
 from bcid.inference.followed import NotFollowed
 from bcid.measurement import Measurement
 from bcid.proposal import proposal_text
@@ -34,6 +39,8 @@ from bcid.proposal.replaced_law import APART, COUPLED, ReplacedLaw
 from bcid.report import tables
 from bcid.report.found import Found
 from bcid.report.page import write_report
+from bcid.scene import Scene
+from bcid.scene.motions import motion
 from bcid.studies.beyond import beyond_case
 from bcid.studies.beyond.beyond_study import judge, rates, table
 from bcid.studies.beyond.mesh_floor import BeyondMesh, MeshFloor
@@ -233,15 +240,38 @@ def result(kind: str, **found: Any) -> dict[str, Any]:
     return {"truth": known, "found": told, "cpu_seconds": 50.0}
 
 
+def test_how_far_a_proposed_term_is_from_the_true_one(project: Path) -> None:
+    """A spot by its middle, a named patch by its nearest point; what acts everywhere is nowhere."""
+    scene = Scene.read(project / "examples" / "scenes" / "slab.toml", physics=check_physics)
+    predictor = Predictor(scene, simulate(scene, {"3"}, motion("pull", "II", steps=2), level=0), MPI.COMM_SELF, level=0)
+    mesh = level_mesh(scene, scene.levels[0])
+    middle = mesh.points[mesh.select(scene.patches["5"], "5")[0]].mean(axis=0)
+    truth = dict(zip(("cx", "cy", "cz"), map(float, middle), strict=True))
+    spot = {"cx": truth["cx"] + 0.003, "cy": truth["cy"], "cz": truth["cz"] - 0.004}
+    ball, weight = effects.effect("inclusion"), Term(effects.effect("gravity"), {"weight": 1.0})
+    values = {p.name: 1.0 for p in ball.parameters} | spot
+    # The slab is 10 mm thick.
+    far = truth | {"cy": 0.03 if truth["cy"] > 0.005 else -0.02}
+    assert beyond_case._apart(predictor, Term(ball, values), truth) == pytest.approx(0.005)
+    assert beyond_case._apart(predictor, replace(weight, place="5"), truth) == pytest.approx(0.0, abs=1e-9)
+    assert beyond_case._apart(predictor, replace(weight, place="5"), far) == pytest.approx(0.02)
+    assert beyond_case._apart(predictor, weight, truth) is None
+    predictor.destroy()
+
+
 def test_cases_are_judged_question_by_question() -> None:
-    near = {"family": "spring_at_a_spot", "values": {"cx": 0.055, "cy": 0.0, "cz": 0.04}}
+    near = {"family": "spring_at_a_spot", "apart": 0.005}
     right = judge(result("held patch", terms=[near], verdicts={"spring_at_a_spot": 0.9}))
     assert right["place"]
     assert right["kind right"]
     assert right["among likely"]
     assert right["held out"]
-    far = near | {"values": {"cx": 0.08, "cy": 0.0, "cz": 0.04}}
-    assert not judge(result("held patch", terms=[far]))["place"]
+    assert not judge(result("held patch", terms=[near | {"apart": 0.03}]))["place"]
+    # The same on a named surface is of the same kind; where it acts on all of the skin, its place is wrong.
+    named = judge(result("held patch", terms=[near | {"family": "spring", "apart": 0.0}]))
+    assert named["place"]
+    assert named["kind right"]
+    assert not judge(result("held patch", terms=[near | {"family": "spring", "apart": None}]))["place"]
     assert not judge(result("held patch"))["kind right"]
     assert not judge(result("suction", terms=[near]))["kind right"]
     assert not judge(result("gent", held_out=2.5e-4))["held out"]

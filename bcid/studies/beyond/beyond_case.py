@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from bcid.base.run_folder import write_whole
 from bcid.base.shipped import shipped
 from bcid.base.text_file import read_json
 from bcid.forms.mesh import BodyMesh, level_mesh
+from bcid.forms.mesh.closest import closest_on_triangles
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.simulate import recorded
 from bcid.inference.followed import as_far_as_followed
@@ -32,6 +33,9 @@ from bcid.studies.hidden.cases import Case
 from bcid.studies.hidden.chance import Rng, generator, log_uniform
 from bcid.studies.hidden.conditions import Conditions
 from bcid.studies.hidden.drawing import CaseChoice, draw
+
+if TYPE_CHECKING:
+    from bcid.comparison.predictor import Predictor
 
 Array = NDArray[np.float64]
 # Of the noise, m; sizes of a term of the truth in units of it; radius of its patch relative to the body.
@@ -233,6 +237,7 @@ def _proposed(scene: Scene, measurement: Measurement, known: Mapping[str, Any]) 
                     "kind": entry.family.kind,
                     "place": term.place,
                     "values": dict(term.values),
+                    "apart": None if known["term"] is None else _apart(predictor, term, known["term"]),
                 }
                 for term, entry in zip(found.terms, found.path, strict=True)
             ],
@@ -242,3 +247,16 @@ def _proposed(scene: Scene, measurement: Measurement, known: Mapping[str, Any]) 
         return told
     finally:
         predictor.destroy()
+
+
+def _apart(predictor: Predictor, term: Term, truth: Mapping[str, float]) -> float | None:
+    """Distance of where a term acts from the middle of the true one, m; None where it acts on all of the body or its skin."""
+    middle = np.array([truth[f"c{axis}"] for axis in "xyz"])
+    if "cx" in term.values:
+        return float(np.linalg.norm([term.values[f"c{axis}"] for axis in "xyz"] - middle))
+    region = predictor.scene.patches.get(term.place)
+    if region is None:
+        return None
+    mesh = level_mesh(predictor.scene, predictor.scene.levels[predictor.level])
+    triangles = mesh.points[mesh.select(region, f"patch {term.place}")]
+    return float(np.linalg.norm(closest_on_triangles(triangles, middle) - middle, axis=1).min())

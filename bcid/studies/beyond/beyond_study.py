@@ -115,15 +115,9 @@ def judge(result: Json) -> dict[str, Any]:
     right = TERMS[kind].families
     told["kind right"] = bool(terms) and terms[0]["family"] in right
     told["among likely"] = any(p > 0.05 and set(name.split("+")) & right for name, p in found["verdicts"].items())
-    told["place"] = bool(terms) and _apart(truth["term"], terms[0]["values"]) <= max(truth["term"]["radius"], PLACE)
+    apart = terms[0]["apart"] if terms else None
+    told["place"] = apart is not None and apart <= max(truth["term"]["radius"], PLACE)
     return told
-
-
-def _apart(truth: Json, values: Json) -> float:
-    """Distance of two places, m; infinite where a term has none."""
-    if "cx" not in values:
-        return float("inf")
-    return float(np.linalg.norm([truth[f"c{axis}"] - values[f"c{axis}"] for axis in "xyz"]))
 
 
 # Question, cases that it is asked of, goal.

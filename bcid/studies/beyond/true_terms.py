@@ -62,7 +62,7 @@ class TrueTerm:
 
     Attributes:
         effect: what it does.
-        families: of the grammar, that are the same kind.
+        families: of the grammar, that are the same kind: on a named surface, which the patch may lie on, or about a place.
         signs: of its amount.
     """
 
@@ -78,14 +78,15 @@ def _term(
     amounts = tuple(Amount(n, unit, "how much", neutral=0.0, scale=scale) for n in ("amount", *extra))
     symmetric = "work" not in function
     made = BodyEffect(name, (*amounts, *_WHERE), about, acts_on="boundary", symmetric=symmetric, **function)  # type: ignore[arg-type]
-    return TrueTerm(made, frozenset(families), signs)
+    found = frozenset({*families, *(f"{family}_at_a_spot" for family in families)})
+    return TrueTerm(made, found, signs)
 
 
 TERMS = {
-    "held patch": _term("held", "springs on a patch of skin", "Pa/m", 1e5, {"spring_at_a_spot"}, potential=_held),
-    "suction": _term("sucked", "a pressure on a patch of skin", "Pa", 100.0, {"pressure_at_a_spot"}, (-1.0, 1.0), work=_sucked),
-    "push": _term("pushed", "a dead traction on a patch of skin", "Pa", 100.0, {"traction_at_a_spot"}, (1.0,), ("second", "third"),
+    "held patch": _term("held", "springs on a patch of skin", "Pa/m", 1e5, {"spring"}, potential=_held),
+    "suction": _term("sucked", "a pressure on a patch of skin", "Pa", 100.0, {"pressure"}, (-1.0, 1.0), work=_sucked),
+    "push": _term("pushed", "a dead traction on a patch of skin", "Pa", 100.0, {"traction"}, (1.0,), ("second", "third"),
                   potential=_pushed),
     "stop": _term("stopped", "a patch of skin that cannot move outwards", "Pa/m", 1e5,
-                  {"outer_stop_at_a_spot", "normal_spring_at_a_spot"}, potential=_stopped),
+                  {"outer_stop", "normal_spring"}, potential=_stopped),
 }  # fmt: skip
