@@ -66,7 +66,8 @@ def _finer_positions(
             bent = max(k.fill(apart) for k in known)
             if bent < _BENT:
                 return np.asarray(prediction.positions + apart * units)
-    second = predictor.predict(model, anchors, level, keep=True)
+    near = _in_frames(prediction, np.arange(len(prediction.positions)))
+    second = predictor.predict(model, anchors, level, keep=True, near=near)
     return None if second.failure else second.positions
 
 

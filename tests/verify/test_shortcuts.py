@@ -29,6 +29,7 @@ from bcid.forms.solver.status import Status
 from bcid.inference.knots import knots_of, known_frames
 from bcid.inference.nuisances import Nuisances
 from bcid.inference.outcome import Candidate
+from bcid.measurement import Action
 from bcid.scene import Level, Scene
 from bcid.scene.motions import motion
 from bcid.search.evaluator import Evaluator
@@ -283,3 +284,15 @@ def test_the_fine_mesh_is_as_far_away_wherever_it_is_begun(project: Path, monkey
         predictor.destroy()
     assert apart[0] == pytest.approx(apart[1], abs=1e-3 * np.abs(apart[1]).max())
     assert iterations[0] < 0.8 * iterations[1]
+
+
+def test_the_fine_mesh_follows_the_branch_of_the_working_one(project: Path) -> None:
+    """A thin slab that is pulled has two stable states; followed from rest, the fine mesh ends in the other one, 84 mm away."""
+    scene = Scene.read(project / "examples" / "scenes" / "slab_hidden.toml", physics=check_physics)
+    anchors, model, steps = frozenset({"1", "6"}), Model.of(scene), np.arange(6)
+    way = steps[:, None] * np.array([2.69e-3, 0.0, 0.0])
+    pull = Action("1", steps, steps, "II", way, np.tile([1.0, 0.0, 0.0, 0.0], (6, 1)))
+    predictor = Predictor(scene, simulate(scene, anchors, [pull], level=0), MPI.COMM_SELF)
+    error = mesh_error(predictor, model, anchors, predictor.predict(model, anchors, keep=True))
+    assert np.abs(error.correction).max() < 5e-3
+    predictor.destroy()
