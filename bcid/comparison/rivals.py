@@ -245,6 +245,9 @@ def refit(state: State, row: Row, begun: Model, known: int, least: float = SEEN)
                 # Where anchors give, what is slightly wrong moves the body otherwise than where they hold.
                 start = start.with_own_errors(anew=True)
             again = fit(start, (*state.free, *term.free), most=8, ftol=_ROUGH)
+            if not again.settled and row.term.effect.shapes:
+                # One that still looks for its place is no evidence against it.
+                again = fit(again.state, again.state.free, most=_SETTLING, ftol=_ROUGH, like=again)
         except (SolveError, InputError):
             continue
         found.append(Rival.of(again, begun, known, least))

@@ -18,6 +18,7 @@ from mpi4py import MPI
 
 from bcid.base.errors import InputError
 from bcid.comparison import diagnosis_text as words
+from bcid.comparison import rivals
 from bcid.comparison.adequacy import judge
 from bcid.comparison.buckled_frames import buckled, leave_out
 from bcid.comparison.contest import GLANCE, Contest, contest, fitted_beside
@@ -366,6 +367,24 @@ def test_where_anchors_give_the_errors_are_not_those_of_a_rigid_hold(predictor: 
         found[name] = refit(state, row, state.model, 1)[0].fitted.state
     assert found["soft_anchor"].errors.mesh.about == (found["soft_anchor"].model.name, ANCHORED)
     assert found["gravity"].errors.mesh.about == (state.model.name, ANCHORED)
+
+
+def test_an_effect_that_still_looks_for_its_place_goes_on(
+    predictor: Predictor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As long as its fit has not settled it would be told as less likely than it is."""
+    calls: list[str] = []
+
+    def unsettled(start: State, names: Sequence[str], most: int, **rest: Any) -> Fit:
+        calls.append(start.model.name)
+        return replace(fit(start, names, most=1, **rest), settled=False)
+
+    monkeypatch.setattr(rivals, "fit", unsettled)
+    state = at(predictor)
+    for name in ("inclusion", "gravity"):
+        row = rank(state, [effects.effect(name)], strict=False).rows[0]
+        refit(state, replace(row, gain=-math.inf), state.model, 1)
+    assert calls == ["neo_hooke + inclusion"] * 2 + ["neo_hooke + gravity"]
 
 
 def test_an_amount_that_cannot_be_told_from_a_smaller_one_stays_near_none(slab: Scene) -> None:
