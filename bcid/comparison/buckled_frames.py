@@ -1,9 +1,9 @@
 """Where a body buckles two states exist, and imperfections choose: what follows is no evidence for or against a model.
 
 Along an action the smallest eigenvalue of the tangent falls towards zero where the body is about to buckle, and its
-eigenvector is the way in which it will. From the end of the action the state on the other side is sought: the
-deflection along that vector is reversed, and the equilibrium next to it found. If that is another one, and stable, the
-measurement may have gone either way, and the steps from the critical one on are left out.
+eigenvector is the way in which it will. From the step that has gone furthest that way (the action may lead back) the state
+on the other side is sought: the deflection along that vector is reversed, and the equilibrium next to it found. If that is
+another one, and stable, the measurement may have gone either way, and the steps from the critical one on are left out.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Buckling:
     Attributes:
         action: its name.
         step: the first step that is left out.
-        distance: largest distance of a fiducial between the two states at the end, m.
+        distance: largest distance of a fiducial between the two states where they are furthest apart, m.
         other: whether the measurement is nearer to the state that was not followed.
     """
 
@@ -50,7 +50,7 @@ class Buckling:
     def __str__(self) -> str:
         where = "near the other one" if self.other else "near the one followed"
         return (
-            f"action {self.action} buckles: two states exist, {self.distance * 1e3:.2g} mm apart at its end, and the "
+            f"action {self.action} buckles: two states exist, up to {self.distance * 1e3:.2g} mm apart, and the "
             f"measurement is {where}; its steps from {self.step} on are left out"
         )
 
@@ -116,9 +116,15 @@ class _Path:
     modes: list[Array]
 
     @property
+    def furthest(self) -> int:
+        """The step in which the body has gone furthest the way in which it is softest."""
+        mode = self.modes[int(np.argmin(self.sizes))]
+        return int(np.argmax([abs(mode @ (state - self.states[0])) for state in self.states]))
+
+    @property
     def critical(self) -> int:
-        """The step in which the body is softest."""
-        return int(np.argmin(self.sizes))
+        """The step up to there in which the body is softest."""
+        return int(np.argmin(self.sizes[: self.furthest + 1]))
 
     @property
     def smallest(self) -> float:
@@ -154,15 +160,15 @@ def _softened(
 def _of_action(
     predictor: Predictor, anchors: frozenset[str], action: Action, path: _Path, prediction: MeasurementPrediction
 ) -> Buckling | None:
-    """Whether there is another state at the end of an action that softens the body."""
-    forward, critical = path.forward, path.critical
+    """Whether there is another state in the furthest step of an action that softens the body."""
+    forward, critical, furthest = path.forward, path.critical, path.furthest
     if critical == 0:
         return None
     forward.equilibrium.hold(anchors, action.grasp)
-    last = int(action.frames[len(path.states) - 1])
-    mode, end = path.modes[critical], path.states[-1]
+    last = int(action.frames[furthest])
+    mode, end = path.modes[critical], path.states[furthest]
     bent = float(mode @ (end - path.states[critical - 1]))
-    other = stable_state(forward.equilibrium, forward.fiducials, path.poses[-1], end - 2 * bent * mode)
+    other = stable_state(forward.equilibrium, forward.fiducials, path.poses[furthest], end - 2 * bent * mode)
     if other is None:
         return None
     followed = prediction.positions[last][: len(other)]

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mpi4py import MPI
+from verify.problems import move
 
 from bcid.base.errors import InputError
 from bcid.comparison import diagnosis_text as words
@@ -38,7 +39,7 @@ from bcid.forms import effects
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.responses import Responses
-from bcid.forms.simulate import simulate
+from bcid.forms.simulate import recorded, simulate
 from bcid.forms.solver.equilibrium import Settings
 from bcid.forms.solver.status import Status
 from bcid.inference.criteria import SEEN
@@ -472,6 +473,20 @@ def test_what_follows_buckling_is_no_evidence(slab: Scene, measurement_folder: C
     assert adequacy.adequate
     assert any("two states exist" in finding.text for finding in adequacy.findings)
     assert min(row.p_value for row in rank(state, effects.catalogue(FEW)).rows) > 0.01
+    predictor.destroy()
+
+
+def test_a_body_that_buckles_on_its_way_is_seen_though_it_comes_back(
+    slab: Scene, measurement_folder: Callable[[str], Path]
+) -> None:
+    there = Measurement.read(measurement_folder("slab-34-buckles")).actions[1]
+    way = np.concatenate([there.translation, there.translation[-2::-1]])
+    unmoved = np.tile(slab.rest, (len(way), 1, 1))
+    measurement = recorded(slab, [move(way, there.grasp)], unmoved, 0.0, np.random.default_rng(0))
+    predictor = Predictor(slab, measurement, MPI.COMM_SELF, level=1)
+    (found,) = buckled(predictor, Model.of(slab), {"3", "4"})
+    assert (found.action, found.step) == ("1", 6)
+    assert found.distance > 10e-3
     predictor.destroy()
 
 
