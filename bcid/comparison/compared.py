@@ -85,7 +85,7 @@ class Compared:
         likelihood counts (the coarsened posterior of Miller & Dunson, J. Am. Stat. Assoc. 114, 2019), the noise's part of both.
         """
         state = self.full[0].fitted.state
-        power = state.noise**2 / (state.noise**2 + state.errors.mesh.rms**2) / self.full[0].evidence.left
+        power = state.noise**2 / (state.noise**2 + state.errors.mesh_rms**2) / self.full[0].evidence.left
         logs = _logs([rival.weights for rival in self.full], power)
         others = self._unfitted(logs, power)
         for hypothesis, log in _logs([*(rival.weights for rival in self.thin), self.promised], power).items():
@@ -209,4 +209,4 @@ def _most_left(rivals: Sequence[Rival]) -> Array:
     Hypotheses are compared with that: what an unknown force does on a mesh is no more exact than what a known one does, and none
     gains by being seen more exactly.
     """
-    return max((rival.fitted.state.errors.mesh for rival in rivals), key=lambda mesh: mesh.rms).left
+    return max((rival.fitted.state.errors for rival in rivals), key=lambda errors: errors.mesh_rms).mesh.left

@@ -142,8 +142,8 @@ def _alone(name: str, told: Iterable[str]) -> str:
 
 def verdict(state: State, adequacy: Adequacy, unit: float, name: str) -> list[str]:
     """Whether a model is adequate, and what the tests say."""
-    mesh = state.errors.mesh
-    known = f"{mesh.rms / unit:.2g} {name}" if mesh.known else "not known"
+    errors = state.errors
+    known = f"{errors.mesh_rms / unit:.2g} {name}" if errors.mesh.known else "not known"
     believed = state.predictor.data.stated and state.predictor.noise is None
     stated = "stated" if believed else "estimated from the measurement"
     known_so = adequacy.told is not None

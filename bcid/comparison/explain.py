@@ -138,7 +138,7 @@ class _Loop:
             return base
         if not data.stated:
             # What the mesh leaves is no more known than so: of smooth data without noise nothing would ever be doubted.
-            found = replace(found, sigma=max(found.sigma, base.errors.mesh.rms))
+            found = replace(found, sigma=max(found.sigma, base.errors.mesh_rms))
         self.predictor.believe(found)
         self.say(f"the measurement has a noise of {found.sigma * 1e3:.3g} mm")
         return State.of(self.predictor, self.model, base.anchors, base.errors.mesh, base.free, base.prediction)
@@ -350,7 +350,7 @@ class _Loop:
         verdict = f"{adequacy.word} ({p_value(adequacy.p_value)})" if adequacy.told is False else adequacy.word
         self.say(
             f"{state.model.name}, anchors {self.name(state.anchors)}: residual {state.rms * 1e3:.3g} mm, "
-            f"noise {state.noise * 1e3:.3g} mm, mesh {state.errors.mesh.rms * 1e3:.2g} mm: {verdict}"
+            f"noise {state.noise * 1e3:.3g} mm, mesh {state.errors.mesh_rms * 1e3:.2g} mm: {verdict}"
         )
         apart = rival.held_out if rival.held_out is not None else held_out(rival.fitted)
         return Rung(rival.fitted, adequacy, apart)

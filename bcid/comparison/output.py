@@ -131,7 +131,7 @@ def diagnosis_json(done: Diagnosis, unit: float) -> dict[str, Any]:
         "rough_rms": state.rough / unit,
         "nuisances": nuisance_text.to_json(state.told),
         "stiffness": stiffness.to_json() if stiffness else None,
-        "discretisation_rms": state.errors.mesh.rms / unit if state.errors.mesh.known else None,
+        "discretisation_rms": state.errors.mesh_rms / unit if state.errors.mesh.known else None,
         "held_out_rms": None if last.held_out is None else last.held_out / unit,
         "anchored": sorted(state.anchors, key=order.index),
         "verdict": verdict,

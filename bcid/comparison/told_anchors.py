@@ -40,7 +40,7 @@ def told_anchors(rivals: Sequence[Rival], odds: HypothesisOdds, best: Rival, sec
         patches=patches(odds.probabilities, names),
         rms=state.rms,
         noise=state.noise if predictor.data.stated else None,
-        discretisation=state.errors.mesh.rms if state.errors.mesh.known else None,
+        discretisation=state.errors.mesh_rms if state.errors.mesh.known else None,
         certified=False,
         evaluations=dict(enumerate(predictor.trajectories.values())),
         looked_at={"in full": len(likeliest), "stopped": 0, "failed": 0, "not": every - len(likeliest)},

@@ -130,6 +130,14 @@ class Errors:
         """The same as if some of the values (n,) had not been measured: whatever they are, they tell nothing."""
         return Errors(self.data, np.where(rows, _UNSEEN, 1.0) * self.sigma, self.mesh, self.nuisances)
 
+    @property
+    def mesh_rms(self) -> float:
+        """RMS of what may be left of the error of the mesh, of the positions that are compared, m.
+
+        Of frames that are left out, as where a body buckles and two meshes go apart, it is no measure.
+        """
+        return self.data.rms(self.data.vector(self.mesh.left))
+
     # -- columns, m
 
     def _of_actions(self, left: Array) -> Array:

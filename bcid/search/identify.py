@@ -433,7 +433,7 @@ class _Search:
         """RMS error of the model on the last level, m, or None where only one level was solved."""
         if sum(not self.evaluator.outcomes[level, nearest.candidate].failed for level in self.levels) < 2:
             return None
-        return weight.errors.mesh.rms if weight else errors[nearest.level]
+        return weight.errors.mesh_rms if weight else errors[nearest.level]
 
     def looked_at(self, level: int) -> dict[str, int]:
         """What became of all sets of patches on a level."""

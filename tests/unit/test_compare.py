@@ -187,6 +187,19 @@ def test_without_an_error_of_the_mesh_only_the_noise_scales() -> None:
     assert errors.whiten(np.full(len(data), SIGMA)) == pytest.approx(np.ones(len(data)))
 
 
+def test_of_the_error_of_the_mesh_counts_what_is_compared() -> None:
+    """Where a body buckles, and nothing is compared, two meshes may go apart by any distance."""
+    made = actions()
+    positions = rest(made)
+    positions[5:8] = np.nan
+    data, mesh = data_of(positions, made), mesh_error(made)
+    left = mesh.left.copy()
+    left[5:8] = 1.0
+    sigma = np.full(len(data), SIGMA)
+    known, apart = (Errors(data, sigma, replace(mesh, left=some)) for some in (mesh.left, left))
+    assert apart.mesh_rms == known.mesh_rms < 1e-3
+
+
 def test_an_error_of_the_measured_frame_is_shared_by_all_positions() -> None:
     """A residual that is a turn of the frame of one standard deviation is one surprise, not one for each value."""
     made = actions()

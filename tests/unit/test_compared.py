@@ -21,7 +21,7 @@ from bcid.inference.unknown_force import Evidence
 
 def rival(names: tuple[str, ...], anchors: str, evidence: float, terms: tuple[Term, ...] = ()) -> Rival:
     """A hypothesis that was compared with all steps, with so much evidence and no error of the mesh."""
-    errors = SimpleNamespace(mesh=SimpleNamespace(rms=0.0))
+    errors = SimpleNamespace(mesh_rms=0.0)
     model = SimpleNamespace(terms=terms)
     state = SimpleNamespace(anchors=frozenset(anchors), noise=1.0, errors=errors, model=model)
     return Rival(names, cast("Any", SimpleNamespace(state=state)), Evidence(evidence, evidence - 50, 1.0), 20)
