@@ -15,7 +15,7 @@ from bcid.comparison.held_out import held_out
 from bcid.comparison.hypothesis_search import HypothesisSearch, Promise
 from bcid.comparison.loosened import loosens
 from bcid.comparison.predictor import Predictor
-from bcid.comparison.rivals import FAR, WORTH, Rival, best_first, moved, promoted, refit
+from bcid.comparison.rivals import FAR, WORTH, Rival, best_first, moved, promoted, refit, with_own_mesh
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
@@ -118,11 +118,13 @@ def refitted(
     An effect is worth a fit as long as something unknown acts besides the best, and where it promises to be no more than exp(worth)
     times less likely than that, or may turn out to be.
     What an effect promises is linear in its amount, which a large one is not: each has its best set tried first, and then the one
-    that turns out best competes with itself on other sets, also where something unknown is likelier. Anchors that give or come off
-    do so at a place, which goes with the set: these are tried with each set that was looked at for them. Some effects are tried
-    first, with sets and numbers that are given.
+    that turns out best competes with itself on other sets, also where something unknown is likelier. One that loses on its best set
+    is tried on that of what it loses to. Anchors that give or come off do so at a place, which goes with the set: these are tried
+    with each set that was looked at for them. Some effects are tried first, with sets and numbers that are given. Those that may
+    be the likeliest then are compared with the error of the mesh that each has by itself.
     """
     promises = _in_turn(promises, starts_of or {})
+    promised_with = {(p.row.effect, p.anchors): p for p in promises if p.row and math.isfinite(p.row.gain)}
     rivals = [Rival.looked_at(p.look, begun, count) for p in promises if p.row is None]
     tried: set[tuple[str, Anchored | None]] = set()
     states: dict[Anchored, State] = {}
@@ -139,16 +141,17 @@ def refitted(
             continue
         tried.add(what)
         promise.look.state.predictor.progress.step("candidates refitted", len(tried) - 1, most, f"now {row.effect}")
-        # Where an effect makes another set likely it is measured by the errors of that.
-        state = states.setdefault(promise.anchors, promise.look.state).with_own_errors()
-        states[promise.anchors] = state
-        found = refit(state, row, begun, count)
+        found = _refit(states, promise, begun, count)
         if found and found[0].log < promise.log - WORTH and promise.log > best.log:
             # What breaks its promise on one set may keep it on another.
             found += moved(found[0], begun, count)
         rivals += found
-    best = best_first(rivals)[0]
+        there = promised_with.get((row.effect, best_first(rivals)[0].anchors))
+        if there and there.anchors != promise.anchors and what[1] is None:
+            rivals += _refit(states, there, begun, count)
     fitted = {effect for effect, _ in tried}
+    rivals = _with_own_mesh(rivals, begun)
+    best = best_first(rivals)[0]
     named = [rival for rival in best_first(rivals) if rival.names and rival.names[-1] in fitted]
     if named and (named[0] is best or not best.complete):
         rivals += moved(named[0], begun, count)
@@ -158,6 +161,39 @@ def refitted(
             names = [*(term.effect.name for term in promise.look.state.model.added(begun)), promise.row.effect]
             promised[Hypothesis(promise.anchors, "+".join(names))] = promise.evidence, promise.log_prior
     return Contest(best_first(rivals), promised)
+
+
+def _refit(states: dict[Anchored, State], promise: Promise, begun: Model, count: int) -> list[Rival]:
+    """A promised effect fitted, measured by the errors of the set that it makes likely; of these the `states` are kept."""
+    anchors, row = promise.anchors, promise.row
+    assert row is not None
+    states[anchors] = states.setdefault(anchors, promise.look.state).with_own_errors()
+    return refit(states[anchors], row, begun, count)
+
+
+def _with_own_mesh(rivals: Sequence[Rival], begun: Model) -> list[Rival]:
+    """Fitted effects with the error of the mesh at their own numbers: the likeliest first, until one of them does not catch up.
+
+    They were fitted by the error that the mesh has without them. On its likeliest set an effect tells what it gains on others.
+    """
+    first: dict[tuple[str, ...], Rival] = {}
+    for rival in best_first(rival for rival in rivals if rival.fitted.coordinates and rival.names):
+        first.setdefault(rival.names, rival)
+    found, most, done = list(rivals), 0.0, set()
+    for names, rival in first.items():
+        near = rival.log + most > best_first(found)[0].log - FAR
+        own = with_own_mesh(rival, begun) if near else None
+        if own is None:
+            continue
+        plain, forced = own.evidence.plain - rival.evidence.plain, own.evidence.forced - rival.evidence.forced
+        most = max(most, own.log - rival.log)
+        alike = [r.gaining(plain, forced) for r in found if r.names == names and r is not rival]
+        found = [own, *alike, *(r for r in found if r.names != names)]
+        done.add(names)
+        top = best_first(found)[0].names
+        if top != names and (top in done or top not in first):
+            break
+    return found
 
 
 def _in_turn(promises: Sequence[Promise], starts: Mapping[str, Start]) -> list[Promise]:

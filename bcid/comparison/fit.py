@@ -25,7 +25,8 @@ from bcid.inference.stiffness import Stiffness
 Array = NDArray[np.float64]
 # A step that moves no number by more than this part of its scale ends the fit.
 _XTOL = 1e-3
-_FTOL = 1e-4
+# So does one that changes chi-square by less than this part of it.
+FTOL = 1e-4
 # Step of a difference of whole trajectories, in scales; where what acts depends on the last step it jumps with every step that
 # is halved in one of them only, and the difference must be large against that.
 _STEP, _STEP_FROM_PAST = 1e-2, 0.3
@@ -303,7 +304,7 @@ def _from_past(model: Model) -> set[str]:
     return {term.full(p.name) for term in model.terms if term.effect.uses_past for p in term.effect.parameters}
 
 
-def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = _FTOL, like: Fit | None = None) -> Fit:
+def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = FTOL, like: Fit | None = None) -> Fit:
     """Fit numbers of a model to the data; collective.
 
     Amounts are those of the maximum of the posterior with the widest prior, a standard deviation of `WIDEST` notable ones about

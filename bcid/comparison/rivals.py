@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, SolveError
-from bcid.comparison.fit import Fit, fit
+from bcid.comparison.fit import FTOL, Fit, fit
 from bcid.comparison.hypothesis_search import HypothesisSearch, Look, weighed
 from bcid.comparison.loosened import loosens
 from bcid.comparison.ranking import Row, rank
@@ -88,9 +88,12 @@ class Rival:
 
     def shifted(self, log: float) -> Rival:
         """The same with so much more evidence."""
-        return replace(
-            self, evidence=replace(self.evidence, plain=self.evidence.plain + log, forced=self.evidence.forced + log)
-        )
+        return self.gaining(log, log)
+
+    def gaining(self, plain: float, forced: float) -> Rival:
+        """The same with so much more evidence without, and with an unknown force besides."""
+        evidence = replace(self.evidence, plain=self.evidence.plain + plain, forced=self.evidence.forced + forced)
+        return replace(self, evidence=evidence)
 
     def without(self, name: str) -> Rival:
         """Where to begin with the same without one of its effects: nothing was computed with that yet."""
@@ -200,17 +203,33 @@ def promoted(
             if there.log < rival.log - FAR:
                 # It has lost whatever the error of the mesh is with it.
                 return there
-        for _ in range(_REMESHED):
-            if anchors == rival.anchors and not _elsewhere(found, model):
-                break
-            model, rival = found.state.model, replace(rival, fitted=found)
-            found = fit(found.state.with_own_errors(anew=True), free, most=4, like=found)
+        found = _remeshed(found, model if anchors == rival.anchors else None)
         if not found.settled:
             # Standard errors are those at the end of a fit, and say nothing of how far that still is.
             found = fit(found.state, free, most=_SETTLING, like=found)
     except (SolveError, InputError):
         return None
     return Rival.of(found, begun, rival.known, least)
+
+
+def with_own_mesh(rival: Rival, begun: Model, least: float = SEEN) -> Rival | None:
+    """A rival with the error of the mesh at its own numbers, and fitted anew; None where that is not known."""
+    if not rival.fitted.state.errors.mesh.known:
+        return None
+    try:
+        return Rival.of(_remeshed(rival.fitted, None, _ROUGH), begun, rival.known, least)
+    except SolveError:
+        return None
+
+
+def _remeshed(found: Fit, model: Model | None, ftol: float = FTOL) -> Fit:
+    """A fit with the error of the mesh at its own numbers, where its own is that of a model with others; None is without them."""
+    for _ in range(_REMESHED):
+        if model is not None and not _elsewhere(found, model):
+            break
+        model = found.state.model
+        found = fit(found.state.with_own_errors(anew=True), found.state.free, most=4, ftol=ftol, like=found)
+    return found
 
 
 def _elsewhere(found: Fit, model: Model) -> bool:

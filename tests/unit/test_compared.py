@@ -9,8 +9,10 @@ from typing import Any, cast
 
 import pytest
 
+from bcid.base.progress import Silent
+from bcid.comparison import contest
 from bcid.comparison.compared import Compared
-from bcid.comparison.contest import _in_turn
+from bcid.comparison.contest import _in_turn, _with_own_mesh, refitted
 from bcid.comparison.diagnosis_text import _alone
 from bcid.comparison.explanation import Explanation
 from bcid.comparison.rivals import Rival
@@ -24,7 +26,8 @@ def rival(names: tuple[str, ...], anchors: str, evidence: float, terms: tuple[Te
     errors = SimpleNamespace(mesh_rms=0.0)
     model = SimpleNamespace(terms=terms)
     state = SimpleNamespace(anchors=frozenset(anchors), noise=1.0, errors=errors, model=model)
-    return Rival(names, cast("Any", SimpleNamespace(state=state)), Evidence(evidence, evidence - 50, 1.0), 20)
+    fitted = SimpleNamespace(state=state, coordinates=names)
+    return Rival(names, cast("Any", fitted), Evidence(evidence, evidence - 50, 1.0), 20)
 
 
 SOFT = (Term("soft_anchor", {"stiffness": 5e4}, place="1"),)
@@ -86,11 +89,18 @@ def test_of_an_effect_it_is_told_how_probable_it_is_whatever_else_acts() -> None
     assert Explanation("none", odds, (), nothing, (), nothing, {}, 0.0).probability == pytest.approx(0.1)
 
 
+PLAIN: Any = SimpleNamespace(terms=(), added=lambda _: [])
+
+
 def promise(anchors: str, effect: str, log: float, gain: float = 0.0, forced: float = 0.0) -> Any:
     """What sensitivities promise of an effect with a set; of the set alone without an effect."""
     evidence = SimpleNamespace(plain=0.0, forced=forced)
-    row = SimpleNamespace(effect=effect, gain=gain) if effect else None
-    return SimpleNamespace(anchors=frozenset(anchors), row=row, log=log, look=SimpleNamespace(evidence=evidence))
+    row = SimpleNamespace(effect=effect, gain=gain, term=Term("gravity", {"weight": 1.0})) if effect else None
+    predictor = SimpleNamespace(progress=Silent(), data=())
+    state = SimpleNamespace(anchors=frozenset(anchors), predictor=predictor, model=PLAIN)
+    state.with_own_errors = lambda: state
+    look = SimpleNamespace(evidence=evidence, state=state)
+    return SimpleNamespace(anchors=frozenset(anchors), row=row, log=log, look=look, evidence=log, log_prior=0.0)
 
 
 @pytest.mark.parametrize(("forced", "second"), [(200.0, ("346", "foundation")), (-5.0, ("123568", "fibres"))])
@@ -111,6 +121,67 @@ def test_what_explains_most_on_the_likeliest_set_is_fitted_second(forced: float,
     promises.insert(0, promise("123568", "foundation", 500.0, 8.0))
     turns = [("".join(sorted(p.anchors)), p.row.effect) for p in _in_turn(promises, {}) if p.row]
     assert turns[:2] == [("123568", "foundation"), ("123568", "release")]
+
+
+def test_an_effect_that_loses_is_tried_on_the_set_that_it_loses_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its sensitivities may promise most of it where it does not act."""
+    fits = {("147", "inclusion"): 310, ("127", "gradient"): 200, ("147", "gradient"): 320, ("147", "fibres"): 100}
+    asked = []
+
+    def fitted(state: Any, row: Any, *_: object) -> list[Rival]:
+        asked.append(("".join(sorted(state.anchors)), row.effect))
+        return [rival((row.effect,), asked[-1][0], fits[asked[-1]])]
+
+    monkeypatch.setattr(contest, "refit", fitted)
+    monkeypatch.setattr(contest, "moved", lambda *_: [])
+    monkeypatch.setattr(contest, "_unlikely", lambda _: 400.0)
+    monkeypatch.setattr(contest, "_with_own_mesh", lambda rivals, _: rivals)
+    promises = [
+        promise("147", "inclusion", 300.0, 90.0),
+        promise("127", "gradient", 190.0, 80.0),
+        promise("147", "fibres", 110.0, 70.0),
+        promise("127", "fibres", 90.0, 60.0),
+        promise("147", "gradient", 80.0, 50.0),
+        promise("147", "", 0.0, forced=-5.0),
+    ]
+    found = refitted(promises, PLAIN, 3, 5)
+    assert asked == [("147", "inclusion"), ("127", "gradient"), ("147", "gradient"), ("147", "fibres")]
+    assert (found.rivals[0].names, found.rivals[0].anchors) == (("gradient",), frozenset("147"))
+
+
+def test_effects_are_compared_with_the_error_of_the_mesh_that_each_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a coarse mesh that of the plain model may make a wrong one fit best."""
+    gains, asked = {"inclusion": 40.0, "gradient": 70.0, "fibres": 5.0, "swelling": 500.0}, []
+
+    def own(one: Rival, _: object) -> Rival:
+        asked.append(one.effect)
+        return one.shifted(gains[one.effect])
+
+    monkeypatch.setattr(contest, "with_own_mesh", own)
+    rivals = [
+        rival((), "12", 150),
+        rival(("inclusion",), "1", 200),
+        rival(("inclusion",), "2", 198),
+        rival(("gradient",), "1", 185),
+        rival(("fibres",), "1", 175),
+        rival(("swelling",), "1", 174),
+    ]
+    found = {(r.names[-1:], "".join(sorted(r.anchors))): r.evidence.plain for r in _with_own_mesh(rivals, PLAIN)}
+    # Beside one that does not catch up the others are not asked: they were less likely before.
+    assert asked == ["inclusion", "gradient", "fibres"]
+    assert found == {
+        ((), "12"): 150,
+        (("inclusion",), "1"): 240,
+        (("inclusion",), "2"): 238,
+        (("gradient",), "1"): 255,
+        (("fibres",), "1"): 180,
+        (("swelling",), "1"): 174,
+    }
+    # What loses by it is not compared with others that were not asked.
+    gains |= {"inclusion": -30.0, "gradient": -20.0}
+    asked.clear()
+    _with_own_mesh(rivals, PLAIN)
+    assert asked == ["inclusion", "gradient", "fibres", "swelling"]
 
 
 def test_what_cannot_be_followed_is_not_asked_for_again() -> None:
