@@ -20,6 +20,7 @@ from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
+from bcid.inference.criteria import NOTABLE
 from bcid.inference.hypotheses import Hypothesis
 
 Anchored = frozenset[str]
@@ -175,10 +176,14 @@ def _with_own_mesh(rivals: Sequence[Rival], begun: Model) -> list[Rival]:
     """Fitted effects with the error of the mesh at their own numbers: the likeliest first, until one of them does not catch up.
 
     They were fitted by the error that the mesh has without them. On its likeliest set an effect tells what it gains on others.
+    One that was fitted alone has none to catch up with. Where the mesh leaves no notable part of the noise its error changes little
+    from one to the other, and those near the likeliest are fitted to all steps with their own.
     """
     first: dict[tuple[str, ...], Rival] = {}
     for rival in best_first(rival for rival in rivals if rival.fitted.coordinates and rival.names):
         first.setdefault(rival.names, rival)
+    if len(first) < 2 or not any(_meshed(rival) for rival in first.values()):
+        return list(rivals)
     found, most, done = list(rivals), 0.0, set()
     for names, rival in first.items():
         near = rival.log + most > best_first(found)[0].log - FAR
@@ -194,6 +199,12 @@ def _with_own_mesh(rivals: Sequence[Rival], begun: Model) -> list[Rival]:
         if top != names and (top in done or top not in first):
             break
     return found
+
+
+def _meshed(rival: Rival) -> bool:
+    """Whether what the mesh leaves is a notable part of the noise."""
+    state = rival.fitted.state
+    return state.errors.mesh_rms > NOTABLE * state.noise
 
 
 def _in_turn(promises: Sequence[Promise], starts: Mapping[str, Start]) -> list[Promise]:

@@ -21,9 +21,11 @@ from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
 from bcid.inference.unknown_force import Evidence
 
 
-def rival(names: tuple[str, ...], anchors: str, evidence: float, terms: tuple[Term, ...] = ()) -> Rival:
-    """A hypothesis that was compared with all steps, with so much evidence and no error of the mesh."""
-    errors = SimpleNamespace(mesh_rms=0.0)
+def rival(
+    names: tuple[str, ...], anchors: str, evidence: float, terms: tuple[Term, ...] = (), mesh: float = 0.0
+) -> Rival:
+    """A hypothesis that was compared with all steps, with so much evidence and error of the mesh."""
+    errors = SimpleNamespace(mesh_rms=mesh)
     model = SimpleNamespace(terms=terms)
     state = SimpleNamespace(anchors=frozenset(anchors), noise=1.0, errors=errors, model=model)
     fitted = SimpleNamespace(state=state, coordinates=names)
@@ -159,12 +161,12 @@ def test_effects_are_compared_with_the_error_of_the_mesh_that_each_has(monkeypat
 
     monkeypatch.setattr(contest, "with_own_mesh", own)
     rivals = [
-        rival((), "12", 150),
-        rival(("inclusion",), "1", 200),
-        rival(("inclusion",), "2", 198),
-        rival(("gradient",), "1", 185),
-        rival(("fibres",), "1", 175),
-        rival(("swelling",), "1", 174),
+        rival((), "12", 150, mesh=0.6),
+        rival(("inclusion",), "1", 200, mesh=0.6),
+        rival(("inclusion",), "2", 198, mesh=0.6),
+        rival(("gradient",), "1", 185, mesh=0.6),
+        rival(("fibres",), "1", 175, mesh=0.6),
+        rival(("swelling",), "1", 174, mesh=0.6),
     ]
     found = {(r.names[-1:], "".join(sorted(r.anchors))): r.evidence.plain for r in _with_own_mesh(rivals, PLAIN)}
     # Beside one that does not catch up the others are not asked: they were less likely before.
@@ -182,6 +184,11 @@ def test_effects_are_compared_with_the_error_of_the_mesh_that_each_has(monkeypat
     asked.clear()
     _with_own_mesh(rivals, PLAIN)
     assert asked == ["inclusion", "gradient", "fibres", "swelling"]
+    # What is alone is not asked, nor where the mesh leaves little.
+    asked.clear()
+    _with_own_mesh(rivals[:3], PLAIN)
+    _with_own_mesh([rival((name,), "1", 100, mesh=0.4) for name in ("inclusion", "gradient")], PLAIN)
+    assert asked == []
 
 
 def test_what_cannot_be_followed_is_not_asked_for_again() -> None:
