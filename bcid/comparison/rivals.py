@@ -33,8 +33,10 @@ _CAUTION = (1.0, 0.5, 0.2)
 UNLIKELY, WORTH, FAR = 12.0, 3.0, 60.0
 # The error of the mesh is that of numbers that are no more than this part of a notable change off; it is asked for so often anew.
 _FAR_OFF, _REMESHED = 0.2, 2
-# A fit to all steps that has not come to an end goes on for so many predictions at most.
+# A fit to all steps that has not come to an end, or one of what acts about a place, goes on for so many predictions at most.
 _SETTLING = 16
+# Numbers that say about which place an effect acts.
+_PLACE = {"cx", "cy", "cz"}
 # With the numbers of the best candidate sets are searched again, so often and with so many sets at most.
 _MOVES, _WEIGHED = 4, 5
 
@@ -264,8 +266,8 @@ def refit(state: State, row: Row, begun: Model, known: int, least: float = SEEN)
                 # Where anchors give, what is slightly wrong moves the body otherwise than where they hold.
                 start = start.with_own_errors(anew=True)
             again = fit(start, (*state.free, *term.free), most=8, ftol=_ROUGH)
-            if not again.settled and row.term.effect.shapes:
-                # One that still looks for its place is no evidence against it.
+            if not again.settled and {p.name for p in row.term.effect.shapes} >= _PLACE:
+                # What still looks for its place is not as unlikely as it seems.
                 again = fit(again.state, again.state.free, most=_SETTLING, ftol=_ROUGH, like=again)
         except (SolveError, InputError):
             continue
