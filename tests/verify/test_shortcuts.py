@@ -287,11 +287,11 @@ def test_the_fine_mesh_is_as_far_away_wherever_it_is_begun(project: Path, monkey
 
 
 def test_the_fine_mesh_follows_the_branch_of_the_working_one(project: Path) -> None:
-    """A thin slab that is pulled has two stable states; followed from rest, the fine mesh ends in the other one, 84 mm away."""
+    """A thin slab that is pulled has two stable states; from rest the fine mesh ends in the other one, 50 mm away."""
     scene = Scene.read(project / "examples" / "scenes" / "slab_hidden.toml", physics=check_physics)
-    anchors, model, steps = frozenset({"1", "6"}), Model.of(scene), np.arange(6)
+    anchors, model, steps = frozenset({"1", "6"}), Model.of(scene), np.arange(5)
     way = steps[:, None] * np.array([2.69e-3, 0.0, 0.0])
-    pull = Action("1", steps, steps, "II", way, np.tile([1.0, 0.0, 0.0, 0.0], (6, 1)))
+    pull = Action("1", steps, steps, "II", way, np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)))
     predictor = Predictor(scene, simulate(scene, anchors, [pull], level=0), MPI.COMM_SELF)
     error = mesh_error(predictor, model, anchors, predictor.predict(model, anchors, keep=True))
     assert np.abs(error.correction).max() < 5e-3
