@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from bcid.comparison.fit import WIDEST, Coordinate, columns, coordinates
 from bcid.comparison.state import State
+from bcid.comparison.variants import CYCLES
 from bcid.forms.model import Model, Term
 from bcid.inference.criteria import SEEN
 from bcid.inference.evidence import Numbers
@@ -155,6 +156,10 @@ def _width(c: Coordinate, value: float, state: State) -> float:
         return p.prior[1]
     if p.period is not None:
         return p.period / math.sqrt(12)
+    if p.off is not None:
+        # A period: uniform in the cycles per measurement over those that are tried.
+        cycle = value**2 / float(np.max(state.predictor.times))
+        return cycle * float(np.ptp(CYCLES)) / math.sqrt(12)
     if p.within:
         low, high = state.room(p.within)
         return (high - low) / math.sqrt(12)

@@ -22,8 +22,8 @@ from bcid.forms.probes import Probe, Wanted
 Array = NDArray[np.float64]
 # Directions are scanned in steps of this size, in degrees, centres of inclusions at so many places, in radii of these sizes.
 _DEGREES = 5.0
-# Periods are tried in cycles per measurement, from, to and in steps of, with every fourth of the directions.
-_CYCLES, _COARSER = (1.0, 8.0, 0.15), 4
+# Periods are tried in cycles per measurement, from and to, in steps of, with every fourth of the directions.
+CYCLES, _CYCLE, _COARSER = (1.0, 8.0), 0.15, 4
 _PLACES = 120
 _RADII = (0.1, 0.17, 0.28)
 # Times that are off are tried in so many notable ones, in either direction.
@@ -208,7 +208,7 @@ def _all_periods(state: State, steady: Variant, period: Parameter) -> list[Varia
     times, frames = np.unique(state.predictor.times, return_inverse=True)
     found = []
     # Two frequencies are told apart when they are out of step at the end.
-    for cycles in np.arange(_CYCLES[0], _CYCLES[1], _CYCLES[2]) if np.ptp(times) > 0 else ():
+    for cycles in np.arange(*CYCLES, _CYCLE) if np.ptp(times) > 0 else ():
         term = steady.term.with_values({period.name: float(times.max() / cycles)})
         share = np.array(
             [[effect.slopes(p.name, float(t), term.values).get(p.name, 0.0) for p in effect.amounts] for t in times]

@@ -21,7 +21,7 @@ from bcid.comparison.fit import WIDEST, Coordinate, Fit, _covariance, fit
 from bcid.comparison.held_out import held_out
 from bcid.comparison.kept_predictions import MeasurementPrediction
 from bcid.comparison.law_form import LawForm
-from bcid.comparison.priors import of_state
+from bcid.comparison.priors import _width, of_state
 from bcid.comparison.ranking import _bounded, rank
 from bcid.comparison.state import State
 from bcid.comparison.variants import Variant, _harmonics
@@ -722,6 +722,17 @@ def test_an_effect_that_comes_and_goes_shows_its_period() -> None:
     (row,) = rank(state, [effect]).rows
     assert row.term.values["period"] == pytest.approx(period, rel=0.05)
     assert row.term.values["amplitude"] == pytest.approx(800.0, rel=0.1)
+
+
+def test_a_period_may_be_any_of_those_that_are_tried() -> None:
+    """As probable about one as about another that has as many cycles more or less, and one of seven cycles in all."""
+    state: Any = SimpleNamespace(predictor=SimpleNamespace(times=np.linspace(0.0, 130.0, 14)))
+    period = next(p for p in effects.effect("active_stress").parameters if p.off is not None)
+    number = Coordinate.of_parameter("active_stress.period", period)
+    for cycles in (1.5, 2.6, 7.0):
+        there, a_little_more = 130.0 / cycles, 130.0 / (cycles + 1e-6)
+        width = _width(number, there, state)
+        assert (there - a_little_more) / width == pytest.approx(1e-6 / (7.0 / math.sqrt(12)), rel=1e-4)
 
 
 # -- the verdict
