@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -12,7 +13,6 @@ from bcid.base.errors import MachineError
 from bcid.comparison import checkpoint
 from bcid.comparison.kept_predictions import MeasurementPrediction, PredictionKey
 from bcid.comparison.predictor import Predictor
-from bcid.measurement import Action
 from benchmarks.reliability import disk, resumed
 
 # Of the steps of the explanation, so many are there when it is killed.
@@ -29,9 +29,9 @@ def followed() -> Iterator[list[str]]:
     """The models that predictors have followed in this process."""
     found, follow = list[str](), Predictor._followed
 
-    def noted(self: Predictor, key: PredictionKey, actions: list[Action], keep: bool) -> MeasurementPrediction:
+    def noted(self: Predictor, key: PredictionKey, *rest: Any) -> MeasurementPrediction:
         found.append(key.model.name)
-        return follow(self, key, actions, keep)
+        return follow(self, key, *rest)
 
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(Predictor, "_followed", noted)
