@@ -192,6 +192,11 @@ class Evaluator:
             self._positions |= {(level, candidate): predicted for candidate, predicted in predictions.items()}
         for outcome in found:
             self._add(outcome)
+        # Whatever the number of ranks, one prediction is kept on a level: that of the best set.
+        whole = (o for (at, _), o in self.outcomes.items() if at == level and o.complete)
+        best = min(whole, key=lambda o: o.chi2, default=None)
+        if level in self._kept and (best is None or self._kept[level][1] != best.candidate):
+            del self._kept[level]
         if self.keep is not None and found:
             self.keep(found)
 
@@ -263,17 +268,23 @@ class Evaluator:
 
     def predict(self, level: int, candidate: Candidate) -> Prediction:
         """Full prediction of one candidate, with fields; collective. The best of each level is kept, others are computed again."""
-        forward = self.forward(level)
-        kept = self._kept.get(level)
-        mine = kept[2] if kept is not None and kept[1] == candidate else None
-        holders = [rank for rank, has in enumerate(self.comm.allgather(mine is not None)) if has]
-        root = holders[0] if holders else 0
+        forward, holder = self.forward(level), self._holder(level, candidate)
+        root = 0 if holder is None else holder
+        mine: Prediction | None = None
         if self.comm.rank // forward.comm.size == root // forward.comm.size:
-            if mine is None:
+            if holder is None:
                 *_, mine = self._passes(forward, candidate)
+            else:
+                mine = self._kept[level][2]
             mine = replace(forward.detail(candidate, self.actions, mine), states=None)
         result: Prediction = self.comm.bcast(mine, root=root)
         return result
+
+    def _holder(self, level: int, candidate: Candidate) -> int | None:
+        """The first rank that keeps the prediction of a candidate; None where none does. Collective."""
+        kept = self._kept.get(level)
+        holds = self.comm.allgather(kept is not None and kept[1] == candidate)
+        return holds.index(True) if any(holds) else None
 
     def _passes(self, forward: Forward, candidate: Candidate, watch: Watch | None = None) -> Iterator[Prediction]:
         """The prediction of a candidate, first rough, then accurate from there; collective on the team.
@@ -298,24 +309,23 @@ class Evaluator:
 
         Ranks must not share the level's mesh (see `together`).
         """
-        forward, kept = self.forward(level), self._kept.get(level)
+        forward = self.forward(level)
+        holders = {candidate: self._holder(level, candidate) for candidate in candidates}
         mine: dict[Candidate, T] = {}
         error: BcidError | None = None
         tickets = counter(self.comm)
-        for candidate in share(candidates, tickets):
-            try:
-                if kept is not None and kept[1] == candidate:
-                    prediction = kept[2]
-                else:
-                    *_, prediction = self._passes(forward, candidate)
+        try:
+            for candidate in (c for c, holder in holders.items() if holder == self.comm.rank):
+                mine[candidate] = work(forward, candidate, self._kept[level][2])
+            for candidate in share([c for c, holder in holders.items() if holder is None], tickets):
+                *_, prediction = self._passes(forward, candidate)
                 mine[candidate] = work(forward, candidate, prediction)
-            except (BcidError, MemoryError) as caught:
-                error = caught if isinstance(caught, BcidError) else MachineError(SHORT_OF_MEMORY)
-                break
+        except (BcidError, MemoryError) as caught:
+            error = caught if isinstance(caught, BcidError) else MachineError(SHORT_OF_MEMORY)
         tickets.close()
         agree(self.comm, error)
         found = {candidate: made for part in self.comm.allgather(mine) for candidate, made in part.items()}
-        self._again[level] = self._again.get(level, 0) + len(found)
+        self._again[level] = self._again.get(level, 0) + sum(holder is None for holder in holders.values())
         return {candidate: found[candidate] for candidate in candidates}
 
     def positions(self, level: int, candidate: Candidate) -> Array:
