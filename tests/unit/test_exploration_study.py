@@ -106,12 +106,10 @@ def test_a_study_that_was_stopped_goes_on(tmp_path: Path, coarse_scene: Path) ->
     kept = [file.read_text(encoding="utf-8") for file in files]
     record = json.loads((tmp_path / "study/run.json").read_text(encoding="utf-8"))
     (tmp_path / "study/run.json").write_text(json.dumps(sealed(record | {"state": "running"})), encoding="utf-8")
-    for file in files[:3]:
-        file.unlink()
+    files[0].unlink()
     again = run()
-    assert [file.read_text(encoding="utf-8") for file in files[3:]] == kept[3:]
-    for file, text in zip(files[:3], kept[:3], strict=True):
-        assert without_time(json.loads(file.read_text(encoding="utf-8"))) == without_time(json.loads(text))
+    assert [file.read_text(encoding="utf-8") for file in files[1:]] == kept[1:]
+    assert without_time(json.loads(files[0].read_text(encoding="utf-8"))) == without_time(json.loads(kept[0]))
     assert again["calibration"] == whole["calibration"]
     assert sum(row["right"] for row in whole["rows"]) > 3
     heavy = next(row for row in whole["hidden"] if row["hidden"] == "gravity")

@@ -130,7 +130,8 @@ def test_the_way_back_is_not_computed_and_the_same(coarse_scene: Path) -> None:
     action = moves(scene)[0].action(scene.limits)
     half = predicted(predictor.forward(), frozenset("34"), action, detailed=True)
     whole = predictor.forward().predict("34", [action]).positions
-    np.testing.assert_allclose(half.positions, whole, atol=1e-8)
+    # As accurate as pulls are predicted; a frame that is not its own lies 2 mm away.
+    np.testing.assert_allclose(half.positions, whole, atol=1e-6)
     # The force that the forward model reports at the end of the pull, and strains that are neither zero nor absurd.
     kept = predictor.forward().predict("34", [action], keep=True)
     wrench = predictor.forward().detail("34", [action], kept).wrench

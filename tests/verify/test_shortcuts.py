@@ -15,7 +15,10 @@ from mpi4py import MPI
 from bcid.base.progress import Silent
 from bcid.comparison.mesh_ladder import mesh_error
 from bcid.comparison.predictor import Predictor
+from bcid.exploration import predictions
 from bcid.exploration.moves import limits_of, moves
+from bcid.exploration.predictions import PullPredictor
+from bcid.exploration.pull_prediction import PullPrediction
 from bcid.forms import effects
 from bcid.forms.force_bumps import bumps
 from bcid.forms.forward import Forward
@@ -199,6 +202,25 @@ def test_giving_up_bodies_that_are_inside_out_changes_nothing(
     assert one.factorisations <= (1.0 if followed else 0.7) * other.factorisations
     assert bool(one.halvings) or not followed
     forward.destroy()
+
+
+def test_pulls_to_choose_from_are_predicted_well_enough(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene.read(project / "examples" / "scenes" / "slab_explain.toml", physics=check_physics)
+    scene = replace(scene, levels=(Level(2, 0.03),))
+    pulls = [move.action(limits_of(scene)) for move in moves(scene) if move.grasp == "II"]
+    tasks = [(frozenset(anchors), pull) for anchors in ("12", "136") for pull in pulls]
+
+    def detailed() -> list[PullPrediction]:
+        return PullPredictor(scene, 0, MPI.COMM_SELF).predict(tasks, detailed=True)
+
+    found = detailed()
+    monkeypatch.setattr(predictions, "_ACCURACY", 1e-10)
+    for one, exact in zip(found, detailed(), strict=True):
+        assert one.failed == exact.failed
+        assert np.allclose(one.positions, exact.positions, rtol=0, atol=1e-6, equal_nan=True)
+        if not exact.failed:
+            assert one.force == pytest.approx(exact.force, rel=1e-3)
+            assert one.eigenvalue == pytest.approx(exact.eigenvalue, abs=1e-3)
 
 
 # -- what remembers
