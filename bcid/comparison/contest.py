@@ -117,7 +117,7 @@ def refitted(
     """The models alone, and the most promising of `count` effects with their sets fitted; collective.
 
     An effect is worth a fit as long as something unknown acts besides the best, and where it promises to be no more than exp(worth)
-    times less likely than that, or may turn out to be.
+    times less likely than that, or may turn out to be: by as much as the best did better than it promised, any may.
     What an effect promises is linear in its amount, which a large one is not: each has its best set tried first, and then the one
     that turns out best competes with itself on other sets, also where something unknown is likelier. One that loses on its best set
     is tried on that of what it loses to. Anchors that give or come off do so at a place, which goes with the set: these are tried
@@ -129,6 +129,7 @@ def refitted(
     rivals = [Rival.looked_at(p.look, begun, count) for p in promises if p.row is None]
     tried: set[tuple[str, Anchored | None]] = set()
     states: dict[Anchored, State] = {}
+    hoped: dict[str, float] = {}
     for promise in promises:
         row, best = promise.row, best_first(rivals)[0]
         if row is None:
@@ -138,9 +139,11 @@ def refitted(
             continue
         # What has a start is fitted whatever explains all before it: it may do so with fewer numbers.
         started = row.effect in (starts_of or {})
-        if not started and best.complete and promise.log < best.log - max(_unlikely(promise), worth):
+        better = max(best.log - hoped.get(best.names[-1], best.log), 0.0) if best.names else 0.0
+        if not started and best.complete and promise.log < best.log - better - max(_unlikely(promise), worth):
             continue
         tried.add(what)
+        hoped.setdefault(row.effect, promise.log)
         promise.look.state.predictor.progress.step("candidates refitted", len(tried) - 1, most, f"now {row.effect}")
         found = _refit(states, promise, begun, count)
         if found and found[0].log < promise.log - WORTH and promise.log > best.log:

@@ -151,6 +151,30 @@ def test_an_effect_that_loses_is_tried_on_the_set_that_it_loses_to(monkeypatch: 
     assert (found.rivals[0].names, found.rivals[0].anchors) == (("gradient",), frozenset("147"))
 
 
+def test_what_promised_as_much_may_do_better_than_it_promised_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What promises less than the best did by more than it was off is not fitted."""
+    fits = {"compressibility": 320, "viscosity": 330, "fibres": 100}
+    asked = []
+
+    def fitted(_: Any, row: Any, *__: object) -> list[Rival]:
+        asked.append(row.effect)
+        return [rival((row.effect,), "7", fits[row.effect])]
+
+    monkeypatch.setattr(contest, "refit", fitted)
+    monkeypatch.setattr(contest, "moved", lambda *_: [])
+    monkeypatch.setattr(contest, "_unlikely", lambda _: 3.0)
+    monkeypatch.setattr(contest, "_with_own_mesh", lambda rivals, _: rivals)
+    promises = [
+        promise("7", "compressibility", 300.0, 33.0),
+        promise("7", "viscosity", 298.0, 31.0),
+        promise("7", "fibres", 260.0, 3.0),
+        promise("7", "", 0.0, forced=-5.0),
+    ]
+    found = refitted(promises, PLAIN, 3, 5)
+    assert asked == ["compressibility", "viscosity"]
+    assert found.rivals[0].names == ("viscosity",)
+
+
 def test_effects_are_compared_with_the_error_of_the_mesh_that_each_has(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a coarse mesh that of the plain model may make a wrong one fit best."""
     gains, asked = {"inclusion": 40.0, "gradient": 70.0, "fibres": 5.0, "swelling": 500.0}, []
