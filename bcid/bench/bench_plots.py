@@ -91,9 +91,8 @@ def mesh_growth(figure: Any, found: Sequence[Mapping[str, Any]], fitted: Mapping
     right.plot([r["unknowns"] for r in found], [r["rss_mb"] for r in found], "-", color=GREY, lw=1)
     right.plot(x, y, "o", color=BLUE, ms=4, label="direct")
     if other:
-        right.plot(
-            [r["unknowns"] for r in other], [r["rss_mb"] for r in other], "o", color=BLUE, mfc="none", label="gamg"
-        )
+        x, y = [r["unknowns"] for r in other], [r["rss_mb"] for r in other]
+        right.plot(x, y, "o", color=BLUE, mfc="none", label="multigrid")
     right.set_ylabel("memory of the process, MB")
     handles, labels = left.get_legend_handles_labels()
     figure.legend(handles, labels, frameon=False, fontsize=8, ncols=3, loc="outside lower center")
@@ -132,37 +131,36 @@ def rank_growth(figure: Any, seconds: Mapping[int, float]) -> None:
 
 @drawing
 def patch_growth(figure: Any, found: Sequence[Mapping[str, Any]]) -> None:
-    """Sets looked at, trajectories and CPU seconds over the number of patches, with fitted exponents."""
+    """Sets looked at, trajectories and CPU seconds over the number of patches."""
     ax = figure.subplots()
     patches = [r["patches"] for r in found]
-    for key, words, colour in (("sets", "sets", GREY), ("trajectories", "trajectories", BLUE), ("cpu_s", "CPU s", RED)):
-        values = [r[key] for r in found]
-        exponent, factor = slope(patches, values)
-        ax.plot(patches, values, "o", color=colour, ms=5)
-        ax.plot(
-            patches,
-            [factor * n**exponent for n in patches],
-            color=colour,
-            lw=1,
-            label=f"{words}, n$^{{{exponent:.2f}}}$",
-        )
+    shown = ("sets", "sets looked at", GREY), ("trajectories", "trajectories", BLUE), ("cpu_s", "CPU seconds", RED)
+    for key, words, colour in shown:
+        ax.plot(patches, [r[key] for r in found], "o-", color=colour, ms=5, lw=1, label=words)
     ax.set_xscale("log")
     ax.set_yscale("log")
     ax.set_xticks(patches, [str(n) for n in patches])
     ax.minorticks_off()
-    ax.set_xlabel("patches n")
+    ax.set_xlabel("patches")
+    ax.set_ylabel("of one climb")
     ax.grid(alpha=0.25, lw=0.5)
     ax.legend(frameon=False, fontsize=8)
 
 
 @drawing
-def replay_growth(figure: Any, curves: Mapping[str, Mapping[int, float]], wanted: float) -> None:
-    """Efficiency over the number of ranks."""
+def replay_growth(
+    figure: Any,
+    curves: Mapping[str, Mapping[int, float]],
+    possible: Mapping[str, Mapping[int, float]],
+    wanted: tuple[int, float],
+) -> None:
+    """Efficiency over the number of ranks, with what is possible, and what is wanted on how many ranks."""
     ax = figure.subplots()
     for (name, curve), colour in zip(curves.items(), (BLUE, GREEN), strict=False):
-        ax.plot(list(curve), list(curve.values()), "o-", color=colour, ms=4, lw=1, label=name)
-        ranks = list(curve)
-    ax.axhline(wanted, color=ORANGE, ls="--", lw=1, label=f"{wanted:g}")
+        ranks, most = list(curve), possible[name]
+        ax.plot(ranks, list(curve.values()), "o-", color=colour, ms=4, lw=1, label=name)
+        ax.plot(list(most), list(most.values()), ":", color=colour, lw=1, label="at most possible")
+    ax.plot(*wanted, "D", color=ORANGE, ms=5, label=f"goal on {wanted[0]} ranks")
     ax.set_xscale("log", base=2)
     ax.set_xticks(ranks, [str(n) for n in ranks])
     ax.set_ylim(0.0, 1.05)

@@ -22,7 +22,7 @@ EFFICIENT = 0.85
 # Wanted: a step of the largest mesh (CPU s), its memory (MB), the exponent of a step with the direct solver, and the
 # efficiency of an identification replayed on 16 ranks.
 LARGE_STEP, LARGE_MEMORY, STEP_EXPONENT, REPLAYED_EFFICIENT = 15.0, 3000.0, 1.25, 0.7
-REPLAYED = (1, 2, 16, 64, 256, 1024)
+REPLAYED, AT = (1, 2, 16, 64, 256, 1024), 16
 # Sets of 12 patches, and what taking one from the counter is charged with, s.
 MANY, LATENCY = 4096, 20e-6
 # Halvings of the slab's eight patches, and elements (mm) with which every piece has facets.
@@ -62,9 +62,7 @@ def by_mesh(session: Session, part: Part) -> None:
         found.append(_completed(session.run("bcid_growth", along, across, steps), fastest))
     part.data["mesh"] = {"bandwidth": speed, "found": found}
     part.tables += [_mesh_table(found), _limit_table(found, speed), _exponents(found)]
-    part.notes.append(
-        "step: CPU seconds per load step, everything counted; the largest mesh is solved with multigrid (gamg)"
-    )
+    part.notes.append("step: CPU seconds per load step, everything counted; the largest mesh is solved with multigrid")
     part.goals += _mesh_goals(session, found)
     mesh_growth(session.folder / "growth-mesh.png", found, FITTED, part, size=(8.0, 4.2))
 
@@ -108,7 +106,7 @@ def _mesh_table(found: list[Record]) -> BenchTable:
     rows = []
     for r in found:
         parts = [number(r[key]) if key in r else "-" for key in ("factor_s", "triangular_s", "residual_s")]
-        solver = "CHOLMOD" if r["direct"] else "gamg"
+        solver = "CHOLMOD" if r["direct"] else "multigrid"
         rows.append(
             [
                 str(r["unknowns"]),
@@ -258,6 +256,7 @@ def _replay(session: Session, part: Part, batches: list[list[float]]) -> None:
     drawn = np.random.default_rng(0).choice(longest, size=MANY).tolist()
     jobs: dict[str, list[Any]] = {"identification, 8 patches": batches, "all sets of 12 patches": [drawn]}
     curves: dict[str, dict[int, float]] = {}
+    possible = {name: {ranks: most_efficient(work, ranks) for ranks in REPLAYED} for name, work in jobs.items()}
     rows = []
     for name, work in jobs.items():
         curves[name] = {}
@@ -265,10 +264,10 @@ def _replay(session: Session, part: Part, batches: list[list[float]]) -> None:
             runs = [replay(batch, ranks, LATENCY) for batch in work]
             took, busy = (sum(values) for values in zip(*runs, strict=True))
             curves[name][ranks] = busy / (ranks * took)
-            values = [took, busy / took, curves[name][ranks], most_efficient(work, ranks)]
+            values = [took, busy / took, curves[name][ranks], possible[name][ranks]]
             rows.append([name, str(ranks), *map(number, values)])
-    reached = curves["identification, 8 patches"][16]
-    part.goals.append(Goal("efficiency of an identification replayed on 16 ranks", REPLAYED_EFFICIENT, reached))
+    reached = curves["identification, 8 patches"][AT]
+    part.goals.append(Goal(f"efficiency of an identification replayed on {AT} ranks", REPLAYED_EFFICIENT, reached))
     tasks = [len(batch) for batch in batches]
     part.data["replay"] = {"efficiency": curves, "batches": tasks, "latency_s": LATENCY}
     part.tables.append(BenchTable("replay: measured durations, dealt out to more ranks", REPLAY_COLUMNS, rows))
@@ -276,4 +275,5 @@ def _replay(session: Session, part: Part, batches: list[list[float]]) -> None:
         f"replay: the identification has {len(tasks)} batches of {min(tasks)} to {max(tasks)} sets, and each waits for its "
         f"longest; the {MANY} durations of 12 patches are drawn from those of its largest batch"
     )
-    replay_growth(session.folder / "growth-replay.png", curves, EFFICIENT, part, size=(4.6, 3.6))
+    wanted = AT, REPLAYED_EFFICIENT
+    replay_growth(session.folder / "growth-replay.png", curves, possible, wanted, part, size=(4.6, 3.6))
