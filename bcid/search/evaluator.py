@@ -193,22 +193,22 @@ class Evaluator:
         for outcome in found:
             self._add(outcome)
         # Whatever the number of ranks, one prediction is kept on a level: that of the best set.
-        whole = (o for (at, _), o in self.outcomes.items() if at == level and o.complete)
-        best = min(whole, key=lambda o: o.chi2, default=None)
-        if level in self._kept and (best is None or self._kept[level][1] != best.candidate):
-            del self._kept[level]
+        best = self._best(level)
+        if best is None or self._kept.get(level, (0.0, None))[1] != best.candidate:
+            self._kept.pop(level, None)
         if self.keep is not None and found:
             self.keep(found)
 
     def _report(self, level: int, mine: list[Outcome], total: int) -> None:
         """How far this level is, as far as this rank can tell before the batch is shared."""
-        here = [o for (at, _), o in self.outcomes.items() if at == level] + mine
-        good = [o for o in here if o.complete]
-        note = ""
-        if good:
-            best = min(good, key=lambda o: o.chi2)
-            note = f"best so far {label(best.candidate, self.patches)} with {best.rms * 1e3:.3g} mm"
-        self.progress.step(f"level {level}: anchor sets", len(here), total, note)
+        done, best = sum(at == level for at, _ in self.outcomes) + len(mine), self._best(level, mine)
+        note = f"best so far {label(best.candidate, self.patches)} with {best.rms * 1e3:.3g} mm" if best else ""
+        self.progress.step(f"level {level}: anchor sets", done, total, note)
+
+    def _best(self, level: int, also: Sequence[Outcome] = ()) -> Outcome | None:
+        """What fits best of all that was compared in full on a level, and of others."""
+        here = [o for (at, _), o in self.outcomes.items() if at == level]
+        return min((o for o in [*here, *also] if o.complete), key=lambda o: o.chi2, default=None)
 
     @staticmethod
     def _enough(outcome: Outcome | None, bound: float) -> bool:
@@ -268,7 +268,7 @@ class Evaluator:
 
     def predict(self, level: int, candidate: Candidate) -> Prediction:
         """Full prediction of one candidate, with fields; collective. The best of each level is kept, others are computed again."""
-        forward, holder = self.forward(level), self._holder(level, candidate)
+        forward, holder = self.forward(level), self._holders(level).get(candidate)
         root = 0 if holder is None else holder
         mine: Prediction | None = None
         if self.comm.rank // forward.comm.size == root // forward.comm.size:
@@ -280,11 +280,11 @@ class Evaluator:
         result: Prediction = self.comm.bcast(mine, root=root)
         return result
 
-    def _holder(self, level: int, candidate: Candidate) -> int | None:
-        """The first rank that keeps the prediction of a candidate; None where none does. Collective."""
-        kept = self._kept.get(level)
-        holds = self.comm.allgather(kept is not None and kept[1] == candidate)
-        return holds.index(True) if any(holds) else None
+    def _holders(self, level: int) -> dict[Candidate, int]:
+        """The candidates whose predictions are kept, each with the first rank that has it; collective."""
+        mine = self._kept[level][1] if level in self._kept else None
+        kept: list[Candidate | None] = self.comm.allgather(mine)
+        return {candidate: kept.index(candidate) for candidate in kept if candidate is not None}
 
     def _passes(self, forward: Forward, candidate: Candidate, watch: Watch | None = None) -> Iterator[Prediction]:
         """The prediction of a candidate, first rough, then accurate from there; collective on the team.
@@ -309,15 +309,16 @@ class Evaluator:
 
         Ranks must not share the level's mesh (see `together`).
         """
-        forward = self.forward(level)
-        holders = {candidate: self._holder(level, candidate) for candidate in candidates}
+        forward, holders = self.forward(level), self._holders(level)
+        kept = [c for c in candidates if holders.get(c) == self.comm.rank]
+        others = [c for c in candidates if c not in holders]
         mine: dict[Candidate, T] = {}
         error: BcidError | None = None
         tickets = counter(self.comm)
         try:
-            for candidate in (c for c, holder in holders.items() if holder == self.comm.rank):
+            for candidate in kept:
                 mine[candidate] = work(forward, candidate, self._kept[level][2])
-            for candidate in share([c for c, holder in holders.items() if holder is None], tickets):
+            for candidate in share(others, tickets):
                 *_, prediction = self._passes(forward, candidate)
                 mine[candidate] = work(forward, candidate, prediction)
         except (BcidError, MemoryError) as caught:
@@ -325,7 +326,7 @@ class Evaluator:
         tickets.close()
         agree(self.comm, error)
         found = {candidate: made for part in self.comm.allgather(mine) for candidate, made in part.items()}
-        self._again[level] = self._again.get(level, 0) + sum(holder is None for holder in holders.values())
+        self._again[level] = self._again.get(level, 0) + len(others)
         return {candidate: found[candidate] for candidate in candidates}
 
     def positions(self, level: int, candidate: Candidate) -> Array:

@@ -306,13 +306,15 @@ def test_teams_share_a_mesh_and_the_candidates(slab: Scene, measured: Any) -> No
     assert same_everywhere(together)
 
 
-def test_the_best_prediction_is_kept_by_one_rank_and_not_made_again(slab: Scene, measured: Any) -> None:
+def test_the_best_prediction_is_kept_by_one_rank_and_not_made_again(
+    slab: Scene, measured: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     best, other = frozenset("34"), frozenset("3")
     evaluator = Evaluator(slab, WORLD.bcast(measured, root=0), WORLD)
     evaluator.evaluate(0, dict.fromkeys([best, other, frozenset("1"), frozenset("347")], math.inf))
     followed: list[Any] = []
     passes = evaluator._passes
-    evaluator._passes = lambda forward, *args: followed.append(args[0]) or passes(forward, *args)  # type: ignore[method-assign]
+    monkeypatch.setattr(evaluator, "_passes", lambda forward, *of: followed.append(of[0]) or passes(forward, *of))
     seen = evaluator.each(0, [best, other], lambda _, candidate, prediction: prediction.positions)
     made = [candidate for part in WORLD.allgather(followed) for candidate in part]
     assert made == [other]

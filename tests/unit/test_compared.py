@@ -125,10 +125,11 @@ def test_what_explains_most_on_the_likeliest_set_is_fitted_second(forced: float,
     assert turns[:2] == [("123568", "foundation"), ("123568", "release")]
 
 
-def test_an_effect_that_loses_is_tried_on_the_set_that_it_loses_to(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its sensitivities may promise most of it where it does not act."""
-    fits = {("147", "inclusion"): 310, ("127", "gradient"): 200, ("147", "gradient"): 320, ("147", "fibres"): 100}
-    asked = []
+def refits(
+    monkeypatch: pytest.MonkeyPatch, fits: dict[tuple[str, str], float], unlikely: float
+) -> list[tuple[str, str]]:
+    """What is refitted from here on, in order: sets and effects that have these evidences then."""
+    asked: list[tuple[str, str]] = []
 
     def fitted(state: Any, row: Any, *_: object) -> list[Rival]:
         asked.append(("".join(sorted(state.anchors)), row.effect))
@@ -136,8 +137,20 @@ def test_an_effect_that_loses_is_tried_on_the_set_that_it_loses_to(monkeypatch: 
 
     monkeypatch.setattr(contest, "refit", fitted)
     monkeypatch.setattr(contest, "moved", lambda *_: [])
-    monkeypatch.setattr(contest, "_unlikely", lambda _: 400.0)
+    monkeypatch.setattr(contest, "_unlikely", lambda _: unlikely)
     monkeypatch.setattr(contest, "_with_own_mesh", lambda rivals, _: rivals)
+    return asked
+
+
+def test_an_effect_that_loses_is_tried_on_the_set_that_it_loses_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its sensitivities may promise most of it where it does not act."""
+    fits = {
+        ("147", "inclusion"): 310.0,
+        ("127", "gradient"): 200.0,
+        ("147", "gradient"): 320.0,
+        ("147", "fibres"): 100.0,
+    }
+    asked = refits(monkeypatch, fits, 400.0)
     promises = [
         promise("147", "inclusion", 300.0, 90.0),
         promise("127", "gradient", 190.0, 80.0),
@@ -153,17 +166,8 @@ def test_an_effect_that_loses_is_tried_on_the_set_that_it_loses_to(monkeypatch: 
 
 def test_what_promised_as_much_may_do_better_than_it_promised_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
     """What promises less than the best did by more than it was off is not fitted."""
-    fits = {"compressibility": 320, "viscosity": 330, "fibres": 100}
-    asked = []
-
-    def fitted(_: Any, row: Any, *__: object) -> list[Rival]:
-        asked.append(row.effect)
-        return [rival((row.effect,), "7", fits[row.effect])]
-
-    monkeypatch.setattr(contest, "refit", fitted)
-    monkeypatch.setattr(contest, "moved", lambda *_: [])
-    monkeypatch.setattr(contest, "_unlikely", lambda _: 3.0)
-    monkeypatch.setattr(contest, "_with_own_mesh", lambda rivals, _: rivals)
+    fits = {("7", "compressibility"): 320.0, ("7", "viscosity"): 330.0}
+    asked = refits(monkeypatch, fits, 3.0)
     promises = [
         promise("7", "compressibility", 300.0, 33.0),
         promise("7", "viscosity", 298.0, 31.0),
@@ -171,7 +175,7 @@ def test_what_promised_as_much_may_do_better_than_it_promised_as_well(monkeypatc
         promise("7", "", 0.0, forced=-5.0),
     ]
     found = refitted(promises, PLAIN, 3, 5)
-    assert asked == ["compressibility", "viscosity"]
+    assert asked == [("7", "compressibility"), ("7", "viscosity")]
     assert found.rivals[0].names == ("viscosity",)
 
 
