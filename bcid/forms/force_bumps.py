@@ -7,6 +7,7 @@ import ufl
 from dolfinx import fem
 from numpy.typing import NDArray
 
+from bcid.forms import compiled
 from bcid.forms.forward import Forward
 
 Array = NDArray[np.float64]
@@ -18,7 +19,7 @@ def bumps(forward: Forward, count: int) -> tuple[Array, Array]:
     """Bumps that are as wide as they are apart: their middles, (bumps, 3), m, and weights at the nodes, (nodes, bumps), m^3."""
     body = forward.body
     space = fem.functionspace(body.domain, ("Lagrange", body.degree))
-    volume = fem.assemble_vector(fem.form(ufl.TestFunction(space) * ufl.dx)).array
+    volume = fem.assemble_vector(compiled.form(ufl.TestFunction(space) * ufl.dx)).array
     nodes = body.nodes
     centres = scattered(nodes, count)
     apart = np.linalg.norm(centres[:, None] - centres[None], axis=2) + np.diag(np.full(len(centres), np.inf))

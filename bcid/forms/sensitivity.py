@@ -23,6 +23,7 @@ from dolfinx import fem
 from dolfinx.fem import petsc as fp
 from numpy.typing import NDArray
 
+from bcid.forms import compiled
 from bcid.forms.effects.effect import STEP, Effect
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.model import Model, Term
@@ -141,7 +142,7 @@ class Sensitivity:
 
             body, measure = self.forward.body, getattr(self.weak_form, bed[0])(bed[1])
             u, v = ufl.TrialFunction(body.displacement_space), ufl.TestFunction(body.displacement_space)
-            mass = fem.assemble_matrix(fem.form(ufl.inner(u, v) * measure)).to_scipy().tocsc()
+            mass = fem.assemble_matrix(compiled.form(ufl.inner(u, v) * measure)).to_scipy().tocsc()
             inside = np.flatnonzero(np.asarray(np.abs(mass).sum(axis=1)).ravel() > 0)
             solver = splu(mass[inside][:, inside])
             self._mass[bed] = body.displacement_dofs[inside], solver.solve
@@ -156,7 +157,7 @@ class Sensitivity:
             stored = weak_form.stored([term for term in self.forward.model.terms if term.effect.changes_law])
             scaled = ufl.Form([i.reconstruct(integrand=weight * i.integrand()) for i in stored.integrals()])
             residual = ufl.derivative(scaled, weak_form.u, weak_form.test)
-            self._cells = fem.form(ufl.derivative(residual, weight, ufl.TrialFunction(space)))
+            self._cells = compiled.form(ufl.derivative(residual, weight, ufl.TrialFunction(space)))
             self._matrix = fp.create_matrix(self._cells)
         # PETSc takes the blocks of displacement and cell, which differ in size; DOLFINx's own matrix does not.
         self._matrix.zeroEntries()

@@ -25,6 +25,7 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, SolveError
+from bcid.forms import compiled
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.solver.status import Status
 from bcid.forms.solver.supports import Pose
@@ -246,7 +247,7 @@ class SetTangents:
         except InputError:
             return flat, flat
         u, v = ufl.TrialFunction(body.displacement_space), ufl.TestFunction(body.displacement_space)
-        return flat, np.asarray(fem.assemble_matrix(fem.form(ufl.inner(u, v) * measure)).to_scipy() @ flat)
+        return flat, np.asarray(fem.assemble_matrix(compiled.form(ufl.inner(u, v) * measure)).to_scipy() @ flat)
 
     def of(self, actions: Sequence[Action], prediction: Prediction, seen: NDArray[np.bool_]) -> dict[int, StepTangent]:
         """The steps of some actions, from the states that their prediction kept; by frame.

@@ -7,6 +7,7 @@ import ufl
 from dolfinx import fem, la
 from numpy.typing import NDArray
 
+from bcid.forms import compiled
 from bcid.forms.solver.equilibrium import Equilibrium
 
 Array = NDArray[np.float64]
@@ -24,9 +25,9 @@ class StrainEnergy:
         space = fem.functionspace(self.body.domain, ("Lagrange", 1))
         around = ufl.TestFunction(space)
         density, degree = weak_form.density(weak_form.model.terms)
-        self._form = fem.form(density * around * weak_form.measure(degree))
+        self._form = compiled.form(density * around * weak_form.measure(degree))
         self._space = space
-        self._volume = self._at_nodes(fem.form(around * weak_form.measure(1)))
+        self._volume = self._at_nodes(compiled.form(around * weak_form.measure(1)))
 
     def at_mesh_nodes(self) -> Array:
         """J/m^3 at the nodes of the mesh, shape (nodes,), the same on every rank; collective on those that share the mesh."""

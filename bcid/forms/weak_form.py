@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bcid.base import compat
 from bcid.base.errors import InputError, nearest
+from bcid.forms import compiled
 from bcid.forms.effects.effect import Effect, Past, Point
 from bcid.forms.kinematics import Kinematics
 from bcid.forms.mesh.body import Body
@@ -60,7 +61,7 @@ class Memory:
         for name, expression in expressions.items():
             space = self.variables[name].function_space
             points = compat.interpolation_points(space)
-            self._following[name] = fem.Expression(expression, points)
+            self._following[name] = compiled.expression(expression, points)
 
     def reset(self) -> None:
         """Long at rest, undeformed."""
@@ -314,7 +315,7 @@ class WeakForm:
         )
         parts = [ufl.derivative(ufl.diff(energy, number), self.u, self.test) for energy in energies]
         parts += [ufl.diff(work, number) for work in works]
-        return fem.form(sum(parts[1:], start=parts[0])) if parts else None
+        return compiled.form(sum(parts[1:], start=parts[0])) if parts else None
 
     @cached_property
     def _surfaces(self) -> tuple[Any, list[str]]:

@@ -17,6 +17,7 @@ from ufl.algorithms import expand_derivatives
 
 from bcid.base import compat
 from bcid.base.errors import InputError
+from bcid.forms import compiled
 from bcid.forms.mesh.body import Body
 from bcid.forms.model import Model
 from bcid.forms.solver.factor import OUT_OF_MEMORY, Factor, FactorShell
@@ -110,12 +111,12 @@ class Equilibrium:
         first, *others = self.weak_form.residuals
         tangents = [expand_derivatives(ufl.derivative(other, self.u)) for other in others]
         with compat.compiling():
-            self.energy_forms = [fem.form(energy) for energy in self.weak_form.energies]
-            self.residual_forms = [fem.form(residual) for residual in (first, *others)]
+            self.energy_forms = [compiled.form(energy) for energy in self.weak_form.energies]
+            self.residual_forms = [compiled.form(residual) for residual in (first, *others)]
             # A dead load has none.
             found = [ufl.derivative(first, self.u), *(tangent for tangent in tangents if not tangent.empty())]
-            self.tangent_forms = [fem.form(tangent) for tangent in found]
-            self._jacobian = fem.Expression(self.weak_form.kin.J, _sample_points(body.degree))
+            self.tangent_forms = [compiled.form(tangent) for tangent in found]
+            self._jacobian = compiled.expression(self.weak_form.kin.J, _sample_points(body.degree))
 
     @property
     def places(self) -> dict[str, Region]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from petsc4py import PETSc
 
 from bcid.base import compat
+from bcid.forms import compiled
 
 Array = NDArray[np.float64]
 # Of a sum of large forces that cancel each other this part is round-off.
@@ -36,7 +37,7 @@ class GripSprings:
 
     def __init__(self, residuals: Sequence[Any], u: Any, vector: PETSc.Vec) -> None:
         self._residuals, self._u = residuals, u
-        self._forms = [fem.form(residual) for residual in residuals]
+        self._forms = [compiled.form(residual) for residual in residuals]
         self._vector = vector.duplicate()
         self.forces = np.zeros(vector.getLocalSize())
         self.round_off = 0.0
@@ -64,7 +65,7 @@ class GripSprings:
     @cached_property
     def _tangents(self) -> list[Any]:
         with compat.compiling():
-            return [fem.form(ufl.derivative(residual, self._u)) for residual in self._residuals]
+            return [compiled.form(ufl.derivative(residual, self._u)) for residual in self._residuals]
 
     def stiffness(self) -> sp.csr_matrix:
         """Force by which they resist a unit movement of each unknown, at the present state, N/m; one rank only."""

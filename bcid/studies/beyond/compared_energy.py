@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from bcid.comparison.fit import Fit
 from bcid.comparison.law_form import LawForm
 from bcid.comparison.predictor import Predictor
+from bcid.forms import compiled
 from bcid.forms.model import Model
 from bcid.forms.weak_form import WeakForm
 from bcid.scene import Material
@@ -58,6 +59,6 @@ def _density(weak_form: WeakForm) -> Any:
     for energy in weak_form.energies:
         volume = [i for i in energy.integrals() if i.integral_type() == "cell"]
         energies += [ufl.Form([i.reconstruct(integrand=i.integrand() * weight)]) for i in volume]
-    form = fem.form(sum(energies[1:], start=energies[0]))
-    volumes = fem.assemble_vector(fem.form(weight * weak_form.measure(1))).array
+    form = compiled.form(sum(energies[1:], start=energies[0]))
+    volumes = fem.assemble_vector(compiled.form(weight * weak_form.measure(1))).array
     return lambda: np.array(fem.assemble_vector(form).array) / volumes
