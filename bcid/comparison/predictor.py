@@ -11,22 +11,21 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.base.collective import Comm, agree, in_turns, overlaid
+from bcid.base.collective import Comm, agree, overlaid
 from bcid.base.errors import BcidError, InputError
 from bcid.base.progress import Progress, Silent
 from bcid.comparison import questions
 from bcid.comparison.acting import by_the_clock, steady
 from bcid.comparison.checkpoint import Checkpoint, ResultFormat
+from bcid.comparison.forward_models import ForwardModels
 from bcid.comparison.kept_predictions import KeptPredictions, MeasurementPrediction, PredictionKey
 from bcid.comparison.levels import affordable, pair
 from bcid.comparison.result_formats import PredictionFormat, SensitivitiesFormat, TangentsFormat
 from bcid.forms.force_bumps import BUMPS, bumps
 from bcid.forms.forward import Forward, Look, Prediction
 from bcid.forms.gripper_force import ForceScale
-from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
 from bcid.forms.probes import Sensitivities, Wanted
-from bcid.forms.sensitivity import Sensitivity
 from bcid.forms.set_tangent import SetTangent, SetTangents, StepTangent
 from bcid.forms.solver.equilibrium import Settings
 from bcid.forms.solver.supports import Pose
@@ -98,10 +97,7 @@ class Predictor:
         self.trajectories: dict[str, float] = {}
         self._lengths = {action.name: len(action) for action in self.actions}
         self._kept = KeptPredictions(self.thin)
-        self._forwards: dict[tuple[int, str], Forward] = {}
-        self._sensitivities: dict[tuple[int, str], Sensitivity] = {}
-        self._tangents: dict[tuple[int, str], SetTangents] = {}
-        self._meshes: dict[int, BodyMesh] = {}
+        self._models = ForwardModels(self.scene, comm, self.settings, self.forces)
         self._thinned: dict[tuple[bytes, Settings], Predictor] = {}
         self._about: tuple[Model, SetTangent] | None = None
         self._nuisances: Nuisances | None = None
@@ -173,32 +169,11 @@ class Predictor:
 
     def forward(self, model: Model, level: int | None = None) -> Forward:
         """The forward model of these parts that move the body, with their values, private to the process."""
-        level, model = self.level if level is None else level, mechanical(model)
-        key = level, model.name
-        if key not in self._forwards:
-            mesh = self._mesh(level)
-            self._forwards[key] = in_turns(
-                self.comm,
-                self.comm.rank == 0,
-                lambda: Forward(self.scene, level, None, model, self.settings, mesh, self.forces),
-            )
-        self._forwards[key].set_model(model)
-        return self._forwards[key]
-
-    def _mesh(self, level: int) -> BodyMesh:
-        """Of a level, made once."""
-        if level not in self._meshes:
-            self._meshes[level] = level_mesh(self.scene, self.scene.levels[level], self.comm)
-        return self._meshes[level]
+        return self._models.of(mechanical(model), self.level if level is None else level)
 
     def drop(self, keep: Iterable[Model] = ()) -> None:
         """Free what was built for models other than these."""
-        names = {mechanical(model).name for model in keep}
-        for key in [key for key in self._forwards if key[1] not in names]:
-            self._forwards.pop(key).destroy()
-            self._tangents.pop(key, None)
-            if key in self._sensitivities:
-                self._sensitivities.pop(key).destroy()
+        self._models.drop(mechanical(model).name for model in keep)
 
     def mine(self, actions: Iterable[Action]) -> list[Action]:
         """The actions that this rank computes: the longest first, each to the rank with the least to do.
@@ -291,7 +266,7 @@ class Predictor:
 
     def _looking(self, forward: Forward) -> Look | None:
         """Makes the responses of the states that will be asked about, where they can be kept."""
-        asked, responses = self._frames(self._known(forward.model)), self._sensitivity(forward).responses
+        asked, responses = self._frames(self._known(forward.model)), self._models.sensitivity(forward).responses
         if not responses.worth(3 * BUMPS, int(asked.sum())):
             return None
 
@@ -300,13 +275,6 @@ class Predictor:
                 responses.make(pose, forward.model)
 
         return look
-
-    def _sensitivity(self, forward: Forward) -> Sensitivity:
-        """Of a model on the working level, made once."""
-        key = self.level, forward.model.name
-        if key not in self._sensitivities:
-            self._sensitivities[key] = Sensitivity(forward)
-        return self._sensitivities[key]
 
     def _pictured(self, model: Model, positions: Array, level: int) -> Array:
         """Positions as the camera shows them."""
@@ -375,7 +343,7 @@ class Predictor:
     ) -> Sensitivities:
         """The same, computed."""
         forward = self.forward(model)
-        sensitivity, seen = self._sensitivity(forward), self._frames(known)
+        sensitivity, seen = self._models.sensitivity(forward), self._frames(known)
         error, parts, mine = None, [], self.mine(self.actions)
         for number, action in enumerate(mine):
             if not self.thin and len(wanted.probes) > 1:
@@ -426,11 +394,7 @@ class Predictor:
         return known[1]
 
     def _set_tangent(self, model: Model, anchors: Iterable[str], prediction: MeasurementPrediction) -> SetTangent:
-        forward = self.forward(model)
-        key = self.level, forward.model.name
-        if key not in self._tangents:
-            self._tangents[key] = SetTangents(forward)
-        tangents = self._tangents[key]
+        tangents = self._models.tangents(self.forward(model))
         steps = self._recalled(
             lambda: f"of sets {questions.of_model(model)} {sorted(anchors)}",
             TangentsFormat(),
@@ -504,7 +468,7 @@ class Predictor:
 
     def unknowns(self, level: int) -> int:
         """Of a level; collective."""
-        return self._mesh(level).unknowns(self.scene.levels[level].degree, False)
+        return self._models.unknowns(level)
 
     def destroy(self) -> None:
         """Free the PETSc objects."""

@@ -18,19 +18,19 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.base.collective import Comm, agree, in_turns, on_root
+from bcid.base.collective import Comm, agree, on_root
 from bcid.base.errors import BcidError, InputError
 from bcid.base.fingerprint import fingerprint
 from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import writing
 from bcid.base.text_file import parse_json
+from bcid.comparison.forward_models import ForwardModels
 from bcid.exploration.pull_prediction import PullPrediction, predicted
 from bcid.exploration.pull_tangent import Differentiator, PullTangent
 from bcid.forms.anchor_compliance import AnchorCompliance, affordable, undeformed
 from bcid.forms.force_bumps import force_unit
 from bcid.forms.forward import Forward
 from bcid.forms.gripper_force import ForceScale
-from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.nuisances import Nuisances
@@ -92,8 +92,8 @@ class PullPredictor:
         self._tangents: dict[tuple[str, Anchored], tuple[bool, PullTangent | None]] = {}
         # Movements of the fiducials by unit steps of the gripper, by grasp and set.
         self._linear: dict[tuple[str, Anchored], Array] = {}
-        self._forwards: dict[str, Forward] = {}
-        self._mesh: BodyMesh | None = None
+        settings = Settings(rtol=_ACCURACY, halvings=3, max_iterations=_ITERATIONS)
+        self._models = ForwardModels(scene, comm, settings, gripper)
         self._read: set[str] = set()
         # What a robot may do, and how well the scene is known, changes no prediction.
         about = {
@@ -237,19 +237,7 @@ class PullPredictor:
 
     def forward(self, model: Model | None = None) -> Forward:
         """The forward model of these parts, with their values, private to the process; collective where it is built."""
-        model = model or self.model
-        if model.name not in self._forwards:
-            mesh = self._mesh = self._mesh or level_mesh(self.scene, self.scene.levels[self.level], self.comm)
-            settings = Settings(rtol=_ACCURACY, halvings=3, max_iterations=_ITERATIONS)
-            self._forwards[model.name] = in_turns(
-                self.comm,
-                self.comm.rank == 0,
-                lambda: Forward(self.scene, self.level, None, model, settings, mesh, self.gripper),
-            )
-        forward = self._forwards[model.name]
-        if forward.model is not model:
-            forward.set_model(model)
-        return forward
+        return self._models.of(model or self.model, self.level)
 
     # -- on disk
     # --------------------------------------------------------------------------------------------------------------
@@ -293,9 +281,7 @@ class PullPredictor:
         """Free the PETSc objects of this process."""
         if "_differentiator" in self.__dict__:
             self._differentiator.destroy()
-        for forward in self._forwards.values():
-            forward.destroy()
-        self._forwards.clear()
+        self._models.drop()
 
 
 def _entries(file: Path) -> list[tuple[Anchored, PullPrediction]]:
