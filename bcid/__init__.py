@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from bcid.measurement import Measurement
     from bcid.proposal.propose import ProposeOptions
     from bcid.scene import Scene, motions
-    from bcid.search.identify import IdentifyOptions
+    from bcid.search.identify_options import IdentifyOptions
 
 _MODULES = {
     "bcid.scene": ("Scene",),
@@ -40,7 +40,7 @@ _MODULES = {
     "bcid.api.functions": ("identify", "compare", "diagnose", "fit", "explain", "propose", "explore"),
     "bcid.forms.simulate": ("simulate",),
     "bcid.api.results": ("load",),
-    "bcid.search.identify": ("IdentifyOptions",),
+    "bcid.search.identify_options": ("IdentifyOptions",),
     "bcid.comparison.explain": ("ExplainOptions",),
     "bcid.exploration.loop": ("ExploreOptions",),
     "bcid.proposal.propose": ("ProposeOptions",),

@@ -15,7 +15,8 @@ from pathlib import Path
 from mpi4py import MPI
 
 from bcid import Measurement, Scene
-from bcid.search.identify import IdentifyOptions, identify
+from bcid.search.identify import identify
+from bcid.search.identify_options import IdentifyOptions
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 MEASUREMENTS = ("slab-12-semicircle", "slab-1234-semicircle", "slab-27-five", "slab-34-complex")

@@ -36,7 +36,7 @@ from bcid.proposal.propose import ProposeOptions
 from bcid.proposal.propose_run import effect_names
 from bcid.scene import Scene
 from bcid.search import identify_run
-from bcid.search.identify import IdentifyOptions
+from bcid.search.identify_options import IdentifyOptions
 
 SceneLike = Scene | str | Path
 MeasurementLike = Measurement | str | Path

@@ -55,7 +55,7 @@ def _demo_report(folder: Path) -> None:
 
 def identify(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid identify`."""
-    from bcid.search.identify import IdentifyOptions
+    from bcid.search.identify_options import IdentifyOptions
     from bcid.search.identify_run import run_identification
     from bcid.search.termination import Stop, Termination
 

@@ -16,7 +16,8 @@ from mpi4py import MPI
 import bcid
 from bcid.bench.bench_slab import encoded, measurement, scene
 from bcid.search import evaluator as evaluator
-from bcid.search.identify import IdentifyOptions, identify
+from bcid.search.identify import identify
+from bcid.search.identify_options import IdentifyOptions
 
 
 def main() -> None:

@@ -17,7 +17,8 @@ from mpi4py import MPI
 import bcid
 from bcid.bench.bench_slab import encoded, measurement, with_level
 from bcid.forms.mesh.patches import half_names, halves
-from bcid.search.identify import IdentifyOptions, identify
+from bcid.search.identify import identify
+from bcid.search.identify_options import IdentifyOptions
 
 SEEDS = 1
 

@@ -14,7 +14,8 @@ from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.outcome import Candidate
 from bcid.search.identification import Identification
-from bcid.search.identify import IdentifyOptions, identify
+from bcid.search.identify import identify
+from bcid.search.identify_options import IdentifyOptions
 
 # A set with which the body would buckle again and again is given up early.
 _SETTINGS = Settings(rtol=1e-7, halvings=0)
@@ -33,7 +34,7 @@ def search(
         model: with the values of its effects.
         mesh: error of the mesh.
         start: sets to climb from; random ones by default.
-        certify: as in `bcid.search.identify.IdentifyOptions`.
+        certify: as in `bcid.search.identify_options.IdentifyOptions`.
     """
     data, measurement = predictor.data, predictor.measurement
     columns = [predictor.scene.fiducial_names.index(name) for name in measurement.fiducial_names]

@@ -20,7 +20,8 @@ from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.followed import NotFollowed
 from bcid.inference.mesh_error import MeshError
-from bcid.search.identify import IdentifyOptions, identify
+from bcid.search.identify import identify
+from bcid.search.identify_options import IdentifyOptions
 
 Anchored = frozenset[str]
 # So many of the likeliest sets are looked at.

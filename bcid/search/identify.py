@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.collective import Comm
-from bcid.base.errors import InputError, SolveError, nearest
+from bcid.base.errors import SolveError
 from bcid.base.progress import Progress, Silent
 from bcid.forms.mesh.patches import divided, first_level
 from bcid.forms.model import Model
@@ -26,98 +26,16 @@ from bcid.scene import Scene
 from bcid.search.climb import ODDS, climb, neighbours, rank
 from bcid.search.evaluator import Evaluator
 from bcid.search.identification import Alternative, Identification
+from bcid.search.identify_options import GROUP, IdentifyOptions
 from bcid.search.screening import classes, finest, level_errors, log_odds, lost_beyond, screened
 from bcid.search.seeds import above, all_candidates, maxima, perturbed, random_seeds
-from bcid.search.termination import SETTLED, Stop, Termination
+from bcid.search.termination import SETTLED
 from bcid.search.weighing import Weighing, Weight
 
-CERTIFY = ("auto", "yes", "no")
-# With more patches every set is looked at only when that is asked for, and with many more not at all.
-_AUTO_PATCHES = 10
-_MOST_PATCHES = 16
-_GROUP = 4
 # A set this much less likely than the best on a coarser level is not carried to the next.
 _LEAST = math.log(1e-4)
 # The ladder goes on while the best set is less probable than this.
 _DECIDED = 0.99
-
-
-@dataclass(frozen=True)
-class IdentifyOptions:
-    """How the search is done.
-
-    Attributes:
-        certify: whether, in the end, every set of patches is looked at on the finest level used: "yes", "no", or "auto":
-            with up to 10 patches.
-        seeds: random seeds of the first stage; None for 24, or for 4 when every set is looked at in the end anyway.
-        random_state: of the seeds; the same number gives the same search.
-        coarsest, climbed: first level, and how many levels are climbed on; on finer ones only the likely sets are
-            looked at.
-        finest: last level that may be used; with `stop` "settled", the level that is used.
-        stop: when the stages end, as `Stop.parse("refinement 0.5 mm")`.
-        start: what seeds the second and later stages: "maxima", or "threshold" for every state above `threshold`.
-        threshold: similarity, a fraction of the best on the level.
-        toggles: random toggles that perturb the seeds of later stages.
-        termination: when enough seeds have been climbed from.
-    """
-
-    certify: str = "auto"
-    seeds: int | None = None
-    random_state: int = 0
-    coarsest: int = 0
-    climbed: int = 2
-    finest: int | None = None
-    start: str = "maxima"
-    threshold: float = 0.95
-    toggles: int = 0
-    stop: Stop = field(default_factory=Stop)
-    termination: Termination = field(default_factory=Termination)
-
-    def last(self, scene: Scene) -> int:
-        """The last level that may be used."""
-        return len(scene.levels) - 1 if self.finest is None else self.finest
-
-    def check(self, scene: Scene) -> None:
-        """Raise `InputError` for options that the scene cannot serve."""
-        levels = len(scene.levels)
-        if self.certify not in CERTIFY:
-            raise InputError(f"certify '{self.certify}': {nearest(self.certify, CERTIFY)}")
-        if self.start not in ("maxima", "threshold"):
-            raise InputError(f"start '{self.start}': {nearest(self.start, ('maxima', 'threshold'))}")
-        self.stop.check()
-        rules = self.termination
-        for name, number, least in (
-            ("seeds", self.count(scene), 1),
-            ("random_state", self.random_state, 0),
-            ("climbed", self.climbed, 1),
-            ("toggles", self.toggles, 0),
-            ("patience", rules.patience, 1),
-            ("budget", rules.budget, 1),
-            ("fit", rules.fit, 0),
-            ("threshold", self.threshold, 0),
-        ):
-            if not (number >= least and math.isfinite(number)):
-                raise InputError(f"{name} = {number}: must be at least {least}")
-        if self.threshold >= 1:
-            raise InputError(f"threshold = {self.threshold}: a part of the best similarity, so it must be below 1")
-        for name, level in (("coarsest", self.coarsest), ("finest", self.finest)):
-            if level is not None and not 0 <= level < levels:
-                raise InputError(f"{name} level {level}: the scene has levels 0 to {levels - 1}")
-        if self.finest is not None and self.finest < self.coarsest:
-            raise InputError(f"finest level {self.finest} is coarser than the coarsest level {self.coarsest}")
-        if self.certify == "yes" and len(scene.patches) > _MOST_PATCHES:
-            count = len(scene.patches)
-            raise InputError(
-                f"certify: {count} patches have {2**count} sets; up to {_MOST_PATCHES} patches can be certified: use certify no"
-            )
-
-    def count(self, scene: Scene) -> int:
-        """How many random seeds there are."""
-        return self.seeds if self.seeds is not None else (_GROUP if self.certifies(scene) else 24)
-
-    def certifies(self, scene: Scene) -> bool:
-        """Whether every set is looked at."""
-        return self.certify == "yes" or (self.certify == "auto" and len(scene.patches) <= _AUTO_PATCHES)
 
 
 def identify(
@@ -265,8 +183,8 @@ class _Search:
         unchanged = 0
         top: Outcome | None = None
         why = "all seeds are used"
-        for i in range(0, len(seeds), _GROUP):
-            group = seeds[i : i + _GROUP]
+        for i in range(0, len(seeds), GROUP):
+            group = seeds[i : i + GROUP]
             climbs += climb(evaluator, level, group)
             now = self.best(level)
             unchanged = unchanged + len(group) if top is not None and now.candidate == top.candidate else 0

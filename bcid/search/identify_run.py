@@ -30,7 +30,7 @@ from bcid.measurement.pooling import pooled
 from bcid.scene import Scene
 from bcid.search.association import MARK
 from bcid.search.identification import Identification
-from bcid.search.identify import IdentifyOptions
+from bcid.search.identify_options import IdentifyOptions
 from bcid.search.refine import Refinement, check_rounds, identify_refined
 from bcid.search.surface_rounds import settled
 

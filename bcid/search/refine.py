@@ -21,7 +21,8 @@ from bcid.measurement import Measurement
 from bcid.scene import Region, Scene
 from bcid.search.evaluator import Evaluator
 from bcid.search.identification import Identification
-from bcid.search.identify import IdentifyOptions, identify
+from bcid.search.identify import identify
+from bcid.search.identify_options import IdentifyOptions
 from bcid.search.screening import gain
 
 # A patch is undecided when its probability is further than this from both 0 and 1.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bcid import ExplainOptions, Measurement
 from bcid.forms.kinematics import Kinematics
 from bcid.proposal.effect_file import made
-from bcid.search.identify import IdentifyOptions
+from bcid.search.identify_options import IdentifyOptions
 from bcid.vision.triangulate import linear, triangulate
 
 Array = NDArray[np.float64]

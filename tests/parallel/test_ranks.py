@@ -42,7 +42,8 @@ from bcid.forms.solver.trajectory import follow
 from bcid.scene import Level, Limits, Region, Scene
 from bcid.scene.motions import about_x, motion
 from bcid.search.evaluator import Evaluator
-from bcid.search.identify import IdentifyOptions, identify
+from bcid.search.identify import identify
+from bcid.search.identify_options import IdentifyOptions
 from bcid.search.refine import identify_refined
 from bcid.search.scheduler import counter, share
 

@@ -23,7 +23,8 @@ from bcid.inference.outcome import Candidate, Outcome
 from bcid.measurement import Measurement
 from bcid.scene import Level, Region, Scene
 from bcid.scene.motions import about_x, actions
-from bcid.search.identify import IdentifyOptions, identify
+from bcid.search.identify import identify
+from bcid.search.identify_options import IdentifyOptions
 from bcid.search.refine import (
     Refinement,
     Tree,

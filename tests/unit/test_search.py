@@ -19,7 +19,8 @@ from bcid.inference.outcome import Candidate, Outcome, label
 from bcid.measurement import Action, Measurement
 from bcid.search.climb import ODDS, climb, neighbours
 from bcid.search.evaluator import Evaluator
-from bcid.search.identify import IdentifyOptions, _Search
+from bcid.search.identify import _Search
+from bcid.search.identify_options import IdentifyOptions
 from bcid.search.screening import classes, finest, level_errors, log_odds, lost_beyond, screened
 from bcid.search.seeds import above, all_candidates, maxima, perturbed, random_seeds
 from bcid.search.termination import Stop, Termination

@@ -30,7 +30,7 @@ from bcid.measurement.frame_error import FrameError
 from bcid.measurement.plane_fits import Pieces, fit_planes
 from bcid.scene import Level, Scene, motions
 from bcid.search.association import Association
-from bcid.search.identify import IdentifyOptions
+from bcid.search.identify_options import IdentifyOptions
 
 NOISE = 0.3e-3
 HELD = ["3", "4"]

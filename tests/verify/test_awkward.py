@@ -18,7 +18,8 @@ from bcid.inference.criteria import CERTAIN
 from bcid.measurement import Action
 from bcid.scene import Level
 from bcid.search.identification import Identification
-from bcid.search.identify import IdentifyOptions, identify
+from bcid.search.identify import identify
+from bcid.search.identify_options import IdentifyOptions
 
 Array = NDArray[np.float64]
 ANCHORED = ("1", "3")

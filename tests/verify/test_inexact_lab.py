@@ -8,7 +8,8 @@ import pytest
 
 from bcid import Measurement, Scene
 from bcid.search.identification import Identification
-from bcid.search.identify import IdentifyOptions, identify
+from bcid.search.identify import identify
+from bcid.search.identify_options import IdentifyOptions
 
 
 def identified(project: Path, body: str, *start: frozenset[str]) -> Identification:

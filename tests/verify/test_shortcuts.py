@@ -37,7 +37,8 @@ from bcid.scene import Level, Scene
 from bcid.scene.motions import motion
 from bcid.search.evaluator import Evaluator
 from bcid.search.identification import Identification
-from bcid.search.identify import IdentifyOptions, _Search
+from bcid.search.identify import _Search
+from bcid.search.identify_options import IdentifyOptions
 from bcid.search.screening import level_errors, screened
 from bcid.search.seeds import all_candidates
 

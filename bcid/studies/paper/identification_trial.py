@@ -120,7 +120,8 @@ def _why(
 
 def identified(store: Store, condition: Condition, number: int, measurement: Measurement) -> dict[str, Any]:
     """What `bcid identify` finds, with its own calls of the model; certified, so that it is the best of all sets."""
-    from bcid.search.identify import IdentifyOptions, identify
+    from bcid.search.identify import identify
+    from bcid.search.identify_options import IdentifyOptions
 
     scene = store.read()
     began = time.process_time()
