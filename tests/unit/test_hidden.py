@@ -410,11 +410,14 @@ def test_calibration_compares_what_is_told_with_what_is_right() -> None:
     assert "told with 95 % or more and wrong: 1 of 2" in text
 
 
-def test_sets_that_differ_in_what_is_not_asked_are_told_together() -> None:
-    sets = [(["3", "4"], 0.5), (["2", "3", "4"], 0.46), (["3"], 0.04)]
-    hypotheses = [{"anchored": s, "effects": [], "unknown": False, "probability": p} for s, p in sets]
-    case = result("none", [], anchors_probability=0.5, probabilities={"hypotheses": hypotheses})
-    assert calibration([case])["bins"][4]["told"] == pytest.approx(0.96)
+def test_a_set_that_is_told_for_sure_is_right_to_the_last_patch() -> None:
+    """Also in those that these data cannot tell: there a sure answer is wrong half the time."""
+    case = result("none", [], anchored=["2", "3", "4"], anchors_probability=0.96)
+    assert judge(case)["anchors"] == (True,)
+    assert judge(case)["settled"] == (False,)
+    assert calibration([case])["sure_and_wrong"]["met"] == 1
+    case["diagnosis"]["anchors_probability"] = 0.5
+    assert judge(case)["settled"] == (True,)
 
 
 def test_goals_ask_only_for_effects_that_can_be_seen() -> None:

@@ -34,7 +34,7 @@ QUESTIONS = {
     "not misnamed": "outside the catalogue: the verdict is 'unknown', or 'none'",
     "both": "two effects: the verdict names both",
     "anchors": "the anchored patches are right, where that is asked",
-    "settled": "the anchored patches are right, or told with less than 95 %",
+    "settled": "the anchored patches are right to the last, or told with less than 95 %",
     "no false name": "the verdict names no effect that is not hidden",
     "noise told": "a noise that is stated wrongly is doubted",
     "noise trusted": "a noise that is stated rightly is not doubted",
@@ -90,16 +90,9 @@ def anchors_right(truth: Json, diagnosis: Json) -> bool:
     return not (set(diagnosis["anchored"]) ^ set(truth["anchored"])) - set(truth["not_asked"])
 
 
-def anchors_told(truth: Json, diagnosis: Json) -> float | None:
-    """The told probability that the anchored patches are right where that is asked; None where none is told.
-
-    Sets that differ from the reported one in nothing that is asked are as right as it.
-    """
-    told = diagnosis.get("anchors_probability")
-    hypotheses = (diagnosis.get("probabilities") or {}).get("hypotheses", ())
-    asked = set(diagnosis["anchored"]) - set(truth["not_asked"])
-    alike = sum(h["probability"] for h in hypotheses if set(h["anchored"]) - set(truth["not_asked"]) == asked)
-    return None if told is None else min(1.0, max(float(told), float(alike)))
+def set_right(truth: Json, diagnosis: Json) -> bool:
+    """Whether the anchored patches are the true ones to the last: what its told probability is of."""
+    return set(diagnosis["anchored"]) == set(truth["anchored"])
 
 
 def _named(truth: Json, diagnosis: Json) -> bool:
@@ -135,8 +128,10 @@ def _stiffness(truth: Json, diagnosis: Json) -> bool:
 
 
 def _settled(truth: Json, diagnosis: Json) -> bool:
-    told = anchors_told(truth, diagnosis)
-    return anchors_right(truth, diagnosis) or (told is not None and told < SURE)
+    told = diagnosis.get("anchors_probability")
+    if told is not None and told >= SURE:
+        return set_right(truth, diagnosis)
+    return told is not None or anchors_right(truth, diagnosis)
 
 
 def _no_false_name(truth: Json, diagnosis: Json) -> bool:

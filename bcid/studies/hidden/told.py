@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.studies.hidden.judge import SURE, anchors_right, anchors_told, verdict_right
+from bcid.studies.hidden.judge import SURE, set_right, verdict_right
 from bcid.studies.hidden.wilson import rate
 
 BINS = (0.0, 0.5, 0.7, 0.9, 0.95, 0.99, 1.0)
@@ -24,9 +24,8 @@ def told(result: Mapping[str, Any]) -> list[Told]:
     found = []
     if diagnosis.get("verdict_probability") is not None:
         found.append((float(diagnosis["verdict_probability"]), verdict_right(truth, diagnosis)))
-    anchors = anchors_told(truth, diagnosis)
-    if anchors is not None:
-        found.append((anchors, anchors_right(truth, diagnosis)))
+    if diagnosis.get("anchors_probability") is not None:
+        found.append((float(diagnosis["anchors_probability"]), set_right(truth, diagnosis)))
     return found
 
 
