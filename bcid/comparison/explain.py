@@ -235,7 +235,7 @@ class _Loop:
     def lacks(self, plain: Rival) -> Ranking:
         """What a model without effects lacks, as all steps show it; asked once for each set."""
         if plain.anchors not in self.rankings:
-            self.rankings[plain.anchors] = rank(plain.fitted.state, self.lacking, strict=False)
+            self.rankings[plain.anchors] = rank(plain.judged, self.lacking, strict=False)
         return self.rankings[plain.anchors]
 
     def again(self, told: Hypothesis, base: State) -> Rival | None:

@@ -51,6 +51,7 @@ class Rival:
         evidence: of it, with and without an unknown force besides.
         known: how many effects may act.
         held_out: RMS residual when each action is predicted from the others, m, where that was asked.
+        allowed: the fitted model with the errors by which the evidence was weighed, where these are not its own.
     """
 
     names: tuple[str, ...]
@@ -58,6 +59,7 @@ class Rival:
     evidence: Evidence
     known: int
     held_out: float | None = None
+    allowed: State | None = None
 
     @property
     def anchors(self) -> Anchored:
@@ -108,13 +110,24 @@ class Rival:
         )
 
     def allowing(self, left: Array, begun: Model) -> Rival:
-        """The same with what may be left of the error of the mesh as it is with another hypothesis, (frames, fiducials, 3), m."""
+        """The same with what may be left of the error of the mesh as it is with another hypothesis, (frames, fiducials, 3), m.
+
+        It counts as far as it makes this one less likely: none gains by being seen more exactly than others, nor is what its own
+        mesh leaves open explained by the mesh of another.
+        """
         old = self.fitted.state
         state = old.with_errors(replace(old.errors.mesh, left=left))
         raw = [old.errors.unwhiten(column) for column in self.fitted.jacobian.T]
         moved = [state.errors.whiten(column) for column in raw]
         jacobian = np.column_stack([*moved, np.zeros((len(old.predictor.data), 0))])
-        return replace(self, evidence=weighed(state, begun, jacobian))
+        found, own = weighed(state, begun, jacobian), self.evidence
+        both = replace(found, plain=min(found.plain, own.plain), forced=min(found.forced, own.forced))
+        return replace(self, evidence=both, allowed=state if found.plain < own.plain else None)
+
+    @property
+    def judged(self) -> State:
+        """The fitted model with the errors by which it was weighed: what it promises beside other hypotheses is judged by them."""
+        return self.allowed or self.fitted.state
 
     @property
     def complete(self) -> bool:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
 from bcid.base.progress import Silent
-from bcid.comparison import contest
+from bcid.comparison import contest, explain, rivals
 from bcid.comparison.compared import Compared
 from bcid.comparison.contest import _in_turn, _with_own_mesh, refitted
 from bcid.comparison.diagnosis_text import _alone
@@ -229,3 +230,35 @@ def test_what_cannot_be_followed_is_not_asked_for_again() -> None:
 def test_an_effect_is_told_to_act_alone_where_others_may_act_with_it() -> None:
     told = ["gravity", "gravity+swelling", "unknown", "none"]
     assert [name + _alone(name, told) for name in told] == ["gravity alone", *told[1:]]
+
+
+@pytest.mark.parametrize(
+    ("plain", "forced", "wanted", "allowed"),
+    [(90.0, 60.0, (90.0, 50.0), True), (400.0, 300.0, (100.0, 50.0), False), (400.0, 20.0, (100.0, 20.0), False)],
+)
+def test_the_mesh_of_another_takes_and_gives_nothing(
+    monkeypatch: pytest.MonkeyPatch, plain: float, forced: float, wanted: tuple[float, float], allowed: bool
+) -> None:
+    """That it leaves more open makes a hypothesis less likely, never what its own mesh does not explain; so it is with promises."""
+
+    @dataclass
+    class Mesh:
+        left: Any
+
+    errors = SimpleNamespace(mesh=Mesh(0.0), whiten=np.array, unwhiten=np.array)
+    data = np.zeros(4)
+    wide: Any = SimpleNamespace(errors=errors)
+    one = rival(("gravity",), "1", 100.0)
+    state: Any = one.fitted.state
+    state.errors, state.predictor = errors, SimpleNamespace(data=data)
+    state.with_errors = lambda mesh: wide if mesh.left == 1.0 else None
+    cast("Any", one.fitted).jacobian = np.ones((4, 1))
+    monkeypatch.setattr(rivals, "weighed", lambda found, *_: Evidence(plain, forced, 1.0) if found is wide else None)
+    found = one.allowing(cast("Any", 1.0), PLAIN)
+    assert (found.evidence.plain, found.evidence.forced) == wanted
+    assert found.judged is (wide if allowed else state)
+    asked: list[Any] = []
+    monkeypatch.setattr(explain, "rank", lambda judged, *_, **__: asked.append(judged))
+    loop: Any = SimpleNamespace(rankings={}, lacking=[])
+    explain._Loop.lacks(loop, found)
+    assert asked == [found.judged]
