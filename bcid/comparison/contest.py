@@ -87,7 +87,10 @@ def contest(
     def work(thin: State) -> Contest:
         search = HypothesisSearch(thin, begun, known, sets, among=among)
         promises = search.run(starts) if sets > 1 else search.alone()
-        return refitted(promises, begun, search.among, most, starts_of=starts_of)
+        found = refitted(promises, begun, search.among, most, starts_of=starts_of)
+        fitted = {rival.names for rival in found.rivals}
+        given = {h: promised for h, promised in search.giving().items() if h.names not in fitted}
+        return replace(found, promised=given | found.promised)
 
     return at_a_glance(state, work)
 

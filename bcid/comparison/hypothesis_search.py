@@ -14,6 +14,7 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from bcid.base.errors import SolveError
 from bcid.comparison.loosened import Loosened, loosened, loosens
@@ -24,7 +25,7 @@ from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
 from bcid.inference.criteria import SEEN
 from bcid.inference.evidence import Numbers
-from bcid.inference.hypotheses import log_prior
+from bcid.inference.hypotheses import Hypothesis, log_prior
 from bcid.inference.unknown_force import Evidence
 
 Array = NDArray[np.float64]
@@ -147,6 +148,8 @@ class HypothesisSearch:
         self._shown: dict[Anchored, dict[Anchored, float]] = {}
         self._ranked: set[Anchored] = set()
         self._loose: dict[tuple[str, Anchored], Row] = {}
+        # Logarithms of the evidence of all sets whose anchors give or come off, as the tangent of one shows them.
+        self._given: dict[tuple[str, Anchored], float] = {}
         self._patches = list(base.predictor.scene.patches)
 
     def run(self, starts: Iterable[Anchored] = ()) -> list[Promise]:
@@ -206,6 +209,18 @@ class HypothesisSearch:
             for row in self._rows(look):
                 found.append(Promise(look, row, plain + row.gain, log_prior(added + 1, False, known)))
         return sorted(found, key=lambda p: (-p.log, len(p.anchors), sorted(p.anchors), p.row.effect if p.row else ""))
+
+    def giving(self) -> dict[Hypothesis, tuple[float, float]]:
+        """Logarithms of evidence and of prior odds of all sets whose anchors give or come off, the model being as it is besides.
+
+        Many sets may be as likely so, with a patch each that hardly holds, and together they are likelier than the best of them.
+        """
+        own = [term.effect.name for term in self.base.model.added(self.begun)]
+        prior = log_prior(len(own) + 1, False, self.among)
+        return {
+            Hypothesis(anchors, "+".join([*own, effect])): (evidence, prior)
+            for (effect, anchors), evidence in self._given.items()
+        }
 
     def _rows(self, look: Look) -> list[Row]:
         """What a set may lack; that anchors give or come off, as far as that was looked at, only where they do so best."""
@@ -313,6 +328,10 @@ class HypothesisSearch:
             parts = [s for s in close if len(s ^ about) <= 2 and self._acts(s)]
             found = loosened(look.state, effect, [s for s in every if self._acts(s)], parts)
             best = {one.anchors: one for one in reversed(found)}
+            ways: dict[Anchored, list[float]] = {}
+            for one in found:
+                ways.setdefault(one.anchors, []).append(one.gain)
+            self._given |= {(effect.name, s): look.evidence.plain + float(logsumexp(all_)) for s, all_ in ways.items()}
             # Where nothing is missing other sets must be as likely.
             least = -_FAR if look.evidence.plain > look.evidence.forced else -np.inf
             near = list(dict.fromkeys(one.anchors for one in found if one.gain > least))[:_LOOSE]

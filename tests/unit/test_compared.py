@@ -11,14 +11,18 @@ import numpy as np
 import pytest
 
 from bcid.base.progress import Silent
-from bcid.comparison import contest, explain, rivals
+from bcid.comparison import contest, explain, hypothesis_search, rivals
 from bcid.comparison.compared import Compared
-from bcid.comparison.contest import _in_turn, _with_own_mesh, refitted
+from bcid.comparison.contest import Contest, _in_turn, _with_own_mesh, refitted
 from bcid.comparison.diagnosis_text import _alone
 from bcid.comparison.explanation import Explanation
+from bcid.comparison.hypothesis_search import HypothesisSearch, Look
+from bcid.comparison.loosened import Loosened
+from bcid.comparison.ranking import Ranking
 from bcid.comparison.rivals import Rival
+from bcid.forms import effects
 from bcid.forms.model import Term
-from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
+from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
 from bcid.inference.unknown_force import Evidence
 
 
@@ -262,3 +266,34 @@ def test_the_mesh_of_another_takes_and_gives_nothing(
     loop: Any = SimpleNamespace(rankings={}, lacking=[])
     explain._Loop.lacks(loop, found)
     assert asked == [found.judged]
+
+
+def test_every_set_that_may_give_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not only those that fit best: a patch that hardly holds may be any of several."""
+    soft, about = effects.effect("soft_anchor"), frozenset("1")
+    ways = {"12": [-1.0, -1.0], "13": [-2.0], "14": [-3.0], "15": [-9.0]}
+    loose = [
+        Loosened(frozenset(s), Term(soft, {"stiffness": 4e4}, place=s[1]), np.zeros(0), -gain, gain)
+        for s, gains in ways.items()
+        for gain in gains
+    ]
+    monkeypatch.setattr(hypothesis_search, "loosened", lambda *_: loose)
+    predictor = SimpleNamespace(scene=SimpleNamespace(patches=dict.fromkeys("12345")), thin=True)
+    state: Any = SimpleNamespace(anchors=about, predictor=predictor, model=PLAIN)
+    search = HypothesisSearch(state, PLAIN, [soft], 5, among=20)
+    search.looks[about] = Look(state, Evidence(50.0, 40.0, 1.0), Ranking(()))
+    monkeypatch.setattr(search, "_look", lambda s: search.looks.setdefault(s, None))
+    search._loosen(about)
+    expected = {less(s, "soft_anchor"): 50 + math.log(sum(map(math.exp, gains))) for s, gains in ways.items()}
+    found = search.giving()
+    assert {h: evidence for h, (evidence, _) in found.items()} == pytest.approx(expected)
+    assert {prior for _, prior in found.values()} == {log_prior(1, False, 20)}
+    # They are told beside what was fitted, unless that is how anchors give.
+    monkeypatch.setattr(contest, "at_a_glance", lambda base, work: work(base))
+    monkeypatch.setattr(contest, "HypothesisSearch", lambda *_, **__: search)
+    monkeypatch.setattr(search, "run", lambda _: [])
+    for name, wanted in (("fibres", set(expected)), ("soft_anchor", set())):
+        told = Contest([rival((name,), "12", 60.0)], {less("1", "gravity"): (1.0, 0.0)})
+        monkeypatch.setattr(contest, "refitted", lambda *_, told=told, **__: told)
+        promised = contest.contest(state, PLAIN, [soft], [], 5, 5).promised
+        assert set(promised) == wanted | {less("1", "gravity")}
