@@ -9,7 +9,7 @@ from typing import Protocol
 from bcid.comparison.state import State
 from bcid.forms.course import constant
 from bcid.forms.effects.effect import Effect
-from bcid.forms.model import Model
+from bcid.forms.model import Model, Term
 
 Anchored = frozenset[str]
 
@@ -25,6 +25,19 @@ class Start:
 
     anchors: Anchored
     values: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class StandIn:
+    """What may hold the body in the place of a patch.
+
+    Attributes:
+        anchors: the set without that patch.
+        term: it, with numbers that do about what the patch does.
+    """
+
+    anchors: Anchored
+    term: Term
 
 
 class Candidates(Protocol):
@@ -47,6 +60,15 @@ class Candidates(Protocol):
             state: the model, compared with all steps.
             begun: the model without the effects that were added.
             sets: other likely sets of anchors.
+        """
+        ...
+
+    def standing_in(self, state: State, begun: Model) -> list[StandIn]:
+        """What may hold the body in the place of each patch of a set, as far as no name is known for where it does.
+
+        Args:
+            state: the model with the set.
+            begun: the model without the effects that were added.
         """
         ...
 
@@ -73,3 +95,7 @@ class Known:
         """All that the model does not have."""
         have = {constant(term.effect).name for term in state.model.added(begun)}
         return [effect for effect in self.effects if effect.name not in have]
+
+    def standing_in(self, state: State, begun: Model) -> list[StandIn]:
+        """Nothing: they act where the scene has a name for it."""
+        return []

@@ -10,12 +10,12 @@ from typing import TypeVar
 import numpy as np
 
 from bcid.base.errors import SolveError
-from bcid.comparison.candidates import Start
+from bcid.comparison.candidates import StandIn, Start
 from bcid.comparison.held_out import held_out
 from bcid.comparison.hypothesis_search import HypothesisSearch, Promise
 from bcid.comparison.loosened import loosens
 from bcid.comparison.predictor import Predictor
-from bcid.comparison.rivals import FAR, WORTH, Rival, best_first, moved, promoted, refit, with_own_mesh
+from bcid.comparison.rivals import FAR, WORTH, Rival, best_first, moved, promoted, refit, stood_in, with_own_mesh
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
@@ -25,6 +25,7 @@ from bcid.inference.hypotheses import Hypothesis
 
 Anchored = frozenset[str]
 Found = TypeVar("Found")
+StandingIn = Callable[[State, Model], Sequence[StandIn]]
 # Many sets and effects are looked at in so many steps of each action besides rest, and in more where those are fewer values: they
 # would be explained by anything that has as many numbers.
 _FEWEST, _VALUES = 2, 40
@@ -55,10 +56,12 @@ class Contest:
     Attributes:
         rivals: those that were fitted, the likeliest first.
         promised: logarithms of evidence and of prior odds of those that do not seem worth a fit.
+        stood_in: effects and sets of those that hold the body in the place of a patch.
     """
 
     rivals: list[Rival]
     promised: dict[Hypothesis, tuple[float, float]]
+    stood_in: frozenset[tuple[tuple[str, ...], Anchored]] = frozenset()
 
 
 def contest(
@@ -70,6 +73,7 @@ def contest(
     most: int,
     among: int | None = None,
     starts_of: Mapping[str, Start] | None = None,
+    standing_in: StandingIn | None = None,
 ) -> Contest:
     """Sets and effects on a few steps of each action, the likeliest fitted; collective.
 
@@ -82,12 +86,13 @@ def contest(
         most: how many effects are refitted.
         among: of how many effects these were chosen; they are all by default.
         starts_of: effects, see `bcid.comparison.candidates.Candidates`.
+        standing_in: the same.
     """
 
     def work(thin: State) -> Contest:
         search = HypothesisSearch(thin, begun, known, sets, among=among)
         promises = search.run(starts) if sets > 1 else search.alone()
-        found = refitted(promises, begun, search.among, most, starts_of=starts_of)
+        found = refitted(promises, begun, search.among, most, starts_of=starts_of, standing_in=standing_in)
         fitted = {rival.names for rival in found.rivals}
         given = {h: promised for h, promised in search.giving().items() if h.names not in fitted}
         return replace(found, promised=given | found.promised)
@@ -116,6 +121,7 @@ def refitted(
     most: int,
     worth: float = WORTH,
     starts_of: Mapping[str, Start] | None = None,
+    standing_in: StandingIn | None = None,
 ) -> Contest:
     """The models alone, and the most promising of `count` effects with their sets fitted; collective.
 
@@ -124,12 +130,15 @@ def refitted(
     What an effect promises is linear in its amount, which a large one is not: each has its best set tried first, and then the one
     that turns out best competes with itself on other sets, also where something unknown is likelier. One that loses on its best set
     is tried on that of what it loses to. Anchors that give or come off do so at a place, which goes with the set: these are tried
-    with each set that was looked at for them. Some effects are tried first, with sets and numbers that are given. Those that may
-    be the likeliest then are compared with the error of the mesh that each has by itself.
+    with each set that was looked at for them. Some effects are tried first, with sets and numbers that are given. What may hold
+    the body in the place of a patch is tried for each patch of the likely sets. Those that may be the likeliest then are compared
+    with the error of the mesh that each has by itself.
     """
     promises = _in_turn(promises, starts_of or {})
     promised_with = {(p.row.effect, p.anchors): p for p in promises if p.row and math.isfinite(p.row.gain)}
     rivals = [Rival.looked_at(p.look, begun, count) for p in promises if p.row is None]
+    stood = _stood_in(rivals, begun, count, standing_in)
+    rivals += stood
     tried: set[tuple[str, Anchored | None]] = set()
     states: dict[Anchored, State] = {}
     hoped: dict[str, float] = {}
@@ -167,7 +176,28 @@ def refitted(
         if promise.row and promise.row.effect not in fitted and math.isfinite(promise.log):
             names = [*(term.effect.name for term in promise.look.state.model.added(begun)), promise.row.effect]
             promised[Hypothesis(promise.anchors, "+".join(names))] = promise.evidence, promise.log_prior
-    return Contest(best_first(rivals), promised)
+    return Contest(best_first(rivals), promised, frozenset((rival.names, rival.anchors) for rival in stood))
+
+
+def _stood_in(alone: Sequence[Rival], begun: Model, count: int, standing_in: StandingIn | None) -> list[Rival]:
+    """What may hold the body in the place of a patch, for each patch of the likely sets.
+
+    Where a patch stands for what holds the body near it no score shows that: without the patch all moves otherwise, and with it
+    nothing may be seen to be missing. A fit that begins at the patch gets there.
+    """
+    found, done = list[Rival](), set[tuple[Anchored, Anchored]]()
+    if standing_in is None:
+        return found
+    best = best_first(alone)[0]
+    for rival in (r for r in best_first(alone) if r.log > best.log - WORTH):
+        state = rival.fitted.state
+        for one in standing_in(state, begun):
+            patch = state.anchors - one.anchors
+            if (one.anchors, patch) not in done:
+                done.add((one.anchors, patch))
+                state.predictor.progress.step("patches replaced", len(done) - 1)
+                found += stood_in(state, one, begun, count)
+    return found
 
 
 def _refit(states: dict[Anchored, State], promise: Promise, begun: Model, count: int) -> list[Rival]:

@@ -46,6 +46,8 @@ Array = NDArray[np.float64]
 Anchored = frozenset[str]
 # So many hypotheses are fitted to all steps, and the best on so many other sets.
 _PROMOTED, _MOVED = 3, 3
+# So many of what may hold the body in the place of a patch besides.
+_STOOD_IN = 2
 # So many others that seem likelier than these are fitted too, as long as no more of them than this cannot be followed.
 _CONFIRMED, _REFUSED = 3, 6
 
@@ -153,7 +155,15 @@ class _Loop:
         self.lacking = self.lacking or lacking
         among = self.candidates.among
         found = contest(
-            base, self.model, lacking, self.starts, sets, self.options.fitted, among, self.candidates.starts
+            base,
+            self.model,
+            lacking,
+            self.starts,
+            sets,
+            self.options.fitted,
+            among,
+            self.candidates.starts,
+            self.candidates.standing_in,
         )
         best = found.rivals[0]
         if best.anchors != base.anchors:
@@ -162,21 +172,10 @@ class _Loop:
         self.promote(found, base)
 
     def promote(self, contest: Contest, base: State) -> None:
-        """Fit the likeliest to all steps, and the likeliest without an effect.
-
-        Of those with which something unknown acts besides only the first: whatever they name, the verdict is the same.
-        """
-        found, chosen = contest.rivals, list[Rival]()
+        """Fit the likeliest to all steps, and the likeliest without an effect."""
         own = tuple(term.effect.name for term in base.model.added(self.model))
         # Beside an effect that explains all a second one need not be known as well.
-        apart = WORTH if own and found[0].complete else UNLIKELY
-        for rival in found:
-            if any((r.names, r.anchors) == (rival.names, rival.anchors) for r in chosen):
-                continue
-            near = rival.log > found[0].log - apart and len(chosen) < _PROMOTED and (rival.complete or not chosen)
-            first_alone = rival.names == own and not any(r.names == rival.names for r in chosen)
-            if near or first_alone:
-                chosen.append(rival)
+        chosen = _for_all_steps(contest, own, WORTH if own and contest.rivals[0].complete else UNLIKELY)
         compared, fitted = self.compared, list[tuple[Rival, Rival]]()
         for number, rival in enumerate(chosen):
             self.step("hypotheses fitted to all steps", number, len(chosen))
@@ -363,3 +362,22 @@ class _Loop:
 
     def name(self, anchors: Anchored) -> str:
         return label(anchors, self.predictor.scene.patches)
+
+
+def _for_all_steps(contest: Contest, own: tuple[str, ...], apart: float) -> list[Rival]:
+    """The likeliest of what was compared on a few steps, and the likeliest with the effects of the model it was compared beside.
+
+    Of those with which something unknown acts besides only the first: whatever they name, the verdict is the same. What holds the
+    body in the place of a patch besides: no tangent of the others shows it.
+    """
+    found, chosen, stood = contest.rivals, list[Rival](), list[Rival]()
+    for rival in found:
+        if any((r.names, r.anchors) == (rival.names, rival.anchors) for r in chosen):
+            continue
+        likely = rival.log > found[0].log - apart and (rival.complete or not chosen)
+        first_alone = rival.names == own and not any(r.names == rival.names for r in chosen)
+        if first_alone or (likely and len(chosen) < _PROMOTED):
+            chosen.append(rival)
+        elif likely and len(stood) < _STOOD_IN and (rival.names, rival.anchors) in contest.stood_in:
+            stood.append(rival)
+    return chosen + stood

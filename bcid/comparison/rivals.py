@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, SolveError
+from bcid.comparison.candidates import StandIn
 from bcid.comparison.fit import FTOL, Fit, fit
 from bcid.comparison.hypothesis_search import HypothesisSearch, Look, weighed
 from bcid.comparison.loosened import loosens
@@ -274,14 +275,7 @@ def refit(state: State, row: Row, begun: Model, known: int, least: float = SEEN)
     for part in _CAUTION:
         try:
             term = _careful(row, state.model, part)
-            start = state.of_set(state.anchors, state.model + term)
-            if loosens(term.effect):
-                # Where anchors give, what is slightly wrong moves the body otherwise than where they hold.
-                start = start.with_own_errors(anew=True)
-            again = fit(start, (*state.free, *term.free), most=8, ftol=_ROUGH)
-            if not again.settled and {p.name for p in row.term.effect.shapes} >= _PLACE:
-                # What still looks for its place is not as unlikely as it seems.
-                again = fit(again.state, again.state.free, most=_SETTLING, ftol=_ROUGH, like=again)
+            again = _begun_with(state, state.anchors, term)
         except (SolveError, InputError):
             continue
         found.append(Rival.of(again, begun, known, least))
@@ -291,6 +285,27 @@ def refit(state: State, row: Row, begun: Model, known: int, least: float = SEEN)
         ):
             break
     return best_first(found)[:1]
+
+
+def stood_in(state: State, stand_in: StandIn, begun: Model, known: int, least: float = SEEN) -> list[Rival]:
+    """What may hold the body in the place of a patch of a set, fitted with all else; nothing if that cannot be followed."""
+    try:
+        return [Rival.of(_begun_with(state, stand_in.anchors, stand_in.term), begun, known, least)]
+    except (SolveError, InputError):
+        return []
+
+
+def _begun_with(state: State, anchors: Anchored, term: Term) -> Fit:
+    """A term beside a model, fitted with it from where it begins, with some anchors."""
+    start = state.of_set(anchors, state.model + term)
+    if loosens(term.effect):
+        # Where anchors give, what is slightly wrong moves the body otherwise than where they hold.
+        start = start.with_own_errors(anew=True)
+    again = fit(start, (*state.free, *term.free), most=8, ftol=_ROUGH)
+    if not again.settled and {p.name for p in term.effect.shapes} >= _PLACE:
+        # What still looks for its place is not as unlikely as it seems.
+        again = fit(again.state, again.state.free, most=_SETTLING, ftol=_ROUGH, like=again)
+    return again
 
 
 def _careful(row: Row, model: Model, part: float) -> Term:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -106,6 +107,14 @@ class Grammar:
             for c in scattered(places, _PLACES[where])
             for r in radii
         ]
+
+    def about(self, surface: str) -> dict[str, float]:
+        """A spot about the middle of a named surface, of its area."""
+        on = self.surfaces[surface]
+        weights = self.outside.weights[on]
+        middle = weights @ self.outside.places[on] / weights.sum()
+        shapes = dict(zip(("cx", "cy", "cz"), map(float, middle), strict=True))
+        return shapes | {"radius": math.sqrt(float(weights.sum()) / (2 * math.pi))}
 
     @property
     def holds(self) -> int:

@@ -11,15 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError
-from bcid.comparison.candidates import Start
+from bcid.comparison.candidates import StandIn, Start
 from bcid.comparison.contest import at_a_glance
+from bcid.comparison.fit import WIDEST
 from bcid.comparison.hypothesis_search import HypothesisSearch
 from bcid.comparison.ranking import Row, best_row, orthonormal, present_columns
 from bcid.comparison.state import State
 from bcid.comparison.variants import Variant, amounts
 from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import Forward
-from bcid.forms.model import Model
+from bcid.forms.model import Model, Term
 from bcid.forms.probes import Sensitivities, Wanted
 from bcid.inference.criteria import SEEN
 from bcid.proposal.effect_file import made, source
@@ -40,6 +41,8 @@ _WIDENED = 14
 _PART = 0.4
 # Stiffnesses of springs, in notable ones, whose effect is far from proportional to them; what they do is a push on the same spot.
 _STIFFNESSES, _PUSH = (0.3, 3.0, 30.0, 300.0), "traction_at_a_spot"
+# What does to a place what an anchor does to a patch.
+_HOLD = "spring_at_a_spot"
 GRIPS = {
     "spring_at_a_spot": Grip(),
     "normal_spring_at_a_spot": Grip(along=False),
@@ -103,15 +106,27 @@ class TermScores:
         """The most promising terms beside a model with its set, or with others; collective."""
         found = [self.scored_families(about) for about in _alike([state, *_others(state, begun, sets)])]
         self.stages[state.model.name] = _best_of(found)
-        # A family may act twice, as fibres in two directions.
-        entered = len(state.model.added(begun)) + 1
         effects = []
         for one in _in_turns(found):
-            name = one.family.name if entered == 1 else f"{one.family.name}_{entered}"
+            name = _entered(one.family, state, begun)
             self.families[name] = one.family
             self.starts[name] = Start(one.anchors, one.row.term.values)
             effects.append(one.effect(name))
         return effects
+
+    def standing_in(self, state: State, begun: Model) -> list[StandIn]:
+        """Springs about the middle of each anchored patch, as stiff as any that are believed."""
+        grammar = self._of(state)
+        family = next((f for f in grammar.families if f.name == _HOLD), None)
+        if family is None:
+            return []
+        name, (stiffness,) = _entered(family, state, begun), family.amounts
+        self.families[name] = family
+        found = []
+        for patch in sorted(state.anchors & set(grammar.surfaces)):
+            values = {stiffness.name: WIDEST * stiffness.scale} | grammar.about(patch)
+            found.append(StandIn(state.anchors - {patch}, Term(made(source(family, name, values, "", ())), values)))
+        return found
 
     def scored_families(self, state: State) -> list[ScoredFamily]:
         """Every family with its best term, beside a model with its set; collective."""
@@ -176,6 +191,12 @@ class TermScores:
         if self._grammar is None or self._grammar[0] is not forward:
             self._grammar = forward, Grammar(forward, self.kinds)
         return self._grammar[1]
+
+
+def _entered(family: Family, state: State, begun: Model) -> str:
+    """Name of the effect that a family makes beside a model: it may act twice, as fibres in two directions."""
+    number = len(state.model.added(begun)) + 1
+    return family.name if number == 1 else f"{family.name}_{number}"
 
 
 def _variant(grammar: Grammar, variant: TermVariant, columns: Array) -> Variant:

@@ -1,8 +1,11 @@
-"""Terms that remember, or grow with the pull, are named first for a body of cubic elements on which they act."""
+"""What acts on a body of cubic elements is found.
+
+Terms that remember, or grow with the pull, are named first; what holds a piece of a patch is told from the patch.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,9 +14,11 @@ import numpy as np
 import pytest
 import ufl
 from mpi4py import MPI
+from numpy.typing import NDArray
 
 import bcid
 from bcid import Scene, motions
+from bcid.comparison.contest import contest
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import BodyEffect, Constants, Point
@@ -24,12 +29,14 @@ from bcid.scene import Level
 
 SLAB = Path(__file__).resolve().parents[2] / "examples/scenes/slab.toml"
 ANCHORS = frozenset({"3", "4"})
+NOISE = 0.2e-3
+HELD = np.array([0.045, 0.005, 0.1])
 PLACE, RADIUS = np.array([0.040, 0.0, 0.045]), 0.012
 
 
-def on_disc(point: Point, value: Any) -> Any:
+def on_disc(point: Point, value: Any, place: NDArray[np.float64] = PLACE) -> Any:
     """The integral over a round patch with a soft edge, which is no Gaussian."""
-    away = point.X - ufl.as_vector(PLACE.tolist())
+    away = point.X - ufl.as_vector(place.tolist())
     inside = (1 - ufl.tanh((ufl.sqrt(ufl.inner(away, away) + 1e-12) - RADIUS) / (0.2 * RADIUS))) / 2
     skin = ufl.Measure("ds", domain=ufl.domain.extract_unique_domain(point.X), metadata={"quadrature_degree": 6})
     return value * inside * skin
@@ -49,9 +56,28 @@ def swelling(point: Point, c: Constants) -> Any:
     return on_disc(point, c["amount"] * way * ufl.inner(normal, point.v))
 
 
+def held(point: Point, c: Constants) -> Any:
+    """Stiff springs on a piece of patch 2."""
+    return on_disc(point, c["amount"] / 2 * ufl.inner(point.u, point.u), HELD)
+
+
 def acting(amount: float, **kind: Any) -> Term:
     unit = Amount("amount", "Pa", "how much", neutral=0.0, scale=100.0)
     return Term(BodyEffect("hidden", (unit,), "hidden", acts_on="boundary", **kind), {"amount": amount})
+
+
+def pulled(patches: Sequence[str], anchors: frozenset[str], hidden: Term, parts: Sequence[float]) -> Predictor:
+    """A slab with some patches, on which something acts that its scene does not know of, pulled in three directions."""
+    slab = Scene.read(SLAB, physics=check_physics)
+    named = {name: slab.patches[name] for name in patches}
+    scene = replace(slab, patches=named, levels=(Level(2, 0.05), Level(2, 0.02)), noise_sigma=NOISE)
+    body = replace(scene, levels=(Level(3, 0.025),))
+    part = np.array([0.0, *parts])[:, None]
+    ways = ((0.014, 0.0, 0.0), (0.006, 0.010, 0.0), (0.004, 0.0, 0.011))
+    turned = np.tile([1.0, 0.0, 0.0, 0.0], (len(part), 1))
+    pulls = motions.actions([(part * np.array(way), turned) for way in ways], "II")
+    measured = bcid.simulate(body, sorted(anchors), pulls, noise=NOISE, model=Model.of(body) + hidden)
+    return Predictor(scene, measured, MPI.COMM_SELF)
 
 
 @pytest.mark.parametrize(
@@ -66,17 +92,9 @@ def acting(amount: float, **kind: Any) -> Term:
     ],
 )
 def test_what_acts_is_named_first(families: set[str], hidden: Callable[[], Term]) -> None:
-    slab = Scene.read(SLAB, physics=check_physics)
-    patches = {name: slab.patches[name] for name in ("3", "4", "5")}
-    scene = replace(slab, patches=patches, levels=(Level(2, 0.05), Level(2, 0.02)), noise_sigma=0.2e-3)
-    body = replace(scene, levels=(Level(3, 0.025),))
     # There and half way back: friction turns round.
-    part = np.array([0.0, 0.5, 1.0, 0.7, 0.4])[:, None]
-    ways = ((0.014, 0.0, 0.0), (0.006, 0.010, 0.0), (0.004, 0.0, 0.011))
-    pulls = motions.actions([(part * np.array(way), np.tile([1.0, 0.0, 0.0, 0.0], (5, 1))) for way in ways], "II")
-    measured = bcid.simulate(body, sorted(ANCHORS), pulls, noise=0.2e-3, model=Model.of(body) + hidden())
-    predictor = Predictor(scene, measured, MPI.COMM_SELF)
-    state = State.of(predictor, Model.of(scene), ANCHORS)
+    predictor = pulled(("3", "4", "5"), ANCHORS, hidden(), (0.5, 1.0, 0.7, 0.4))
+    state = State.of(predictor, Model.of(predictor.scene), ANCHORS)
     found = sorted(TermScores(("boundary",)).scored_families(state), key=lambda one: -one.log)
     values = found[0].row.term.values
     assert found[0].family.name in families
@@ -84,4 +102,18 @@ def test_what_acts_is_named_first(families: set[str], hidden: Callable[[], Term]
     assert others[0].log < found[0].log - 20
     # Of some hundred places the nearest may be so far.
     assert np.linalg.norm([values[f"c{axis}"] for axis in "xyz"] - PLACE) < 0.018
+    predictor.destroy()
+
+
+def test_what_holds_a_piece_of_a_patch_is_found_from_that_patch() -> None:
+    """All of the patch explains nearly as much, and beside it nothing is seen to be missing."""
+    true = frozenset("4")
+    predictor = pulled(("2", "4"), true, acting(2e6, potential=held), (0.5, 1.0))
+    state, scores = State.of(predictor, Model.of(predictor.scene), frozenset("24")), TermScores(("boundary",))
+    alone = contest(state, state.model, [], [true], 4, 0, 70).rivals[0]
+    assert (alone.anchors, alone.complete) == (frozenset("24"), True)
+    found = contest(state, state.model, [], [true], 4, 0, 70, standing_in=scores.standing_in).rivals[0]
+    assert (found.anchors, found.names) == (true, ("spring_at_a_spot",))
+    # The middle of the patch, where the fit begins, is 20 mm away.
+    assert np.linalg.norm([found.term.values[f"c{axis}"] for axis in "xyz"] - HELD) < 0.015
     predictor.destroy()

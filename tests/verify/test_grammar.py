@@ -220,6 +220,13 @@ def test_a_variant_is_a_term_that_does_nothing(grammar: Grammar) -> None:
     assert term.values["stiffness"] == 0.0
 
 
+def test_a_spot_about_a_surface_has_its_middle_and_its_area(grammar: Grammar) -> None:
+    found = grammar.about("left")
+    assert [found[f"c{axis}"] for axis in "xyz"] == pytest.approx([0.0, 0.01, 0.02], abs=1e-12)
+    # The integral of the spot's weight over a plane.
+    assert 2 * np.pi * found["radius"] ** 2 == pytest.approx(0.02 * 0.04)
+
+
 @pytest.mark.parametrize("name", ["soft-spot", "3spots", "class", ""])
 def test_names_that_no_effect_can_have_are_refused(name: str) -> None:
     with pytest.raises(InputError, match="cannot be the name of an effect"):
