@@ -72,6 +72,10 @@ class Candidates(Protocol):
         """
         ...
 
+    def holding_alike(self, term: Term) -> list[Term]:
+        """What holds the body where one of these does, in another way."""
+        ...
+
 
 @dataclass(frozen=True)
 class Known:
@@ -98,4 +102,8 @@ class Known:
 
     def standing_in(self, state: State, begun: Model) -> list[StandIn]:
         """Nothing: they act where the scene has a name for it."""
+        return []
+
+    def holding_alike(self, term: Term) -> list[Term]:
+        """Nothing, likewise."""
         return []

@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from bcid.base.errors import SolveError
-from bcid.comparison.candidates import StandIn, Start
+from bcid.comparison.candidates import Candidates, StandIn, Start
 from bcid.comparison.held_out import held_out
 from bcid.comparison.hypothesis_search import HypothesisSearch, Promise
 from bcid.comparison.loosened import loosens
@@ -25,7 +25,6 @@ from bcid.inference.hypotheses import Hypothesis
 
 Anchored = frozenset[str]
 Found = TypeVar("Found")
-StandingIn = Callable[[State, Model], Sequence[StandIn]]
 # Many sets and effects are looked at in so many steps of each action besides rest, and in more where those are fewer values: they
 # would be explained by anything that has as many numbers.
 _FEWEST, _VALUES = 2, 40
@@ -72,8 +71,7 @@ def contest(
     sets: int,
     most: int,
     among: int | None = None,
-    starts_of: Mapping[str, Start] | None = None,
-    standing_in: StandingIn | None = None,
+    candidates: Candidates | None = None,
 ) -> Contest:
     """Sets and effects on a few steps of each action, the likeliest fitted; collective.
 
@@ -85,14 +83,13 @@ def contest(
         sets: how many sets are weighed; with one set that of the state alone.
         most: how many effects are refitted.
         among: of how many effects these were chosen; they are all by default.
-        starts_of: effects, see `bcid.comparison.candidates.Candidates`.
-        standing_in: the same.
+        candidates: how they are begun, and what may hold the body in the place of a patch; see there.
     """
 
     def work(thin: State) -> Contest:
         search = HypothesisSearch(thin, begun, known, sets, among=among)
         promises = search.run(starts) if sets > 1 else search.alone()
-        found = refitted(promises, begun, search.among, most, starts_of=starts_of, standing_in=standing_in)
+        found = refitted(promises, begun, search.among, most, candidates=candidates)
         fitted = {rival.names for rival in found.rivals}
         given = {h: promised for h, promised in search.giving().items() if h.names not in fitted}
         return replace(found, promised=given | found.promised)
@@ -120,8 +117,7 @@ def refitted(
     count: int,
     most: int,
     worth: float = WORTH,
-    starts_of: Mapping[str, Start] | None = None,
-    standing_in: StandingIn | None = None,
+    candidates: Candidates | None = None,
 ) -> Contest:
     """The models alone, and the most promising of `count` effects with their sets fitted; collective.
 
@@ -134,10 +130,11 @@ def refitted(
     the body in the place of a patch is tried for each patch of the likely sets. Those that may be the likeliest then are compared
     with the error of the mesh that each has by itself.
     """
-    promises = _in_turn(promises, starts_of or {})
+    starts = candidates.starts if candidates else {}
+    promises = _in_turn(promises, starts)
     promised_with = {(p.row.effect, p.anchors): p for p in promises if p.row and math.isfinite(p.row.gain)}
     rivals = [Rival.looked_at(p.look, begun, count) for p in promises if p.row is None]
-    stood = _stood_in(rivals, begun, count, standing_in)
+    stood = _stood_in(rivals, begun, count, candidates) if candidates else []
     rivals += stood
     tried: set[tuple[str, Anchored | None]] = set()
     states: dict[Anchored, State] = {}
@@ -150,7 +147,7 @@ def refitted(
         if what in tried or len(tried) >= most or not math.isfinite(row.gain):
             continue
         # What has a start is fitted whatever explains all before it: it may do so with fewer numbers.
-        started = row.effect in (starts_of or {})
+        started = row.effect in starts
         better = max(best.log - hoped.get(best.names[-1], best.log), 0.0) if best.names else 0.0
         if not started and best.complete and promise.log < best.log - better - max(_unlikely(promise), worth):
             continue
@@ -179,24 +176,26 @@ def refitted(
     return Contest(best_first(rivals), promised, frozenset((rival.names, rival.anchors) for rival in stood))
 
 
-def _stood_in(alone: Sequence[Rival], begun: Model, count: int, standing_in: StandingIn | None) -> list[Rival]:
-    """What may hold the body in the place of a patch, for each patch of the likely sets.
+def _stood_in(alone: Sequence[Rival], begun: Model, count: int, candidates: Candidates) -> list[Rival]:
+    """What may hold the body in the place of a patch, for each patch of the likely sets, in the likeliest that has it.
 
     Where a patch stands for what holds the body near it no score shows that: without the patch all moves otherwise, and with it
-    nothing may be seen to be missing. A fit that begins at the patch gets there.
+    nothing may be seen to be missing. A fit that begins at the patch gets there, and what holds it in another way is tried there.
     """
-    found, done = list[Rival](), set[tuple[Anchored, Anchored]]()
-    if standing_in is None:
-        return found
+    found, done = list[Rival](), set[Anchored]()
     best = best_first(alone)[0]
     for rival in (r for r in best_first(alone) if r.log > best.log - WORTH):
         state = rival.fitted.state
-        for one in standing_in(state, begun):
+        for one in candidates.standing_in(state, begun):
             patch = state.anchors - one.anchors
-            if (one.anchors, patch) not in done:
-                done.add((one.anchors, patch))
+            if patch not in done:
+                done.add(patch)
                 state.predictor.progress.step("patches replaced", len(done) - 1)
                 found += stood_in(state, one, begun, count)
+    if found and (top := best_first(found)[0]).log > best.log:
+        without = top.without(top.effect).fitted.state
+        for term in candidates.holding_alike(top.term):
+            found += stood_in(without, StandIn(top.anchors, term), begun, count)
     return found
 
 

@@ -154,17 +154,7 @@ class _Loop:
         lacking = self.candidates.beside(base, self.model, self.starts if sets > 1 else ())
         self.lacking = self.lacking or lacking
         among = self.candidates.among
-        found = contest(
-            base,
-            self.model,
-            lacking,
-            self.starts,
-            sets,
-            self.options.fitted,
-            among,
-            self.candidates.starts,
-            self.candidates.standing_in,
-        )
+        found = contest(base, self.model, lacking, self.starts, sets, self.options.fitted, among, self.candidates)
         best = found.rivals[0]
         if best.anchors != base.anchors:
             with suppress(SolveError):

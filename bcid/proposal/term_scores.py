@@ -128,6 +128,16 @@ class TermScores:
             found.append(StandIn(state.anchors - {patch}, Term(made(source(family, name, values, "", ())), values)))
         return found
 
+    def holding_alike(self, term: Term) -> list[Term]:
+        """Springs that act along some directions only, or one way, of the same stiffness about the same place."""
+        assert self._grammar is not None
+        found = []
+        for family in (f for f in self._grammar[1].families if f.name in GRIPS and f.name != _HOLD):
+            name = term.effect.name.replace(_HOLD, family.name, 1)
+            self.families[name] = family
+            found.append(Term(made(source(family, name, term.values, "", ())), term.values))
+        return found
+
     def scored_families(self, state: State) -> list[ScoredFamily]:
         """Every family with its best term, beside a model with its set; collective."""
         grammar = self._of(state)
