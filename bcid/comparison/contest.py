@@ -165,7 +165,8 @@ def refitted(
     fitted = {effect for effect, _ in tried}
     rivals = _with_own_mesh(rivals, begun)
     best = best_first(rivals)[0]
-    named = [rival for rival in best_first(rivals) if rival.names and rival.names[-1] in fitted]
+    holding = {rival.effect for rival in stood}
+    named = [rival for rival in best_first(rivals) if rival.names and rival.names[-1] in fitted | holding]
     if named and (named[0] is best or not best.complete):
         rivals += moved(named[0], begun, count)
     promised = {}
@@ -179,12 +180,14 @@ def refitted(
 def _stood_in(alone: Sequence[Rival], begun: Model, count: int, candidates: Candidates) -> list[Rival]:
     """What may hold the body in the place of a patch, for each patch of the likely sets, in the likeliest that has it.
 
+    Those with which candidates promise much are likely too: in all steps they are, with something unknown besides.
+
     Where a patch stands for what holds the body near it no score shows that: without the patch all moves otherwise, and with it
     nothing may be seen to be missing. A fit that begins at the patch gets there, and what holds it in another way is tried there.
     """
     found, done = list[Rival](), set[Anchored]()
-    best = best_first(alone)[0]
-    for rival in (r for r in best_first(alone) if r.log > best.log - WORTH):
+    best, begun_with = best_first(alone)[0], {start.anchors for start in candidates.starts.values()}
+    for rival in (r for r in best_first(alone) if r.log > best.log - WORTH or r.anchors in begun_with):
         state = rival.fitted.state
         for one in candidates.standing_in(state, begun):
             patch = state.anchors - one.anchors
