@@ -31,6 +31,7 @@ class Compared:
         thin: those that were compared with a few steps; their logarithms are relative to the former.
         about: the one whose tangent was asked about other sets in all steps.
         shown: logarithms of the odds of these sets against it, as the tangent shows them.
+        fewer: those that lack one of its patches and may be as likely whatever the tangent shows.
         misses: by how much it showed too little of those that were fitted since.
         refused: hypotheses that cannot be followed to the end.
         promised: logarithms of evidence and of prior odds of effects that were not worth a fit.
@@ -41,6 +42,7 @@ class Compared:
     thin: list[Rival] = field(default_factory=list)
     about: Rival | None = None
     shown: dict[Anchored, float] = field(default_factory=dict)
+    fewer: list[Anchored] = field(default_factory=list)
     misses: list[float] = field(default_factory=list)
     promised: dict[Hypothesis, tuple[float, float]] = field(default_factory=dict)
     refused: set[Hypothesis] = field(default_factory=set)
@@ -132,9 +134,9 @@ class Compared:
         return None if told.effect == OTHERS or self._fitted(told) else told
 
     def unopposed(self) -> Hypothesis | None:
-        """The likeliest without one of its effects, if that was not compared with all steps and may be.
+        """The likeliest without one of its effects or patches, if that was not compared with all steps and may be.
 
-        On the same set; without a patch that gives or comes off also on the set that never had it.
+        Without an effect on the same set; without a patch that gives or comes off also on the set that never had it.
         """
         best = self.best()
         held = {t.effect.name: t.place for t in best.fitted.state.model.terms if t.place and loosens(t.effect)}
@@ -144,6 +146,8 @@ class Compared:
             lesser += [
                 Hypothesis(best.anchors - {place}, others) for place in ("", *([held[name]] if name in held else []))
             ]
+        if self.about is not None and (self.about.names, self.about.anchors) == (best.names, best.anchors):
+            lesser += [Hypothesis(anchors, "+".join(best.names)) for anchors in self.fewer]
         return next((h for h in lesser if not self._fitted(h) and h not in self.refused), None)
 
     def _fitted(self, hypothesis: Hypothesis) -> bool:

@@ -61,6 +61,39 @@ def test_an_effect_is_weighed_against_the_same_anchors_without_it(full: list[Riv
     assert Compared(own=full, full=full).unopposed() == wanted
 
 
+def test_the_best_is_weighed_against_sets_that_lack_one_of_its_patches() -> None:
+    """As far as a few steps show them to be as likely, whatever the tangent shows; and about itself, not about another."""
+    best, other = rival(("gravity",), "12", 100), rival(("gravity",), "34", 80)
+    full = [best, other, rival((), "12", 50)]
+    compared = Compared(own=full, full=full, about=best, shown={frozenset("1"): -30.0}, fewer=[frozenset("1")])
+    assert compared.unopposed() == less("1", "gravity")
+    assert replace(compared, about=other).unopposed() is None
+    fitted = [*full, rival(("gravity",), "1", 90)]
+    assert replace(compared, own=fitted, full=fitted).unopposed() is None
+
+
+def test_the_likeliest_is_the_one_whose_tangent_was_asked_about_other_sets() -> None:
+    """Where a fit makes another one the likeliest, sets about that one are asked for too; of two that take turns each once."""
+    first, second = rival(("gravity",), "1", 100), rival(("gravity",), "2", 110)
+    compared = SimpleNamespace(about=first, full=[first, second], best=lambda: second, add=lambda *_: None)
+    asked: list[Rival] = []
+
+    def elsewhere(rivals: list[Rival], _: Any) -> list[Rival]:
+        asked.append(rivals[0])
+        compared.about = rivals[0]
+        return []
+
+    loop = SimpleNamespace(compared=compared, confirm=lambda _: None, elsewhere=elsewhere, model=None)
+    explain._Loop.settle(cast("Any", loop), cast("Any", None))
+    assert asked == [second]
+    turns = iter([second, first, second, first])
+    compared.best = lambda: next(turns)
+    compared.about = None
+    asked.clear()
+    explain._Loop.settle(cast("Any", loop), cast("Any", None))
+    assert asked == [second, first]
+
+
 @pytest.mark.parametrize(("misses", "least"), [([-400.0, -350.0, -700.0], 0.8), ([-300.0], 2 / 3), ([], 1.0)])
 def test_sets_that_were_not_fitted_are_no_likelier_together_than_that_one_more_wins(
     misses: list[float], least: float
