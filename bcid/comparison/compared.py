@@ -31,7 +31,7 @@ class Compared:
         thin: those that were compared with a few steps; their logarithms are relative to the former.
         about: the one whose tangent was asked about other sets in all steps.
         shown: logarithms of the odds of these sets against it, as the tangent shows them.
-        fewer: those that lack one of its patches and may be as likely whatever the tangent shows.
+        fewer: those that lack one of its patches and may be as likely although the tangent shows them as less likely.
         misses: by how much it showed too little of those that were fitted since.
         refused: hypotheses that cannot be followed to the end.
         promised: logarithms of evidence and of prior odds of effects that were not worth a fit.

@@ -16,12 +16,11 @@ from bcid.comparison.adequacy import judge
 from bcid.comparison.buckled_frames import leave_out
 from bcid.comparison.candidates import Candidates, Known
 from bcid.comparison.compared import Compared
-from bcid.comparison.contest import Contest, at_a_glance, contest
+from bcid.comparison.contest import GLANCE, Contest, contest, glanced
 from bcid.comparison.explanation import Explanation, Rung, explains
 from bcid.comparison.first_sets import first_sets
 from bcid.comparison.fit import Fit
 from bcid.comparison.held_out import held_out
-from bcid.comparison.hypothesis_search import HypothesisSearch
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import Ranking, rank
 from bcid.comparison.rivals import (
@@ -301,18 +300,9 @@ class _Loop:
         self.compared.about, self.compared.misses = best, misses
         others = {s: log for s, log in shown.items() if s != best.anchors and s not in refused}
         self.compared.shown = {s: log - shown[best.anchors] for s, log in others.items()}
-        self.compared.fewer = [s for s in at_a_glance(best.fitted.state, self.without_a_patch) if s not in refused]
+        unlikely = [s for s, log in self.compared.shown.items() if log < -WORTH]
+        self.compared.fewer = best.without_a_patch(unlikely, glanced(self.predictor), GLANCE, self.model)
         return found
-
-    def without_a_patch(self, thin: State) -> list[Anchored]:
-        """The sets that lack a patch of a model's and are as likely with its numbers on a few steps, as these are predicted.
-
-        A patch may hold back what would make the body unstable without it, which then moves otherwise than any tangent shows.
-        """
-        search = HypothesisSearch(thin, self.model, (), len(thin.anchors) + 1)
-        fewer = [thin.anchors - {patch} for patch in sorted(thin.anchors)]
-        here, *totals = search.totals([thin.anchors, *fewer])
-        return [s for s, total in zip(fewer, totals, strict=True) if total > here - UNLIKELY]
 
     def deeper(self) -> bool:
         """Look for a further effect beside the likeliest model; whether there was one to look beside."""

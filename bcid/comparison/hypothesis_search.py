@@ -190,16 +190,6 @@ class HypothesisSearch:
         self._loosen(self.base.anchors)
         return self.promises()
 
-    def totals(self, sets: Iterable[Anchored]) -> list[float]:
-        """Logarithms of the evidence of some sets, each predicted; minus infinity where the effects cannot act, or that fails."""
-        found = []
-        for anchors in sets:
-            if self._acts(anchors):
-                self._look(anchors)
-            look = self.looks.get(anchors)
-            found.append(look.evidence.total if look else -math.inf)
-        return found
-
     def around(self) -> list[Promise]:
         """The set that was begun with, and those that are likely about it."""
         self.look()

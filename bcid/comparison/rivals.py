@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -15,12 +15,16 @@ from bcid.comparison.candidates import StandIn
 from bcid.comparison.fit import FTOL, Fit, fit
 from bcid.comparison.hypothesis_search import HypothesisSearch, Look, weighed
 from bcid.comparison.loosened import loosens
+from bcid.comparison.priors import of_state
 from bcid.comparison.ranking import Row, rank
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model, Term
+from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.criteria import SEEN
+from bcid.inference.evidence import Numbers
 from bcid.inference.hypotheses import Hypothesis, log_prior
+from bcid.inference.likelihood import Errors
 from bcid.inference.unknown_force import Evidence
 
 Array = NDArray[np.float64]
@@ -118,12 +122,48 @@ class Rival:
         """
         old = self.fitted.state
         state = old.with_errors(replace(old.errors.mesh, left=left))
-        raw = [old.errors.unwhiten(column) for column in self.fitted.jacobian.T]
-        moved = [state.errors.whiten(column) for column in raw]
-        jacobian = np.column_stack([*moved, np.zeros((len(old.predictor.data), 0))])
-        found, own = weighed(state, begun, jacobian), self.evidence
+        found, own = weighed(state, begun, self._jacobian(state.errors)), self.evidence
         both = replace(found, plain=min(found.plain, own.plain), forced=min(found.forced, own.forced))
         return replace(self, evidence=both, allowed=state if found.plain < own.plain else None)
+
+    def _jacobian(self, errors: Errors) -> Array:
+        """Change of the residual with each fitted number in units of other errors than its own, shape (n, p)."""
+        state = self.fitted.state
+        moved = [errors.whiten(state.errors.unwhiten(column)) for column in self.fitted.jacobian.T]
+        return np.column_stack([*moved, np.zeros((len(state.predictor.data), 0))])
+
+    def without_a_patch(self, sets: Iterable[Anchored], steps: int, settings: Settings, begun: Model) -> list[Anchored]:
+        """Those of some sets that lack one of its patches and are as likely, as a few steps with its numbers show; collective.
+
+        A patch may hold back what would make the body unstable without it, which then moves otherwise than any tangent shows.
+        """
+        state, count = self.fitted.state, len(self.anchors) - 1
+        thin, frames = state.predictor.thinned(steps, settings)
+        seen = np.zeros(len(state.predictor.data.mask), dtype=bool)
+        fewer = sorted((s for s in sets if s < self.anchors and len(s) == count), key=sorted)
+        moves = {anchors: np.zeros_like(state.predicted) for anchors in fewer}
+        for number, action in enumerate(thin.actions, 1):
+            here = frames[action.frames]
+            seen[here] = True
+            for anchors, moved in list(moves.items()):
+                found = thin.predict(state.model, anchors, actions=[action])
+                moved[here] = found.positions[action.frames] - state.prediction.positions[here]
+                if found.failure:
+                    del moves[anchors]
+            # What has lost in one action is not followed in the others.
+            least = UNLIKELY if number == len(thin.actions) else FAR
+            moves = {s: moves[s] for s, log in self._shown(moves, seen, begun).items() if log > -least}
+        return list(moves)
+
+    def _shown(self, moves: Mapping[Anchored, Array], seen: NDArray[np.bool_], begun: Model) -> dict[Anchored, float]:
+        """Logarithms of the odds of sets against this one that move the fiducials elsewhere, by the frames that are seen alone."""
+        state = self.fitted.state
+        errors = state.errors.unseeing(~seen[state.predictor.data.frame])
+        only = replace(state, errors=errors)
+        numbers = of_state(only, begun, self._jacobian(errors)) or Numbers.none(len(state.predictor.data))
+        shifts = [state.predictor.data.vector(moved) for moved in (np.zeros_like(state.predicted), *moves.values())]
+        here, *logs = (Evidence.of(errors, only.residual - shift, only.force, numbers).total for shift in shifts)
+        return {anchors: log - here for anchors, log in zip(moves, logs, strict=True)}
 
     @property
     def judged(self) -> State:
