@@ -14,6 +14,7 @@ from bcid.comparison.adequacy import judge
 from bcid.comparison.buckled_frames import leave_out
 from bcid.comparison.checkpoint import Checkpoint
 from bcid.comparison.contest import fitted_beside
+from bcid.comparison.curvature import bent
 from bcid.comparison.explain import ExplainOptions, explain
 from bcid.comparison.explanation import Explanation, Rung
 from bcid.comparison.fit import Fit, fit
@@ -145,7 +146,8 @@ def refitted(
     names = numbers_to_fit(state.model, source, free, fixed)
     again = fit(state, names)
     mesh = mesh_error(predictor, again.state.model, again.state.anchors, again.state.prediction)
-    again = fit(State.of(predictor, again.state.model, again.state.anchors, mesh, names, again.state.prediction), names)
+    state = State.of(predictor, again.state.model, again.state.anchors, mesh, names, again.state.prediction)
+    again = bent(fit(state, names))
     rungs.append(Rung(again, judge(again.state), held_out(again)))
     return Diagnosis(tuple(rungs), missing_force(again.state))
 
@@ -192,7 +194,7 @@ def _present(predictor: Predictor, source: Source) -> Fit:
         f"comparing {source.model.name}, anchors {label(source.anchors, source.scene.patches)}, on two meshes"
     )
     leave_out(predictor, source.model, source.anchors)
-    return fit(State.of(predictor, source.model, source.anchors, None, source.free), source.free)
+    return bent(fit(State.of(predictor, source.model, source.anchors, None, source.free), source.free))
 
 
 def _added(state: State, one: Term) -> State:

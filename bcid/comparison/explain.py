@@ -17,6 +17,7 @@ from bcid.comparison.buckled_frames import leave_out
 from bcid.comparison.candidates import Candidates, Known
 from bcid.comparison.compared import Compared
 from bcid.comparison.contest import GLANCE, Contest, contest, glanced
+from bcid.comparison.curvature import bent
 from bcid.comparison.explanation import Explanation, Rung, explains
 from bcid.comparison.first_sets import first_sets
 from bcid.comparison.fit import Fit
@@ -180,7 +181,7 @@ class _Loop:
         rivals = [*compared.own, *(again for _, again in fitted)]
         if not any(rival.names == own for rival in rivals):
             # Whatever else cannot be followed: the model that was begun with was.
-            rivals.append(Rival.of(Fit.at(base), self.model, self.candidates.among))
+            rivals.append(Rival.of(bent(Fit.at(base)), self.model, self.candidates.among))
         compared.add([*rivals, *self.elsewhere(best_first(rivals), base)], self.model)
         compared.add_roughly(contest, [rough for rough, _ in fitted], own)
         self.settle(base)

@@ -53,7 +53,7 @@ def _finer_positions(
         few, frames = predictor.in_steps(
             [k.steps for k in known], replace(predictor.settings, rtol=_FINE_RTOL, pivots=False)
         )
-        second = few.predict(model, anchors, level, keep=True, near=_in_frames(prediction, frames))
+        second = few.predict(model, anchors, level, keep=True, near=states_in(prediction, frames))
         if not second.failure:
             apart = np.full(prediction.positions.shape, np.nan)
             apart[frames] = second.positions - prediction.positions[frames]
@@ -66,12 +66,12 @@ def _finer_positions(
             bent = max(k.fill(apart) for k in known)
             if bent < _BENT:
                 return np.asarray(prediction.positions + apart * units)
-    near = _in_frames(prediction, np.arange(len(prediction.positions)))
+    near = states_in(prediction, np.arange(len(prediction.positions)))
     second = predictor.predict(model, anchors, level, keep=True, near=near)
     return None if second.failure else second.positions
 
 
-def _in_frames(prediction: MeasurementPrediction, frames: NDArray[np.int64]) -> dict[int, Array]:
+def states_in(prediction: MeasurementPrediction, frames: NDArray[np.int64]) -> dict[int, Array]:
     """The states that this rank has of some frames, by their numbers among these."""
     states = {frame: state for part in prediction.parts.values() for frame, state in (part.states or {}).items()}
     return {k: states[int(frame)] for k, frame in enumerate(frames) if int(frame) in states}

@@ -207,7 +207,7 @@ class Predictor:
             level: mesh level; the working level by default.
             actions: only these; all by default.
             keep: keep the states, for `sensitivities`.
-            near: states of the working level by frame, to start from on another level; see `Forward.nearly`.
+            near: states of the working level by frame, to start from; on another level see `Forward.nearly`.
         """
         actions = self.actions if actions is None else list(actions)
         level = self.level if level is None else level
@@ -231,7 +231,9 @@ class Predictor:
         forward = self.forward(key.model, key.level)
         forward.equilibrium.settings = self.settings
         near = self._kept.near(key)
-        begun = forward.nearly(self.forward(key.model), states) if states else None
+        begun: Mapping[int, Array] | None = states or None
+        if states and key.level != self.level:
+            begun = forward.nearly(self.forward(key.model), states)
         look = self._looking(forward) if keep and key.level == self.level else None
         positions = np.full(self.data.mask.shape, np.nan)
         parts, failure, error = {}, "", None

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, SolveError
 from bcid.comparison.candidates import StandIn
+from bcid.comparison.curvature import bent
 from bcid.comparison.fit import FTOL, Fit, fit
 from bcid.comparison.hypothesis_search import HypothesisSearch, Look, weighed
 from bcid.comparison.loosened import loosens
@@ -263,6 +264,7 @@ def promoted(
         if not found.settled:
             # Standard errors are those at the end of a fit, and say nothing of how far that still is.
             found = fit(found.state, free, most=_SETTLING, like=found)
+        found = bent(found)
     except (SolveError, InputError):
         return None
     return Rival.of(found, begun, rival.known, least)
@@ -298,11 +300,13 @@ def added(base: State, effect: Effect, begun: Model, known: int, least: float = 
     """An effect beside a model that was compared with all steps, where they show that it promises most; None if it fails."""
     rows = rank(base, [effect], strict=False).rows
     found = refit(base, rows[0], begun, known, least) if rows else []
-    if not found or not (effect.sudden and effect.moves):
-        return found[0] if found else None
-    # From a frame on the body moves otherwise, and so the error of the mesh is another.
-    state = found[0].fitted.state
-    return Rival.of(fit(state.with_own_errors(anew=True), state.free, most=4), begun, known, least)
+    if not found:
+        return None
+    fitted = found[0].fitted
+    if effect.sudden and effect.moves:
+        # From a frame on the body moves otherwise, and so the error of the mesh is another.
+        fitted = fit(fitted.state.with_own_errors(anew=True), fitted.state.free, most=4)
+    return Rival.of(bent(fitted), begun, known, least)
 
 
 def refit(state: State, row: Row, begun: Model, known: int, least: float = SEEN) -> list[Rival]:

@@ -223,10 +223,13 @@ class Errors:
         """
         return np.asarray(residual - self.rough(residual))
 
+    def likeliest(self, residual: Array) -> Array:
+        """Values of the nuisances of all fiducials together, (k,), in their standard deviations: means given a residual (n,), m."""
+        return np.asarray(self._modes.T @ (self.rough(residual) / self.sigma**2))
+
     def told(self, residual: Array) -> list[NuisanceEstimate]:
         """What a residual (n,), m, says of every nuisance: the mean of its values given the data."""
-        weighed = self.rough(residual) / self.sigma**2
-        common = self._modes.T @ weighed
+        weighed, common = self.rough(residual) / self.sigma**2, self.likeliest(residual)
         names = np.array(self.nuisances.names)
         of_markers = np.zeros((int(self.data.fiducial.max()) + 1, 3))
         np.add.at(of_markers, self.data.fiducial, self.nuisances.markers * weighed[:, None])

@@ -35,15 +35,15 @@ class NuisanceModes:
         markers: of the fiducial that a value belongs to, along each axis on the body, shape (n, 3).
         common: of all others, shape (n, k).
         names: of the nuisances that the columns of `common` belong to.
-        parts: which numbers of these they are, where an effect may take the place of one alone; none by default.
         sizes: standard deviation of every nuisance in its own unit (m, deg or 1), those of markers included.
+        numbers: of which effect (`bcid.forms.scene_errors`) they are which number; None where of none, and none by default.
     """
 
     markers: Array
     common: Array
     names: tuple[str, ...]
     sizes: dict[str, float]
-    parts: tuple[str, ...] = ()
+    numbers: tuple[tuple[Term, str] | None, ...] = ()
 
     @classmethod
     def none(cls, count: int) -> NuisanceModes:
@@ -56,15 +56,16 @@ class NuisanceModes:
 
     def beside(self, columns: Array) -> NuisanceModes:
         """With something that is not told of besides, of one standard deviation, (n, m), m."""
-        more = ("",) * columns.shape[1]
-        parts = (*self.parts, *more) if self.parts else ()
-        return replace(self, common=np.hstack([self.common, columns]), names=(*self.names, *more), parts=parts)
+        count = columns.shape[1]
+        numbers = (*self.numbers, *(None,) * count) if self.numbers else ()
+        names = (*self.names, *("",) * count)
+        return replace(self, common=np.hstack([self.common, columns]), names=names, numbers=numbers)
 
     def of(self, names: Collection[str]) -> NDArray[np.bool_]:
         """Which columns belong to some names, of nuisances or of a part of one ("law.part")."""
-        parts = self.parts or ("",) * len(self.names)
-        own = zip(self.names, parts, strict=True)
-        return np.array([name in names or f"{name}.{part}" in names for name, part in own], dtype=bool)
+        numbers = self.numbers or (None,) * len(self.names)
+        own = zip(self.names, numbers, strict=True)
+        return np.array([n in names or (of is not None and f"{n}.{of[1]}" in names) for n, of in own], dtype=bool)
 
     def without(self, names: Collection[str]) -> NuisanceModes:
         """Without those of some names, see `of`, of which that of the markers is none."""
@@ -75,7 +76,7 @@ class NuisanceModes:
         left = tuple(self.names[n] for n in kept)
         sizes = {name: size for name, size in self.sizes.items() if name in left or name not in self.names}
         return NuisanceModes(
-            self.markers, self.common[:, kept], left, sizes, tuple(self.parts[n] for n in kept if self.parts)
+            self.markers, self.common[:, kept], left, sizes, tuple(self.numbers[n] for n in kept if self.numbers)
         )
 
 
@@ -181,7 +182,7 @@ class Nuisances:
         """
         columns: list[Array] = []
         names: list[str] = []
-        numbers: list[str] = []
+        numbers: list[tuple[Term, str] | None] = []
         sizes = self._sizes(largest_force(data))
         of_effect = {
             "dimension": ("dimensions", sizes.dimensions),
@@ -196,7 +197,7 @@ class Nuisances:
                 parts = _together(data, probe.term) * np.nan_to_num(data.vector(seen))
                 columns += [part * float(size or 0.0) for part in parts]
                 names += [name] * len(parts)
-                numbers += [parameter] * len(parts)
+                numbers += [(probe.term, parameter)] * len(parts)
         for name, column in self._of_law(data, found, model):
             columns.append(column)
             names.append(name)
@@ -217,7 +218,7 @@ class Nuisances:
         stated = {
             name: float(getattr(sizes, name)) for name in (MARKERS, *dict.fromkeys(names)) if getattr(sizes, name)
         }
-        numbers += [""] * (len(columns) - len(numbers))
+        numbers += [None] * (len(columns) - len(numbers))
         return NuisanceModes(markers, matrix, tuple(names), stated, tuple(numbers[number] for number in felt))
 
     def _of_law(self, data: Data, found: Sensitivities, model: Model | None) -> list[tuple[str, Array]]:

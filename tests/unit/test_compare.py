@@ -29,6 +29,7 @@ from bcid.forms import effect_trial as trial
 from bcid.forms import effects
 from bcid.forms.model import Model, Term
 from bcid.forms.probes import Sensitivities, Wanted
+from bcid.forms.scene_errors import law_form_term
 from bcid.forms.simulate import recorded
 from bcid.inference.data import Data, estimate_noise, frame_times
 from bcid.inference.likelihood import Errors
@@ -496,7 +497,8 @@ def test_the_form_of_the_law_is_told_where_it_is_off() -> None:
 
 def test_stiffening_takes_the_place_of_the_part_of_the_law_that_it_is() -> None:
     """Of the part that goes with the second invariant it says nothing; and errors of another state leave it so."""
-    known = replace(law_state((0.0, 1.5)).errors.nuisances, parts=("part", "second", ""))
+    numbers = (*((law_form_term(), name) for name in ("part", "second")), None)
+    known = replace(law_state((0.0, 1.5)).errors.nuisances, numbers=numbers)
     stiffer = Model.of(SCENE) + Term("strain_stiffening", {"c2": 100.0})
     state = law_state((0.0, 1.5))
     state = replace(state, model=stiffer, modes=None).with_errors(state.errors.mesh, known)

@@ -413,8 +413,12 @@ def test_calibration_compares_what_is_told_with_what_is_right() -> None:
 def test_what_is_told_of_patches_that_are_asked_for_is_what_is_told_of_them_beside_the_others() -> None:
     """Patch 2 cannot be told: what is believed of sets with it says nothing of how sure the others are."""
     sets = {("3", "4"): 0.3, ("2", "3", "4"): 0.45, ("3",): 0.05, ("2", "3"): 0.2}
-    listed = [{"anchored": list(s), "effects": [e], "probability": p / 2} for s, p in sets.items() for e in ("", "gravity")]
-    case = result("one", GRAVITY, anchored=["2", "3", "4"], anchors_probability=0.45, probabilities={"hypotheses": listed})
+    listed = [
+        {"anchored": list(s), "effects": [e], "probability": p / 2} for s, p in sets.items() for e in ("", "gravity")
+    ]
+    case = result(
+        "one", GRAVITY, anchored=["2", "3", "4"], anchors_probability=0.45, probabilities={"hypotheses": listed}
+    )
     found = calibration([case])
     assert (found["count"], found["sure_and_wrong"]["count"]) == (1, 0)
     (told,) = [b for b in found["bins"] if b["count"]]

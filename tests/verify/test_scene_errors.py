@@ -12,6 +12,8 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from bcid.comparison.adequacy import judge
+from bcid.comparison.curvature import bent, curvature
+from bcid.comparison.fit import Fit
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.state import State
 from bcid.forms import effect_trial as trial
@@ -259,4 +261,43 @@ def test_a_scene_that_is_slightly_wrong_is_adequate_if_that_is_allowed_for(proje
         assert 0.1e-3 < markers.found < 0.7e-3
         assert state.rms > 1.5 * state.noise
         assert state.rough < 1.1 * state.noise
+    predictor.destroy()
+
+
+def test_what_sensitivities_miss_near_an_instability_is_allowed_for(project: Path) -> None:
+    """A flat finger pulled aside bends out of its plane before long, and by how much a turn of the gripper decides."""
+    whole = Scene.read(project / "examples" / "scenes" / "finger_hidden.toml")
+    here = replace(whole, levels=whole.levels[:1], uncertainty=replace(Uncertainty.none(), grip_turn=1.0))
+    number, still = np.arange(7), np.tile([1.0, 0.0, 0.0, 0.0], (7, 1))
+    ways = np.array([[0.0, 0.0, 1.4e-3], [0.0, 1.2e-3, 0.0]])
+    pulls = [Action(str(i), 7 * i + number, number, "tip", number[:, None] * w, still) for i, w in enumerate(ways)]
+    drive = grip_term().effect.drive
+    assert drive is not None
+    off = dict.fromkeys("xyz", 0.0)
+    turned = [drive(pull, off | {"rx": -1.0, "ry": 1.0, "rz": -2.0}) for pull in pulls]
+    seen = simulate(here, {"4"}, turned, level=0, noise=1e-4)
+    told_to = simulate(here, {"4"}, pulls, level=0, noise=1e-4)
+    reported = told_to.data.copy(deep=True)
+    reported["position"] = (reported["position"].dims, seen.positions)
+    predictor = Predictor(here, replace(told_to, data=reported), MPI.COMM_SELF)
+    state = State.of(predictor, Model.of(here), frozenset({"4"}))
+    columns = curvature(state)
+    assert columns.shape[1] == 1
+    aside = predictor.data.action == 0
+    assert not columns[~aside].any()
+    # What the sensitivities miss at the values that they make likely, in every step; it was interpolated between a few.
+    means, modes = state.errors.likeliest(state.residual), state.errors.nuisances
+    first = [n for n, column in enumerate(modes.common.T) if column[aside].any()]
+    values = {of[1]: float(means[n]) for n in first if (of := modes.numbers[n])}
+    there = predictor.forward(state.model).predict({"4"}, [drive(pulls[0], off | values)]).positions
+    frames = pulls[0].frames
+    moved = np.full_like(state.prediction.positions, np.nan)
+    moved[frames] = there[frames] - state.prediction.positions[frames]
+    missed = predictor.data.vector(moved)[aside] - modes.common[np.ix_(aside, first)] @ means[first]
+    assert np.sqrt(np.mean(missed**2)) > 2e-5
+    assert np.linalg.norm(columns[aside, 0] - missed) < 0.25 * np.linalg.norm(missed)
+    # With it nothing is missing.
+    again = bent(Fit.at(state)).state
+    assert again.evidence().plain > state.evidence().plain + 5
+    assert bent(Fit.at(again)).state.errors.nuisances.names.count("") == 1
     predictor.destroy()
