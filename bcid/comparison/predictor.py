@@ -176,19 +176,17 @@ class Predictor:
         self._models.drop(mechanical(model).name for model in keep)
 
     def mine(self, actions: Iterable[Action]) -> list[Action]:
-        """The actions that this rank computes: the longest first, each to the rank with the least to do.
+        """Those of some actions that this rank computes, which are the same whatever else is asked for: it has their states.
 
-        A few steps of an action are computed where all of them are, for they may start from their states.
+        Of all actions the longest come first, each to the rank with the least to do. A few steps of an action are computed where
+        all of them are, for they may start from their states.
         """
-        lengths = {action.name: self._lengths.get(action.name, len(action)) for action in actions}
-        loads = [0] * self.comm.size
-        chosen = []
-        for action in sorted(actions, key=lambda a: (-lengths[a.name], a.name)):
-            rank = loads.index(min(loads))
-            loads[rank] += lengths[action.name]
-            if rank == self.comm.rank:
-                chosen.append(action)
-        return sorted(chosen, key=lambda a: int(a.frames[0]))
+        lengths = {action.name: self._lengths.get(action.name, len(action)) for action in self.actions}
+        loads, owner = [0] * self.comm.size, dict[str, int]()
+        for name in sorted(lengths, key=lambda name: (-lengths[name], name)):
+            owner[name] = loads.index(min(loads))
+            loads[owner[name]] += lengths[name]
+        return sorted((a for a in actions if owner[a.name] == self.comm.rank), key=lambda a: int(a.frames[0]))
 
     def predict(
         self,
