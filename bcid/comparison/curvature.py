@@ -61,6 +61,16 @@ def curvature(state: State) -> Array:
     )
 
 
+def allowed(state: State) -> dict[str, float]:
+    """RMS of what is allowed for so, by the action in which it is, m."""
+    data, modes = state.predictor.data, state.errors.nuisances
+    found = {}
+    for column in modes.common[:, modes.of([""])].T:
+        own = data.action == data.action[np.flatnonzero(column)[0]]
+        found[data.actions[int(data.action[own][0])]] = float(np.sqrt(np.mean(column[own] ** 2)))
+    return found
+
+
 def _moved(predictor: Predictor, state: State, models: Iterable[Model]) -> Array:
     """How far fiducials are with a model for each action from where they are with that of a state, (frames, rows, 3), m.
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bcid.base.units import UNTOLD, falls, for_people, hardly_falls, limited, p_value, percent, significance, uncertain
+from bcid.comparison import curvature
 from bcid.comparison.adequacy import BREAKING, Adequacy, groups
 from bcid.comparison.explanation import Explanation, Rung
 from bcid.comparison.fit import Fit
@@ -154,6 +155,11 @@ def verdict(state: State, adequacy: Adequacy, unit: float, name: str) -> list[st
         f"  It misses the measurement by {state.rms / unit:.3g} {name} per coordinate (RMS), {state.rough / unit:.3g} of it like "
         f"noise; noise {state.noise / unit:.3g} {name} ({stated}), error of the mesh {known}.",
         *(f"  {line}" for line in nuisance_text.allowed(state.told)),
+        *(
+            f"  In action {action} that moves the body otherwise than to first order, as near an instability: "
+            f"{missed / unit:.2g} {name} (RMS) are allowed for."
+            for action, missed in curvature.allowed(state).items()
+        ),
     ]
     for finding in adequacy.findings:
         mark = "decides" if finding.decides else "       "

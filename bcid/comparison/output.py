@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bcid.base.collective import overlaid
 from bcid.base.units import unit_factor
-from bcid.comparison import courses, diagnosis_text
+from bcid.comparison import courses, curvature, diagnosis_text
 from bcid.comparison.adequacy import FALSE_ALARMS, groups, judge
 from bcid.comparison.diagnosis import Diagnosis
 from bcid.comparison.explanation import Explanation, Rung, explains
@@ -130,6 +130,7 @@ def diagnosis_json(done: Diagnosis, unit: float) -> dict[str, Any]:
         "noise_stated": state.predictor.data.stated,
         "rough_rms": state.rough / unit,
         "nuisances": nuisance_text.to_json(state.told),
+        "curvature": {action: missed / unit for action, missed in curvature.allowed(state).items()},
         "stiffness": stiffness.to_json() if stiffness else None,
         "discretisation_rms": state.errors.mesh_rms / unit if state.errors.mesh.known else None,
         "held_out_rms": None if last.held_out is None else last.held_out / unit,

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from bcid.comparison.adequacy import judge
-from bcid.comparison.curvature import bent, curvature
+from bcid.comparison.curvature import allowed, bent, curvature
 from bcid.comparison.fit import Fit
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.state import State
@@ -300,4 +300,6 @@ def test_what_sensitivities_miss_near_an_instability_is_allowed_for(project: Pat
     again = bent(Fit.at(state)).state
     assert again.evidence().plain > state.evidence().plain + 5
     assert bent(Fit.at(again)).state.errors.nuisances.names.count("") == 1
+    assert allowed(state) == {}
+    assert allowed(again) == {"0": pytest.approx(float(np.sqrt(np.mean(columns[aside] ** 2))))}
     predictor.destroy()
