@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from bcid.base.errors import InputError, SolveError, nearest
-from bcid.base.tails import limit_beyond
+from bcid.base.tails import limit_beyond, normal_quantile
 from bcid.comparison.kept_predictions import MeasurementPrediction
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.state import State
@@ -32,7 +32,7 @@ FTOL = 1e-4
 _STEP, _STEP_FROM_PAST = 1e-2, 0.3
 # Up to so many scales further on such a difference serves as well: as far as its step reaches where that is large.
 _ALIKE = 0.1
-# A number is not identified when its standard error exceeds this many of its scales.
+# A number is not identified when its standard error exceeds this many of its scales, and an amount then only where it may be none.
 _LOOSE = 3.0
 # The widest that is believed of an amount, in notable ones: what data tell from no larger one is taken for no larger than that.
 WIDEST = 10.0
@@ -352,7 +352,9 @@ def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = FTOL, 
     state = replace(start, model=model, prediction=prediction, free=tuple(names))
     jacobian = np.asarray(result.jac)[: len(start.predictor.data)] / scale
     told = pull[:, [c.parameter.neutral is None for c in chosen]].any(axis=1)
-    covariance, loose = _covariance(np.vstack([jacobian, pull[told] / scale]), scale)
+    covariance = _covariance(np.vstack([jacobian, pull[told] / scale]), scale)
+    apart = x - np.array([_none(model, c) for c in chosen])
+    loose = _loose(apart / scale, np.sqrt(np.diag(covariance)) / scale)
     warnings = _warnings(chosen, x, lower, upper, scale, loose)
     settled = result.status != 0
     if problem.blocked or not settled:
@@ -395,8 +397,22 @@ def _left(jacobian: Array, residual: Array, at_bounds: NDArray[np.int64]) -> Arr
     return step
 
 
-def _covariance(jacobian: Array, scale: Array) -> tuple[Array, list[bool]]:
-    """Inverse of J^T J, and which coordinates neither the data tell nor a prior that they declare; of both J has the rows."""
+def _none(model: Model, c: Coordinate) -> float:
+    """The coordinate of an amount where it is none; no number for what is no amount."""
+    neutral = model.neutral(c.parameter)
+    return 0.0 if c.parameter.reciprocal else math.nan if neutral is None else c.of(neutral)
+
+
+def _loose(apart: Array, errors: Array) -> NDArray[np.bool_]:
+    """Which numbers neither the data tell nor a prior that they declare, from their standard errors and what amounts there are.
+
+    Both in their scales; of what is no amount `apart` is no number.
+    """
+    return np.asarray((errors > _LOOSE) & ~(np.abs(apart) > normal_quantile((1 + CERTAIN) / 2) * errors))
+
+
+def _covariance(jacobian: Array, scale: Array) -> Array:
+    """Inverse of J^T J, which has the rows of the data and of what a prior declares."""
     scaled = jacobian * scale
     _, sizes, rows = np.linalg.svd(scaled, full_matrices=False)
     least = max(1e-8 * sizes.max(initial=0.0), 1e-150)
@@ -404,8 +420,7 @@ def _covariance(jacobian: Array, scale: Array) -> tuple[Array, list[bool]]:
     # A number that takes part in a direction of which nothing is seen; the others keep their errors.
     unseen = np.sum(rows[sizes <= least] ** 2, axis=0) > 1e-6
     covariance[unseen, unseen] = _UNKNOWN
-    loose = [bool(v > _LOOSE**2) for v in np.diag(covariance)]
-    return np.asarray(covariance * np.outer(scale, scale)), loose
+    return np.asarray(covariance * np.outer(scale, scale))
 
 
 def _at_bound(at: float, low: float, high: float, size: float) -> bool:
@@ -436,7 +451,7 @@ def _limits(
 
 
 def _warnings(
-    chosen: Sequence[Coordinate], x: Array, lower: Array, upper: Array, scale: Array, loose: Sequence[bool]
+    chosen: Sequence[Coordinate], x: Array, lower: Array, upper: Array, scale: Array, loose: NDArray[np.bool_]
 ) -> list[str]:
     found = []
     for c, at, low, high, size, free in zip(chosen, x, lower, upper, scale, loose, strict=True):
