@@ -128,10 +128,15 @@ class Compared:
             return 0.0
         return max(0.0, float(logsumexp(list(apart) or [-math.inf])) + math.log(len(told) + 1))
 
-    def unconfirmed(self) -> Hypothesis | None:
-        """The likeliest hypothesis, if it was not compared with all steps and can be: if it says what acts."""
-        told = self.odds.best
-        return None if told.effect == OTHERS or self._fitted(told) else told
+    def unconfirmed(self, least: float = 0.0) -> Hypothesis | None:
+        """The likeliest hypothesis, if it was not compared with all steps and can be: if it says what acts.
+
+        With `least` only where its verdict has more than that probability.
+        """
+        odds = self.odds
+        told = odds.best
+        likely = odds.verdicts[told.verdict] > least
+        return None if told.effect == OTHERS or not likely or self._fitted(told) else told
 
     def unopposed(self) -> Hypothesis | None:
         """The likeliest without one of its effects or patches, if that was not compared with all steps and may be.

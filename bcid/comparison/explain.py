@@ -49,8 +49,9 @@ Anchored = frozenset[str]
 _PROMOTED, _MOVED = 3, 3
 # So many of what may hold the body in the place of a patch besides.
 _STOOD_IN = 2
-# So many others that seem likelier than these are fitted too, as long as no more of them than this cannot be followed.
-_CONFIRMED, _REFUSED = 3, 6
+# So many others that seem likelier than these are fitted too, as long as no more of them than this cannot be followed; and more, up
+# to a limit, while one of them is believed more than all else together.
+_CONFIRMED, _REFUSED, _LIMIT, _BELIEVED = 3, 6, 9, 0.5
 
 
 @dataclass(frozen=True)
@@ -208,8 +209,8 @@ class _Loop:
         """
         fitted = refused = 0
         while refused < _REFUSED:
-            told = self.compared.unconfirmed() if fitted < _CONFIRMED else None
-            told = told or self.compared.unopposed()
+            least = 0.0 if fitted < _CONFIRMED else _BELIEVED if fitted < _LIMIT else 1.0
+            told = self.compared.unconfirmed(least) or self.compared.unopposed()
             if told is None and self.promised_anew():
                 continue
             if told is None:

@@ -94,6 +94,36 @@ def test_the_likeliest_is_the_one_whose_tangent_was_asked_about_other_sets() -> 
     assert asked == [second, first]
 
 
+def test_what_is_believed_more_than_all_else_is_fitted_however_many_were() -> None:
+    """Else nothing is said to be missing, with a probability of 0, where a few steps promise too much of one after the other."""
+    found = rival((), "1", 100)
+    shares, fitted = [0.9, 0.4, 0.7, 0.6, 0.45], list[float]()
+
+    def unconfirmed(least: float) -> float | None:
+        left = shares[len(fitted) :]
+        return left[0] if left and left[0] > least else None
+
+    compared = SimpleNamespace(
+        unconfirmed=unconfirmed, unopposed=lambda: None, confirm=lambda told, *_: fitted.append(told)
+    )
+    state: Any = SimpleNamespace(model=SimpleNamespace(name="law"), rms=1e-3)
+    again = replace(found, fitted=cast("Any", SimpleNamespace(state=SimpleNamespace(**vars(found.fitted.state)))))
+    again.fitted.state.model, again.fitted.state.rms = state.model, state.rms
+    quiet: Any = {"step": lambda *_: None, "say": lambda _: None, "name": lambda _: "", "promised_anew": lambda: False}
+    loop = SimpleNamespace(compared=compared, again=lambda *_: again, model=None, **quiet)
+    explain._Loop.confirm(cast("Any", loop), cast("Any", None))
+    assert fitted == [0.9, 0.4, 0.7, 0.6]
+
+
+def test_a_likely_hypothesis_that_was_not_fitted_is_asked_for_as_far_as_it_is_believed() -> None:
+    full = [rival((), "1", 100)]
+    compared = Compared(own=full, full=full, thin=[rival(("gravity",), "1", 106)])
+    share = compared.odds.verdicts["gravity"]
+    assert 0.5 < share < 0.99
+    assert compared.unconfirmed(share - 0.01) == compared.unconfirmed() == less("1", "gravity")
+    assert compared.unconfirmed(share) is None
+
+
 @pytest.mark.parametrize(("misses", "least"), [([-400.0, -350.0, -700.0], 0.8), ([-300.0], 2 / 3), ([], 1.0)])
 def test_sets_that_were_not_fitted_are_no_likelier_together_than_that_one_more_wins(
     misses: list[float], least: float
