@@ -146,11 +146,11 @@ class Rival:
         for number, action in enumerate(thin.actions, 1):
             here = frames[action.frames]
             seen[here] = True
-            for anchors, moved in list(moves.items()):
+            for anchors, moved in moves.items():
                 found = thin.predict(state.model, anchors, actions=[action])
-                moved[here] = found.positions[action.frames] - state.prediction.positions[here]
-                if found.failure:
-                    del moves[anchors]
+                # What cannot be followed in a few steps says nothing: it may be in all.
+                if not found.failure:
+                    moved[here] = found.positions[action.frames] - state.prediction.positions[here]
             # What has lost in one action is not followed in the others.
             least = UNLIKELY if number == len(thin.actions) else FAR
             moves = {s: moves[s] for s, log in self._shown(moves, seen, begun).items() if log > -least}

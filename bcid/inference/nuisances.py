@@ -144,6 +144,7 @@ class Nuisances:
         poisson = scene.material.values.get("poisson")
         self._poisson = float(poisson) if poisson is not None else None
         self._size = float(np.linalg.norm(np.ptp(mesh.points, axis=0)))
+        self._middle = (mesh.points.min(axis=0) + mesh.points.max(axis=0)) / 2
         self.sizes = self._sizes(0.0)
         self._patches = {name: Outline.of(mesh, region, f"patch {name}") for name, region in scene.patches.items()}
         self._grasps = {name: Outline.of(mesh, grasp.region, f"grasp {name}") for name, grasp in scene.grasps.items()}
@@ -204,6 +205,10 @@ class Nuisances:
         for name, column in force_modes(data, sizes, predicted) if predicted is not None else ():
             columns.append(column)
             names.append(name)
+        # Where it is known for sure where they sit, whatever the body's size, it takes none along.
+        for column in self._taken_along(data) if sizes.markers else ():
+            columns.append(column * float(sizes.dimensions or 0.0))
+            names.append("dimensions")
         if sizes.camera and data.measurement.frame_error is None:
             turned = self._camera(data)
             columns += list(turned.T)
@@ -230,6 +235,16 @@ class Nuisances:
             together = sum(constants[name] * column for name, column in moved.items())
             columns.append((STIFFNESS, np.asarray(together) * float(self.sizes.stiffness or 0.0)))
         return columns
+
+    def _taken_along(self, data: Data) -> list[Array]:
+        """Where a body that is larger by its own size along an axis has its fiducials, of each axis, (n,), m."""
+        away = self.scene.rest - self._middle
+        found = []
+        for axis in range(3):
+            moved = np.zeros((*data.mask.shape[:2], 3))
+            moved[:, : len(away), axis] = away[:, axis]
+            found.append(data.vector(moved))
+        return found
 
     def _camera(self, data: Data) -> Array:
         variance = np.radians(float(self.sizes.camera or 0.0)) ** 2

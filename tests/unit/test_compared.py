@@ -72,6 +72,30 @@ def test_the_best_is_weighed_against_sets_that_lack_one_of_its_patches() -> None
     assert replace(compared, own=fitted, full=fitted).unopposed() is None
 
 
+def test_a_set_that_cannot_be_followed_in_a_few_steps_has_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Near an instability large steps fail where small ones do not: what such an action shows is not counted."""
+    at = np.zeros((3, 1, 3))
+    found = {frozenset("1"): (np.full_like(at, np.nan), "inside out"), frozenset("2"): (at + 1.0, "")}
+    thin = SimpleNamespace(
+        actions=[SimpleNamespace(frames=np.arange(3))],
+        predict=lambda _model, anchors, **_: SimpleNamespace(positions=found[anchors][0], failure=found[anchors][1]),
+    )
+    best, shown = rival(("gravity",), "12", 100), dict[frozenset[str], float]()
+    predictor = SimpleNamespace(thinned=lambda *_: (thin, np.arange(3)), data=SimpleNamespace(mask=at > 0))
+    state: Any = best.fitted.state
+    state.predictor, state.predicted, state.prediction = predictor, at, SimpleNamespace(positions=at)
+
+    def odds(_: Rival, moves: dict[frozenset[str], Any], *__: Any) -> dict[frozenset[str], float]:
+        shown.update({s: float(moved.max()) for s, moved in moves.items()})
+        return dict.fromkeys(moves, 0.0)
+
+    monkeypatch.setattr(Rival, "_shown", odds)
+    nothing: Any = None
+    sets = [frozenset("1"), frozenset("2"), frozenset("3")]
+    assert best.without_a_patch(sets, 2, nothing, nothing) == [frozenset("1"), frozenset("2")]
+    assert shown == {frozenset("1"): 0.0, frozenset("2"): 1.0}
+
+
 def test_the_likeliest_is_the_one_whose_tangent_was_asked_about_other_sets() -> None:
     """Where a fit makes another one the likeliest, sets about that one are asked for too; of two that take turns each once."""
     first, second = rival(("gravity",), "1", 100), rival(("gravity",), "2", 110)

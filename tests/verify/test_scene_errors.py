@@ -185,6 +185,25 @@ def test_markers_stay_where_a_patch_or_a_grasp_ends_elsewhere(held: str) -> None
         assert_near(modes.common[:, number] / 1e-3, expected, 0.35)
 
 
+def test_a_larger_body_may_have_its_markers_further_out() -> None:
+    """As far as it is larger there, in every frame; whether it has them so is not known beside how it moves."""
+    action, sure = pulled(), replace(scene(), uncertainty=replace(Uncertainty.none(), dimensions=0.02))
+    here = replace(sure, uncertainty=replace(sure.uncertainty, markers=0.4e-3))
+    data = Data(here, recorded(here, [action], displacements(action) + here.rest, 1e-4, np.random.default_rng(0)))
+    found = []
+    for one in (sure, here):
+        nuisances = Nuisances(one, MESH)
+        wanted = nuisances.wanted(Model.of(one), ANCHORS)
+        found.append(nuisances.modes(data, told(wanted, action), wanted))
+    known, modes = found
+    assert known.names == ("dimensions",) * 3
+    assert modes.names == ("dimensions",) * 6
+    middle = (MESH.points.min(axis=0) + MESH.points.max(axis=0)) / 2
+    for axis in range(3):
+        away = np.where(data.axis == axis, 0.02 * (here.rest - middle)[data.fiducial, data.axis], 0.0)
+        assert modes.common[:, 3 + axis] == pytest.approx(away, abs=1e-12)
+
+
 def test_a_gripper_elsewhere_moves_the_body_as_told() -> None:
     action, names = pulled(turned=True), ("x", "z", "ry")
     term = grip_term()
