@@ -75,7 +75,7 @@ def test_evidence_is_the_likelihood_averaged_over_what_was_believed(heavy: tuple
     assert numbers is not None
     assert len(numbers.widths) == len(visible(1.0, 0.0))
     assert numbers.log_prior == 0.0
-    at = value + error * np.linspace(-5, 5, 21)
+    at = value + error * np.linspace(max(-5.0, -value / error), 5, 21)
     chi2 = [
         State.of(predictor, start.model.with_values({"gravity.weight": w}), anchors, start.errors.mesh).chi2 for w in at
     ]
