@@ -309,6 +309,11 @@ class DiagnosisResult(Result):
         )
 
     @property
+    def begins(self) -> dict[str, Any] | None:
+        """When something unknown begins, as `diagnosis.json` has it; None where nothing is told to begin."""
+        return self.found.get("begins")
+
+    @property
     def cannot_be_told_from(self) -> tuple[str, ...]:
         """Effects that explain as much as the one that was adopted."""
         return tuple(self.found["cannot_be_told_from"])

@@ -271,7 +271,7 @@ def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull]
         return [
             f"None of the known effects explains this measurement: {last.state.rms / unit:.3g} {name} are left where the noise is "
             f"{last.state.noise / unit:.3g} (the closest: {best}).",
-            *_breaks(last),
+            *(_begins(found) or _breaks(last)),
             "Look where the force that would explain it acts. Values below are those of a model that fails.",
             _held(found, held),
             *_open(found, pulls),
@@ -305,6 +305,20 @@ def _beyond(first: Rung, last: Rung) -> str:
         return ""
     before, after = (math.sqrt(rung.state.chi2 / len(rung.state.predictor.data)) for rung in (first, last))
     return f"; in units of what noise, mesh and scene explain it falls from {before:.3g} to {after:.3g}"
+
+
+def _begins(found: Explanation) -> list[str]:
+    """When what is unknown begins, as where something tears, sticks or lets go."""
+    if (onset := found.begins) is None:
+        return []
+    (action, step), (until, end) = onset.first, onset.last
+    if action != until:
+        when = f"between step {step} of action {action} and step {end} of action {until}"
+    else:
+        when = f"{f'in step {step}' if step == end else f'between steps {step} and {end}'} of action {action}"
+    return [
+        f"It begins {when} ({percent(onset.probability)}, if it is unknown): something may have torn, stuck or come off."
+    ]
 
 
 def _breaks(rung: Rung) -> list[str]:

@@ -40,6 +40,20 @@ class Rung:
 
 
 @dataclass(frozen=True)
+class Onset:
+    """Something unknown begins.
+
+    Attributes:
+        first, last: action and step between which it does (95 %).
+        probability: that it begins at some time, if it is unknown.
+    """
+
+    first: tuple[str, int]
+    last: tuple[str, int]
+    probability: float
+
+
+@dataclass(frozen=True)
 class Explanation:
     """What the loop found.
 
@@ -70,6 +84,16 @@ class Explanation:
         """Of the verdict: of what it names that it acts, and perhaps more besides that these data do not show."""
         told = self.verdict in ("none", "unknown")
         return self.odds.verdicts[self.verdict] if told else self.odds.acting(self.verdict)
+
+    @property
+    def begins(self) -> Onset | None:
+        """When what is unknown begins, if that is likelier than that it goes on with the motion or is there all the time."""
+        best = next((r for r in self.rivals if r.fitted.state is self.last.state), None)
+        if self.verdict != "unknown" or best is None or best.evidence.begins is None or best.evidence.sudden < 0.5:
+            return None
+        data, found = self.last.state.predictor.measurement.data, best.evidence.begins
+        first, last = ((str(data["action"].values[f]), int(data["step"].values[f])) for f in (found.first, found.last))
+        return Onset(first, last, best.evidence.sudden)
 
     @property
     def held_by(self) -> float:

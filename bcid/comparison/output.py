@@ -15,7 +15,7 @@ from bcid.base.units import unit_factor
 from bcid.comparison import courses, curvature, diagnosis_text
 from bcid.comparison.adequacy import FALSE_ALARMS, groups, judge
 from bcid.comparison.diagnosis import Diagnosis
-from bcid.comparison.explanation import Explanation, Rung, explains
+from bcid.comparison.explanation import Explanation, Onset, Rung, explains
 from bcid.comparison.fit import Fit
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import Ranking
@@ -192,8 +192,17 @@ def beliefs(found: Explanation, order: list[str]) -> dict[str, Any]:
             "patches": patches(odds.probabilities, order),
             "hypotheses": hypotheses,
         },
+        "begins": _onset(found.begins),
         "noise_doubt": diagnosis_text.noise_doubt(found),
     }
+
+
+def _onset(found: Onset | None) -> dict[str, Any] | None:
+    """When something unknown begins."""
+    if found is None:
+        return None
+    first, last = ({"action": action, "step": step} for action, step in (found.first, found.last))
+    return {"first": first, "last": last, "probability": found.probability}
 
 
 def _seen(fitted: Fit, one: Term) -> bool:

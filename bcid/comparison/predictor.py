@@ -21,7 +21,7 @@ from bcid.comparison.forward_models import ForwardModels
 from bcid.comparison.kept_predictions import KeptPredictions, MeasurementPrediction, PredictionKey
 from bcid.comparison.levels import affordable, pair
 from bcid.comparison.result_formats import PredictionFormat, SensitivitiesFormat, TangentsFormat
-from bcid.forms.force_bumps import BUMPS, bumps
+from bcid.forms.force_bumps import BUMPS, SPOTS, bumps
 from bcid.forms.forward import Forward, Look, Prediction
 from bcid.forms.gripper_force import ForceScale
 from bcid.forms.model import Model
@@ -363,25 +363,25 @@ class Predictor:
         anchors: Iterable[str],
         prediction: MeasurementPrediction,
         nuisances: NuisanceModes | None = None,
-    ) -> tuple[NuisanceModes, Array]:
-        """What the scene may have slightly wrong does to the measured values, and what an unknown force does, shape (n, forces), m.
+    ) -> tuple[NuisanceModes, Array, Array]:
+        """What nuisances do to the measured values, what an unknown force does, and what one at each of many spots does.
 
-        The prediction must have kept its states. Both are known in a few steps of each action, and interpolated between them.
-        Where `nuisances` are given these are taken.
+        The two latter per unit of each force, shape (n, forces) and (n, spots, 3), m. The prediction must have kept its states. All
+        are known in a few steps of each action, and interpolated between them. Where `nuisances` are given these are taken.
         """
         forward = self.forward(model)
         if self._nuisances is None:
             self._nuisances, self._weights = (
                 Nuisances(self.scene, forward.mesh, self.data.tells_stiffness),
-                bumps(forward, BUMPS)[1],
+                np.hstack([bumps(forward, count)[1] for count in (BUMPS, SPOTS)]),
             )
         wanted = self._nuisances.wanted(model, anchors) if nuisances is None else Wanted()
         wanted = replace(wanted, forces=self._weights)
         found = self.sensitivities(model, anchors, prediction, wanted)
         assert found.forces is not None
-        slopes = np.nan_to_num(self.data.vector(found.forces).astype(float)).reshape(len(self.data), -1)
-        positions = prediction.positions
-        return nuisances or self._nuisances.modes(self.data, found, wanted, model, positions), slopes
+        modes = nuisances or self._nuisances.modes(self.data, found, wanted, model, prediction.positions)
+        slopes = np.nan_to_num(self.data.vector(found.forces).astype(float))
+        return modes, slopes[:, :BUMPS].reshape(len(self.data), -1), slopes[:, BUMPS:]
 
     def set_tangent(self, model: Model, anchors: Iterable[str], prediction: MeasurementPrediction) -> SetTangent:
         """What every set shows to first order about one whose prediction kept its states, the same on every rank; collective.

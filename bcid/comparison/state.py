@@ -20,6 +20,7 @@ from bcid.inference.followed import NotFollowed
 from bcid.inference.likelihood import Errors, NuisanceEstimate
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes, fitted_instead, placed, replaced, stood_for
+from bcid.inference.sudden_force import SuddenForce
 from bcid.inference.unknown_force import Evidence, courses, unknown_force
 
 Array = NDArray[np.float64]
@@ -34,6 +35,7 @@ class State:
         prediction: its prediction on the working level, with states.
         errors: covariance of the residual.
         slopes: what an unknown force in each frame does to the values, shape (n, forces), m.
+        spots: the same of a force at each of many spots, shape (n, spots, 3), m.
         free: numbers of the model, by full name, that were fitted to the data.
         modes: what all nuisances do, those in whose place effects of the model act included; None where these are of `errors`.
     """
@@ -44,6 +46,7 @@ class State:
     prediction: MeasurementPrediction
     errors: Errors
     slopes: Array
+    spots: Array
     free: tuple[str, ...] = ()
     modes: NuisanceModes | None = None
 
@@ -76,10 +79,10 @@ class State:
             raise NotFollowed(message, f"{who} cannot be followed", came)
         mesh = mesh_error(predictor, model, anchors, prediction) if mesh is None else mesh
         residual = predictor.data.values - predictor.data.vector(prediction.positions + mesh.correction)
-        modes, slopes = predictor.disturbances(model, anchors, prediction, nuisances)
+        modes, slopes, spots = predictor.disturbances(model, anchors, prediction, nuisances)
         errors = Errors(predictor.data, predictor.data.noise(residual), mesh, modes)
         errors = _beside(errors, model, free)
-        return cls(predictor, model, anchors, prediction, errors, slopes, free, modes)
+        return cls(predictor, model, anchors, prediction, errors, slopes, spots, free, modes)
 
     def thinned(self, steps: int, settings: Settings) -> State:
         """The same hypothesis in a few steps of each action, see `Predictor.thinned`."""
@@ -168,13 +171,18 @@ class State:
 
     def evidence(self, numbers: Numbers | None = None) -> Evidence:
         """How likely the data are, with and without an unknown force; `numbers` are what was unknown of the model."""
-        return Evidence.of(self.errors, self.residual, self.force, numbers)
+        return Evidence.of(self.errors, self.residual, self.force, numbers, self.sudden)
 
     @cached_property
     def force(self) -> Force:
         """An unknown force, in units of the errors."""
         unit = force_unit(self.predictor.forward(self.model))
         return unknown_force(self.errors, courses(self.predictor.data, self.slopes), unit)
+
+    @cached_property
+    def sudden(self) -> SuddenForce | None:
+        """An unknown force that begins at a spot; None in a few steps, of which hardly any shows what was before."""
+        return None if self.predictor.thin else SuddenForce(self.errors, self.spots)
 
     @property
     def rms(self) -> float:

@@ -8,12 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.comparison.state import State
-from bcid.forms.force_bumps import bumps, scattered
+from bcid.forms.force_bumps import SPOTS, bumps, scattered
 from bcid.forms.probes import Wanted
 
 Array = NDArray[np.float64]
-# So many bumps carry the force, each as wide as they are apart.
-_BUMPS = 48
 # The force is told by so many regions: neighbouring bumps stand in for each other, and only their sums are known well.
 _REGIONS = 9
 # Sizes of the force that are tried, relative to the one that would explain everything.
@@ -60,7 +58,7 @@ def missing_force(state: State) -> MissingForce:
     """
     predictor, data = state.predictor, state.predictor.data
     forward = predictor.forward(state.model)
-    centres, weights = bumps(forward, _BUMPS)
+    centres, weights = bumps(forward, SPOTS)
     found = predictor.sensitivities(state.model, state.anchors, state.prediction, Wanted(forces=weights))
     assert found.forces is not None
     raw = data.vector(found.forces).astype(float).reshape(len(data), -1)

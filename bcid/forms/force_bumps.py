@@ -13,6 +13,8 @@ from bcid.forms.forward import Forward
 Array = NDArray[np.float64]
 # An unknown force is carried by so many bumps.
 BUMPS = 16
+# What begins at one place does so at one of so many; and what is missing lies at one.
+SPOTS = 48
 
 
 def bumps(forward: Forward, count: int) -> tuple[Array, Array]:

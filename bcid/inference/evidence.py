@@ -140,12 +140,24 @@ def log_gains(
         positive: which amounts cannot be negative, shape (amounts,).
         factors: as of `Integrated.log`.
     """
-    count, amounts = len(scaled), columns.shape[2]
     rr, rj = float(scaled @ scaled), np.einsum("n,nva->va", scaled, columns)
     jj = np.einsum("nva,nvb->vab", columns, columns, optimize=True)
+    return gains_of(rr, rj, jj, len(scaled), widths, positive, factors)
+
+
+def gains_of(
+    rr: float,
+    rj: Array,
+    jj: Array,
+    count: int,
+    widths: Array,
+    positive: NDArray[np.bool_],
+    factors: Array | None = None,
+) -> Array:
+    """The same from products of residual and columns: the residual's square, (variants, amounts), (variants, amounts, amounts)."""
     found = []
     for width in widths:
-        matrix = np.eye(amounts) + width[:, None] * jj * width
+        matrix = np.eye(rj.shape[1]) + width[:, None] * jj * width
         right = width * rj
         solved = np.linalg.solve(matrix, right[..., None])[..., 0]
         squares = np.maximum(rr - np.sum(right * solved, axis=1), 0.0)

@@ -66,6 +66,11 @@ class _LowRank:
     def log_volume(self) -> float:
         return -float(np.sum(np.log1p(-self.shrink)))
 
+    @property
+    def weighed(self) -> Array:
+        """Columns B, such that its square is I - B B'."""
+        return self.basis * np.sqrt(self.shrink * (2 - self.shrink))
+
 
 @dataclass(frozen=True)
 class NuisanceEstimate:
@@ -199,6 +204,15 @@ class Errors:
             part.undo(scaled)
         return np.asarray(scaled * self.sigma)
 
+    def explaining(self) -> Iterator[tuple[NDArray[np.int64], Array]]:
+        """Columns B, (rows, k) for some rows each, such that the inverse of the covariance in units of the noise is I - B B'."""
+        for part in self._single:
+            yield part.rows, part.weighed
+        common = self._common.weighed
+        for part in self._single:
+            part.apply(common)
+        yield self._common.rows, common
+
     @property
     def log_volume(self) -> float:
         """Half the logarithm of the determinant of the covariance, of it in m."""
@@ -211,10 +225,14 @@ class Errors:
 
     def rough(self, residual: Array) -> Array:
         """The part of a residual (n,), m, that is most likely noise: what neither nuisances nor mesh nor frame explain."""
-        scaled = self.whiten(residual)
+        return np.asarray(self.weighed(self.whiten(residual)) * self.sigma)
+
+    def weighed(self, scaled: Array) -> Array:
+        """What is whitened, (n,) or (n, m), as weights of values in units of the noise: the transpose of the whitening."""
+        found = np.array(scaled)
         for part in (self._common, *self._single):
-            part.apply(scaled)
-        return np.asarray(scaled * self.sigma)
+            part.apply(found)
+        return found
 
     def expected(self, residual: Array) -> Array:
         """The part of a residual (n,), m, that nuisances, mesh and frame most likely have: the mean of it given the values.

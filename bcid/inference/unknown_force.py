@@ -12,12 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
+from scipy.special import logsumexp, softmax
 
 from bcid.inference.criteria import NOTABLE
 from bcid.inference.data import Data
 from bcid.inference.evidence import LARGER, Force, Integrated, Numbers
 from bcid.inference.likelihood import Errors
+from bcid.inference.sudden_force import Beginning, SuddenForce
 
 Array = NDArray[np.float64]
 # Standard deviations of the force's density that are equally likely, in units of shear modulus per size of the body: from a strain
@@ -25,6 +26,8 @@ Array = NDArray[np.float64]
 _SIZES = np.logspace(-4, 1, 21)
 # How often something is missing in a model that was taken for complete.
 MISSING = 0.5
+# It may be smooth, in all errors, or begin somewhere.
+_WAYS = 3
 # Where the way back does not mirror the way there, what grows with time differs from what grows with the way by this part.
 _APART = 0.2
 
@@ -65,6 +68,7 @@ class Evidence:
         plain: nothing is missing.
         forced: an unknown force acts, integrated over its size.
         size: the likeliest standard deviation of its density.
+        begins: something that begins at a place, see `bcid.inference.sudden_force`, where that was asked.
         excess: how many times as large as they are taken for the squares of all other errors are beside it, on average; 1 where
             the force explains what is missing, or nothing is.
     """
@@ -73,29 +77,41 @@ class Evidence:
     forced: float
     size: float
     excess: float = 1.0
+    begins: Beginning | None = None
 
     @classmethod
-    def of(cls, errors: Errors, residual: Array, force: Force, numbers: Numbers | None = None) -> Evidence:
+    def of(
+        cls,
+        errors: Errors,
+        residual: Array,
+        force: Force,
+        numbers: Numbers | None = None,
+        sudden: SuddenForce | None = None,
+    ) -> Evidence:
         """Of a residual (n,), m.
 
-        What is missing need not be a force: the same is asked with errors that are larger by any factor, and both count alike.
+        What is missing need not be a force: the same is asked with errors that are larger by any factor. Nor need it be spread and
+        go on with the motion: it may begin somewhere. All count alike.
 
         Args:
             errors: of all else.
             residual: measured minus predicted.
             force: in units of these errors.
             numbers: what is unknown of the hypothesis; nothing by default.
+            sudden: what may begin; nothing by default.
         """
         scaled, known = errors.whiten(residual), numbers or Numbers.none(len(residual))
         stated, volume = errors.data.stated, errors.log_volume
         plain = Integrated.of(scaled, known).log(None if stated else LARGER)
         pushed = Integrated.of(scaled, known, force)
         larger = pushed.log(LARGER)
-        forced = np.logaddexp(pushed.log(), larger) if stated else larger + math.log(2)
+        begins = sudden.beginning(residual, known) if sudden else None
+        ways = [pushed.log() if stated else larger, larger, plain + begins.log if begins else -math.inf]
+        shares = softmax(ways)
         size = float(force.sizes[int(np.argmax(pushed.forced))])
-        share = float(expit(larger - pushed.log())) if stated else 1.0
-        excess = 1 + share * (pushed.excess(LARGER) - 1)
-        return cls(plain - volume, float(forced) - math.log(2) - volume, size, excess)
+        excess = 1 + float(shares[1] if stated else shares[:2].sum()) * (pushed.excess(LARGER) - 1)
+        forced = float(logsumexp(ways)) - math.log(_WAYS if begins else _WAYS - 1)
+        return cls(plain - volume, forced - volume, size, excess, begins)
 
     @property
     def total(self) -> float:
@@ -106,6 +122,12 @@ class Evidence:
     def left(self) -> float:
         """How many times as large as they are taken for the squares of errors are, whether or not something is missing."""
         return 1 + self.missing * (self.excess - 1)
+
+    @property
+    def sudden(self) -> float:
+        """Probability that it begins somewhere, if something is missing."""
+        log = -math.inf if self.begins is None else self.plain + self.begins.log - math.log(_WAYS)
+        return min(1.0, math.exp(log - self.forced))
 
     @property
     def missing(self) -> float:

@@ -82,6 +82,7 @@ def test_lengths_are_in_metres(tmp_path: Path) -> None:
     assert found.to_dataframe()["rms"][0] == found.rms
     models = bcid.load(runs.explained(tmp_path / "models"))
     assert isinstance(models, DiagnosisResult)
+    assert models.begins == runs.diagnosis()["begins"]
     assert models.ladder[-1].rms == pytest.approx(models.found["ladder"][-1]["rms"] * 1e-3)
 
 

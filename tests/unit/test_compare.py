@@ -301,7 +301,15 @@ class Toy:
 def state_of(toy: Toy, model: Model, mesh: MeshError | None = None) -> State:
     errors = Errors(toy.data, toy.data.sigma, mesh or MeshError.unknown(toy.data.mask.shape))
     whole: Any = toy
-    return State(whole, model, frozenset({"left"}), toy.predict(model, ()), errors, np.zeros((len(toy.data), 1)))
+    return State(
+        whole,
+        model,
+        frozenset({"left"}),
+        toy.predict(model, ()),
+        errors,
+        np.zeros((len(toy.data), 1)),
+        np.zeros((len(toy.data), 0, 3)),
+    )
 
 
 @pytest.mark.parametrize("coarse", [False, True])

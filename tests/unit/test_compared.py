@@ -14,7 +14,7 @@ from bcid.base.progress import Silent
 from bcid.comparison import contest, explain, hypothesis_search, rivals
 from bcid.comparison.compared import Compared
 from bcid.comparison.contest import Contest, _in_turn, _with_own_mesh, refitted
-from bcid.comparison.diagnosis_text import _alone
+from bcid.comparison.diagnosis_text import _alone, _begins
 from bcid.comparison.explanation import Explanation
 from bcid.comparison.hypothesis_search import HypothesisSearch, Look
 from bcid.comparison.loosened import Loosened
@@ -23,6 +23,7 @@ from bcid.comparison.rivals import Rival
 from bcid.forms import effects
 from bcid.forms.model import Term
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
+from bcid.inference.sudden_force import Beginning
 from bcid.inference.unknown_force import Evidence
 
 
@@ -181,6 +182,35 @@ def test_of_an_effect_it_is_told_how_probable_it_is_whatever_else_acts() -> None
     assert found.probability == pytest.approx(0.9)
     assert found.ambiguous == ("gravity+fibres", "none")
     assert Explanation("none", odds, (), nothing, (), nothing, {}, 0.0).probability == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "first", "last", "log", "words"),
+    [
+        ("unknown", 2, 2, 60.0, "in step 2 of action a "),
+        ("unknown", 1, 2, 60.0, "between steps 1 and 2 of action a "),
+        ("unknown", 2, 4, 60.0, "between step 2 of action a and step 1 of action b "),
+        ("unknown", 2, 2, 40.0, ""),
+        ("none", 2, 2, 60.0, ""),
+    ],
+)
+def test_when_something_unknown_begins_is_told_where_that_is_the_likeliest(
+    verdict: str, first: int, last: int, log: float, words: str
+) -> None:
+    best = rival((), "1", 100)
+    forced = float(np.logaddexp(100 + log, 150.0)) - math.log(3)
+    evidence = Evidence(100.0, forced, 1.0, begins=Beginning(first, last, log))
+    state: Any = best.fitted.state
+    frames = {"action": list("aaabbb"), "step": [0, 1, 2] * 2}
+    data = {name: SimpleNamespace(values=np.array(values)) for name, values in frames.items()}
+    state.predictor = SimpleNamespace(measurement=SimpleNamespace(data=data))
+    nothing: Any = None
+    rung: Any = SimpleNamespace(state=state)
+    odds = HypothesisOdds.of({less("1"): 0.0})
+    found = Explanation(verdict, odds, (rung,), nothing, (replace(best, evidence=evidence),), nothing, {}, 0.0)
+    lines = _begins(found)
+    assert [words in line for line in lines] == [True] * bool(words)
+    assert (found.begins is not None) == bool(words)
 
 
 PLAIN: Any = SimpleNamespace(terms=(), added=lambda _: [])

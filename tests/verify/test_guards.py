@@ -48,6 +48,7 @@ from bcid.inference.hypotheses import Hypothesis
 from bcid.inference.mesh_error import MeshError
 from bcid.measurement import Action, Measurement
 from bcid.scene import Level, Scene
+from bcid.studies.hidden import outside
 
 ANCHORED = frozenset({"1", "3"})
 HEAVY = frozenset({"3", "4"})
@@ -220,6 +221,28 @@ def test_what_has_saturated_is_seen_by_all_that_it_does(heavy: Measurement, slab
     moved = columns(predictor, model, HEAVY, state.prediction, coordinates(model, state.free))
     assert np.linalg.norm(state.errors.whiten(moved)) * 10 < SEEN
     assert of_state(state, Model.of(slab)) is not None
+    predictor.destroy()
+
+
+@pytest.mark.parametrize("torn", [0.0, 0.95])
+def test_what_tears_begins_when_it_does(slab: Scene, torn: float) -> None:
+    """Nothing that is spread over the body and goes on with the motion explains it; and where nothing tears nothing begins."""
+    steps = np.arange(13)
+    path = 0.001 * steps[:, None] * np.array([1.0, 0.0, 0.0])
+    pull = Action("1", steps, steps, "I", path, np.tile([1.0, 0.0, 0.0, 0.0], (13, 1)))
+    place = {"cx": 0.045, "cy": 0.005, "cz": 0.025, "width": 0.006, "length": 0.03, "angle": 80.0}
+    band = Term(outside.EFFECTS["tear"], {"torn": torn, **place, "onset": 5.5, "ramp": 0.5})
+    scene = replace(slab, noise_sigma=0.05e-3)
+    seen = simulate(scene, ANCHORED, [pull], level=2, model=Model.of(scene) + band)
+    predictor = Predictor(scene, seen, MPI.COMM_SELF, level=1)
+    found = at(predictor).evidence()
+    assert found.begins is not None
+    if torn:
+        assert found.missing > 0.99
+        assert found.sudden > 0.99
+        assert (found.begins.first, found.begins.last) == (6, 6)
+    else:
+        assert found.missing < 0.2
     predictor.destroy()
 
 

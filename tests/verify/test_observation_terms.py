@@ -68,7 +68,9 @@ def compared(forward: Forward, seen: np.ndarray, predicted: np.ndarray) -> State
     )  # fmt: skip
     errors = Errors(data, data.sigma, MeshError.unknown(data.mask.shape))
     prediction = MeasurementPrediction(predicted, {})
-    return State(predictor, Model.of(scene), ANCHORS, prediction, errors, np.zeros((len(data), 1)))
+    return State(
+        predictor, Model.of(scene), ANCHORS, prediction, errors, np.zeros((len(data), 1)), np.zeros((len(data), 0, 3))
+    )
 
 
 def left(state: State, columns: np.ndarray) -> tuple[np.ndarray, float]:

@@ -1,0 +1,111 @@
+"""Something that begins at a spot: its evidence, and that it is told from noise and from what is there all the time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp, softmax
+from scipy.stats import multivariate_normal
+
+from bcid.inference.data import Data
+from bcid.inference.evidence import Numbers
+from bcid.inference.likelihood import Errors
+from bcid.inference.mesh_error import MeshError
+from bcid.inference.sudden_force import _SIZES, SuddenForce
+from bcid.inference.unknown_force import Evidence, courses, unknown_force
+from tests.unit.test_weighing import SCENE, STEPS, UNIT, errors, measurement, slopes
+
+PLACES = 3
+MOST = 2e-3
+
+
+def spots(data: Data) -> np.ndarray:
+    """Movements per unit of a force at each of some places: of all markers, the nearest most."""
+    near = np.exp(-np.abs(data.fiducial[:, None] - np.arange(PLACES)[None]))
+    return np.asarray(near[:, :, None] * (data.axis[:, None, None] == np.arange(3)))
+
+
+def residual(data: Data) -> np.ndarray:
+    return data.values - data.vector(np.tile(SCENE.rest, (2 * STEPS, 1, 1)))
+
+
+def everything(known: Errors, data: Data) -> list[tuple[int, int, np.ndarray]]:
+    """First frame, place and columns of all that may begin."""
+    slopes, found = spots(data), []
+    for course in (np.ones(len(data)), data.way):
+        for span in ("action", "measurement"):
+            for frame in range(2 * STEPS):
+                action, step = divmod(frame, STEPS)
+                if step < 2:
+                    continue
+                acts = (data.frame >= frame) & ((data.action == action) | (span == "measurement"))
+                found += [(frame, place, (acts * course)[:, None] * slopes[:, place]) for place in range(PLACES)]
+    return found
+
+
+def test_its_evidence_is_that_of_a_gaussian_averaged_over_all_that_may_begin() -> None:
+    data = Data(SCENE, measurement())
+    rng = np.random.default_rng(3)
+    mesh = MeshError(np.zeros(data.mask.shape), 2e-4 * rng.normal(size=data.mask.shape), True)
+    known = Errors(data, data.sigma, mesh, errors(data).nuisances)
+    columns = 3e-4 * rng.normal(size=(len(data), 2))
+    widths = np.array([[0.5, 1.0], [1.0, 2.0], [3.0, 5.0]])
+    numbers = Numbers(known.whiten(columns), np.array([0.3, -0.2]), widths, np.zeros(2, bool))
+    found = SuddenForce(known, spots(data)).beginning(residual(data), numbers)
+    unit = np.column_stack([known.unwhiten(one) for one in np.eye(len(data))])
+    base = unit @ unit.T + (columns * widths[1]) @ (columns * widths[1]).T
+    seen = residual(data) + columns @ numbers.apart
+    nothing = multivariate_normal(cov=base).logpdf(seen)
+    gains = []
+    for _, _, moved in everything(known, data):
+        size = np.sqrt(np.mean(np.sum(known.whiten(moved) ** 2, axis=0)))
+        shown = (moved / size) @ (moved / size).T
+        each = [multivariate_normal(cov=base + s**2 * shown).logpdf(seen) - nothing for s in _SIZES]
+        gains.append(logsumexp(each) - np.log(len(each)))
+    assert found is not None
+    assert found.log == pytest.approx(logsumexp(gains) - np.log(len(gains)), rel=1e-6)
+
+
+@pytest.mark.parametrize("until", ["action", "measurement"])
+def test_when_it_begins_is_told(until: str) -> None:
+    data = Data(SCENE, measurement())
+    known, begins = errors(data), 3
+    acts = (data.frame >= begins) & ((data.action == 0) | (until == "measurement"))
+    pushed = residual(data) + MOST * acts * spots(data)[:, 1, 2]
+    found = SuddenForce(known, spots(data)).beginning(pushed, Numbers.none(len(data)))
+    assert found is not None
+    assert (found.first, found.last) == (begins, begins)
+    assert found.log > 10
+
+
+def test_noise_does_not_begin() -> None:
+    logs = []
+    for seed in range(5):
+        data = Data(SCENE, measurement(seed=seed))
+        found = SuddenForce(errors(data), spots(data)).beginning(residual(data), Numbers.none(len(data)))
+        assert found is not None
+        logs.append(found.log)
+    assert max(logs) < 0
+
+
+def test_nothing_begins_where_no_motion_was_seen_before() -> None:
+    seen = np.full((2 * STEPS, len(SCENE.rest), 3), np.nan)
+    seen[::STEPS], seen[1::STEPS] = SCENE.rest, SCENE.rest
+    data = Data(SCENE, measurement(seen))
+    assert SuddenForce(errors(data), spots(data)).beginning(0 * data.values, Numbers.none(len(data))) is None
+
+
+def test_smooth_in_larger_errors_or_sudden_count_alike() -> None:
+    data = Data(SCENE, measurement())
+    known, acts = errors(data), data.frame >= 3
+    pushed = residual(data) + 0.07 * MOST * acts * spots(data)[:, 1, 2]
+    force = unknown_force(known, courses(data, slopes(data)), UNIT)
+    without = Evidence.of(known, pushed, force)
+    found = Evidence.of(known, pushed, force, sudden=SuddenForce(known, spots(data)))
+    assert found.begins is not None
+    ways = without.forced + np.log(2), found.plain + found.begins.log
+    assert found.forced == pytest.approx(np.logaddexp(*ways) - np.log(3))
+    assert found.sudden == pytest.approx(softmax(ways)[1])
+    assert 0.01 < found.sudden < 0.99
+    assert found.plain == without.plain
+    assert without.sudden == 0
