@@ -41,7 +41,7 @@ class SuddenForce:
     """A force at one of many places that acts from one of many frames on.
 
     It stays as it is or grows with the gripper's way, to the end of its action or of the measurement. Before it begins its action
-    was seen in motion: what is there all the time does not begin.
+    was seen in motion, and two frames show it: what is there all the time does not begin, nor what a single frame shows.
 
     Args:
         errors: of all else.
@@ -57,8 +57,9 @@ class SuddenForce:
         end = np.array([np.flatnonzero(action == a)[-1] + 1 for a in action])
         moving = np.array([data.step[rows[0]] > 0 for rows in self._of_frame])
         begins = np.array([k for k, a in enumerate(action) if moving[:k][action[:k] == a].any()], dtype=np.int64)
-        # Each acts in the frames from one to another.
-        self._spans = [(begins, end[begins]), (begins, np.full_like(begins, len(action)))]
+        # Each acts in the frames from one up to another; what one frame alone shows is no beginning.
+        spans = [(begins, end[begins]), (begins, np.full_like(begins, len(action)))]
+        self._spans = [(begin[until > begin + 1], until[until > begin + 1]) for begin, until in spans]
         scaled = (slopes / errors.sigma[:, None, None]).reshape(len(data), -1)
         self._courses = [scaled, data.way[:, None] * scaled]
         squares = self._squares()
@@ -70,11 +71,10 @@ class SuddenForce:
         if not len(self._unit):
             return None
         gains = self._gains(residual, numbers)
-        begins = self._spans[0][0]
-        each = softmax(gains).reshape(len(self._courses), len(self._spans), len(begins), self._places)
-        until = np.cumsum(each.sum(axis=(0, 1, 3)))
-        ends = np.searchsorted(until, [(1 - CERTAIN) / 2, (1 + CERTAIN) / 2]).clip(max=len(begins) - 1)
-        first, last = self._frames[begins[ends]]
+        begins = np.concatenate([np.repeat(begin, self._places) for begin, _ in self._spans] * len(self._courses))
+        until = np.cumsum(np.bincount(begins, softmax(gains)))
+        ends = np.searchsorted(until, [(1 - CERTAIN) / 2, (1 + CERTAIN) / 2]).clip(max=len(until) - 1)
+        first, last = self._frames[ends]
         return Beginning(int(first), int(last), float(logsumexp(gains) - np.log(len(gains))))
 
     def _gains(self, residual: Array, numbers: Numbers) -> Array:
