@@ -56,13 +56,22 @@ def test_its_evidence_is_that_of_a_gaussian_averaged_over_all_that_may_begin() -
     unit = np.column_stack([known.unwhiten(one) for one in np.eye(len(data))])
     base = unit @ unit.T + (columns * widths[1]) @ (columns * widths[1]).T
     seen = residual(data) + columns @ numbers.apart
-    nothing = multivariate_normal(cov=base).logpdf(seen)
+    smooth = []
+    for place in range(PLACES):
+        columns = np.hstack([data.way[:, None] ** power * spots(data)[:, place] for power in range(3)])
+        columns = columns / np.linalg.norm(known.whiten(columns), axis=0)
+        smooth.append(_SIZES[-1] ** 2 * columns @ columns.T)
     gains = []
-    for _, _, moved in everything(known, data):
-        size = np.sqrt(np.mean(np.sum(known.whiten(moved) ** 2, axis=0)))
+    for _, place, moved in everything(known, data):
+        before = multivariate_normal(cov=base + smooth[place])
+        # What is smooth is taken out of it as it is out of all else, but for what is unknown besides.
+        covariance = unit @ unit.T + smooth[place]
+        size = np.sqrt(np.trace(moved.T @ np.linalg.solve(covariance, moved)) / 3)
+        if size**2 < 1e-6 * np.sum(known.whiten(moved) ** 2) / 3:
+            continue
         shown = (moved / size) @ (moved / size).T
-        each = [multivariate_normal(cov=base + s**2 * shown).logpdf(seen) - nothing for s in _SIZES]
-        gains.append(logsumexp(each) - np.log(len(each)))
+        each = [multivariate_normal(cov=before.cov + s**2 * shown).logpdf(seen) for s in _SIZES]
+        gains.append(logsumexp(each) - np.log(len(each)) - before.logpdf(seen))
     assert found is not None
     assert found.log == pytest.approx(logsumexp(gains) - np.log(len(gains)), rel=1e-6)
 
