@@ -310,7 +310,7 @@ class DiagnosisResult(Result):
 
     @property
     def begins(self) -> dict[str, Any] | None:
-        """When something unknown begins, as `diagnosis.json` has it; None where nothing is told to begin."""
+        """By when something unknown has begun, as `diagnosis.json` has it; None where nothing is told to begin."""
         return self.found.get("begins")
 
     @property

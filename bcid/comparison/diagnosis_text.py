@@ -308,16 +308,12 @@ def _beyond(first: Rung, last: Rung) -> str:
 
 
 def _begins(found: Explanation) -> list[str]:
-    """When what is unknown begins, as where something tears, sticks or lets go."""
+    """By when what is unknown has begun, as where something tears, sticks or lets go."""
     if (onset := found.begins) is None:
         return []
-    (action, step), (until, end) = onset.first, onset.last
-    if action != until:
-        when = f"between step {step} of action {action} and step {end} of action {until}"
-    else:
-        when = f"{f'in step {step}' if step == end else f'between steps {step} and {end}'} of action {action}"
     return [
-        f"It begins {when} ({percent(onset.probability)}, if it is unknown): something may have torn, stuck or come off."
+        f"It is not there from the start ({percent(onset.probability)}, if it is unknown), and shows by step {onset.step} of action "
+        f"{onset.action}: something may have torn, stuck or come off then or, unseen, before."
     ]
 
 

@@ -44,12 +44,12 @@ class Onset:
     """Something unknown begins.
 
     Attributes:
-        first, last: action and step between which it does (95 %).
+        action, step: by when it has begun (95 %); before that it may not have shown.
         probability: that it begins at some time, if it is unknown.
     """
 
-    first: tuple[str, int]
-    last: tuple[str, int]
+    action: str
+    step: int
     probability: float
 
 
@@ -87,13 +87,13 @@ class Explanation:
 
     @property
     def begins(self) -> Onset | None:
-        """When what is unknown begins, if that is likelier than that it goes on with the motion or is there all the time."""
+        """By when what is unknown has begun, if it begins: if that is likelier than that it goes on with the motion or is there all the time."""
         best = next((r for r in self.rivals if r.fitted.state is self.last.state), None)
         if self.verdict != "unknown" or best is None or best.evidence.begins is None or best.evidence.sudden < 0.5:
             return None
         data, found = self.last.state.predictor.measurement.data, best.evidence.begins
-        first, last = ((str(data["action"].values[f]), int(data["step"].values[f])) for f in (found.first, found.last))
-        return Onset(first, last, best.evidence.sudden)
+        action, step = str(data["action"].values[found.by]), int(data["step"].values[found.by])
+        return Onset(action, step, best.evidence.sudden)
 
     @property
     def held_by(self) -> float:

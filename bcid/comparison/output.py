@@ -198,11 +198,8 @@ def beliefs(found: Explanation, order: list[str]) -> dict[str, Any]:
 
 
 def _onset(found: Onset | None) -> dict[str, Any] | None:
-    """When something unknown begins."""
-    if found is None:
-        return None
-    first, last = ({"action": action, "step": step} for action, step in (found.first, found.last))
-    return {"first": first, "last": last, "probability": found.probability}
+    """By when something unknown has begun."""
+    return None if found is None else {"action": found.action, "step": found.step, "probability": found.probability}
 
 
 def _seen(fitted: Fit, one: Term) -> bool:

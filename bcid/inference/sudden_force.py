@@ -31,15 +31,17 @@ _LIKE_SMOOTH = 1e-6
 
 @dataclass(frozen=True)
 class Beginning:
-    """When something begins. Where is not told: what tears pulls on both sides, and a force at one place stands for that anywhere.
+    """By when something has begun.
+
+    What tears while little pulls on it shows later, when more does, and a force at one place stands for what it does anywhere near:
+    neither from when on nor where it acts is told.
 
     Attributes:
-        first, last: frames between which it does, with `CERTAIN`.
+        by: the frame in which it acts, with `CERTAIN`.
         log: logarithm of how much likelier it makes the data than nothing, with all that it may be counted.
     """
 
-    first: int
-    last: int
+    by: int
     log: float
 
 
@@ -79,16 +81,15 @@ class SuddenForce:
         self._jumps = jumps / self._unit**2
 
     def beginning(self, residual: Array, numbers: Numbers) -> Beginning | None:
-        """When, by a residual (n,), m, at numbers that are unknown besides; None where no frame could show it."""
+        """By when, by a residual (n,), m, at numbers that are unknown besides; None where no frame could show it."""
         if not self._told.any():
             return None
         gains = self._gains(residual, numbers)
         begins = np.concatenate([begin for begin, _ in self._spans] * len(self._courses))
         begins = np.broadcast_to(begins[:, None], self._told.shape)[self._told]
         until = np.cumsum(np.bincount(begins, softmax(gains)))
-        ends = np.searchsorted(until, [(1 - CERTAIN) / 2, (1 + CERTAIN) / 2]).clip(max=len(until) - 1)
-        first, last = self._frames[ends]
-        return Beginning(int(first), int(last), float(logsumexp(gains) - np.log(len(gains))))
+        by = self._frames[min(int(np.searchsorted(until, CERTAIN)), len(until) - 1)]
+        return Beginning(int(by), float(logsumexp(gains) - np.log(len(gains))))
 
     def _gains(self, residual: Array, numbers: Numbers) -> Array:
         """How much likelier each that is told from a smooth one makes the data, as logarithms.

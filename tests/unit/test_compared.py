@@ -185,21 +185,20 @@ def test_of_an_effect_it_is_told_how_probable_it_is_whatever_else_acts() -> None
 
 
 @pytest.mark.parametrize(
-    ("verdict", "first", "last", "log", "words"),
+    ("verdict", "by", "log", "words"),
     [
-        ("unknown", 2, 2, 60.0, "in step 2 of action a "),
-        ("unknown", 1, 2, 60.0, "between steps 1 and 2 of action a "),
-        ("unknown", 2, 4, 60.0, "between step 2 of action a and step 1 of action b "),
-        ("unknown", 2, 2, 40.0, ""),
-        ("none", 2, 2, 60.0, ""),
+        ("unknown", 2, 60.0, "shows by step 2 of action a:"),
+        ("unknown", 4, 60.0, "shows by step 1 of action b:"),
+        ("unknown", 2, 40.0, ""),
+        ("none", 2, 60.0, ""),
     ],
 )
-def test_when_something_unknown_begins_is_told_where_that_is_the_likeliest(
-    verdict: str, first: int, last: int, log: float, words: str
+def test_by_when_something_unknown_has_begun_is_told_where_that_is_the_likeliest(
+    verdict: str, by: int, log: float, words: str
 ) -> None:
     best = rival((), "1", 100)
     forced = float(np.logaddexp(100 + log, 150.0)) - math.log(3)
-    evidence = Evidence(100.0, forced, 1.0, begins=Beginning(first, last, log))
+    evidence = Evidence(100.0, forced, 1.0, begins=Beginning(by, log))
     state: Any = best.fitted.state
     frames = {"action": list("aaabbb"), "step": [0, 1, 2] * 2}
     data = {name: SimpleNamespace(values=np.array(values)) for name, values in frames.items()}

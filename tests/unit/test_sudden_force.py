@@ -84,7 +84,7 @@ def test_when_it_begins_is_told(until: str) -> None:
     pushed = residual(data) + MOST * acts * spots(data)[:, 1, 2]
     found = SuddenForce(known, spots(data)).beginning(pushed, Numbers.none(len(data)))
     assert found is not None
-    assert (found.first, found.last) == (begins, begins)
+    assert found.by == begins
     assert found.log > 10
 
 
