@@ -312,8 +312,8 @@ def _begins(found: Explanation) -> list[str]:
     if (onset := found.begins) is None:
         return []
     return [
-        f"It is not there from the start ({percent(onset.probability)}, if it is unknown), and shows by step {onset.step} of action "
-        f"{onset.action}: something may have torn, stuck or come off then or, unseen, before."
+        f"It is not there from the start ({percent(onset.probability)}, if it is unknown), and shows by step {onset.step} of "
+        f"action {onset.action}: something may have torn, stuck or come off then or, unseen, before."
     ]
 
 

@@ -87,7 +87,7 @@ class Explanation:
 
     @property
     def begins(self) -> Onset | None:
-        """By when what is unknown has begun, if it begins: if that is likelier than that it goes on with the motion or is there all the time."""
+        """By when what is unknown has begun; None where it more likely goes on with the motion, or is there all the time."""
         best = next((r for r in self.rivals if r.fitted.state is self.last.state), None)
         if self.verdict != "unknown" or best is None or best.evidence.begins is None or best.evidence.sudden < 0.5:
             return None

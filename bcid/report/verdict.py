@@ -92,6 +92,8 @@ def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
             after = f"the error is {last['rms']:.3g} {unit}"
         lacks = "its plain model lacks" if len(ladder) > 1 else "its model lacks"
         sentence = f"{held}, and {lacks} {effects}: {after} (noise {noise:.3g} {unit})."
+    if begins := d.get("begins"):
+        sentence += f" It is not there from the start, and shows by step {begins['step']} of action {begins['action']}."
     numbers = [("error before", f"{first['rms']:.3g} {unit}")] if len(ladder) > 1 else []
     numbers += [("error after" if numbers else "error", f"{last['rms']:.3g} {unit}"), ("noise", f"{noise:.3g} {unit}")]
     for name, key in (("probability", "verdict_probability"), ("of the anchors", "anchors_probability")):

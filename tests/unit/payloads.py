@@ -79,6 +79,7 @@ def poisoned(path: Path, payload: str) -> Path:
         "warnings": [payload],
         "anchored": [payload],
         "cannot_be_told_from": [payload],
+        "begins": {"action": payload, "step": payload, "probability": 0.9},
         "ranking": [row, runs.ranked("gravity", 0.3)],
         "adopted": [{"effect": payload, "place": payload, "parameters": row["parameters"]}],
         "tests": [{"name": payload, "p_value": 0.5, "decides": True, "text": payload}],

@@ -119,7 +119,7 @@ def diagnosis() -> dict[str, Any]:
         "warnings": [],
         "tests": [{"name": "size", "p_value": 0.9, "decides": True, "text": "it is 0.98 times what noise explains"}],
         "ranking": [ranked("gravity", 0.24, 0.21), ranked("soft_anchor", 1.3)],
-        "begins": {"action": "lift", "step": 5, "probability": 0.97},
+        "begins": None,
         "cannot_be_told_from": [],
         "ladder": [rung("neo_hooke", 1.42, False), rung("neo_hooke + gravity", 0.21, True)],
         "length_unit": "mm",

@@ -1,5 +1,6 @@
 """The public functions and their results: what they show, give as tables, write and read."""
 
+import json
 import subprocess
 import sys
 from html.parser import HTMLParser
@@ -82,7 +83,12 @@ def test_lengths_are_in_metres(tmp_path: Path) -> None:
     assert found.to_dataframe()["rms"][0] == found.rms
     models = bcid.load(runs.explained(tmp_path / "models"))
     assert isinstance(models, DiagnosisResult)
-    assert models.begins == runs.diagnosis()["begins"]
+    assert models.begins is None
+    begins = {"action": "lift", "step": 5, "probability": 0.97}
+    runs.rewrite(models.path, "diagnosis.json", json.dumps(runs.diagnosis() | {"begins": begins}))
+    again = bcid.load(models.path)
+    assert isinstance(again, DiagnosisResult)
+    assert again.begins == begins
     assert models.ladder[-1].rms == pytest.approx(models.found["ladder"][-1]["rms"] * 1e-3)
 
 

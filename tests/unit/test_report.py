@@ -147,6 +147,10 @@ def test_what_is_odd_and_an_unknown_noise_stand_in_the_report(tmp_path: Path) ->
         ({"verdict": "none", "ladder": [runs.rung("neo_hooke", 0.2, True)]}, "the neo-Hookean model is adequate"),
         ({"verdict": "none", "adequate": None}, "the neo-Hookean + gravity model has nothing against it"),
         ({"verdict": "unknown"}, "None of the known effects explains this measurement"),
+        (
+            {"verdict": "unknown", "begins": {"action": "lift", "step": 5, "probability": 0.97}},
+            "is 0.2 mm. It is not there from the start, and shows by step 5 of action lift.",
+        ),
         ({"verdict": "unknown", "ranking": []}, "model is not adequate: it misses the measurement by 0.21 mm"),
         (
             {"ladder": [runs.rung("neo_hooke", 1.42, False)]},
