@@ -3,19 +3,20 @@
 An unknown force that is smooth (`bcid.inference.unknown_force`) stands for what is spread over the body and goes on with the
 motion. What tears, sticks or lets go at a spot does neither: it begins, and moves what is near. It has three numbers, and a place
 and a frame that nobody knows: all are as likely, so that what chance shows in one of so many is paid for. Only the jump counts: a
-force at the same place that was there before, and changes smoothly with the gripper's way, may act besides with any size.
+force at the same place that is there all the time, and changes as a parabola of the gripper's way, may act besides with any size.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp, softmax
 
 from bcid.inference.criteria import CERTAIN, SEEN
+from bcid.inference.data import Data
 from bcid.inference.evidence import LARGER, Numbers, gains_of
 from bcid.inference.likelihood import Errors
 
@@ -23,8 +24,6 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 # Standard deviations of the force that are equally likely, in those that the data leave of it: from what is just seen on.
 _SIZES: Array = SEEN * np.logspace(0, 3, 7)
-# Powers of the gripper's way that are smooth.
-_SMOOTH = 3
 # What differs from a smooth force by less than this part of its square does not begin.
 _LIKE_SMOOTH = 1e-6
 
@@ -59,22 +58,14 @@ class SuddenForce:
     def __init__(self, errors: Errors, slopes: Array) -> None:
         data = errors.data
         self._errors = errors
+        self._scaled = slopes / errors.sigma[:, None, None]
         self._frames, self._row = np.unique(data.frame, return_inverse=True)
-        self._of_frame = [np.flatnonzero(self._row == k) for k in range(len(self._frames))]
-        action = np.array([data.action[rows[0]] for rows in self._of_frame])
-        end = np.array([np.flatnonzero(action == a)[-1] + 1 for a in action])
-        moving = np.array([data.step[rows[0]] > 0 for rows in self._of_frame])
-        begins = np.array([k for k, a in enumerate(action) if moving[:k][action[:k] == a].any()], dtype=np.int64)
-        # Each acts in the frames from one up to another; what one frame alone shows is no beginning.
-        spans = [(begins, end[begins]), (begins, np.full_like(begins, len(action)))]
-        self._spans = [(begin[until > begin + 1], until[until > begin + 1]) for begin, until in spans]
-        scaled = slopes / errors.sigma[:, None, None]
-        powers = [data.way[:, None, None] ** power * scaled for power in range(_SMOOTH)]
-        self._courses = powers[:2]
-        self._smooth = _Smooth.of(errors, np.concatenate(powers, axis=2))
-        squares = self._squares()
-        self._beside = self._sums(self._smooth.weighed)
-        jumps = squares - self._beside @ self._smooth.inverse @ np.swapaxes(self._beside, 2, 3)
+        self._begins, self._sudden, self._smooth = _courses(data, self._frames)
+        squares, self._beside, smooth = self._products()
+        scale = np.sqrt(np.maximum(np.diagonal(smooth, axis1=1, axis2=2), 1e-300))
+        both = scale[:, :, None] * scale[:, None, :]
+        self._inverse = np.linalg.inv(smooth / both + np.eye(smooth.shape[1]) / _SIZES[-1] ** 2) / both
+        jumps = squares - self._beside @ self._inverse @ np.swapaxes(self._beside, 2, 3)
         size, whole = (np.trace(some, axis1=2, axis2=3) / 3 for some in (jumps, squares))
         self._told = size > _LIKE_SMOOTH * whole
         self._unit = np.sqrt(np.where(self._told, size, 1.0))[:, :, None, None]
@@ -85,8 +76,7 @@ class SuddenForce:
         if not self._told.any():
             return None
         gains = self._gains(residual, numbers)
-        begins = np.concatenate([begin for begin, _ in self._spans] * len(self._courses))
-        begins = np.broadcast_to(begins[:, None], self._told.shape)[self._told]
+        begins = np.broadcast_to(self._begins[:, None], self._told.shape)[self._told]
         until = np.cumsum(np.bincount(begins, softmax(gains)))
         by = self._frames[min(int(np.searchsorted(until, CERTAIN)), len(until) - 1)]
         return Beginning(int(by), float(logsumexp(gains) - np.log(len(gains))))
@@ -99,10 +89,10 @@ class SuddenForce:
         errors, width = self._errors, numbers.widths[len(numbers.widths) // 2]
         known = np.column_stack([errors.whiten(residual) + numbers.columns @ numbers.apart, numbers.columns * width])
         weighed = errors.weighed(known)
-        smooth = self._smooth.along(weighed)
-        products = known.T @ known - np.swapaxes(smooth, 1, 2) @ self._smooth.inverse @ smooth
-        repeated = np.repeat(weighed[:, None], self._told.shape[1], axis=1)
-        with_known = (self._sums(repeated) - self._beside @ self._smooth.inverse @ smooth) / self._unit
+        each = self._by_frame(np.arange(len(weighed)), weighed)
+        smooth = _flat(np.tensordot(self._smooth, each, 1))
+        products = known.T @ known - np.swapaxes(smooth, 1, 2) @ self._inverse @ smooth
+        with_known = (np.tensordot(self._sudden, each, 1) - self._beside @ self._inverse @ smooth) / self._unit
         inverse = np.linalg.inv(np.eye(len(width)) + products[:, 1:, 1:])
         left = with_known[..., 1:] @ inverse
         rj = with_known[..., :1] - left @ products[:, 1:, :1]
@@ -111,65 +101,55 @@ class SuddenForce:
         rr, factors = float(known[:, 0] @ known[:, 0]), None if errors.data.stated else LARGER
         return gains_of(rr, rj[self._told, :, 0], jj[self._told], len(residual), sizes, free, factors)
 
-    def _sums(self, values: Array) -> Array:
-        """Products of each force with values (n, places, m), in units of the noise: shape (beginnings, places, 3, m)."""
-        found = []
-        for course in self._courses:
-            until = _until([np.einsum("npa,npb->pab", course[rows], values[rows]) for rows in self._of_frame])
-            found += [until[end] - until[begin] for begin, end in self._spans]
-        return np.concatenate(found)
+    def _products(self) -> tuple[Array, Array, Array]:
+        """Products with the inverse of the covariance of forces at a place, in units of the noise.
 
-    def _squares(self) -> Array:
-        """Products of the components of each force with the inverse of the covariance: shape (beginnings, places, 3, 3)."""
-        parts = list(self._errors.explaining())
-        found = []
-        for course in self._courses:
-            own = _until([np.einsum("npa,npb->pab", course[rows], course[rows]) for rows in self._of_frame])
-            shared = [_until(self._shares(course, rows, columns)) for rows, columns in parts]
-            for begin, end in self._spans:
-                squares = own[end] - own[begin]
-                for share in shared:
-                    along = share[end] - share[begin]
-                    squares = squares - along @ np.swapaxes(along, 2, 3)
-                found.append(squares)
-        return np.concatenate(found)
+        Of each that begins with itself, (sudden, places, 3, 3), with the smooth ones, (sudden, places, 3, k), and of these with
+        each other, (places, k, k).
+        """
+        rows = [np.flatnonzero(self._row == k) for k in range(len(self._frames))]
+        own = np.array([np.einsum("npa,npb->pab", self._scaled[some], self._scaled[some]) for some in rows])
+        squares = np.tensordot(self._sudden**2, own, 1)
+        beside = np.tensordot(self._sudden[:, None] * self._smooth, own, 1).transpose(0, 2, 3, 1, 4)
+        smooth = np.tensordot(self._smooth[:, None] * self._smooth, own, 1).transpose(2, 0, 3, 1, 4)
+        count = 3 * len(self._smooth)
+        beside, smooth = beside.reshape(*beside.shape[:3], count), smooth.reshape(len(smooth), count, count)
+        for some, columns in self._errors.explaining():
+            each = self._by_frame(some, columns)
+            sudden, others = np.tensordot(self._sudden, each, 1), _flat(np.tensordot(self._smooth, each, 1))
+            squares -= sudden @ np.swapaxes(sudden, 2, 3)
+            beside -= sudden @ np.swapaxes(others, 1, 2)
+            smooth = smooth - others @ np.swapaxes(others, 1, 2)
+        return squares, beside, smooth
 
-    def _shares(self, course: Array, rows: Rows, columns: Array) -> list[Array]:
-        """Products of each force in each frame with columns (rows, k) of some rows, each (places, 3, k)."""
-        row = self._row[rows]
-        return [course[rows[row == k]].transpose(1, 2, 0) @ columns[row == k] for k in range(len(self._of_frame))]
+    def _by_frame(self, rows: Rows, columns: Array) -> Array:
+        """Products of a force in each frame with columns (rows, k) of some rows, in units of the noise, (frames, places, 3, k)."""
+        forces, row = self._scaled[rows].reshape(len(rows), -1), self._row[rows]
+        each = [forces[row == k].T @ columns[row == k] for k in range(len(self._frames))]
+        return np.reshape(each, (len(each), *self._scaled.shape[1:], columns.shape[1]))
 
 
-@dataclass(frozen=True)
-class _Smooth:
-    """A force at each place that is there all the time and changes smoothly with the gripper's way, of any size.
+def _courses(data: Data, frames: Rows) -> tuple[Rows, Array, Array]:
+    """How large forces are in the frames that are seen: of those that begin when they do, and how large, and of smooth ones.
 
-    Attributes:
-        columns: what it does, in units of the noise, shape (n, places, k).
-        weighed: the same times the inverse of the covariance.
-        inverse: of the products of both beside its own size, shape (places, k, k).
+    Shapes (sudden,), (sudden, frames) and (smooth, frames).
     """
-
-    columns: Array
-    weighed: Array
-    inverse: Array
-
-    @classmethod
-    def of(cls, errors: Errors, columns: Array) -> _Smooth:
-        """Of columns (n, places, k), in units of the noise."""
-        flat = (columns * errors.sigma[:, None, None]).reshape(len(columns), -1)
-        weighed = errors.weighed(errors.whiten(flat)).reshape(columns.shape)
-        squares = np.einsum("npa,npb->pab", columns, weighed)
-        scale = np.sqrt(np.maximum(np.diagonal(squares, axis1=1, axis2=2), 1e-300))
-        both = scale[:, :, None] * scale[:, None, :]
-        inverse = np.linalg.inv(squares / both + np.eye(columns.shape[2]) / _SIZES[-1] ** 2) / both
-        return cls(columns, weighed, inverse)
-
-    def along(self, weighed: Array) -> Array:
-        """Products with values (n, m) that are weighed: shape (places, k, m)."""
-        return np.einsum("npa,nm->pam", self.columns, weighed, optimize=True)
+    _, rows = np.unique(data.frame, return_index=True)
+    action, moving, way = data.action[rows], data.step[rows] > 0, data.way[rows]
+    number = np.arange(len(frames))
+    found = []
+    for course in (np.ones(len(frames)), way):
+        for begin in number:
+            after = number >= begin
+            for acts in (after & (action == action[begin]), after):
+                # What one frame alone shows is no beginning.
+                if np.any((moving & (action == action[begin]))[:begin]) and acts.sum() > 1:
+                    found.append((begin, acts * course))
+    smooth = np.array([np.ones(len(frames)), way, way**2])
+    begins = np.array([begin for begin, _ in found], dtype=np.int64)
+    return begins, np.array([sizes for _, sizes in found]).reshape(-1, len(frames)), smooth
 
 
-def _until(each: Sequence[Array]) -> Array:
-    """Sums over the first frames, of none to all."""
-    return np.concatenate([np.zeros_like(each[0])[None], np.cumsum(each, axis=0)])
+def _flat(each: NDArray[Any]) -> Array:
+    """Of products (forces, places, 3, k) those at each place, (places, 3 forces, k)."""
+    return np.asarray(each.transpose(1, 0, 2, 3).reshape(each.shape[1], 3 * len(each), each.shape[3]))
