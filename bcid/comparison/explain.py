@@ -375,11 +375,13 @@ class _Loop:
 def _for_all_steps(contest: Contest, own: tuple[str, ...], apart: float) -> list[Rival]:
     """The likeliest of what was compared on a few steps, and the likeliest with the effects of the model it was compared beside.
 
-    Of those with which something unknown acts besides only the first: whatever they name, the verdict is the same. What holds the
-    body in the place of a patch besides: no tangent of the others shows it.
+    Of those with which something unknown acts besides only the first: whatever they name, the verdict is the same. Other effects
+    that are nearly as likely come before other sets with the same ones, which the tangent in all steps shows. What holds the body
+    in the place of a patch besides: no tangent of the others shows it.
     """
     found, chosen, stood = contest.rivals, list[Rival](), list[Rival]()
-    for rival in found:
+    firsts = list({rival.names: rival for rival in reversed(found) if rival.log > found[0].log - WORTH}.values())[::-1]
+    for rival in [*firsts, *found]:
         if any((r.names, r.anchors) == (rival.names, rival.anchors) for r in chosen):
             continue
         likely = rival.log > found[0].log - apart and (rival.complete or not chosen)

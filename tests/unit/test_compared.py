@@ -19,7 +19,7 @@ from bcid.comparison.explanation import Explanation
 from bcid.comparison.hypothesis_search import HypothesisSearch, Look
 from bcid.comparison.loosened import Loosened
 from bcid.comparison.ranking import Ranking
-from bcid.comparison.rivals import Rival
+from bcid.comparison.rivals import UNLIKELY, Rival, best_first
 from bcid.forms import effects
 from bcid.forms.model import Term
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
@@ -413,3 +413,12 @@ def test_every_set_that_may_give_counts(monkeypatch: pytest.MonkeyPatch) -> None
         monkeypatch.setattr(contest, "refitted", lambda *_, told=told, **__: told)
         promised = contest.contest(state, PLAIN, [soft], [], 5, 5).promised
         assert set(promised) == wanted | {less("1", "gravity")}
+
+
+def test_other_effects_are_fitted_to_all_steps_before_other_sets_with_the_same_one() -> None:
+    """Of an effect the tangent in all steps shows the other sets; of another effect it shows nothing."""
+    slips = [rival(("time_lag",), anchors, 100 - k) for k, anchors in enumerate(("1", "2", "3", "4"))]
+    other, far, alone = rival(("grasp_slip",), "1", 97.5), rival(("fibres",), "1", 91), rival((), "1", 20)
+    found = best_first([*slips, other, far, alone])
+    chosen = explain._for_all_steps(Contest(found, {}), (), UNLIKELY)
+    assert [(r.names, r.log) for r in chosen] == [(r.names, r.log) for r in (slips[0], other, slips[1], alone)]
