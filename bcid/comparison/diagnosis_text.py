@@ -272,7 +272,9 @@ def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull]
             f"None of the known effects explains this measurement: {last.state.rms / unit:.3g} {name} are left where the noise is "
             f"{last.state.noise / unit:.3g} (the closest: {best}).",
             *(_begins(found) or _breaks(last)),
-            "Look where the force that would explain it acts. Values below are those of a model that fails.",
+            # A force that is there all the time does not explain what begins.
+            f"{'' if found.begins else 'Look where the force that would explain it acts. '}Values below are those of a model that "
+            "fails.",
             _held(found, held),
             *_open(found, pulls),
         ]
