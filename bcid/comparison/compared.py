@@ -46,6 +46,8 @@ class Compared:
     misses: list[float] = field(default_factory=list)
     promised: dict[Hypothesis, tuple[float, float]] = field(default_factory=dict)
     refused: set[Hypothesis] = field(default_factory=set)
+    _left: Array | None = None
+    _allowing: dict[int, tuple[Rival, Rival]] = field(default_factory=dict)
 
     def like(self, rival: Rival) -> Rival | None:
         """The same effects on the same set, compared with all steps."""
@@ -55,7 +57,13 @@ class Compared:
         """What was compared with all steps; of what comes twice the latest counts. `begun` is the model without added effects."""
         self.own = best_first({(r.names, r.anchors): r for r in (*self.own, *rivals)}.values())
         left = _most_left([r for r in self.own if r.log > self.own[0].log - UNLIKELY])
-        self.full = best_first(rival.allowing(left, begun) for rival in self.own)
+        self._allowing = {id(r): (r, self._with(r, left, begun)) for r in self.own}
+        self.full, self._left = best_first(allowed for _, allowed in self._allowing.values()), left
+
+    def _with(self, rival: Rival, left: Array, begun: Model) -> Rival:
+        """A hypothesis with what may be left of the error of the mesh with another; what is known is not weighed again."""
+        _, known = self._allowing.get(id(rival), (rival, None))
+        return known if known is not None and self._left is left else rival.allowing(left, begun)
 
     def add_roughly(self, contest: Contest, also: Sequence[Rival], own: tuple[str, ...]) -> None:
         """What was compared with a few steps.

@@ -272,9 +272,7 @@ def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull]
             f"None of the known effects explains this measurement: {last.state.rms / unit:.3g} {name} are left where the noise is "
             f"{last.state.noise / unit:.3g} (the closest: {best}).",
             *(_begins(found) or _breaks(last)),
-            # A force that is there all the time does not explain what begins.
-            f"{'' if found.begins else 'Look where the force that would explain it acts. '}Values below are those of a model that "
-            "fails.",
+            f"{_look(found)}Values below are those of a model that fails.",
             _held(found, held),
             *_open(found, pulls),
         ]
@@ -307,6 +305,11 @@ def _beyond(first: Rung, last: Rung) -> str:
         return ""
     before, after = (math.sqrt(rung.state.chi2 / len(rung.state.predictor.data)) for rung in (first, last))
     return f"; in units of what noise, mesh and scene explain it falls from {before:.3g} to {after:.3g}"
+
+
+def _look(found: Explanation) -> str:
+    """What else may tell; a force that is there all the time does not explain what begins."""
+    return "" if found.begins else "Look where the force that would explain it acts. "
 
 
 def _begins(found: Explanation) -> list[str]:

@@ -39,6 +39,7 @@ from bcid.comparison.told_anchors import told_anchors
 from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
+from bcid.inference.criteria import LIKELIER
 from bcid.inference.data import told_noise
 from bcid.inference.hypotheses import Hypothesis
 from bcid.inference.outcome import label
@@ -51,7 +52,7 @@ _PROMOTED, _MOVED = 3, 3
 _STOOD_IN = 2
 # So many others that seem likelier than these are fitted too, as long as no more of them than this cannot be followed; and more, up
 # to a limit, while one of them is believed more than all else together.
-_CONFIRMED, _REFUSED, _LIMIT, _BELIEVED = 3, 6, 9, 0.5
+_CONFIRMED, _REFUSED, _LIMIT = 3, 6, 9
 
 
 @dataclass(frozen=True)
@@ -209,7 +210,7 @@ class _Loop:
         """
         fitted = refused = 0
         while refused < _REFUSED:
-            least = 0.0 if fitted < _CONFIRMED else _BELIEVED if fitted < _LIMIT else 1.0
+            least = 0.0 if fitted < _CONFIRMED else LIKELIER if fitted < _LIMIT else 1.0
             told = self.compared.unconfirmed(least) or self.compared.unopposed()
             if told is None and self.promised_anew():
                 continue

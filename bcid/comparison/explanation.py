@@ -9,7 +9,7 @@ from bcid.comparison.fit import Fit
 from bcid.comparison.ranking import Ranking
 from bcid.comparison.rivals import Rival
 from bcid.comparison.state import State
-from bcid.inference.criteria import CERTAIN, NEARLY_ALL
+from bcid.inference.criteria import CERTAIN, LIKELIER, NEARLY_ALL
 from bcid.inference.data import Noise
 from bcid.inference.hypotheses import HypothesisOdds
 from bcid.search.identification import Identification
@@ -89,7 +89,7 @@ class Explanation:
     def begins(self) -> Onset | None:
         """By when what is unknown has begun; None where it more likely goes on with the motion, or is there all the time."""
         best = next((r for r in self.rivals if r.fitted.state is self.last.state), None)
-        if self.verdict != "unknown" or best is None or best.evidence.begins is None or best.evidence.sudden < 0.5:
+        if self.verdict != "unknown" or best is None or best.evidence.begins is None or best.evidence.sudden < LIKELIER:
             return None
         data, found = self.last.state.predictor.measurement.data, best.evidence.begins
         action, step = str(data["action"].values[found.by]), int(data["step"].values[found.by])

@@ -124,7 +124,8 @@ class Rival:
         old = self.fitted.state
         state = old.with_errors(replace(old.errors.mesh, left=left))
         found, own = weighed(state, begun, self._jacobian(state.errors)), self.evidence
-        both = replace(found, plain=min(found.plain, own.plain), forced=min(found.forced, own.forced))
+        less = min(found, own, key=lambda evidence: evidence.forced)
+        both = replace(less, plain=min(found.plain, own.plain))
         return replace(self, evidence=both, allowed=state if found.plain < own.plain else None)
 
     def _jacobian(self, errors: Errors) -> Array:

@@ -8,6 +8,8 @@ MAY_BE = 0.01
 FAILS_FOR_THE_TRUE = 0.01
 # What is at least this probable is told as certain, and what is less as open.
 CERTAIN = 0.95
+# What is more probable than this is likelier than all else together.
+LIKELIER = 0.5
 # A residual that is so many times the noise is not explained by it, where it cannot be asked whether something is missing.
 FAR = 2.0
 # What moves the markers by less than this part of the noise (RMS) is not looked for: nothing is said of it.

@@ -69,6 +69,7 @@ class Evidence:
         forced: an unknown force acts, integrated over its size.
         size: the likeliest standard deviation of its density.
         begins: something that begins at a place, see `bcid.inference.sudden_force`, where that was asked.
+        sudden: probability that it begins somewhere, if something is missing.
         excess: how many times as large as they are taken for the squares of all other errors are beside it, on average; 1 where
             the force explains what is missing, or nothing is.
     """
@@ -78,6 +79,7 @@ class Evidence:
     size: float
     excess: float = 1.0
     begins: Beginning | None = None
+    sudden: float = 0.0
 
     @classmethod
     def of(
@@ -111,7 +113,7 @@ class Evidence:
         size = float(force.sizes[int(np.argmax(pushed.forced))])
         excess = 1 + float(shares[1] if stated else shares[:2].sum()) * (pushed.excess(LARGER) - 1)
         forced = float(logsumexp(ways)) - math.log(_WAYS if begins else _WAYS - 1)
-        return cls(plain - volume, forced - volume, size, excess, begins)
+        return cls(plain - volume, forced - volume, size, excess, begins, float(shares[2]))
 
     @property
     def total(self) -> float:
@@ -122,12 +124,6 @@ class Evidence:
     def left(self) -> float:
         """How many times as large as they are taken for the squares of errors are, whether or not something is missing."""
         return 1 + self.missing * (self.excess - 1)
-
-    @property
-    def sudden(self) -> float:
-        """Probability that it begins somewhere, if something is missing."""
-        log = -math.inf if self.begins is None else self.plain + self.begins.log - math.log(_WAYS)
-        return min(1.0, math.exp(log - self.forced))
 
     @property
     def missing(self) -> float:

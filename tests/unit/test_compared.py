@@ -14,7 +14,7 @@ from bcid.base.progress import Silent
 from bcid.comparison import contest, explain, hypothesis_search, rivals
 from bcid.comparison.compared import Compared
 from bcid.comparison.contest import Contest, _in_turn, _with_own_mesh, refitted
-from bcid.comparison.diagnosis_text import _alone, _begins
+from bcid.comparison.diagnosis_text import _alone, _begins, _look
 from bcid.comparison.explanation import Explanation
 from bcid.comparison.hypothesis_search import HypothesisSearch, Look
 from bcid.comparison.loosened import Loosened
@@ -185,20 +185,19 @@ def test_of_an_effect_it_is_told_how_probable_it_is_whatever_else_acts() -> None
 
 
 @pytest.mark.parametrize(
-    ("verdict", "by", "log", "words"),
+    ("verdict", "by", "sudden", "words"),
     [
-        ("unknown", 2, 60.0, "shows by step 2 of action a:"),
-        ("unknown", 4, 60.0, "shows by step 1 of action b:"),
-        ("unknown", 2, 40.0, ""),
-        ("none", 2, 60.0, ""),
+        ("unknown", 2, 0.9, "shows by step 2 of action a:"),
+        ("unknown", 4, 0.9, "shows by step 1 of action b:"),
+        ("unknown", 2, 0.4, ""),
+        ("none", 2, 0.9, ""),
     ],
 )
 def test_by_when_something_unknown_has_begun_is_told_where_that_is_the_likeliest(
-    verdict: str, by: int, log: float, words: str
+    verdict: str, by: int, sudden: float, words: str
 ) -> None:
     best = rival((), "1", 100)
-    forced = float(np.logaddexp(100 + log, 150.0)) - math.log(3)
-    evidence = Evidence(100.0, forced, 1.0, begins=Beginning(by, log))
+    evidence = Evidence(100.0, 150.0, 1.0, begins=Beginning(by, 60.0), sudden=sudden)
     state: Any = best.fitted.state
     frames = {"action": list("aaabbb"), "step": [0, 1, 2] * 2}
     data = {name: SimpleNamespace(values=np.array(values)) for name, values in frames.items()}
@@ -210,6 +209,7 @@ def test_by_when_something_unknown_has_begun_is_told_where_that_is_the_likeliest
     lines = _begins(found)
     assert [words in line for line in lines] == [True] * bool(words)
     assert (found.begins is not None) == bool(words)
+    assert bool(_look(found)) == (not words)
 
 
 PLAIN: Any = SimpleNamespace(terms=(), added=lambda _: [])
@@ -283,6 +283,27 @@ def test_an_effect_that_loses_is_tried_on_the_set_that_it_loses_to(monkeypatch: 
     found = refitted(promises, PLAIN, 3, 5)
     assert asked == [("147", "inclusion"), ("127", "gradient"), ("147", "gradient"), ("147", "fibres")]
     assert (found.rivals[0].names, found.rivals[0].anchors) == (("gradient",), frozenset("147"))
+
+
+def test_what_is_weighed_once_is_not_weighed_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Unless another error of the mesh is the largest: then all are."""
+    asked = []
+
+    def allowing(self: Rival, left: Any, begun: Any) -> Rival:
+        asked.append("".join(self.anchors))
+        return self
+
+    monkeypatch.setattr(Rival, "allowing", allowing)
+    compared, begun = Compared(), cast("Any", None)
+    first, second, third = (rival((), name, 100.0, mesh=mesh) for name, mesh in (("1", 1.0), ("2", 0.5), ("3", 2.0)))
+    for one in (first, second, third):
+        one.fitted.state.errors.mesh = SimpleNamespace(left=np.ones(3))
+    compared.add([first], begun)
+    compared.add([second], begun)
+    assert asked == ["1", "2"]
+    compared.add([third], begun)
+    assert sorted(asked[2:]) == ["1", "2", "3"]
+    assert {r.anchors for r in compared.full} == {frozenset(name) for name in "123"}
 
 
 def test_what_promised_as_much_may_do_better_than_it_promised_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
