@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from bcid.comparison.fit import WIDEST, Coordinate, columns, coordinates
 from bcid.comparison.state import State
-from bcid.comparison.variants import CYCLES
 from bcid.forms.model import Model, Term
 from bcid.inference.criteria import SEEN
 from bcid.inference.evidence import Numbers
@@ -23,6 +22,8 @@ _AMOUNTS: Array = np.geomspace(0.1, WIDEST, 7, dtype=float)
 _TYPICAL = 2.0
 # A time constant or a radius lies within so many times the values that are tried, in either direction.
 _BEYOND = 2.0
+# A period is one of so many cycles per measurement, from and to.
+CYCLES = (1.0, 8.0)
 # Onsets, places and directions are counted; another number lies within so many notable changes of where it was found.
 _ELSE = 3.0
 

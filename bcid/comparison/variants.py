@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from bcid.comparison.ahead import balls
 from bcid.comparison.fit import Coordinate
+from bcid.comparison.priors import CYCLES, visible
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
 from bcid.forms.force_bumps import scattered
@@ -22,8 +23,8 @@ from bcid.forms.probes import Probe, Wanted
 Array = NDArray[np.float64]
 # Directions are scanned in steps of this size, in degrees, centres of inclusions at so many places, in radii of these sizes.
 _DEGREES = 5.0
-# Periods are tried in cycles per measurement, from and to, in steps of, with every fourth of the directions.
-CYCLES, _CYCLE, _COARSER = (1.0, 8.0), 0.15, 4
+# Periods are tried in steps of so many cycles per measurement, with every fourth of the directions.
+_CYCLE, _COARSER = 0.15, 4
 _PLACES = 120
 _RADII = (0.1, 0.17, 0.28)
 # Times that are off are tried in so many notable ones, in either direction.
@@ -84,9 +85,26 @@ def all_variants(state: State, candidates: Sequence[tuple[Effect, str]]) -> dict
     for effect in stiff:
         assert found.stiffness is not None
         result[effect.name] = _inclusions(state, effect, found.stiffness)
+    for name, variants in result.items():
+        result[name] = variants + [v for one in variants for v in _large(state, one)]
     for effect, place in loose:
         result[effect.name] += _let_go(state, effect, place) if effect.held else _at_other_times(state, effect)
     return result
+
+
+def _large(state: State, small: Variant) -> list[Variant]:
+    """What large amounts of an effect do by their size, where the slope of small ones shows nothing and large ones are tried."""
+    found = list[Variant]()
+    for column, c in zip(small.sensitivity.T, small.amounts, strict=True):
+        scan = () if len(visible(float(np.linalg.norm(column)) * c.scale)) else c.parameter.scan
+        for value in scan:
+            term = small.term.with_values({c.parameter.name: value})
+            far = state.predictor.predict(state.model + term, state.anchors)
+            if not far.failure:
+                off = value - small.term.values[c.parameter.name]
+                moved = np.asarray((far.positions - state.prediction.positions) / off)
+                found.append(_variant(state, small.term, [moved], [c.parameter.name]))
+    return _scaled(state, found)
 
 
 def _at_other_times(state: State, effect: Effect) -> list[Variant]:

@@ -133,11 +133,13 @@ class Amount(Parameter):
             stiffness of a spring that replaces a rigid hold).
         law: the neutral value is that of this constant of the material law (`neutral` then only stands for it).
         switch: it is neutral or one scale from that, and nothing between: no fit moves it.
+        scan: large values at which it is tried where small ones show nothing, for what they do is far from linear.
     """
 
     neutral: float = 0.0
     law: str = ""
     switch: bool = False
+    scan: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

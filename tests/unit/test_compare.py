@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -24,9 +24,10 @@ from bcid.comparison.law_form import LawForm
 from bcid.comparison.priors import _width, of_state
 from bcid.comparison.ranking import _bounded, rank
 from bcid.comparison.state import State
-from bcid.comparison.variants import Variant, _harmonics
+from bcid.comparison.variants import Variant, _harmonics, _large
 from bcid.forms import effect_trial as trial
 from bcid.forms import effects
+from bcid.forms.effects.effect import BodyEffect
 from bcid.forms.model import Model, Term
 from bcid.forms.probes import Sensitivities, Wanted
 from bcid.forms.scene_errors import law_form_term
@@ -583,8 +584,9 @@ class Halving(Toy):
         return {name: value + 0.5 * halved for name, value in found.items()}
 
 
-def test_friction_is_found_though_trajectories_jump_where_a_step_is_halved() -> None:
-    model = Model.of(SCENE) + Term(effects.effect("support_friction"), {"shear_stress": 200.0})
+def test_what_acts_by_the_step_is_found_though_trajectories_jump_where_one_is_halved() -> None:
+    by_step = replace(cast(BodyEffect, effects.effect("support_friction")), uses_past=True)
+    model = Model.of(SCENE) + Term(by_step, {"shear_stress": 200.0})
     plain = toy(model, ("support_friction.shear_stress",), (0.3 * SIGMA,))
     jumping = Halving(plain.data, plain.actions, plain.shapes)
     for start in (20.0, 34.0, 60.0):
@@ -660,6 +662,32 @@ def test_an_inclusion_stays_in_the_body() -> None:
     assert known.widths[0, 1:] == pytest.approx([0.1 / math.sqrt(12), np.linalg.norm(corners[1]) / 2 / math.sqrt(12)])
 
 
+class Relaxing(Toy):
+    """Of a viscosity it shows the square."""
+
+    def predict(self, model: Model, *more: Any, **named: Any) -> MeasurementPrediction:
+        found = super().predict(model, *more, **named)
+        fraction = model.constants().get("viscosity.fraction", 0.0)
+        return replace(found, positions=found.positions + 0.01 * fraction**2)
+
+
+@pytest.mark.parametrize(("shown", "tried"), [(0.01, True), (1.0, False)])
+def test_large_amounts_are_tried_where_small_ones_show_nothing(shown: float, tried: bool) -> None:
+    """What they do is far from linear: it counts by their size."""
+    made = toy(Model.of(SCENE), (), ())
+    state = state_of(Relaxing(made.data, made.actions, made.shapes), Model.of(SCENE))
+    effect = effects.effect("viscosity")
+    amount = Coordinate.of_parameter("viscosity.fraction", effect.amounts[0])
+    term = Term(effect, {"fraction": 0.0, "relaxation_time": 3.0})
+    sensitivity = np.full((len(made.data), 1), shown / math.sqrt(len(made.data)) / amount.scale)
+    found = _large(state, Variant(term, (amount,), sensitivity))
+    assert len(found) == tried
+    for one in found:
+        assert one.term.values == term.values
+        by_size = state.errors.whiten(np.full(len(made.data), 0.01 * 0.9))
+        assert one.sensitivity[:, 0] == pytest.approx(by_size, rel=1e-9)
+
+
 def test_differences_of_whole_trajectories_serve_near_by() -> None:
     """A model that remembers is fitted again beside another error of the mesh with the derivatives that are known."""
 
@@ -678,7 +706,8 @@ def test_differences_of_whole_trajectories_serve_near_by() -> None:
             return super().predict(model, anchors, actions, keep)
 
     name = "support_friction.shear_stress"
-    friction = Term(effects.effect("support_friction"), {"shear_stress": 80.0})
+    by_step = replace(cast(BodyEffect, effects.effect("support_friction")), uses_past=True)
+    friction = Term(by_step, {"shear_stress": 80.0})
     model = Model.of(SCENE) + friction
     assert model.remembers
     made = toy(model, (name,), (1e-5,))

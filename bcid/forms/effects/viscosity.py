@@ -59,6 +59,8 @@ effect = BodyEffect(
             upper=0.95,
             neutral=0.0,
             scale=0.2,
+            # All that is stiffer alike moves alike: little is seen of it before the body hardly changes its volume meanwhile.
+            scan=(0.9,),
         ),
         Shape(
             "relaxation_time",
