@@ -172,17 +172,13 @@ class Errors:
     def _of_fiducials(self, left: Array) -> Iterator[tuple[NDArray[np.int64], Array]]:
         """What each fiducial has for itself: the rest of the mesh's error, and where it sits on the body."""
         data, markers = self.data, self.nuisances.markers
-        sizes, common = {}, {}
-        for kind in np.unique(data.kind):
-            alike = data.kind == kind
-            common[kind] = float(np.sqrt(np.mean(left[alike] ** 2))) * _OF_FIDUCIAL
-            for a in np.unique(data.action[alike]):
-                sizes[kind, a] = float(np.sqrt(np.mean(left[alike & (data.action == a)] ** 2)))
+        common = {k: float(np.sqrt(np.mean(left[data.kind == k] ** 2))) * _OF_FIDUCIAL for k in np.unique(data.kind)}
+        along = _along(data, left)
         order = np.argsort(data.fiducial, kind="stable")
         for rows in np.split(order, np.flatnonzero(np.diff(data.fiducial[order])) + 1):
             columns, of_all = [markers[rows]] if markers[rows].any() else [], common[data.kind[rows[0]]]
             if of_all > 0 or data.slow[rows].any():
-                columns.append(_along(data, rows, left, sizes))
+                columns.append(_apart(data.trajectory[rows], along[rows]))
             if of_all > 0:
                 columns.append(_growing(data, rows, of_all))
             if columns:
@@ -281,21 +277,35 @@ class Errors:
         return size * float(means[0]), size * math.sqrt(covariance[0, 0])
 
 
-def _along(data: Data, rows: NDArray[np.int64], left: Array, sizes: dict[tuple[int, int], float]) -> Array:
-    """A constant and a slope along each trajectory, as large as what the mesh leaves of it, and what of the noise persists."""
-    columns = []
-    for number in np.unique(data.trajectory[rows]):
-        members = np.flatnonzero(data.trajectory[rows] == number)
-        own = np.sqrt(np.mean(left[rows[members]] ** 2))
-        amount = _OF_TRAJECTORY * max(own, sizes[data.kind[rows[0]], data.action[rows[members[0]]]])
-        amount = math.hypot(amount, _OF_SLOW * float(np.sqrt(np.mean(data.slow[rows[members]] ** 2))))
-        shape = np.zeros((len(rows), 2))
-        # At rest there is no error; it grows with the motion.
-        along = np.linspace(0.0, 1.0, len(members)) if len(members) > 1 else np.ones(1)
-        shape[members, 0] = amount * np.minimum(1.0, 4 * along)
-        shape[members, 1] = amount * (2 * along - 1) * np.minimum(1.0, 4 * along)
-        columns.append(shape)
-    return np.hstack(columns)
+def _along(data: Data, left: Array) -> Array:
+    """A constant and a slope along each trajectory, as large as what the mesh leaves and what of the noise persists, (n, 2)."""
+    group = np.unique(np.column_stack([data.kind, data.action]), axis=0, return_inverse=True)[1].ravel()
+    own, common = _mean(left**2, data.trajectory), _mean(left**2, group)
+    amount = np.hypot(
+        _OF_TRAJECTORY * np.sqrt(np.maximum(own, common)), _OF_SLOW * np.sqrt(_mean(data.slow**2, data.trajectory))
+    )
+    order = np.argsort(data.trajectory, kind="stable")
+    _, first, count = np.unique(data.trajectory[order], return_index=True, return_counts=True)
+    along = np.empty(len(data))
+    along[order] = (np.arange(len(data)) - np.repeat(first, count)) / np.repeat(np.maximum(count - 1, 1), count)
+    along[order[first[count == 1]]] = 1.0
+    # At rest there is no error; it grows with the motion.
+    return np.asarray(
+        (amount * np.minimum(1.0, 4 * along))[:, None] * np.column_stack([np.ones(len(data)), 2 * along - 1])
+    )
+
+
+def _mean(values: Array, group: NDArray[np.int64]) -> Array:
+    """Of values (n,) the mean over those of the same group, (n,)."""
+    return np.asarray((np.bincount(group, values) / np.maximum(np.bincount(group), 1))[group])
+
+
+def _apart(number: NDArray[np.int64], values: Array) -> Array:
+    """Values (rows, k) in columns of their own for each number (rows,), (rows, numbers * k)."""
+    found, at = np.unique(number, return_inverse=True)
+    columns = np.zeros((len(number), len(found), values.shape[1]))
+    columns[np.arange(len(number)), at] = values
+    return columns.reshape(len(number), -1)
 
 
 def _growing(data: Data, rows: NDArray[np.int64], amount: float) -> Array:
