@@ -38,11 +38,13 @@ class Memory:
         body: the body.
         u: the unknown.
         shapes: of the variables, by name.
-        degree: of the quadrature at whose points the variables are kept.
+        degree: of the quadrature at whose points the variables are kept; None for the nodes.
         axes: of the plane of fibres, see `Kinematics`.
     """
 
-    def __init__(self, body: Body, u: Any, shapes: Mapping[str, tuple[int, ...]], degree: int, axes: Any) -> None:
+    def __init__(
+        self, body: Body, u: Any, shapes: Mapping[str, tuple[int, ...]], degree: int | None, axes: Any
+    ) -> None:
         self._u = u
         self.last = fem.Function(u.function_space)
         domain = body.domain
@@ -50,8 +52,11 @@ class Memory:
         self.moving = fem.Constant(domain, 0.0)
         self.variables = {}
         for name, shape in shapes.items():
-            element = basix.ufl.quadrature_element("tetrahedron", value_shape=shape, degree=degree)
-            self.variables[name] = fem.Function(fem.functionspace(domain, element))
+            space = body.displacement_space
+            if degree is not None:
+                element = basix.ufl.quadrature_element("tetrahedron", value_shape=shape, degree=degree)
+                space = fem.functionspace(domain, element)
+            self.variables[name] = fem.Function(space)
         displacement = ufl.split(self.last)[0] if body.mixed else self.last
         self.past = Past(displacement, Kinematics.of(displacement, axes), self.dt, self.moving, self.variables)
         self._following: dict[str, Any] = {}
@@ -118,6 +123,7 @@ class WeakForm:
         else:
             self.displacement, self.pressure, self.virtual = u, None, self.test
         self.kin = Kinematics.of(self.displacement, model.fibre_axes)
+        self._normals: dict[str, Any] = {}
         self.memories: dict[str, Memory] = {}
         self.probed: dict[str, Memory] = {}
         self.energies, self.works = [self.stored(model.terms)], []
@@ -170,9 +176,8 @@ class WeakForm:
         memories = self.memories if own else self.probed
         if term.label not in memories:
             effect = term.effect
-            memories[term.label] = Memory(
-                self.body, self.u, effect.memory or {}, self._remembering, self.model.fibre_axes
-            )
+            degree = None if effect.acts_on == "boundary" else self._remembering
+            memories[term.label] = Memory(self.body, self.u, effect.memory or {}, degree, self.model.fibre_axes)
             if effect.advance:
                 expressions = effect.advance(self.point(term), self.term_constants(term))
                 memories[term.label].follow(expressions)
@@ -189,6 +194,7 @@ class WeakForm:
             kin=self.kin,
             X=ufl.SpatialCoordinate(body.domain),
             N=ufl.FacetNormal(body.domain),
+            normal=self.normal,
             down=ufl.as_vector(model.down),
             centre=ufl.as_vector([float(value) for value in (lower + upper) / 2]),
             size=float(np.linalg.norm(upper - lower)),
@@ -350,11 +356,21 @@ class WeakForm:
 
     def surface(self, name: str) -> Any:
         """Measure of a place, which is any patch, grasp or place of the scene."""
+        measures, usable = self._surfaces
+        return measures(usable.index(self._spread(name)) + 1)
+
+    def normal(self, name: str) -> Any:
+        """Outward unit normal of a place at its nodes, zero away from it."""
+        if self._spread(name) not in self._normals:
+            self._normals[name] = self.body.normals(self.places[name], name)
+        return self._normals[name]
+
+    def _spread(self, name: str) -> str:
+        """The name of a place over which something can be spread."""
         if not name:
             raise InputError('the scene names no support surface: add support = "NAME" with a place of that name')
         if name not in self.places:
             raise InputError(f"place '{name}' is not in the scene; {nearest(name, self.places)}")
-        measures, usable = self._surfaces
-        if name not in usable:
+        if name not in self._surfaces[1]:
             raise InputError(f"place '{name}' is not a surface: nothing can be spread over it")
-        return measures(usable.index(name) + 1)
+        return name

@@ -414,6 +414,30 @@ def test_friction_opposes_the_motion_and_leaves_a_loop() -> None:
     np.testing.assert_allclose(pull[1:], stress * bottom * np.array([1, 1, 1, -1, -1, -1]), rtol=0.01)
 
 
+def test_friction_does_not_depend_on_how_long_the_steps_are() -> None:
+    """A bar that is drawn on by less than it gives sticks, with part of the stress, and does not creep when it is held."""
+    # So small that the bar hardly stretches.
+    stress, bottom, limit = 0.04, BAR[0] * BAR[1], 1e-3 * math.hypot(*BAR)
+    parts = model(poisson=0.0) + Term("support_friction", {"shear_stress": stress}) + Held("x1")
+    ends = []
+    for steps in (1, 4):
+        equilibrium = bar(parts, support="z0")
+        pull = list[float]()
+        # Out by four times what sticks, back by half of that, and out again by a quarter of it.
+        far = limit * np.array([0.0, 4.0, 3.5, 3.75, 3.75])
+        ways = np.interp(np.arange(4 * steps + 1) / steps, np.arange(5), far)
+        path = ways[:, None] * np.array([1.0, 0.0, 0.0])
+
+        def seen(_: int, pose: Pose, equilibrium: Equilibrium = equilibrium, pull: list[float] = pull) -> None:
+            pull.append(float(equilibrium.wrench(pose)[0]))
+
+        assert follow(equilibrium, move(path, "x1"), seen).status is Status.CONVERGED
+        ends.append(pull[::steps])
+    # From full stress the springs give way by half and by a quarter of what they stick by.
+    for end in ends:
+        np.testing.assert_allclose(end, stress * bottom * np.array([0, 1, 0.5, 0.75, 0.75]), rtol=0.03, atol=1e-9)
+
+
 def test_a_viscous_body_relaxes_after_a_step_of_strain() -> None:
     """Isochoric stretch in 1 ms, then held: the overstress is that of the branch, falling as exp(-t/tau)."""
     tau, fraction, stretch = 3.0, 0.4, 1.2

@@ -251,12 +251,12 @@ def test_a_kept_tangent_leaves_what_remembers_as_it_is(
     slow = forward.equilibrium.factor.count
     verify, calls = Equilibrium.verify, iter(range(10**9))
     if unstable:
-        monkeypatch.setattr(Equilibrium, "verify", lambda self: verify(self) if next(calls) != 1 else Status.UNSTABLE)
+        monkeypatch.setattr(Equilibrium, "verify", lambda self: verify(self) if next(calls) else Status.UNSTABLE)
     found = forward.predict({"3", "4"}, actions).positions
     assert np.abs(found - expected).max() < 1e-8
     if not unstable:
         assert forward.equilibrium.factor.count - slow < 0.7 * slow
-    assert next(calls) > 2 or not unstable
+    assert next(calls) > 1 or not unstable
     forward.destroy()
 
 

@@ -56,6 +56,7 @@ class Point:
         kin: deformation measures of u.
         X: rest position, m.
         N: outward normal in the rest state (on the boundary).
+        normal: the same of a named place where it is needed at its nodes: ``normal(name)``, zero away from it.
         down: unit vector of gravity.
         centre: middle of the body's bounding box in the rest state, m.
         size: its diagonal, m.
@@ -78,6 +79,7 @@ class Point:
     kin: Kinematics
     X: Expr
     N: Expr
+    normal: Callable[[str], Expr]
     down: Expr
     centre: Expr
     size: float
@@ -321,7 +323,8 @@ class BodyEffect(Effect):
         reshaped: 3 x 3 tensor G of derivatives of the scene's rest positions by the true ones, where the body at rest is another
             than the scene's: the law sees I + grad u . G.
         constants: constants of the law that it replaces, by name.
-        memory: shapes of variables kept from step to step, by name, such as {"Q": (3, 3)}.
+        memory: shapes of variables kept from step to step, by name, such as {"Q": (3, 3)}; of what acts on the boundary they are
+            vectors at the nodes, (3,).
         advance: their values after a step.
         frees: whether the anchored patches at its place are no longer fixed, because the effect holds them.
         gives: whether what the gripper holds is no longer prescribed, because the effect holds it.

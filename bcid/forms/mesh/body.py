@@ -8,7 +8,7 @@ from typing import Any
 
 import basix.ufl
 import numpy as np
-from dolfinx import default_scalar_type, fem
+from dolfinx import default_scalar_type, fem, la
 from dolfinx import mesh as dmesh
 from numpy.typing import NDArray
 
@@ -149,6 +149,37 @@ class Body:
         sides = [(i + 1, self._sides(np.intersect1d(facets, outer))) for i, facets in enumerate(found)]
         metadata = {"quadrature_degree": 2 * self.degree}
         return ufl.Measure("ds", domain=self.domain, subdomain_data=sides, metadata=metadata)
+
+    def normals(self, region: Region, name: str) -> Any:
+        """Outward unit normals of a surface at its nodes at rest, a Function of the displacement space, zero elsewhere; collective.
+
+        At an edge it is that of the facets about it, each by its area.
+        """
+        outer = dmesh.exterior_facet_indices(self.domain.topology)
+        facets = np.intersect1d(self.local_entities(self.mesh.select(region, name)), outer)
+        sides = self._sides(facets).reshape(-1, 2)
+        corners = np.asarray(self.domain.geometry.x)[np.asarray(compat.geometry_dofmap(self.domain))[sides[:, 0]]]
+        opposite = corners[np.arange(len(sides)), sides[:, 1]]
+        a, b, c = (
+            np.array([np.delete(one, side, axis=0) for one, side in zip(corners, sides[:, 1], strict=True)]).reshape(
+                -1, 3, 3
+            )[:, k]
+            for k in range(3)
+        )
+        areas = np.cross(b - a, c - a)
+        areas *= np.sign(np.einsum("fi,fi->f", areas, a - opposite))[:, None]
+        found = fem.Function(self.displacement_space)
+        values = found.x.array.reshape(-1, 3)
+        element, dofmap = self.displacement_space.element.basix_element, np.asarray(self.displacement_space.dofmap.list)
+        for side in range(4):
+            here = sides[:, 1] == side
+            nodes = dofmap[sides[here, 0]][:, element.entity_closure_dofs[2][side]]
+            np.add.at(values, nodes, areas[here, None])
+        found.x.scatter_reverse(la.InsertMode.add)
+        found.x.scatter_forward()
+        size = np.linalg.norm(values, axis=1)
+        values /= np.where(size > 0, size, 1.0)[:, None]
+        return found
 
     def _sides(self, facets: NDArray[np.int32]) -> NDArray[np.int32]:
         """Outer facets as DOLFINx integrates over them: cell and number of the facet in it, one pair after the other."""
