@@ -35,6 +35,8 @@ class Compared:
         misses: by how much it showed too little of those that were fitted since.
         refused: hypotheses that cannot be followed to the end.
         promised: logarithms of evidence and of prior odds of effects that were not worth a fit.
+        _left: what may be left of the error of the mesh that `full` was compared with.
+        _allowing: each of `own`, by its identity, and the same in `full`: none is weighed twice with the same.
     """
 
     own: list[Rival] = field(default_factory=list)

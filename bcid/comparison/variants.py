@@ -96,8 +96,9 @@ def _large(state: State, small: Variant) -> list[Variant]:
     """What large amounts of an effect do by their size, where the slope of small ones shows nothing and large ones are tried."""
     found = list[Variant]()
     for column, c in zip(small.sensitivity.T, small.amounts, strict=True):
-        scan = () if len(visible(float(np.linalg.norm(column)) * c.scale)) else c.parameter.scan
-        for value in scan:
+        if not c.parameter.scan or len(visible(float(np.linalg.norm(column)) * c.scale)):
+            continue
+        for value in c.parameter.scan:
             term = small.term.with_values({c.parameter.name: value})
             far = state.predictor.predict(state.model + term, state.anchors)
             if not far.failure:

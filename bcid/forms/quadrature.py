@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from bcid.base import compat
 from bcid.forms.mesh.body import Body
+from bcid.forms.mesh.outward import outward_areas
 from bcid.scene import Region
 
 Array = NDArray[np.float64]
@@ -143,15 +144,13 @@ def _of_side(
     """Columns of `QuadraturePoints` on the facets opposite to corner `side` of some cells."""
     corners = np.delete(_CORNERS, side, axis=0)
     reference = corners[0] + flat @ (corners[1:] - corners[0])
-    own = np.delete(geometry.corners[cells], side, axis=1)
-    normals = np.cross(own[:, 1] - own[:, 0], own[:, 2] - own[:, 0])
-    measure = np.linalg.norm(normals, axis=1)
-    outward = np.sign(np.einsum("ci,ci->c", normals, own[:, 0] - geometry.corners[cells, side]))
-    normals *= (outward / np.maximum(measure, 1e-300))[:, None]
+    areas = outward_areas(geometry.corners[cells], np.full(len(cells), side))
+    size = np.linalg.norm(areas, axis=1)
+    normals = areas / np.maximum(size, 1e-300)[:, None]
     each = len(weights)
     return (
         geometry.places(cells, reference).reshape(-1, 3),
-        (measure[:, None] * weights).ravel(),
+        (2 * size[:, None] * weights).ravel(),
         np.repeat(normals, each, axis=0),
         geometry.nodes[np.repeat(cells, each)],
         np.tile(geometry.tabulated(reference)[0], (len(cells), 1)),

@@ -8,10 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mpi4py import MPI
+from verify.problems import box
 
 from bcid.base.errors import InputError
 from bcid.forms.forward import check_geometry
 from bcid.forms.mesh import BodyMesh, checked, level_mesh
+from bcid.forms.mesh.body import Body
 from bcid.forms.mesh.check import measures
 from bcid.forms.mesh.closest import closest_on_triangles
 from bcid.forms.observe import attach
@@ -62,6 +65,22 @@ def test_the_boundary_looks_outward(slab: BodyMesh) -> None:
     a, b, c = (slab.points[slab.boundary[:, i]] for i in range(3))
     assert np.einsum("ij,ij->", a, np.cross(b, c)) / 6 == pytest.approx(slab.volume, rel=1e-12)
     assert slab.volume == pytest.approx(0.1 * 0.01 * 0.1, rel=1e-12)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize(("face", "height", "outward"), [("y0", 0.0, -1.0), ("y1", 0.2, 1.0)])
+def test_normals_at_nodes_of_a_curved_surface(face: str, height: float, outward: float, degree: int) -> None:
+    """Of y = height + 0.3 x^2 they are along (-0.6 x, 1, 0), but for facets that are flat and lie on one side where it ends."""
+    mesh = box((1.0, 0.2, 0.4), (16, 1, 4), lambda p: p + np.outer(0.3 * p[:, 0] ** 2, [0, 1, 0]))
+    body = Body(MPI.COMM_SELF, mesh, degree)
+    found = body.normals(Region((face,)), face).x.array.reshape(-1, 3)
+    x, y, _ = body.nodes.T
+    there = abs(y - height - 0.3 * x**2) < 1e-3
+    expected = outward * np.column_stack([-0.6 * x, np.ones(len(x)), np.zeros(len(x))])[there]
+    expected /= np.linalg.norm(expected, axis=1)[:, None]
+    assert np.linalg.norm(found[there], axis=1) == pytest.approx(1.0)
+    np.testing.assert_allclose(found[there], expected, atol=0.6 / 16 / 2 + 1e-3)
+    assert not found[~there].any()
 
 
 def test_refinement_keeps_the_body_and_its_places(slab: BodyMesh) -> None:

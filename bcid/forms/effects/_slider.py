@@ -1,8 +1,8 @@
 """A spring in series with a slider (Prandtl's element): it stores up to a limit, and follows beyond.
 
 With linear kinematic hardening beside it, it is plasticity without (Simo & Hughes, Computational Inelasticity, 1998, section 1.4).
-Sizes are those of the spring's strain if the slider did not move, in units of the limit. From (1 - e) to (1 + e), e = 0.05, the
-stress bends smoothly from one to the other.
+`strain` is what the spring would be strained by if the slider stood still, `limit` the strain from which the slider moves, and the
+size of a strain its norm in units of the limit. Between sizes of 0.95 and 1.05 the stress bends smoothly from rising to constant.
 """
 
 from __future__ import annotations

@@ -16,6 +16,7 @@ from bcid.base import compat
 from bcid.base.collective import Comm
 from bcid.base.errors import InputError
 from bcid.forms.mesh import BodyMesh
+from bcid.forms.mesh.outward import outward_areas
 from bcid.scene import Region
 
 
@@ -144,9 +145,7 @@ class Body:
         """A surface measure in which ``measure(i + 1)`` is region i; regions may overlap, facets inside are left out."""
         import ufl
 
-        found = [self.local_entities(self.mesh.select(r, n)) for r, n in zip(regions, names, strict=True)]
-        outer = dmesh.exterior_facet_indices(self.domain.topology)
-        sides = [(i + 1, self._sides(np.intersect1d(facets, outer))) for i, facets in enumerate(found)]
+        sides = [(i + 1, self._sides(r, n)) for i, (r, n) in enumerate(zip(regions, names, strict=True))]
         metadata = {"quadrature_degree": 2 * self.degree}
         return ufl.Measure("ds", domain=self.domain, subdomain_data=sides, metadata=metadata)
 
@@ -155,19 +154,9 @@ class Body:
 
         At an edge it is that of the facets about it, each by its area.
         """
-        outer = dmesh.exterior_facet_indices(self.domain.topology)
-        facets = np.intersect1d(self.local_entities(self.mesh.select(region, name)), outer)
-        sides = self._sides(facets).reshape(-1, 2)
+        sides = self._sides(region, name).reshape(-1, 2)
         corners = np.asarray(self.domain.geometry.x)[np.asarray(compat.geometry_dofmap(self.domain))[sides[:, 0]]]
-        opposite = corners[np.arange(len(sides)), sides[:, 1]]
-        a, b, c = (
-            np.array([np.delete(one, side, axis=0) for one, side in zip(corners, sides[:, 1], strict=True)]).reshape(
-                -1, 3, 3
-            )[:, k]
-            for k in range(3)
-        )
-        areas = np.cross(b - a, c - a)
-        areas *= np.sign(np.einsum("fi,fi->f", areas, a - opposite))[:, None]
+        areas = outward_areas(corners, sides[:, 1])
         found = fem.Function(self.displacement_space)
         values = found.x.array.reshape(-1, 3)
         element, dofmap = self.displacement_space.element.basix_element, np.asarray(self.displacement_space.dofmap.list)
@@ -181,15 +170,16 @@ class Body:
         values /= np.where(size > 0, size, 1.0)[:, None]
         return found
 
-    def _sides(self, facets: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Outer facets as DOLFINx integrates over them: cell and number of the facet in it, one pair after the other."""
+    def _sides(self, region: Region, name: str) -> NDArray[np.int32]:
+        """Outer facets of a region as DOLFINx integrates over them: cells, each followed by the number of the facet in it."""
+        facets = self.local_entities(self.mesh.select(region, name))
         topology = self.domain.topology
         topology.create_connectivity(2, 3)
         topology.create_connectivity(3, 2)
         to_cell, to_facet = topology.connectivity(2, 3), topology.connectivity(3, 2)
         owned = topology.index_map(3).size_local
         pairs = []
-        for facet in facets:
+        for facet in np.intersect1d(facets, dmesh.exterior_facet_indices(topology)):
             cell = int(to_cell.links(facet)[0])
             if cell < owned:
                 pairs.append((cell, int(np.flatnonzero(to_facet.links(cell) == facet)[0])))
