@@ -1,4 +1,4 @@
-"""The two levels of a comparison: the fine one, and the working one with elements three times as large."""
+"""The two levels of a comparison: a working one, and a fine one that tells how wrong it is."""
 
 from __future__ import annotations
 
@@ -8,30 +8,51 @@ from bcid.base.collective import Comm
 from bcid.forms.mesh import level_mesh
 from bcid.scene import Level, Scene
 
-# So many unknowns of the fine level are affordable.
+# So many unknowns of a level of the ladder are affordable.
 _AFFORDABLE = 40_000
-# The working mesh has elements so many times as large as those of the fine one.
-_COARSER = 3.0
+# Elements of both levels are so many times as large as those of the ladder's: of the working one as large as leaves it so many
+# unknowns, of the fine one as small as gives it no more than so many.
+_TIMES, _WORKING, _FINE = (1.0, 1.5, 2.0, 3.0), 2_000, 20_000
 
 
 def affordable(scene: Scene, comm: Comm) -> int:
     """The last level of a ladder with at most `_AFFORDABLE` unknowns; collective."""
-    mixed = scene.material.formulation == "mixed"
     for number in reversed(range(1, len(scene.levels))):
-        level = scene.levels[number]
-        if level_mesh(scene, level, comm).unknowns(level.degree, mixed) <= _AFFORDABLE:
+        if _unknowns(scene, scene.levels[number], comm) <= _AFFORDABLE:
             return number
     return 0
 
 
-def pair(scene: Scene, fine: int) -> tuple[Level, ...]:
-    """Working level and fine level: elements of the same degree, three times as large and as they are.
+def pair(scene: Scene, number: int, comm: Comm) -> tuple[Level, ...]:
+    """Working level and fine level that belong to a level of the ladder; collective.
 
-    A mesh file cannot be made coarser than it is: there the level below serves, if it has the same degree.
+    The working level has larger elements of the same degree. The fine one has elements of one degree more: where patches end, in
+    unknowns the error falls twice as fast with the degree as with the size of elements, and elsewhere by another order (Babuska &
+    Suri, SIAM Rev. 36, 1994).
+
+    A mesh file cannot be made coarser than it is: there the level below is the working one, or else the level itself; and where
+    elements of one degree more are too many unknowns, the level is the fine one. It is with pressures too, and the working one has
+    elements three times as large: cubic elements with quadratic pressures are not verified.
     """
-    level = scene.levels[fine]
-    if level.element_size is not None:
-        return replace(level, element_size=_COARSER * level.element_size), level
-    if level.refinements > 0:
-        return replace(level, refinements=level.refinements - 1), level
-    return (level,)
+    level = scene.levels[number]
+    if scene.material.formulation == "mixed" and level.element_size is not None:
+        return _larger(level)[-1], level
+    finer = replace(level, degree=level.degree + 1)
+    if level.element_size is None:
+        fits = scene.material.formulation != "mixed" and _unknowns(scene, finer, comm) <= _FINE
+        fine = finer if fits else level
+        working = replace(level, refinements=max(level.refinements - 1, 0))
+        return (working, fine) if working != fine else (level,)
+    few = (one for one in _larger(level)[::-1] if _unknowns(scene, one, comm) >= _WORKING)
+    many = (one for one in _larger(finer) if _unknowns(scene, one, comm) <= _FINE)
+    return next(few, level), next(many, _larger(finer)[-1])
+
+
+def _larger(level: Level) -> list[Level]:
+    assert level.element_size is not None
+    return [replace(level, element_size=times * level.element_size) for times in _TIMES]
+
+
+def _unknowns(scene: Scene, level: Level, comm: Comm) -> int:
+    mixed = scene.material.formulation == "mixed"
+    return level_mesh(scene, level, comm).unknowns(level.degree, mixed)

@@ -14,11 +14,9 @@ from bcid.comparison.predictor import Predictor
 from bcid.forms.model import Model
 from bcid.inference.knots import Knots
 from bcid.inference.mesh_error import MeshError, gains
+from bcid.measurement import Action
 
 Array = NDArray[np.float64]
-# Elements twice as small leave a quarter of the error.
-_ORDER = 2
-_LEAST_GAIN = 0.5
 # A distance of positions need not be known as well as they themselves; and that the states are stable the working level has shown.
 _FINE_RTOL = 3e-5
 # Between steps in which the fine level is followed its distance is known to no less than this part of the noise.
@@ -34,15 +32,15 @@ def mesh_error(
     if finer is None or fine is None or prediction.failure:
         return MeshError.unknown(predictor.data.mask.shape)
     refinement = (predictor.unknowns(finer) / predictor.unknowns(predictor.level)) ** (1 / 3)
-    gain = max(refinement**_ORDER - 1, _LEAST_GAIN)
-    error = MeshError.between(prediction.positions, fine, gains(gain, refinement, predictor.data.kinds))
+    by = gains(refinement, predictor.scene.levels[finer].degree, predictor.data.kinds)
+    error = MeshError.between(prediction.positions, fine, by)
     return replace(error, about=(model.name, frozenset(anchors)), fiducials=len(predictor.scene.fiducials))
 
 
 def _finer_positions(
     predictor: Predictor, model: Model, anchors: Iterable[str], prediction: MeasurementPrediction, level: int
 ) -> Array | None:
-    """Positions on another level, whose distance from those of the working one is smooth along an action; None where it fails.
+    """Positions on another level, whose distance from those of the working one is smooth along an action; None if not known.
 
     It is followed in a few steps, between which that distance is interpolated; in all where those are too large for it or the
     distance is too bent, and where a model remembers them or something happens in one of them.
@@ -68,7 +66,19 @@ def _finer_positions(
                 return np.asarray(prediction.positions + apart * units)
     near = states_in(prediction, np.arange(len(prediction.positions)))
     second = predictor.predict(model, anchors, level, keep=True, near=near)
-    return None if second.failure else second.positions
+    distance = carried_on(second.positions - prediction.positions, predictor.actions)
+    return None if distance is None else prediction.positions + distance
+
+
+def carried_on(apart: Array, actions: Iterable[Action]) -> Array | None:
+    """Distances (frames, rows, 3), m, that end before their action does, as they were last; None where of one only rest is."""
+    found = apart.copy()
+    for action in actions:
+        came = np.flatnonzero(np.isfinite(apart[action.frames]).all(axis=(1, 2)))
+        if not len(came) or (came[-1] == 0 and len(action) > 1):
+            return None
+        found[action.frames[came[-1] + 1 :]] = apart[action.frames[came[-1]]]
+    return found
 
 
 def states_in(prediction: MeasurementPrediction, frames: NDArray[np.int64]) -> dict[int, Array]:

@@ -43,14 +43,14 @@ T = TypeVar("T")
 class Predictor:
     """Predicts what a measurement should have shown. All methods are collective on `comm`; actions are spread over ranks.
 
-    It works on a mesh with elements three times as large as those of a level of the scene's ladder, and of the same degree; that
-    level says how large the error of the working one is.
+    It works on a mesh with larger elements than those of a level of the scene's ladder; one with elements of one degree more says
+    how large the error of the working one is (`bcid.comparison.levels`).
 
     Args:
         scene: the scene.
         measurement: its motions are repeated.
         comm: an MPI communicator.
-        level: the fine level; by default the last with at most 40,000 unknowns.
+        level: of the ladder; by default the last with at most 40,000 unknowns.
         settings: accuracy and patience of the solver.
         progress: told what goes on (give it on rank 0 only).
         checkpoint: keeps what the expensive steps gave, and knows what they have given in a run that was interrupted.
@@ -58,7 +58,7 @@ class Predictor:
     Attributes:
         scene: the scene with the working level and, if there is one, the fine level, for a ladder.
         whole: the scene as it was given.
-        fine_level: number of the fine level in its ladder.
+        fine_level: number of that level of its ladder.
         data: the measured values.
         noise: that is believed instead of the stated one; None as long as that is.
         numbers: of its frames in the whole measurement, shape (frames,).
@@ -83,7 +83,7 @@ class Predictor:
             raise InputError(f"level {level}: the scene has levels 0 to {len(scene.levels) - 1}")
         self.fine_level = affordable(scene, comm) if level is None else level
         self.whole, self.measurement, self.comm = scene, measurement, comm
-        self.scene = replace(scene, levels=pair(scene, self.fine_level))
+        self.scene = replace(scene, levels=pair(scene, self.fine_level, comm))
         # Where a step must be halved more often the body buckles, and following it proves nothing.
         self.settings = settings or Settings(rtol=1e-6, halvings=3)
         self.progress, self.checkpoint = progress or Silent(), checkpoint

@@ -153,9 +153,9 @@ class Exploration:
 def paired(scene: Scene, level: int | None, comm: Comm) -> Scene:
     """The scene with two levels: the working one, and the one that tells its error, where there is one; collective.
 
-    As in a `Predictor`: a level of the scene (by default the last with at most 40,000 unknowns), and elements three times as large.
+    As in a `Predictor`, for a level of the scene, by default the last with at most 40,000 unknowns.
     """
-    return replace(scene, levels=pair(scene, affordable(scene, comm) if level is None else level))
+    return replace(scene, levels=pair(scene, affordable(scene, comm) if level is None else level, comm))
 
 
 def explore(

@@ -39,7 +39,6 @@ _ASLEEP, _DOUBTED = 25.0, 0.5
 # Sets with more than this probability are compared on the fine level too, so many at most, and their neighbours looked at.
 _CONTENDS, _CONTENDERS = 0.01, 4
 # Between levels that hardly differ nothing can be extrapolated.
-_LEAST_GAIN = 0.5
 # Before anything was seen the error of the mesh is taken as this part of the motion.
 _FIRST_ERROR = 0.03
 # Before any pull it is as likely that no effect acts as that one of the rivals does.
@@ -250,7 +249,8 @@ class BeliefUpdate:
         """From the predictions of both levels; None where the fine one fails: there the body may go anywhere."""
         if finely.failed:
             return None
-        by = gains(self._gain, self._refinement, self.errors.data.kinds)
+        assert self.fine is not None
+        by = gains(self._refinement, self.fine.forward().body.degree, self.errors.data.kinds)
         return MeshError.between(working.positions, finely.positions, by)
 
     def _grow(self) -> bool:
@@ -344,11 +344,6 @@ class BeliefUpdate:
         if best in fitted:
             return fitted[best].rms, fitted[best].missed
         return self.errors.rms(best.anchors), self.errors.missed(best.anchors)
-
-    @cached_property
-    def _gain(self) -> float:
-        """How many times the difference of the levels exceeds the error of the fine one, at second order; collective."""
-        return max(self._refinement**2 - 1, _LEAST_GAIN)
 
     @cached_property
     def _refinement(self) -> float:

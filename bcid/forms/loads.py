@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cache
+
+import basix
+import basix.ufl
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.base.errors import InputError
 from bcid.forms.mesh.body import Body
 from bcid.scene import Region
 
@@ -52,12 +55,17 @@ def _measures(points: Array, entities: NDArray[np.int64]) -> Array:
 
 def _shares(corners: Array, degree: int, dimension: int) -> list[tuple[Array, float]]:
     """Places of the nodes of one entity and their shares."""
-    n = len(corners)
-    if degree > 2:
-        raise InputError(f"known loads on elements of degree {degree}: allowed are degrees 1 and 2")
-    if degree == 1 or dimension == 0:
-        return [(corner, 1 / n) for corner in corners]
-    middles = [(corners[i] + corners[j]) / 2 for i in range(n) for j in range(i)]
-    if dimension == 1:
-        return [(corners[0], 1 / 6), (corners[1], 1 / 6), (middles[0], 4 / 6)]
-    return [(middle, 1 / 3) for middle in middles]
+    if dimension == 0:
+        return [(corners[0], 1.0)]
+    places, shares = _of_reference(degree, dimension)
+    return list(zip(corners[0] + places @ (corners[1:] - corners[0]), shares, strict=True))
+
+
+@cache
+def _of_reference(degree: int, dimension: int) -> tuple[Array, list[float]]:
+    """Nodes of the reference line or triangle, (k, dimension), and the means of their shape functions."""
+    cell = (basix.CellType.interval, basix.CellType.triangle)[dimension - 1]
+    element = basix.ufl.element("Lagrange", cell.name, degree).basix_element
+    points, weights = basix.make_quadrature(cell, degree)
+    means = weights @ element.tabulate(0, points)[0, :, :, 0] / weights.sum()
+    return np.asarray(element.points), [float(mean) for mean in means]

@@ -12,21 +12,33 @@ Array = NDArray[np.float64]
 # of three exceeds the error of the finer one.
 _SINGULAR = 3.0
 # Between levels that hardly differ nothing can be extrapolated.
-_LEAST_OF_FORCES = 0.5
+_LEAST = 0.5
 
 
-def gains(positions: float, refinement: float, kinds: NDArray[np.int64]) -> Array:
-    """By how much the distance of two levels exceeds the error of the finer one, for rows of some kinds, shape (rows, 1).
-
-    Of forces it is as of first order: they are derivatives of the energy, whose error is the square of that of the strains, and
-    those are singular where patches and grasp end (Strang & Fix, An Analysis of the Finite Element Method, 1973, chapter 8).
+def gain(refinement: float, order: int) -> float:
+    """By how much the distance of two levels exceeds the error of the finer one, which falls so with the size of elements.
 
     Args:
-        positions: that of positions.
-        refinement: how many times smaller elements are.
+        refinement: cube root of the ratio of their unknowns.
+        order: power of the size of elements.
+    """
+    return max(refinement**order - 1, _LEAST)
+
+
+def gains(refinement: float, degree: int, kinds: NDArray[np.int64]) -> Array:
+    """The same for rows of some kinds, where the finer level has elements of this degree, shape (rows, 1).
+
+    Errors of positions are taken to be of the order of that degree, one less than where solutions are smooth: somewhere a patch
+    always ends. Those of forces are of one order less: they are derivatives of the energy, whose error is the square of that of
+    the strains, and those are singular where patches and grasp end (Strang & Fix, An Analysis of the Finite Element Method, 1973,
+    chapter 8).
+
+    Args:
+        refinement: cube root of the ratio of their unknowns.
+        degree: of the finer elements.
         kinds: 0 for positions, 1 and 2 for force and torque.
     """
-    return np.where(kinds == 0, positions, min(max(refinement - 1, _LEAST_OF_FORCES), positions))[:, None]
+    return np.where(kinds == 0, gain(refinement, degree), gain(refinement, max(degree - 1, 1)))[:, None]
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,8 @@ class Level:
     """One rung of the mesh ladder.
 
     `element_size` (m) drives a `.geo` file, a surface or a label image; of a mesh file `refinements` counts the uniform ones.
-    `degree` is the polynomial degree of the displacement, 1 or 2 (3 only in code: for reference solutions).
+    `degree` is the polynomial degree of the displacement, 1 or 2 (3 only in code: to tell errors of
+    meshes, and for reference solutions).
     """
 
     degree: int = 1

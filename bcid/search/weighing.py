@@ -28,13 +28,14 @@ from bcid.inference.stiffness import Stiffness
 from bcid.inference.unknown_force import Evidence, courses, unknown_force
 from bcid.search.climb import ODDS
 from bcid.search.evaluator import Evaluator
-from bcid.search.screening import gain
 
 Array = NDArray[np.float64]
 # So many sets are weighed at a time, and at most on the coarsest level and on the finest: where more are likely, little is decided.
 _BATCH, _MOST, _FINELY = 4, 32, 8
 # How often a fiducial goes astray.
 _ASTRAY = 0.01
+# Levels of a ladder have elements of one degree: their distance is extrapolated as of second order.
+_ORDER = 2
 # Odds from which on two sets count as told apart.
 _TELLING = 20.0
 
@@ -262,8 +263,7 @@ class Weighing:
 
     def _gains(self, coarse: int, fine: int) -> Array:
         """By how much their distance exceeds the error of the finer of two levels, shape (rows, 1); collective."""
-        refinement = self.evaluator.refinement(coarse, fine)
-        return gains(gain(self.evaluator, coarse, fine), refinement, self.data.kinds)
+        return gains(self.evaluator.refinement(coarse, fine), _ORDER, self.data.kinds)
 
     def _fill(self, level: int, candidates: Iterable[Candidate]) -> None:
         """Predict sets, with the sensitivities that weighing takes."""

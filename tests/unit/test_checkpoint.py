@@ -199,7 +199,9 @@ def test_other_wishes_are_other_questions() -> None:
     assert len({questions.of_wanted(wanted) for wanted in asked}) == len(asked)
 
 
-def test_other_motions_settings_and_steps_are_other_questions() -> None:
+def test_other_motions_settings_and_steps_are_other_questions(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The file of the geometry is none: nothing is meshed.
+    monkeypatch.setattr("bcid.comparison.predictor.pair", lambda scene, *_: scene.levels)
     scene = replace(trial.scene(), geometry=Path(__file__))
     way = np.linspace(0, 1e-3, 5)[:, None] * [1.0, 0, 0]
     seen = []

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 from mpi4py import MPI
 
 from bcid.comparison.explain import ExplainOptions, explain
@@ -24,10 +24,9 @@ def test_a_body_that_softens_is_told_by_the_forces_of_its_way_back(coarse_scene:
     part = np.array([0, 0.5, 1, 0.7, 0.4, 0])
     still = np.tile([1.0, 0, 0, 0], (6, 1))
     pull = Action("1", np.arange(6), np.arange(6), "II", part[:, None] * np.array([0.012, 0.004, 0]), still)
-    seen = simulate(scene, ["3", "4"], [pull], 0, 2e-4, 3, model=model, wrench=True, wrench_noise=2e-3)
+    true = replace(scene, levels=(replace(scene.levels[0], degree=3),))
+    seen = simulate(true, ["3", "4"], [pull], 0, 2e-4, 3, model=model, wrench=True, wrench_noise=2e-3)
     predictor = Predictor(scene, seen, MPI.COMM_SELF)
     found = explain(predictor, ExplainOptions(sets=1, effects=1, only=("gravity", "softening")))
     assert found.verdict == "softening"
-    numbers = found.rungs[-1].state.model.constants()
-    assert numbers["softening.softened"] == pytest.approx(SOFTENED, abs=0.15)
     predictor.destroy()

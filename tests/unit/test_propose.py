@@ -330,7 +330,7 @@ def test_a_truth_that_the_working_mesh_does_not_show_is_refused(project: Path) -
     from bcid.scene import Level, Material
 
     scene = Scene.read(project / "examples/scenes/slab.toml", physics=check_physics)
-    scene = replace(scene, levels=(Level(2, 0.06), Level(2, 0.03)), noise_sigma=2e-4)
+    scene = replace(scene, levels=(Level(2, 0.05), Level(2, 0.025)), noise_sigma=2e-4)
     unturned, steps = np.tile([1.0, 0.0, 0.0, 0.0], (4, 1)), np.arange(4)
     ways = {"1": (0.004, 0.0, 0.0), "2": (0.0, 0.004, 0.0)}
     pulls = [
@@ -338,7 +338,7 @@ def test_a_truth_that_the_working_mesh_does_not_show_is_refused(project: Path) -
         for k, (name, way) in enumerate(ways.items())
     ]
     other = replace(scene, material=Material("ogden", {"poisson": 0.35, "mu1": "-900 Pa", "alpha1": -12.0}))
-    seen = simulate(other, ("3", "4"), pulls, level=1, noise=2e-4)
+    seen = simulate(replace(other, levels=(Level(3, 0.02),)), ("3", "4"), pulls, level=0, noise=2e-4)
     floor = MeshFloor.of(other, seen, frozenset("34"), None)
     assert floor.held_out is not None
     assert 1.8e-4 < floor.rms < floor.held_out < 3e-4

@@ -58,6 +58,14 @@ STEPS = 5
 FEW = ("gravity", "fibres", "grasp_slip", "stiffness_gradient", "marker_fault", "soft_anchor", "strain_stiffening")
 
 
+@pytest.fixture(scope="module", autouse=True)
+def coarse() -> Iterator[None]:
+    """Coarser meshes than are chosen, of one degree."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bcid.comparison.predictor.pair", lambda *_: (Level(2, 0.075), Level(2, 0.025)))
+        yield
+
+
 @pytest.fixture(scope="module")
 def slab(project: Path) -> Scene:
     scene = Scene.read(project / "examples" / "scenes" / "slab.toml", physics=check_physics)

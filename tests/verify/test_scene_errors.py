@@ -29,7 +29,7 @@ from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.data import Data
 from bcid.inference.nuisances import Nuisances
 from bcid.measurement import Action
-from bcid.scene import Grasp, Region, Scene
+from bcid.scene import Grasp, Level, Region, Scene
 from bcid.scene.uncertainty import Uncertainty
 
 Array = NDArray[np.float64]
@@ -283,8 +283,12 @@ def test_a_scene_that_is_slightly_wrong_is_adequate_if_that_is_allowed_for(proje
     predictor.destroy()
 
 
-def test_what_sensitivities_miss_near_an_instability_is_allowed_for(project: Path) -> None:
+def test_what_sensitivities_miss_near_an_instability_is_allowed_for(
+    project: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A flat finger pulled aside bends out of its plane before long, and by how much a turn of the gripper decides."""
+    # What was seen is what the fine one of two meshes of one degree shows.
+    monkeypatch.setattr("bcid.comparison.predictor.pair", lambda *_: (Level(2, 0.036), Level(2, 0.012)))
     whole = Scene.read(project / "examples" / "scenes" / "finger_hidden.toml")
     here = replace(whole, levels=whole.levels[:1], uncertainty=replace(Uncertainty.none(), grip_turn=1.0))
     number, still = np.arange(7), np.tile([1.0, 0.0, 0.0, 0.0], (7, 1))
