@@ -94,7 +94,7 @@ def compare(
         anchors: names of the anchored patches.
         model: the model; by default the scene's.
         free: numbers of the model to fit first, such as "young".
-        level: fine mesh level; by default the last with at most 40,000 unknowns.
+        level: of the ladder, that both meshes go by; by default the last with at most 40,000 unknowns.
 
     Raises:
         InputError: something cannot be used, or does not fit.

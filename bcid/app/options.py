@@ -66,9 +66,12 @@ def add_source(parser: argparse.ArgumentParser) -> None:
 
 
 def add_level(parser: argparse.ArgumentParser) -> None:
-    """The fine mesh level."""
+    """The mesh level."""
     parser.add_argument(
-        "--level", type=int, metavar="LEVEL", help="fine mesh level (the last with at most 40,000 unknowns)"
+        "--level",
+        type=int,
+        metavar="LEVEL",
+        help="level of the ladder that both meshes go by (the last with at most 40,000 unknowns)",
     )
 
 

@@ -36,6 +36,7 @@ from bcid.comparison.rivals import (
 from bcid.comparison.settle import settled
 from bcid.comparison.state import State
 from bcid.comparison.told_anchors import told_anchors
+from bcid.comparison.unfollowed import check_not_stood_for
 from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
@@ -60,7 +61,7 @@ class ExplainOptions:
     """How far the loop goes.
 
     Attributes:
-        level: fine level (see `Predictor`); by default the last with at most 40,000 unknowns.
+        level: of the ladder, that both meshes go by; by default the last with at most 40,000 unknowns.
         effects: effects that may be adopted together at most.
         fitted: effects that are refitted at each step, on a few steps of each action.
         sets: anchor sets that are weighed, at each step.
@@ -92,7 +93,7 @@ def explain(
 
     Raises:
         InputError: the options name an unknown effect or level.
-        SolveError: the plain model cannot be followed for any anchor set.
+        NotFollowed: no anchor set can be followed to the end with the plain model, or the answer stands for one that cannot.
     """
     options = options or ExplainOptions()
     candidates = candidates or Known(tuple(effects.catalogue(options.only, more)))
@@ -120,7 +121,9 @@ class _Loop:
         self.stage(base, self.options.sets)
         while self.deeper():
             pass
-        return self.explanation(self.compared.best(), time.perf_counter() - start)
+        best = self.compared.best()
+        check_not_stood_for(best, self.compared.refused, self.model)
+        return self.explanation(best, time.perf_counter() - start)
 
     def begun(self) -> State:
         """The model with a likely set, on what was seen before the body buckles with it."""

@@ -12,10 +12,12 @@ Array = NDArray[np.float64]
 # of three exceeds the error of the finer one.
 _SINGULAR = 3.0
 # Between levels that hardly differ nothing can be extrapolated.
-_LEAST = 0.5
+_LEAST = 0.2
+# By this power of the size of elements errors of positions fall on a ladder of one degree.
+ORDER = 2
 
 
-def gain(refinement: float, order: int) -> float:
+def gain(refinement: float, order: int = ORDER) -> float:
     """By how much the distance of two levels exceeds the error of the finer one, which falls so with the size of elements.
 
     Args:

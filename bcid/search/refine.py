@@ -15,6 +15,7 @@ from bcid.base.progress import Progress, Silent
 from bcid.forms.mesh.patches import divided, element_size, extents, first_level, half_names, halves, replaced, touching
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
+from bcid.inference.mesh_error import gain
 from bcid.inference.misfit import Misfit
 from bcid.inference.outcome import Candidate, Outcome, label
 from bcid.measurement import Measurement
@@ -23,7 +24,6 @@ from bcid.search.evaluator import Evaluator
 from bcid.search.identification import Identification
 from bcid.search.identify import identify
 from bcid.search.identify_options import IdentifyOptions
-from bcid.search.screening import gain
 
 # A patch is undecided when its probability is further than this from both 0 and 1.
 _UNDECIDED = 0.02
@@ -131,7 +131,7 @@ def _mesh_error(evaluator: Evaluator, found: Identification) -> float:
         if not before.complete:
             return 0.0
         distance = evaluator.misfit.distance(before.positions, found.prediction.positions)
-        return distance / gain(evaluator, found.levels[-2], found.levels[-1])
+        return distance / gain(evaluator.refinement(found.levels[-2], found.levels[-1]))
     finally:
         evaluator.destroy()
 

@@ -12,13 +12,12 @@ from collections.abc import Mapping, Sequence
 
 from bcid.inference.criteria import FAILS_FOR_THE_TRUE
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
+from bcid.inference.mesh_error import gain
 from bcid.inference.misfit import Misfit
 from bcid.inference.outcome import Candidate, Evaluated, Outcome
 
 # Odds from which on two sets count as told apart.
 _TELLING = 20.0
-# Between levels that hardly differ nothing can be extrapolated.
-_LEAST_GAIN = 0.2
 
 
 def screened(
@@ -146,14 +145,9 @@ def level_errors(evaluated: Evaluated, best: Candidate, levels: Sequence[int]) -
     errors = dict.fromkeys(levels, 0.0)
     errors |= {level: evaluated.misfit.distance(predicted[level], predicted[last]) for level in solved[:-1]}
     if len(solved) > 1:
-        errors[last] = errors[solved[-2]] / gain(evaluated, solved[-2], last)
+        errors[last] = errors[solved[-2]] / gain(evaluated.refinement(solved[-2], last))
     for level in solved:
         # The error of the measured frame persists as that of the model does.
         errors[level] = math.hypot(errors[level], evaluated.misfit.common)
         errors[level] = max(errors[level], beyond_noise(evaluated.outcomes[level, best], evaluated.misfit))
     return errors
-
-
-def gain(evaluated: Evaluated, coarse: int, fine: int) -> float:
-    """By how much to divide the distance of two levels for the error of the finer one, at second order; collective."""
-    return max(evaluated.refinement(coarse, fine) ** 2 - 1, _LEAST_GAIN)

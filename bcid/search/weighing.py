@@ -20,7 +20,7 @@ from bcid.forms.sensitivity import Sensitivity
 from bcid.inference.data import Data
 from bcid.inference.knots import knots_of, known_frames
 from bcid.inference.likelihood import Errors, NuisanceEstimate
-from bcid.inference.mesh_error import MeshError, gains
+from bcid.inference.mesh_error import ORDER, MeshError, gains
 from bcid.inference.nuisances import NuisanceModes, Nuisances
 from bcid.inference.outcome import Candidate
 from bcid.inference.relative import relative
@@ -34,8 +34,6 @@ Array = NDArray[np.float64]
 _BATCH, _MOST, _FINELY = 4, 32, 8
 # How often a fiducial goes astray.
 _ASTRAY = 0.01
-# Levels of a ladder have elements of one degree: their distance is extrapolated as of second order.
-_ORDER = 2
 # Odds from which on two sets count as told apart.
 _TELLING = 20.0
 
@@ -263,7 +261,7 @@ class Weighing:
 
     def _gains(self, coarse: int, fine: int) -> Array:
         """By how much their distance exceeds the error of the finer of two levels, shape (rows, 1); collective."""
-        return gains(self.evaluator.refinement(coarse, fine), _ORDER, self.data.kinds)
+        return gains(self.evaluator.refinement(coarse, fine), ORDER, self.data.kinds)
 
     def _fill(self, level: int, candidates: Iterable[Candidate]) -> None:
         """Predict sets, with the sensitivities that weighing takes."""

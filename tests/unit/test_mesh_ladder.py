@@ -12,7 +12,7 @@ from mpi4py import MPI
 from bcid.comparison.levels import pair
 from bcid.comparison.mesh_ladder import carried_on
 from bcid.forms.mesh import level_mesh
-from bcid.inference.mesh_error import gain
+from bcid.inference.mesh_error import gain, gains
 from bcid.measurement import Action
 from bcid.scene import Level, Scene
 
@@ -52,7 +52,13 @@ def test_a_mesh_file_is_its_own_working_mesh(project: Path, monkeypatch: pytest.
 def test_errors_fall_with_the_degree_of_the_fine_mesh() -> None:
     assert gain(3.0, 2) == pytest.approx(8.0)
     assert gain(2.0, 3) == pytest.approx(7.0)
-    assert gain(1.01, 3) == pytest.approx(0.5)
+    assert gain(1.01, 3) == pytest.approx(0.2)
+
+
+def test_those_of_forces_fall_by_one_order_less() -> None:
+    kinds = np.array([0, 1, 2])
+    assert np.allclose(gains(2.0, 3, kinds), [[7.0], [3.0], [3.0]])
+    assert np.allclose(gains(2.0, 1, kinds), 1.0)
 
 
 def test_what_is_known_last_stays() -> None:

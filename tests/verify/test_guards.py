@@ -491,9 +491,6 @@ def test_that_solves_fail_is_no_evidence(slab: Scene, plain: Measurement, monkey
     assert remark.startswith(f"action 3 is compared up to step {STEPS - 2} only")
 
 
-@pytest.mark.xfail(
-    strict=True, reason="told as soft_anchor with {1 2 3} (99.8 %): so soft that it is the set that fails"
-)
 def test_that_solves_fail_is_no_evidence_on_the_meshes_that_are_chosen(
     slab: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
