@@ -28,7 +28,7 @@ PATCHES = ["1", "2", "3", "4", "5"]
 def bench(*arguments: object, cwd: Path, root: Path = ROOT, **variables: str) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {"PYTHONPATH": str(root), "BCID_PROJECT": str(root)} | variables
     command = [sys.executable, "-m", "bcid", "bench", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=environment, timeout=290, check=False)
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=environment, timeout=590, check=False)
 
 
 def quick(*parts: str, cwd: Path) -> tuple[dict, str]:

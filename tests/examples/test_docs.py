@@ -11,7 +11,6 @@ PROJECT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(280)
 def test_the_site_is_built_without_warnings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # One example here; `./dev docs` runs all of them.
     monkeypatch.setenv("BCID_DOCS_EXAMPLES", "/04_")
