@@ -93,11 +93,11 @@ class Compared:
     def odds(self) -> HypothesisOdds:
         """What is believed of all hypotheses.
 
-        The error of the mesh has a shape that is guessed. Where it is not small beside the noise, a power of the
+        The error of the mesh has a shape along an action that is guessed. Where it is not small beside the noise, a power of the
         likelihood counts (the coarsened posterior of Miller & Dunson, J. Am. Stat. Assoc. 114, 2019), the noise's part of both.
         """
         state = self.full[0].fitted.state
-        power = state.noise**2 / (state.noise**2 + state.errors.mesh_rms**2) / self.full[0].evidence.left
+        power = state.noise**2 / (state.noise**2 + state.errors.guessed_rms**2) / self.full[0].evidence.left
         logs = _logs([rival.weights for rival in self.full], power)
         others = self._unfitted(logs, power)
         for hypothesis, log in _logs([*(rival.weights for rival in self.thin), self.promised], power).items():

@@ -101,7 +101,8 @@ class Errors:
 
     The error of the mesh that is left after extrapolation has the shape of the extrapolation with an uncertain factor per
     action, and beside it parts that persist along every trajectory (a constant and a slope along the steps) and that each
-    fiducial has in common in all actions.
+    fiducial has in common in all actions. What is left at rest, as where a weight acts, is the same in all of them: it has one
+    factor, and a part of each fiducial.
 
     Args:
         data: the measured values.
@@ -114,10 +115,14 @@ class Errors:
         self.data, self.sigma, self.mesh = data, sigma, mesh
         self.nuisances = nuisances or NuisanceModes.none(len(data))
         self._single: list[_LowRank] = []
-        for rows, columns in self._of_fiducials(data.vector(mesh.left)):
+        rest = _at_rest(data, mesh.left)
+        moving = data.vector(mesh.left) - rest
+        # RMS of what the mesh leaves of positions as the gripper moves, m: its shape along an action is a guess.
+        self.guessed_rms = data.rms(moving)
+        for rows, columns in self._of_fiducials(moving, rest):
             self._single.append(_LowRank.of(rows, columns / sigma[rows, None]))
         self._modes = self._of_nuisances()
-        common = np.column_stack([self._of_actions(data.vector(mesh.left)), self._of_frame(), self._modes])
+        common = np.column_stack([self._of_actions(moving, rest), self._of_frame(), self._modes])
         scaled = common / sigma[:, None]
         for part in self._single:
             part.apply(scaled)
@@ -145,12 +150,13 @@ class Errors:
 
     # -- columns, m
 
-    def _of_actions(self, left: Array) -> Array:
-        """The factor of each action's extrapolation, and that of forces."""
+    def _of_actions(self, moving: Array, rest: Array) -> Array:
+        """The factor of each action's extrapolation, that of rest, and that of forces."""
         found = [
-            np.where(self.data.action == number, _OF_ACTION * left, 0.0) for number in range(len(self.data.actions))
+            np.where(self.data.action == number, _OF_ACTION * moving, 0.0) for number in range(len(self.data.actions))
         ]
-        found.append(np.where(self.data.kind > 0, _OF_FORCES * left, 0.0))
+        found.append(_OF_ACTION * rest)
+        found.append(np.where(self.data.kind > 0, _OF_FORCES * (moving + rest), 0.0))
         return np.column_stack([column for column in found if column.any()] or [np.zeros((len(self.data), 0))])
 
     def _of_nuisances(self) -> Array:
@@ -169,18 +175,20 @@ class Errors:
             return np.zeros((len(self.data), 0))
         return self.data.moved(error.modes(self.data.points))
 
-    def _of_fiducials(self, left: Array) -> Iterator[tuple[NDArray[np.int64], Array]]:
+    def _of_fiducials(self, moving: Array, rest: Array) -> Iterator[tuple[NDArray[np.int64], Array]]:
         """What each fiducial has for itself: the rest of the mesh's error, and where it sits on the body."""
         data, markers = self.data, self.nuisances.markers
-        common = {k: float(np.sqrt(np.mean(left[data.kind == k] ** 2))) * _OF_FIDUCIAL for k in np.unique(data.kind)}
-        along = _along(data, left)
+        growing, lasting = (_by_kind(data, left) for left in (moving, rest))
+        along = _along(data, moving)
         order = np.argsort(data.fiducial, kind="stable")
         for rows in np.split(order, np.flatnonzero(np.diff(data.fiducial[order])) + 1):
-            columns, of_all = [markers[rows]] if markers[rows].any() else [], common[data.kind[rows[0]]]
-            if of_all > 0 or data.slow[rows].any():
+            columns, kind = [markers[rows]] if markers[rows].any() else [], data.kind[rows[0]]
+            if growing[kind] > 0 or data.slow[rows].any():
                 columns.append(_apart(data.trajectory[rows], along[rows]))
-            if of_all > 0:
-                columns.append(_growing(data, rows, of_all))
+            if growing[kind] > 0:
+                columns.append(growing[kind] * data.way[rows, None] * data.seen.directions[rows])
+            if lasting[kind] > 0:
+                columns.append(lasting[kind] * data.seen.directions[rows])
             if columns:
                 yield rows, np.hstack(columns)
 
@@ -277,6 +285,19 @@ class Errors:
         return size * float(means[0]), size * math.sqrt(covariance[0, 0])
 
 
+def _at_rest(data: Data, left: Array) -> Array:
+    """What the mesh leaves before the gripper moves, of each value, (n,), from that in all frames, (frames, rows, 3), m."""
+    first = data.measurement.data["step"].values == 0
+    if not first.any():
+        return np.zeros(len(data))
+    return data.vector(np.broadcast_to(np.nan_to_num(left[first].mean(axis=0)), left.shape))
+
+
+def _by_kind(data: Data, left: Array) -> dict[int, float]:
+    """How much a fiducial may have of what the mesh leaves, of positions, forces and torques each, m."""
+    return {int(k): float(np.sqrt(np.mean(left[data.kind == k] ** 2))) * _OF_FIDUCIAL for k in np.unique(data.kind)}
+
+
 def _along(data: Data, left: Array) -> Array:
     """A constant and a slope along each trajectory, as large as what the mesh leaves and what of the noise persists, (n, 2)."""
     group = np.unique(np.column_stack([data.kind, data.action]), axis=0, return_inverse=True)[1].ravel()
@@ -306,8 +327,3 @@ def _apart(number: NDArray[np.int64], values: Array) -> Array:
     columns = np.zeros((len(number), len(found), values.shape[1]))
     columns[np.arange(len(number)), at] = values
     return columns.reshape(len(number), -1)
-
-
-def _growing(data: Data, rows: NDArray[np.int64], amount: float) -> Array:
-    """What a fiducial has in common in all actions, along each axis."""
-    return amount * data.way[rows, None] * data.seen.directions[rows]

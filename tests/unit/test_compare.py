@@ -69,20 +69,22 @@ def data_of(positions: Array, made: list[Action], sigma: float | None = SIGMA) -
     return Data(SCENE, replace(measurement, noise_sigma=sigma))
 
 
-def mesh_error(made: list[Action]) -> MeshError:
-    """An error of the mesh that grows along every action."""
+def mesh_error(made: list[Action], at_rest: float = 0.0) -> MeshError:
+    """An error of the mesh that grows along every action, from one at rest."""
     rng = np.random.default_rng(5)
     left = np.concatenate([np.linspace(0, 1, len(a))[:, None, None] * rng.normal(size=(1, 4, 3)) for a in made])
-    return MeshError(np.zeros_like(left), 0.5e-3 * left, True)
+    return MeshError(np.zeros_like(left), 0.5e-3 * left + at_rest * rng.normal(size=(4, 3)), True)
 
 
 def explicit(errors: Errors) -> Array:
     """The covariance of a residual, as a full matrix."""
-    left = errors.data.vector(errors.mesh.left)
+    left = errors.mesh.left
+    before = errors.data.vector(np.broadcast_to(left[0], left.shape))
+    parts = errors.data.vector(left) - before, before
     single = np.zeros((len(errors.data), len(errors.data)))
-    for rows, columns in errors._of_fiducials(left):
+    for rows, columns in errors._of_fiducials(*parts):
         single[np.ix_(rows, rows)] = columns @ columns.T
-    common = np.hstack([errors._of_actions(left), errors._of_frame(), errors.nuisances.common])
+    common = np.hstack([errors._of_actions(*parts), errors._of_frame(), errors.nuisances.common])
     return np.asarray(np.diag(errors.sigma**2) + single + common @ common.T)
 
 
@@ -99,12 +101,13 @@ def modes(data: Data) -> NuisanceModes:
 # ------------------------------------------------------------------------------------------------------------------
 
 
-def test_whitening_is_a_root_of_the_inverse_covariance() -> None:
+@pytest.mark.parametrize("at_rest", [0.0, 1e-3])
+def test_whitening_is_a_root_of_the_inverse_covariance(at_rest: float) -> None:
     made = actions()
     data = data_of(rest(made), made)
     data.measurement = replace(data.measurement, frame_error=FrameError(SCENE.rest.mean(axis=0), 1e-6 * np.eye(7)))
     sigma = np.random.default_rng(1).uniform(0.5, 2.0, len(data)) * SIGMA
-    errors = Errors(data, sigma, mesh_error(made), modes(data))
+    errors = Errors(data, sigma, mesh_error(made, at_rest), modes(data))
     covariance = explicit(errors) / np.outer(sigma, sigma)
     root = errors.whiten(np.diag(sigma))
     assert root.T @ root == pytest.approx(np.linalg.inv(covariance), abs=1e-8)
@@ -187,6 +190,20 @@ def test_without_an_error_of_the_mesh_only_the_noise_scales() -> None:
     data = data_of(rest(made), made)
     errors = Errors(data, np.full(len(data), SIGMA), MeshError.unknown(data.mask.shape))
     assert errors.whiten(np.full(len(data), SIGMA)) == pytest.approx(np.ones(len(data)))
+
+
+def test_at_rest_the_mesh_has_the_same_wrong_in_all_actions() -> None:
+    """As where a weight acts: it is uncertain once for each fiducial, and not anew with every pull."""
+    made = actions(2)
+    data = data_of(rest(made), made)
+    left = np.broadcast_to(1e-3 * np.ones(3), data.mask.shape)
+    errors = Errors(data, data.sigma, MeshError(np.zeros(data.mask.shape), left, True))
+    same = np.where((data.fiducial == 1) & (data.axis == 0), 1e-3, 0.0)
+    other = np.where(data.action == 0, same, -same)
+    assert np.sum(errors.whiten(same) ** 2) < 1
+    assert errors.whiten(other) == pytest.approx(other / data.sigma, rel=1e-6)
+    assert errors.guessed_rms == 0.0
+    assert errors.mesh_rms == pytest.approx(1e-3)
 
 
 def test_of_the_error_of_the_mesh_counts_what_is_compared() -> None:

@@ -31,7 +31,7 @@ def rival(
     names: tuple[str, ...], anchors: str, evidence: float, terms: tuple[Term, ...] = (), mesh: float = 0.0
 ) -> Rival:
     """A hypothesis that was compared with all steps, with so much evidence and error of the mesh."""
-    errors = SimpleNamespace(mesh_rms=mesh)
+    errors = SimpleNamespace(mesh_rms=mesh, guessed_rms=mesh)
     model = SimpleNamespace(terms=terms)
     state = SimpleNamespace(anchors=frozenset(anchors), noise=1.0, errors=errors, model=model)
     fitted = SimpleNamespace(state=state, coordinates=names)
