@@ -20,7 +20,7 @@ from benchmarks.reliability.signals import started
 
 _LONG = 300.0
 # What is left of a state that was computed again is found from there anew, to the last digits only.
-_ROUNDING = 1e-8
+_ROUNDING = 1e-6
 # Ends a command by SIGKILL on rank 0, once it has kept so many results.
 _KILLED = """
 import os, signal, sys
