@@ -45,6 +45,7 @@ def check_not_stood_for(best: Rival, refused: Collection[Hypothesis], begun: Mod
         soft = term.with_values({stiffness: term.values[stiffness] / _SOFTER})
         model = state.model.without(term.label)
         if _log_without(best, model + soft, begun) > best.log:
+            # Followed again, it says how far it can be compared.
             State.of(state.predictor, model, without, MeshError.unknown(state.predictor.data.mask.shape))
 
 
