@@ -186,16 +186,18 @@ def force(found: MissingForce, unit: float, name: str) -> list[str]:
         return ["No missing force can be told from these data."]
     lines = [
         f"A smooth force on the body would explain {percent(found.explained)} of what is beyond noise "
-        f"(residual then {found.rms / unit:.3g} {name}). Its largest parts, if the stiffness is right:"
+        f"(residual then {found.rms / unit:.3g} {name}). If the stiffness is right it is, with its largest parts:"
     ]
     parts = [("in all frames", place) for place in found.steady]
     for action, places in found.growing.items():
         parts += [(f"action {action}, growing", place) for place in places]
     parts.sort(key=lambda pair: -float(np.linalg.norm(pair[1].force)))
+    shown = [("together", "in all frames", found.together[""])]
     for when, place in parts[:6]:
-        at = " ".join(f"{v / unit:.0f}" for v in place.position)
+        shown.append((f"at ({' '.join(f'{v / unit:.0f}' for v in place.position)}) {name}", when, place))
+    for what, when, place in shown:
         push = " ".join(f"{1e3 * v:+.2f}" for v in place.force)
-        lines.append(f"  at ({at}) {name}: ({push}) mN ± {1e3 * place.stderr:.2f}, {when}")
+        lines.append(f"  {what}: ({push}) mN ± {1e3 * place.stderr:.2f}, {when}")
     return lines
 
 

@@ -21,7 +21,7 @@ from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import Ranking
 from bcid.comparison.rivals import Rival
 from bcid.comparison.source import Source, stored_effect
-from bcid.comparison.where import MissingForce
+from bcid.comparison.where import MissingForce, Place
 from bcid.forms.course import course_of
 from bcid.forms.gripper_force import ROWS
 from bcid.forms.model import Term
@@ -270,14 +270,17 @@ def _ranking(ranking: Ranking, rivals: Sequence[Rival], unit: float, order: list
 def where_json(found: MissingForce, unit: float) -> dict[str, Any]:
     """The missing force: places in units of length, forces in N."""
 
-    def table(places: Sequence[Any]) -> list[dict[str, Any]]:
-        return [
-            {"position": list(p.position / unit), "force": list(map(float, p.force)), "stderr": p.stderr}
-            for p in places
-        ]
+    def row(place: Place) -> dict[str, Any]:
+        return {"position": list(place.position / unit), "force": list(map(float, place.force)), "stderr": place.stderr}
 
-    growing = {name: table(places) for name, places in found.growing.items()}
-    return {"explained": found.explained, "rms": found.rms / unit, "steady": table(found.steady), "growing": growing}
+    together = {name: row(place) for name, place in found.together.items()}
+    return {
+        "explained": found.explained,
+        "rms": found.rms / unit,
+        "steady": [row(place) for place in found.steady],
+        "growing": {name: [row(place) for place in places] for name, places in found.growing.items()},
+        "together": {"steady": together.pop(""), "growing": together},
+    }
 
 
 def residual_dataset(done: Diagnosis, parts: dict[str, Any]) -> xr.Dataset:

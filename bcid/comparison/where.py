@@ -40,12 +40,14 @@ class MissingForce:
     Attributes:
         steady: the part that acts in all frames, by region.
         growing: by action, the part that grows from nothing to its value at the last step.
+        together: of all regions, told where no single one is: of the steady part ("") and of those that grow, by action.
         explained: share of the residual's excess over the noise that it explains, 0 to 1.
         rms: RMS residual that it leaves, m.
     """
 
     steady: tuple[Place, ...]
     growing: dict[str, tuple[Place, ...]]
+    together: dict[str, Place]
     explained: float
     rms: float
 
@@ -59,9 +61,9 @@ def missing_force(state: State) -> MissingForce:
     predictor, data = state.predictor, state.predictor.data
     forward = predictor.forward(state.model)
     centres, weights = bumps(forward, SPOTS)
-    found = predictor.sensitivities(state.model, state.anchors, state.prediction, Wanted(forces=weights))
-    assert found.forces is not None
-    raw = data.vector(found.forces).astype(float).reshape(len(data), -1)
+    shown = predictor.sensitivities(state.model, state.anchors, state.prediction, Wanted(forces=weights))
+    assert shown.forces is not None
+    raw = data.vector(shown.forces).astype(float).reshape(len(data), -1)
     names = [name for a, name in enumerate(data.actions) if data.progress[data.action == a].any()]
     growing = [np.where(data.action == data.actions.index(name), data.progress, 0.0) for name in names]
     blocks = [raw] + [raw * part[:, None] for part in growing]
@@ -79,15 +81,17 @@ def missing_force(state: State) -> MissingForce:
         )
 
     left = state.residual - np.hstack(blocks) @ amounts
-    by_action = {name: places(i + 1) for i, name in enumerate(names)}
-    return MissingForce(places(0), by_action, explained, data.rms(left))
+    found = {name: places(number) for number, name in enumerate(["", *names])}
+    by_region = {name: part[:-1] for name, part in found.items()}
+    together = {name: part[-1] for name, part in found.items()}
+    return MissingForce(by_region.pop(""), by_region, together, explained, data.rms(left))
 
 
 def _regions(centres: Array, volumes: Array) -> tuple[Array, Array]:
-    """Middles of the regions, shape (regions, 3), and the volume of each bump in its region, (regions, bumps)."""
+    """Middles of the regions and of the body, shape (regions + 1, 3), and the volume of each bump in them, (regions + 1, bumps)."""
     seeds = scattered(centres, _REGIONS)
     nearest = np.linalg.norm(centres[:, None] - seeds[None], axis=2).argmin(axis=1)
-    held = np.where(np.arange(len(seeds))[:, None] == nearest, volumes, 0.0)
+    held = np.vstack([np.where(np.arange(len(seeds))[:, None] == nearest, volumes, 0.0), volumes])
     return held @ centres / held.sum(axis=1)[:, None], held
 
 

@@ -4,6 +4,7 @@ falling error.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -121,14 +122,13 @@ def diagonal(body: xr.Dataset) -> float:
 def where_figure(found: dict[str, Any], where: dict[str, Any], body: xr.Dataset, residuals: xr.Dataset) -> Figure:
     """The force that would explain the residual: its steady part, and the largest of those that grow in an action.
 
-    Only forces that chance does not make are drawn, each with its size and its standard error; where there is none, none is.
+    Only forces that chance does not make are drawn, each with its size and its standard error: those on regions, or where no
+    region tells its own their sum, in the middle of the body.
     """
     to_mm = unit_factor(where["length_unit"], "m") * 1e3
-    parts = {"": where["steady"], **where["growing"]}
-    tries = sum(len(places) for places in parts.values())
-    told = {action: [place for place in places if _told(place, tries)] for action, places in parts.items()}
-    if where["explained"] < _NOTHING:
-        told = {}
+    parts = _parts(where)
+    tries = sum(len(part.regions) + 1 for part in parts.values())
+    told = {action: part.told(tries) for action, part in parts.items()} if where["explained"] >= _NOTHING else {}
     growing = max((action for action in told if action), key=lambda action: _strength(told[action]), default="")
     shown = {action: told[action] for action in dict.fromkeys(("", growing)) if told.get(action)}
     largest = max((_size(place) for places in shown.values() for place in places), default=1.0)
@@ -139,34 +139,67 @@ def where_figure(found: dict[str, Any], where: dict[str, Any], body: xr.Dataset,
         texts = [uncertain(1e3 * _size(p), 1e3 * p["stderr"]) for p in places]
         view = body, found["anchored"], None, _grasp(residuals, action)
         images.append(arrows_picture(*view, to_mm * starts, scale * forces, _SIZE, texts))
-        titles.append(_said_of(action, places, parts[action]))
+        titles.append(parts[action].said(action, places))
     figure = _panels(images, titles)
     first = found["ladder"][-1 if found["adequate"] is False else 0]
-    if not shown:
+    model = model_name(first["model"])
+    promised = (
+        f"{percent(where['explained'])} of what is beyond noise, and leave {where['rms']:.3g} {where['length_unit']}"
+    )
+    if where["explained"] < _NOTHING:
         head(
             figure,
             "No missing force can be told",
-            f"The {model_name(first['model'])} model leaves nothing beyond noise that a force on some region explains",
+            f"The {model} model leaves nothing beyond noise that a force on the body explains",
         )
-        _legend(figure, "", "")
-        return figure
-    head(
-        figure,
-        f"The force that the {model_name(first['model'])} model lacks",
-        f"It would explain {percent(where['explained'])} of what is beyond noise, and leave {where['rms']:.3g} "
-        f"{where['length_unit']} (its size is right if the stiffness is)",
+    elif not shown:
+        head(
+            figure,
+            "A force is missing; where it acts cannot be told",
+            f"Spread over the body it would explain {promised}",
+        )
+    else:
+        head(
+            figure,
+            f"The force that the {model} model lacks",
+            f"It would explain {promised} (its size is right if the stiffness is)",
+        )
+    where_drawn = (
+        "force on a region" if any(place in parts[a].regions for a in shown for place in shown[a]) else "force"
     )
-    _legend(figure, "force on a region, mN ± standard error", "")
+    _legend(figure, f"{where_drawn}, mN ± standard error" if shown else "", "")
     return figure
 
 
-def _said_of(action: str, told: list[dict[str, Any]], everywhere: list[dict[str, Any]]) -> str:
-    """When the forces of a part act, what they are together, and on how many of the regions they can be told."""
-    when = f"growing in action {action}" if action else "in all frames"
-    if not told:
-        return when
-    together = " ".join(f"{1e3 * v:+.3g}" for v in np.sum([p["force"] for p in everywhere], axis=0))
-    return f"{when}: together ({together}) mN, told on {len(told)} of {len(everywhere)} regions"
+@dataclass(frozen=True)
+class _Part:
+    """A missing force that acts at some time: on each region, and in all (an older run folder does not say it)."""
+
+    regions: list[dict[str, Any]]
+    whole: dict[str, Any] | None
+
+    def told(self, tries: int) -> list[dict[str, Any]]:
+        """The forces on regions that can be told, or their sum where that can be told alone."""
+        regions = [place for place in self.regions if _told(place, tries)]
+        return regions or [self.whole] if self.whole and _told(self.whole, tries) else regions
+
+    def said(self, action: str, told: list[dict[str, Any]]) -> str:
+        """When the force acts, what it is together, and on how many of the regions it can be told."""
+        when = f"growing in action {action}" if action else "in all frames"
+        if not told:
+            return when
+        sums = self.whole["force"] if self.whole else np.sum([p["force"] for p in self.regions], axis=0)
+        together = " ".join(f"{1e3 * v:+.3g}" for v in sums)
+        number = len([place for place in told if place in self.regions])
+        on = f"{number} of {len(self.regions)} regions" if number else "no single region"
+        return f"{when}: together ({together}) mN, told on {on}"
+
+
+def _parts(where: dict[str, Any]) -> dict[str, _Part]:
+    """The missing force in all frames ("") and in each action."""
+    together = where.get("together", {"growing": {}})
+    growing = {action: _Part(places, together["growing"].get(action)) for action, places in where["growing"].items()}
+    return {"": _Part(where["steady"], together.get("steady")), **growing}
 
 
 def _told(place: dict[str, Any], tries: int) -> bool:
