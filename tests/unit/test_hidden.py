@@ -540,12 +540,16 @@ def test_a_study_that_was_killed_goes_on(
     wait_for(lambda: not any(alive(int(line.split()[1])) for line in calls.read_text().splitlines()), 20.0)
     before = {file.name for file in (run / "results").glob("0*.json")}
     assert 0 < len(before) < 5
+    # Who interrupts it sees what the cases so far say.
+    told = (run / "table.txt").read_text() if number == signal.SIGINT else ""
+    assert (f"{len(before)} of 5 cases" in told) is (number == signal.SIGINT)
     began = len(calls.read_text().splitlines())
     monkeypatch.setenv("FAKE_STUDY_SLEEP", "0")
     run_hidden(run, options(5))
     again = {int(line.split()[0]) for line in calls.read_text().splitlines()[began:]}
     assert sorted(f"{i:04d}.json" for i in again) == sorted({f"{i:04d}.json" for i in range(5)} - before)
     assert [_read(run, i)["state"] for i in range(5)] == ["done", "failed", "done", "failed", "done"]
+    assert "Hidden study: 5 cases" in (run / "table.txt").read_text()
 
 
 def test_options_are_checked(tmp_path: Path) -> None:

@@ -91,7 +91,8 @@ def run_hidden(
 ) -> Path:
     """Run the study into a run folder; one that was interrupted goes on with the cases that have no result yet.
 
-    Collective on `comm`, over which the cases are spread; without one they go to child processes.
+    Where child processes make the cases an interrupted study tells in its table what the cases so far say. Collective on `comm`,
+    over which the cases are spread; without one they go to child processes.
 
     Raises:
         InputError: options, or a folder that cannot be used (see `RunFolder.start`).
@@ -104,7 +105,13 @@ def run_hidden(
         path = on_root(comm, folder.resolve)
         work = Work("bcid.studies.hidden.case:maker", _job(path, options), path / "results")
         tasks = {f"{index:04d}": {"index": index} for index in range(options.cases)}
-        dispatch(work, tasks, Workers(comm, options.jobs, options.limit + _MAKING, tries=3, fresh=True), progress)
+        how = Workers(comm, options.jobs, options.limit + _MAKING, tries=3, fresh=True)
+        try:
+            dispatch(work, tasks, how, progress)
+        except KeyboardInterrupt:
+            if run is not None and comm is None:
+                _score(run, options)
+            raise
         on_root(comm, lambda: _conclude(run, options))
     return folder
 
@@ -125,14 +132,19 @@ def _read(path: Path, index: int) -> dict[str, Any]:
 
 
 def _conclude(run: RunFolder | None, options: HiddenOptions) -> None:
-    """Score all results and write what is made of them."""
     assert run is not None
-    results = [_read(run.path, i) for i in range(options.cases)]
-    found = scores(results)
+    found = _score(run, options)
+    run.finish({"rates": {name: rate["rate"] for name, rate in found["rates"].items()}, "states": found["states"]})
+
+
+def _score(run: RunFolder, options: HiddenOptions) -> dict[str, Any]:
+    """Score the results that are there, and write what is made of them."""
+    there = [i for i in range(options.cases) if (run.path / f"results/{i:04d}.json").is_file()]
+    found = scores([_read(run.path, i) for i in there]) | {"asked": options.cases}
     run.write_json("hidden.json", found)
     run.write_text("table.txt", table(found))
     _draw(run, found)
-    run.finish({"rates": {name: rate["rate"] for name, rate in found["rates"].items()}, "states": found["states"]})
+    return found
 
 
 def _draw(run: RunFolder, found: dict[str, Any]) -> None:

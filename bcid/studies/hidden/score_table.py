@@ -22,7 +22,8 @@ _OF_EFFECTS = ("named", "first two", "parameters", "intervals", "not misnamed", 
 def table(found: Json) -> str:
     """Goals first, then what the rates depend on."""
     states = ", ".join(f"{count} {state}" for state, count in sorted(found["states"].items()))
-    lines = [f"Hidden study: {found['cases']} cases ({states})"]
+    asked = f" of {found['asked']}" if found.get("asked", found["cases"]) > found["cases"] else ""
+    lines = [f"Hidden study: {found['cases']}{asked} cases ({states})"]
     lines += _seconds(found["cpu_seconds"])
     lines += ["", f"Cases with effects of at least {VISIBLE:g} times the noise, and those without any:", ""]
     lines.append(f"{'':24}{'goal':>11}{'rate':>7}{'cases':>9}   95 % interval   met")
