@@ -181,7 +181,9 @@ class _Part:
     def told(self, tries: int) -> list[dict[str, Any]]:
         """The forces on regions that can be told, or their sum where that can be told alone."""
         regions = [place for place in self.regions if _told(place, tries)]
-        return regions or [self.whole] if self.whole and _told(self.whole, tries) else regions
+        if not regions and self.whole and _told(self.whole, tries):
+            return [self.whole]
+        return regions
 
     def said(self, action: str, told: list[dict[str, Any]]) -> str:
         """When the force acts, what it is together, and on how many of the regions it can be told."""

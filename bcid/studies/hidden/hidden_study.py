@@ -11,6 +11,7 @@ RUN/hidden.json  table.txt  degradation.png
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -110,7 +111,7 @@ def run_hidden(
             dispatch(work, tasks, how, progress)
         except KeyboardInterrupt:
             if run is not None and comm is None:
-                _score(run, options)
+                _score(run, options, [i for i, name in enumerate(tasks) if work.file(name).is_file()])
             raise
         on_root(comm, lambda: _conclude(run, options))
     return folder
@@ -133,14 +134,13 @@ def _read(path: Path, index: int) -> dict[str, Any]:
 
 def _conclude(run: RunFolder | None, options: HiddenOptions) -> None:
     assert run is not None
-    found = _score(run, options)
+    found = _score(run, options, range(options.cases))
     run.finish({"rates": {name: rate["rate"] for name, rate in found["rates"].items()}, "states": found["states"]})
 
 
-def _score(run: RunFolder, options: HiddenOptions) -> dict[str, Any]:
-    """Score the results that are there, and write what is made of them."""
-    there = [i for i in range(options.cases) if (run.path / f"results/{i:04d}.json").is_file()]
-    found = scores([_read(run.path, i) for i in there]) | {"asked": options.cases}
+def _score(run: RunFolder, options: HiddenOptions, cases: Iterable[int]) -> dict[str, Any]:
+    """Score the results of some cases, and write what is made of them."""
+    found = scores([_read(run.path, i) for i in cases]) | {"asked": options.cases}
     run.write_json("hidden.json", found)
     run.write_text("table.txt", table(found))
     _draw(run, found)
