@@ -21,7 +21,7 @@ from bcid.comparison.forward_models import ForwardModels
 from bcid.comparison.kept_predictions import KeptPredictions, MeasurementPrediction, PredictionKey
 from bcid.comparison.levels import affordable, pair
 from bcid.comparison.result_formats import PredictionFormat, SensitivitiesFormat, TangentsFormat
-from bcid.forms.force_bumps import BUMPS, SPOTS, bumps
+from bcid.forms.force_bumps import BUMPS, SPOTS, bumps, force_unit, growth_bumps
 from bcid.forms.forward import Forward, Look, Prediction
 from bcid.forms.gripper_force import ForceScale
 from bcid.forms.model import Model
@@ -32,6 +32,7 @@ from bcid.forms.solver.supports import Pose
 from bcid.inference.data import Data, Noise, frame_times
 from bcid.inference.knots import Knots, knots_of, known_frames, spread
 from bcid.inference.nuisances import NuisanceModes, Nuisances
+from bcid.inference.unknown_force import slopes
 from bcid.measurement import Action, Measurement
 from bcid.scene import Scene
 from bcid.search.identify_run import scene_fingerprint
@@ -102,6 +103,7 @@ class Predictor:
         self._about: tuple[Model, SetTangent] | None = None
         self._nuisances: Nuisances | None = None
         self._weights: Array | None = None
+        self._growths: Array | None = None
         self._whole_scene: str | None = None
 
     def look_at(self, measurement: Measurement, left_out: tuple[str, ...] = ()) -> None:
@@ -267,7 +269,7 @@ class Predictor:
     def _looking(self, forward: Forward) -> Look | None:
         """Makes the responses of the states that will be asked about, where they can be kept."""
         asked, responses = self._frames(self._known(forward.model)), self._models.sensitivity(forward).responses
-        if not responses.worth(3 * BUMPS, int(asked.sum())):
+        if not responses.worth(4 * BUMPS, int(asked.sum())):
             return None
 
         def look(frame: int, pose: Pose) -> None:
@@ -371,17 +373,20 @@ class Predictor:
         """
         forward = self.forward(model)
         if self._nuisances is None:
-            self._nuisances, self._weights = (
+            self._nuisances, self._weights, self._growths = (
                 Nuisances(self.scene, forward.mesh, self.data.tells_stiffness),
                 np.hstack([bumps(forward, count)[1] for count in (BUMPS, SPOTS)]),
+                growth_bumps(forward),
             )
         wanted = self._nuisances.wanted(model, anchors) if nuisances is None else Wanted()
-        wanted = replace(wanted, forces=self._weights)
+        wanted = replace(wanted, forces=self._weights, growths=self._growths)
         found = self.sensitivities(model, anchors, prediction, wanted)
         assert found.forces is not None
+        assert found.growths is not None
         modes = nuisances or self._nuisances.modes(self.data, found, wanted, model, prediction.positions)
-        slopes = np.nan_to_num(self.data.vector(found.forces).astype(float))
-        return modes, slopes[:, :BUMPS].reshape(len(self.data), -1), slopes[:, BUMPS:]
+        smooth, spots = found.forces[:, :, :, :BUMPS], self.data.vector(found.forces[:, :, :, BUMPS:]).astype(float)
+        moved = slopes(self.data, smooth, found.growths, force_unit(forward))
+        return modes, np.nan_to_num(moved), np.nan_to_num(spots)
 
     def set_tangent(self, model: Model, anchors: Iterable[str], prediction: MeasurementPrediction) -> SetTangent:
         """What every set shows to first order about one whose prediction kept its states, the same on every rank; collective.

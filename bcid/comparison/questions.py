@@ -45,9 +45,9 @@ def _effect(effect: Effect) -> str:
 def of_wanted(wanted: Wanted) -> str:
     """Of what a sensitivity is asked for."""
     probes = [(of_term(probe.term), probe.wanted) for probe in wanted.probes]
-    forces = None if wanted.forces is None else fingerprint({"forces": wanted.forces})
+    many = {name: value for name in ("forces", "growths") if (value := getattr(wanted, name)) is not None}
     terms = None if wanted.terms is None else (type(wanted.terms).__name__, wanted.terms.count, wanted.terms.holds)
-    return f"{probes} {wanted.law} {wanted.stiffness} {forces} {wanted.places} {terms}"
+    return f"{probes} {wanted.law} {wanted.stiffness} {fingerprint(many) if many else None} {wanted.places} {terms}"
 
 
 def _numbers(values: Mapping[str, Any]) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError
 from bcid.exploration.motion import back, there
-from bcid.forms.force_bumps import BUMPS, bumps
+from bcid.forms.force_bumps import BUMPS, bumps, growth_bumps
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model
 from bcid.forms.probes import Sensitivities, Wanted
@@ -19,6 +19,7 @@ from bcid.forms.sensitivity import Sensitivity
 from bcid.inference.data import Data
 from bcid.inference.knots import knots_of, known_frames
 from bcid.inference.nuisances import NuisanceModes, Nuisances
+from bcid.inference.unknown_force import slopes
 from bcid.measurement import Action
 
 Array = NDArray[np.float64]
@@ -46,14 +47,15 @@ class Differentiator:
             Nuisances(forward.scene, forward.mesh, forward.gripper_force is not None),
         )
         self._sensitivity: Sensitivity | None = None
-        self._forces: Array | None = None
+        self._bumps: tuple[Array, Array] | None = None
 
     def of(self, anchors: Anchored, action: Action, forces: bool) -> PullTangent | None:
         """Of a set in a pull, with or without those to an unknown force; None where it cannot be followed to the end."""
         if self._sensitivity is None:
-            self._sensitivity, self._forces = Sensitivity(self.forward), bumps(self.forward, BUMPS)[1]
+            self._sensitivity = Sensitivity(self.forward)
+            self._bumps = bumps(self.forward, BUMPS)[1], growth_bumps(self.forward)
         wanted = self.nuisances.wanted(self.forward.model, anchors)
-        wanted = replace(wanted, forces=self._forces) if forces else wanted
+        wanted = replace(wanted, forces=self._bumps[0], growths=self._bumps[1]) if forces and self._bumps else wanted
         if not (wanted.probes or wanted.law or wanted.places or forces):
             return PullTangent(Sensitivities([], {}), wanted)
         first, mirror = there(action, self.forward.model.steady), back(action, self.forward.model.steady)
@@ -90,6 +92,7 @@ def _at(found: Sensitivities, frames: NDArray[np.int64]) -> Sensitivities:
         None,
         None if found.forces is None else found.forces[frames],
         None if found.places is None else found.places[frames],
+        growths=None if found.growths is None else found.growths[frames],
     )
 
 
@@ -101,8 +104,13 @@ def _together(parts: Sequence[Sensitivities]) -> Sensitivities:
     law = {name: np.concatenate([p.law[name] for p in parts]) for name in first.law}
     forces = [p.forces for p in parts if p.forces is not None]
     places = [p.places for p in parts if p.places is not None]
+    growths = [p.growths for p in parts if p.growths is not None]
     return Sensitivities(
-        whole, law, None, np.concatenate(forces) if forces else None, np.concatenate(places) if places else None
+        whole,
+        law,
+        forces=np.concatenate(forces) if forces else None,
+        places=np.concatenate(places) if places else None,
+        growths=np.concatenate(growths) if growths else None,
     )
 
 
@@ -116,12 +124,12 @@ def modes(
     return nuisances.modes(data, _together([t.found for t in tangents]), tangents[0].wanted, model, predicted)
 
 
-def slopes(data: Data, tangents: Sequence[PullTangent]) -> Array:
-    """Movements of the values of pulls, (n, forces), m per N/m^3 of each force along each axis."""
-    found = _together([t.found for t in tangents]).forces
-    if found is None:
+def smooth_slopes(data: Data, tangents: Sequence[PullTangent], unit: float) -> Array:
+    """What is unknown and smooth does to the values of pulls, see `bcid.inference.unknown_force.slopes`."""
+    found = _together([t.found for t in tangents])
+    if found.forces is None or found.growths is None:
         return np.zeros((len(data), 0))
-    return np.nan_to_num(data.vector(found).astype(float).reshape(len(data), -1))
+    return np.nan_to_num(slopes(data, found.forces, found.growths, unit))
 
 
 def nothing(shape: tuple[int, ...], like: PullTangent) -> PullTangent:
@@ -130,7 +138,7 @@ def nothing(shape: tuple[int, ...], like: PullTangent) -> PullTangent:
     def zeros(array: Mapping[str, Array]) -> dict[str, Array]:
         return {name: np.zeros(shape) for name in array}
 
-    forces, places = like.found.forces, like.found.places
+    forces, places, growths = like.found.forces, like.found.places, like.found.growths
     return PullTangent(
         Sensitivities(
             [zeros(one) for one in like.found.probes],
@@ -138,6 +146,7 @@ def nothing(shape: tuple[int, ...], like: PullTangent) -> PullTangent:
             None,
             None if forces is None else np.zeros((*shape, *forces.shape[3:]), np.float32),
             None if places is None else np.zeros((*shape, 3)),
+            growths=None if growths is None else np.zeros((*shape, growths.shape[-1]), np.float32),
         ),
         like.wanted,
     )

@@ -243,7 +243,9 @@ class BeliefUpdate:
         whole = [t or pull_tangent.nothing(shape, told) for t, shape in zip(tangents, shapes, strict=True)]
         predicted = self.errors.predictions(anchors)
         modes = pull_tangent.modes(self.predictor.nuisances, data, whole, self.predictor.model, predicted)
-        return allowance(data, meshes, places, modes, pull_tangent.slopes(data, whole))
+        return allowance(
+            data, meshes, places, modes, pull_tangent.smooth_slopes(data, whole, self.predictor.force_unit)
+        )
 
     def _mesh_error(self, working: PullPrediction, finely: PullPrediction) -> MeshError | None:
         """From the predictions of both levels; None where the fine one fails: there the body may go anywhere."""

@@ -1,4 +1,4 @@
-"""Gaussian bumps spread over the body, which carry a smooth force."""
+"""Gaussian bumps spread over the body, which carry what is unknown: a smooth force, and a smooth growth."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from bcid.forms import compiled
 from bcid.forms.forward import Forward
 
 Array = NDArray[np.float64]
-# An unknown force is carried by so many bumps.
+# An unknown force is carried by so many bumps, and so is what grows.
 BUMPS = 16
 # What begins at one place does so at one of so many; and what is missing lies at one.
 SPOTS = 48
@@ -22,12 +22,31 @@ def bumps(forward: Forward, count: int) -> tuple[Array, Array]:
     body = forward.body
     space = fem.functionspace(body.domain, ("Lagrange", body.degree))
     volume = fem.assemble_vector(compiled.form(ufl.TestFunction(space) * ufl.dx)).array
-    nodes = body.nodes
+    centres, width = _spread(body.nodes, count)
+    return centres, _values(body.nodes, centres, width) * volume[:, None]
+
+
+def growth_bumps(forward: Forward) -> Array:
+    """The same bumps as growths of lengths, one at the middle of each: their values in every cell, (cells, BUMPS).
+
+    What grows loads the body by stresses (an eigenstrain; Mura, Micromechanics of Defects in Solids, 1987, chapter 1). They have
+    no sum, and act where the surface is free as well: no smooth force inside stands for them.
+    """
+    body = forward.body
+    middles = fem.functionspace(body.domain, ("DG", 0)).tabulate_dof_coordinates()
+    return _values(middles, *_spread(body.nodes, BUMPS))
+
+
+def _spread(nodes: Array, count: int) -> tuple[Array, float]:
+    """Middles of bumps (bumps, 3), and their width, m."""
     centres = scattered(nodes, count)
     apart = np.linalg.norm(centres[:, None] - centres[None], axis=2) + np.diag(np.full(len(centres), np.inf))
-    width = float(np.median(apart.min(axis=1)))
-    shapes = np.exp(-0.5 * (np.linalg.norm(nodes[:, None] - centres[None], axis=2) / width) ** 2)
-    return centres, shapes * volume[:, None]
+    return centres, float(np.median(apart.min(axis=1)))
+
+
+def _values(points: Array, centres: Array, width: float) -> Array:
+    """Of each bump at points, (points, bumps)."""
+    return np.exp(-0.5 * (np.linalg.norm(points[:, None] - centres[None], axis=2) / width) ** 2)
 
 
 def scattered(points: Array, count: int) -> Array:
@@ -41,7 +60,7 @@ def scattered(points: Array, count: int) -> Array:
 
 
 def force_unit(forward: Forward) -> float:
-    """Shear modulus per size of the body, N/m^3: what the density of an unknown force is measured in."""
+    """Shear modulus per size of the body, N/m^3: what the density of an unknown force is measured in, beside a growth of one."""
     size = float(np.linalg.norm(np.ptp(forward.mesh.points, axis=0)))
     model = forward.model
     return float(model.law.shear(model.law.complete(model.values))) / size

@@ -15,7 +15,7 @@ from bcid.forms.model import Term
 
 Array = NDArray[np.float64]
 # Those of `Sensitivities` that are one array each.
-_FIELDS = "stiffness", "forces", "places", "terms", "held"
+_FIELDS = "stiffness", "forces", "growths", "places", "terms", "held"
 
 
 @dataclass(frozen=True)
@@ -73,6 +73,8 @@ class Wanted:
         law: constants of the law, by name.
         stiffness: whether the influence of every cell's stiffness is wanted.
         forces: nodal weights of body forces, shape (nodes, forces), m^3; none by default.
+        growths: growths of all lengths in every cell, in DOLFINx's order, as the law sees them, shape (cells, growths); none
+            by default.
         places: whether the influence of where each fiducial sits on the body is wanted.
         terms: many terms at once, known by the virtual work they do; none by default.
     """
@@ -81,6 +83,7 @@ class Wanted:
     law: tuple[str, ...] = ()
     stiffness: bool = False
     forces: Array | None = None
+    growths: Array | None = None
     places: bool = False
     terms: Works | None = None
 
@@ -97,6 +100,7 @@ class Sensitivities:
         law: by constant of the law.
         stiffness: per relative change of each cell's stiffness, shape (frames, fiducials, 3, cells), or None.
         forces: per N/m^3 of each force along each axis, shape (frames, fiducials, 3, forces, 3), or None.
+        growths: per growth of one, shape (frames, fiducials, 3, growths), or None.
         places: per m of the fiducial's own rest position along each axis, shape (frames, fiducials, 3, 3), or None.
         terms: per unit of each of many terms, shape (frames, fiducials, 3, count), or None.
         held: what `Works.held` gives, shape (frames, holds, 4, 3), or None.
@@ -109,6 +113,7 @@ class Sensitivities:
     places: Array | None = None
     terms: NDArray[np.float32] | None = None
     held: Array | None = None
+    growths: NDArray[np.float32] | None = None
 
     @classmethod
     def merged(cls, parts: Sequence[Sensitivities]) -> Sensitivities:

@@ -72,8 +72,7 @@ class Sensitivity:
         self.responses = Responses(forward)
         self.weak_form = self.equilibrium.weak_form
         self._derivatives: dict[str, Any] = {}
-        self._cells: Any = None
-        self._matrix: Any = None
+        self._cells: dict[str, tuple[Any, Any]] = {}
         self._mass: dict[tuple[str, str], Any] = {}
         self._pushed: tuple[Array, Array] | None = None
 
@@ -148,23 +147,28 @@ class Sensitivity:
             self._mass[bed] = body.displacement_dofs[inside], solver.solve
         return self._mass[bed]
 
-    def _stiffness_matrix(self) -> Any:
-        """dR/dm for the relative stiffness m of every cell: a matrix of shape (unknowns, cells)."""
-        if self._cells is None:
-            body, weak_form = self.forward.body, self.weak_form
-            space = fem.functionspace(body.domain, ("DG", 0))
+    def _by_cell(self, number: str) -> sp.csr_matrix:
+        """dR/dm for a number m of every cell, shape (unknowns, cells): its relative "stiffness", or its "growth"."""
+        if number not in self._cells:
+            weak_form = self.weak_form
+            space = fem.functionspace(self.forward.body.domain, ("DG", 0))
             weight = fem.Function(space)
-            stored = weak_form.stored([term for term in self.forward.model.terms if term.effect.changes_law])
-            scaled = ufl.Form([i.reconstruct(integrand=weight * i.integrand()) for i in stored.integrals()])
-            residual = ufl.derivative(scaled, weak_form.u, weak_form.test)
-            self._cells = compiled.form(ufl.derivative(residual, weight, ufl.TrialFunction(space)))
-            self._matrix = fp.create_matrix(self._cells)
+            if number == "growth":
+                # Of the law: what effects change of it would ask for another form for each of them.
+                energy = weak_form.stored((), weight)
+            else:
+                stored = weak_form.stored([term for term in self.forward.model.terms if term.effect.changes_law])
+                energy = ufl.Form([i.reconstruct(integrand=weight * i.integrand()) for i in stored.integrals()])
+            by_number = ufl.derivative(energy, weight, ufl.TrialFunction(space))
+            form = compiled.form(ufl.derivative(by_number, weak_form.u, weak_form.test))
+            self._cells[number] = form, fp.create_matrix(form)
+        form, matrix = self._cells[number]
         # PETSc takes the blocks of displacement and cell, which differ in size; DOLFINx's own matrix does not.
-        self._matrix.zeroEntries()
-        fp.assemble_matrix(self._matrix, self._cells)
-        self._matrix.assemble()
-        rows, columns, values = self._matrix.getValuesCSR()
-        return sp.csr_matrix((values, columns, rows), shape=self._matrix.getSize())
+        matrix.zeroEntries()
+        fp.assemble_matrix(matrix, form)
+        matrix.assemble()
+        rows, columns, values = matrix.getValuesCSR()
+        return sp.csr_matrix((values, columns, rows), shape=matrix.getSize())
 
     # -- along the motion
     # -----------------------------------------------------------------------------------------------------
@@ -201,6 +205,7 @@ class Sensitivity:
             np.full((*empty.shape, 3), np.nan) if wanted.places else None,
             None if wanted.terms is None else np.full((*empty.shape, wanted.terms.count), np.nan, np.float32),
             None if wanted.terms is None else np.full((count, wanted.terms.holds, 4, 3), np.nan),
+            None if wanted.growths is None else np.full((*empty.shape, wanted.growths.shape[1]), np.nan, np.float32),
         )
         self.model = model or self.forward.model
         for commanded in actions:
@@ -309,11 +314,12 @@ class Sensitivity:
         for name in wanted.law:
             result.law[name][frame] = 0.0
             causes.append(Cause(result.law[name][frame], self._change_of_law(name)))
-        fields = any(wide is not None for wide in (result.stiffness, result.forces, result.terms))
+        fields = any(wide is not None for wide in (result.stiffness, result.forces, result.growths, result.terms))
         if not causes and not fields:
             return
         count = 0 if wanted.forces is None else 3 * wanted.forces.shape[1]
         count += len(forward.mesh.cells) if wanted.stiffness else 0
+        count += 0 if wanted.growths is None else wanted.growths.shape[1]
         count += wanted.terms.count if wanted.terms else 0
         response = self.responses.at(pose, self.model, len(causes), count, factorised=wanted.terms is not None)
         columns, increments = np.zeros((2, len(equilibrium.u.x.array), len(causes)))
@@ -326,11 +332,13 @@ class Sensitivity:
         for cause, change in zip(causes, moved.T, strict=True):
             cause.target[:] += seen(change.reshape(-1, 3))
         if result.stiffness is not None:
-            softened = response.moved(self._stiffness_matrix())
+            softened = response.moved(self._by_cell("stiffness"))
             result.stiffness[frame] = self._all_seen(seen, softened)
         if result.forces is not None and wanted.forces is not None:
             pushed = self._all_seen(seen, response.moved(self._pushes(wanted.forces)))
             result.forces[frame] = pushed.reshape(forward.rows, 3, -1, 3)
+        if result.growths is not None:
+            result.growths[frame] = self._all_seen(seen, response.moved(self._by_cell("growth") @ wanted.growths))
         if result.terms is not None and result.held is not None and wanted.terms is not None:
             result.held[frame] = wanted.terms.held(equilibrium.u.x.array, response.solved)
             works = wanted.terms.works(equilibrium.u.x.array, response.adjoint, before)
@@ -439,5 +447,5 @@ class Sensitivity:
 
     def destroy(self) -> None:
         """Free the PETSc matrix."""
-        if self._matrix is not None:
-            self._matrix.destroy()
+        for _, matrix in self._cells.values():
+            matrix.destroy()

@@ -220,12 +220,12 @@ class WeakForm:
                 constants |= term.effect.constants(self.term_constants(term))
         return constants
 
-    def stored(self, terms: Sequence[Term]) -> Any:
-        """Strain energy (a form), as the effects change it."""
-        density, degree = self.density(terms)
+    def stored(self, terms: Sequence[Term], grown: Any = None) -> Any:
+        """Strain energy (a form), as the effects change it; `grown` is the logarithm of a growth of all lengths besides."""
+        density, degree = self.density(terms, grown)
         return density * self.measure(degree)
 
-    def density(self, terms: Sequence[Term]) -> tuple[Any, int]:
+    def density(self, terms: Sequence[Term], grown: Any = None) -> tuple[Any, int]:
         """Strain energy per volume of the undeformed body, as the effects change it, and a degree of quadrature for it."""
         model = self.model
         # Another body at rest comes before what happens to its material.
@@ -241,6 +241,9 @@ class WeakForm:
             if term.effect.stiffness:
                 factor = (factor or 1.0) * term.effect.stiffness(self.point(term), c)
                 varying = True
+        if grown is not None:
+            kin = Kinematics.from_gradient(kin.F * ufl.exp(-grown), kin.axes)
+            factor = (factor or 1.0) * ufl.exp(3 * grown)
         constants = self.law_constants(terms)
         if self.pressure is None:
             density = model.law.psi(kin, constants, model.volumetric)

@@ -1,4 +1,4 @@
-"""Something is missing: a smooth force of unknown size acts on the body besides what a model knows.
+"""Something is missing: a smooth force of unknown size acts on the body besides what a model knows, or a part of it grows.
 
 It stands for whatever the model lacks (a latent force; Kennedy & O'Hagan, J. R. Stat. Soc. B 63 (2001) 425). To first order
 it moves the markers by the sensitivities of the model, so that the likelihood integrated over all such forces has a closed
@@ -30,6 +30,19 @@ MISSING = 0.5
 _WAYS = 3
 # Where the way back does not mirror the way there, what grows with time differs from what grows with the way by this part.
 _APART = 0.2
+
+
+def slopes(data: Data, forces: NDArray[np.float32], growths: NDArray[np.float32], unit: float) -> Array:
+    """What is unknown and smooth in each frame, (n, 3 * bumps + bumps), m: what its forces and growths do.
+
+    Args:
+        data: the values.
+        forces: movements (frames, rows, 3, bumps, 3), m per N/m^3 along each axis.
+        growths: movements (frames, rows, 3, bumps), m per growth of one.
+        unit: density that counts like a growth of one, N/m^3.
+    """
+    pushed = data.vector(forces).astype(float).reshape(len(data), -1)
+    return np.hstack([pushed, data.vector(growths).astype(float) / unit])
 
 
 def courses(data: Data, slopes: Array) -> Array:

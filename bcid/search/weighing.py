@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError
-from bcid.forms.force_bumps import BUMPS, bumps, force_unit
+from bcid.forms.force_bumps import BUMPS, bumps, force_unit, growth_bumps
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.gripper_force import ForceScale
 from bcid.forms.model import Model
@@ -25,7 +25,7 @@ from bcid.inference.nuisances import NuisanceModes, Nuisances
 from bcid.inference.outcome import Candidate
 from bcid.inference.relative import relative
 from bcid.inference.stiffness import Stiffness
-from bcid.inference.unknown_force import Evidence, courses, unknown_force
+from bcid.inference.unknown_force import Evidence, courses, slopes, unknown_force
 from bcid.search.climb import ODDS
 from bcid.search.evaluator import Evaluator
 
@@ -112,7 +112,7 @@ class Weighing:
         self._sensitivities: dict[int, Sensitivity] = {}
         self._nuisances: dict[int, Nuisances] = {}
         self._meshes: dict[int, MeshError] = {}
-        self._weights: dict[int, Array] = {}
+        self._bumps: dict[int, tuple[Array, Array]] = {}
 
     def run(
         self, order: Sequence[Candidate], near: Callable[[Candidate], Iterable[Candidate]]
@@ -274,9 +274,9 @@ class Weighing:
         if level not in self._sensitivities:
             self._sensitivities[level] = Sensitivity(forward)
             self._nuisances[level] = Nuisances(forward.scene, forward.mesh, self.data.tells_stiffness)
-            self._weights[level] = bumps(forward, BUMPS)[1]
-        nuisances = self._nuisances[level]
-        wanted = replace(nuisances.wanted(forward.model, candidate), forces=self._weights[level])
+            self._bumps[level] = bumps(forward, BUMPS)[1], growth_bumps(forward)
+        nuisances, (forces, growths) = self._nuisances[level], self._bumps[level]
+        wanted = replace(nuisances.wanted(forward.model, candidate), forces=forces, growths=growths)
         actions, failed = self.evaluator.actions, prediction.failure is not None
         followed = np.asarray(np.isfinite(prediction.positions).all(axis=(1, 2)))
         data = self.data.within(followed)
@@ -290,6 +290,7 @@ class Weighing:
         for array, one in product(found.arrays, known or ()):
             one.fill(array)
         assert found.forces is not None
-        slopes = data.vector(found.forces).astype(float).reshape(len(data), math.prod(found.forces.shape[3:]))
+        assert found.growths is not None
+        moved = slopes(data, found.forces, found.growths, force_unit(forward))
         modes = nuisances.modes(data, found, wanted, forward.model, prediction.positions)
-        return Pan(prediction.positions, modes, slopes, failed)
+        return Pan(prediction.positions, modes, moved, failed)

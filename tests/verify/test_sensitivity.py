@@ -219,6 +219,17 @@ def test_a_body_force_everywhere_is_gravity() -> None:
     assert_same(along, found.probes[0]["weight"])
 
 
+@pytest.mark.parametrize("formulation", ["displacement", "mixed"])
+def test_what_grows_everywhere_swells(formulation: str) -> None:
+    material = Material("neo_hooke", {"young": "15 kPa", "poisson": 0.4}, formulation)
+    scene = replace(SCENE, material=material, levels=(Level(2),) if formulation == "mixed" else SCENE.levels)
+    swelling = Probe(term("swelling", rate=0.0), ("rate",))
+    found = sensitivities(Model.of(scene), Wanted((swelling,), growths=np.ones((len(MESH.cells), 1))), scene)
+    assert found.growths is not None
+    time = np.concatenate([action.clock for action in ACTIONS])
+    assert_same(time[:, None, None] * found.growths[..., 0], found.probes[0]["rate"])
+
+
 def test_with_a_pressure_as_unknown() -> None:
     """The mixed formulation: its tangent is a saddle point."""
     material = Material("neo_hooke", {"young": "15 kPa", "poisson": 0.499}, "mixed")
