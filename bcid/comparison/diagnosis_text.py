@@ -23,7 +23,7 @@ from bcid.forms.model import Term
 from bcid.forms.parameter import Parameter
 from bcid.inference import nuisance_text
 from bcid.inference.criteria import CERTAIN, FAR
-from bcid.inference.hypotheses import OTHERS
+from bcid.inference.hypotheses import OTHERS, HypothesisOdds
 from bcid.inference.outcome import label
 
 # Verdicts that are no effects.
@@ -128,12 +128,22 @@ def noise_doubt(found: Explanation) -> str:
 def beliefs(found: Explanation) -> list[str]:
     """Probabilities of verdicts, sets and hypotheses."""
     names = list(found.last.state.predictor.whole.patches)
-    told = {name if name != OTHERS else _OTHERS[name]: p for name, p in found.odds.verdicts.items() if p > _LITTLE}
+    told = {_called(found.odds, name): p for name, p in found.odds.verdicts.items() if p > _LITTLE}
     effects = ", ".join(f"{name}{_alone(name, told)} {percent(p)}" for name, p in told.items())
     lines = [f"How probable: {effects}."]
     likely = [(h, p) for h, p in found.odds.probabilities.items() if p > _LITTLE and h.effect != OTHERS][:6]
     lines += [f"  {h.label(names)}{' and something unknown' if h.unknown else ''}: {percent(p)}" for h, p in likely]
     return lines
+
+
+def _called(odds: HypothesisOdds, verdict: str) -> str:
+    """What a verdict is called where probabilities are told: something unknown with the effects that it most likely acts beside."""
+    if verdict == OTHERS:
+        return _OTHERS[verdict]
+    if verdict != "unknown":
+        return verdict
+    beside = next(h.effect for h in odds.probabilities if h.unknown)
+    return f"something unknown, most likely beside {beside}," if beside else "something unknown"
 
 
 def _alone(name: str, told: Iterable[str]) -> str:

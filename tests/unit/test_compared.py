@@ -14,7 +14,7 @@ from bcid.base.progress import Silent
 from bcid.comparison import contest, explain, hypothesis_search, rivals
 from bcid.comparison.compared import Compared
 from bcid.comparison.contest import Contest, _in_turn, _with_own_mesh, refitted
-from bcid.comparison.diagnosis_text import _alone, _begins, _look
+from bcid.comparison.diagnosis_text import _alone, _begins, _called, _look
 from bcid.comparison.explanation import Explanation
 from bcid.comparison.hypothesis_search import HypothesisSearch, Look
 from bcid.comparison.loosened import Loosened
@@ -443,3 +443,13 @@ def test_other_effects_are_fitted_to_all_steps_before_other_sets_with_the_same_o
     found = best_first([*slips, other, far, alone])
     chosen = explain._for_all_steps(Contest(found, {}), (), UNLIKELY)
     assert [(r.names, r.log) for r in chosen] == [(r.names, r.log) for r in (slips[0], other, slips[1], alone)]
+
+
+def test_something_unknown_is_told_beside_the_effects_that_it_acts_with() -> None:
+    """A verdict that names an effect, and something unknown as probable: both, if the unknown acts beside it."""
+    odds = HypothesisOdds(
+        {Hypothesis(frozenset("3"), "obstacle", True): 0.7, Hypothesis(frozenset("3"), "", True): 0.3}
+    )
+    assert _called(odds, "unknown") == "something unknown, most likely beside obstacle,"
+    assert _called(HypothesisOdds({Hypothesis(frozenset("3"), "", True): 1.0}), "unknown") == "something unknown"
+    assert _called(odds, "gravity") == "gravity"
