@@ -198,11 +198,11 @@ def force(found: MissingForce, unit: float, name: str) -> list[str]:
         f"A smooth force on the body would explain {percent(found.explained)} of what is beyond noise "
         f"(residual then {found.rms / unit:.3g} {name}). If the stiffness is right it is, with its largest parts:"
     ]
-    parts = [("in all frames", place) for place in found.steady]
-    for action, places in found.growing.items():
-        parts += [(f"action {action}, growing", place) for place in places]
+    parts = [("in all frames", place) for place in found.steady.regions]
+    for action, growing in found.growing.items():
+        parts += [(f"action {action}, growing", place) for place in growing.regions]
     parts.sort(key=lambda pair: -float(np.linalg.norm(pair[1].force)))
-    shown = [("together", "in all frames", found.together[""])]
+    shown = [("together", "in all frames", found.steady.together)]
     for when, place in parts[:6]:
         shown.append((f"at ({' '.join(f'{v / unit:.0f}' for v in place.position)}) {name}", when, place))
     for what, when, place in shown:

@@ -273,13 +273,15 @@ def where_json(found: MissingForce, unit: float) -> dict[str, Any]:
     def row(place: Place) -> dict[str, Any]:
         return {"position": list(place.position / unit), "force": list(map(float, place.force)), "stderr": place.stderr}
 
-    together = {name: row(place) for name, place in found.together.items()}
     return {
         "explained": found.explained,
         "rms": found.rms / unit,
-        "steady": [row(place) for place in found.steady],
-        "growing": {name: [row(place) for place in places] for name, places in found.growing.items()},
-        "together": {"steady": together.pop(""), "growing": together},
+        "steady": [row(place) for place in found.steady.regions],
+        "growing": {name: [row(place) for place in force.regions] for name, force in found.growing.items()},
+        "together": {
+            "steady": row(found.steady.together),
+            "growing": {name: row(force.together) for name, force in found.growing.items()},
+        },
     }
 
 

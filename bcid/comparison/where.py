@@ -34,20 +34,31 @@ class Place:
 
 
 @dataclass(frozen=True)
+class SpreadForce:
+    """A force that is spread over the body.
+
+    Attributes:
+        regions: its parts.
+        together: their sum, which may be told where no part is, at the middle of the body.
+    """
+
+    regions: tuple[Place, ...]
+    together: Place
+
+
+@dataclass(frozen=True)
 class MissingForce:
     """A force field that would explain the residual. Its size is right if the stiffness is.
 
     Attributes:
-        steady: the part that acts in all frames, by region.
+        steady: the part that acts in all frames.
         growing: by action, the part that grows from nothing to its value at the last step.
-        together: of all regions, told where no single one is: of the steady part ("") and of those that grow, by action.
         explained: share of the residual's excess over the noise that it explains, 0 to 1.
         rms: RMS residual that it leaves, m.
     """
 
-    steady: tuple[Place, ...]
-    growing: dict[str, tuple[Place, ...]]
-    together: dict[str, Place]
+    steady: SpreadForce
+    growing: dict[str, SpreadForce]
     explained: float
     rms: float
 
@@ -74,17 +85,17 @@ def missing_force(state: State) -> MissingForce:
     parts = (sums @ amounts).reshape(len(blocks), len(middles), 3)
     spread = deviation.reshape(len(blocks), len(middles), 3)
 
-    def places(number: int) -> tuple[Place, ...]:
-        return tuple(
+    def force(number: int) -> SpreadForce:
+        *regions, together = (
             Place(c, f, float(np.linalg.norm(s) / np.sqrt(3)))
             for c, f, s in zip(middles, parts[number], spread[number], strict=True)
         )
+        return SpreadForce(tuple(regions), together)
 
     left = state.residual - np.hstack(blocks) @ amounts
-    found = {name: places(number) for number, name in enumerate(["", *names])}
-    by_region = {name: part[:-1] for name, part in found.items()}
-    together = {name: part[-1] for name, part in found.items()}
-    return MissingForce(by_region.pop(""), by_region, together, explained, data.rms(left))
+    return MissingForce(
+        force(0), {name: force(number) for number, name in enumerate(names, 1)}, explained, data.rms(left)
+    )
 
 
 def _regions(centres: Array, volumes: Array) -> tuple[Array, Array]:
