@@ -196,7 +196,7 @@ def force(found: MissingForce, unit: float, name: str) -> list[str]:
         return ["No missing force can be told from these data."]
     lines = [
         f"A smooth force on the body would explain {percent(found.explained)} of what is beyond noise "
-        f"(residual then {found.rms / unit:.3g} {name}). If the stiffness is right it is, with its largest parts:"
+        f"(residual then {found.rms / unit:.3g} {name}). If the stiffness is right it is, to first order, with its largest parts:"
     ]
     parts = [("in all frames", place) for place in found.steady.regions]
     for action, growing in found.growing.items():
