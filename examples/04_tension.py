@@ -9,7 +9,7 @@ The measurement was published by Marechal et al., "Toward a common framework and
 450 mm/min, engineering strain from the crosshead over 33 mm, engineering stress over 6 x 3 mm. Here a bar of that size is
 pulled by the known forces, and its end is the fiducial. Then it is looked at the other way round: a jaw moves the end, and
 feels the force, which tells how stiff the rubber is. With ``--propose`` the energy that the law lacks is looked for among all
-that the grammar has, and its stress is compared with the published one.
+that the grammar has without a direction (the rubber was cast), and its stress is compared with the published one.
 
 ::
 

@@ -176,7 +176,8 @@ def add_propose(commands: Any) -> None:
     parser.add_argument(
         "--kinds",
         metavar="a,b",
-        help="of terms that are tried, as energy for the law alone: energy, boundary, body force (all)",
+        help="of terms that are tried, as energy for the law alone where it has no direction: energy, fibres, boundary, "
+        "body force, grip, observation (all)",
     )
     add_level(parser)
     add_effect_files(parser)

@@ -49,6 +49,11 @@ class Candidates(Protocol):
         ...
 
     @property
+    def alike(self) -> bool:
+        """Whether they are ways to write the same, see `HypothesisOdds`."""
+        ...
+
+    @property
     def starts(self) -> Mapping[str, Start]:
         """By name how effects are fitted first, in this order; others with the set with which they promise most."""
         ...
@@ -90,6 +95,10 @@ class Known:
     @property
     def among(self) -> int:
         return len(self.effects)
+
+    @property
+    def alike(self) -> bool:
+        return False
 
     @property
     def starts(self) -> Mapping[str, Start]:

@@ -34,6 +34,7 @@ class Compared:
         fewer: those that lack one of its patches and may be as likely although the tangent shows them as less likely.
         misses: by how much it showed too little of those that were fitted since.
         refused: hypotheses that cannot be followed to the end.
+        alike: whether effects are ways to write the same, see `HypothesisOdds`.
         promised: logarithms of evidence and of prior odds of effects that were not worth a fit.
         _left: what may be left of the error of the mesh that `full` was compared with.
         _allowing: each of `own`, by its identity, and the same in `full`: none is weighed twice with the same.
@@ -48,6 +49,7 @@ class Compared:
     misses: list[float] = field(default_factory=list)
     promised: dict[Hypothesis, tuple[float, float]] = field(default_factory=dict)
     refused: set[Hypothesis] = field(default_factory=set)
+    alike: bool = False
     _left: Array | None = None
     _allowing: dict[int, tuple[Rival, Rival]] = field(default_factory=dict)
 
@@ -104,7 +106,7 @@ class Compared:
             others.setdefault(hypothesis, log)
         for hypothesis, log in others.items():
             logs.setdefault(hypothesis, log)
-        return HypothesisOdds.of(with_others(logs))
+        return HypothesisOdds.of(with_others(logs), self.alike)
 
     def _unfitted(self, fitted: dict[Hypothesis, float], power: float) -> dict[Hypothesis, float]:
         """Logarithms of the odds of the sets that were not fitted to all steps.
@@ -210,7 +212,7 @@ class Compared:
     def best(self) -> Rival:
         """The likeliest of the hypotheses that were compared with all steps."""
         full = {h: p for h, p in self.odds.probabilities.items() if any(h in r.logs for r in self.full)}
-        told = HypothesisOdds(full).best
+        told = HypothesisOdds(full, self.alike).best
         return next(r for r in self.full if told in r.logs)
 
 

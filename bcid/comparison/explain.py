@@ -106,7 +106,7 @@ class _Loop:
         self.starts: list[Anchored] = []
         # What may be missing beside the model that is begun with.
         self.lacking: list[Effect] = []
-        self.compared = Compared()
+        self.compared = Compared(alike=candidates.alike)
         # What the model that was begun with lacks on sets that were compared with all steps.
         self.rankings: dict[Anchored, Ranking] = {}
         # Effects beside which further ones were looked for.

@@ -82,14 +82,17 @@ class HypothesisOdds:
 
     Attributes:
         probabilities: of each; they sum to one.
+        alike: whether effects are ways to write the same, as forms of an energy are: that one of them acts is then one verdict, to
+            which something unknown is the other.
     """
 
     probabilities: dict[Hypothesis, float]
+    alike: bool = False
 
     @classmethod
-    def of(cls, logs: Mapping[Hypothesis, float]) -> HypothesisOdds:
+    def of(cls, logs: Mapping[Hypothesis, float], alike: bool = False) -> HypothesisOdds:
         """From logarithms of evidence and prior."""
-        return cls(normalised(logs))
+        return cls(normalised(logs), alike)
 
     @property
     def verdicts(self) -> dict[str, float]:
@@ -102,8 +105,15 @@ class HypothesisOdds:
     @property
     def best(self) -> Hypothesis:
         """The likeliest hypothesis of the likeliest verdict."""
-        verdict = next(iter(self.verdicts))
-        return next(h for h in self.probabilities if h.verdict == verdict)
+        shares = dict[str, float]()
+        for h, p in self.probabilities.items():
+            shares[self._told(h)] = shares.get(self._told(h), 0.0) + p
+        likeliest = min(shares, key=lambda told: (-shares[told], told))
+        return next(h for h in self.probabilities if self._told(h) == likeliest)
+
+    def _told(self, h: Hypothesis) -> str:
+        """What a hypothesis has in common with others that count with it."""
+        return "known" if self.alike and h.verdict not in ("none", "unknown", OTHERS) else h.verdict
 
     def acting(self, effect: str) -> float:
         """Probability that these effects act, and perhaps others besides."""

@@ -19,6 +19,8 @@ Values = Mapping[str, float]
 BODY, SURFACE, SPOT, INNER_SPOT = "body", "surface", "spot", "inner spot"
 # The kind of a family of terms that leave the body alone.
 OBSERVATION = "observation"
+# What energies with a direction are looked for as.
+FIBRES = "fibres"
 # Degree of quadrature on the boundary: a spot is smaller than the facets of a coarse mesh.
 FINE = 12
 
@@ -70,6 +72,12 @@ class Family:
     def parameters(self) -> tuple[Any, ...]:
         """All numbers, amounts first."""
         return (*self.amounts, *self.shapes)
+
+    @property
+    def group(self) -> str:
+        """What it is looked for with: energies with a direction apart from others, for many bodies are known to have none."""
+        directed = any(shape.name in ("azimuth", "angle") for shape in self.shapes)
+        return FIBRES if self.kind == "energy" and directed else self.kind
 
     @property
     def local(self) -> bool:

@@ -18,13 +18,13 @@ from bcid.proposal.boundary_terms import body_forces, boundary_terms
 from bcid.proposal.deformed import Deformed
 from bcid.proposal.effect_file import made, source
 from bcid.proposal.energies import energies
-from bcid.proposal.family import BODY, FINE, INNER_SPOT, SPOT, SURFACE, Family
+from bcid.proposal.family import BODY, FIBRES, FINE, INNER_SPOT, SPOT, SURFACE, Family
 from bcid.proposal.holds import Holds
 from bcid.proposal.other_laws import other_laws
 from bcid.proposal.replaced_law import ReplacedLaw
 
 Array = NDArray[np.float64]
-KINDS = ("energy", "boundary", "body force", "grip", "observation")
+KINDS = ("energy", FIBRES, "boundary", "body force", "grip", "observation")
 # Spots are tried at so many places on the surface and in the body, of these sizes relative to it.
 _PLACES, _RADII = {SPOT: 100, INNER_SPOT: 50}, (0.06, 0.13)
 # Springs of any stiffness are tried on every second of those of the surface, with the smaller size.
@@ -76,7 +76,7 @@ class Grammar:
             *boundary_terms(shear, box),
             *body_forces(shear, box),
         ]
-        self.families = [family for family in families if family.kind in kinds]
+        self.families = [family for family in families if family.group in kinds]
         self.inside = QuadraturePoints.volume(body, _INSIDE)
         self.outside = QuadraturePoints.boundary(body, FINE)
         scene = forward.scene

@@ -74,8 +74,11 @@ def _law_beside(proposal: Proposal) -> str:
     model, stderr, told = fitted.state.model, fitted.stderr, list[str]()
     for name in sorted(set(fitted.values) & set(model.stiffnesses)):
         first = Model.of(fitted.state.predictor.whole).stiffnesses[name]
-        found = uncertain(fitted.values[name], WIDE * stderr[name], "Pa")
-        told.append(f"{name} = {found} (95 %; the scene has {first:.6g})")
+        value, wide = fitted.values[name], WIDE * stderr[name]
+        found = (
+            f"{uncertain(value, wide, 'Pa')} (95 %" if wide < value else f"{value:.3g} Pa (these data do not tell it"
+        )
+        told.append(f"{name} = {found}; the scene has {first:.6g})")
     return f" The law beside it: {', '.join(told)}.".replace("−", "-") if told else ""
 
 

@@ -38,7 +38,7 @@ class ProposeOptions:
 
     Attributes:
         terms: that may be proposed together at most.
-        kinds: of terms that are tried, of `bcid.proposal.grammar.KINDS`.
+        kinds: of terms that are tried, of `bcid.proposal.grammar.KINDS`; "fibres" are energies with a direction.
         level: fine level (see `Predictor`).
     """
 

@@ -102,6 +102,11 @@ class TermScores:
         """How many families there are."""
         return self._families
 
+    @property
+    def alike(self) -> bool:
+        """They are: which form an energy has, few data tell, and less that it is one at all."""
+        return True
+
     def beside(self, state: State, begun: Model, sets: Sequence[Anchored]) -> list[Effect]:
         """The most promising terms beside a model with its set, or with others; collective."""
         found = [self.scored_families(about) for about in _alike([state, *_others(state, begun, sets)])]

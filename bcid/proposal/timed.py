@@ -33,8 +33,9 @@ def timed_families(state: State, grammar: Iterable[Family], kinds: Sequence[str]
     steady = [family for family in grammar if family.name in _FAMILIES]
     for name, kind in _CATALOGUE.items():
         effect = effects.effect(name)
-        if kind in kinds and not (effect.needs and effect.needs(scene, measurement)):
-            steady.append(_of_catalogue(effect, kind))
+        family = _of_catalogue(effect, kind)
+        if family.group in kinds and not (effect.needs and effect.needs(scene, measurement)):
+            steady.append(family)
     found = []
     for most, word in _COURSES.items():
         times = _knots(state, most)

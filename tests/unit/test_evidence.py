@@ -149,6 +149,19 @@ def test_what_is_believed_is_told_by_verdict_and_by_patch() -> None:
     assert patches(odds.probabilities, "123") == pytest.approx({"1": 1.0, "2": 0.55, "3": 0.45})
 
 
+def test_terms_that_write_the_same_are_one_verdict() -> None:
+    """Which of them it is may be open although it is one of them."""
+    a = frozenset("12")
+    parts = {"exponential": 0.25, "power": 0.24, OTHERS: 0.1}
+    logs = {Hypothesis(a, name): math.log(part) for name, part in parts.items()}
+    logs |= {Hypothesis(a, "power", True): math.log(0.2), Hypothesis(a, "", True): math.log(0.21)}
+    assert HypothesisOdds.of(logs).best == Hypothesis(a, "", True)
+    assert HypothesisOdds.of(logs, alike=True).best == Hypothesis(a, "exponential")
+    # What was not looked at counts for neither.
+    logs[Hypothesis(a, OTHERS)], logs[Hypothesis(a, "exponential")] = math.log(0.25), math.log(0.1)
+    assert HypothesisOdds.of(logs, alike=True).best == Hypothesis(a, "", True)
+
+
 def test_what_was_not_looked_at_shares_the_odds_of_something_unknown() -> None:
     a, b = frozenset("12"), frozenset("13")
     logs = {

@@ -45,6 +45,14 @@ def grammar(forward: Forward) -> Grammar:
     return Grammar(forward)
 
 
+def test_energies_with_a_direction_are_looked_for_apart(forward: Forward, grammar: Grammar) -> None:
+    even, fibres = (Grammar(forward, (kind,)).families for kind in ("energy", "fibres"))
+    assert {f.name for f in (*even, *fibres)} == {f.name for f in grammar.families if f.kind == "energy"}
+    assert not {f.name for f in even} & {f.name for f in fibres}
+    assert {"longest_stretch", "second_squared"} <= {f.name for f in even}
+    assert {"fibre_in_tension", "transverse", "crossed_fibres"} <= {f.name for f in fibres}
+
+
 def test_points_integrate_volume_area_and_what_is_linear_in_place(forward: Forward) -> None:
     inside, outside = QuadraturePoints.volume(forward.body, 2), QuadraturePoints.boundary(forward.body, 2)
     size = np.array([0.06, 0.02, 0.04])
