@@ -117,7 +117,7 @@ def _evidences(state: State, known: Numbers, moves: Sequence[Array]) -> list[flo
     for shift, own, size in zip(shifts.T, np.moveaxis(columns, 1, 0), sizes.T, strict=True):
         bent = np.broadcast_to(_CURVED + _BENT * np.minimum(size, 1.0) ** 2, (len(known.widths), len(size)))
         numbers = Numbers(np.hstack([own, known.columns]), apart, np.hstack([bent, known.widths]), positive)
-        found.append(Evidence.of(state.errors, state.residual - shift, state.force, numbers).total)
+        found.append(Evidence.of(state.errors, state.residual - shift, state.forces, numbers).total)
     return found
 
 

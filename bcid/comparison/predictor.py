@@ -32,7 +32,7 @@ from bcid.forms.solver.supports import Pose
 from bcid.inference.data import Data, Noise, frame_times
 from bcid.inference.knots import Knots, knots_of, known_frames, spread
 from bcid.inference.nuisances import NuisanceModes, Nuisances
-from bcid.inference.unknown_force import slopes
+from bcid.inference.unknown_force import Smooth
 from bcid.measurement import Action, Measurement
 from bcid.scene import Scene
 from bcid.search.identify_run import scene_fingerprint
@@ -365,7 +365,7 @@ class Predictor:
         anchors: Iterable[str],
         prediction: MeasurementPrediction,
         nuisances: NuisanceModes | None = None,
-    ) -> tuple[NuisanceModes, Array, Array]:
+    ) -> tuple[NuisanceModes, Smooth, Array]:
         """What nuisances do to the measured values, what an unknown force does, and what one at each of many spots does.
 
         The two latter per unit of each force, shape (n, forces) and (n, spots, 3), m. The prediction must have kept its states. All
@@ -382,11 +382,10 @@ class Predictor:
         wanted = replace(wanted, forces=self._weights, growths=self._growths)
         found = self.sensitivities(model, anchors, prediction, wanted)
         assert found.forces is not None
-        assert found.growths is not None
         modes = nuisances or self._nuisances.modes(self.data, found, wanted, model, prediction.positions)
         smooth, spots = found.forces[:, :, :, :BUMPS], self.data.vector(found.forces[:, :, :, BUMPS:]).astype(float)
-        moved = slopes(self.data, smooth, found.growths, force_unit(forward))
-        return modes, np.nan_to_num(moved), np.nan_to_num(spots)
+        unknown = Smooth.of(self.data, smooth, found.growths, force_unit(forward))
+        return modes, unknown, np.nan_to_num(spots)
 
     def set_tangent(self, model: Model, anchors: Iterable[str], prediction: MeasurementPrediction) -> SetTangent:
         """What every set shows to first order about one whose prediction kept its states, the same on every rank; collective.

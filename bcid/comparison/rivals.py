@@ -164,7 +164,7 @@ class Rival:
         only = replace(state, errors=errors)
         numbers = of_state(only, begun, self._jacobian(errors)) or Numbers.none(len(state.predictor.data))
         shifts = [state.predictor.data.vector(moved) for moved in (np.zeros_like(state.predicted), *moves.values())]
-        here, *logs = (Evidence.of(errors, only.residual - shift, only.force, numbers).total for shift in shifts)
+        here, *logs = (Evidence.of(errors, only.residual - shift, only.forces, numbers).total for shift in shifts)
         return {anchors: log - here for anchors, log in zip(moves, logs, strict=True)}
 
     @property

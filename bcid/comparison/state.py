@@ -21,7 +21,7 @@ from bcid.inference.likelihood import Errors, NuisanceEstimate
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes, fitted_instead, placed, replaced, stood_for
 from bcid.inference.sudden_force import SuddenForce
-from bcid.inference.unknown_force import Evidence, courses, unknown_force
+from bcid.inference.unknown_force import Evidence, Smooth
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ class State:
         model, anchors: the hypothesis.
         prediction: its prediction on the working level, with states.
         errors: covariance of the residual.
-        slopes: what an unknown force in each frame does to the values, shape (n, forces), m.
+        unknown: what something unknown and smooth does to the values.
         spots: the same of a force at each of many spots, shape (n, spots, 3), m.
         free: numbers of the model, by full name, that were fitted to the data.
         modes: what all nuisances do, those in whose place effects of the model act included; None where these are of `errors`.
@@ -45,7 +45,7 @@ class State:
     anchors: frozenset[str]
     prediction: MeasurementPrediction
     errors: Errors
-    slopes: Array
+    unknown: Smooth
     spots: Array
     free: tuple[str, ...] = ()
     modes: NuisanceModes | None = None
@@ -79,10 +79,10 @@ class State:
             raise NotFollowed(message, f"{who} cannot be followed", came)
         mesh = mesh_error(predictor, model, anchors, prediction) if mesh is None else mesh
         residual = predictor.data.values - predictor.data.vector(prediction.positions + mesh.correction)
-        modes, slopes, spots = predictor.disturbances(model, anchors, prediction, nuisances)
+        modes, unknown, spots = predictor.disturbances(model, anchors, prediction, nuisances)
         errors = Errors(predictor.data, predictor.data.noise(residual), mesh, modes)
         errors = _beside(errors, model, free)
-        return cls(predictor, model, anchors, prediction, errors, slopes, spots, free, modes)
+        return cls(predictor, model, anchors, prediction, errors, unknown, spots, free, modes)
 
     def thinned(self, steps: int, settings: Settings) -> State:
         """The same hypothesis in a few steps of each action, see `Predictor.thinned`."""
@@ -171,13 +171,12 @@ class State:
 
     def evidence(self, numbers: Numbers | None = None) -> Evidence:
         """How likely the data are, with and without an unknown force; `numbers` are what was unknown of the model."""
-        return Evidence.of(self.errors, self.residual, self.force, numbers, self.sudden)
+        return Evidence.of(self.errors, self.residual, self.forces, numbers, self.sudden)
 
     @cached_property
-    def force(self) -> Force:
-        """An unknown force, in units of the errors."""
-        unit = force_unit(self.predictor.forward(self.model))
-        return unknown_force(self.errors, courses(self.predictor.data, self.slopes), unit)
+    def forces(self) -> list[Force]:
+        """An unknown force of each kind, in units of the errors."""
+        return self.unknown.forces(self.errors, force_unit(self.predictor.forward(self.model)))
 
     @cached_property
     def sudden(self) -> SuddenForce | None:
@@ -197,9 +196,9 @@ class State:
     @property
     def rough_values(self) -> Array:
         """The part of the residual that is most likely noise whatever is missing: an unknown force is allowed for too, (n,), m."""
-        size, moved = self.evidence().size, courses(self.predictor.data, self.slopes)
         errors, data = self.errors, self.predictor.data
-        wider = Errors(data, errors.sigma, errors.mesh, errors.nuisances.beside(size * moved))
+        unknown = self.unknown.likeliest(data, self.evidence())
+        wider = Errors(data, errors.sigma, errors.mesh, errors.nuisances.beside(unknown))
         return wider.rough(self.residual)
 
     @cached_property

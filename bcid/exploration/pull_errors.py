@@ -20,7 +20,7 @@ from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes
 from bcid.inference.relative import relative
 from bcid.inference.stiffness import Stiffness
-from bcid.inference.unknown_force import Evidence, courses, unknown_force
+from bcid.inference.unknown_force import Evidence, Smooth
 from bcid.measurement import Measurement
 from bcid.scene import Scene
 
@@ -38,20 +38,20 @@ class Allowance:
     Attributes:
         mesh: error of the mesh.
         modes: of the nuisances.
-        slopes: movements per unit of each force, shape (n, forces), m; no column where nothing is known.
+        unknown: what something unknown and smooth does.
         adrift: numbers of the pulls in which the mesh tells nothing: the fine level cannot be followed.
     """
 
     mesh: MeshError
     modes: NuisanceModes
-    slopes: Array
+    unknown: Smooth
     adrift: frozenset[int] = frozenset()
 
     @classmethod
     def nothing(cls, data: Data) -> Allowance:
         """Before anything is known."""
         count = len(data)
-        return cls(MeshError.unknown(data.mask.shape), NuisanceModes.none(count), np.zeros((count, 0)))
+        return cls(MeshError.unknown(data.mask.shape), NuisanceModes.none(count), Smooth.nothing(count))
 
 
 @dataclass(frozen=True)
@@ -67,9 +67,9 @@ class Weighed:
     more: float
 
     @property
-    def force(self) -> float:
-        """The likeliest size of an unknown force, where one is likelier than none, else 0."""
-        return self.evidence.size if self.evidence.forced > self.evidence.plain else 0.0
+    def missing(self) -> Evidence | None:
+        """What is likeliest of something unknown, where that is likelier than nothing."""
+        return self.evidence if self.evidence.forced > self.evidence.plain else None
 
 
 class PullErrors:
@@ -160,7 +160,7 @@ class PullErrors:
         Where no force can be asked for, 1 for a residual far beyond its errors, and else 0.
         """
         like = self.like(anchors)
-        if like is None or not self._allowed[like].slopes.any():
+        if like is None or not self._allowed[like].unknown.known:
             return float(self.missed(anchors) > FAR)
         return self._weigh(like).evidence.missing
 
@@ -170,7 +170,7 @@ class PullErrors:
         if not frames.any():
             return math.nan
         like = self.like(anchors)
-        errors = self._errors_of(like, self._drifting(anchors, like), frames, 0.0)
+        errors = self._errors_of(like, self._drifting(anchors, like), frames, None)
         return float(np.sqrt(np.mean(errors.whiten(self._residual(anchors, errors.data, like)) ** 2)))
 
     def rms(self, anchors: Anchored) -> float:
@@ -185,7 +185,7 @@ class PullErrors:
         if anchors not in self._allowed:
             return None
         frames = np.ones(len(self.data.mask), bool)
-        errors = self._errors_of(anchors, self._drifting(anchors, anchors), frames, self._weigh(anchors).force)
+        errors = self._errors_of(anchors, self._drifting(anchors, anchors), frames, self._weigh(anchors).missing)
         return Stiffness.of(errors, self._residual(anchors, errors.data, anchors), model, self.data.scene)
 
     def predictions(self, anchors: Anchored) -> Array:
@@ -227,11 +227,11 @@ class PullErrors:
 
     def _likelihood(self, anchors: Anchored, like: Anchored | None, frames: Frames) -> float:
         """With the errors of another set, and with the force that is likeliest with that one."""
-        force = 0.0 if like is None else self._weigh(like).force
+        missing = None if like is None else self._weigh(like).missing
         drifting = self._drifting(anchors, like)
-        key = anchors, like, drifting, frames.tobytes(), force
+        key = anchors, like, drifting, frames.tobytes(), missing
         if key not in self._likelihoods:
-            errors = self._errors_of(like, drifting, frames, force)
+            errors = self._errors_of(like, drifting, frames, missing)
             self._likelihoods[key] = errors.log_likelihood(self._residual(anchors, errors.data, like))
         return self._likelihoods[key]
 
@@ -239,10 +239,9 @@ class PullErrors:
         """What the pulls say of a set whose errors are known."""
         if anchors not in self._weighed:
             frames = np.ones(len(self.data.mask), bool)
-            errors = self._errors_of(anchors, self._drifting(anchors, anchors), frames, 0.0)
+            errors = self._errors_of(anchors, self._drifting(anchors, anchors), frames, None)
             residual = self._residual(anchors, errors.data, anchors)
-            moved = courses(errors.data, self._allowed[anchors].slopes)
-            evidence = Evidence.of(errors, residual, unknown_force(errors, moved, self.unit))
+            evidence = Evidence.of(errors, residual, self._allowed[anchors].unknown.forces(errors, self.unit))
             self._weighed[anchors] = found = Weighed(evidence, 0.0)
             likeliest = self._likelihood(anchors, anchors, frames)
             self._weighed[anchors] = Weighed(found.evidence, evidence.total - likeliest)
@@ -260,14 +259,16 @@ class PullErrors:
         of_mesh = frozenset[int]() if like is None else self._allowed[like].adrift
         return self._adrift.get(anchors, frozenset()) | of_mesh
 
-    def _errors_of(self, like: Anchored | None, drifting: frozenset[int], frames: Frames, force: float) -> Errors:
-        key = like, drifting, frames.tobytes(), force
+    def _errors_of(
+        self, like: Anchored | None, drifting: frozenset[int], frames: Frames, missing: Evidence | None
+    ) -> Errors:
+        key = like, drifting, frames.tobytes(), missing
         if key not in self._errors:
             allowed = self._nothing if like is None else self._allowed[like]
             data, rows = self.data.within(frames), frames[self.data.frame]
             modes, sigma = allowed.modes.at(rows), self._sigma[rows]
-            if force:
-                modes = modes.beside(force * courses(data, allowed.slopes[rows]))
+            if missing is not None:
+                modes = modes.beside(allowed.unknown.at(rows).likeliest(data, missing))
             for pull in sorted(drifting):
                 modes = modes.beside(_anywhere(data, pull, _ANYWHERE * self.motions[pull]))
                 rough = np.where(data.action == pull, _ROUGH * _ANYWHERE * self.motions[pull] * data.way, 0.0)
@@ -311,7 +312,7 @@ def _anywhere(data: Data, pull: int, size: float) -> Array:
 
 
 def allowance(
-    data: Data, meshes: Mapping[int, MeshError | None], places: Sequence[slice], modes: NuisanceModes, slopes: Array
+    data: Data, meshes: Mapping[int, MeshError | None], places: Sequence[slice], modes: NuisanceModes, unknown: Smooth
 ) -> Allowance:
     """From the error of the mesh in each pull; None where the fine level cannot be followed, none where there is no such level."""
     shape, count = data.mask.shape, len(data.scene.fiducials)
@@ -319,4 +320,4 @@ def allowance(
     for pull, mesh in meshes.items():
         if mesh is not None:
             whole.correction[places[pull]], whole.left[places[pull]] = mesh.correction, mesh.left
-    return Allowance(whole, modes, slopes, frozenset(pull for pull, mesh in meshes.items() if mesh is None))
+    return Allowance(whole, modes, unknown, frozenset(pull for pull, mesh in meshes.items() if mesh is None))

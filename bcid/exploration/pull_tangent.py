@@ -19,7 +19,7 @@ from bcid.forms.sensitivity import Sensitivity
 from bcid.inference.data import Data
 from bcid.inference.knots import knots_of, known_frames
 from bcid.inference.nuisances import NuisanceModes, Nuisances
-from bcid.inference.unknown_force import slopes
+from bcid.inference.unknown_force import Smooth
 from bcid.measurement import Action
 
 Array = NDArray[np.float64]
@@ -124,12 +124,12 @@ def modes(
     return nuisances.modes(data, _together([t.found for t in tangents]), tangents[0].wanted, model, predicted)
 
 
-def smooth_slopes(data: Data, tangents: Sequence[PullTangent], unit: float) -> Array:
-    """What is unknown and smooth does to the values of pulls, see `bcid.inference.unknown_force.slopes`."""
+def unknown(data: Data, tangents: Sequence[PullTangent], unit: float) -> Smooth:
+    """What something unknown and smooth does to the values of pulls."""
     found = _together([t.found for t in tangents])
-    if found.forces is None or found.growths is None:
-        return np.zeros((len(data), 0))
-    return np.nan_to_num(slopes(data, found.forces, found.growths, unit))
+    if found.forces is None:
+        return Smooth.nothing(len(data))
+    return Smooth.of(data, found.forces, found.growths, unit)
 
 
 def nothing(shape: tuple[int, ...], like: PullTangent) -> PullTangent:

@@ -238,14 +238,12 @@ class BeliefUpdate:
         told = next((t for t in tangents if t is not None), None)
         if told is None:
             nothing = Allowance.nothing(data)
-            return allowance(data, meshes, places, nothing.modes, nothing.slopes)
+            return allowance(data, meshes, places, nothing.modes, nothing.unknown)
         shapes = [self.errors.data.measured[place].shape for place in places]
         whole = [t or pull_tangent.nothing(shape, told) for t, shape in zip(tangents, shapes, strict=True)]
         predicted = self.errors.predictions(anchors)
         modes = pull_tangent.modes(self.predictor.nuisances, data, whole, self.predictor.model, predicted)
-        return allowance(
-            data, meshes, places, modes, pull_tangent.smooth_slopes(data, whole, self.predictor.force_unit)
-        )
+        return allowance(data, meshes, places, modes, pull_tangent.unknown(data, whole, self.predictor.force_unit))
 
     def _mesh_error(self, working: PullPrediction, finely: PullPrediction) -> MeshError | None:
         """From the predictions of both levels; None where the fine one fails: there the body may go anywhere."""

@@ -1,4 +1,4 @@
-"""Something is missing: a smooth force of unknown size acts on the body besides what a model knows, or a part of it grows.
+"""Something is missing: a smooth force of unknown size acts on the body besides what a model knows, or parts of it grow.
 
 It stands for whatever the model lacks (a latent force; Kennedy & O'Hagan, J. R. Stat. Soc. B 63 (2001) 425). To first order
 it moves the markers by the sensitivities of the model, so that the likelihood integrated over all such forces has a closed
@@ -8,10 +8,11 @@ form: it is a further part of the covariance.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp, softmax
 
 from bcid.inference.criteria import NOTABLE
@@ -32,17 +33,54 @@ _WAYS = 3
 _APART = 0.2
 
 
-def slopes(data: Data, forces: NDArray[np.float32], growths: NDArray[np.float32], unit: float) -> Array:
-    """What is unknown and smooth in each frame, (n, 3 * bumps + bumps), m: what its forces and growths do.
+@dataclass(frozen=True)
+class Smooth:
+    """What something unknown and smooth does to the values in each frame: a force, or a growth.
 
-    Args:
-        data: the values.
-        forces: movements (frames, rows, 3, bumps, 3), m per N/m^3 along each axis.
-        growths: movements (frames, rows, 3, bumps), m per growth of one.
-        unit: density that counts like a growth of one, N/m^3.
+    Either is the whole of it: both at once explain more than any of what they stand for.
+
+    Attributes:
+        kinds: of each that it may be, movements per unit of a force's density, shape (n, bumps), m.
     """
-    pushed = data.vector(forces).astype(float).reshape(len(data), -1)
-    return np.hstack([pushed, data.vector(growths).astype(float) / unit])
+
+    kinds: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, data: Data, forces: NDArray[np.float32], growths: NDArray[np.float32] | None, unit: float) -> Smooth:
+        """Of what forces and growths do.
+
+        Args:
+            data: the values.
+            forces: movements (frames, rows, 3, bumps, 3), m per N/m^3 along each axis.
+            growths: movements (frames, rows, 3, bumps), m per growth of one; None where nothing grows.
+            unit: density that counts like a growth of one, N/m^3.
+        """
+        pushed = np.nan_to_num(data.vector(forces).astype(float).reshape(len(data), -1))
+        if growths is None:
+            return cls((pushed,))
+        return cls((pushed, np.nan_to_num(data.vector(growths).astype(float)) / unit))
+
+    @classmethod
+    def nothing(cls, count: int) -> Smooth:
+        """Nothing is known of what it does to so many values."""
+        return cls((np.zeros((count, 0)),))
+
+    @property
+    def known(self) -> bool:
+        """Whether it moves anything."""
+        return any(kind.any() for kind in self.kinds)
+
+    def at(self, rows: NDArray[np.bool_]) -> Smooth:
+        """In some of the rows, shape (n,)."""
+        return Smooth(tuple(kind[rows] for kind in self.kinds))
+
+    def forces(self, errors: Errors, unit: float) -> list[Force]:
+        """Of each kind, see `unknown_force`."""
+        return [unknown_force(errors, courses(errors.data, kind), unit) for kind in self.kinds]
+
+    def likeliest(self, data: Data, evidence: Evidence) -> Array:
+        """What one of the likeliest kind and size does, a standard deviation of each of its courses, shape (n, m), m."""
+        return evidence.size * courses(data, self.kinds[evidence.kind])
 
 
 def courses(data: Data, slopes: Array) -> Array:
@@ -81,6 +119,7 @@ class Evidence:
         plain: nothing is missing.
         forced: an unknown force acts, integrated over its size.
         size: the likeliest standard deviation of its density.
+        kind: the likeliest of those that it may be.
         begins: something that begins at a place, see `bcid.inference.sudden_force`, where that was asked.
         sudden: probability that it begins somewhere, if something is missing.
         excess: how many times as large as they are taken for the squares of all other errors are beside it, on average; 1 where
@@ -90,6 +129,7 @@ class Evidence:
     plain: float
     forced: float
     size: float
+    kind: int = 0
     excess: float = 1.0
     begins: Beginning | None = None
     sudden: float = 0.0
@@ -99,7 +139,7 @@ class Evidence:
         cls,
         errors: Errors,
         residual: Array,
-        force: Force,
+        forces: Sequence[Force],
         numbers: Numbers | None = None,
         sudden: SuddenForce | None = None,
     ) -> Evidence:
@@ -111,22 +151,25 @@ class Evidence:
         Args:
             errors: of all else.
             residual: measured minus predicted.
-            force: in units of these errors.
+            forces: of each kind that it may be, all equally likely, in units of these errors.
             numbers: what is unknown of the hypothesis; nothing by default.
             sudden: what may begin; nothing by default.
         """
         scaled, known = errors.whiten(residual), numbers or Numbers.none(len(residual))
         stated, volume = errors.data.stated, errors.log_volume
         plain = Integrated.of(scaled, known).log(None if stated else LARGER)
-        pushed = Integrated.of(scaled, known, force)
-        larger = pushed.log(LARGER)
+        pushed = [Integrated.of(scaled, known, force) for force in forces]
+        larger = np.array([found.log(LARGER) for found in pushed])
+        smooth = np.array([found.log() for found in pushed]) if stated else larger
         begins = sudden.beginning(residual, known) if sudden else None
-        ways = [pushed.log() if stated else larger, larger, plain + begins.log if begins else -math.inf]
+        ways = [_mean(smooth), _mean(larger), plain + begins.log if begins else -math.inf]
         shares = softmax(ways)
-        size = float(force.sizes[int(np.argmax(pushed.forced))])
-        excess = 1 + float(shares[1] if stated else shares[:2].sum()) * (pushed.excess(LARGER) - 1)
-        forced = float(logsumexp(ways)) - math.log(_WAYS if begins else _WAYS - 1)
-        return cls(plain - volume, forced - volume, size, excess, begins, float(shares[2]))
+        beyond = float(softmax(larger) @ [found.excess(LARGER) for found in pushed]) - 1
+        excess = 1 + float(shares[1] if stated else shares[:2].sum()) * beyond
+        forced = _mean(ways[: _WAYS if begins else _WAYS - 1])
+        kind = int(np.argmax([found.forced.max() for found in pushed]))
+        size = float(forces[kind].sizes[int(np.argmax(pushed[kind].forced))])
+        return cls(plain - volume, forced - volume, size, kind, excess, begins, float(shares[2]))
 
     @property
     def total(self) -> float:
@@ -142,3 +185,8 @@ class Evidence:
     def missing(self) -> float:
         """Probability that something is."""
         return math.exp(self.forced + math.log(MISSING) - self.total)
+
+
+def _mean(logs: ArrayLike) -> float:
+    """Logarithm of the mean of what has these logarithms."""
+    return float(logsumexp(logs)) - math.log(np.size(logs))

@@ -25,7 +25,7 @@ from bcid.inference.nuisances import NuisanceModes, Nuisances
 from bcid.inference.outcome import Candidate
 from bcid.inference.relative import relative
 from bcid.inference.stiffness import Stiffness
-from bcid.inference.unknown_force import Evidence, courses, slopes, unknown_force
+from bcid.inference.unknown_force import Evidence, Smooth
 from bcid.search.climb import ODDS
 from bcid.search.evaluator import Evaluator
 
@@ -45,13 +45,13 @@ class Pan:
     Attributes:
         positions: predicted, shape (frames, fiducials, 3), m; NaN from where it could not be followed.
         modes: of the nuisances, in the frames that were followed.
-        slopes: movements per unit of each force in these frames, shape (n, forces), m.
+        unknown: what something unknown and smooth does in these frames.
         failed: whether it could not be followed to the end.
     """
 
     positions: Array
     modes: NuisanceModes
-    slopes: Array
+    unknown: Smooth
     failed: bool
 
     @property
@@ -177,11 +177,10 @@ class Weighing:
         mesh = self._mesh(level)
         residual = data.values - data.vector(pan.positions + mesh.correction)
         errors = Errors(data, self._sigma[data.mask], mesh, pan.modes.at(rows))
-        moved = courses(data, pan.slopes[rows])
-        force = unknown_force(errors, moved, force_unit(self.evaluator.forward(level)))
-        evidence = Evidence.of(errors, residual, force)
+        unknown = pan.unknown.at(rows)
+        evidence = Evidence.of(errors, residual, unknown.forces(errors, force_unit(self.evaluator.forward(level))))
         if evidence.forced > evidence.plain:
-            errors = Errors(data, errors.sigma, mesh, errors.nuisances.beside(evidence.size * moved))
+            errors = Errors(data, errors.sigma, mesh, errors.nuisances.beside(unknown.likeliest(data, evidence)))
         return Weight(evidence, errors, residual)
 
     def astray(self, level: int, candidate: Candidate) -> tuple[str, ...]:
@@ -286,11 +285,10 @@ class Weighing:
             found = self._sensitivities[level].of(candidate, actions, prediction, wanted, None, seen)
         except SolveError:
             # Where the tangent says nothing, neither nuisances nor an unknown force do.
-            return Pan(prediction.positions, NuisanceModes.none(len(data)), np.zeros((len(data), 1)), failed)
+            return Pan(prediction.positions, NuisanceModes.none(len(data)), Smooth.nothing(len(data)), failed)
         for array, one in product(found.arrays, known or ()):
             one.fill(array)
         assert found.forces is not None
-        assert found.growths is not None
-        moved = slopes(data, found.forces, found.growths, force_unit(forward))
+        unknown = Smooth.of(data, found.forces, found.growths, force_unit(forward))
         modes = nuisances.modes(data, found, wanted, forward.model, prediction.positions)
-        return Pan(prediction.positions, modes, moved, failed)
+        return Pan(prediction.positions, modes, unknown, failed)

@@ -33,7 +33,7 @@ from bcid.inference.data import Data
 from bcid.inference.hypotheses import Hypothesis, effects, entropy, patches
 from bcid.inference.nuisances import NuisanceModes
 from bcid.inference.relative import relative
-from bcid.inference.unknown_force import courses
+from bcid.inference.unknown_force import Smooth, courses
 from bcid.measurement import Action, Measurement
 from bcid.measurement.cloud import Cloud
 from bcid.scene import Grasp, Level, Limits, Material, Region, Scene
@@ -212,7 +212,7 @@ def test_the_pulls_are_one_measurement() -> None:
     modes = NuisanceModes(np.zeros((len(common), 3)), common, ("dimensions",) * 2, {"dimensions": 0.02})
     sets = [frozenset("12"), frozenset("2")]
     for anchors in sets:
-        errors.allow(anchors, allowance(errors.data, {}, errors.places, modes, np.zeros((len(common), 0))))
+        errors.allow(anchors, allowance(errors.data, {}, errors.places, modes, Smooth.nothing(len(common))))
     every = np.ones(len(errors.data.mask), bool)
     found = {anchors: errors._likelihood(anchors, anchors, every) for anchors in sets}
     gauss = multivariate_normal(cov=np.diag(errors.data.sigma**2) + common @ common.T)
@@ -460,7 +460,7 @@ def test_a_set_that_the_fine_level_cannot_follow_is_not_taken_for_a_perfect_one(
     wrong, errors = frozenset("1"), inference.errors
     before = errors.relative(list(inference.sets))[wrong]
     nothing = Allowance.nothing(errors.data)
-    errors.allow(wrong, allowance(errors.data, {0: None}, errors.places, nothing.modes, nothing.slopes))
+    errors.allow(wrong, allowance(errors.data, {0: None}, errors.places, nothing.modes, nothing.unknown))
     after = errors.relative(list(inference.sets))
     # Its prediction is worth next to nothing, which is less than that of a set that is right.
     assert before < -300

@@ -12,7 +12,7 @@ from bcid.inference.evidence import Numbers
 from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.sudden_force import _SIZES, SuddenForce
-from bcid.inference.unknown_force import Evidence, courses, unknown_force
+from bcid.inference.unknown_force import Evidence, Smooth
 from tests.unit.test_weighing import SCENE, STEPS, UNIT, errors, measurement, slopes
 
 PLACES = 3
@@ -109,9 +109,9 @@ def test_smooth_in_larger_errors_or_sudden_count_alike() -> None:
     data = Data(SCENE, measurement())
     known, acts = errors(data), data.frame >= 3
     pushed = residual(data) + 0.05 * MOST * acts * spots(data)[:, 1, 2]
-    force = unknown_force(known, courses(data, slopes(data)), UNIT)
-    without = Evidence.of(known, pushed, force)
-    found = Evidence.of(known, pushed, force, sudden=SuddenForce(known, spots(data)))
+    forces = Smooth((slopes(data),)).forces(known, UNIT)
+    without = Evidence.of(known, pushed, forces)
+    found = Evidence.of(known, pushed, forces, sudden=SuddenForce(known, spots(data)))
     assert found.begins is not None
     ways = without.forced + np.log(2), found.plain + found.begins.log
     assert found.forced == pytest.approx(np.logaddexp(*ways) - np.log(3))

@@ -23,7 +23,7 @@ from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes
 from bcid.inference.outcome import Candidate
-from bcid.inference.unknown_force import _SIZES, MISSING, Evidence, courses, unknown_force
+from bcid.inference.unknown_force import _SIZES, MISSING, Evidence, Smooth, courses, unknown_force
 from bcid.measurement import Action, Measurement
 from bcid.search.climb import ODDS
 from bcid.search.weighing import _BATCH, _MOST, Pan, Weighing
@@ -68,7 +68,7 @@ def test_the_evidence_is_that_of_a_gaussian_averaged_over_sizes() -> None:
     assert moved.shape == (len(data), 3 * 2)
     residual = data.values - data.vector(np.tile(SCENE.rest, (2 * STEPS, 1, 1)))
     force = unknown_force(known, moved, UNIT)
-    found = Evidence.of(known, residual, force)
+    found = Evidence.of(known, residual, [force])
     base = np.diag(data.sigma**2) + known.nuisances.common @ known.nuisances.common.T
     constant = len(data) / 2 * math.log(2 * math.pi)
     assert found.plain == pytest.approx(multivariate_normal(cov=base).logpdf(residual) + constant, rel=1e-9)
@@ -95,21 +95,35 @@ def test_what_a_force_does_is_missed_and_noise_is_not(pushed: float, missing: bo
     data = Data(SCENE, measurement())
     residual = data.values - data.vector(np.tile(SCENE.rest, (2 * STEPS, 1, 1)))
     known = errors(data)
-    force = unknown_force(known, courses(data, slopes(data)), UNIT)
-    found = Evidence.of(known, residual + pushed * slopes(data)[:, 1], force)
+    forces = Smooth((slopes(data),)).forces(known, UNIT)
+    found = Evidence.of(known, residual + pushed * slopes(data)[:, 1], forces)
     assert (found.missing > 0.95) == missing
     assert missing or found.missing < 0.5
+
+
+def test_a_force_and_a_growth_count_alike_and_the_likelier_is_told() -> None:
+    data = Data(SCENE, measurement())
+    known, one = errors(data), slopes(data)
+    other = one[np.random.default_rng(8).permutation(len(data))]
+    both = Smooth((one, other))
+    residual = data.values - data.vector(np.tile(SCENE.rest, (2 * STEPS, 1, 1))) + 3e3 * other[:, 1]
+    found = Evidence.of(known, residual, both.forces(known, UNIT))
+    alone = [Evidence.of(known, residual, Smooth((kind,)).forces(known, UNIT)) for kind in both.kinds]
+    assert found.forced == pytest.approx(np.logaddexp(*(each.forced for each in alone)) - math.log(2))
+    assert (found.kind, found.size) == (1, alone[1].size)
+    assert both.likeliest(data, found) == pytest.approx(found.size * courses(data, other))
+    assert alone[1].forced > alone[0].forced + 10
 
 
 def test_what_no_force_explains_is_told_as_larger_errors() -> None:
     data = Data(SCENE, measurement())
     residual = data.values - data.vector(np.tile(SCENE.rest, (2 * STEPS, 1, 1)))
     known = errors(data)
-    force = unknown_force(known, courses(data, slopes(data)), UNIT)
-    found = [Evidence.of(known, factor * residual, force) for factor in (1.0, 4.0)]
+    forces = Smooth((slopes(data),)).forces(known, UNIT)
+    found = [Evidence.of(known, factor * residual, forces) for factor in (1.0, 4.0)]
     assert found[0].left == pytest.approx(1.0, abs=0.3)
     assert found[1].excess == found[1].left == pytest.approx(16.0, rel=0.2)
-    pushed = Evidence.of(known, residual + 3e3 * slopes(data)[:, 1], force)
+    pushed = Evidence.of(known, residual + 3e3 * slopes(data)[:, 1], forces)
     assert pushed.missing > 0.95
     assert pushed.left == pytest.approx(1.0, abs=0.3)
 
@@ -185,7 +199,7 @@ class Bench:
             positions = self.positions(level, candidate)
             data = Data(SCENE, self.measurement).within(np.isfinite(positions).all(axis=(1, 2)))
             none = NuisanceModes.none(len(data))
-            found[candidate] = Pan(positions, none, np.zeros((len(data), 1)), candidate in self.fails)
+            found[candidate] = Pan(positions, none, Smooth.nothing(len(data)), candidate in self.fails)
         return found
 
 
