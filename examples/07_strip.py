@@ -120,7 +120,7 @@ def proposed(folder: Path, every: int = 3) -> ProposeResult:
     plain = Scene.read(HERE / "scenes/strip.toml")
     scene = replace(plain, fiducials={f"p{i}": tuple(map(float, placed[0, i])) for i in chosen})
     seen = pulled(scene, placed[::every, chosen], moved[::every])
-    return propose(scene, seen, options=ProposeOptions(kinds=("energy",)), name="rubber")
+    return propose(scene, seen, options=ProposeOptions(kinds=("energy", "fibres")), name="rubber")
 
 
 def triangulated(folder: Path) -> Array:
