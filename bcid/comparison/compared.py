@@ -34,8 +34,8 @@ class Compared:
         fewer: those that lack one of its patches and may be as likely although the tangent shows them as less likely.
         misses: by how much it showed too little of those that were fitted since.
         refused: hypotheses that cannot be followed to the end.
-        alike: whether effects are ways to write the same, see `HypothesisOdds`.
         promised: logarithms of evidence and of prior odds of effects that were not worth a fit.
+        alike: whether effects are ways to write the same, see `HypothesisOdds`.
         _left: what may be left of the error of the mesh that `full` was compared with.
         _allowing: each of `own`, by its identity, and the same in `full`: none is weighed twice with the same.
     """

@@ -366,9 +366,9 @@ class Predictor:
         prediction: MeasurementPrediction,
         nuisances: NuisanceModes | None = None,
     ) -> tuple[NuisanceModes, Smooth, Array]:
-        """What nuisances do to the measured values, what an unknown force does, and what one at each of many spots does.
+        """What nuisances do to the measured values, what is unknown and smooth, and what a force at each of many spots does.
 
-        The two latter per unit of each force, shape (n, forces) and (n, spots, 3), m. The prediction must have kept its states. All
+        The latter per unit of force, shape (n, spots, 3), m. The prediction must have kept its states. All
         are known in a few steps of each action, and interpolated between them. Where `nuisances` are given these are taken.
         """
         forward = self.forward(model)

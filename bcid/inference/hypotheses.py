@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,23 +97,24 @@ class HypothesisOdds:
     @property
     def verdicts(self) -> dict[str, float]:
         """Probability of each effect or pair of effects, of "none" and of "unknown", the likeliest first."""
-        found = {"none": 0.0, "unknown": 0.0}
-        for h, p in self.probabilities.items():
-            found[h.verdict] = found.get(h.verdict, 0.0) + p
-        return dict(sorted(found.items(), key=lambda item: (-item[1], item[0])))
+        return self._shares(lambda h: h.verdict)
 
     @property
     def best(self) -> Hypothesis:
         """The likeliest hypothesis of the likeliest verdict."""
-        shares = dict[str, float]()
-        for h, p in self.probabilities.items():
-            shares[self._told(h)] = shares.get(self._told(h), 0.0) + p
-        likeliest = min(shares, key=lambda told: (-shares[told], told))
+        likeliest = next(iter(self._shares(self._told)))
         return next(h for h in self.probabilities if self._told(h) == likeliest)
 
     def _told(self, h: Hypothesis) -> str:
         """What a hypothesis has in common with others that count with it."""
         return "known" if self.alike and h.verdict not in ("none", "unknown", OTHERS) else h.verdict
+
+    def _shares(self, told: Callable[[Hypothesis], str]) -> dict[str, float]:
+        """Probability of all hypotheses that are told alike, the likeliest first."""
+        found = {"none": 0.0, "unknown": 0.0}
+        for h, p in self.probabilities.items():
+            found[told(h)] = found.get(told(h), 0.0) + p
+        return dict(sorted(found.items(), key=lambda item: (-item[1], item[0])))
 
     def acting(self, effect: str) -> float:
         """Probability that these effects act, and perhaps others besides."""

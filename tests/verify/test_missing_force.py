@@ -69,4 +69,7 @@ def test_a_load_at_a_place_is_missing_there() -> None:
     most = max(found.steady.regions, key=lambda place: place.force[1])
     assert np.linalg.norm(most.position - PLACE) < 0.025
     together = found.steady.together
-    assert np.abs(together.force - [0.0, LOAD * whole(), 0.0]).max() < 3 * together.stderr
+    total = LOAD * whole()
+    assert np.abs(together.force - [0.0, total, 0.0]).max() < 3 * together.stderr
+    # That error is mostly of what acts along the slab, which hardly moves it: upwards more is known.
+    assert 0.5 * total < together.force[1] < 1.5 * total
