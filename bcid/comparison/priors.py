@@ -66,7 +66,8 @@ def of_state(state: State, begun: Model, jacobian: Array | None = None, least: f
     sizes: Array = np.ones(1)
     apart = np.array([_apart(c, numbers[c.name], begun) for c in chosen])
     if amount.any():
-        sizes = visible(_least_shown(moved * scale, np.abs(apart) / scale, amount, state, begun, least), least)
+        moved = _from_nothing(moved * scale, apart / scale, amount, state, begun, least) / scale
+        sizes = visible(_least_shown(moved * scale, amount, state, begun), least)
         if not len(sizes):
             return None
         share = log_share(len(sizes))
@@ -75,38 +76,50 @@ def of_state(state: State, begun: Model, jacobian: Array | None = None, least: f
     return Numbers(moved, apart, table, one_sided(chosen), share + log_ways(state, begun))
 
 
-def _least_shown(
-    shown: Array, apart: Array, amount: NDArray[np.bool_], state: State, begun: Model, least: float
-) -> float:
-    """By how many standard deviations notable amounts, (n, p), move the data, of the effect, or the law, that shows least.
+def _from_nothing(
+    moved: Array, apart: Array, amount: NDArray[np.bool_], state: State, begun: Model, least: float
+) -> Array:
+    """What notable amounts do, (n, p), where a further one shows nothing: what all of the effect does by its amount.
 
-    Of what is as large as `apart`, (p,), a further notable amount may show little: then it is what all of it does by its amount.
+    As of a clock that is later than the gripper moves. Of what does the same from some amount on the tangent knows nothing of
+    the way there, and that amount would be as likely as if it had been expected. By the change of least norm with which the
+    amounts that are there, `apart`, (p,), do what they do (Broyden, Math. Comp. 19, 1965).
     """
-    squares, found = np.sum(shown**2, axis=0), []
-    rest = amount.copy()
+    found = moved.copy()
+    for term, own in _own_amounts(amount, state, begun):
+        size, far = math.sqrt(float(np.mean(np.sum(moved[:, own] ** 2, axis=0)))), apart[own]
+        if not len(visible(size, least)) and np.abs(far).max() > 1 and (done := _done(state, term)) is not None:
+            found[:, own] += np.outer(done - moved[:, own] @ far, far) / (far @ far)
+    return found
+
+
+def _least_shown(shown: Array, amount: NDArray[np.bool_], state: State, begun: Model) -> float:
+    """By how many standard deviations notable amounts, (n, p), move the data, of the effect, or the law, that shows least."""
+    squares, rest = np.sum(shown**2, axis=0), amount.copy()
+    groups = [own for _, own in _own_amounts(amount, state, begun)]
+    for own in groups:
+        rest &= ~own
+    return min(math.sqrt(float(np.mean(squares[own]))) for own in [*groups, rest] if own.any())
+
+
+def _own_amounts(amount: NDArray[np.bool_], state: State, begun: Model) -> list[tuple[Term, NDArray[np.bool_]]]:
+    """Each effect of a model that has fitted amounts, and which of the fitted numbers they are, (p,)."""
+    found = []
     for term in state.model.added(begun):
         names = {term.full(p.name) for p in term.effect.parameters}
         own = np.array([name in names for name in state.free], dtype=bool) & amount
-        rest &= ~own
-        if not own.any():
-            continue
-        size = math.sqrt(float(np.mean(squares[own])))
-        if not len(visible(size, least)) and apart[own].max() > 1:
-            size = max(size, _done(state, term) / float(np.linalg.norm(apart[own])))
-        found.append(size)
-    if rest.any():
-        found.append(math.sqrt(float(np.mean(squares[rest]))))
-    return min(found)
+        if own.any():
+            found.append((term, own))
+    return found
 
 
-def _done(state: State, term: Term) -> float:
-    """By how many standard deviations an effect of a model moves the data; 0 where the model cannot be followed without it."""
+def _done(state: State, term: Term) -> Array | None:
+    """What an effect of a model does to the data, in standard deviations; None where it cannot be followed without it."""
     predictor = state.predictor
     plain = predictor.predict(state.model.without(term.label), state.anchors)
     if plain.failure:
-        return 0.0
-    moved = predictor.data.vector(state.prediction.positions - plain.positions)
-    return float(np.linalg.norm(state.errors.whiten(moved)))
+        return None
+    return state.errors.whiten(predictor.data.vector(state.prediction.positions - plain.positions))
 
 
 def expected(state: State, begun: Model) -> tuple[Array, Array]:

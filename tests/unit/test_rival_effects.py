@@ -88,6 +88,31 @@ def test_evidence_is_the_likelihood_averaged_over_what_was_believed(heavy: tuple
     predictor.destroy()
 
 
+def test_an_amount_of_which_more_does_the_same_had_to_be_expected(coarse_scene: Path) -> None:
+    """A clock that is later than the gripper moves, where hardly anything moves: by the trapezoidal rule over the lag."""
+    scene = Scene.read(coarse_scene)
+    anchors, plain = frozenset("34"), Model.of(scene)
+    action = Move("II", "out", limits_of(scene).displacement).action(limits_of(scene))
+    slipping = plain + Term("grasp_slip", {"lag": 0.999})
+    predictor = Predictor(scene, simulate(scene, ["3", "4"], [action], 0, NOISE, 3, model=slipping), MPI.COMM_SELF)
+    whole = action.clock[-1]
+    late = State.of(predictor, plain + Term("time_lag", {"seconds": 1.1 * whole}), anchors, free=("time_lag.seconds",))
+    numbers = of_state(late, plain)
+    assert numbers is not None
+    at = whole * np.linspace(0.5, 1.0, 13)
+    chi2 = [
+        State.of(predictor, late.model.with_values({"time_lag.seconds": t}), anchors, late.errors.mesh).chi2 for t in at
+    ]
+    gains = np.exp(-0.5 * (np.array(chi2) - late.chi2))
+    widths = numbers.widths[:, 0]
+    believed = np.mean([norm.pdf(at, 0.0, width) for width in widths], axis=0)
+    averaged = np.trapezoid(gains * believed, x=at) + np.mean(norm.sf(whole, 0.0, widths))
+    exact = -0.5 * late.chi2 - late.errors.log_volume + math.log(averaged) + numbers.log_prior
+    assert late.evidence(numbers).plain == pytest.approx(exact, abs=1.5)
+    assert math.log(averaged) < -4
+    predictor.destroy()
+
+
 def test_what_the_pulls_do_not_tell_stays_as_it_was_expected(heavy: tuple[Scene, Measurement]) -> None:
     """Springs at a patch that is not anchored do nothing: any stiffness fits, and none is likelier for it."""
     scene, seen = heavy
