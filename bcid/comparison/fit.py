@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 
 from bcid.base.errors import InputError, SolveError, nearest
 from bcid.base.tails import limit_beyond, normal_quantile
+from bcid.base.units import UNTOLD
 from bcid.comparison.kept_predictions import MeasurementPrediction
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.state import State
@@ -432,6 +433,8 @@ def _limits(
 ) -> dict[str, float]:
     """Limits of numbers at a bound, or that would be beyond it, from a normal distribution that ends there.
 
+    A number of which the data show nothing has none.
+
     Args:
         chosen: the coordinates.
         x: where they ended.
@@ -441,7 +444,8 @@ def _limits(
     """
     found = {}
     for c, at, low, high, size, error, step in zip(chosen, x, *within, errors, onward, strict=True):
-        if c.parameter.period is not None or not (_at_bound(at, low, high, size) or not low < at + step < high):
+        within_bounds = low < at + step < high and not _at_bound(at, low, high, size)
+        if within_bounds or c.parameter.period is not None or error > UNTOLD:
             continue
         bound, inward = (low, 1.0) if at - low < high - at else (high, -1.0)
         end = bound + inward * error * limit_beyond(max(inward * (bound - at - step) / error, 0.0), 1 - CERTAIN)

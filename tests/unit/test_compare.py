@@ -657,6 +657,9 @@ def test_a_number_at_a_bound_is_told_by_a_limit(true: float) -> None:
     assert told == f"grasp_slip: lag at most {found.limits[name]:.3g} (95 %)"
     assert amount("lag", {"value": 0.0, "stderr": 0.1, "limit": 0.25, "unit": "1"}) == "lag: at most 0.25 (95 %)"
     assert not fit(state_of(toy(model, (name,), (2e-3,)), model), (name,)).limits
+    # A weight of which nothing is seen has no limit either.
+    weightless, weight = Model.of(SCENE) + Term("gravity", {"weight": 0.0}), "gravity.weight"
+    assert not fit(state_of(toy(weightless, (weight,), (0.0,)), weightless), (weight,)).limits
 
 
 def test_an_inclusion_stays_in_the_body() -> None:
