@@ -444,8 +444,8 @@ def _limits(
     """
     found = {}
     for c, at, low, high, size, error, step in zip(chosen, x, *within, errors, onward, strict=True):
-        within_bounds = low < at + step < high and not _at_bound(at, low, high, size)
-        if within_bounds or c.parameter.period is not None or error > UNTOLD:
+        inside = low < at + step < high and not _at_bound(at, low, high, size)
+        if inside or c.parameter.period is not None or error > UNTOLD:
             continue
         bound, inward = (low, 1.0) if at - low < high - at else (high, -1.0)
         end = bound + inward * error * limit_beyond(max(inward * (bound - at - step) / error, 0.0), 1 - CERTAIN)

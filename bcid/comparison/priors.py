@@ -66,8 +66,9 @@ def of_state(state: State, begun: Model, jacobian: Array | None = None, least: f
     sizes: Array = np.ones(1)
     apart = np.array([_apart(c, numbers[c.name], begun) for c in chosen])
     if amount.any():
-        moved = _from_nothing(moved * scale, apart / scale, amount, state, begun, least) / scale
-        sizes = visible(_least_shown(moved * scale, amount, state, begun), least)
+        shown = _from_nothing(moved * scale, apart / scale, amount, state, begun, least)
+        moved = shown / scale
+        sizes = visible(_least_shown(shown, amount, state, begun), least)
         if not len(sizes):
             return None
         share = log_share(len(sizes))
