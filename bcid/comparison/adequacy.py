@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 # Share of adequate models that may be called inadequate.
 FALSE_ALARMS = 0.05
 # What is said of a model that nothing speaks against where no noise is stated.
-UNTOLD = "nothing against it"
+NOT_REFUTED = "nothing against it"
 # The test that finds a frame from which on nothing fits.
 BREAKING = "from a frame on"
 
@@ -62,7 +62,7 @@ class Adequacy:
     @property
     def word(self) -> str:
         """The same in words."""
-        return {True: "adequate", False: "not adequate", None: UNTOLD}[self.told]
+        return {True: "adequate", False: "not adequate", None: NOT_REFUTED}[self.told]
 
 
 def judge(state: State) -> Adequacy:

@@ -292,7 +292,8 @@ def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull]
     lines = [
         f"Missing in the plain model: {' and '.join(found.verdict.split('+'))} ({percent(found.probability)}). The error "
         f"{falls(first.state.rms / unit, last.state.rms / unit, noise, name)} (noise {noise:.3g}){_beyond(first, last)}. "
-        f"{_held(found, held)}"
+        f"{_held(found, held)}",
+        *_doubted(last),
     ]
     if first.state.anchors != last.state.anchors:
         same = [
@@ -309,6 +310,14 @@ def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull]
             lines.append("  " + term(one, known, own(last.fitted, one, last.fitted.limits)))
     lines += [f"  Note: {text}" for text in last.fitted.warnings]
     return lines + _open(found, pulls)
+
+
+def _doubted(last: Rung) -> list[str]:
+    """That what is named does not explain all of the measurement, where it does not."""
+    if last.adequacy.told is not False:
+        return []
+    p = p_value(last.adequacy.p_value)
+    return [f"With that the model is not adequate either ({p}): something else may act besides, or instead."]
 
 
 def _beyond(first: Rung, last: Rung) -> str:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from bcid.base.units import falls, for_people, percent, uncertain
+from bcid.base.units import falls, for_people, p_value, percent, uncertain
 from bcid.report import exploration_picture as exploration
 from bcid.report.found import Found
 from bcid.report.text import amount, chance, listed, model_name, patches, plain
@@ -108,6 +108,9 @@ def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
         )
     doubts = [*_remarks(d), *(f"Note: {warning}" for warning in d["warnings"])]
     doubts += [f"{text[0].upper()}{text[1:]}." for one in d.get("nuisances", ()) if (text := one["used_up"])]
+    if d["adopted"] and d["verdict"] != "unknown" and d["adequate"] is False:
+        text = "With that the model is not adequate either"
+        doubts.insert(0, f"{text} ({p_value(d['p_value'])}): something else may act besides, or instead.")
     if not d.get("noise_stated", True):
         doubts.insert(
             0,

@@ -16,7 +16,8 @@ from scipy.stats import multivariate_normal
 from bcid.base.progress import Progress, Silent
 from bcid.comparison import diagnosis_text
 from bcid.comparison.adequacy import breaking, judge
-from bcid.comparison.explanation import explains
+from bcid.comparison.diagnosis_text import conclusion
+from bcid.comparison.explanation import Explanation, Rung, explains
 from bcid.comparison.fit import WIDEST, Coordinate, Fit, _covariance, _loose, fit
 from bcid.comparison.held_out import held_out
 from bcid.comparison.kept_predictions import MeasurementPrediction
@@ -33,6 +34,7 @@ from bcid.forms.probes import Sensitivities, Wanted
 from bcid.forms.scene_errors import law_form_term
 from bcid.forms.simulate import recorded
 from bcid.inference.data import Data, estimate_noise, frame_times
+from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
 from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes, Nuisances, placed, replaced
@@ -280,6 +282,8 @@ class Toy:
     @property
     def scene(self) -> Scene:
         return SCENE
+
+    whole = scene
 
     @property
     def measurement(self) -> Measurement:
@@ -817,3 +821,8 @@ def test_an_effect_may_be_named_when_it_explains_nearly_all(unexplained: float, 
     assert judge(full.state).adequate == (unexplained == 0.0)
     assert explains(light, full) == named
     assert not explains(light, light)
+    rungs = tuple(Rung(one, judge(one.state), None) for one in (light, full))
+    odds = HypothesisOdds.of({Hypothesis(full.state.anchors, "gravity"): 0.0})
+    told = Explanation("gravity", odds, rungs, cast(Any, None), (), None, {}, 0.0)
+    doubted = "With that the model is not adequate either (p " in "\n".join(conclusion(told, 1e-3, "mm"))
+    assert doubted == (unexplained > 0.0)

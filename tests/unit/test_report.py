@@ -156,6 +156,10 @@ def test_what_is_odd_and_an_unknown_noise_stand_in_the_report(tmp_path: Path) ->
             {"ladder": [runs.rung("neo_hooke", 1.42, False)]},
             "lacks gravity: with it the error falls from 1.42 to 0.21 mm",
         ),
+        (
+            {"adequate": False, "p_value": 0.002},
+            "With that the model is not adequate either (p = 0.002): something else may act besides, or instead.",
+        ),
         ({"verdict": "gravity+time_lag"}, "its plain model lacks gravity and time lag"),
     ],
 )
