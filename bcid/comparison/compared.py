@@ -92,14 +92,19 @@ class Compared:
         self.promised |= {h: (log + shift, prior) for h, (log, prior) in contest.promised.items()}
 
     @property
-    def odds(self) -> HypothesisOdds:
-        """What is believed of all hypotheses.
+    def power(self) -> float:
+        """Of the likelihood, that counts.
 
         The error of the mesh has a shape along an action that is guessed. Where it is not small beside the noise, a power of the
         likelihood counts (the coarsened posterior of Miller & Dunson, J. Am. Stat. Assoc. 114, 2019), the noise's part of both.
         """
         state = self.full[0].fitted.state
-        power = state.noise**2 / (state.noise**2 + state.errors.guessed_rms**2) / self.full[0].evidence.left
+        return state.noise**2 / (state.noise**2 + state.errors.guessed_rms**2) / self.full[0].evidence.left
+
+    @property
+    def odds(self) -> HypothesisOdds:
+        """What is believed of all hypotheses, of those that were looked at and of effects that act together."""
+        power = self.power
         logs = _logs([rival.weights for rival in self.full], power)
         others = self._unfitted(logs, power)
         for hypothesis, log in _logs([*(rival.weights for rival in self.thin), self.promised], power).items():

@@ -30,7 +30,7 @@ from bcid.inference.outcome import label
 _OTHERS = {
     "none": "nothing missing",
     "unknown": "something unknown",
-    "others": "known effects that were not looked at together",
+    "others": "effects that were not looked at",
 }
 # A hypothesis with a smaller probability is not told.
 _LITTLE = 0.005

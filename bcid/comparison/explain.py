@@ -332,16 +332,19 @@ class _Loop:
             rungs += [self.rung(first)] if first else []
         if best.names:
             rungs.append(self.rung(best))
-        unknown = self.compared.odds.best.unknown
+        odds, p = self.compared.odds, rungs[-1].adequacy.p_value
+        unknown = odds.best.unknown
+        # What is written in many ways was looked at in all of them.
+        odds = odds if odds.alike else odds.doubted(p, self.compared.power)
         if unknown and not (best.names and explains(rungs[0].fitted, rungs[-1].fitted)):
             verdict = "unknown"
         else:
             verdict = "+".join(best.names) or "none"
         found = Explanation(
             verdict,
-            self.compared.odds,
+            odds,
             tuple(rungs),
-            told_anchors(best_first([*self.compared.full, *self.compared.thin]), self.compared.odds, best, seconds),
+            told_anchors(best_first([*self.compared.full, *self.compared.thin]), odds, best, seconds),
             tuple(self.compared.full),
             self.predictor.noise,
             dict(self.predictor.trajectories),

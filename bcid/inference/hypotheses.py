@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import softmax
@@ -15,9 +15,11 @@ Anchored = frozenset[str]
 # Before the data are looked at, so many of the known effects are expected to act, each as likely as the others; and something that
 # is not known with this probability.
 EXPECTED, UNKNOWN = 0.7, 0.15
-# Known effects that act together and that no search came upon look like something unknown: they are told as `OTHERS`. So often that
-# happens by the blind bench (2 of 40 cases).
+# What acts may be effects that no search came upon: they are told as `OTHERS`. So often that happens by the blind bench (2 of 40
+# cases).
 MISSED, OTHERS = 0.05, "others"
+# A smaller p-value is as good as this one.
+_LEAST = 1e-300
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ class Hypothesis:
 
     @property
     def verdict(self) -> str:
-        """As it is told: the effect, "none", "unknown", or "others": known effects that were not looked at together."""
+        """As it is told: the effect, "none", "unknown", or "others": effects that were not looked at, alone or together."""
         return "unknown" if self.unknown else self.effect or "none"
 
     def label(self, names: Iterable[str]) -> str:
@@ -67,13 +69,27 @@ def normalised(logs: Mapping[Hypothesis, float]) -> dict[Hypothesis, float]:
 
 
 def with_others(logs: Mapping[Hypothesis, float]) -> dict[Hypothesis, float]:
-    """The same with what a search did not come upon: as likely as that something unknown acts, but for the prior odds of both."""
+    """The same with effects that act together and that no search came upon.
+
+    They look like something unknown, and are as likely as that something unknown acts, but for the prior odds of both.
+    """
     found = dict(logs)
     for h, log in logs.items():
         if h.unknown:
             other = Hypothesis(h.anchors, OTHERS)
             found[other] = float(np.logaddexp(found.get(other, -math.inf), log + math.log(MISSED / UNKNOWN)))
     return found
+
+
+def log_doubt(p_value: float) -> float:
+    """Logarithm of how much likelier such a p-value is of a model that is wrong than of the one that is right.
+
+    Of the right one every p-value is as likely. Of a wrong one they have a density xi p^(xi - 1) with some xi between 0 and 1
+    (Sellke, Bayarri & Berger, Am. Stat. 55, 2001, 62), every one as likely here: for p = 1 half as likely, for p = 0.001 twenty
+    times.
+    """
+    far = -math.log(max(p_value, _LEAST))
+    return -math.log(2) if far < 1e-6 else math.log(math.expm1(far) - far) - 2 * math.log(far)
 
 
 @dataclass(frozen=True)
@@ -115,6 +131,25 @@ class HypothesisOdds:
         for h, p in self.probabilities.items():
             found[told(h)] = found.get(told(h), 0.0) + p
         return dict(sorted(found.items(), key=lambda item: (-item[1], item[0])))
+
+    def doubted(self, p_value: float, power: float = 1.0) -> HypothesisOdds:
+        """The same with what was not looked at, beside or instead of what is likeliest and has this p-value.
+
+        The likeliest of all that was looked at may be wrong, and what is wrong seldom fits as well as what is right. Where
+        something unknown is likeliest, it stands for what was not looked at.
+
+        Args:
+            p_value: of what is left of the data.
+            power: of the likelihood, that counts.
+        """
+        if self.best.unknown:
+            return self
+        found, odds = dict(self.probabilities), MISSED / (1 - MISSED) * math.exp(power * log_doubt(p_value))
+        for h, p in self.probabilities.items():
+            if not h.unknown and h.effect != OTHERS:
+                other = Hypothesis(h.anchors, OTHERS)
+                found[other] = found.get(other, 0.0) + odds * p
+        return replace(self, probabilities=normalised({h: math.log(p) for h, p in found.items() if p > 0}))
 
     def acting(self, effect: str) -> float:
         """Probability that these effects act, and perhaps others besides."""

@@ -15,7 +15,7 @@ from bcid.report.text import amount, chance, listed, model_name, patches, plain
 _OTHERS = {
     "none": "nothing missing",
     "unknown": "something unknown",
-    "others": "known effects that were not looked at together",
+    "others": "effects that were not looked at",
 }
 # Of a run that does not say itself whether the set explains the measurement: a residual of so many times the noise does not.
 _EXPLAINED = 2.0

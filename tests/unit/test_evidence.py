@@ -21,6 +21,7 @@ from bcid.inference.hypotheses import (
     UNKNOWN,
     Hypothesis,
     HypothesisOdds,
+    log_doubt,
     log_prior,
     moderated,
     patches,
@@ -177,6 +178,24 @@ def test_what_was_not_looked_at_shares_the_odds_of_something_unknown() -> None:
     assert found[Hypothesis(b, OTHERS)] == pytest.approx(3.0 + share)
     verdicts = HypothesisOdds.of(found).verdicts
     assert verdicts[OTHERS] / verdicts["unknown"] == pytest.approx(MISSED / UNKNOWN)
+
+
+def test_a_p_value_says_how_likely_the_likeliest_is_wrong() -> None:
+    """Likelihoods of a p-value are a density; each is the mean of those of Sellke, Bayarri and Berger (2001)."""
+    whole = quad(lambda far: math.exp(log_doubt(math.exp(-far)) - far), 0, 690, limit=200)[0]
+    assert whole == pytest.approx(1, abs=2e-3)
+    for p in (1.0, 0.5, 0.05, 1e-3):
+        assert math.exp(log_doubt(p)) == pytest.approx(quad(lambda xi, p=p: xi * p ** (xi - 1), 0, 1)[0])
+    gravity, more, odd = Hypothesis(frozenset("1"), "gravity"), Hypothesis(frozenset("2"), "gravity"), frozenset("3")
+    odds = HypothesisOdds.of({gravity: 5.0, more: 3.0, Hypothesis(frozenset("1")): 0.0})
+    fits, fails, refuted = (odds.doubted(p) for p in (1.0, 1e-3, 0.0))
+    assert fits.acting("gravity") == pytest.approx(odds.acting("gravity") / (1 + MISSED / (1 - MISSED) / 2))
+    assert odds.acting("gravity") > fits.acting("gravity") > 0.95 > fails.acting("gravity") > refuted.acting("gravity")
+    assert fails.verdicts[OTHERS] == pytest.approx(1 - fails.acting("gravity") - fails.verdicts["none"])
+    assert fails.held_by(frozenset("1")) == pytest.approx(odds.held_by(frozenset("1")))
+    assert odds.doubted(1e-3, power=0.0).verdicts[OTHERS] == pytest.approx(MISSED)
+    unknown = HypothesisOdds.of(with_others({gravity: 0.0, Hypothesis(odd, unknown=True): 5.0}))
+    assert unknown.doubted(1e-9) == unknown
 
 
 def test_what_a_tangent_tells_counts_by_how_far_it_missed() -> None:
