@@ -332,10 +332,8 @@ class _Loop:
             rungs += [self.rung(first)] if first else []
         if best.names:
             rungs.append(self.rung(best))
-        odds, p = self.compared.odds, rungs[-1].adequacy.p_value
-        unknown = odds.best.unknown
-        # What is written in many ways was looked at in all of them.
-        odds = odds if odds.alike else odds.doubted(p, self.compared.power)
+        odds = self.compared.odds.doubted(rungs[-1].adequacy.p_value, self.compared.power)
+        unknown = self.compared.odds.best.unknown
         if unknown and not (best.names and explains(rungs[0].fitted, rungs[-1].fitted)):
             verdict = "unknown"
         else:

@@ -137,12 +137,13 @@ class HypothesisOdds:
 
         The likeliest of all that was looked at may be wrong, and what is wrong seldom fits as well as what is right. Where
         something unknown is likeliest, it stands for what was not looked at.
+        What is written in many ways was looked at in all of them.
 
         Args:
             p_value: of what is left of the data.
             power: of the likelihood, that counts.
         """
-        if self.best.unknown:
+        if self.alike or self.best.unknown:
             return self
         found, odds = dict(self.probabilities), MISSED / (1 - MISSED) * math.exp(power * log_doubt(p_value))
         for h, p in self.probabilities.items():

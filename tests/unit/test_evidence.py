@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -196,6 +197,7 @@ def test_a_p_value_says_how_likely_the_likeliest_is_wrong() -> None:
     assert odds.doubted(1e-3, power=0.0).verdicts[OTHERS] == pytest.approx(MISSED)
     unknown = HypothesisOdds.of(with_others({gravity: 0.0, Hypothesis(odd, unknown=True): 5.0}))
     assert unknown.doubted(1e-9) == unknown
+    assert replace(odds, alike=True).doubted(1e-9).verdicts == odds.verdicts
 
 
 def test_what_a_tangent_tells_counts_by_how_far_it_missed() -> None:
