@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bcid.base.units import UNTOLD, falls, for_people, hardly_falls, limited, p_value, percent, significance, uncertain
+from bcid.base.verdict_words import NO_EFFECTS, not_adequate_either
 from bcid.comparison import curvature
 from bcid.comparison.adequacy import BREAKING, Adequacy, groups
 from bcid.comparison.explanation import Explanation, Rung
@@ -26,12 +27,6 @@ from bcid.inference.criteria import CERTAIN, FAR
 from bcid.inference.hypotheses import OTHERS, HypothesisOdds
 from bcid.inference.outcome import label
 
-# Verdicts that are no effects.
-_OTHERS = {
-    "none": "nothing missing",
-    "unknown": "something unknown",
-    "others": "effects that were not looked at",
-}
 # A hypothesis with a smaller probability is not told.
 _LITTLE = 0.005
 # An amount in time is told to change where a constant one would do as well with a smaller probability.
@@ -139,7 +134,7 @@ def beliefs(found: Explanation) -> list[str]:
 def _called(odds: HypothesisOdds, verdict: str) -> str:
     """What a verdict is called where probabilities are told: something unknown with the effects that it most likely acts beside."""
     if verdict == OTHERS:
-        return _OTHERS[verdict]
+        return NO_EFFECTS[verdict]
     if verdict != "unknown":
         return verdict
     beside = next(h.effect for h in odds.probabilities if h.unknown)
@@ -293,7 +288,7 @@ def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull]
         f"Missing in the plain model: {' and '.join(found.verdict.split('+'))} ({percent(found.probability)}). The error "
         f"{falls(first.state.rms / unit, last.state.rms / unit, noise, name)} (noise {noise:.3g}){_beyond(first, last)}. "
         f"{_held(found, held)}",
-        *_doubted(last),
+        *([not_adequate_either(last.adequacy.p_value)] if last.adequacy.told is False else []),
     ]
     if first.state.anchors != last.state.anchors:
         same = [
@@ -310,14 +305,6 @@ def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull]
             lines.append("  " + term(one, known, own(last.fitted, one, last.fitted.limits)))
     lines += [f"  Note: {text}" for text in last.fitted.warnings]
     return lines + _open(found, pulls)
-
-
-def _doubted(last: Rung) -> list[str]:
-    """That what is named does not explain all of the measurement, where it does not."""
-    if last.adequacy.told is not False:
-        return []
-    p = p_value(last.adequacy.p_value)
-    return [f"With that the model is not adequate either ({p}): something else may act besides, or instead."]
 
 
 def _beyond(first: Rung, last: Rung) -> str:
@@ -362,8 +349,10 @@ def _open(found: Explanation, pulls: Sequence[Pull]) -> list[str]:
         return []
     lines = []
     if found.ambiguous:
-        others = [_OTHERS.get(name, name) for name in found.ambiguous]
-        lines.append(f"These data cannot tell {_OTHERS.get(found.verdict, found.verdict)} from: {', '.join(others)}.")
+        others = [NO_EFFECTS.get(name, name) for name in found.ambiguous]
+        lines.append(
+            f"These data cannot tell {NO_EFFECTS.get(found.verdict, found.verdict)} from: {', '.join(others)}."
+        )
     if found.held_by < CERTAIN:
         lines.append("These data do not tell for certain which patches hold the body.")
     if pulls and pulls[0].sigmas >= _SEPARATE:

@@ -332,12 +332,12 @@ class _Loop:
             rungs += [self.rung(first)] if first else []
         if best.names:
             rungs.append(self.rung(best))
-        odds = self.compared.odds.doubted(rungs[-1].adequacy.p_value, self.compared.power)
-        unknown = self.compared.odds.best.unknown
-        if unknown and not (best.names and explains(rungs[0].fitted, rungs[-1].fitted)):
+        odds = self.compared.odds
+        if odds.best.unknown and not (best.names and explains(rungs[0].fitted, rungs[-1].fitted)):
             verdict = "unknown"
         else:
             verdict = "+".join(best.names) or "none"
+        odds = odds.doubted(rungs[-1].adequacy.p_value, self.compared.power)
         found = Explanation(
             verdict,
             odds,

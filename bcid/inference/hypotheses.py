@@ -136,8 +136,8 @@ class HypothesisOdds:
         """The same with what was not looked at, beside or instead of what is likeliest and has this p-value.
 
         The likeliest of all that was looked at may be wrong, and what is wrong seldom fits as well as what is right. Where
-        something unknown is likeliest, it stands for what was not looked at.
-        What is written in many ways was looked at in all of them.
+        something unknown is likeliest, it stands for what was not looked at. What is written in many ways was looked at in all of
+        them.
 
         Args:
             p_value: of what is left of the data.

@@ -6,17 +6,12 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from bcid.base.units import falls, for_people, p_value, percent, uncertain
+from bcid.base.units import falls, for_people, percent, uncertain
+from bcid.base.verdict_words import NO_EFFECTS, not_adequate_either
 from bcid.report import exploration_picture as exploration
 from bcid.report.found import Found
 from bcid.report.text import amount, chance, listed, model_name, patches, plain
 
-# Verdicts that are no effects.
-_OTHERS = {
-    "none": "nothing missing",
-    "unknown": "something unknown",
-    "others": "effects that were not looked at",
-}
 # Of a run that does not say itself whether the set explains the measurement: a residual of so many times the noise does not.
 _EXPLAINED = 2.0
 
@@ -108,9 +103,8 @@ def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
         )
     doubts = [*_remarks(d), *(f"Note: {warning}" for warning in d["warnings"])]
     doubts += [f"{text[0].upper()}{text[1:]}." for one in d.get("nuisances", ()) if (text := one["used_up"])]
-    if d["adopted"] and d["verdict"] != "unknown" and d["adequate"] is False:
-        text = "With that the model is not adequate either"
-        doubts.insert(0, f"{text} ({p_value(d['p_value'])}): something else may act besides, or instead.")
+    if d["adequate"] is False and set(d["verdict"].split("+")) <= {one["effect"] for one in d["adopted"]}:
+        doubts.insert(0, not_adequate_either(d["p_value"]))
     if not d.get("noise_stated", True):
         doubts.insert(
             0,
@@ -119,7 +113,7 @@ def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
     if d.get("noise_doubt"):
         doubts.insert(0, f"{d['noise_doubt'][0].upper()}{d['noise_doubt'][1:]}.")
     if d["cannot_be_told_from"]:
-        others = [_OTHERS.get(n) or plain(n) for n in d["cannot_be_told_from"]]
+        others = [NO_EFFECTS.get(n) or plain(n) for n in d["cannot_be_told_from"]]
         doubts.append(f"These data cannot tell it from {listed(others)}.")
     if not d.get("anchors_certain", True):
         doubts.append("These data do not tell for certain which patches hold the body.")

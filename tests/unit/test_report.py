@@ -169,6 +169,14 @@ def test_verdicts(tmp_path: Path, more: dict[str, Any], sentence: str) -> None:
     assert sentence in said(tmp_path, folder)
 
 
+@pytest.mark.parametrize("asked", ["none", "time_lag"])
+def test_what_a_scene_states_is_not_what_is_named(tmp_path: Path, asked: str) -> None:
+    """Gravity is the scene's own there, and what is named was not added to the model that is not adequate."""
+    folder = runs.explained(tmp_path / "run")
+    runs.rewrite(folder, "diagnosis.json", json.dumps(runs.diagnosis() | {"verdict": asked, "adequate": False}))
+    assert "With that the model is not adequate" not in said(tmp_path, folder)
+
+
 def test_explored(tmp_path: Path) -> None:
     text = said(tmp_path, runs.explored(tmp_path / "run"))
     assert "Anchored: {left}, probability 98.00 %, after 2 pulls." in text
