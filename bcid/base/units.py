@@ -158,12 +158,13 @@ WIDE = 1.959964
 
 
 def percent(probability: float) -> str:
-    """A probability for people: never 100 % or 0 % when it is not."""
+    """A probability for people: whole, with digits only near certainty, and never 100 % or 0 % when it is not."""
     if probability >= 0.9999:
         return "> 99.99 %"
     if probability <= 0.0001:
         return "< 0.01 %"
-    return f"{100 * probability:.2f} %"
+    rarer = min(probability, 1 - probability)
+    return f"{100 * probability:.{(rarer < 0.01) + (rarer < 0.001)}f} %"
 
 
 # The standard error of a number of which the data tell nothing is larger.

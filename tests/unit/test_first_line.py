@@ -51,7 +51,7 @@ def told(remarks: tuple[str, ...] = (), **more: Any) -> list[str]:
 
 def test_a_result_that_explains_stands_first_in_mm() -> None:
     lines = told()
-    assert lines[0] == "Anchored patches of slab: {3 4}  (probability 98.00 %)"
+    assert lines[0] == "Anchored patches of slab: {3 4}  (probability 98 %)"
     assert "The model misses the measurement by 0.31 mm per coordinate (RMS); the stated noise is 0.3 mm." in lines
     assert not any(" m " in line for line in lines)
 
@@ -71,7 +71,7 @@ def test_what_the_scene_may_have_wrong_is_no_alarm() -> None:
         "Allowed for in the scene, as standard deviations (and what these data make likely): markers 0.4 mm (0.35 mm)."
         in lines
     )
-    assert "Something is missing in the model besides, or it is wrong there: probability 7.00 %." in lines
+    assert "Something is missing in the model besides, or it is wrong there: probability 7 %." in lines
     lines = told(rms=4e-4, missing=0.999, nuisances=(replace(markers, most=6.0),))
     assert lines[0] == "WARNING: no set explains this measurement: the best misses it by 1.3 times the noise."
     assert any(line.startswith("WARNING: markers would have to sit up to 2.4 mm from where") for line in lines)

@@ -86,9 +86,7 @@ def test_explained(tmp_path: Path) -> None:
 
 def test_identified(tmp_path: Path) -> None:
     text = said(tmp_path, runs.identified(tmp_path / "run"))
-    assert (
-        "The slab is held at patch left, with probability 98.00 %; the model misses the measurement by 0.21 mm" in text
-    )
+    assert "The slab is held at patch left, with probability 98 %; the model misses the measurement by 0.21 mm" in text
     assert "a ladder of models and missing effects: bcid diagnose RUN makes them" in text
     assert "Missing effects" not in text
 
@@ -102,7 +100,7 @@ def test_a_set_that_explains_nothing(tmp_path: Path) -> None:
     runs.rewrite(folder, "identification.json", json.dumps(runs.identification() | told))
     text = said(tmp_path, folder)
     assert "The slab is held at patch left" in text
-    assert "something is missing 12.00 %" in text
+    assert "something is missing 12 %" in text
     assert "they do not go with the body: fiducials 6, 11" in text
     written = runs.identification() | {"rms": 1.4}
     del written["explains"]
@@ -179,7 +177,7 @@ def test_what_a_scene_states_is_not_what_is_named(tmp_path: Path, asked: str) ->
 
 def test_explored(tmp_path: Path) -> None:
     text = said(tmp_path, runs.explored(tmp_path / "run"))
-    assert "Anchored: {left}, probability 98.00 %, after 2 pulls." in text
+    assert "Anchored: {left}, probability 98 %, after 2 pulls." in text
     assert "Belief by pull" in text
     assert "the body in 3-D and residuals: give a pull of steps/" in text
 
@@ -412,7 +410,7 @@ def test_the_view_holds_what_the_run_does(tmp_path: Path) -> None:
     nodes = np.unique(found.body["triangles"].values)
     assert shown == pytest.approx(found.body["displacement"].values[:, nodes] * 1e3, abs=1e-3)
     assert data["start"] == 7
-    assert [place.get("chance") for place in data["places"]] == [None, "99.00 %", "3.00 %", None]
+    assert [place.get("chance") for place in data["places"]] == [None, "99 %", "3 %", None]
     assert [place.get("anchored") for place in data["places"]] == [None, True, False, None]
 
 

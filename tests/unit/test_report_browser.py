@@ -171,7 +171,7 @@ def test_turning_scale_and_colours(report: Path, visit: Callable[..., Visit]) ->
     picture = differs(picture)
     view.locator("select.shown").select_option("chance")
     differs(picture)
-    assert view.locator(".labels").text_content() == "left: 99.00 %right: 3.00 %"
+    assert view.locator(".labels").text_content() == "left: 99 %right: 3 %"
     view.locator(".reset").click()
 
 

@@ -10,6 +10,7 @@ from bcid.base.units import (
     for_people,
     p_value,
     parse_unit,
+    percent,
     quantities,
     quantity,
     show,
@@ -85,6 +86,25 @@ def test_p_values_are_shown_as_people_read_them() -> None:
     ]
     assert p_value(float("nan")) == "p = not known"
     assert significance(float("inf")) == ""
+
+
+@pytest.mark.parametrize(
+    ("probability", "text"),
+    [
+        (0.9723, "97 %"),
+        (0.5, "50 %"),
+        (0.0247, "2 %"),
+        (0.99, "99 %"),
+        (0.9962, "99.6 %"),
+        (0.0072, "0.7 %"),
+        (0.9994, "99.94 %"),
+        (0.0004, "0.04 %"),
+        (0.99995, "> 99.99 %"),
+        (0.0, "< 0.01 %"),
+    ],
+)
+def test_probabilities_have_digits_only_near_certainty(probability: float, text: str) -> None:
+    assert percent(probability) == text
 
 
 def test_lengths_are_shown_in_mm() -> None:
