@@ -6,7 +6,7 @@ RUN/cases/0007/truth.json     what is hidden: effects, parameters, anchors, size
 RUN/cases/0007/diagnosis/     its run folder
 RUN/logs/0007.txt             what the process of the case said
 RUN/results/0007.json         the diagnosis of a case that is done, or why there is none
-RUN/hidden.json  table.txt  degradation.png
+RUN/hidden.json  table.txt  goals.png  degradation.png
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from bcid.studies.hidden.score_table import table
 
 MAKE = "bcid.studies.hidden.truth:make"
 DIAGNOSE = "bcid.comparison.compare_runs:run_explain"
-_MAKES = ("cases/", "results/", "logs/", "hidden.json", "table.txt", "degradation.png")
+_MAKES = ("cases/", "results/", "logs/", "hidden.json", "table.txt", "goals.png", "degradation.png")
 # CPU seconds that the truth of a case may take besides: with cubic elements, drawn anew where it cannot be computed.
 _MAKING = 900.0
 
@@ -148,9 +148,10 @@ def _score(run: RunFolder, options: HiddenOptions, cases: Iterable[int]) -> dict
 
 
 def _draw(run: RunFolder, found: dict[str, Any]) -> None:
-    """The picture is a view of the numbers: without matplotlib there is none."""
+    """The pictures are a view of the numbers: without matplotlib there are none."""
     try:
-        from bcid.studies.plots import degradation
+        from bcid.studies.hidden.hidden_pictures import degradation, goals
     except ImportError:
         return
+    goals(run.path / "goals.png", found)
     degradation(run.path / "degradation.png", found)
