@@ -1,4 +1,4 @@
-"""The pictures of the hidden study: rates beside their goals, how often is right what was told, and how rates fall with size and noise."""
+"""The pictures of the hidden study: rates beside goals, how often told answers are right, how rates fall with size and noise."""
 
 from __future__ import annotations
 
