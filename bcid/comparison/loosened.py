@@ -22,7 +22,7 @@ from bcid.forms.model import Term
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
 # Stiffnesses that are looked at, in notable ones, all equally likely.
-_SIZES = np.geomspace(0.04, 2.0, 4)
+_SIZES = np.geomspace(0.04, 27.0, 6)
 
 
 @dataclass(frozen=True)

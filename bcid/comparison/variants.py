@@ -139,12 +139,21 @@ def _at(path: Array, times: Array, clock: Array) -> Array:
 
 def _let_go(state: State, effect: Effect, place: str) -> list[Variant]:
     """A patch that is not held from each frame on: what is seen then is what the other anchors show."""
-    others = state.anchors - {place}
-    (moved,) = state.predictor.moves(state.model, state.anchors, state.prediction, [others])
+    moved = _without(state, state.anchors - {place})
     (amount,) = (p.name for p in effect.amounts)
     (onset,) = (p.name for p in effect.shapes)
     probe = Probe(Term(effect, neutral_values(state.model, effect), place=place), (amount,))
     return _scaled(state, _all_onsets(state, probe, {amount: moved}, onset))
+
+
+def _without(state: State, others: frozenset[str]) -> Array:
+    """By how much the fiducials are elsewhere with other anchors, exactly in all steps: a tangent may show another onset."""
+    if not state.predictor.thin:
+        found = state.predictor.predict(state.model, others)
+        if not found.failure:
+            return found.positions - state.prediction.positions
+    (moved,) = state.predictor.moves(state.model, state.anchors, state.prediction, [others])
+    return moved
 
 
 def _tried(state: State, effect: Effect) -> list[dict[str, float]]:

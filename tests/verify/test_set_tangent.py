@@ -11,11 +11,15 @@ import pytest
 from mpi4py import MPI
 from numpy.typing import NDArray
 
+from bcid.comparison.loosened import loosened
 from bcid.comparison.predictor import Predictor
+from bcid.comparison.state import State
+from bcid.forms import effects
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.set_tangent import SetTangent
 from bcid.forms.simulate import simulate
 from bcid.forms.solver.equilibrium import Settings
+from bcid.inference.mesh_error import MeshError
 from bcid.measurement import Action
 from bcid.scene import Level, Scene
 
@@ -92,6 +96,17 @@ def test_a_set_that_gives_moves_the_fiducials_as_a_rigid_one_tells(predictor: Pr
             for rows in ROWS:
                 miss = relative(told[:, rows], moved[:, rows])
                 assert miss < (0.08 if reach < 1e-3 else 0.2 if rows.start == 0 else 0.3), (stiffness, anchors, rows)
+
+
+@pytest.mark.parametrize("stiffness", [5e4, 1e6, 1.5e7])
+def test_soft_and_stiff_springs_are_found(slab: Scene, stiffness: float) -> None:
+    """Of the stiffnesses that are looked at that fits best which is nearest to the truth, also where the springs are stiff."""
+    giving = Model.of(slab) + Term("soft_anchor", {"stiffness": stiffness})
+    predictor = Predictor(slab, simulate(slab, ABOUT, pulls(1e-2), level=0, noise=0.0, model=giving), MPI.COMM_SELF)
+    state = State.of(predictor, Model.of(slab), ABOUT, MeshError.unknown(predictor.data.mask.shape))
+    best = loosened(state, effects.effect("soft_anchor"), [ABOUT], ())[0]
+    assert 0.5 < best.term.values["stiffness"] / stiffness < 2.0
+    predictor.destroy()
 
 
 def test_no_compliance_is_a_rigid_anchor(predictor: Predictor) -> None:
