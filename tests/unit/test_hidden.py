@@ -355,6 +355,24 @@ def test_what_a_diagnosis_does_not_say_is_not_asked() -> None:
     assert "No diagnosis told how probable" in table(scores([result("one", GRAVITY)]))
 
 
+def test_amounts_that_the_data_cannot_tell_are_not_asked() -> None:
+    """Moved by a gripper that never turns a grasp shows its rotation only; where nothing is told nothing is right."""
+    offset = [effect("grasp_offset", x=parameter(0.03, scale=0.005), rx=parameter(10.0, scale=5.0))]
+
+    def told(**errors: float) -> dict[str, Any]:
+        values = {"x": 0.0, "rx": 10.4}
+        numbers = {name: {"value": value, "stderr": errors[name]} for name, value in values.items()}
+        entry = {"effect": "grasp_offset", "place": "", "parameters": numbers}
+        return judge(result("one", offset, verdict="grasp_offset", adopted=[entry]))
+
+    untold = told(x=5e97, rx=0.3)
+    assert (untold["parameters"], untold["intervals"]) == ((True,), (True,))
+    wrong = told(x=0.001, rx=0.3)
+    assert (wrong["parameters"], wrong["intervals"]) == ((False,), (False, True))
+    nothing = told(x=5e97, rx=5e97)
+    assert (nothing["parameters"], nothing["intervals"]) == ((False,), ())
+
+
 def test_rates_that_shall_lie_in_a_range() -> None:
     good, bad = result("none", [], adequate=True, verdict="none"), result("none", [], verdict="none")
     reached = [scores([good] * (100 - n) + [bad] * n)["rates"]["adequate"]["reached"] for n in (0, 5, 8)]

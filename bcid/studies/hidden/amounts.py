@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bcid.base.units import UNTOLD
 from bcid.forms import effects
 
 Json = Mapping[str, Any]
@@ -17,13 +18,26 @@ HALF = 1.96
 
 
 def parameters_right(truth: Json, diagnosis: Json) -> bool:
-    """Whether the adopted effect has the amounts, direction and place of the hidden one."""
+    """Whether the adopted effect has the amounts, direction and place of the hidden one.
+
+    Amounts of which it is told that the data cannot tell them are not asked, as long as there are others.
+    """
     effect = truth["effects"][0]
     entry = adopted(diagnosis, effect["effect"])
     if entry is None or entry.get("place", "") != effect["place"]:
         return False
     found = {name: _value(value) for name, value in entry["parameters"].items()}
-    return set(effect["parameters"]) <= set(found) and _amounts_right(effect, found) and _shapes_right(effect, found)
+    amounts = {name: p for name, p in _amounts(effect).items() if _is_told(entry, name)} or _amounts(effect)
+    return set(effect["parameters"]) <= set(found) and _amounts_right(amounts, found) and _shapes_right(effect, found)
+
+
+def _amounts(effect: Json) -> dict[str, Json]:
+    return {name: p for name, p in effect["parameters"].items() if p["role"] == "amount"}
+
+
+def _is_told(entry: Json, name: str) -> bool:
+    """Whether the data tell an amount: not a translation of the grasp where the gripper never turns."""
+    return float(entry["parameters"].get(name, {}).get("stderr") or 0.0) <= UNTOLD
 
 
 def adopted(diagnosis: Json, effect: str) -> Json | None:
@@ -35,15 +49,15 @@ def adopted(diagnosis: Json, effect: str) -> Json | None:
 def intervals_hold(truth: Json, diagnosis: Json) -> tuple[bool, ...]:
     """For each amount of the hidden effects that were adopted at their places whether its 95 % interval holds the truth.
 
-    What is only on or off has no interval.
+    What is only on or off has no interval, nor has what the data cannot tell.
     """
     held: list[bool] = []
     for effect in truth["effects"]:
         entry = adopted(diagnosis, effect["effect"])
         if entry is not None and entry.get("place", "") == effect["place"]:
             switches = {p.name for p in effects.effect(effect["effect"]).parameters if p.switch}
-            amounts = {n: p for n, p in effect["parameters"].items() if p["role"] == "amount" and n not in switches}
-            held += [_holds(entry["parameters"].get(name, {}), p) for name, p in amounts.items()]
+            told = {n: p for n, p in _amounts(effect).items() if n not in switches and _is_told(entry, n)}
+            held += [_holds(entry["parameters"].get(name, {}), p) for name, p in told.items()]
     return tuple(held)
 
 
@@ -68,9 +82,8 @@ def _value(written: Any) -> float:
     return math.nan if value is None else float(value)
 
 
-def _amounts_right(effect: Json, found: Mapping[str, float]) -> bool:
+def _amounts_right(amounts: Mapping[str, Json], found: Mapping[str, float]) -> bool:
     """Their vector, in units of their scales from the neutral values, is within 20 % in length and 15 degrees in direction."""
-    amounts = {n: p for n, p in effect["parameters"].items() if p["role"] == "amount"}
     if any(p["reciprocal"] for p in amounts.values()):
         return all(abs(found[n] / p["value"] - 1) <= NEAR for n, p in amounts.items())
     true, seen = (
