@@ -163,6 +163,7 @@ def percent(probability: float) -> str:
         return "> 99.99 %"
     if probability <= 0.0001:
         return "< 0.01 %"
+    probability = float(probability)
     rarer = min(probability, 1 - probability)
     return f"{100 * probability:.{(rarer < 0.01) + (rarer < 0.001)}f} %"
 

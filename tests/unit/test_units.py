@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from bcid.base.errors import InputError
@@ -104,7 +105,7 @@ def test_p_values_are_shown_as_people_read_them() -> None:
     ],
 )
 def test_probabilities_have_digits_only_near_certainty(probability: float, text: str) -> None:
-    assert percent(probability) == text
+    assert percent(probability) == percent(np.float64(probability)) == text
 
 
 def test_lengths_are_shown_in_mm() -> None:
