@@ -9,12 +9,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from bcid.base.units import percent
 from bcid.report.diagnosis_picture import LONGEST, diagonal, round_scale, worst_frame
 from bcid.report.found import Found
 from bcid.report.gallery import residuals_of
 from bcid.report.identification_picture import telling_frame
 from bcid.report.residual import Residual
-from bcid.report.text import chance
 
 Array = NDArray[np.float64]
 
@@ -108,7 +108,7 @@ def _places(found: Found, body: xr.Dataset) -> list[dict[str, Any]]:
             entry["anchored"] = name in anchored
             probability = probabilities.get(name)
             if probability is not None:
-                entry |= {"chance": chance(probability), "shade": shade(float(probability))}
+                entry |= {"chance": percent(probability), "shade": shade(float(probability))}
         made.append(entry)
     return made
 

@@ -11,7 +11,7 @@ from bcid.report.gallery import residuals_of
 from bcid.report.ladder import asked_rung, place_name
 from bcid.report.residual import Residual
 from bcid.report.table import TEXT, Column, Table
-from bcid.report.text import amount, chance, listed, model_name, plain
+from bcid.report.text import amount, listed, model_name, plain
 
 # Numbers of an effect that a cell holds.
 _AMOUNTS = 3
@@ -159,10 +159,10 @@ def sets_table(d: dict[str, Any]) -> Table:
     unit = d["length_unit"]
     columns = [Column("anchored", TEXT), Column("probability", TEXT), Column(f"residual ({unit})")]
     columns += [Column(f"reported set there ({unit})"), Column("level")]
-    rows = [[_set(d["anchored"]), chance(d["probability"]), _number(d["rms"]), "", ""]]
+    rows = [[_set(d["anchored"]), percent(d["probability"]), _number(d["rms"]), "", ""]]
     exact: list[list[object]] = [[_set(d["anchored"]), d["probability"], d["rms"], None, None]]
     for other in d["alternatives"][:_SETS]:
-        cells = [_set(other["anchored"]), chance(other["probability"]), _number(other["rms"])]
+        cells = [_set(other["anchored"]), percent(other["probability"]), _number(other["rms"])]
         rows.append([*cells, _number(other.get("best_rms")), str(other.get("level", ""))])
         exact.append(
             [_set(other["anchored"]), other["probability"], other["rms"], other.get("best_rms"), other.get("level")]
@@ -190,7 +190,7 @@ def pulls_table(d: dict[str, Any]) -> Table:
         likely = _set(top["anchored"]) + (f" + {plain(top['effect'])}" if top["effect"] else "")
         bits = ["" if v is None else f"{v:.2f}" for v in (step["expected_bits"], step["gained_bits"])]
         pull = [step["grasp"], step["direction"], f"{step['amplitude']:.3g}"]
-        rows.append([str(step["number"]), *pull, *bits, likely, chance(top["probability"])])
+        rows.append([str(step["number"]), *pull, *bits, likely, percent(top["probability"])])
         numbers = [step["amplitude"], step["expected_bits"], step["gained_bits"]]
         exact.append([step["number"], *pull[:2], *numbers, likely, top["probability"]])
     return Table("pulls", "The pulls in turn, and what was believed after each.", columns, rows, exact)

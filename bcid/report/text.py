@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from bcid.base.units import for_people, limited, percent, uncertain
+from bcid.base.units import for_people, limited, uncertain
 
 
 def plain(name: str) -> str:
@@ -77,8 +77,3 @@ def duration(seconds: float) -> str:
     if hours:
         return f"{hours} h {minutes} min"
     return f"{minutes} min {whole % 60} s" if minutes else f"{seconds:.1f} s"
-
-
-def chance(probability: float) -> str:
-    """A probability for a sentence."""
-    return percent(float(probability))

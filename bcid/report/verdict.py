@@ -10,7 +10,7 @@ from bcid.base.units import falls, for_people, percent, uncertain
 from bcid.base.verdict_words import NO_EFFECTS, not_adequate_either
 from bcid.report import exploration_picture as exploration
 from bcid.report.found import Found
-from bcid.report.text import amount, chance, listed, model_name, patches, plain
+from bcid.report.text import amount, listed, model_name, patches, plain
 
 # Of a run that does not say itself whether the set explains the measurement: a residual of so many times the noise does not.
 _EXPLAINED = 2.0
@@ -158,7 +158,7 @@ def _identification(found: Found, d: dict[str, Any]) -> Verdict:
     held = f"{_body(found)} is held at {patches(d['anchored'])}"
     misses = f"the model misses the measurement by {d['rms']:.3g} {unit}"
     beside = f", where the noise is {noise:.3g} {unit}" if noise else ""
-    sentence = f"{held}, with probability {chance(d['probability'])}; {misses}{beside}."
+    sentence = f"{held}, with probability {percent(d['probability'])}; {misses}{beside}."
     doubts = _remarks(d)
     if not noise:
         doubts.append("No noise is stated: whether this set explains the measurement cannot be told.")
@@ -173,18 +173,18 @@ def _identification(found: Found, d: dict[str, Any]) -> Verdict:
         f"{patches(names)} could not be followed to the end, and may be the answer by the frames before."
         for names in d.get("unfollowed", ())
     ]
-    numbers = [("anchored", " ".join(d["anchored"]) or "none"), ("probability", chance(d["probability"]))]
+    numbers = [("anchored", " ".join(d["anchored"]) or "none"), ("probability", percent(d["probability"]))]
     numbers.append(("residual", f"{d['rms']:.3g} {unit}"))
     numbers += [("noise", f"{noise:.3g} {unit}")] if noise else []
     if d.get("missing") is not None:
-        numbers.append(("something is missing", chance(d["missing"])))
+        numbers.append(("something is missing", percent(d["missing"])))
     numbers.append(("certified", "yes" if d["certified"] else "no"))
     return Verdict(sentence, numbers, doubts)
 
 
 def _exploration(d: dict[str, Any]) -> Verdict:
     title = exploration.title(d)
-    numbers = [("anchored", " ".join(d["anchored"]) or "none"), ("probability", chance(d["probability"]))]
+    numbers = [("anchored", " ".join(d["anchored"]) or "none"), ("probability", percent(d["probability"]))]
     numbers += [("pulls", str(len(d["steps"]))), ("entropy", f"{d['entropy']:.2g} bits")]
     if d["effect"]:
         numbers.append(("effect", plain(d["effect"])))

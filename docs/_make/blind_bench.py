@@ -48,12 +48,12 @@ def goals(found: Json) -> Iterator[str]:
                 continue
             wanted = goal(asked.least, asked.most) + (", missed" if asked.least and rate["rate"] < asked.least else "")
             yield f"| {QUESTIONS[asked.question]} | {reached(rate)} | {wanted} |"
-    told, sure = found["calibration"], found["calibration"]["sure_and_wrong"]
+    answers, sure = found["calibration"], found["calibration"]["sure_and_wrong"]
     most = f"at most {100 * SURE_AND_WRONG:.0f}{', missed' if sure['rate'] > SURE_AND_WRONG else ''}"
     yield f"| verdicts and sets told with 95 % or more that are wrong | {reached(sure)} | {most} |"
-    most = f"at most {CALIBRATED:g}{', missed' if told['expected_error'] > CALIBRATED else ''}"
-    error = f"{told['expected_error']:.3f} (by chance {told['by_chance']:.3f})"
-    yield f"| calibration error of {told['count']} told probabilities | {error} | | {most} |"
+    most = f"at most {CALIBRATED:g}{', missed' if answers['expected_error'] > CALIBRATED else ''}"
+    error = f"{answers['expected_error']:.3f} (by chance {answers['by_chance']:.3f})"
+    yield f"| calibration error of {answers['count']} told probabilities | {error} | | {most} |"
 
 
 def told(found: Json) -> Iterator[str]:
@@ -82,7 +82,7 @@ def page(run: Path, commit: str) -> str:
     inputs, cpu = RunFolder.open(run).record["inputs"], found["cpu_seconds"]
     asked = " ".join(f"--{name} {inputs[name]:g}" for name in ("cases", "seed", "least", "limit"))
     states = ", ".join(f"{count} {name}" for name, count in sorted(found["states"].items()))
-    largest = "one ran out of time" if cpu["largest"] is None else f"{cpu['largest']:.0f} at most"
+    largest = f"{found['states']['timeout']} out of time" if cpu["largest"] is None else f"{cpu['largest']:.0f} at most"
     lines = [
         f"`bcid study hidden {asked} -o study` at commit {commit}: {found['cases']} of {found['asked']} cases ({states}). "
         f"CPU seconds of a diagnosis: {cpu['median']:.0f} in the median, {largest} (goals {MEDIAN:.0f} and {LARGEST:.0f}).",

@@ -10,9 +10,11 @@ import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+from matplotlib.ticker import PercentFormatter
 
 _STYLE: dict[Any, Any] = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
 _DARK, _GOAL = "#0072B2", "#D55E00"
+_PERCENT = PercentFormatter(1.0, decimals=0, symbol=" %")
 # Okabe & Ito's colours; markers and dashes tell the lines apart in black and white.
 _LINES = {
     "named": ("#0072B2", "o", "-"),
@@ -50,7 +52,7 @@ def _beside_goals(axes: Any, asked: Mapping[str, Mapping[str, Any]]) -> None:
     axes.tick_params(axis="y", length=0)
     axes.invert_yaxis()
     axes.set_xlim(-0.02, 1.0)
-    axes.xaxis.set_major_formatter(_percent)
+    axes.xaxis.set_major_formatter(_PERCENT)
     axes.set_title("right answers (of how many)")
     axes.legend(frameon=False, loc="lower left")
 
@@ -65,15 +67,11 @@ def _told(axes: Any, bins: Sequence[Mapping[str, Any]]) -> None:
         axes.annotate(f"{b['count']}", (b["told"], b["low"]), (0, -3), **below)
     axes.set_xlim(0, 1.0)
     axes.set_ylim(0, 1.0)
-    axes.xaxis.set_major_formatter(_percent)
-    axes.yaxis.set_major_formatter(_percent)
+    axes.xaxis.set_major_formatter(_PERCENT)
+    axes.yaxis.set_major_formatter(_PERCENT)
     axes.set_xlabel("told probability of a verdict, or of the anchors")
     axes.set_title("right answers (of how many)")
     axes.legend(frameon=False, loc="lower right")
-
-
-def _percent(part: float, _: object) -> str:
-    return f"{100 * part:.0f} %"
 
 
 def degradation(file: Path, found: Mapping[str, Any]) -> None:
