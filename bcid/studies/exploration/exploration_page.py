@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from statistics import mean
 from typing import Any
 
+from bcid.base.units import percent
 from bcid.exploration.loop import DECIDED
 from bcid.inference.outcome import label
 from bcid.studies.exploration.exploration_trials import ANCHORS, GRASPS, NOISES, STRATEGIES
@@ -74,7 +75,7 @@ def _ended(trial: Trial) -> str:
 
 def _likeliest(belief: Mapping[str, float]) -> str:
     name, p = max(belief.items(), key=lambda item: item[1])
-    return f"{name} {100 * p:.4g} %"
+    return f"{name} {percent(p)}"
 
 
 def _noises(trials: Sequence[Trial], cost: float) -> TextTable:
