@@ -16,6 +16,8 @@ from bcid.studies.paper.cells import Cell
 from bcid.studies.paper.condition import named, written
 from bcid.studies.paper.study_file import StudyFile
 
+# Of the pictures of all studies.
+STYLE: dict[Any, Any] = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
 # Okabe & Ito's colours, one for each row of a table.
 _ROWS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
 _MARKERS = "osD^vPX"
@@ -28,7 +30,7 @@ def success(file: Path, study: StudyFile, found: Sequence[Cell]) -> None:
     others = [name for name in study.vary if name not in (study.rows, study.columns)]
     keys = list(dict.fromkeys(tuple(cell.values[name] for name in others) for cell in found))
     count = min(len(keys), 6)
-    with plt.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
+    with plt.rc_context(STYLE):
         figure, axes = plt.subplots(
             1, count, figsize=(max(5.6, 3.4 * count), 4.0), dpi=150, layout="constrained", sharey=True, squeeze=False
         )
@@ -84,7 +86,7 @@ def progression(file: Path, trials: Sequence[Mapping[str, Any]]) -> None:
         return
     rows = sorted({(t["noise"], len(t["grasps"])) for t in trials})
     columns = list(dict.fromkeys(tuple(t["anchors"]) for t in trials))
-    with plt.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
+    with plt.rc_context(STYLE):
         size = (3.1 * len(columns), 2.2 * len(rows) + 0.3)
         figure, axes = plt.subplots(
             len(rows), len(columns), figsize=size, dpi=150, layout="constrained", sharey=True, squeeze=False

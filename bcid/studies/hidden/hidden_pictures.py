@@ -12,7 +12,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.ticker import PercentFormatter
 
-_STYLE: dict[Any, Any] = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
+from bcid.studies.plots import STYLE
+
 _DARK, _GOAL = "#0072B2", "#D55E00"
 _PERCENT = PercentFormatter(1.0, decimals=0, symbol=" %")
 # Okabe & Ito's colours; markers and dashes tell the lines apart in black and white.
@@ -28,7 +29,7 @@ _LINES = {
 def goals(file: Path, found: Mapping[str, Any]) -> None:
     """Rates with their 95 % intervals beside their goals, and told probabilities beside how often they were right, as PNG."""
     asked = {name: rate for name, rate in found["rates"].items() if rate["count"]}
-    with plt.rc_context(_STYLE):
+    with plt.rc_context(STYLE):
         size = (9.4, max(3.6, 0.25 * len(asked) + 1.0))
         figure, (left, right) = plt.subplots(1, 2, figsize=size, dpi=150, layout="constrained")
         _beside_goals(left, asked)
@@ -76,7 +77,7 @@ def _told(axes: Any, bins: Sequence[Mapping[str, Any]]) -> None:
 
 def degradation(file: Path, found: Mapping[str, Any]) -> None:
     """Rates with their 95 % intervals against size and noise, as PNG."""
-    with plt.rc_context(_STYLE):
+    with plt.rc_context(STYLE):
         figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 4.0), dpi=150, layout="constrained", sharey=True)
         _rates(left, found["by_size"], "size of the effect (RMS shift / noise)")
         _rates(right, found["by_noise"], "noise (mm); sizes of at least 3 noises")
