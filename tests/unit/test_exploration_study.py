@@ -5,6 +5,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from test_explore import AXES, LIMITS, MadeUp, by_count, scene
 
@@ -21,6 +22,7 @@ from bcid.studies.exploration.exploration_trials import (
     ExplorationTrial,
     trials,
 )
+from benchmarks.ideal_observer import Observer
 
 
 def bench() -> Bench:
@@ -80,6 +82,19 @@ def test_the_page_shows_the_beliefs_after_each_pull() -> None:
     calls = first["asked"][0]
     assert f"| 1 | {first['moves'][0]} | {calls} | {calls * 0.5:.3g} |" in text
     assert all(f"{name} > 99.99 %" in text for name in ("{1 2}", "{3 4}", "{1 2 3 4}"))
+
+
+def test_an_observer_who_knows_all_but_the_set_makes_the_pull_that_tells_and_is_right_as_often_as_it_says() -> None:
+    """Two sets, 1 and 2 noises apart in two pulls of a value each: decided at logarithmic odds of 19, by pulls of 2 noises."""
+    observer = Observer(np.array([[[0.0], [1.0]], [[0.0], [2.0]], [[0.0], [0.0]]]), true=0)
+    assert observer.choose(np.array([0.5, 0.5])) == 1
+    random = np.random.default_rng(1)
+    found = [observer.trial(1.0, random) for _ in range(400)]
+    assert all(decided for _, decided, _ in found)
+    # Wald (1945): at most 5 % are wrong, and the mean is 0.9 ln(19) / 2 = 1.3 pulls, and more as the odds overshoot.
+    assert 0.01 < np.mean([not right for _, _, right in found]) < 0.05
+    assert 1.3 < np.mean([count for count, _, _ in found]) < 2.2
+    assert not any(decided for _, decided, _ in (observer.trial(1e3, random) for _ in range(20)))
 
 
 def test_trials_of_the_same_number_are_the_same() -> None:
