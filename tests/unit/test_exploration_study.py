@@ -87,7 +87,10 @@ def test_the_page_shows_the_beliefs_after_each_pull() -> None:
 def test_an_observer_who_knows_all_but_the_set_makes_the_pull_that_tells_and_is_right_as_often_as_it_says() -> None:
     """Two sets, 1 and 2 noises apart in two pulls of a value each: decided at logarithmic odds of 19, by pulls of 2 noises."""
     observer = Observer(np.array([[[0.0], [1.0]], [[0.0], [2.0]], [[0.0], [0.0]]]), true=0)
-    assert observer.choose(np.array([0.5, 0.5])) == 1
+    assert observer.choose(np.array([0.5, 0.5]), 1.0) == 1
+    # A pull that tells a third set from the others for sure, and nothing else, is worth less than one that tells all apart.
+    three = Observer(np.array([[[0.0], [0.0], [1000.0]], [[0.0], [4.0], [8.0]]]), true=0)
+    assert three.choose(np.full(3, 1 / 3), 1.0) == 1
     random = np.random.default_rng(1)
     found = [observer.trial(1.0, random) for _ in range(400)]
     assert all(decided for _, decided, _ in found)
