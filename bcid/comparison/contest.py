@@ -3,19 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
-from bcid.base.errors import SolveError
+from bcid.base.errors import InputError, SolveError
 from bcid.comparison.candidates import Candidates, StandIn, Start
 from bcid.comparison.held_out import held_out
-from bcid.comparison.hypothesis_search import HypothesisSearch, Promise
+from bcid.comparison.hypothesis_search import HypothesisSearch, Look, Promise
 from bcid.comparison.loosened import loosens
 from bcid.comparison.predictor import Predictor
-from bcid.comparison.rivals import FAR, WORTH, Rival, best_first, moved, promoted, refit, stood_in, with_own_mesh
+from bcid.comparison.rivals import (
+    FAR,
+    WORTH,
+    Rival,
+    begun_with,
+    best_first,
+    moved,
+    promoted,
+    refit,
+    stood_in,
+    with_own_mesh,
+)
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
@@ -127,8 +138,9 @@ def refitted(
     that turns out best competes with itself on other sets, also where something unknown is likelier. One that loses on its best set
     is tried on that of what it loses to. Anchors that give or come off do so at a place, which goes with the set: these are tried
     with each set that was looked at for them. Some effects are tried first, with sets and numbers that are given. What may hold
-    the body in the place of a patch is tried for each patch of the likely sets. Those that may be the likeliest then are compared
-    with the error of the mesh that each has by itself.
+    the body in the place of a patch is tried for each patch of the likely sets. Where none explains all, what is likelier than they
+    are when it has only begun is fitted too. Those that may be the likeliest then are compared with the error of the mesh that each
+    has by itself.
     """
     starts = candidates.starts if candidates else {}
     promises = _in_turn(promises, starts)
@@ -162,6 +174,10 @@ def refitted(
         there = promised_with.get((row.effect, best_first(rivals)[0].anchors))
         if there and there.anchors != promise.anchors and what[1] is None:
             rivals += _refit(states, there, begun, count)
+    for promise in _begun(promises, {effect for effect, _ in tried}, best_first(rivals)[0], begun, count):
+        assert promise.row is not None
+        tried.add((promise.row.effect, None))
+        rivals += _refit(states, promise, begun, count)
     fitted = {effect for effect, _ in tried}
     rivals = _with_own_mesh(rivals, begun)
     best = best_first(rivals)[0]
@@ -175,6 +191,38 @@ def refitted(
             names = [*(term.effect.name for term in promise.look.state.model.added(begun)), promise.row.effect]
             promised[Hypothesis(promise.anchors, "+".join(names))] = promise.evidence, promise.log_prior
     return Contest(best_first(rivals), promised, frozenset((rival.names, rival.anchors) for rival in stood))
+
+
+def _begun(promises: Sequence[Promise], fitted: Container[str], best: Rival, begun: Model, count: int) -> list[Promise]:
+    """Effects that were not fitted but are likelier than the best already when they have only begun, the likeliest first.
+
+    Where something unknown is likelier than all that was fitted, one of the others may be so large that its sensitivities tell
+    little of it. A prediction with a small part of what they promise tells more; with the set that is likeliest without effects.
+    """
+    if best.complete:
+        return []
+    likeliest = next(promise.anchors for promise in promises if promise.row is None)
+    likelier = list[tuple[float, Promise]]()
+    for promise in promises:
+        row = promise.row
+        if row is None or promise.anchors != likeliest or row.effect in fitted or not math.isfinite(row.gain):
+            continue
+        promise.look.state.predictor.progress.step("candidates begun", len(likelier), note=f"now {row.effect}")
+        log = _log_begun(promise, begun, count)
+        if log > best.log:
+            likelier.append((log, promise))
+    return [promise for _, promise in sorted(likelier, key=lambda pair: -pair[0])]
+
+
+def _log_begun(promise: Promise, begun: Model, count: int) -> float:
+    """Logarithm of evidence and prior with a small part of what is promised; minus infinity where that cannot be followed."""
+    state, row = promise.look.state, promise.row
+    assert row is not None
+    try:
+        here = state.of_set(promise.anchors, state.model + begun_with(row, state.model))
+    except (SolveError, InputError):
+        return -math.inf
+    return Rival.looked_at(Look(here, here.evidence()), begun, count).log
 
 
 def _stood_in(alone: Sequence[Rival], begun: Model, count: int, candidates: Candidates) -> list[Rival]:

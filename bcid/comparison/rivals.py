@@ -353,6 +353,11 @@ def _begun_with(state: State, anchors: Anchored, term: Term) -> Fit:
     return again
 
 
+def begun_with(row: Row, model: Model) -> Term:
+    """A small part of the expected term."""
+    return _careful(row, model, min(_CAUTION))
+
+
 def _careful(row: Row, model: Model, part: float) -> Term:
     """The expected term, or a part of it, within its bounds."""
     values = {}

@@ -321,6 +321,30 @@ def test_what_promised_as_much_may_do_better_than_it_promised_as_well(monkeypatc
     assert found.rivals[0].names == ("viscosity",)
 
 
+@pytest.mark.parametrize(("forced", "last"), [(20.0, ["swelling", "gravity"]), (-20.0, [])])
+def test_where_nothing_fitted_explains_all_others_are_begun(
+    monkeypatch: pytest.MonkeyPatch, forced: float, last: list[str]
+) -> None:
+    """What is likelier than the best then is fitted, the likeliest first; nothing where something fitted explains all."""
+    fits = {("7", name): 90.0 for name in ("release", "swelling", "gravity")}
+    begun = {"swelling": 150.0, "gravity": 140.0, "fibres": 100.0}
+    asked = refits(monkeypatch, fits, 3.0)
+    monkeypatch.setattr(contest, "_log_begun", lambda promise, *_: begun[promise.row.effect])
+    best = replace(rival((), "7", 110.0), evidence=Evidence(110.0, 110.0 + forced, 1.0))
+    monkeypatch.setattr(contest, "best_first", lambda _: [best])
+    promises = [
+        promise("7", "release", 300.0, 250.0),
+        promise("7", "gravity", 60.0, 10.0),
+        promise("7", "swelling", 50.0, 5.0),
+        promise("7", "fibres", 49.0, 4.0),
+        promise("7", "tether", -math.inf, -math.inf),
+        promise("7", "", 100.0, forced=forced),
+        promise("8", "swelling", 40.0, 3.0),
+    ]
+    refitted(promises, PLAIN, 5, 1)
+    assert asked == [("7", name) for name in ["release", *last]]
+
+
 def test_effects_are_compared_with_the_error_of_the_mesh_that_each_has(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a coarse mesh that of the plain model may make a wrong one fit best."""
     gains, asked = {"inclusion": 40.0, "gradient": 70.0, "fibres": 5.0, "swelling": 500.0}, []

@@ -133,6 +133,16 @@ def test_the_loop_finds_the_anchors_and_no_effect(predictor: Predictor) -> None:
     assert found.last.state.anchors == ANCHORED
 
 
+def test_what_only_begins_to_act_is_fitted_where_nothing_else_explains(slab: Scene, heavy: Measurement) -> None:
+    """A weight that is not among the effects that promise so much that they are fitted."""
+    predictor = Predictor(slab, heavy, MPI.COMM_SELF, level=1)
+    state = at(predictor, HEAVY)
+    found = contest(state, state.model, effects.catalogue(FEW), [], 1, 0).rivals
+    predictor.destroy()
+    assert {rival.names for rival in found} == {("gravity",), ()}
+    assert found[0].names == ("gravity",)
+
+
 def test_a_large_time_lag_is_promised_what_it_shows(predictor: Predictor) -> None:
     """Pulls that begin later than they were told to: the tangent at no lag would have the markers move backwards at first."""
     state = at(predictor, mesh=MeshError.unknown(predictor.data.mask.shape))
