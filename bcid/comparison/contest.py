@@ -19,11 +19,11 @@ from bcid.comparison.rivals import (
     FAR,
     WORTH,
     Rival,
-    begun_with,
     best_first,
     moved,
     promoted,
     refit,
+    small_part,
     stood_in,
     with_own_mesh,
 )
@@ -138,8 +138,8 @@ def refitted(
     that turns out best competes with itself on other sets, also where something unknown is likelier. One that loses on its best set
     is tried on that of what it loses to. Anchors that give or come off do so at a place, which goes with the set: these are tried
     with each set that was looked at for them. Some effects are tried first, with sets and numbers that are given. What may hold
-    the body in the place of a patch is tried for each patch of the likely sets. Where none explains all, what is likelier than they
-    are when it has only begun is fitted too. Those that may be the likeliest then are compared with the error of the mesh that each
+    the body in the place of a patch is tried for each patch of the likely sets. Where none explains all, what is
+    likelier in part already is fitted too. Those that may be the likeliest then are compared with the error of the mesh that each
     has by itself.
     """
     starts = candidates.starts if candidates else {}
@@ -174,7 +174,7 @@ def refitted(
         there = promised_with.get((row.effect, best_first(rivals)[0].anchors))
         if there and there.anchors != promise.anchors and what[1] is None:
             rivals += _refit(states, there, begun, count)
-    for promise in _begun(promises, {effect for effect, _ in tried}, best_first(rivals)[0], begun, count):
+    for promise in _likelier_in_part(promises, {effect for effect, _ in tried}, best_first(rivals)[0], begun, count):
         assert promise.row is not None
         tried.add((promise.row.effect, None))
         rivals += _refit(states, promise, begun, count)
@@ -193,8 +193,10 @@ def refitted(
     return Contest(best_first(rivals), promised, frozenset((rival.names, rival.anchors) for rival in stood))
 
 
-def _begun(promises: Sequence[Promise], fitted: Container[str], best: Rival, begun: Model, count: int) -> list[Promise]:
-    """Effects that were not fitted but are likelier than the best already when they have only begun, the likeliest first.
+def _likelier_in_part(
+    promises: Sequence[Promise], fitted: Container[str], best: Rival, begun: Model, count: int
+) -> list[Promise]:
+    """Effects that were not fitted but of which a small part is likelier than the best already, the likeliest first.
 
     Where something unknown is likelier than all that was fitted, one of the others may be so large that its sensitivities tell
     little of it. A prediction with a small part of what they promise tells more; with the set that is likeliest without effects.
@@ -207,19 +209,19 @@ def _begun(promises: Sequence[Promise], fitted: Container[str], best: Rival, beg
         row = promise.row
         if row is None or promise.anchors != likeliest or row.effect in fitted or not math.isfinite(row.gain):
             continue
-        promise.look.state.predictor.progress.step("candidates begun", len(likelier), note=f"now {row.effect}")
-        log = _log_begun(promise, begun, count)
+        promise.look.state.predictor.progress.step("candidates tried in part", len(likelier), note=f"now {row.effect}")
+        log = _log_in_part(promise, begun, count)
         if log > best.log:
             likelier.append((log, promise))
     return [promise for _, promise in sorted(likelier, key=lambda pair: -pair[0])]
 
 
-def _log_begun(promise: Promise, begun: Model, count: int) -> float:
+def _log_in_part(promise: Promise, begun: Model, count: int) -> float:
     """Logarithm of evidence and prior with a small part of what is promised; minus infinity where that cannot be followed."""
     state, row = promise.look.state, promise.row
     assert row is not None
     try:
-        here = state.of_set(promise.anchors, state.model + begun_with(row, state.model))
+        here = state.of_set(promise.anchors, state.model + small_part(row, state.model))
     except (SolveError, InputError):
         return -math.inf
     return Rival.looked_at(Look(here, here.evidence()), begun, count).log

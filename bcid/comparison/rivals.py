@@ -353,7 +353,7 @@ def _begun_with(state: State, anchors: Anchored, term: Term) -> Fit:
     return again
 
 
-def begun_with(row: Row, model: Model) -> Term:
+def small_part(row: Row, model: Model) -> Term:
     """A small part of the expected term."""
     return _careful(row, model, min(_CAUTION))
 

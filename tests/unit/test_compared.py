@@ -322,14 +322,14 @@ def test_what_promised_as_much_may_do_better_than_it_promised_as_well(monkeypatc
 
 
 @pytest.mark.parametrize(("forced", "last"), [(20.0, ["swelling", "gravity"]), (-20.0, [])])
-def test_where_nothing_fitted_explains_all_others_are_begun(
+def test_where_nothing_fitted_explains_all_others_are_tried_in_part(
     monkeypatch: pytest.MonkeyPatch, forced: float, last: list[str]
 ) -> None:
     """What is likelier than the best then is fitted, the likeliest first; nothing where something fitted explains all."""
     fits = {("7", name): 90.0 for name in ("release", "swelling", "gravity")}
-    begun = {"swelling": 150.0, "gravity": 140.0, "fibres": 100.0}
+    in_part = {"swelling": 150.0, "gravity": 140.0, "fibres": 100.0}
     asked = refits(monkeypatch, fits, 3.0)
-    monkeypatch.setattr(contest, "_log_begun", lambda promise, *_: begun[promise.row.effect])
+    monkeypatch.setattr(contest, "_log_in_part", lambda promise, *_: in_part[promise.row.effect])
     best = replace(rival((), "7", 110.0), evidence=Evidence(110.0, 110.0 + forced, 1.0))
     monkeypatch.setattr(contest, "best_first", lambda _: [best])
     promises = [

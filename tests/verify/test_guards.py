@@ -133,7 +133,7 @@ def test_the_loop_finds_the_anchors_and_no_effect(predictor: Predictor) -> None:
     assert found.last.state.anchors == ANCHORED
 
 
-def test_what_only_begins_to_act_is_fitted_where_nothing_else_explains(slab: Scene, heavy: Measurement) -> None:
+def test_what_is_likelier_in_part_is_fitted_where_nothing_else_explains(slab: Scene, heavy: Measurement) -> None:
     """A weight that is not among the effects that promise so much that they are fitted."""
     predictor = Predictor(slab, heavy, MPI.COMM_SELF, level=1)
     state = at(predictor, HEAVY)
