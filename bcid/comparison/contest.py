@@ -92,7 +92,7 @@ def contest(
         known: the effects that may be missing.
         starts: further sets to begin with.
         sets: how many sets are weighed; with one set that of the state alone.
-        most: how many effects are refitted.
+        most: how many effects are refitted, before those of which a small part is likelier than these.
         among: of how many effects these were chosen; they are all by default.
         candidates: how they are begun, and what may hold the body in the place of a patch; see there.
     """
@@ -109,7 +109,7 @@ def contest(
 
 
 def fitted_beside(state: State, known: Sequence[Effect], most: int) -> list[Rival]:
-    """The most promising effects, so many at most, fitted beside a model with its set, to all steps; best first; collective."""
+    """The most promising effects (`most`: see `contest`) fitted beside a model with its set, to all steps; best first; collective."""
 
     def work(thin: State) -> Contest:
         promises = HypothesisSearch(thin, thin.model, known, 1).alone()
@@ -138,9 +138,9 @@ def refitted(
     that turns out best competes with itself on other sets, also where something unknown is likelier. One that loses on its best set
     is tried on that of what it loses to. Anchors that give or come off do so at a place, which goes with the set: these are tried
     with each set that was looked at for them. Some effects are tried first, with sets and numbers that are given. What may hold
-    the body in the place of a patch is tried for each patch of the likely sets. Where none explains all, what is
-    likelier in part already is fitted too. Those that may be the likeliest then are compared with the error of the mesh that each
-    has by itself.
+    the body in the place of a patch is tried for each patch of the likely sets. Where none explains all, what is likelier
+    in part already is fitted too. Those that may be the likeliest then are compared with the error of the mesh that each has by
+    itself.
     """
     starts = candidates.starts if candidates else {}
     promises = _in_turn(promises, starts)

@@ -63,7 +63,7 @@ class ExplainOptions:
     Attributes:
         level: of the ladder, that both meshes go by; by default the last with at most 40,000 unknowns.
         effects: effects that may be adopted together at most.
-        fitted: effects that are refitted at each step, on a few steps of each action.
+        fitted: effects that are refitted at each step, on a few steps of each action; large ones besides, see `contest`.
         sets: anchor sets that are weighed, at each step.
         only: names of the effects to look at; all by default.
     """
