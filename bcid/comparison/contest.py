@@ -109,7 +109,7 @@ def contest(
 
 
 def fitted_beside(state: State, known: Sequence[Effect], most: int) -> list[Rival]:
-    """The most promising effects (`most`: see `contest`) fitted beside a model with its set, to all steps; best first; collective."""
+    """The most promising effects (`most`: see `contest`) beside a model with its set, fitted to all steps; collective."""
 
     def work(thin: State) -> Contest:
         promises = HypothesisSearch(thin, thin.model, known, 1).alone()
