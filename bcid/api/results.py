@@ -373,7 +373,7 @@ class ProposeResult(DiagnosisResult):
 
     @property
     def complete(self) -> bool:
-        """Whether nothing else is seen to be missing."""
+        """Whether something is proposed beside which hardly anything else (5 % at most) can be missing."""
         return bool(self._proposal["complete"])
 
     @property

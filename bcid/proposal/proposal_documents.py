@@ -85,6 +85,7 @@ def _json(written: WrittenProposal, length: str) -> dict[str, Any]:
         "length_unit": length,
         "proposed": [_term(written, k, name) for k, name in enumerate(written.files)],
         "complete": found.complete,
+        "missing": found.missing,
         "explained": found.explained if found.path else 0.0,
         "scored": found.scored,
         "law_form": form.to_json() if form and form.seen else None,

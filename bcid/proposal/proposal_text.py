@@ -46,7 +46,8 @@ def _not_ruled_out(proposal: Proposal) -> str:
 
 
 def _told(proposal: Proposal) -> set[str]:
-    return {proposal.explanation.verdict, "+".join(term.effect.name for term in proposal.terms), "others"}
+    """Names of verdicts of which something is said elsewhere; of something unknown as what is missing besides."""
+    return {proposal.explanation.verdict, "+".join(term.effect.name for term in proposal.terms), "unknown", "others"}
 
 
 def _interval_lines(proposal: Proposal, term: Term) -> list[str]:
@@ -101,11 +102,11 @@ def _rest(proposal: Proposal) -> str:
 
 
 def _left(proposal: Proposal) -> str:
-    if proposal.complete and not proposal.explanation.last.adequacy.adequate:
+    if not proposal.complete:
+        return f"With {percent(proposal.missing)} something else is missing besides, which no term of the grammar explains."
+    if not proposal.explanation.last.adequacy.adequate:
         return "Nothing else is seen to be missing, but what is left is more than noise."
-    if proposal.complete:
-        return "Nothing else is seen to be missing."
-    return "Something else is missing besides, which no term of the grammar explains: it is not the whole truth."
+    return "Nothing else is seen to be missing."
 
 
 def headline(proposal: Proposal) -> list[str]:

@@ -21,6 +21,7 @@ from bcid.comparison.ranking import Ranking
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model, Term
+from bcid.inference.criteria import CERTAIN
 from bcid.proposal.family import Family
 from bcid.proposal.grammar import KINDS
 from bcid.proposal.term_scores import FITTED, ScoredFamily, TermScores
@@ -99,9 +100,14 @@ class Proposal:
         return last.added(first) if self.path else ()
 
     @property
+    def missing(self) -> float:
+        """Probability that something else is missing besides, which no term of the grammar explains."""
+        return self.explanation.odds.verdicts["unknown"]
+
+    @property
     def complete(self) -> bool:
-        """Whether nothing else seems to be missing."""
-        return bool(self.path) and not self.explanation.odds.best.unknown
+        """Whether hardly anything else can be missing."""
+        return bool(self.path) and self.missing <= 1 - CERTAIN
 
     @property
     def explained(self) -> float:

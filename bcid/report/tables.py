@@ -65,7 +65,10 @@ def proposal_table(proposal: dict[str, Any]) -> Table:
             rows.append([*first, name, told, _number(error)])
             exact.append([term["family"], term["formula"], name, number["value"], number["stderr"]])
     share = percent(min(max(proposal["explained"], 0.0), 1.0))
-    rest = "nothing else is seen to be missing" if proposal["complete"] else "something else is missing besides"
+    besides = f"with {percent(proposal['missing'])} " if proposal.get("missing") else ""
+    rest = (
+        "nothing else is seen to be missing" if proposal["complete"] else f"{besides}something else is missing besides"
+    )
     caption = (
         f"What is proposed, of {proposal['scored']} terms that were scored: it explains {share} of what is beyond noise, mesh and "
         f"what the scene may have slightly wrong; {rest}."

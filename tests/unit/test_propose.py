@@ -33,7 +33,7 @@ from bcid.proposal.effect_file import made, source
 from bcid.proposal.energies import directions, energies
 from bcid.proposal.family import Family
 from bcid.proposal.other_laws import other_laws
-from bcid.proposal.propose import ProposeOptions
+from bcid.proposal.propose import Proposal, ProposeOptions
 from bcid.proposal.propose_run import effect_names
 from bcid.proposal.replaced_law import APART, COUPLED, ReplacedLaw
 from bcid.report import tables
@@ -169,6 +169,19 @@ def test_a_term_that_lowers_no_error_is_told_as_such(last: float, warned: bool) 
     assert ("does not fall" in proposal_text._rest(found)) is warned
 
 
+@pytest.mark.parametrize(
+    ("unknown", "told"), [(0.28, "With 28 % something else"), (0.02, "Nothing else is seen to be missing")]
+)
+def test_what_may_be_missing_besides_is_told(unknown: float, told: str) -> None:
+    rung = SimpleNamespace(state=SimpleNamespace(rms=0.2, noise=0.2), adequacy=SimpleNamespace(adequate=True))
+    odds = SimpleNamespace(verdicts={"spot": 1 - unknown, "unknown": unknown})
+    explanation: Any = SimpleNamespace(rungs=(rung,), last=rung, odds=odds)
+    entry: Any = SimpleNamespace()
+    assert told in proposal_text._left(Proposal(explanation, (entry,), (), 1))
+    document = PROPOSAL | {"complete": unknown < 0.05, "missing": unknown}
+    assert told.lower() in tables.proposal_table(document).caption.lower()
+
+
 PROPOSAL: dict[str, Any] = {
     "length_unit": "mm",
     "proposed": [
@@ -181,7 +194,7 @@ PROPOSAL: dict[str, Any] = {
             },
         }
     ],
-    "complete": True, "explained": 0.9999, "scored": 2091,
+    "complete": True, "missing": 0.0, "explained": 0.9999, "scored": 2091,
     "path": [
         {
             "beside": "neo_hooke", "entered": "spring_at_a_spot", "rms": 0.204,
