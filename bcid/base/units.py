@@ -153,6 +153,11 @@ def for_people(value: float, error: float | None, unit: str) -> tuple[float, flo
     return 1e3 * value, None if error is None else 1e3 * error, "mm"
 
 
+def force_unit(largest: float) -> tuple[float, str]:
+    """How many of the unit in which forces are shown make a newton, and the unit: mN, or N where the largest (N) is one or more."""
+    return (1.0, "N") if largest >= 1.0 else (1e3, "mN")
+
+
 # Half the width of an interval that holds a Gaussian value with 95 %, in standard deviations.
 WIDE = 1.959964
 

@@ -8,7 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from bcid.base.units import UNTOLD, falls, for_people, hardly_falls, limited, p_value, percent, significance, uncertain
+from bcid.base.units import (
+    UNTOLD,
+    falls,
+    for_people,
+    force_unit,
+    hardly_falls,
+    limited,
+    p_value,
+    percent,
+    significance,
+    uncertain,
+)
 from bcid.base.verdict_words import NO_EFFECTS, not_adequate_either
 from bcid.comparison import curvature
 from bcid.comparison.adequacy import BREAKING, Adequacy, groups
@@ -200,9 +211,10 @@ def force(found: MissingForce, unit: float, name: str) -> list[str]:
     shown = [("together", "in all frames", found.steady.together)]
     for when, place in parts[:6]:
         shown.append((f"at ({' '.join(f'{v / unit:.0f}' for v in place.position)}) {name}", when, place))
+    per_newton, newtons = force_unit(max(float(np.linalg.norm(place.force)) for *_, place in shown))
     for what, when, place in shown:
-        push = " ".join(f"{1e3 * v:+.2f}" for v in place.force)
-        lines.append(f"  {what}: ({push}) mN ± {1e3 * place.stderr:.2f}, {when}")
+        push = " ".join(f"{per_newton * v:+.2f}" for v in place.force)
+        lines.append(f"  {what}: ({push}) {newtons} ± {per_newton * place.stderr:.2f}, {when}")
     return lines
 
 

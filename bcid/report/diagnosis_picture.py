@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bcid.base.run_folder import RunFolder, writing
 from bcid.base.tails import chi2_tail
-from bcid.base.units import percent, uncertain, unit_factor
+from bcid.base.units import force_unit, percent, uncertain, unit_factor
 from bcid.report.figure import body_entries, cropped, save, styled
 from bcid.report.ladder import head, ladder_figure
 from bcid.report.lengths import in_mm, round_length
@@ -133,13 +133,14 @@ def where_figure(found: dict[str, Any], where: dict[str, Any], body: xr.Dataset,
     shown = {action: told[action] for action in dict.fromkeys(("", growing)) if told.get(action)}
     largest = max((_size(place) for places in shown.values() for place in places), default=1.0)
     scale = LONGEST * diagonal(body) / largest
+    per_newton, newtons = force_unit(largest)
     images, titles = [], []
     for action, places in (shown or {"": []}).items():
         starts, forces = (np.array([p[what] for p in places]).reshape(-1, 3) for what in ("position", "force"))
-        texts = [uncertain(1e3 * _size(p), 1e3 * p["stderr"]) for p in places]
+        texts = [uncertain(per_newton * _size(p), per_newton * p["stderr"]) for p in places]
         view = body, found["anchored"], None, _grasp(residuals, action)
         images.append(arrows_picture(*view, to_mm * starts, scale * forces, _SIZE, texts))
-        titles.append(parts[action].said(action, places))
+        titles.append(parts[action].said(action, places, per_newton, newtons) if shown else "")
     figure = _panels(images, titles)
     first = found["ladder"][-1 if found["adequate"] is False else 0]
     model = model_name(first["model"])
@@ -167,7 +168,7 @@ def where_figure(found: dict[str, Any], where: dict[str, Any], body: xr.Dataset,
     where_drawn = (
         "force on a region" if any(place in parts[a].regions for a in shown for place in shown[a]) else "force"
     )
-    _legend(figure, f"{where_drawn}, mN ± standard error" if shown else "", "")
+    _legend(figure, f"{where_drawn}, {newtons} ± standard error" if shown else "", "")
     return figure
 
 
@@ -185,16 +186,14 @@ class _Part:
             return [self.whole]
         return regions
 
-    def said(self, action: str, told: list[dict[str, Any]]) -> str:
-        """When the force acts, what it is together, and on how many of the regions it can be told."""
+    def said(self, action: str, told: list[dict[str, Any]], per_newton: float, newtons: str) -> str:
+        """When the force acts, what it is together (as `force_unit` has it), and on how many of the regions it can be told."""
         when = f"growing in action {action}" if action else "in all frames"
-        if not told:
-            return when
         sums = self.whole["force"] if self.whole else np.sum([p["force"] for p in self.regions], axis=0)
-        together = " ".join(f"{1e3 * v:+.3g}" for v in sums)
+        together = " ".join(f"{per_newton * v:+.3g}" for v in sums).replace("-", "−")
         number = len([place for place in told if place in self.regions])
         on = f"{number} of {len(self.regions)} regions" if number else "no single region"
-        return f"{when}: together ({together}) mN, told on {on}"
+        return f"{when}: together ({together}) {newtons},\ntold on {on}"
 
 
 def _parts(where: dict[str, Any]) -> dict[str, _Part]:
@@ -233,7 +232,8 @@ def _panels(images: list[Image], titles: list[str]) -> Figure:
 
     figure = Figure(figsize=(7.2 * len(images) if len(images) > 1 else 9.5, 7.4), facecolor="white")
     grid = figure.add_gridspec(1, len(images), wspace=0.03)
-    grid.update(left=0.015, right=0.985, top=0.815, bottom=0.085)
+    lines = max(title.count("\n") for title in titles)
+    grid.update(left=0.015, right=0.985, top=0.815 - 0.032 * lines, bottom=0.085)
     for i, (image, title) in enumerate(zip(cropped(images), titles, strict=True)):
         axes = figure.add_subplot(grid[0, i])
         axes.imshow(image)

@@ -55,10 +55,16 @@ def _titled(axes: Axes, title: str, place: float, columns: int) -> None:
 
 
 def head(figure: Figure, title: str, text: str) -> None:
-    """Title and a sentence, at the top of a picture."""
+    """Title and a sentence, at the top of a picture; in smaller letters where they are longer than it is wide."""
     inches = figure.get_figwidth()
-    figure.text(0.28 / inches, 0.935, title, fontsize=19 if inches > 10 else 16, weight="bold")
-    figure.text(0.28 / inches, 0.885, text, fontsize=12.5 if inches > 10 else 11, color=GREY)
+    margin = 0.28
+    large, small = (19, 12.5) if inches > 10 else (16, 11)
+    room = (inches - 2 * margin) * figure.dpi
+    for line, size in (
+        (figure.text(margin / inches, 0.935, title, fontsize=large, weight="bold"), large),
+        (figure.text(margin / inches, 0.885, text, fontsize=small, color=GREY), small),
+    ):
+        line.set_fontsize(size * min(1.0, room / line.get_window_extent().width))
 
 
 def ladder_chart(found: dict[str, Any]) -> Figure:

@@ -100,7 +100,7 @@ def arrows_picture(
     plotter = _plotter(size)
     labels = _add_body(plotter, body, anchored, frame, grasp, 0.3)
     _add_arrows(plotter, starts, arrows, 0.005 * surface(body).length)
-    labels += [_Label(s + a, text, COLOURS.measured) for s, a, text in zip(starts, arrows, texts, strict=False) if text]
+    labels += _beside_arrows(starts, arrows, texts, labels, _aim(plotter, body))
     return _image(plotter, body, frame, labels)
 
 
@@ -215,12 +215,52 @@ def _plotter(size: tuple[int, int]) -> pv.Plotter:
 
 @dataclass(frozen=True)
 class _Label:
-    """A text at a place (mm), in a colour; the height of its letters is in pixels."""
+    """A text at a place (mm), in a colour; the height of its letters is in pixels.
+
+    It stands to the left (-1) or right (1) of its place, or in its middle (0), and below or above it.
+    """
 
     place: Array
     text: str
     colour: str
     height: int = _LETTER
+    beside: int = 0
+    above: int = 0
+
+
+def _beside_arrows(
+    starts: Array, arrows: Array, texts: Sequence[str], others: Sequence[_Label], view: _View
+) -> list[_Label]:
+    """A text at the tip of each arrow, so that it hides none of it; behind the arrow where another label is in the way."""
+    labels: list[_Label] = []
+    for start, arrow, text in zip(starts, arrows, texts, strict=False):
+        places = [_beyond(start + arrow, arrow, text, view), _beyond(start, -arrow, text, view)] if text else []
+        taken = [_box(label, view) for label in (*others, *labels)]
+        free = [label for label in places if not any(_overlap(_box(label, view), box) for box in taken)]
+        labels += (free or places)[:1]
+    return labels
+
+
+def _beyond(end: Array, way: Array, text: str, view: _View) -> _Label:
+    """A text at the end of an arrow, on the side that is further on in the picture."""
+    along, high = float(way @ view.right), float(way @ view.high)
+    length = float(np.hypot(along, high)) or 1.0
+    gap = 0.012 * view.size * (along * view.right + high * view.high) / length
+    beside = int(np.sign(along)) if abs(along) > 0.35 * length else 0
+    above = int(np.sign(high)) if abs(high) > abs(along) else 0
+    return _Label(end + gap, text, COLOURS.measured, round(0.75 * _LETTER), beside, above)
+
+
+def _box(label: _Label, view: _View) -> Array:
+    """About where a label is in the picture: least and most to the right and upwards, mm, shape (2, 2)."""
+    high = 0.025 * view.size * label.height / _LETTER
+    half = np.array([0.3 * len(label.text), 0.5]) * high
+    middle = np.array([label.place @ view.right, label.place @ view.high]) + half * (label.beside, label.above)
+    return np.array([middle - half, middle + half])
+
+
+def _overlap(one: Array, other: Array) -> bool:
+    return bool(np.all(one[0] < other[1]) and np.all(other[0] < one[1]))
 
 
 def _image(
@@ -316,7 +356,7 @@ def _add_trajectories(plotter: pv.Plotter, prediction: xr.Dataset, frame: int) -
 
 
 def _text(label: _Label) -> Any:
-    """A label as VTK draws it: over everything, centred, on a little white."""
+    """A label as VTK draws it: over everything, beside its place, on a little white."""
     import pyvista as pv
     from vtkmodules.vtkRenderingCore import vtkTextActor
 
@@ -328,8 +368,10 @@ def _text(label: _Label) -> Any:
     style.SetFontFamilyToArial()
     style.SetFontSize(label.height)
     style.SetBold(True)
-    style.SetJustificationToCentered()
-    style.SetVerticalJustificationToCentered()
+    # VTK's left-justified text begins at its place, and its bottom-justified text stands on it.
+    [style.SetJustificationToRight, style.SetJustificationToCentered, style.SetJustificationToLeft][label.beside + 1]()
+    vertical = [style.SetVerticalJustificationToTop, style.SetVerticalJustificationToCentered]
+    [*vertical, style.SetVerticalJustificationToBottom][label.above + 1]()
     style.SetColor(*pv.Color(label.colour).float_rgb)
     style.SetBackgroundColor(1.0, 1.0, 1.0)
     style.SetBackgroundOpacity(0.6)

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from bcid.base.errors import InputError
 from bcid.base.run_folder import RunFolder
+from bcid.report import scene3d
 from bcid.report.diagnosis_picture import draw, residual_figure, round_scale, where_figure, worst_frame
 from bcid.report.ladder import ladder_figure
 from bcid.report.text import conclusion, falling
@@ -185,7 +186,7 @@ def test_a_force_that_no_region_tells_is_drawn_as_one(stderr: float, told: bool)
     where = WHERE | {"steady": steady, "growing": {}, "together": {"steady": whole, "growing": {}}}
     figure = where_figure(diagnosis(), where, body(), residuals())
     assert (orange(figure) > 100) is told
-    assert ("together (+0 -100 +0) mN, told on no single region" in said(figure)) is told
+    assert ("together (+0 −100 +0) mN,\ntold on no single region" in said(figure)) is told
     assert ("A force is missing; where it acts cannot be told" in said(figure)) is not told
     assert "No missing force" not in said(figure)
 
@@ -224,3 +225,23 @@ def test_one_action_has_nothing_held_out() -> None:
 def test_scale_and_frame() -> None:
     assert [round_scale(x) for x in (0.7, 1, 3.9, 19, 50, np.inf, 0)] == [0.5, 1, 2, 10, 50, 1, 1]
     assert worst_frame(np.array([[[np.nan] * 3], [[1.0, 0, 0]], [[0, 0, 2.0]]])) == 2
+
+
+def test_large_forces_are_told_in_newtons_and_long_titles_fit() -> None:
+    pytest.importorskip("pyvista")
+    steady = [{"position": [20, 20, 20], "force": [0.0, -138.4, 0.0], "stderr": 28.4}]
+    where = WHERE | {"steady": steady, "growing": {}}
+    models = "neo_hooke + support_friction + active_stress + viscosity + stiffness_gradient + strain_stiffening"
+    figure = where_figure(diagnosis(ladder=[rung(models, 1.4, True)]), where, body(), residuals())
+    assert "together (+0 −138 +0) N,\ntold on 1 of 1 regions" in said(figure)
+    assert all(text.get_window_extent().x1 < figure.bbox.width for text in figure.texts)
+
+
+def test_texts_at_arrows_do_not_hide_each_other() -> None:
+    """Two arrows that point to each other: one text stands behind its arrow."""
+    view = scene3d._View(*np.eye(3), 100.0)
+    starts, arrows = np.array([[0.0, 0, 0], [30, 0, 0]]), np.array([[10.0, 0, 0], [-10, 0, 0]])
+    first, second = scene3d._beside_arrows(starts, arrows, ["287 ± 56", "330 ± 41"], [], view)
+    assert first.place[0] > 10.0
+    assert second.place[0] > 30.0
+    assert (first.beside, second.beside) == (1, 1)
