@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from bcid.base.off_screen import off_screen
+from bcid.report.labels import LETTER, Label, Viewpoint, beside_arrows, drawn
 from bcid.report.lengths import round_length
 from bcid.report.surface_field import coloured
 
 if TYPE_CHECKING:
     import pyvista as pv
-
-# Height of the letters of a name, pixels of a picture of usual size.
-_LETTER = 36
 
 # The surface is drawn smooth where it turns by less than this, degrees; elsewhere there is an edge.
 _SHARP = 60.0
@@ -100,7 +98,7 @@ def arrows_picture(
     plotter = _plotter(size)
     labels = _add_body(plotter, body, anchored, frame, grasp, 0.3)
     _add_arrows(plotter, starts, arrows, 0.005 * surface(body).length)
-    labels += _beside_arrows(starts, arrows, texts, labels, _aim(plotter, body))
+    labels += beside_arrows(starts, arrows, texts, COLOURS.measured, labels, _aim(plotter, body))
     return _image(plotter, body, frame, labels)
 
 
@@ -165,8 +163,8 @@ def places_picture(
 
 
 def _add_places(
-    plotter: pv.Plotter, rest: pv.PolyData, names: Sequence[str], colours: Mapping[str, str], view: _View
-) -> list[_Label]:
+    plotter: pv.Plotter, rest: pv.PolyData, names: Sequence[str], colours: Mapping[str, str], view: Viewpoint
+) -> list[Label]:
     """The surface with its edges, each place in its colour; returns the names of those that are seen."""
     labels = []
     light = {"ambient": 0.45, "diffuse": 0.6, "specular": 0.05}
@@ -183,11 +181,11 @@ def _add_places(
         if name and towards.mean() > 0.3:
             middle = middles[towards].mean(axis=0)
             nearest = middles[towards][np.linalg.norm(middles[towards] - middle, axis=1).argmin()]
-            labels.append(_Label(np.asarray(nearest), name.partition(" ")[2], COLOURS.measured, round(0.8 * _LETTER)))
+            labels.append(Label(np.asarray(nearest), name.partition(" ")[2], COLOURS.measured, round(0.8 * LETTER)))
     return labels
 
 
-def _add_marks(plotter: pv.Plotter, rest: pv.PolyData, points: Mapping[str, Array], view: _View) -> list[_Label]:
+def _add_marks(plotter: pv.Plotter, rest: pv.PolyData, points: Mapping[str, Array], view: Viewpoint) -> list[Label]:
     """A whole ball for each mark on the side that is seen, just above the surface; returns their names."""
     import pyvista as pv
 
@@ -201,7 +199,7 @@ def _add_marks(plotter: pv.Plotter, rest: pv.PolyData, points: Mapping[str, Arra
         plotter.add_mesh(
             pv.Sphere(radius=radius, center=place + radius * view.away), color=COLOURS.measured, ambient=0.4
         )
-        labels.append(_Label(place + 2.4 * radius * view.high, name, COLOURS.measured, round(0.55 * _LETTER)))
+        labels.append(Label(place + 2.4 * radius * view.high, name, COLOURS.measured, round(0.55 * LETTER)))
     return labels
 
 
@@ -213,58 +211,8 @@ def _plotter(size: tuple[int, int]) -> pv.Plotter:
     return plotter
 
 
-@dataclass(frozen=True)
-class _Label:
-    """A text at a place (mm), in a colour; the height of its letters is in pixels.
-
-    It stands to the left (-1) or right (1) of its place, or in its middle (0), and below or above it.
-    """
-
-    place: Array
-    text: str
-    colour: str
-    height: int = _LETTER
-    beside: int = 0
-    above: int = 0
-
-
-def _beside_arrows(
-    starts: Array, arrows: Array, texts: Sequence[str], others: Sequence[_Label], view: _View
-) -> list[_Label]:
-    """A text at the tip of each arrow, so that it hides none of it; behind the arrow where another label is in the way."""
-    labels: list[_Label] = []
-    for start, arrow, text in zip(starts, arrows, texts, strict=False):
-        places = [_beyond(start + arrow, arrow, text, view), _beyond(start, -arrow, text, view)] if text else []
-        taken = [_box(label, view) for label in (*others, *labels)]
-        free = [label for label in places if not any(_overlap(_box(label, view), box) for box in taken)]
-        labels += (free or places)[:1]
-    return labels
-
-
-def _beyond(end: Array, way: Array, text: str, view: _View) -> _Label:
-    """A text at the end of an arrow, on the side that is further on in the picture."""
-    along, high = float(way @ view.right), float(way @ view.high)
-    length = float(np.hypot(along, high)) or 1.0
-    gap = 0.012 * view.size * (along * view.right + high * view.high) / length
-    beside = int(np.sign(along)) if abs(along) > 0.35 * length else 0
-    above = int(np.sign(high)) if abs(high) > abs(along) else 0
-    return _Label(end + gap, text, COLOURS.measured, round(0.75 * _LETTER), beside, above)
-
-
-def _box(label: _Label, view: _View) -> Array:
-    """About where a label is in the picture: least and most to the right and upwards, mm, shape (2, 2)."""
-    high = 0.025 * view.size * label.height / _LETTER
-    half = np.array([0.3 * len(label.text), 0.5]) * high
-    middle = np.array([label.place @ view.right, label.place @ view.high]) + half * (label.beside, label.above)
-    return np.array([middle - half, middle + half])
-
-
-def _overlap(one: Array, other: Array) -> bool:
-    return bool(np.all(one[0] < other[1]) and np.all(other[0] < one[1]))
-
-
 def _image(
-    plotter: pv.Plotter, body: xr.Dataset, frame: int | None, labels: Sequence[_Label], behind: bool = False
+    plotter: pv.Plotter, body: xr.Dataset, frame: int | None, labels: Sequence[Label], behind: bool = False
 ) -> Image:
     """The picture, seen from where it is aimed at, with axes, scale bar and labels."""
     view = _aim(plotter, body, behind)
@@ -272,7 +220,7 @@ def _image(
     plotter.reset_camera()
     plotter.camera.zoom(0.97)
     for label in labels:
-        plotter.renderer.AddViewProp(_text(label))
+        plotter.renderer.AddViewProp(drawn(label))
     image = plotter.screenshot(return_img=True)
     plotter.close()
     return np.asarray(image)
@@ -295,7 +243,7 @@ def _add_arrows(plotter: pv.Plotter, starts: Array, arrows: Array, thick: float)
 
 def _add_body(
     plotter: pv.Plotter, body: xr.Dataset, anchored: list[str], frame: int | None, grasp: str, opacity: float = 0.5
-) -> list[_Label]:
+) -> list[Label]:
     """The body, with the outline of its rest shape; returns the names of its patches."""
     rest, moved = surface(body), surface(body, frame)
     edges = {"boundary_edges": False, "non_manifold_edges": False, "manifold_edges": False}
@@ -309,7 +257,7 @@ def _add_body(
     # Flat triangles of the far side would show through as shards.
     smooth = {"smooth_shading": True, "split_sharp_edges": True, "feature_angle": _SHARP}
     names = [str(name) for name in body["place_name"].values]
-    labels: list[_Label] = []
+    labels: list[Label] = []
     for number, colour in enumerate(_place_colours(body, anchored, grasp)):
         cells = np.flatnonzero(moved.cell_data["place"] == number)
         if len(cells) == 0:
@@ -321,7 +269,7 @@ def _add_body(
         if names[number].startswith("patch "):
             middle = part.cell_centers().points.mean(axis=0)
             dark = COLOURS.anchored if colour == COLOURS.anchored else COLOURS.named
-            labels.append(_Label(np.asarray(middle), names[number].removeprefix("patch "), dark))
+            labels.append(Label(np.asarray(middle), names[number].removeprefix("patch "), dark))
     return labels
 
 
@@ -355,40 +303,7 @@ def _add_trajectories(plotter: pv.Plotter, prediction: xr.Dataset, frame: int) -
         plotter.add_mesh(spheres, color=COLOURS.measured, ambient=0.4)
 
 
-def _text(label: _Label) -> Any:
-    """A label as VTK draws it: over everything, beside its place, on a little white."""
-    import pyvista as pv
-    from vtkmodules.vtkRenderingCore import vtkTextActor
-
-    actor = vtkTextActor()
-    actor.SetInput(label.text)
-    actor.GetPositionCoordinate().SetCoordinateSystemToWorld()
-    actor.GetPositionCoordinate().SetValue(*map(float, label.place))
-    style = actor.GetTextProperty()
-    style.SetFontFamilyToArial()
-    style.SetFontSize(label.height)
-    style.SetBold(True)
-    # VTK's left-justified text begins at its place, and its bottom-justified text stands on it.
-    [style.SetJustificationToRight, style.SetJustificationToCentered, style.SetJustificationToLeft][label.beside + 1]()
-    vertical = [style.SetVerticalJustificationToTop, style.SetVerticalJustificationToCentered]
-    [*vertical, style.SetVerticalJustificationToBottom][label.above + 1]()
-    style.SetColor(*pv.Color(label.colour).float_rgb)
-    style.SetBackgroundColor(1.0, 1.0, 1.0)
-    style.SetBackgroundOpacity(0.6)
-    return actor
-
-
-@dataclass(frozen=True)
-class _View:
-    """From where the body is seen, all unit vectors: to the right, upwards and towards the eye; and its size, mm."""
-
-    right: Array
-    high: Array
-    away: Array
-    size: float
-
-
-def _aim(plotter: pv.Plotter, body: xr.Dataset, behind: bool = False) -> _View:
+def _aim(plotter: pv.Plotter, body: xr.Dataset, behind: bool = False) -> Viewpoint:
     """Look from above at the side of the gripper, from where neither hides the trajectories; or from behind and below.
 
     The projection is parallel, so that a length in the plane of the picture is the same everywhere.
@@ -408,7 +323,7 @@ def _aim(plotter: pv.Plotter, body: xr.Dataset, behind: bool = False) -> _View:
     plotter.enable_parallel_projection()
     right = np.cross(up, away)
     right /= np.linalg.norm(right)
-    return _View(right, np.cross(away, right), away, size)
+    return Viewpoint(right, np.cross(away, right), away, size)
 
 
 def _seen_points(body: xr.Dataset, frame: int | None) -> Array:
@@ -418,7 +333,7 @@ def _seen_points(body: xr.Dataset, frame: int | None) -> Array:
     return np.vstack([rest, moved]) * 1e3
 
 
-def _add_key(plotter: pv.Plotter, view: _View, points: Array, up: str) -> list[_Label]:
+def _add_key(plotter: pv.Plotter, view: Viewpoint, points: Array, up: str) -> list[Label]:
     """Axes, the direction of gravity (g) and a scale bar in the lower corners; returns their names."""
     import pyvista as pv
 
@@ -442,8 +357,8 @@ def _add_key(plotter: pv.Plotter, view: _View, points: Array, up: str) -> list[_
     shape = {"tip_length": 0.3, "tip_radius": 2.4 * thick / long, "shaft_radius": thick / long}
     for begin, way, name, colour in arrows:
         plotter.add_mesh(pv.Arrow(start=begin, direction=way, scale=long, **shape), color=colour, lighting=False)
-        labels.append(_Label(begin + (-0.4 if name == "g" else 1.35) * long * way, name, colour))
+        labels.append(Label(begin + (-0.4 if name == "g" else 1.35) * long * way, name, colour))
     right, left = place(along.max(), low), place(along.max() - bar, low)
     plotter.add_mesh(pv.Tube(pointa=left, pointb=right, radius=1.4 * thick), color=COLOURS.measured, lighting=False)
-    labels.append(_Label((left + right) / 2 - 0.5 * long * view.high, f"{bar:g} mm", COLOURS.measured))
+    labels.append(Label((left + right) / 2 - 0.5 * long * view.high, f"{bar:g} mm", COLOURS.measured))
     return labels

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from bcid.base.errors import InputError
 from bcid.base.run_folder import RunFolder
-from bcid.report import scene3d
 from bcid.report.diagnosis_picture import draw, residual_figure, round_scale, where_figure, worst_frame
+from bcid.report.labels import Viewpoint, beside_arrows
 from bcid.report.ladder import ladder_figure
 from bcid.report.text import conclusion, falling
 
@@ -239,9 +239,9 @@ def test_large_forces_are_told_in_newtons_and_long_titles_fit() -> None:
 
 def test_texts_at_arrows_do_not_hide_each_other() -> None:
     """Two arrows that point to each other: one text stands behind its arrow."""
-    view = scene3d._View(*np.eye(3), 100.0)
+    view = Viewpoint(*np.eye(3), 100.0)
     starts, arrows = np.array([[0.0, 0, 0], [30, 0, 0]]), np.array([[10.0, 0, 0], [-10, 0, 0]])
-    first, second = scene3d._beside_arrows(starts, arrows, ["287 ± 56", "330 ± 41"], [], view)
+    first, second = beside_arrows(starts, arrows, ["287 ± 56", "330 ± 41"], "black", [], view)
     assert first.place[0] > 10.0
     assert second.place[0] > 30.0
     assert (first.beside, second.beside) == (1, 1)
