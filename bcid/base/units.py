@@ -194,7 +194,7 @@ def falls(before: float, after: float, noise: float, unit: str) -> str:
 
 
 def uncertain(value: float, error: float | None = None, unit: str = "1") -> str:
-    """A value with its standard error, to as many digits as that has meaning: "1257.6 ± 9.4 mm"."""
+    """A value with its standard error, to as many digits as that has meaning, two of the error: "1257.6 ± 9.4 mm"."""
     after = "" if unit == "1" else f" {unit}"
     if not math.isfinite(value):
         return "infinite" + after
@@ -202,10 +202,11 @@ def uncertain(value: float, error: float | None = None, unit: str = "1") -> str:
         return f"{value:.4g}{after}".replace("-", "−")
     if error > UNTOLD:
         return "cannot be told"
-    places = max(0, 1 - math.floor(math.log10(error)))
+    places = 1 - math.floor(math.log10(error))
     if places > 6 or abs(value) >= 1e7:
         return f"{value:.4g} ± {error:.2g}{after}".replace("-", "−")
-    return f"{value:.{places}f} ± {error:.{places}f}{after}".replace("-", "−")
+    shown, beside = (f"{round(number, places):.{max(0, places)}f}" for number in (value, error))
+    return f"{shown} ± {beside}{after}".replace("-", "−")
 
 
 def limited(value: float, limit: float, unit: str) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from bcid.base.units import for_people
+from bcid.base.verdict_words import all_used_up
 from bcid.inference.likelihood import NuisanceEstimate
 from bcid.scene.uncertainty import ANGLES, FORCES, LENGTHS
 
@@ -13,7 +14,7 @@ from bcid.scene.uncertainty import ANGLES, FORCES, LENGTHS
 _OFF = {
     "markers": "markers would have to sit {} from where the scene has them",
     "dimensions": "the body would have to be larger or smaller than the scene has it by {}",
-    "borders": "patches would have to end {} from where the scene has it",
+    "borders": "patches would have to end {} from where the scene has them end",
     "grip": "the gripper would have to be {} from where it is reported",
     "grip_turn": "the gripper would have to be turned by {} against what is reported",
     "camera": "the measured frame would have to be turned by {}",
@@ -36,8 +37,15 @@ def used_up(one: NuisanceEstimate) -> str:
 
 
 def warnings(told: Sequence[NuisanceEstimate]) -> list[str]:
-    """Lines of a summary on what is larger than the scene says."""
-    return [f"WARNING: {used_up(one)}." for one in told if one.used_up]
+    """Lines of a summary on what is larger than the scene says; one where that is more than two."""
+    larger = [one for one in told if one.used_up]
+    lines = [used_up(one) for one in larger]
+    return [f"WARNING: {line}." for line in (lines if len(larger) <= 2 else [all_used_up([_short(n) for n in larger])])]
+
+
+def _short(one: NuisanceEstimate) -> str:
+    """How large a nuisance would have to be, and what is allowed for."""
+    return f"{one.name.replace('_', ' ')} {_amount(one, one.most * one.size)} ({_amount(one, one.size)})"
 
 
 def allowed(told: Sequence[NuisanceEstimate]) -> list[str]:
@@ -54,7 +62,7 @@ def to_json(told: Sequence[NuisanceEstimate]) -> list[dict[str, Any]]:
     """As results hold them."""
     return [
         {"name": n.name, "stddev": n.size, "likely": n.found, "most_sigmas": n.most}
-        | {"used_up": used_up(n) if n.used_up else ""}
+        | {"used_up": used_up(n) if n.used_up else "", "used_up_briefly": _short(n) if n.used_up else ""}
         for n in told
     ]
 

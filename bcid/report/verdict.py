@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bcid.base.units import falls, for_people, percent, uncertain
-from bcid.base.verdict_words import NO_EFFECTS, not_adequate_either
+from bcid.base.verdict_words import NO_EFFECTS, all_used_up, not_adequate_either
 from bcid.report import exploration_picture as exploration
 from bcid.report.found import Found
 from bcid.report.text import amount, listed, model_name, patches, plain
@@ -102,7 +102,7 @@ def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
             or [_pair(one["effect"], name, p) for name, p in one["parameters"].items() if p["value"] is not None][:3]
         )
     doubts = [*_remarks(d), *(f"Note: {warning}" for warning in d["warnings"])]
-    doubts += [f"{text[0].upper()}{text[1:]}." for one in d.get("nuisances", ()) if (text := one["used_up"])]
+    doubts += _used_up(d)
     if d["adequate"] is False and set(d["verdict"].split("+")) <= {one["effect"] for one in d["adopted"]}:
         doubts.insert(0, not_adequate_either(d["p_value"]))
     if not d.get("noise_stated", True):
@@ -123,6 +123,15 @@ def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
 def _remarks(d: dict[str, Any]) -> list[str]:
     """What is odd about the measurement."""
     return [f"Look at this first: {text}." for text in d.get("remarks", ())]
+
+
+def _used_up(d: dict[str, Any]) -> list[str]:
+    """By how much more the scene is wrong than it says; in one sentence where that is so in more than two ways."""
+    larger = [one for one in d.get("nuisances", ()) if one["used_up"]]
+    texts = [one["used_up"] for one in larger]
+    if len(larger) > 2 and all("used_up_briefly" in one for one in larger):
+        texts = [all_used_up([one["used_up_briefly"] for one in larger])]
+    return [f"{text[0].upper()}{text[1:]}." for text in texts]
 
 
 def _swings(d: dict[str, Any], one: dict[str, Any]) -> list[tuple[str, str]]:
@@ -166,7 +175,7 @@ def _identification(found: Found, d: dict[str, Any]) -> Verdict:
         sentence = f"No set of anchors explains this measurement: the best, {patches(d['anchored'])}, misses it by "
         sentence += f"{d['rms']:.3g} {unit}, where the noise is {noise:.3g} {unit}."
         doubts.append("Probabilities compare the sets with each other only; see bcid explain for what may be missing.")
-    doubts += [f"{text[0].upper()}{text[1:]}." for one in d.get("nuisances", ()) if (text := one["used_up"])]
+    doubts += _used_up(d)
     if d.get("astray"):
         doubts.append(f"Left out, for they do not go with the body: fiducials {', '.join(d['astray'])}.")
     doubts += [

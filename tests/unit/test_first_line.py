@@ -12,8 +12,10 @@ import pytest
 from bcid import Measurement, Scene
 from bcid.comparison import diagnosis_text as words
 from bcid.forms.mesh import level_mesh
+from bcid.inference import nuisance_text
 from bcid.inference.likelihood import NuisanceEstimate
 from bcid.measurement import Units
+from bcid.report import verdict
 from bcid.search.identification import Identification
 from bcid.search.identify_run import inputs_in_words, summary
 
@@ -75,6 +77,19 @@ def test_what_the_scene_may_have_wrong_is_no_alarm() -> None:
     lines = told(rms=4e-4, missing=0.999, nuisances=(replace(markers, most=6.0),))
     assert lines[0] == "WARNING: no set explains this measurement: the best misses it by 1.3 times the noise."
     assert any(line.startswith("WARNING: markers would have to sit up to 2.4 mm from where") for line in lines)
+
+
+def test_what_is_wrong_in_many_ways_is_one_warning() -> None:
+    names = {"markers": 0.4e-3, "dimensions": 0.02, "grip_turn": 0.5}
+    larger = tuple(NuisanceEstimate(name, size, 3 * size, 9.0, 6) for name, size in names.items())
+    lines = [line for line in told(rms=4e-4, missing=0.999, nuisances=larger) if "allows for" in line]
+    assert lines == [
+        "WARNING: more would have to be wrong than the scene allows for (in brackets): markers 3.6 mm (0.4 mm), "
+        "dimensions 18 % (2 %), grip turn 4.5 deg (0.5 deg)."
+    ]
+    page = verdict._used_up({"nuisances": nuisance_text.to_json(larger)})
+    assert page == [f"M{lines[0].removeprefix('WARNING: m')}"]
+    assert len(verdict._used_up({"nuisances": nuisance_text.to_json(larger[:2])})) == 2
 
 
 def test_an_unknown_noise_stands_first() -> None:

@@ -116,6 +116,8 @@ def test_lengths_are_shown_in_mm() -> None:
 
 def test_a_number_is_told_with_its_error_and_unit() -> None:
     assert uncertain(1257.62, 9.41, "N") == "1257.6 ± 9.4 N"
+    assert uncertain(3668369, 1344017, "Pa/m") == "3700000 ± 1300000 Pa/m"
+    assert uncertain(10355.4, 344, "N/m^3") == "10360 ± 340 N/m^3"
     assert uncertain(-2.7, 3.1, "deg") == "−2.7 ± 3.1 deg"
     assert uncertain(0.5) == "0.5"
     assert uncertain(math.inf, 1.0, "Pa/m") == "infinite Pa/m"
