@@ -19,6 +19,12 @@ def not_adequate_either(p: float) -> str:
     return f"With that the model is not adequate either ({p_value(p)}): something else may act besides, or instead."
 
 
-def all_used_up(larger: Sequence[str]) -> str:
-    """That the scene is wrong by more than it says in many ways, each told with the standard deviation that it allows for."""
-    return f"more would have to be wrong than the scene allows for (in brackets): {', '.join(larger)}"
+def used_up(larger: Sequence[tuple[str, str]]) -> list[str]:
+    """By how much more the scene is wrong than it says, from what is told of each way at length and briefly.
+
+    Where there are more than two, they are told briefly, in one sentence.
+    """
+    if len(larger) <= 2:
+        return [at_length for at_length, _ in larger]
+    briefly = ", ".join(brief for _, brief in larger)
+    return [f"more would have to be wrong than the scene allows for (in brackets): {briefly}"]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from bcid.base.units import for_people
-from bcid.base.verdict_words import all_used_up
+from bcid.base.verdict_words import used_up
 from bcid.inference.likelihood import NuisanceEstimate
 from bcid.scene.uncertainty import ANGLES, FORCES, LENGTHS
 
@@ -30,7 +30,7 @@ _RELATIVE = ("dimensions", "stiffness", "force_gain")
 _UNITS = dict.fromkeys(LENGTHS, "m") | dict.fromkeys(ANGLES, "deg") | dict.fromkeys(FORCES, "N")
 
 
-def used_up(one: NuisanceEstimate) -> str:
+def _at_length(one: NuisanceEstimate) -> str:
     """That a nuisance is larger than the scene says."""
     off = _OFF[one.name].format(f"up to {_amount(one, one.most * one.size)}")
     return f"{off}, where {_amount(one, one.size)} is allowed for (a standard deviation)"
@@ -38,12 +38,11 @@ def used_up(one: NuisanceEstimate) -> str:
 
 def warnings(told: Sequence[NuisanceEstimate]) -> list[str]:
     """Lines of a summary on what is larger than the scene says; one where that is more than two."""
-    larger = [one for one in told if one.used_up]
-    lines = [used_up(one) for one in larger]
-    return [f"WARNING: {line}." for line in (lines if len(larger) <= 2 else [all_used_up([_short(n) for n in larger])])]
+    larger = [(_at_length(one), _briefly(one)) for one in told if one.used_up]
+    return [f"WARNING: {text}." for text in used_up(larger)]
 
 
-def _short(one: NuisanceEstimate) -> str:
+def _briefly(one: NuisanceEstimate) -> str:
     """How large a nuisance would have to be, and what is allowed for."""
     return f"{one.name.replace('_', ' ')} {_amount(one, one.most * one.size)} ({_amount(one, one.size)})"
 
@@ -62,7 +61,7 @@ def to_json(told: Sequence[NuisanceEstimate]) -> list[dict[str, Any]]:
     """As results hold them."""
     return [
         {"name": n.name, "stddev": n.size, "likely": n.found, "most_sigmas": n.most}
-        | {"used_up": used_up(n) if n.used_up else "", "used_up_briefly": _short(n) if n.used_up else ""}
+        | {"used_up": _at_length(n) if n.used_up else "", "used_up_briefly": _briefly(n) if n.used_up else ""}
         for n in told
     ]
 

@@ -64,7 +64,7 @@ def head(figure: Figure, title: str, text: str) -> None:
         (figure.text(margin / inches, 0.935, title, fontsize=large, weight="bold"), large),
         (figure.text(margin / inches, 0.885, text, fontsize=small, color=GREY), small),
     ):
-        line.set_fontsize(size * min(1.0, room / line.get_window_extent().width))
+        line.set_fontsize(size * room / max(room, line.get_window_extent().width))
 
 
 def ladder_chart(found: dict[str, Any]) -> Figure:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bcid.base.units import falls, for_people, percent, uncertain
-from bcid.base.verdict_words import NO_EFFECTS, all_used_up, not_adequate_either
+from bcid.base.verdict_words import NO_EFFECTS, not_adequate_either, used_up
 from bcid.report import exploration_picture as exploration
 from bcid.report.found import Found
 from bcid.report.text import amount, listed, model_name, patches, plain
@@ -126,11 +126,9 @@ def _remarks(d: dict[str, Any]) -> list[str]:
 
 
 def _used_up(d: dict[str, Any]) -> list[str]:
-    """By how much more the scene is wrong than it says; in one sentence where that is so in more than two ways."""
+    """By how much more the scene is wrong than it says (an older run folder says it only at length)."""
     larger = [one for one in d.get("nuisances", ()) if one["used_up"]]
-    texts = [one["used_up"] for one in larger]
-    if len(larger) > 2 and all("used_up_briefly" in one for one in larger):
-        texts = [all_used_up([one["used_up_briefly"] for one in larger])]
+    texts = used_up([(one["used_up"], one.get("used_up_briefly", one["used_up"])) for one in larger])
     return [f"{text[0].upper()}{text[1:]}." for text in texts]
 
 

@@ -245,3 +245,10 @@ def test_texts_at_arrows_do_not_hide_each_other() -> None:
     assert first.place[0] > 10.0
     assert second.place[0] > 30.0
     assert (first.beside, second.beside) == (1, 1)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_long_ladder_is_told_by_its_bars_alone() -> None:
+    rungs = [rung(f"neo_hooke + effect_{k}", 1.4 - 0.2 * k, False) for k in range(6)]
+    figure = ladder_figure(diagnosis(ladder=rungs))
+    assert "→" not in said(figure)
