@@ -1,0 +1,43 @@
+"""`python -m validation golden ...`, in a checkout."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from bcid.base.errors import BcidError
+from bcid.base.progress import progress_on
+from validation.golden.cases import CASES
+
+
+def main(words: list[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m validation", description=__doc__)
+    parts = parser.add_subparsers(dest="part", required=True)
+    golden = parts.add_parser("golden", help="explain the golden cases, and compare the answers with the frozen ones")
+    golden.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="folder; a run in it goes on")
+    golden.add_argument("--only", nargs="+", choices=list(CASES), metavar="CASE", help="some cases (all)")
+    golden.add_argument("--jobs", type=int, default=2, metavar="N", help="processes at a time (2)")
+    golden.add_argument("--freeze", action="store_true", help="make these answers the frozen ones")
+    chosen = parser.parse_args(words)
+    try:
+        return _golden(chosen)
+    except BcidError as error:
+        print(f"validation: {error}", file=sys.stderr)
+        return 2
+
+
+def _golden(chosen: argparse.Namespace) -> int:
+    from validation.golden import run
+    from validation.golden.score import table
+
+    run.run(chosen.output, chosen.only or list(CASES), chosen.jobs, progress_on())
+    if chosen.freeze:
+        print(f"{run.freeze(chosen.output)} answers are frozen in {run.ANSWERS}")
+    print(table(run.frozen(), run.read(chosen.output)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,124 @@
+"""The score of answers: the logarithm to base 2 of the probability that they give to the truth, compared case by case.
+
+The truth is the class that an ideal observer cannot separate: patches that move the markers by less than the noise, and effects
+smaller than three noises, may be either way. The logarithm is floored at -10; an answer that failed has the floor. Verdict and
+anchors are scored apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from bcid.studies.hidden.judge import verdict_right
+from bcid.studies.text_table import TextTable
+
+Json = Mapping[str, Any]
+FLOOR = -10.0
+# An answer with at least this probability is certain.
+CERTAIN = 0.95
+
+
+def verdict_bits(answer: Json) -> float | None:
+    """Of the verdict; None where the truth is not published."""
+    truth, diagnosis = answer["truth"], answer["diagnosis"]
+    if truth is None or truth["kind"] == "unpublished":
+        return None
+    if diagnosis is None:
+        return FLOOR
+    effects = diagnosis["probabilities"]["effects"]
+    return _bits(sum(p for verdict, p in effects.items() if verdict_right(truth, {"verdict": verdict})))
+
+
+def anchor_bits(answer: Json) -> float | None:
+    """Of the anchored patches; None where the truth is not published."""
+    truth, diagnosis = answer["truth"], answer["diagnosis"]
+    if truth is None or truth["kind"] == "unpublished":
+        return None
+    if diagnosis is None:
+        return FLOOR
+    apart = set(truth["not_asked"])
+    right = [
+        one["probability"]
+        for one in diagnosis["probabilities"]["hypotheses"]
+        if not (set(one["anchored"]) ^ set(truth["anchored"])) - apart
+    ]
+    return _bits(sum(right))
+
+
+def certain_and_wrong(answer: Json) -> list[str]:
+    """Which of verdict and anchors are certain and wrong."""
+    truth, diagnosis = answer["truth"], answer["diagnosis"]
+    if truth is None or diagnosis is None or truth["kind"] == "unpublished":
+        return []
+    wrong = []
+    if diagnosis["verdict_probability"] >= CERTAIN and not verdict_right(truth, diagnosis):
+        wrong.append("verdict")
+    apart = set(truth["not_asked"])
+    if diagnosis["anchors_probability"] >= CERTAIN and (set(diagnosis["anchored"]) ^ set(truth["anchored"])) - apart:
+        wrong.append("anchors")
+    return wrong
+
+
+def table(before: Mapping[str, Json], after: Mapping[str, Json]) -> str:
+    """Frozen and other answers side by side, case by case, with the means over the cases that both have."""
+    rows = [_row(name, before[name], after[name]) for name in after if name in before]
+    head = ("case", "verdict", "probability", "anchors", "probability", "bits", "", "bits", "", "solves", "CPU s")
+    cases = TextTable("Golden cases: frozen -> now (verdict bits, anchor bits)", head, tuple(rows))
+    return "\n".join([cases.text(), "", *_summary(before, after)])
+
+
+def _row(name: str, old: Json, new: Json) -> tuple[str, ...]:
+    def change(of: str) -> str:
+        values = [_value(one, of) for one in (old, new)]
+        return values[0] if values[0] == values[1] else " -> ".join(values)
+
+    bits = [_number(score(one)) for score in (verdict_bits, anchor_bits) for one in (old, new)]
+    cost = [f"{_solves(old)} -> {_solves(new)}", f"{_seconds(old)} -> {_seconds(new)}"]
+    about = [change(of) for of in ("verdict", "verdict_probability", "anchored", "anchors_probability")]
+    return (name, *about, *bits, *cost)
+
+
+def _summary(before: Mapping[str, Json], after: Mapping[str, Json]) -> list[str]:
+    names = [name for name in after if name in before]
+    lines = [f"{len(names)} of {len(before)} frozen cases compared"]
+    for title, score in (("verdict", verdict_bits), ("anchors", anchor_bits)):
+        pairs = [(score(before[name]), score(after[name])) for name in names]
+        known = [(a, b) for a, b in pairs if a is not None and b is not None]
+        if known:
+            old, new = (sum(values) / len(known) for values in zip(*known, strict=True))
+            worst = min(b - a for a, b in known)
+            lines.append(
+                f"{title}: mean log2 probability of the truth {old:.3f} -> {new:.3f}; worst change {worst:.2f}"
+            )
+    for title, answers in (("frozen", before), ("now", after)):
+        wrong = [f"{name} ({what})" for name in names for what in certain_and_wrong(answers[name])]
+        lines.append(f"certain (95 %) and wrong, {title}: {', '.join(wrong) or 'none'}")
+    failed = [name for name in names if after[name]["diagnosis"] is None]
+    return [*lines, f"without an answer now: {', '.join(failed) or 'none'}"]
+
+
+def _bits(probability: float) -> float:
+    return max(FLOOR, math.log2(min(probability, 1.0))) if probability > 0 else FLOOR
+
+
+def _value(answer: Json, of: str) -> str:
+    if answer["diagnosis"] is None:
+        return "failed"
+    value = answer["diagnosis"][of]
+    if isinstance(value, float):
+        return f"{value:.3f}"
+    return " ".join(value) if isinstance(value, list) else str(value)
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.2f}"
+
+
+def _solves(answer: Json) -> str:
+    return "-" if answer["trajectories"] is None else f"{sum(answer['trajectories'].values()):.0f}"
+
+
+def _seconds(answer: Json) -> str:
+    return f"{answer.get('cpu_seconds') or answer['seconds']:.0f}"
