@@ -288,12 +288,11 @@ def check_wheels() -> Iterator[Check]:
         ("xarray", True, "install it: measurements and results are kept with it"),
         ("pyvista", False, "no 3-D pictures in reports"),
         ("matplotlib", False, "no diagrams in reports"),
-        ("h5py", False, "no fields for ParaView, no MAT 7.3 and HDF5 recordings"),
+        ("h5py", False, "no fields for ParaView, no MAT 7.3, HDF5 and DeepLabCut recordings in HDF5"),
         ("meshio", False, "only meshes that gmsh reads, and STL and OBJ surfaces"),
         ("nibabel", False, "no label images (NIfTI)"),
         ("ezc3d", False, "no C3D files of motion capture systems"),
         ("rosbags", False, "no ROS bags"),
-        ("tables", False, "no HDF5 files of DeepLabCut"),
         ("cv2", False, "no tracking in images (pip install opencv-python-headless)"),
     ]:
         found = importlib.util.find_spec(name) is not None

@@ -1,6 +1,4 @@
-"""Tables of DeepLabCut (CSV, and HDF5 through pandas) and Anipose, triangulated: markers in 3-D with how sure each position is.
-
-``python -m bcid.measurement.formats.pose_estimation FILE OUT.npz`` reads the HDF5 file of a DeepLabCut project.
+"""Tables of DeepLabCut (CSV and HDF5) and Anipose, triangulated: markers in 3-D with how sure each position is.
 
 Sources: DeepLabCut documentation, "3D DeepLabCut"; Anipose documentation, "Triangulation".
 """
@@ -8,19 +6,15 @@ Sources: DeepLabCut documentation, "3D DeepLabCut"; Anipose documentation, "Tria
 from __future__ import annotations
 
 import re
-import sys
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.base.confined import serve
 from bcid.base.errors import InputError
 from bcid.measurement.formats.foreign import Foreign, How
 from bcid.measurement.formats.grid import Row, filled, need, numbers, read_grid, whole
-from bcid.measurement.formats.in_child import fetched, needed
+from bcid.measurement.formats.in_child import fetched
 
 Array = NDArray[np.float64]
 
@@ -56,7 +50,7 @@ def read_dlc(path: Path, how: How) -> Foreign:
 
 def read_dlc_hdf5(path: Path, how: How) -> Foreign:
     """The same of the HDF5 file that DeepLabCut writes."""
-    data = fetched("bcid.measurement.formats.pose_estimation", path, "HDF5 file of DeepLabCut")
+    data = fetched("bcid.measurement.formats.pandas_table", path, "HDF5 file of DeepLabCut")
     names = {str(level): [str(name) for name in row] for level, row in zip(data["levels"], data["names"], strict=True)}
     return _dlc(path, names, data["values"], how)
 
@@ -106,20 +100,3 @@ def _foreign(name: str, columns: dict[str, dict[str, Array]], how: How) -> Forei
                 quality.setdefault(kind, {})[label] = at[what]
     times = how.count(len(next(iter(points.values()))))
     return Foreign(name, times, points, quality=quality, clocked=how.rate is not None)
-
-
-def _table(source: Path, _arguments: Sequence[str]) -> dict[str, Any]:
-    try:
-        import pandas as pd
-        import tables  # noqa: F401
-    except ImportError as error:
-        raise needed(str(error.name)) from None
-    table = pd.read_hdf(source)
-    if table.columns.nlevels < 2:
-        raise ValueError("its table has one line of names; one of DeepLabCut has scorer, bodyparts and coords")
-    names = np.array([[str(name) for name in table.columns.get_level_values(i)] for i in range(table.columns.nlevels)])
-    return {"levels": np.array(table.columns.names, dtype=str), "names": names, "values": table.to_numpy(dtype=float)}
-
-
-if __name__ == "__main__":
-    sys.exit(serve(_table, ["pandas", "tables"]))

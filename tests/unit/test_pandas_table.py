@@ -1,0 +1,91 @@
+"""Tables that pandas wrote to HDF5, as DeepLabCut does: read without pandas, and nothing in them is run."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import foreign_files as made
+from bcid.base.errors import InputError
+from bcid.measurement.formats.foreign import How
+from bcid.measurement.formats.literal_pickle import literal
+from bcid.measurement.formats.pose_estimation import read_dlc_hdf5
+
+h5py = pytest.importorskip("h5py")
+pd = pytest.importorskip("pandas")
+pytest.importorskip("tables")
+
+# What a reader that makes the object ends with.
+_CODE = 77
+
+
+class _Ends:
+    def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
+        return exec, (f"import os; os._exit({_CODE})",)
+
+
+def _genuine(folder: Path, layout: str) -> Path:
+    table = pd.read_hdf(made.deeplabcut_hdf5(folder))
+    table.to_hdf(folder / "dlc.h5", key="df_with_missing", format=layout, mode="w")
+    return folder / "dlc.h5"
+
+
+@pytest.mark.parametrize("layout", ["fixed", "table"])
+def test_a_table_of_deeplabcut_in_either_layout_is_read_as_pandas_does(tmp_path: Path, layout: str) -> None:
+    read = read_dlc_hdf5(_genuine(tmp_path, layout), How())
+    assert list(read.points) == list(made.LABELS)
+    for i, label in enumerate(made.LABELS):
+        np.testing.assert_array_equal(read.points[label], made.XYZ[:, i])
+
+
+def test_a_block_of_objects_is_refused_and_not_unpickled(tmp_path: Path) -> None:
+    table = pd.read_hdf(made.deeplabcut_hdf5(tmp_path)).astype(object)
+    table.iloc[0, 0] = _Ends()
+    with pytest.warns(pd.errors.PerformanceWarning):
+        table.to_hdf(tmp_path / "dlc.h5", key="df_with_missing", format="fixed", mode="w")
+    with pytest.raises(InputError, match=r"block0_values\) are kept as Python objects .* export it as CSV"):
+        read_dlc_hdf5(tmp_path / "dlc.h5", How())
+
+
+@pytest.mark.parametrize("name", ["info", "values_block_0_kind"])
+def test_labels_that_are_a_program_are_refused_and_not_unpickled(tmp_path: Path, name: str) -> None:
+    path = _genuine(tmp_path, "table")
+    with h5py.File(path, "r+") as file:
+        group = file["df_with_missing"]
+        (group if name == "info" else group["table"]).attrs[name] = np.bytes_(pickle.dumps(_Ends(), 0))
+    with pytest.raises(InputError, match=r"holds a Python object \(global\), which is not made; export it as CSV"):
+        read_dlc_hdf5(path, How())
+
+
+def test_levels_that_are_objects_are_refused_and_not_unpickled(tmp_path: Path) -> None:
+    path = _genuine(tmp_path, "fixed")
+    with h5py.File(path, "r+") as file:
+        group = file["df_with_missing"]
+        del group["block0_items_level1"]
+        level = group.create_dataset("block0_items_level1", (1,), dtype=h5py.vlen_dtype("u1"))
+        level[0] = np.frombuffer(pickle.dumps(_Ends()), "u1")
+        level.attrs["PSEUDOATOM"] = np.bytes_("object")
+    with pytest.raises(InputError, match=r"block0_items_level1\) are kept as Python objects"):
+        read_dlc_hdf5(path, How())
+
+
+@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
+def test_literal_of_any_protocol_is_what_was_pickled(protocol: int) -> None:
+    value = {1: {"names": ["scorer", "bodyparts"], "none": None}, "labels": [("DLC", "é", 3), (), (1,), (1, 2)]}
+    assert literal(pickle.dumps(value, protocol)) == value
+
+
+@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
+def test_literal_of_an_object_is_refused(protocol: int) -> None:
+    with pytest.raises(ValueError, match="which is not made"):
+        literal(pickle.dumps([_Ends()], protocol))
+
+
+@pytest.mark.parametrize("pickled", [b"", b"(", b"t.", b"g9\n.", b"I1\nI2\n.", b"(I1\nd.", b"\x80\x7f.", b"a."])
+def test_literal_that_is_damaged_is_refused(pickled: bytes) -> None:
+    with pytest.raises(ValueError):
+        literal(pickled)
