@@ -7,12 +7,12 @@ whose change no fingerprint sees.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
 from bcid.base.errors import InputError
+from bcid.base.own_storage import refuse_outside
 
 _XML = (".vtu", ".xdmf", ".xmf", ".xml")
 _CARDS = (".inp", ".bdf", ".fem", ".nas")
@@ -123,31 +123,7 @@ def _is_hdf5(file: Path) -> bool:
 
 
 def _refuse_in_hdf5(file: Path) -> None:
-    """Links to other files, and datasets whose values are kept in other files."""
     import h5py
 
     with h5py.File(file, "r") as content:
-        for name, link in _links(content, h5py):
-            if isinstance(link, h5py.ExternalLink):
-                raise InputError(f"'{name}' is a link to the file '{link.filename}'; copy what it leads to")
-            if isinstance(link, h5py.SoftLink):
-                continue
-            found = content[name]
-            if isinstance(found, h5py.Dataset) and (found.external or found.is_virtual):
-                raise InputError(f"the values of '{name}' are kept in another file; repack the file")
-
-
-def _links(content: Any, h5py: Any) -> Iterator[tuple[str, Any]]:
-    """Every link below a group, by its path; what soft links lead to is met where it lies."""
-    folders = [""]
-    while folders:
-        folder = folders.pop()
-        group = content[folder] if folder else content
-        for name in group:
-            link = group.get(name, getlink=True)
-            path = f"{folder}/{name}"
-            yield path, link
-            if isinstance(link, h5py.HardLink) and isinstance(content[path], h5py.Group):
-                if len(path.split("/")) > 64:
-                    raise InputError("its groups are nested too deeply")
-                folders.append(path)
+        refuse_outside(content)

@@ -1,6 +1,6 @@
 """HDF5 files, MAT files of version 7.3 among them, read by h5py in a process of its own.
 
-``python -m bcid.measurement.formats.hdf5_file FILE OUT.npz PATH ...`` is that process. Links to other files are not followed.
+``python -m bcid.measurement.formats.hdf5_file FILE OUT.npz PATH ...`` is that process. Links to other files are refused.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from bcid.base.confined import serve
+from bcid.base.own_storage import refuse_outside
 from bcid.measurement.formats.array_tree import described
 from bcid.measurement.formats.in_child import needed
 
@@ -49,6 +50,7 @@ def _arrays(source: Path, wanted: Sequence[str]) -> dict[str, Any]:
     except ImportError:
         raise needed("h5py") from None
     with h5py.File(source, "r") as file:
+        refuse_outside(file)
         made = described(_group(file, file, set()), list(wanted))
         made["pandas"] = any("pandas_type" in part.attrs for part in file.values() if isinstance(part, h5py.Group))
     return made
