@@ -6,10 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import foreign_files as made
 import numpy as np
 import pytest
 
-import foreign_files as made
 from bcid.base.errors import InputError
 from bcid.base.own_storage import refuse_outside
 from bcid.measurement.formats.array_file import look

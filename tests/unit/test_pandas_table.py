@@ -6,10 +6,10 @@ import pickle
 from pathlib import Path
 from typing import Any
 
+import foreign_files as made
 import numpy as np
 import pytest
 
-import foreign_files as made
 from bcid.base.errors import InputError
 from bcid.measurement.formats.foreign import How
 from bcid.measurement.formats.literal_pickle import literal

@@ -62,7 +62,7 @@ def _step(name: str, argument: Any, stack: list[Any], kept: dict[int, Any]) -> N
         stack[-count:] = [tuple(stack[-count:])]
     elif name in ("TUPLE", "LIST", "DICT"):
         parts = _since_mark(stack)
-        stack.append({"TUPLE": tuple, "LIST": list, "DICT": _pairs}[name](parts))
+        stack.append(tuple(parts) if name == "TUPLE" else parts if name == "LIST" else _pairs(parts))
     elif name in ("APPEND", "APPENDS"):
         parts = [stack.pop()] if name == "APPEND" else _since_mark(stack)
         stack[-1] += parts

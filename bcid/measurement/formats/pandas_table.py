@@ -1,4 +1,4 @@
-"""Tables of numbers that pandas wrote to HDF5, read by h5py alone: ``python -m bcid.measurement.formats.pandas_table FILE OUT.npz``.
+"""Tables that pandas wrote to HDF5, read by h5py: ``python -m bcid.measurement.formats.pandas_table FILE OUT.npz``.
 
 pandas and PyTables would unpickle what a file holds as Python objects, which can run anything. Read are the layouts that DeepLabCut
 writes: "table" (a compound array; labels as literals) and "fixed" (blocks of numbers; labels as byte strings with codes).
