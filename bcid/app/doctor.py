@@ -22,9 +22,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from bcid.base.confined import landlock
+from bcid.base.landlock import landlock
 from bcid.base.scratch import trouble
 from bcid.base.solver_wheel import prepare
+from bcid.base.system_calls import seccomp
 
 GET_DOLFINX = 'pip install "bcid[all]" (Python 3.12 or newer), or ./dev of the checkout, which makes an environment'
 
@@ -257,13 +258,15 @@ def check_compiler() -> Iterator[Check]:
     yield Check("compiling forms", ok, "works" if ok else said, "is there Python.h (Debian: python3-dev)? " + advice)
 
 
-def check_landlock() -> Check:
-    """Mesh files and recordings are read by children that have no rights, where the kernel knows how to take them."""
-    version = landlock()
-    advice = "files of others are read from copies, in children with limits, but a .geo runs with your rights"
-    return Check(
-        "Landlock", version > 0, f"version {version}" if version else "not in this kernel", advice, essential=False
-    )
+def check_barriers() -> Iterator[Check]:
+    """Files of others are read by children that give up their rights, where kernel and libraries know how to take them."""
+    version, missing = landlock(), seccomp()
+    found = f"version {version}: readers of files of others open nothing else" if version else "not in this kernel"
+    advice = "readers of files of others may read your other files; take Linux 5.13 or newer with Landlock"
+    yield Check("Landlock", version > 0, found, advice, essential=False)
+    found = missing or "libseccomp: they make no sockets and processes, and change no file"
+    advice = "readers of files of others may open sockets and start processes; install libseccomp and pyseccomp"
+    yield Check("system calls", not missing, found, advice, essential=False)
 
 
 def check_scratch() -> Check:
@@ -344,7 +347,7 @@ def available_memory() -> int | None:
 CHECKS: list[Callable[[], Check | Iterable[Check]]] = [
     check_python,
     check_scratch,
-    check_landlock,
+    check_barriers,
     check_dolfinx,
     check_petsc,
     check_blas,

@@ -2,21 +2,24 @@
 
 Readers of meshes and recordings open side files of their own accord, follow references in a file, and die of damaged
 ones. So a file is copied under a neutral name into an empty folder, and read there by a child process with next to no
-environment, limited time and limited memory. Where the kernel has Landlock (Linux 5.13 or newer), the child gives up all
-rights but to read that folder and the installed libraries: it can execute nothing and write nothing, whatever its reader does.
+environment, limited time and limited memory. It gives up all rights over files but to read that folder and the installed
+libraries (`landlock`), and all system calls but those for computing and reading (`system_calls`), whatever its reader does.
+Its process group is killed at the end, however it ends.
 """
 
 from __future__ import annotations
 
 import ctypes
+import math
 import os
 import resource
 import shutil
+import signal
 import site
-import struct
 import subprocess
 import sys
-import sysconfig
+import time
+import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from importlib import import_module
@@ -24,10 +27,10 @@ from pathlib import Path
 from typing import Any
 
 from bcid.base.errors import InputError
+from bcid.base.landlock import read_only
 from bcid.base.scratch import require, temporary_folder
 from bcid.base.shipped import IMPORT_ROOT
-
-# The folder that holds the package.
+from bcid.base.system_calls import compute_only
 
 # What a child is given of the environment: where its libraries are, and how it writes text. Nothing that loads plugins.
 _KEPT = ("LD_LIBRARY_PATH", "PYTHONHOME", "LANG", "LC_ALL", "LC_CTYPE")
@@ -39,14 +42,13 @@ _PER_BYTE = 100
 _LONGEST_FILE = 2_000_000_000
 # Longest reason of a child that is passed on.
 _LONGEST = 300
-# System calls and constants of Landlock (Linux, uapi/linux/landlock.h); the numbers are the same on all architectures but Alpha.
-_CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
-_VERSION, _PATH_BENEATH = 1, 1
-_READ_FILE, _READ_FOLDER = 1 << 2, 1 << 3
-# Rights over files and folders that each version of Landlock knows, and over TCP.
-_RIGHTS = {1: (1 << 13) - 1, 2: (1 << 14) - 1, 3: (1 << 15) - 1, 4: (1 << 15) - 1, 5: (1 << 16) - 1}
-_TCP_SINCE, _TCP = 4, 0b11
-_NO_NEW_PRIVILEGES = 38
+# What a child writes at most, bytes: the arrays of its file.
+_LONGEST_RESULT = 8_000_000_000
+# Of what a child says, bytes of its end that are looked at.
+_END = 10_000
+# While a child is waited for, seconds from one look to the next.
+_PAUSE = 0.01
+_PARENT_DEATH_SIGNAL = 1
 
 
 def read_in_child(
@@ -76,7 +78,6 @@ def read_in_child(
         MachineError: the temporary folder is full, or cannot be written.
     """
     # Not above: `bcid doctor` asks for Landlock, and works without numpy.
-    import numpy as np
 
     with temporary_folder("bcid-read-") as folder:
         out = folder / "out.npz"
@@ -84,25 +85,70 @@ def read_in_child(
         if check is not None:
             check(file)
         command = [sys.executable, "-P", "-m", module, str(file), str(out), *arguments]
-        try:
-            child = subprocess.run(
-                command,
-                env=_environment(folder),
-                cwd=folder,
-                stdin=subprocess.DEVNULL,
-                capture_output=True,
-                timeout=seconds,
-                check=False,
-            )
-        except subprocess.TimeoutExpired:
-            raise TimeoutError(f"reading took more than {seconds:.0f} s") from None
-        if child.returncode != 0:
+        code, said = _run(command, folder, seconds)
+        if code != 0:
             require()
-            said = (child.stdout + child.stderr).decode("utf-8", "replace").strip().splitlines()
-            reason = said[-1] if said else f"the reader died with code {child.returncode}"
+            reason = said[-1] if said else f"the reader died with code {code}"
             raise InputError(reason.replace(str(file), source.name)[:_LONGEST])
+        return _arrays(out)
+
+
+def _run(command: Sequence[str], folder: Path, seconds: float) -> tuple[int, list[str]]:
+    """Exit code of a child, and what it said, line by line; its process group is gone afterwards."""
+    said = [folder / name for name in ("said", "faults")]
+    with said[0].open("wb") as output, said[1].open("wb") as faults:
+        child = subprocess.Popen(
+            command,
+            env=_environment(folder),
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=faults,
+            start_new_session=True,
+        )
+        try:
+            with suppress(OSError):
+                limit = math.ceil(seconds) + 1
+                resource.prlimit(child.pid, resource.RLIMIT_CPU, (limit, limit))
+            if not _ends(child.pid, seconds):
+                raise TimeoutError(f"reading took more than {seconds:.0f} s")
+        finally:
+            # The child is not reaped before: until then its number is nobody else's.
+            with suppress(OSError):
+                os.killpg(child.pid, signal.SIGKILL)
+            code = child.wait()
+    return code, b"\n".join(map(_end, said)).decode("utf-8", "replace").strip().splitlines()
+
+
+def _end(file: Path) -> bytes:
+    with file.open("rb") as stream:
+        stream.seek(max(0, file.stat().st_size - _END))
+        return stream.read()
+
+
+def _ends(child: int, seconds: float) -> bool:
+    """Wait for the end of a process, and leave it to be reaped; False when it takes longer."""
+    latest = time.monotonic() + seconds
+    while os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+        if time.monotonic() > latest:
+            return False
+        time.sleep(_PAUSE)
+    return True
+
+
+def _arrays(out: Path) -> dict[str, Any]:
+    """What a child gave back. It may have been taken over: nothing is unpickled, and nothing grows as it is unpacked."""
+    import numpy as np
+
+    try:
+        with zipfile.ZipFile(out) as archive:
+            if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
+                raise ValueError
         with np.load(out, allow_pickle=False) as data:
             return {key: data[key] for key in data.files}
+    except (OSError, ValueError, EOFError, SyntaxError, MemoryError, zipfile.BadZipFile):
+        require()
+        raise InputError("the reader gave back nothing that can be read") from None
 
 
 def _copied(source: Path, beside: Iterable[Path], folder: Path) -> Path:
@@ -152,6 +198,7 @@ def serve(
     """
     import numpy as np
 
+    ctypes.CDLL(None).prctl(_PARENT_DEATH_SIGNAL, signal.SIGKILL, 0, 0, 0)
     source, out = Path(sys.argv[1]), sys.argv[2]
     for name in libraries:
         with suppress(ImportError):
@@ -173,46 +220,17 @@ def limit_memory(source: Path, space: int | None = None) -> None:
     most = min(most, max(_SPACE, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2))
     resource.setrlimit(resource.RLIMIT_AS, (most, resource.getrlimit(resource.RLIMIT_AS)[1]))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (_LONGEST_RESULT, _LONGEST_RESULT))
 
 
-def confine(folders: Iterable[Path]) -> bool:
-    """Give up, for good, every right over files but to read below `folders` and where libraries are; False without Landlock.
+def confine(folders: Iterable[Path]) -> tuple[bool, bool]:
+    """Give up, for good, all rights but to compute, to read below `folders` and where libraries are, and to write what is open.
 
-    Files that are open stay open. See the kernel's documentation, userspace-api/landlock.
+    Returns whether Landlock holds, and whether the filter of system calls does. Without the latter an ordinary user's process
+    can at least make no other; a limit of processes does not bind root.
     """
-    version = landlock()
-    if version == 0:
-        return False
-    libc = ctypes.CDLL(None, use_errno=True)
-    known = version >= _TCP_SINCE
-    handled = (ctypes.c_uint64 * 2)(_RIGHTS[min(version, max(_RIGHTS))], _TCP if known else 0)
-    rules = libc.syscall(_CREATE_RULESET, ctypes.byref(handled), ctypes.c_size_t(16 if known else 8), 0)
-    for path in {*folders, *_libraries()}:
-        _allow_reading(libc, rules, path)
-    libc.prctl(_NO_NEW_PRIVILEGES, 1, 0, 0, 0)
-    done = libc.syscall(_RESTRICT_SELF, rules, 0) == 0
-    os.close(rules)
-    return done
-
-
-def _allow_reading(libc: ctypes.CDLL, rules: int, path: Path) -> None:
-    rights = _READ_FILE | (_READ_FOLDER if path.is_dir() else 0)
-    opened = os.open(path, os.O_PATH | os.O_CLOEXEC)
-    rule = ctypes.create_string_buffer(struct.pack("=QI", rights, opened))
-    libc.syscall(_ADD_RULE, rules, _PATH_BENEATH, ctypes.byref(rule), 0)
-    os.close(opened)
-
-
-def landlock() -> int:
-    """Version of Landlock that the kernel offers; 0 for none."""
-    if sys.platform != "linux":
-        return 0
-    return max(0, int(ctypes.CDLL(None).syscall(_CREATE_RULESET, None, ctypes.c_size_t(0), _VERSION)))
-
-
-def _libraries() -> set[Path]:
-    """Where the interpreter, installed packages and the system's libraries are; not where bcid lies, which is loaded by then."""
-    found = {"/usr", "/lib", "/lib64", "/etc/ld.so.cache", sys.prefix, sys.base_prefix, *sysconfig.get_paths().values()}
-    found |= {path for path in sys.path if Path(path) != IMPORT_ROOT}
-    found |= set(os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep)) - {""}
-    return {Path(path) for path in found if Path(path).exists()}
+    # In this order: libseccomp is found with the help of a program.
+    calls, files = compute_only(), read_only(folders)
+    if not calls:
+        resource.setrlimit(resource.RLIMIT_NPROC, (0, 0))
+    return files, calls

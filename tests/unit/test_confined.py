@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from bcid.base import confined
-from bcid.base.confined import landlock, read_in_child
+from bcid.base.confined import read_in_child
 from bcid.base.errors import InputError
+from bcid.base.landlock import landlock
 from bcid.base.run_folder import RunFolder
+from bcid.base.system_calls import seccomp
 from bcid.comparison.source import from_run
 from bcid.forms.mesh import level_mesh
 from bcid.measurement import Measurement
@@ -23,46 +30,82 @@ from bcid.vision.images import Images
 
 ROOT = Path(__file__).resolve().parents[2]
 
-_TRIES = """
-import os, subprocess, sys
-from pathlib import Path
-from bcid.base.confined import confine
-
-inside, outside = Path(sys.argv[1]), Path(sys.argv[2])
-assert confine([inside])
-
-def tried(work):
-    try:
-        work()
-        return "done"
-    except PermissionError:
-        return "refused"
-
-print(tried((inside / "a").read_text))
-print(tried(outside.read_text))
-print(tried(lambda: (inside / "b").write_text("b")))
-print(tried(lambda: outside.write_text("b")))
-print(tried(lambda: os.unlink(inside / "a")))
-print(tried(lambda: subprocess.run(["/bin/true"], check=True)))
-print(os.system("true") != 0)
-print(tried(lambda: __import__("wave")))
-"""
+# What each barrier holds off by itself, of what `forbidden` tries. Landlock of version 6 and newer holds signals too.
+_BY_LANDLOCK = (
+    "exec, subprocess, write inside, write outside, truncate, append, delete, make a folder, rename, link, read outside"
+)
+_BEYOND_SECCOMP = {"read outside"}
+# There are no such calls, so that the C library and Python take others, which the filter sees into.
+_ABSENT = {"clone3": f"failed {errno.ENOSYS}", "openat2": f"failed {errno.ENOSYS}"}
 
 
-@pytest.mark.skipif(landlock() == 0, reason="the kernel has no Landlock")
-def test_a_confined_process_reads_its_folder_and_libraries_alone(tmp_path: Path) -> None:
-    inside, outside = tmp_path / "inside", tmp_path / "outside"
+def _tried(folder: Path, barriers: str, user: str) -> dict[str, str]:
+    inside, outside = folder / "inside", folder / "outside"
     inside.mkdir()
-    (inside / "a").write_text("a", encoding="utf-8")
-    outside.write_text("secret", encoding="utf-8")
-    words = [sys.executable, "-c", _TRIES, str(inside), str(outside)]
-    said = subprocess.run(words, capture_output=True, text=True, check=True, cwd=ROOT).stdout.split()
-    assert said == ["done", "refused", "refused", "refused", "refused", "refused", "True", "done"]
+    for file in (inside / "a", outside):
+        file.write_text("a", encoding="utf-8")
+        file.chmod(0o666)
+    for above in (inside, folder, *folder.parents[:3]):
+        above.chmod(0o777)
+    words = [sys.executable, "-m", "forbidden", str(inside), str(outside), barriers, user]
+    paths = os.pathsep.join([str(ROOT), str(ROOT / "tests/unit")])
+    done = subprocess.run(
+        words,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": paths},
+    )
+    assert done.returncode == -signal.SIGABRT, done.stderr
+    ends = dict(line.split(": ") for line in done.stdout.splitlines())
+    assert (inside / "a").read_text(encoding="utf-8") == "a"
+    if barriers != "landlock":
+        assert outside.read_text(encoding="utf-8") == "a"
+    return ends
 
 
-def test_without_landlock_nothing_is_given_up(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(confined, "landlock", lambda: 0)
-    assert not confined.confine([tmp_path])
+_USERS = [
+    "root",
+    pytest.param("ordinary", marks=pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")),
+]
+_LANDLOCK = pytest.mark.skipif(landlock() == 0, reason="the kernel has no Landlock")
+_SECCOMP = pytest.mark.skipif(bool(seccomp()), reason="the machine has no libseccomp")
+
+
+@_LANDLOCK
+@_SECCOMP
+@pytest.mark.parametrize("user", _USERS)
+def test_a_confined_process_may_do_nothing_but_read_its_folder_and_compute(tmp_path: Path, user: str) -> None:
+    ends = _tried(tmp_path, "both", user)
+    assert ends.pop("barriers") == "(True, True)"
+    assert ends.pop("allowed") == "done"
+    assert {name: end for name, end in ends.items() if end != "refused"} == {
+        n: _ABSENT[n] for n in _ABSENT if n in ends
+    }
+
+
+@_SECCOMP
+@pytest.mark.parametrize("user", _USERS)
+def test_without_landlock_the_filter_of_system_calls_holds_all_but_reading(tmp_path: Path, user: str) -> None:
+    ends = _tried(tmp_path, "seccomp", user)
+    assert ends.pop("barriers") == "(False, True)"
+    assert ends.pop("allowed") == "done"
+    assert {name for name, end in ends.items() if end == "done"} == _BEYOND_SECCOMP
+    assert {name for name, end in ends.items() if end not in ("done", "refused")} == set(_ABSENT) & ends.keys()
+
+
+@_LANDLOCK
+@pytest.mark.parametrize("user", _USERS)
+def test_without_libseccomp_landlock_holds_files_and_programs(tmp_path: Path, user: str) -> None:
+    ends = _tried(tmp_path, "landlock", user)
+    assert ends["barriers"] == "(True, False)"
+    held = {name for name, end in ends.items() if end != "done"}
+    assert held >= set(_BY_LANDLOCK.split(", "))
+    assert ("kill" in held) or landlock() < 6
+    # A limit of processes does not bind root.
+    assert ("fork" in held) == (user == "ordinary")
 
 
 def test_the_environment_of_a_child_holds_no_plugins(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -103,6 +146,86 @@ def test_a_file_that_is_too_long_to_copy_is_refused(tmp_path: Path) -> None:
         stream.truncate(10**12)
     with pytest.raises(InputError, match=r"a\.c3d is no file of at most 2 GB"):
         read_in_child("bcid.measurement.c3d", tmp_path / "a.c3d", seconds=60)
+
+
+_FORKS = """
+import os, sys, time
+from pathlib import Path
+from bcid.base import confined
+
+def read(source, arguments):
+    for _ in range(3):
+        if os.fork() == 0:
+            time.sleep(60)
+            os._exit(0)
+    {then}
+    return {{}}
+
+confined.compute_only = lambda: False
+sys.exit(confined.serve(read))
+"""
+
+
+@pytest.mark.parametrize("then", ["pass", "time.sleep(60)", "os._exit(3)", "raise ValueError"])
+@pytest.mark.skipif(os.geteuid() != 0, reason="a user that is not root cannot fork in the child in any case")
+def test_what_a_reader_starts_is_gone_when_reading_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, then: str
+) -> None:
+    (tmp_path / "forking.py").write_text(_FORKS.format(then=then), encoding="utf-8")
+    (tmp_path / "some.dat").write_bytes(b"x")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    groups: list[int] = []
+    began = subprocess.Popen
+
+    def started(*words: Any, **options: Any) -> Any:
+        child = began(*words, **options)
+        groups.append(child.pid)
+        return child
+
+    monkeypatch.setattr(subprocess, "Popen", started)
+    with suppress(InputError, TimeoutError):
+        read_in_child("forking", tmp_path / "some.dat", seconds=3)
+    assert groups
+    # A process that is killed takes a moment to go.
+    for _ in range(100):
+        if not (left := _alive(groups[0])):
+            break
+        time.sleep(0.05)
+    assert not left
+
+
+def _alive(group: int) -> list[int]:
+    """Processes of a group that are no zombies."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            state, _, its_group = entry.read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()[:3]
+            found += [int(entry.parent.name)] if int(its_group) == group and state not in "ZX" else []
+    return found
+
+
+_TAKEN_OVER = """
+import sys, zipfile
+from pathlib import Path
+with zipfile.ZipFile(sys.argv[2], "w", zipfile.ZIP_DEFLATED) as out:
+    {what}
+"""
+
+
+@pytest.mark.parametrize(
+    "what", ['out.writestr("a.npy", bytes(10**8))', 'out.close(); Path(sys.argv[2]).write_text("x")', "pass"]
+)
+def test_a_reader_that_gives_back_no_plain_arrays_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    (tmp_path / "taken_over.py").write_text(_TAKEN_OVER.format(what=what), encoding="utf-8")
+    (tmp_path / "some.dat").write_bytes(b"x")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    if what == "pass":
+        assert read_in_child("taken_over", tmp_path / "some.dat", seconds=30) == {}
+        return
+    with pytest.raises(InputError, match="gave back nothing that can be read"):
+        read_in_child("taken_over", tmp_path / "some.dat", seconds=30)
 
 
 @pytest.mark.timeout(60)

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import foreign_files as made
 import numpy as np
 import pytest
 
 from bcid import Measurement
 from bcid.base.errors import InputError
+from benchmarks.reliability import foreign_files as made
 
 HEAD = 'format = "bcid-mapping/1"\nlength_unit = "{unit}"\ntime_unit = "s"\nforce_unit = "N"\nfile = "{file}"\n'
 CHOSEN = '[fiducials]\na = "tip"\nb = "mid"\nc = "base"\n'

@@ -7,7 +7,6 @@ import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
-import foreign_files as made
 import numpy as np
 import pytest
 
@@ -15,6 +14,7 @@ from bcid import Measurement, Scene
 from bcid.app.cli import main
 from bcid.base.errors import InputError
 from bcid.measurement.inspection import import_file
+from benchmarks.reliability import foreign_files as made
 
 PROJECT = Path(__file__).resolve().parents[2]
 SLAB = PROJECT / "examples/scenes/slab.toml"

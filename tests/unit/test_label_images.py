@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scanned import image, scene_of
 from scipy.spatial.transform import Rotation
 
 from bcid.base.errors import InputError
@@ -13,6 +12,7 @@ from bcid.forms.mesh.body_mesh import volumes
 from bcid.forms.mesh.label_image import surface_of_label
 from bcid.forms.mesh.mend import mended
 from bcid.forms.mesh.parts_of_surface import enclosed
+from benchmarks.reliability.scanned import image, scene_of
 
 SHAPE, SPACING, AXES = np.array([50, 40, 60]), np.array([1.5, 1.5, 2.0]), np.array([30.0, 20.0, 40.0])
 MIDDLE = (SHAPE - 1) / 2

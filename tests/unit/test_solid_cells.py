@@ -5,11 +5,11 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
-from scanned import WHOLE, scene_of
 
 from bcid.base.errors import InputError
 from bcid.forms.mesh import BodyMesh, checked, level_mesh
 from bcid.forms.mesh.solid_cells import _FACES, Block, as_simplices, as_tetrahedra
+from benchmarks.reliability.scanned import WHOLE, scene_of
 
 SIZE = np.array([60.0, 40.0, 20.0])
 

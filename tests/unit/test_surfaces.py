@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scanned import box, save, scene_of, sphere, volume
 
 from bcid.base.errors import InputError
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.mesh.mend import mended
 from bcid.forms.mesh.parts_of_surface import enclosed
 from bcid.forms.mesh.surface_file import read_surface
+from benchmarks.reliability.scanned import box, save, scene_of, sphere, volume
 
 SPHERE = sphere()
 ENCLOSED = volume(*SPHERE)
