@@ -331,3 +331,13 @@ def test_pixels_that_count_upwards_need_the_height(tmp_path: Path) -> None:
         Cameras.read(file, "mm", origin="lower left", image_size=SIZE)
     with pytest.raises(InputError, match="length_unit: of the translation is not stated"):
         Cameras.read(file)
+
+
+@pytest.mark.parametrize("name", ["c.yml", "c.xml"])
+def test_nested_brackets_end_the_process_that_reads_and_not_this_one(tmp_path: Path, name: str) -> None:
+    deep = "%YAML:1.0\n---\na: " + "[" * 60_000
+    if name.endswith("xml"):
+        deep = "<?xml version='1.0'?><opencv_storage>" + "<a>" * 60_000
+    (tmp_path / name).write_text(deep, encoding="utf-8")
+    with pytest.raises(InputError, match=rf"{name}: OpenCV cannot read it: "):
+        Cameras.read(tmp_path / name)

@@ -97,7 +97,7 @@ def _values(path: Path) -> dict[str, Any]:
         elif path.suffix == ".json" and "opencv-matrix" not in text:
             values = parse_json(text, path)
         else:
-            values = opencv_values(path, text)
+            values = opencv_values(path)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: not a calibration file: {error}") from None
     if not isinstance(values, dict):
