@@ -91,6 +91,8 @@ def _relative(recording: Tracks, pose: Array, mapping: Mapping, turn: Array, shi
 
 def _contents(recording: Tracks, mapping: Mapping) -> Contents:
     names = mapping.fiducials
+    if not len(names):
+        raise InputError(f"{mapping.file}: holds no marker; was it exported with its markers?")
     frames = list(zip(recording.actions, recording.steps, strict=True))
     starts = {action: time for (action, step), time in zip(frames, recording.times, strict=True) if step == 0}
     times = [(time - starts[a]) * mapping.time for (a, _), time in zip(frames, recording.times, strict=True)]

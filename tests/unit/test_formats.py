@@ -381,3 +381,34 @@ def test_headers_that_lack_a_value(tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     with pytest.raises(InputError, match="is a folder; expected a file"):
         read(tmp_path, "folder", '[columns]\nrest = ["a", "b", "c"]\ndisplacement = ["d", "e", "f"]\n')
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("text", ["[" * 60_000, "(" * 60_000, "x" + " " * 60_000 + "y", "," * 60_000])
+def test_a_line_of_nothing_but_brackets_is_refused_at_once(tmp_path: Path, text: str) -> None:
+    (tmp_path / "take.csv").write_text(f"{text}\n1,2\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"mapping\.toml: 1 problem"):
+        read(tmp_path, "take.csv", "rate = 50\n")
+
+
+def test_a_recording_without_markers_is_refused(tmp_path: Path) -> None:
+    path = made.motive(tmp_path)
+    # Columns of the rigid body alone, below the first line.
+    first, *rest = path.read_text(encoding="utf-8").splitlines()
+    path.write_text("\n".join([first, *(",".join(line.split(",")[:10]) for line in rest)]), encoding="utf-8")
+    with pytest.raises(InputError, match=r"motive\.csv: holds no marker"):
+        read(tmp_path, "motive.csv", "rate = 50\n", "m")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("bodyparts,tip,tip,tip", "bodyparts,tip,tip", "its line 'bodyparts' names 8 columns, its numbers have 9"),
+        ("coords,x,y,z", "coords,x,x,z", "tip has no column 'y'"),
+    ],
+)
+def test_a_header_of_deeplabcut_that_is_damaged_is_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
+    path = made.deeplabcut(tmp_path)
+    path.write_text(path.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+    with pytest.raises(InputError, match=said):
+        read(tmp_path, "dlc.csv", "rate = 50\n")

@@ -35,7 +35,9 @@ _MOVED += (("dX", "dY", "dZ"), ("dx", "dy", "dz"), ("ux", "uy", "uz"))
 _MOVED += (("disp.Horizontal Displacement U", "disp.Vertical Displacement V", "disp.Out-Of-Plane: W"),)
 _PIXEL = ("Coordinates.Image X", "Coordinates.Image Y")
 _POINT = (("id",), ("ID",), ("point_id",), ("index",), _PIXEL, ("x", "y"))
-_UNIT = re.compile(r"\s*[\[(](?P<unit>[^\])]*)[\])]\s*$")
+# Bounded, so that no text takes long: a unit in brackets, and a comma within brackets.
+_UNIT = re.compile(r"\s{0,8}[\[(](?P<unit>[^\[\]()]{0,64})[\])]\s{0,8}$")
+_WITHIN = r"(?![^\[\]]{0,64}\])"
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,7 @@ def _names(line: str) -> list[str]:
 
 def _cells(line: str) -> list[str]:
     """Names of columns with their units; a comma in brackets, as in F[0,1], is part of a name."""
-    cells = re.split(rf"{_delimiter(line)}(?![^\[\]]*\])", line.lstrip("#"))
+    cells = re.split(_delimiter(line) + _WITHIN, line.lstrip("#"))
     return [cell.strip().strip('"').strip() for cell in cells]
 
 

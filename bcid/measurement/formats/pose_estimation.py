@@ -79,6 +79,10 @@ def _whole_number(text: str) -> bool:
 def _dlc(path: Path, names: dict[str, list[str]], values: Array, how: How) -> Foreign:
     if not {"bodyparts", "coords"} <= set(names):
         raise InputError(f"{path}: names {', '.join(names)}; a table of DeepLabCut has bodyparts and coords")
+    for level, row in names.items():
+        if len(row) != values.shape[1]:
+            said = f"its line '{level[:40]}' names {len(row)} columns, its numbers have {values.shape[1]}"
+            raise InputError(f"{path}: {said}; export it again")
     if "z" not in names["coords"]:
         raise InputError(
             f"{path}: holds positions in an image (x, y) alone; triangulate it first (deeplabcut.triangulate)"
@@ -88,6 +92,9 @@ def _dlc(path: Path, names: dict[str, list[str]], values: Array, how: How) -> Fo
     columns: dict[str, dict[str, Array]] = {}
     for i, (label, what) in enumerate(zip(labels, names["coords"], strict=True)):
         columns.setdefault(label, {})[what] = values[:, i]
+    for label, at in columns.items():
+        if missing := sorted(set("xyz") - set(at)):
+            raise InputError(f"{path}: {label} has no column '{missing[0]}'; export it again")
     return _foreign("DeepLabCut", columns, how)
 
 
