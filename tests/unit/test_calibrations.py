@@ -341,3 +341,15 @@ def test_nested_brackets_end_the_process_that_reads_and_not_this_one(tmp_path: P
     (tmp_path / name).write_text(deep, encoding="utf-8")
     with pytest.raises(InputError, match=rf"{name}: OpenCV cannot read it: "):
         Cameras.read(tmp_path / name)
+
+
+@pytest.mark.parametrize("scale", [1e-150, 1e150])
+def test_a_projection_of_any_scale_is_taken_apart(scale: float) -> None:
+    from bcid.vision.calibrations.projections import decompose
+
+    for whole, tiny in zip(projections(pinholes()), (scale * p for p in projections(pinholes())), strict=True):
+        expected, found = decompose(whole), decompose(tiny)
+        assert expected is not None
+        assert found is not None
+        for one, other in zip(expected, found, strict=True):
+            np.testing.assert_allclose(other / np.abs(other).max(), one / np.abs(one).max(), atol=1e-12)

@@ -125,7 +125,9 @@ def decompose(projection: Array) -> tuple[Array, Array, Array] | None:
     part = projection[:, :3]
     if not np.linalg.cond(part) < 1 / np.finfo(float).eps:
         return None
-    projection = projection * np.sign(np.linalg.det(part))
+    # Its scale may be any: the determinant of a small matrix would be none.
+    projection = projection / np.abs(part).max()
+    projection *= np.sign(np.linalg.det(projection[:, :3]))
     upper, turn = rq(projection[:, :3])
     signs = np.sign(np.diag(upper))
     upper, turn = upper * signs, signs[:, None] * turn
