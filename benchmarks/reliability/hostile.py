@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from bcid.base.errors import BcidError
-from benchmarks.reliability import ROOT, Reached
+from benchmarks.reliability import ROOT, Reached, foreign_files
 from benchmarks.reliability.inputs import small_scene, write_inputs
 from benchmarks.reliability.tracer import Event, traced
 
@@ -43,9 +43,13 @@ _SECRET = "secret"
 # Where the interpreter, packages, libraries and devices are, and bcid itself.
 _SYSTEM = ("/usr", "/lib", "/lib64", "/bin", "/sbin", "/etc", "/proc", "/sys", "/dev", "/run/bcid/venv", "/opt")
 # What a child of bcid begins with, after the interpreter.
-_CHILDREN = (("-P", "-m", "bcid.forms.mesh.child"), ("-P", "-m", "bcid.measurement.c3d"))
+_CHILDREN = tuple(
+    ("-P", "-m", f"bcid.{name}")
+    for name in ("forms.mesh.child", "measurement.c3d", "vision.calibrations.opencv_storage")
+)
 _CHILDREN += tuple(
-    ("-P", "-m", f"bcid.measurement.formats.{name}") for name in ("mat_file", "hdf5_file", "pose_estimation", "ros_bag")
+    ("-P", "-m", f"bcid.measurement.formats.{name}")
+    for name in ("mat_file", "hdf5_file", "pandas_table", "cloud_file", "ros_bag")
 )
 # Asked by ctypes where a library is, before a child has given up its rights.
 _FINDERS = ("/sbin/ldconfig", "/usr/sbin/ldconfig")
@@ -131,6 +135,7 @@ class Corpus:
         yield from self.hdf5()
         yield from self.others()
         yield from self.recordings()
+        yield from self.objects()
         yield from self.runs()
 
     def scripts(self) -> Iterator[Case]:
@@ -335,6 +340,34 @@ class Corpus:
         )
         yield Case("C3D: junk", lambda: Measurement.read(mapping), named=("mapping.toml", "junk.c3d"))
 
+    def objects(self) -> Iterator[Case]:
+        """Python objects in recordings, clouds and calibrations: making one opens the secret, as a tracer sees."""
+        from bcid import Measurement
+        from bcid.vision.camera import Cameras
+
+        place = self.place()
+        units = 'length_unit = "mm"\ntime_unit = "s"\nforce_unit = "N"\n'
+        for number, write in enumerate((_object_block, _object_labels)):
+            write(place / f"{number}.h5", _Opens(str(self.secret)))
+            mapping = place / f"mapping{number}.toml"
+            mapping.write_text(f'format = "bcid-mapping/1"\nfile = "{number}.h5"\n{units}', encoding="utf-8")
+            yield Case(f"DeepLabCut: {write.__name__}", lambda m=mapping: Measurement.read(m))
+        np.save(place / "cameras.npy", np.array([_Opens(str(self.secret))], dtype=object))
+        yield Case("calibration .npy of objects", lambda: Cameras.read(place / "cameras.npy"))
+        np.save(place / "0.npy", np.array([_Opens(str(self.secret))], dtype=object))
+        surface = f'format = "bcid-measurement/1"\n{units}[surface]\nclouds = "{{step}}.npy"\nunit = "mm"\n'
+        (place / "measurement.toml").write_text(surface, encoding="utf-8")
+        poses = "action,step,time,grasp,x,y,z,qw,qx,qy,qz\na,0,0,I,0,0,0,1,0,0,0\na,1,1,I,1,0,0,1,0,0,0\n"
+        (place / "grasps.csv").write_text(poses, encoding="utf-8")
+        yield Case("cloud .npy of objects", lambda: Measurement.read(place))
+        bag = foreign_files.ros(place, "ros2")
+        text = (bag / "metadata.yaml").read_text(encoding="utf-8")
+        evil = f"!!python/object/apply:builtins.open ['{self.secret}']"
+        (bag / "metadata.yaml").write_text(text.replace(":\n", f":\n  evil: {evil}\n", 1), encoding="utf-8")
+        mapping = place / "bag.toml"
+        mapping.write_text(f'format = "bcid-mapping/1"\nfile = "{bag.name}"\n{units}', encoding="utf-8")
+        yield Case("ROS 2 bag whose metadata make an object", lambda: Measurement.read(mapping), None)
+
     def runs(self) -> Iterator[Case]:
         """Run folders of others, whose model names a program."""
         from bcid.base.run_folder import RunFolder
@@ -359,6 +392,37 @@ class _Bomb:
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
         return os.system, (f"touch {self.canary}",)
+
+
+class _Opens:
+    """Unpickling it opens a file."""
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+        return open, (self.path,)
+
+
+def _object_block(file: Path, one: Any) -> None:
+    """A table of DeepLabCut with an object among its values."""
+    import warnings
+
+    import pandas as pd
+
+    table = pd.read_hdf(foreign_files.deeplabcut_hdf5(file.parent)).astype(object)
+    table.iloc[0, 0] = one
+    with warnings.catch_warnings(action="ignore"):
+        table.to_hdf(file, key="df_with_missing", format="fixed", mode="w")
+
+
+def _object_labels(file: Path, one: Any) -> None:
+    """A table of DeepLabCut whose labels are an object."""
+    import h5py
+
+    made = foreign_files.deeplabcut_hdf5(file.parent).rename(file)
+    with h5py.File(made, "r+") as content:
+        content["df_with_missing"].attrs["info"] = np.bytes_(pickle.dumps(one, 0))
 
 
 _POINTS = np.array([[0.0, 0, 0], [100, 0, 0], [0, 10, 0], [0, 0, 100]])
