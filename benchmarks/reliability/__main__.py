@@ -32,6 +32,7 @@ CHECKS = {
     "B4": ("slips", "seen_first"),
     "C3D": ("recordings", "damage"),
     "B3": ("folders", "damage"),
+    "S7": ("readers", "damage"),
 }
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from bcid.base.errors import InputError
 from bcid.base.run_folder import RunFolder
-from benchmarks.reliability import Reached, configuration, folders, meshes, recordings
+from benchmarks.reliability import Reached, configuration, folders, meshes, readers, recordings
 
 
 def met(found: Reached) -> None:
@@ -30,6 +30,13 @@ def test_bad_configuration_and_measurements() -> None:
 def test_mutated_c3d_recordings() -> None:
     pytest.importorskip("ezc3d")
     met(recordings.damage(8, seed=3))
+
+
+@pytest.mark.parametrize("name", readers.READERS)
+def test_mutated_files_of_every_format(name: str) -> None:
+    ends, misses = readers.one(name, 2, seed=1)
+    assert not misses, "\n".join(misses)
+    assert ends.total() == 2
 
 
 def test_damaged_run_folders() -> None:

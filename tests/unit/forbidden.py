@@ -1,6 +1,7 @@
 """What a confined process tries, for tests: ``python -m forbidden INSIDE OUTSIDE BARRIERS USER`` prints "TRY: how it ended" lines.
 
-BARRIERS is "both", "landlock" or "seccomp": the other one is as on a machine that has none. USER is who tries: "root" for who calls.
+BARRIERS is "both", "landlock" or "seccomp": the other one is as on a machine that has none.
+USER is who tries: "root" for who calls, or "ordinary".
 """
 
 from __future__ import annotations
