@@ -462,6 +462,7 @@ def load(path: str | Path) -> Result:
             f"{path}: holds a run of '{run.record['command']}'; results are loaded of {', '.join(_KINDS)}. "
             "Its files are JSON, NetCDF and CSV"
         )
+    run.check()
     documents = run.read_documents()
     if kind.main not in documents or "summary.txt" not in documents:
         raise InputError(f"{path}: {kind.main} or summary.txt is missing from the run; repeat it")

@@ -13,8 +13,8 @@ from bcid.app.option_values import listed, names_in, noise_in, random_state_in
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError
 from bcid.base.progress import Progress, clear
+from bcid.base.run_folder import RunFolder
 from bcid.base.shipped import shipped
-from bcid.base.text_file import read_json
 
 if TYPE_CHECKING:
     from bcid.comparison.explain import ExplainOptions
@@ -37,8 +37,9 @@ def demo(arguments: argparse.Namespace, comm: Comm) -> None:
     from bcid.report.text import falling
 
     clear()
-    found = read_json(folder / "diagnosis.json")
-    print("\n" + (folder / "summary.txt").read_text(encoding="utf-8").split("\n\n")[0])
+    run = RunFolder.open(folder)
+    found = run.read_json("diagnosis.json")
+    print("\n" + run.read_text("summary.txt").split("\n\n")[0])
     print(f"{falling(found)}\n\nrun folder: {folder} (summary.txt tells more)", flush=True)
     if not arguments.no_picture:
         _demo_report(folder)
@@ -131,8 +132,6 @@ def explain(arguments: argparse.Namespace, comm: Comm) -> None:
 
 def _lacks_a_proposal(arguments: argparse.Namespace) -> bool:
     """Whether the same command has explained the measurement before, and was ended while it looked for a term beyond."""
-    from bcid.base.run_folder import RunFolder
-
     folder = arguments.output
     if arguments.overwrite or arguments.no_propose or not (folder / "run.json").is_file():
         return False
@@ -149,7 +148,7 @@ def _lacks_a_proposal(arguments: argparse.Namespace) -> bool:
 
 def _verdict(folder: Path, comm: Comm) -> str:
     """Of a run, the same on every rank."""
-    return str(on_root(comm, lambda: read_json(folder / "diagnosis.json")["verdict"]))
+    return str(on_root(comm, lambda: RunFolder.open(folder).read_json("diagnosis.json")["verdict"]))
 
 
 def propose(arguments: argparse.Namespace, comm: Comm) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from bcid.base.collective import Comm
 from bcid.base.progress import Progress, Silent, clear, progress_on
+from bcid.base.run_folder import RunFolder
 
 # The module of `bcid.report` that draws what a command found.
 _PICTURES = dict.fromkeys(("compare", "diagnose", "fit", "explain", "propose"), "diagnosis_picture") | {
@@ -55,15 +56,13 @@ def finish(folder: Path, arguments: argparse.Namespace, comm: Comm | None, progr
 
 def print_result(folder: Path, file: str) -> None:
     clear()
-    print((folder / file).read_text(encoding="utf-8").rstrip())
+    print(RunFolder.open(folder).read_text(file).rstrip())
     print(f"\nrun folder: {folder}", flush=True)
 
 
 def draw(folder: Path, progress: Progress) -> None:
     """Pictures of a run."""
     with beside_the_result("picture"):
-        from bcid.base.run_folder import RunFolder
-
         kind = _PICTURES[RunFolder.open(folder).record["command"]]
         for file in import_module(f"bcid.report.{kind}").draw(folder):
             progress.say(f"wrote {file}")

@@ -13,6 +13,7 @@ from bcid.app.option_values import names_in, part_in
 from bcid.base.collective import Comm
 from bcid.base.errors import InputError
 from bcid.base.progress import Progress
+from bcid.base.run_folder import RunFolder
 
 if TYPE_CHECKING:
     from bcid.studies.engine.work import Workers
@@ -30,7 +31,7 @@ def study(arguments: argparse.Namespace, comm: Comm | None = None) -> None:
     folder = _studies(arguments)(
         arguments, Workers(comm, arguments.jobs, arguments.limit), progress_of(arguments, rank)
     )
-    if rank == 0 and (folder / "table.txt").is_file():
+    if rank == 0 and RunFolder.open(folder).holds("table.txt"):
         print_result(folder, "table.txt")
 
 

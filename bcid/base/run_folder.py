@@ -27,8 +27,10 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
+from bcid.base.body_arrays import refuse_unsound
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import BcidError, InputError, MachineError, unwritable
+from bcid.base.inside_folder import read_inside
 from bcid.base.text_file import as_text, parse_json
 from bcid.base.units import with_units
 from bcid.base.version import VERSION
@@ -151,9 +153,18 @@ class RunFolder:
     def open(cls, path: str | Path) -> RunFolder:
         """Look at a run; `InputError` when the folder is not one."""
         path = Path(path)
-        if not (path / "run.json").is_file():
+        if not os.path.lexists(path / "run.json"):
             raise InputError(f"{path}: is not a run folder (it has no run.json)")
         return cls(path, _read_record(path))
+
+    def holds(self, name: str) -> bool:
+        """Whether the run wrote a file of this name; what else lies in the folder is not the run's."""
+        return name in self.record.get("files", {})
+
+    def check(self) -> None:
+        """Refuse a run of which a file is missing or damaged, as `InputError`."""
+        for name in self.record.get("files", {}):
+            self._bytes(name)
 
     @property
     def resumed(self) -> bool:
@@ -207,13 +218,10 @@ class RunFolder:
 
     def _bytes(self, name: str) -> bytes:
         """Content of a file, as it was written; `InputError` when it is missing or damaged."""
-        try:
-            content = (self.path / name).read_bytes()
-        except FileNotFoundError:
-            raise InputError(f"{self.path / name}: is missing from the run") from None
-        except OSError as error:
-            raise InputError(f"{self.path / name}: cannot be read: {error.strerror or error}") from None
-        if self.record.get("files", {}).get(name, _checksum(content)) != _checksum(content):
+        if not self.holds(name):
+            raise InputError(f"{self.path / name}: is missing: run.json does not list it; {_REMEDY}")
+        content = _read(self.path, name)
+        if self.record["files"][name] != _checksum(content):
             raise InputError(f"{self.path / name}: is damaged: it is not what the run wrote; repeat the run")
         return content
 
@@ -246,6 +254,7 @@ class RunFolder:
                 data = opened.load()
         except Exception as error:
             raise InputError(f"{target}: is damaged and cannot be read: {error}") from None
+        refuse_unsound(data, target)
         texts = [str(variable) for variable in data.variables if data[variable].dtype.kind in "OS"]
         return data.assign_coords({v: data[v].astype(str) for v in texts if v in data.coords}).assign(
             {v: data[v].astype(str) for v in texts if v not in data.coords}
@@ -284,12 +293,13 @@ class RunFolder:
     def batches(self, dropped: Callable[[str], None] = lambda _: None) -> Iterator[list[dict[str, Any]]]:
         """What `add_batch` kept, in order; one that is damaged is removed, and `dropped` is told so in words."""
         for file in self._batch_files():
-            content = file.read_bytes()
-            if file.name[7:] == f"{_checksum(content)}.json":
-                yield _parsed(content, file)
-            else:
-                file.unlink()
-                dropped(f"{file}: is damaged; what it held is computed again")
+            with suppress(InputError):
+                content = read_inside(self.path, f"{_BATCHES}/{file.name}")
+                if file.name[7:] == f"{_checksum(content)}.json":
+                    yield _parsed(content, file)
+                    continue
+            _removed(file)
+            dropped(f"{file}: is damaged; what it held is computed again")
 
     def _batch_files(self) -> list[Path]:
         return sorted((self.path / _BATCHES).glob("[0-9]" * 6 + "-*.json"))
@@ -372,6 +382,14 @@ def _locked(path: Path) -> TextIO:
     return lock
 
 
+def _removed(path: Path) -> None:
+    """Remove a file, a link or a folder."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
 def _only_lock(path: Path) -> bool:
     """Whether a run was begun there, and got no further than its lock."""
     return all(entry.name in (".lock", ".run.json.partial") for entry in path.iterdir())
@@ -394,10 +412,7 @@ def _empty(path: Path) -> None:
 
 def _read_record(path: Path) -> dict[str, Any]:
     file = path / "run.json"
-    try:
-        record = _parsed(file.read_bytes(), file)
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read: {error.strerror or error}") from None
+    record = _parsed(_read(path, file.name), file)
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise InputError(f"{file}: is not a run of this version (expected format '{FORMAT}')")
     missing = [key for key in _KEYS if key not in record]
@@ -405,7 +420,27 @@ def _read_record(path: Path) -> dict[str, Any]:
         raise InputError(f"{file}: is damaged: {', '.join(missing)} missing; {_REMEDY}")
     if sealed(record) != record:
         raise InputError(f"{file}: is damaged: its checksum is another; {_REMEDY}")
+    if not _as_written(record):
+        raise InputError(f"{file}: is damaged: what a run writes there has another form; {_REMEDY}")
     return record
+
+
+def _as_written(record: dict[str, Any]) -> bool:
+    """Whether the entries that all commands use are of the kinds that a run writes."""
+    kinds: dict[str, Any] = {"command": str, "state": str, "inputs": dict, "versions": dict, "attempts": int}
+    kinds |= {"seconds": int | float, "files": dict, "names": dict, "makes": list}
+    tables = [record.get("files", {}), record.get("names", {})]
+    return all(isinstance(record[key], kind) for key, kind in kinds.items() if key in record) and all(
+        isinstance(value, str) for table in tables for value in table.values()
+    )
+
+
+def _read(folder: Path, name: str) -> bytes:
+    """Content of a file of a run."""
+    try:
+        return read_inside(folder, name)
+    except InputError as error:
+        raise InputError(f"{error}; {_REMEDY}") from None
 
 
 def sealed(record: dict[str, Any]) -> dict[str, Any]:
@@ -425,7 +460,7 @@ def unsealed(file: Path, remedy: str) -> dict[str, Any]:
         InputError: it is missing or damaged.
     """
     try:
-        content: dict[str, Any] = parse_json(as_text(file.read_bytes(), file), file)
+        content: dict[str, Any] = parse_json(as_text(read_inside(file.parent, file.name), file), file)
         if sealed(content)["checksum"] != content["checksum"]:
             raise ValueError("its checksum is another")
     except (OSError, ValueError, KeyError, TypeError, AttributeError, InputError) as error:

@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from bcid.base.collective import Comm, on_root
-from bcid.base.errors import MachineError
+from bcid.base.errors import InputError, MachineError
 from bcid.base.fingerprint import fingerprint
+from bcid.base.inside_folder import read_inside
 from bcid.base.packed import packed, unpacked
 from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import write_whole, writing
@@ -65,13 +66,13 @@ class Checkpoint:
 
     def _begun(self) -> int:
         """Remove what does not belong here, and say what is there; its bytes."""
-        files = [file for file in self.folder.glob("*") if file.is_file()]
+        files = [file for file in self.folder.glob("*") if file.is_symlink() or not file.is_dir()]
         own = [file for file in files if file.name.startswith(f"{self._identity}-")]
         others = [file for file in files if file not in own]
         with writing(self.folder):
             for file in others:
                 file.unlink()
-            size = sum(file.stat().st_size for file in own)
+            size = sum(file.lstat().st_size for file in own)
         if any(not file.name.endswith(".partial") for file in others):
             self.progress.say("begun anew: what an interrupted run left was computed by other code, or of other inputs")
         if own:
@@ -105,8 +106,8 @@ class Checkpoint:
         self._file = self.folder / f"{self._identity}-{key}-{self._asked[key]}"
         self._asked[key] += 1
         try:
-            return self._file.read_bytes()
-        except OSError:
+            return read_inside(self.folder, self._file.name, int(_MOST))
+        except InputError:
             return None
 
     def _keep(self, arrays: Arrays, notes: Any) -> None:

@@ -92,7 +92,9 @@ def from_run(folder: Path, files: Sequence[Path], comm: Comm) -> Source:
     names = run.record.get("names", {})
     if not {"scene", "measurement"} <= set(names):
         raise InputError(f"{folder}: holds a run of '{run.record['command']}', which names no scene and measurement")
-    stored = on_root(comm, lambda: run.read_json("model.json") if (folder / "model.json").is_file() else None)
+    on_root(comm, run.check)
+    # An identification alone has no model but the plain one.
+    stored = on_root(comm, lambda: None if run.record["command"] == "identify" else run.read_json("model.json"))
     on_root(comm, lambda: _refuse_unnamed(run, stored, files))
     source = from_files(Path(names["scene"]), Path(names["measurement"]), files, comm)
     for what, present in fingerprints(source.scene, source.measurement).items():

@@ -12,6 +12,7 @@ from typing import Any
 
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError
+from bcid.base.inside_folder import refuse_links
 from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import RunFolder, running, sealed, unsealed
 from bcid.base.units import for_people, percent
@@ -169,6 +170,7 @@ def _keep(folder: Path, move: Move, seen: Measurement) -> None:
 def _made(folder: Path) -> list[tuple[Move, Measurement]]:
     """The pulls that an interrupted exploration has made, as far as they are complete."""
     found, remedy = [], "start the exploration anew with --overwrite"
+    refuse_links(folder / "steps")
     for file in sorted((folder / "steps").glob("*/move.json")):
         about = unsealed(file, remedy)
         seen = Measurement.read(file.parent / "measurement")

@@ -12,7 +12,6 @@ from bcid.base.errors import InputError
 from bcid.base.fingerprint import file_fingerprint
 from bcid.base.progress import Progress
 from bcid.base.run_folder import RunFolder, running, write_whole
-from bcid.base.text_file import read_json
 from bcid.comparison.checkpoint import CHECKPOINT, Checkpoint
 from bcid.comparison.compare_runs import MAKES, finish
 from bcid.comparison.diagnosis import Diagnosis, on_predictor
@@ -102,9 +101,9 @@ def _refuse_existing(files: Sequence[Path]) -> None:
 
 def _begun(run: Path, given: Source) -> Model:
     """The model that terms are added to: that of the run, or where `explain` found no effect for sure that of the scene."""
-    diagnosis = run / "diagnosis.json"
-    if diagnosis.is_file():
-        found = read_json(diagnosis)
+    stored = RunFolder.open(run)
+    if stored.holds("diagnosis.json"):
+        found = stored.read_json("diagnosis.json")
         if "probabilities" in found and found.get("verdict") == "unknown":
             return Model.of(given.scene)
     return given.model

@@ -48,7 +48,7 @@ def draw(folder: str | Path) -> list[Path]:
     body, residuals = run.read_dataset("body.nc"), run.read_dataset("residuals.nc")
     with styled(), writing(run.path):
         figures = {"picture.png": residual_figure(found, body, residuals), "ladder.png": ladder_figure(found)}
-        if (run.path / "where.json").is_file():
+        if run.holds("where.json"):
             figures["where.png"] = where_figure(found, in_mm(run.read_json("where.json")), body, residuals)
         written = [save(figure, run.path / name) for name, figure in figures.items()]
         return [*written, write_paraview(run.path / "paraview", body, residuals, found["anchored"])]

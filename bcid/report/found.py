@@ -54,15 +54,15 @@ class Found:
         run = RunFolder.open(path)
         found = cls(run.path, _cleaned(run.record))
         for name in _DOCUMENTS:
-            if (run.path / f"{name}.json").is_file():
+            if run.holds(f"{name}.json"):
                 found._document(run, name)
-        arrays = "residuals.nc" if (run.path / "residuals.nc").is_file() else "prediction.nc"
+        arrays = "residuals.nc" if run.holds("residuals.nc") else "prediction.nc"
         found.body = found._dataset(run, "body.nc")
         found.positions = found._dataset(run, arrays)
         found.tracks = found._dataset(run, "tracking.nc")
         for name in _TEXTS:
-            if not found.summary and (run.path / name).is_file():
-                found._summary(run.path / name)
+            if not found.summary and run.holds(name):
+                found._summary(run, name)
         return found
 
     def _document(self, run: RunFolder, name: str) -> None:
@@ -76,14 +76,14 @@ class Found:
         else:
             self.troubles.append(f"{run.path / name}.json: is damaged and cannot be read: it holds no table")
 
-    def _summary(self, file: Path) -> None:
+    def _summary(self, run: RunFolder, name: str) -> None:
         try:
-            self.summary = clean(file.read_text(encoding="utf-8", errors="replace"))
-        except OSError as error:
-            self.troubles.append(f"{file}: cannot be read: {error.strerror}")
+            self.summary = clean(run.read_text(name))
+        except BcidError as error:
+            self.troubles.append(str(error))
 
     def _dataset(self, run: RunFolder, name: str) -> xr.Dataset | None:
-        if not (run.path / name).is_file():
+        if not run.holds(name):
             return None
         try:
             return _named(run.read_dataset(name))

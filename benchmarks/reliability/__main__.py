@@ -33,6 +33,7 @@ CHECKS = {
     "C3D": ("recordings", "damage"),
     "B3": ("folders", "damage"),
     "S7": ("readers", "damage"),
+    "S8": ("foreign_runs", "foreign"),
 }
 
 

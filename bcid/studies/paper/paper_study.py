@@ -88,16 +88,20 @@ def _finished(folder: Path) -> bool:
 
 def _conclude(run: RunFolder | None, names: list[str]) -> None:
     assert run is not None
-    texts = {name: (run.path / name / "page.md").read_text(encoding="utf-8") for name in names}
+    texts = {name: _text(run.path / name, "page.md") for name in names}
     said = [entry for name in in_order(texts) for entry in _said(run.path / name)]
     judged = verdicts(said)
-    tables = [(run.path / name / "table.txt").read_text(encoding="utf-8").rstrip() for name in names]
+    tables = [_text(run.path / name, "table.txt").rstrip() for name in names]
     rule = "\n\n" + "-" * 100 + "\n\n"
     run.write_text("table.txt", rule.join([judged.text(), *tables]) + "\n")
     run.write_text(PAGE, judged.markdown() + "\n\n" + page(run.path, names))
     seconds = {name: RunFolder.open(run.path / name).record["seconds"] for name in names}
     not_held = sum(claim.verdict == FAILS for _, claim in said)
     run.finish({"studies": names, "seconds": seconds, "not_held": not_held})
+
+
+def _text(folder: Path, name: str) -> str:
+    return RunFolder.open(folder).read_text(name)
 
 
 def _said(folder: Path) -> list[tuple[str, Claim]]:
@@ -111,7 +115,7 @@ def _said(folder: Path) -> list[tuple[str, Claim]]:
 
 def page(folder: Path, names: Iterable[str]) -> str:
     """The sections of all studies in the order of the paper; pictures are looked for in the folders of the studies."""
-    texts = {name: (folder / name / "page.md").read_text(encoding="utf-8") for name in names}
+    texts = {name: _text(folder / name, "page.md") for name in names}
     return "\n".join(texts[name].replace(f"]({PICTURE})", f"]({name}/{PICTURE})") for name in in_order(texts))
 
 
