@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bcid.app.console import beside_the_result, draw, finish, progress_of
+from bcid.app.console import beside_the_result, draw, finish, progress_of, tell
 from bcid.app.option_values import listed, names_in, noise_in, random_state_in
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError
@@ -39,8 +39,8 @@ def demo(arguments: argparse.Namespace, comm: Comm) -> None:
     clear()
     run = RunFolder.open(folder)
     found = run.read_json("diagnosis.json")
-    print("\n" + run.read_text("summary.txt").split("\n\n")[0])
-    print(f"{falling(found)}\n\nrun folder: {folder} (summary.txt tells more)", flush=True)
+    tell("\n" + run.read_text("summary.txt").split("\n\n")[0])
+    tell(f"{falling(found)}\n\nrun folder: {folder} (summary.txt tells more)")
     if not arguments.no_picture:
         _demo_report(folder)
 
@@ -51,7 +51,7 @@ def _demo_report(folder: Path) -> None:
         from bcid.report.page import write_report
 
         made = write_report([folder], folder / "report.html")
-        print(f"report: {made.path} (open it in a browser)", flush=True)
+        tell(f"report: {made.path} (open it in a browser)")
 
 
 def identify(arguments: argparse.Namespace, comm: Comm) -> None:
@@ -172,7 +172,7 @@ def _proposed(
     files = run_propose(run, output, folder, comm, options, progress, arguments.overwrite, arguments.effects)
     finish(folder, arguments, comm, progress)
     for file in files if comm.rank == 0 else ():
-        print(f"effect: {file} (use it with --effects {file})", flush=True)
+        tell(f"effect: {file} (use it with --effects {file})")
 
 
 def _explained(scene: Path, measurement: Path, arguments: argparse.Namespace, comm: Comm, progress: Progress) -> Path:

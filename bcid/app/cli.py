@@ -12,7 +12,7 @@ import sys
 import time
 import traceback
 from functools import partial
-from typing import Any
+from typing import Any, NoReturn
 
 from bcid.app.answer_parsers import (
     add_compare,
@@ -42,6 +42,7 @@ from bcid.base.collective import Comm, first, launched
 from bcid.base.errors import SHORT_OF_MEMORY, BcidError, MachineError, nearest, shortened
 from bcid.base.scratch import require
 from bcid.base.version import VERSION
+from bcid.base.visible import visible
 
 # Commands without MPI in this process, for they start others that are jobs of their own; what becomes of an interrupted one.
 _WITHOUT_MPI = {
@@ -185,10 +186,17 @@ def _end_all(comm: Comm, code: int) -> int:
     return code
 
 
+class _Parser(argparse.ArgumentParser):
+    """Complains of arguments without the control characters in them."""
+
+    def error(self, message: str) -> NoReturn:
+        super().error(visible(message))
+
+
 def build_parser() -> argparse.ArgumentParser:
     """The parser of all commands."""
     raw = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser("bcid", description=_DESCRIPTION, epilog=_EXAMPLES, formatter_class=raw)
+    parser = _Parser("bcid", description=_DESCRIPTION, epilog=_EXAMPLES, formatter_class=raw)
     parser.add_argument("--version", action="version", version=f"bcid {VERSION}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     add_demo(commands)

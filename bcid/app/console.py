@@ -12,6 +12,7 @@ from pathlib import Path
 from bcid.base.collective import Comm
 from bcid.base.progress import Progress, Silent, clear, progress_on
 from bcid.base.run_folder import RunFolder
+from bcid.base.visible import visible
 
 # The module of `bcid.report` that draws what a command found.
 _PICTURES = dict.fromkeys(("compare", "diagnose", "fit", "explain", "propose"), "diagnosis_picture") | {
@@ -25,7 +26,12 @@ _PICTURES = dict.fromkeys(("compare", "diagnose", "fit", "explain", "propose"), 
 def complain(text: object) -> None:
     """Say on standard error what went wrong."""
     clear()
-    print(f"bcid: {text}", file=sys.stderr, flush=True)
+    print(f"bcid: {visible(text)}", file=sys.stderr, flush=True)
+
+
+def tell(text: object) -> None:
+    """Say on standard output what a command found."""
+    print(visible(text), flush=True)
 
 
 @contextmanager
@@ -56,8 +62,8 @@ def finish(folder: Path, arguments: argparse.Namespace, comm: Comm | None, progr
 
 def print_result(folder: Path, file: str) -> None:
     clear()
-    print(RunFolder.open(folder).read_text(file).rstrip())
-    print(f"\nrun folder: {folder}", flush=True)
+    tell(RunFolder.open(folder).read_text(file).rstrip())
+    tell(f"\nrun folder: {folder}")
 
 
 def draw(folder: Path, progress: Progress) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bcid.app.console import tell
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError, MachineError
 
@@ -33,10 +34,10 @@ def _checked(path: Path, target: Path | None) -> None:
     from bcid.scene import Scene
 
     found = check_scene(Scene.read(path, physics=check_physics))
-    print(table(found), flush=True)
+    tell(table(found))
     if target is not None:
         _draw(found, target)
-        print(f"\npicture: {target}", flush=True)
+        tell(f"\npicture: {target}")
 
 
 def _draw(found: SceneCheck, target: Path) -> None:

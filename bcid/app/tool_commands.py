@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from bcid.app.console import beside_the_result, complain, finish, progress_of
+from bcid.app.console import beside_the_result, complain, finish, progress_of, tell
 from bcid.app.option_values import direction_in, length_in, names_in, noise_in, random_state_in
 from bcid.base.collective import Comm, first
 from bcid.base.errors import InputError, MachineError
@@ -27,7 +27,7 @@ def report(arguments: argparse.Namespace) -> None:
             complain(text if str(folder) in text else f"{folder}: {text}")
     if not arguments.quiet:
         runs = f"{len(made.shown)} run{'s' if len(made.shown) != 1 else ''}"
-        print(f"{made.path}: {runs}, {made.path.stat().st_size / 1e6:.1f} MB")
+        tell(f"{made.path}: {runs}, {made.path.stat().st_size / 1e6:.1f} MB")
 
 
 def import_recording(arguments: argparse.Namespace) -> None:
@@ -39,7 +39,7 @@ def import_recording(arguments: argparse.Namespace) -> None:
 
     scene = None if arguments.scene is None else Scene.read(arguments.scene)
     made = import_file(arguments.file, arguments.output, scene)
-    print(made.text)
+    tell(made.text)
     if not arguments.no_picture:
         _draw_tracks(made)
 
@@ -55,7 +55,7 @@ def _draw_tracks(made: Inspected) -> None:
 
         seen = made.seen
         title = f"{made.mapping.stem}: {len(seen.points)} markers, {seen.frames} frames"
-        print(f"wrote {draw_tracks(seen.points, seen.times, made.unit, title, target)}", flush=True)
+        tell(f"wrote {draw_tracks(seen.points, seen.times, made.unit, title, target)}")
 
 
 def figure(arguments: argparse.Namespace) -> None:
@@ -71,7 +71,7 @@ def figure(arguments: argparse.Namespace) -> None:
     except ImportError as error:
         raise MachineError(f"{error.name} is not installed: pip install 'bcid[report]'") from None
     if not arguments.quiet:
-        print(f"{arguments.output}: {len(files)} files")
+        tell(f"{arguments.output}: {len(files)} files")
 
 
 def calibrate(arguments: argparse.Namespace) -> None:
@@ -161,20 +161,20 @@ def simulate(arguments: argparse.Namespace, comm: Comm) -> None:
     on_root(comm, lambda: made.write(arguments.output))
     if comm.rank == 0:
         points = f" and {arguments.surface} points of the surface" if arguments.surface else ""
-        print(f"{arguments.output}: {len(made.positions)} frames of {len(made.fiducial_names)} fiducials{points}")
+        tell(f"{arguments.output}: {len(made.positions)} frames of {len(made.fiducial_names)} fiducials{points}")
 
 
 def examples(arguments: argparse.Namespace) -> None:
     """`bcid examples`."""
     names = copy_examples(arguments.folder)
-    print(f"{arguments.folder}: {', '.join(names)}\ntry: cd {arguments.folder}; bcid identify {EXAMPLE} -o run")
+    tell(f"{arguments.folder}: {', '.join(names)}\ntry: cd {arguments.folder}; bcid identify {EXAMPLE} -o run")
 
 
 def check_effect(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid check-effect`."""
     from bcid.forms.check_effect import check_effect as check
 
-    check(arguments.effect, comm, lambda text: print(text, flush=True) if comm.rank == 0 else None)
+    check(arguments.effect, comm, lambda text: tell(text) if comm.rank == 0 else None)
 
 
 def bench(arguments: argparse.Namespace) -> None:

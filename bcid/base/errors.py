@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
+from bcid.base.visible import visible
+
 # What is to be done where a folder cannot be written.
 _REMEDIES = {
     **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "free some space or choose another folder"),
@@ -30,7 +32,7 @@ class BcidError(Exception):
     exit_code = 1
 
     def __init__(self, text: object = "") -> None:
-        super().__init__(bounded(str(text)))
+        super().__init__(bounded(visible(text)))
 
 
 class InputError(BcidError):

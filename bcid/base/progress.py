@@ -7,6 +7,8 @@ import time
 from shutil import get_terminal_size
 from typing import Any, ClassVar, Protocol, TextIO
 
+from bcid.base.visible import visible
+
 
 class Progress(Protocol):
     """Receives what a long computation is doing; see `Silent`, `Lines` and `Bar`."""
@@ -81,7 +83,7 @@ class Lines:
     def say(self, text: str) -> None:
         """Write a line with the seconds since the start."""
         self.last = time.monotonic()
-        print(f"[{self.last - self.start:6.1f} s] {text}", file=self.stream, flush=True)
+        print(f"[{self.last - self.start:6.1f} s] {visible(text)}", file=self.stream, flush=True)
 
     def step(self, work: str, done: float = 0, total: float = 0, note: str = "") -> None:
         """Write a line unless one was written less than `every` seconds ago."""
@@ -108,7 +110,7 @@ class Bar:
     def say(self, text: str) -> None:
         """Write a line with the seconds since the start; the bar goes until the next step."""
         self.clear()
-        print(f"[{time.monotonic() - self.start:6.1f} s] {text}", file=self.stream, flush=True)
+        print(f"[{time.monotonic() - self.start:6.1f} s] {visible(text)}", file=self.stream, flush=True)
 
     def step(self, work: str, done: float = 0, total: float = 0, note: str = "") -> None:
         """Show how far it is."""
@@ -121,7 +123,7 @@ class Bar:
         if self._bar is None:
             self._bar = tqdm(total=1, file=self.stream, leave=False)
         # The name of a piece of work is not a format.
-        self._bar.bar_format = bar + text.replace("{", "{{").replace("}", "}}")
+        self._bar.bar_format = bar + visible(text).replace("{", "{{").replace("}", "}}")
         self._bar.total, self._bar.n = total or None, min(done, total) if total else done
         # Of a terminal that does not tell its size this is 80.
         self._bar.ncols = get_terminal_size().columns - 1

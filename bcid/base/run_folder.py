@@ -34,6 +34,7 @@ from bcid.base.inside_folder import read_inside
 from bcid.base.text_file import as_text, parse_json
 from bcid.base.units import with_units
 from bcid.base.version import VERSION
+from bcid.base.visible import visible
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -208,7 +209,8 @@ class RunFolder:
         write_whole(self.path / "run.json", _json(sealed(self.record)))
 
     def write_text(self, name: str, text: str) -> Path:
-        """Write a file whole; returns its path."""
+        """Write a file whole; returns its path. What is read on a terminal shows no control characters of others."""
+        text = visible(text) if name.endswith(".txt") else text
         self._note(name, text.encode())
         return write_whole(self.path / name, text)
 

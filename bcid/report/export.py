@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -11,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bcid.base.csv_text import csv_text
 from bcid.base.errors import InputError, nearest, unwritable
 from bcid.base.run_folder import writing
 from bcid.report.figure import styled
@@ -119,9 +118,7 @@ def _tabulate(found: Found, made: Path) -> None:
         for table in tables(found):
             (made / f"{table.name}.csv").write_text(table.csv(), encoding="utf-8")
             (made / f"{table.name}.tex").write_text(table.latex(), encoding="utf-8")
-        stream = io.StringIO()
-        csv.writer(stream, lineterminator="\n").writerows([("what", "value"), *facts(found)])
-        (made / "provenance.csv").write_text(stream.getvalue(), encoding="utf-8")
+        (made / "provenance.csv").write_text(csv_text([("what", "value"), *facts(found)]), encoding="utf-8")
 
 
 def _fields(found: Found, made: Path, say: Callable[[str], None]) -> None:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from bcid.base.csv_text import csv_text
 from bcid.report.markup import Markup, tag
 
 TEXT, NUMBER = "text", "number"
@@ -82,11 +81,7 @@ class Table:
 
     def csv(self) -> str:
         """The table with full numbers; a cell that a spreadsheet would take for a formula begins with an apostrophe."""
-        stream = io.StringIO()
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow([column.head for column in self.columns])
-        writer.writerows([[_harmless(cell) for cell in row] for row in self.exact])
-        return stream.getvalue()
+        return csv_text([[column.head for column in self.columns], *self.exact])
 
     def latex(self) -> str:
         """A tabular environment (package booktabs)."""
@@ -128,10 +123,6 @@ def _decimals(cell: str) -> int | None:
 
 def _class(column: Column) -> str:
     return " ".join([column.kind, *(["less"] if column.less else [])])
-
-
-def _harmless(cell: object) -> object:
-    return f"'{cell}" if isinstance(cell, str) and cell[:1] in ("=", "+", "-", "@", "\t") else cell
 
 
 def _latex(cell: str) -> str:

@@ -22,7 +22,15 @@ from benchmarks.reliability import Reached
 SECRET = "nobody-may-read-this-4711"
 _LIMIT = 90
 _COMMANDS = ("report", "figure", "load", "compare", "diagnose", "fit", "propose")
-_LOAD = "import sys, bcid\nfrom bcid.base.errors import InputError\ntry:\n    print(bcid.load(sys.argv[1]))\nexcept InputError as error:\n    print(error)\n    sys.exit(2)"
+_LOAD = """
+import sys, bcid
+from bcid.base.errors import InputError
+try:
+    print(bcid.load(sys.argv[1]))
+except InputError as error:
+    print(error)
+    sys.exit(2)
+"""
 _FILES = ("run.json", "diagnosis.json", "model.json", "body.nc", "residuals.nc", "summary.txt")
 
 

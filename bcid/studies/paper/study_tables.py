@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from bcid.base.csv_text import csv_text
 from bcid.inference.outcome import label
 from bcid.studies.paper.cells import Cell, Row, Wrong, mean_calls, reasons, time_range, wrong_answers
 from bcid.studies.paper.claims import TOLD, Claim
@@ -203,15 +202,13 @@ def _claims(said: Sequence[Claim]) -> list[TextTable]:
 def table_csv(study: StudyFile, found: Sequence[Cell]) -> str:
     """The cells as CSV, lengths in mm, times in s."""
     levels = sorted({level for cell in found for level in cell.calls})
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
     numbers = ("right", "low", "high", "best_right", "rms_mm", "cpu_s", "cpu_s_least", "cpu_s_most")
-    writer.writerow([*study.vary, "trials", "failed", *numbers, *(f"calls_{x}" for x in levels), "wrong"])
+    rows: list[list[object]] = [[*study.vary, "trials", "failed", *numbers, *(f"calls_{x}" for x in levels), "wrong"]]
     for cell in found:
         values = [cell.right, *cell.interval, cell.best_right, None if cell.rms is None else cell.rms * 1e3]
         values += [*(cell.seconds or (None,) * 3), *(cell.calls.get(level) for level in levels)]
         told = ["" if n is None else f"{n:.6g}" for n in values]
         wrong = "; ".join(f"{label(w.found, w.found)} for {label(w.anchors, w.anchors)}: {w.count}" for w in cell.wrong)
         about = [written(n, v) for n, v in cell.values.items()]
-        writer.writerow([*about, cell.count, cell.failed, *told, wrong])
-    return stream.getvalue()
+        rows.append([*about, cell.count, cell.failed, *told, wrong])
+    return csv_text(rows)
