@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bcid.base.errors import InputError, unwritable
+from bcid.base.run_folder import writing
 from bcid.base.units import unit_factor
 from bcid.measurement.array_guess import guess_arrays
 from bcid.measurement.formats.foreign import Foreign
@@ -83,9 +85,12 @@ def import_file(source: Path, target: Path | None = None, scene: Scene | None = 
         dense = with_rest(seen) if seen.numbered else None
         if dense is not None:
             _write(extra, scene_lines(dense, unit))
-        partial.replace(target)
+        with writing(target):
+            partial.replace(target)
     finally:
-        partial.unlink(missing_ok=True)
+        # What cannot be written cannot be removed either, and is not there.
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
     written = [target, *([extra] if dense is not None else [])]
     return Inspected(
         seen, unit, target, extra if dense is not None else None, _text(source, found, seen, unit, written)
@@ -152,6 +157,8 @@ def _write(path: Path, lines: list[str]) -> None:
         path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     except OSError as error:
         raise unwritable(path, error) from None
+    except UnicodeEncodeError:
+        raise InputError(f"{path}: cannot name a file or label that is not UTF-8; rename it first") from None
 
 
 def _text(source: Path, found: list[Path], seen: Foreign, unit: str, written: list[Path]) -> str:

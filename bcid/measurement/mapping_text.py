@@ -32,8 +32,8 @@ def mapping_lines(file: str, told: dict[str, Any], seen: Foreign | None, scene: 
         seen: what the file holds, where it names its markers itself; None for tables.
         scene: whose fiducials and grasps are meant; None where none is given.
     """
-    lines = [f'format = "{FORMAT}"', f"file = {json.dumps(file)}", *_units(told, seen)]
-    lines += [f"{key} = {json.dumps(told[key])}" for key in ("delimiter", "decimal", "table") if key in told]
+    lines = [f'format = "{FORMAT}"', f"file = {_toml(file)}", *_units(told, seen)]
+    lines += [f"{key} = {_toml(told[key])}" for key in ("delimiter", "decimal", "table") if key in told]
     if seen is not None and not seen.clocked:
         lines.append("# rate = 100                # frames per second: the file has no times")
     lines.append("# noise_sigma = 0.1         # standard deviation of a coordinate, length_unit")
@@ -41,7 +41,7 @@ def mapping_lines(file: str, told: dict[str, Any], seen: Foreign | None, scene: 
     lines += _gripper(told, seen, scene, grasp)
     if "arrays" in told:
         lines += ["", "[arrays]                    # guessed from shapes and names"]
-        lines += [f"{key} = {json.dumps(value)}" for key, value in told["arrays"].items()]
+        lines += [f"{key} = {_toml(value)}" for key, value in told["arrays"].items()]
     lines += _fiducials(told, seen, scene)
     lines += ["", "[frames]"]
     lines += ["first = 0                   # first frame that is used, from 0; the gripper is at rest in it, unless:"]
@@ -77,17 +77,15 @@ def _units(told: dict[str, Any], seen: Foreign | None) -> list[str]:
 def _gripper(told: dict[str, Any], seen: Foreign | None, scene: Scene | None, grasp: str | None) -> list[str]:
     """The grasp, and the columns of the gripper and of the forces."""
     names = ", ".join(scene.grasps) if scene is not None else "as the scene names it"
-    lines = [
-        f"grasp = {json.dumps(grasp)}" if grasp else f'# grasp = "NAME"            # held in every action: {names}'
-    ]
+    lines = [f"grasp = {_toml(grasp)}" if grasp else f'# grasp = "NAME"            # held in every action: {names}']
     columns = dict(told.get("columns", {}))
     bodies = list(seen.bodies) if seen is not None else []
-    loose = [f"# pose = {json.dumps(label)}" for label in bodies]
+    loose = [f"# pose = {_toml(label)}" for label in bodies]
     pose = columns.pop("pose", bodies[0] if len(bodies) == 1 else None)
     if pose is not None and grasp:
         columns["pose"], loose = pose, []
     elif pose is not None:
-        loose = [f"# pose = {json.dumps(pose)}"]
+        loose = [f"# pose = {_toml(pose)}"]
     if loose:
         loose[0] += "        # rigid body whose pose is the gripper's; needs grasp"
     if pose is not None or bodies:
@@ -97,11 +95,11 @@ def _gripper(told: dict[str, Any], seen: Foreign | None, scene: Scene | None, gr
     forces = list(seen.wrenches) if seen is not None else []
     if "wrench" not in columns and forces:
         columns |= {"wrench": forces[0]} if len(forces) == 1 else {}
-        loose += [f"# wrench = {json.dumps(label)}" for label in forces if len(forces) > 1]
+        loose += [f"# wrench = {_toml(label)}" for label in forces if len(forces) > 1]
     if "rotation" in told:
-        loose.append(f"# rotation = {json.dumps(told['rotation'])}     # from rest; with translation = [x, y, z]")
+        loose.append(f"# rotation = {_toml(told['rotation'])}     # from rest; with translation = [x, y, z]")
     if columns or loose:
-        given = [f"{key} = {json.dumps(value)}{_ABOUT.get(key, '')}" for key, value in columns.items()]
+        given = [f"{key} = {_toml(value)}{_ABOUT.get(key, '')}" for key, value in columns.items()]
         lines += ["", "[columns]", *given, *loose]
     return lines
 
@@ -131,14 +129,14 @@ def _table_of(markers: dict[str, Any], seen: dict[str, float], scene: Scene | No
     taken = {name: key for name, key in named.items() if key is not None}
     lines = ["", "[fiducials]"]
     for name, key in taken.items():
-        lines.append(f"{_quoted(key)} = {json.dumps(markers[name])}{_part(seen.get(name))}")
+        lines.append(f"{_quoted(key)} = {_toml(markers[name])}{_part(seen.get(name))}")
     if scene is not None:
         lost = [name for name in scene.fiducials if name not in taken.values()]
         lines += [f'# {_quoted(name)} = "?"           # fiducial of the scene: which marker is it?' for name in lost]
     left = [name for name in markers if name not in taken]
     if left:
         lines += ["", "# [reference]               # markers that only help to align"]
-        lines += [f"# {_quoted(_key(name))} = {json.dumps(markers[name])}{_part(seen.get(name))}" for name in left]
+        lines += [f"# {_quoted(_key(name))} = {_toml(markers[name])}{_part(seen.get(name))}" for name in left]
     if not taken:
         # A mapping without fiducials reads all markers: here they are to be named first.
         lines = [line for line in lines if line != "[fiducials]"]
@@ -161,7 +159,7 @@ def _same(label: str, names: Sequence[str]) -> str | None:
 
 
 def _quoted(name: str) -> str:
-    return name if _BARE.fullmatch(name) else json.dumps(name)
+    return name if _BARE.fullmatch(name) else _toml(name)
 
 
 def _align(seen: Foreign | None, told: dict[str, Any], scene: Scene | None) -> list[str]:
@@ -176,3 +174,8 @@ def _align(seen: Foreign | None, told: dict[str, Any], scene: Scene | None) -> l
     return head + [
         f"# {_quoted(n)} = {[float(f'{v / factor:.8g}') for v in p]}" for n, p in list(scene.fiducials.items())[:50]
     ]
+
+
+def _toml(value: Any) -> str:
+    """A value as TOML, which knows no surrogate pairs and has DEL escaped."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
