@@ -58,19 +58,26 @@ class Force:
         basis: orthonormal, shape (n, k).
         squares: variance along each of its directions per unit of the force's variance, shape (k,).
         sizes: standard deviations of the force that are equally likely, shape (m,).
+        inflation: factor of all errors at each size, for what the columns leave out of a process; None for one, shape (m,).
     """
 
     basis: Array
     squares: Array
     sizes: Array
+    inflation: Array | None = None
 
     @classmethod
-    def of(cls, columns: Array, sizes: Array) -> Force:
-        """Of columns (n, forces), in units of the errors per unit of force."""
+    def of(cls, columns: Array, sizes: Array, left_out: float = 0.0) -> Force:
+        """Of columns (n, forces), in units of the errors per unit of force.
+
+        `left_out` is the variance per value of a process that the columns leave out, in the square of these units. It makes all
+        errors larger by sqrt(1 + left_out size^2), so that a process of low rank has the variance of the whole one.
+        """
         squares, axes = np.linalg.eigh(columns.T @ columns)
         kept = squares > 1e-10 * max(float(squares.max(initial=0.0)), 1e-300)
         squares, axes = squares[kept], axes[:, kept]
-        return cls(columns @ axes / np.sqrt(squares), squares, sizes)
+        inflation = np.sqrt(1 + left_out * sizes**2) if left_out > 0 else None
+        return cls(columns @ axes / np.sqrt(squares), squares, sizes, inflation)
 
 
 @dataclass(frozen=True)
@@ -84,6 +91,12 @@ class _Products:
     rj: Array
     jj: Array
     volume: Array
+
+    def inflated(self, factors: Array, count: int) -> _Products:
+        """The same where all errors of so many values are larger by a factor for each size."""
+        f = factors**2
+        volume = self.volume + count * np.log(factors)
+        return _Products(self.rr / f, self.rj / f[:, None], self.jj / f[:, None, None], volume)
 
 
 @dataclass(frozen=True)
@@ -110,6 +123,8 @@ class Integrated:
     def of(cls, scaled: Array, numbers: Numbers, force: Force | None = None) -> Integrated:
         """Of a residual at the numbers, in units of its errors, shape (n,), and a force that may act besides."""
         products = _alone(scaled, numbers.columns) if force is None else _forced(scaled, numbers.columns, force)
+        if force is not None and force.inflation is not None:
+            products = products.inflated(force.inflation, len(scaled))
         forced = -0.5 * products.rr - products.volume
         return cls(*_integrated(products, numbers), forced, len(scaled), numbers.log_prior)
 
@@ -178,7 +193,9 @@ def _forced(scaled: Array, columns: Array, force: Force) -> _Products:
     """For each size of the force."""
     plain = _alone(scaled, columns)
     r, j = force.basis.T @ scaled, force.basis.T @ columns
-    widths = 1 + force.sizes[:, None] ** 2 * force.squares
+    # Where all errors are larger by a factor the force is smaller beside them.
+    sizes = force.sizes if force.inflation is None else force.sizes / force.inflation
+    widths = 1 + sizes[:, None] ** 2 * force.squares
     lost = 1 - 1 / widths
     rr, rj = plain.rr - lost @ r**2, plain.rj - (lost * r) @ j
     jj = plain.jj - (lost[:, None, :] * j.T) @ j

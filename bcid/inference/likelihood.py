@@ -10,13 +10,16 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.tails import normal_tail
+from bcid.inference import response
 from bcid.inference.criteria import SURPRISE
 from bcid.inference.data import Data
+from bcid.inference.evidence import Force
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import MARKERS, STIFFNESS, NuisanceModes
 
@@ -139,6 +142,11 @@ class Errors:
     def unseeing(self, rows: NDArray[np.bool_]) -> Errors:
         """The same as if some of the values (n,) had not been measured: whatever they are, they tell nothing."""
         return Errors(self.data, np.where(rows, _UNSEEN, 1.0) * self.sigma, self.mesh, self.nuisances)
+
+    @cached_property
+    def misfits(self) -> list[Force]:
+        """A misfit in observation space beside these errors, for each of its lengths, see `bcid.inference.response`."""
+        return response.processes(self.data, self.sigma, self.whiten)
 
     @property
     def mesh_rms(self) -> float:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp, softmax
 
+from bcid.inference import response
 from bcid.inference.criteria import NOTABLE
 from bcid.inference.data import Data
 from bcid.inference.evidence import LARGER, Force, Integrated, Numbers
@@ -27,8 +28,6 @@ Array = NDArray[np.float64]
 _SIZES = np.logspace(-4, 1, 21)
 # How often something is missing in a model that was taken for complete.
 MISSING = 0.5
-# It may be smooth, in all errors, or begin somewhere.
-_WAYS = 3
 # Where the way back does not mirror the way there, what grows with time differs from what grows with the way by this part.
 _APART = 0.2
 
@@ -55,7 +54,7 @@ class Smooth:
             growths: movements (frames, rows, 3, bumps), m per growth of one; None where nothing grows.
             unit: density that counts like a growth of one, N/m^3.
         """
-        pushed = np.nan_to_num(data.vector(forces).astype(float).reshape(len(data), -1))
+        pushed = np.nan_to_num(data.vector(forces).astype(float)).reshape(len(data), math.prod(forces.shape[3:]))
         if growths is None:
             return cls((pushed,))
         return cls((pushed, np.nan_to_num(data.vector(growths).astype(float)) / unit))
@@ -80,6 +79,8 @@ class Smooth:
 
     def likeliest(self, data: Data, evidence: Evidence) -> Array:
         """What one of the likeliest kind and size does, a standard deviation of each of its courses, shape (n, m), m."""
+        if evidence.length is not None:
+            return evidence.size * response.columns(data)[evidence.length]
         return evidence.size * courses(data, self.kinds[evidence.kind])
 
 
@@ -118,8 +119,9 @@ class Evidence:
     Attributes:
         plain: nothing is missing.
         forced: an unknown force acts, integrated over its size.
-        size: the likeliest standard deviation of its density.
+        size: the likeliest standard deviation of its density, or of a misfit in observation space, m.
         kind: the likeliest of those that it may be.
+        length: the likeliest of the lengths of a misfit in observation space, where that is likelier than a force.
         begins: something that begins at a place, see `bcid.inference.sudden_force`, where that was asked.
         sudden: probability that it begins somewhere, if something is missing.
         excess: how many times as large as they are taken for the squares of all other errors are beside it, on average; 1 where
@@ -130,6 +132,7 @@ class Evidence:
     forced: float
     size: float
     kind: int = 0
+    length: int | None = None
     excess: float = 1.0
     begins: Beginning | None = None
     sudden: float = 0.0
@@ -145,8 +148,9 @@ class Evidence:
     ) -> Evidence:
         """Of a residual (n,), m.
 
-        What is missing need not be a force: the same is asked with errors that are larger by any factor. Nor need it be spread and
-        go on with the motion: it may begin somewhere. All count alike.
+        What is missing need not be a force: the same is asked with errors that are larger by any factor, and with a smooth misfit
+        in observation space (`bcid.inference.response`) instead. Nor need it be spread and go on with the motion: it may begin
+        somewhere. All count alike.
 
         Args:
             errors: of all else.
@@ -161,15 +165,19 @@ class Evidence:
         pushed = [Integrated.of(scaled, known, force) for force in forces]
         larger = np.array([found.log(LARGER) for found in pushed])
         smooth = np.array([found.log() for found in pushed]) if stated else larger
+        misfits = [Integrated.of(scaled, known, process) for process in errors.misfits]
+        misfit = _mean([found.log(None if stated else LARGER) for found in misfits])
         begins = sudden.beginning(residual, known) if sudden else None
-        ways = [_mean(smooth), _mean(larger), plain + begins.log if begins else -math.inf]
+        ways = [_mean(smooth), _mean(larger), misfit, *([plain + begins.log] if begins else [])]
         shares = softmax(ways)
         beyond = float(softmax(larger) @ [found.excess(LARGER) for found in pushed]) - 1
         excess = 1 + float(shares[1] if stated else shares[:2].sum()) * beyond
-        forced = _mean(ways[: _WAYS if begins else _WAYS - 1])
-        kind = int(np.argmax([found.forced.max() for found in pushed]))
-        size = float(forces[kind].sizes[int(np.argmax(pushed[kind].forced))])
-        return cls(plain - volume, forced - volume, size, kind, excess, begins, float(shares[2]))
+        kind, size = _likeliest(pushed, forces)
+        length = None
+        if misfit > max(ways[:2]):
+            length, size = _likeliest(misfits, errors.misfits)
+        sudden_share = float(shares[3]) if begins else 0.0
+        return cls(plain - volume, _mean(ways) - volume, size, kind, length, excess, begins, sudden_share)
 
     @property
     def total(self) -> float:
@@ -185,6 +193,12 @@ class Evidence:
     def missing(self) -> float:
         """Probability that something is."""
         return math.exp(self.forced + math.log(MISSING) - self.total)
+
+
+def _likeliest(found: Sequence[Integrated], forces: Sequence[Force]) -> tuple[int, float]:
+    """Which of some forces is the likeliest, and with which standard deviation."""
+    kind = int(np.argmax([one.forced.max() for one in found]))
+    return kind, float(forces[kind].sizes[int(np.argmax(found[kind].forced))])
 
 
 def _mean(logs: ArrayLike) -> float:

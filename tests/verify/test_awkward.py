@@ -108,6 +108,42 @@ AWKWARD: dict[str, Callable[[Scene], tuple[Scene, Measurement]]] = {
 }
 
 
+def all_alike(positions: Array) -> None:
+    """Every marker is displaced as all of them are on average."""
+    moved = positions - positions[:1]
+    positions[:] = positions[:1] + moved.mean(axis=1, keepdims=True)
+
+
+def of_another_body(positions: Array) -> None:
+    """The markers move as those of a body that is turned by a right angle about the vertical axis."""
+    moved = (positions - positions[:1])[:, _TURNED]
+    positions[:] = positions[:1] + moved @ np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+
+
+def relabelled(positions: Array) -> None:
+    """What was seen in the first action stands under the name of the last, and the other way round."""
+    first, last = positions[:STEPS].copy(), positions[-STEPS:].copy()
+    positions[:STEPS], positions[-STEPS:] = last, first
+
+
+# The 16 markers stand in a square of 4 by 4.
+_TURNED = np.rot90(np.arange(16).reshape(4, 4)).ravel()
+INCONSISTENT: dict[str, Callable[[Array], None]] = {
+    "all markers move alike": all_alike,
+    "the field of another body": of_another_body,
+    "two actions have each other's names": relabelled,
+}
+
+
+@pytest.mark.parametrize("case", INCONSISTENT)
+def test_identify_inconsistent_data_no_set_is_certain(slab: Scene, case: str) -> None:
+    identified = found(slab, changed(seen(slab), INCONSISTENT[case]))
+
+    assert identified.probability < CERTAIN
+    assert identified.missing is not None
+    assert identified.missing > CERTAIN
+
+
 def softer(slab: Scene) -> Scene:
     return replace(slab, material=replace(slab.material, values=slab.material.values | {"poisson": 0.25}))
 
