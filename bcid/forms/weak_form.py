@@ -327,10 +327,16 @@ class WeakForm:
         return compiled.form(sum(parts[1:], start=parts[0])) if parts else None
 
     @cached_property
-    def _surfaces(self) -> tuple[Any, list[str]]:
-        places = self.places
-        usable = [n for n in places if self.body.mesh.select(places[n], n).shape[1] == 3]
-        return self.body.facet_measure([places[n] for n in usable], usable), usable
+    def _spreadable(self) -> list[str]:
+        """The places that are surfaces."""
+        return [n for n in self.places if self.body.mesh.select(self.places[n], n).shape[1] == 3]
+
+    @cached_property
+    def _surfaces(self) -> Any:
+        """Measure of places and grips: one for both, since a form can hold only one set of marked facets."""
+        names = [*self._spreadable, *(f"grasp {name}" for name in self.grips)]
+        regions = [*(self.places[n] for n in self._spreadable), *(self.scene.grasps[n].region for n in self.grips)]
+        return self.body.facet_measure(regions, names)
 
     @cached_property
     def grips(self) -> list[str]:
@@ -338,14 +344,9 @@ class WeakForm:
         grasps = self.scene.grasps
         return [n for n in grasps if self.body.mesh.select(grasps[n].region, f"grasp {n}").shape[1] == 3]
 
-    @cached_property
-    def _grip_measures(self) -> Any:
-        names = [f"grasp {name}" for name in self.grips]
-        return self.body.facet_measure([self.scene.grasps[name].region for name in self.grips], names)
-
     def grip(self, grasp: str) -> Any:
         """Measure of what a gripper holds, one of `grips`."""
-        return self._grip_measures(self.grips.index(grasp) + 1)
+        return self._surfaces(len(self._spreadable) + self.grips.index(grasp) + 1)
 
     def switches(self) -> list[float]:
         """What is held by effects, 1 or 0 for each patch and grasp."""
@@ -359,8 +360,7 @@ class WeakForm:
 
     def surface(self, name: str) -> Any:
         """Measure of a place, which is any patch, grasp or place of the scene."""
-        measures, usable = self._surfaces
-        return measures(usable.index(self._spread(name)) + 1)
+        return self._surfaces(self._spreadable.index(self._spread(name)) + 1)
 
     def normal(self, name: str) -> Any:
         """Outward unit normal of a place at its nodes, zero away from it."""
@@ -374,6 +374,6 @@ class WeakForm:
             raise InputError('the scene names no support surface: add support = "NAME" with a place of that name')
         if name not in self.places:
             raise InputError(f"place '{name}' is not in the scene; {nearest(name, self.places)}")
-        if name not in self._surfaces[1]:
+        if name not in self._spreadable:
             raise InputError(f"place '{name}' is not a surface: nothing can be spread over it")
         return name
