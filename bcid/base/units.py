@@ -47,6 +47,8 @@ _LONGEST_UNIT = 64
 # Magnitudes that can be squared, cubed and divided by without leaving the range of a double, and the largest length, m.
 LEAST, MOST = 1e-30, 1e30
 FURTHEST = 1e6
+# Smallest standard deviation that is accepted, SI: that of a length is a millionth of an atom.
+LEAST_SIGMA = 1e-15
 _METRE = (1, 0, 0, 0)
 
 Dimension = tuple[int, int, int, int]
@@ -121,6 +123,11 @@ def quantities(text: object, like: str, count: int) -> list[float]:
 def usable(value: float, most: float = MOST) -> bool:
     """Whether a number is zero, or of a magnitude that can be computed with."""
     return value == 0 or LEAST <= abs(value) <= most
+
+
+def measurable(sigma: float) -> bool:
+    """Whether a standard deviation (SI) is one that an instrument may have: its square must be a number to divide by."""
+    return LEAST_SIGMA <= sigma <= MOST
 
 
 def quantity(text: object, like: str) -> float:

@@ -15,7 +15,7 @@ import xarray as xr
 
 from bcid.base.errors import InputError, Problems
 from bcid.base.text_file import read_lines, read_toml
-from bcid.base.units import unit_factor, usable
+from bcid.base.units import LEAST_SIGMA, measurable, unit_factor
 from bcid.measurement import surface_table
 from bcid.measurement.cloud import Cloud, Frame
 from bcid.measurement.contents import AXES, FORMAT, QUATERNION, SIGMAS, WRENCH, Contents, Units, sigma_units
@@ -115,8 +115,8 @@ def _read_header(path: Path, problems: Problems) -> _Header:
     if table.get("format") != FORMAT:
         problems.add(path, f'format: expected "{FORMAT}", found {table.get("format")!r}')
     factors = [_unit(path, table, key, like, problems) for key, like in _UNIT_KEYS.items()]
-    stated = [_sigma(path, table, key, problems) for key in SIGMAS]
     units = sigma_units(factors[0], factors[2])
+    stated = [_sigma(path, table, key, unit, problems) for key, unit in zip(SIGMAS, units, strict=True)]
     description = table.get("description", "")
     if not isinstance(description, str):
         problems.add(path, f"description: expected text, found {description!r}")
@@ -126,7 +126,7 @@ def _read_header(path: Path, problems: Problems) -> _Header:
         factors[1],
         factors[2],
         str(description),
-        tuple(None if value is None else value * unit for value, unit in zip(stated, units, strict=True)),
+        tuple(stated),
         SurfaceFiles.checked(table["surface"], factors[0], path, problems) if "surface" in table else None,
     )
 
@@ -144,14 +144,16 @@ def _unit(path: Path, table: dict[str, Any], key: str, like: str, problems: Prob
         return 1.0
 
 
-def _sigma(path: Path, table: dict[str, Any], key: str, problems: Problems) -> float | None:
+def _sigma(path: Path, table: dict[str, Any], key: str, unit: float, problems: Problems) -> float | None:
+    """A stated standard deviation, SI."""
     value = table.get(key)
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not usable(value) or value <= 0:
-        problems.add(path, f"{key}: expected a positive number up to 1e30 (its unit is the folder's), found {value!r}")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not measurable(value * unit):
+        allowed = f"from {LEAST_SIGMA / unit:.3g} to 1e30 (its unit is the folder's)"
+        problems.add(path, f"{key}: expected a positive number {allowed}, found {value!r}")
         return None
-    return float(value)
+    return float(value) * unit
 
 
 class _FolderReader:
@@ -323,10 +325,10 @@ class _FolderReader:
     def row_sigma(self, line: int, row: dict[str, str], column: str) -> float:
         if not row.get(column):
             return math.nan
-        value = self.number(line, row, column)
-        if value <= 0:
-            self.bad(line, f"{column}: expected a positive number, found '{row[column]}'")
-        return value * self.header.length
+        value = self.number(line, row, column) * self.header.length
+        if not measurable(value):
+            self.bad(line, f"{column}: expected a positive number of at least {LEAST_SIGMA:g} m, found '{row[column]}'")
+        return value
 
     def grasps(self) -> dict[Frame, tuple[int, str, list[float], list[float]]]:
         """Line, grasp name, translation (m) and unit quaternion by frame."""

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, Problems
 from bcid.base.text_file import read_toml
-from bcid.base.units import FURTHEST, unit_factor, usable
-from bcid.measurement.contents import SIGMAS, Units
+from bcid.base.units import FURTHEST, LEAST_SIGMA, measurable, unit_factor, usable
+from bcid.measurement.contents import SIGMAS, Units, sigma_units
 from bcid.measurement.formats.recognise import DIC, TABLE, Format, files, recognise
 from bcid.measurement.labelled_keys import ARRAYS, POINTS, check_points
 
@@ -99,6 +99,10 @@ def read_mapping(path: Path) -> Mapping:
         problems.add(path, f'decimal: expected "." or ",", found {table["decimal"]!r}')
     for key in (*SIGMAS, "rate"):
         _positive(path, key, table.get(key), problems)
+    for key, unit in zip(SIGMAS, sigma_units(factors["length_unit"], factors["force_unit"]), strict=True):
+        value = table.get(key)
+        if isinstance(value, int | float) and value > 0 and not measurable(value * unit):
+            problems.add(path, f"{key}: {value!r} is no noise; at least {LEAST_SIGMA / unit:.3g} is expected")
     labelled = _labelled(found, table, tables)
     if labelled:
         check_points(path, found, tables, problems)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, Problems
 from bcid.base.fingerprint import fingerprint
-from bcid.base.units import unit_factor, with_units
+from bcid.base.units import LEAST_SIGMA, measurable, unit_factor, with_units
 from bcid.measurement.cloud import Cloud
 from bcid.measurement.contents import FORMAT, SIGMAS, Contents, Units
 from bcid.measurement.folder import read_folder
@@ -122,8 +122,8 @@ class Measurement(Contents):
         checked = replace(self, data=data)
         for name in SIGMAS:
             value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0):
-                problems.add(self.source, f"{name}: expected a positive number, found {value!r}")
+            if value is not None and not measurable(value):
+                problems.add(self.source, f"{name}: expected a positive number from {LEAST_SIGMA:g}, found {value!r}")
         if checked.cloud is None and not np.isfinite(checked.positions).any():
             problems.add(self.source, "holds no position: no fiducial was ever seen")
         for action in checked.action_names:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from bcid.base.errors import nearest
-from bcid.base.units import usable
+from bcid.base.units import LEAST_SIGMA, measurable, usable
 from bcid.scene.geometry_tables import GeometryTables
 from bcid.scene.parts import Limits, Material, Values, Vector
 from bcid.scene.region_tables import RegionTables
@@ -56,6 +56,8 @@ class SceneFile(GeometryTables, RegionTables):
         if table.get("format") != FORMAT:
             self.bad("format", f'expected "{FORMAT}", found {table.get("format")!r}')
         optional = {key: self.length(table[key], key) for key in ("noise_sigma", "attach_within") if key in table}
+        if not measurable(optional.get("noise_sigma", 1.0)):
+            self.bad("noise_sigma", f"'{table['noise_sigma']}' is no noise; it must be at least {LEAST_SIGMA:g} m")
         geometry = self.geometry(self.table(table, "geometry"))
         patches = self.table(table, "patches")
         grasps = self.table(table, "grasps")

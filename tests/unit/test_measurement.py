@@ -110,6 +110,14 @@ def test_a_bad_error_of_the_frame_in_netcdf_is_refused(folder: Path, tmp_path: P
         Measurement.read(tmp_path / "bad.nc")
 
 
+def test_read_sigma_below_any_instrument_is_refused_with_its_line(folder: Path) -> None:
+    """Its square is zero: divided by it, whatever is compared would be nothing or infinite."""
+    text = "action,step,time,fiducial,x,y,z,sigma_x,sigma_y,sigma_z\n1,0,0,1,15,10,12,1e-300,0.1,0.1\n"
+    (folder / "fiducials.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=r"fiducials.csv:2: sigma_x: expected a positive number of at least 1e-15 m"):
+        Measurement.read(folder)
+
+
 def test_own_sigma_and_spreadsheet_habits(folder: Path) -> None:
     """Columns in another order, a byte order mark, blank lines and Windows line ends are no mistakes."""
     text = "\ufefffiducial,sigma_x,sigma_y,sigma_z,action,step,time,x,y,z\r\n1,0.1,0.2,0.4,1,0,0,15,10,12\r\n"
@@ -167,6 +175,7 @@ HEAD = "action,step,time,fiducial,x,y,z"
         ("measurement.toml", 2, 'length_unit = "kg"', "length_unit: unit 'kg' cannot be used"),
         ("measurement.toml", 2, "", 'length_unit: is missing; write length_unit = "mm"'),
         ("measurement.toml", 5, "noise_sigma = -1", "noise_sigma: expected a positive number"),
+        ("measurement.toml", 5, "noise_sigma = 1e-300", "noise_sigma: expected a positive number from 1e-12"),
         ("measurement.toml", 5, "noise_sigma = nan", "noise_sigma: expected a positive number"),
         ("measurement.toml", 5, "noise_sigma = true", "noise_sigma: expected a positive number"),
         ("measurement.toml", 5, "noise_sgma = 0.3", "did you mean 'noise_sigma'"),
