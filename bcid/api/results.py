@@ -61,7 +61,7 @@ class Result:
 
     @property
     def stiffness(self) -> dict[str, tuple[float, float]] | None:
-        """Of each stiffness of the law its value by the gripper's force and the standard error, Pa; None where none is measured."""
+        """Of each stiffness of the law its value by known forces and the standard error, Pa; None where none is measured."""
         told = self.found.get("stiffness")
         return None if told is None else {name: (c["value"], c["stderr"]) for name, c in told["constants"].items()}
 
@@ -453,9 +453,7 @@ def load(path: str | Path) -> Result:
     Raises:
         InputError: it is no run, is damaged, has not finished, or holds a result of another kind.
     """
-    run = RunFolder.open(path)
-    if run.record["state"] != "finished":
-        raise InputError(f"{path}: the run is {run.record['state']}; finish it first, with the command that began it")
+    run = RunFolder.finished(path)
     kind = _KINDS.get(run.record["command"])
     if kind is None:
         raise InputError(

@@ -167,6 +167,19 @@ class RunFolder:
         for name in self.record.get("files", {}):
             self._bytes(name)
 
+    @classmethod
+    def finished(cls, path: str | Path) -> RunFolder:
+        """Look at a run that has ended well; `InputError` when the folder is none, or the run has not."""
+        run = cls.open(path)
+        state = run.record["state"]
+        if state != "finished":
+            how = f"failed ({run.record.get('reason', 'no reason is known')})" if state == "failed" else "has not ended"
+            raise InputError(
+                f"{path}: the run {how}; give its command ({run.record['command']}) again to go on with it, "
+                "or with --overwrite to begin anew"
+            )
+        return run
+
     @property
     def resumed(self) -> bool:
         """Whether an interrupted run is being continued."""

@@ -25,7 +25,7 @@ def settled(state: State) -> State:
         told = Fit.at(state).stiffness
         if told is None:
             return state
-        if abs(told.factor - 1) < _STILL * told.stderr:
+        if abs(told.log) < _STILL * told.log_error:
             break
         factor = min(max(told.factor, 1 / _FACTOR), _FACTOR)
         state = _with(state, {name: factor * value for name, value in told.constants.items()})

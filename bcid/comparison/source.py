@@ -86,9 +86,7 @@ def from_run(folder: Path, files: Sequence[Path], comm: Comm) -> Source:
     Raises:
         InputError: the folder is not a finished run, or scene or measurement have changed since.
     """
-    run = on_root(comm, lambda: RunFolder.open(folder))
-    if run.record["state"] != "finished":
-        raise InputError(f"{folder}: the run is {run.record['state']}; finish it first, with the command that began it")
+    run = on_root(comm, lambda: RunFolder.finished(folder))
     names = run.record.get("names", {})
     if not {"scene", "measurement"} <= set(names):
         raise InputError(f"{folder}: holds a run of '{run.record['command']}', which names no scene and measurement")

@@ -1,15 +1,25 @@
-"""How stiff the body is, as the gripper's force tells."""
+"""How stiff the body is, as known forces tell.
+
+The prior of all stiffnesses together is log-normal about those of the model. The likelihood is Gaussian in the factor f = exp(l)
+that they are multiplied by, with mean m and variance v, so that the posterior of l has its mode where
+
+    (exp(l) - m) exp(l) / v + l / s^2 = 0,
+
+and about it the variance of Laplace's approximation. No stiffness is ever negative.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
-from bcid.base.units import uncertain
+from bcid.base.units import WIDE
 from bcid.forms.model import Model
 from bcid.inference.likelihood import Errors
 from bcid.inference.nuisances import STIFFNESS
@@ -23,14 +33,14 @@ class Stiffness:
     """Of the law's constants that are stiffnesses, all together.
 
     Attributes:
-        factor: what those of the model are to be multiplied by.
-        stderr: its standard error.
+        log: logarithm of what those of the model are to be multiplied by.
+        log_error: its standard deviation.
         constants: those of the model, Pa.
         stated: those of the scene, Pa.
     """
 
-    factor: float
-    stderr: float
+    log: float
+    log_error: float
     constants: Mapping[str, float]
     stated: Mapping[str, float]
 
@@ -46,25 +56,34 @@ class Stiffness:
             scene: where that began.
             fitted: columns (n, p), m, by which numbers that were fitted to the same data change what is predicted.
         """
-        told = errors.estimate(residual, STIFFNESS, fitted)
-        if told is None:
+        found = errors.estimate(residual, STIFFNESS, fitted)
+        if found is None:
             return None
-        return cls(1 + told[0], told[1], model.stiffnesses, Model.of(scene).stiffnesses)
+        log, error = log_factor(*found, errors.nuisances.sizes[STIFFNESS])
+        return cls(log, error, model.stiffnesses, Model.of(scene).stiffnesses)
+
+    @property
+    def factor(self) -> float:
+        """What the constants of the model are to be multiplied by."""
+        return math.exp(self.log)
 
     @property
     def values(self) -> dict[str, float]:
-        """The constants as they were found, Pa; a factor that is no stiffness is not believed."""
-        factor = self.factor if self.factor > self.stderr else 1.0
-        return {name: factor * value for name, value in self.constants.items()}
+        """The constants as they were found, Pa."""
+        return {name: self.factor * value for name, value in self.constants.items()}
+
+    def interval(self, value: float) -> tuple[float, float]:
+        """Of a constant that the model has with this value, with 95 %, in its unit."""
+        return value * math.exp(self.log - WIDE * self.log_error), value * math.exp(self.log + WIDE * self.log_error)
 
     @property
     def text(self) -> str:
-        """As summaries tell it: "young = 15210 ± 320 Pa (the scene has 15000)"."""
-        parts = [
-            f"{name} = {uncertain(self.factor * value, self.stderr * value, 'Pa')} (the scene has {self.stated[name]:.6g})"
+        """As in summaries: "young = 15210 Pa (95 %: 14600 to 15900; the scene has 15000)"."""
+        return ", ".join(
+            f"{name} = {self.factor * value:.4g} Pa (95 %: {low:.3g} to {high:.3g}; the scene has {self.stated[name]:.6g})"
             for name, value in self.constants.items()
-        ]
-        return ", ".join(parts)
+            for low, high in [self.interval(value)]
+        )
 
     def to_json(self) -> dict[str, Any]:
         """As results hold it: constants in Pa."""
@@ -72,10 +91,36 @@ class Stiffness:
             "constants": {
                 name: {
                     "value": self.factor * value,
-                    "stderr": self.stderr * value,
+                    "stderr": self.factor * self.log_error * value,
+                    "interval": list(self.interval(value)),
                     "scene": self.stated[name],
                     "unit": "Pa",
                 }
                 for name, value in self.constants.items()
             },
         }
+
+
+def log_factor(shift: float, error: float, prior: float) -> tuple[float, float]:
+    """Logarithm of the factor of the stiffnesses and its standard deviation.
+
+    Args:
+        shift: posterior mean of the factor minus one, with a Gaussian prior about one.
+        error: its standard deviation.
+        prior: standard deviation of that prior, and of the logarithm here.
+    """
+    precision = max(1 / error**2 - 1 / prior**2, 0.0)
+    if precision * prior**2 < 1e-9:
+        return 0.0, prior
+    mean = 1 + shift / error**2 / precision
+
+    def slope(log: float) -> float:
+        return precision * (math.exp(log) - mean) * math.exp(log) + log / prior**2
+
+    # Where the slope changes its sign: far below, the prior holds; far above, the likelihood does.
+    low, high = min(0.0, -10 * prior), max(0.0, math.log(max(mean, 1e-300))) + 1.0
+    while slope(low) > 0:
+        low *= 2
+    log = float(brentq(slope, low, high))
+    curvature = precision * (2 * math.exp(2 * log) - mean * math.exp(log)) + 1 / prior**2
+    return log, 1 / math.sqrt(max(curvature, 1 / prior**2))

@@ -309,8 +309,8 @@ def _besides(found: Identification) -> list[str]:
 
 
 def stiffness_in_words(found: Stiffness | None) -> list[str]:
-    """How stiff the body is, by the gripper's force."""
-    return [f"Stiffness by the gripper's force: {found.text}."] if found else []
+    """How stiff the body is, by known forces."""
+    return [f"Stiffness by known forces: {found.text}."] if found else []
 
 
 def _confused(scene: Scene, found: Identification) -> list[str]:

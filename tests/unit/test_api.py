@@ -96,7 +96,7 @@ def test_what_cannot_be_loaded(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not a run folder"):
         bcid.load(tmp_path)
     run = RunFolder.start(tmp_path / "run", "identify", {})
-    with pytest.raises(InputError, match="running; finish it first"):
+    with pytest.raises(InputError, match="the run has not ended"):
         bcid.load(run.path)
     run.finish({})
     with pytest.raises(InputError, match="missing from the run"):
