@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bcid.app.console import beside_the_result, draw, finish, progress_of, tell
-from bcid.app.option_values import listed, names_in, noise_in, random_state_in
+from bcid.app.option_values import all_names, listed, names_in, noise_in, random_state_in
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError
 from bcid.base.progress import Progress, clear
@@ -107,7 +107,7 @@ def fit(arguments: argparse.Namespace, comm: Comm) -> None:
 
     if not (arguments.add or arguments.free):
         raise InputError("fit: nothing to do; name an effect with --add (as --add gravity) or a number with --free")
-    chosen = {name: getattr(arguments, name) for name in ("add", "free", "fixed")}
+    chosen = {"add": arguments.add} | {name: all_names(getattr(arguments, name)) for name in ("free", "fixed")}
     progress = progress_of(arguments, comm.rank)
     common = _common(arguments, comm, progress)
     folder = run_fit(arguments.run_folder, arguments.output, **common, **chosen)

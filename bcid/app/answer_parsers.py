@@ -130,8 +130,8 @@ def add_fit(commands: Any) -> None:
         help='effect, as "gravity", "soft_anchor:3" (a place) or "gravity: weight = 9.8 kN/m^3" (where to begin); '
         'with "gravity: course = 8" its amounts follow a course in time of 8 knots; repeatable',
     )
-    parser.add_argument("--free", action="append", default=[], metavar="NUMBER", help='fit this too, as "poisson"')
-    parser.add_argument("--fixed", action="append", default=[], metavar="NUMBER", help='keep this, as "gravity.weight"')
+    parser.add_argument("--free", action="append", default=[], metavar="a,b", help='fit these too, as "poisson"')
+    parser.add_argument("--fixed", action="append", default=[], metavar="a,b", help='keep these, as "gravity.weight"')
     add_source(parser)
 
 

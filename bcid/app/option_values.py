@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from bcid.base.errors import InputError
 
 
@@ -17,6 +19,11 @@ def listed(text: str | None) -> tuple[str, ...] | None:
     if not names:
         raise InputError(f"--only '{text}': names no effect; give some, as --only gravity,soft_anchor")
     return names
+
+
+def all_names(given: Sequence[str]) -> list[str]:
+    """Names of an option that may be repeated, and each time give several separated by commas."""
+    return [name for text in given for name in names_in(text)]
 
 
 def noise_in(text: str | None, option: str = "--noise", unit: str = "m") -> float | None:

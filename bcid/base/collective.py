@@ -52,13 +52,13 @@ def in_turns(comm: Comm, first: bool, work: Callable[[], T]) -> T:
         if bool(first) == turn:
             try:
                 results.append(work())
-            except BcidError as caught:
+            except Exception as caught:
                 error = caught
         agree(comm, error)
     return results[0]
 
 
-def agree(comm: Comm, error: BcidError | None) -> None:
+def agree(comm: Comm, error: Exception | None) -> None:
     """Raise the first error of any rank on every rank; collective on `comm`."""
     found = [e for e in comm.allgather(error) if e is not None]
     if found:

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import difflib
 import errno
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -63,6 +64,34 @@ class SolveError(BcidError):
     """The forward model has no acceptable solution; the text carries PETSc's reason in words."""
 
     exit_code = 4
+
+
+class EvaluationError(SolveError):
+    """An evaluation of a hypothesis failed otherwise than by a solve."""
+
+
+@contextmanager
+def evaluating(what: str, record: Callable[[str], object] = lambda _: None) -> Iterator[None]:
+    """Whatever is raised inside costs this evaluation alone: it leaves as an `EvaluationError`, but for faults of the machine.
+
+    Args:
+        what: is evaluated, in words.
+        record: called with the text of an error that is no failed solve.
+
+    Raises:
+        EvaluationError: the evaluation failed; a `SolveError` stays as it is.
+        MachineError: the machine did.
+    """
+    try:
+        yield
+    except (SolveError, MachineError):
+        raise
+    except MemoryError:
+        raise MachineError(SHORT_OF_MEMORY) from None
+    except Exception as error:
+        reason = str(error) if isinstance(error, BcidError) else f"{type(error).__name__}: {error}"
+        record(f"{what}: {reason}")
+        raise EvaluationError(f"{what}: {reason}") from error
 
 
 def bounded(text: str) -> str:

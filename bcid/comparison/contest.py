@@ -256,7 +256,10 @@ def _refit(states: dict[Anchored, State], promise: Promise, begun: Model, count:
     """A promised effect fitted, measured by the errors of the set that it makes likely; of these the `states` are kept."""
     anchors, row = promise.anchors, promise.row
     assert row is not None
-    states[anchors] = states.setdefault(anchors, promise.look.state).with_own_errors()
+    try:
+        states[anchors] = states.setdefault(anchors, promise.look.state).with_own_errors()
+    except SolveError:
+        return []
     return refit(states[anchors], row, begun, count)
 
 

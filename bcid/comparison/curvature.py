@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.base.errors import evaluating
 from bcid.comparison.fit import Fit, coordinates, fit
 from bcid.comparison.mesh_ladder import states_in
 from bcid.comparison.predictor import Predictor
@@ -37,7 +38,8 @@ def bent(found: Fit) -> Fit:
         SolveError: the influence of its numbers cannot be followed.
     """
     state = found.state
-    columns = curvature(state)
+    with evaluating(f"curvature of {state.model.name}", state.predictor.skip):
+        columns = curvature(state)
     if not columns.size:
         return found
     modes = state.whole_modes.without([""]).beside(columns)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from bcid.base.collective import Comm
-from bcid.base.errors import InputError, nearest
+from bcid.base.errors import InputError, SolveError, evaluating, nearest
 from bcid.base.progress import Progress, Silent
 from bcid.comparison.adequacy import judge
 from bcid.comparison.buckled_frames import leave_out
@@ -23,6 +24,7 @@ from bcid.comparison.mesh_ladder import mesh_error
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import rank
 from bcid.comparison.rivals import refit
+from bcid.comparison.second_start import fit_twice
 from bcid.comparison.separate import Pull, separating_pulls
 from bcid.comparison.source import Source
 from bcid.comparison.state import State
@@ -144,10 +146,11 @@ def refitted(
         predictor.progress.say(f"adding {one.label}")
         state = _added(state, one)
     names = numbers_to_fit(state.model, source, free, fixed)
-    again = fit(state, names)
+    again, minima = fit_twice(state, names)
     mesh = mesh_error(predictor, again.state.model, again.state.anchors, again.state.prediction)
     state = State.of(predictor, again.state.model, again.state.anchors, mesh, names, again.state.prediction)
     again = bent(fit(state, names))
+    again = replace(again, warnings=(*again.warnings, *([minima] if minima else [])))
     rungs.append(Rung(again, judge(again.state), held_out(again)))
     return Diagnosis(tuple(rungs), missing_force(again.state))
 
@@ -155,10 +158,15 @@ def refitted(
 def explained(predictor: Predictor, source: Source, options: ExplainOptions) -> Diagnosis:
     """Anchors and missing effects, until the model is adequate or nothing helps. Collective on the predictor's ranks."""
     found = explain(predictor, options, source.model, source.own)
-    where = None if found.last.adequacy.adequate else missing_force(found.last.state)
-    if where is None and len(found.rungs) > 1:
-        where = missing_force(found.rungs[0].state)
-    return Diagnosis(found.rungs, where, found, tuple(_pulls(found) if found.open else []))
+    where, pulls = None, list[Pull]()
+    # What is computed about the answer costs no answer where it fails.
+    with suppress(SolveError), evaluating("the missing force", predictor.skip):
+        where = None if found.last.adequacy.adequate else missing_force(found.last.state)
+        if where is None and len(found.rungs) > 1:
+            where = missing_force(found.rungs[0].state)
+    with suppress(SolveError), evaluating("pulls that separate explanations", predictor.skip):
+        pulls = _pulls(found) if found.open else []
+    return Diagnosis(found.rungs, where, found, tuple(pulls))
 
 
 def check_terms(source: Source, terms: Sequence[Term], free: Sequence[str], fixed: Sequence[str]) -> None:

@@ -70,6 +70,19 @@ def term(one: Term, errors: Mapping[str, float], limits: Mapping[str, float] | N
     return f"{one.label}: {', '.join(parts)}"
 
 
+def law(fitted: Fit) -> list[str]:
+    """Fitted constants of the law: "young = 2.64e+05 Pa (95 %: 2.4e+05 to 2.9e+05)"."""
+    lines = []
+    for name, one in fitted.law.items():
+        unit = "" if one["unit"] == "1" else f" {one['unit']}"
+        if one["interval"] is None:
+            lines.append(f"  {name} is not identifiable from these data")
+        else:
+            low, high = one["interval"]
+            lines.append(f"  {name} = {one['value']:.4g}{unit} (95 %: {low:.3g} to {high:.3g})")
+    return ["Fitted constants of the law:", *lines] if lines else []
+
+
 def own(fitted: Fit, one: Term, of: Mapping[str, float]) -> dict[str, float]:
     """What a fit has of the numbers of one of its effects, by parameter."""
     return {name: of[one.full(name)] for name in one.values if one.full(name) in of}

@@ -18,9 +18,9 @@ from bcid.comparison.candidates import Candidates, Known
 from bcid.comparison.compared import Compared
 from bcid.comparison.contest import GLANCE, Contest, contest, glanced
 from bcid.comparison.curvature import bent
-from bcid.comparison.explanation import Explanation, Rung, explains
+from bcid.comparison.explanation import Explanation, Rung, explains, verdict_of
 from bcid.comparison.first_sets import first_sets
-from bcid.comparison.fit import Fit
+from bcid.comparison.fit import Fit, fit
 from bcid.comparison.held_out import held_out
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import Ranking, rank
@@ -134,7 +134,9 @@ class _Loop:
         if self.predictor.left_out:
             first = first_sets(self.predictor, self.model)
         self.starts = first
-        base = settled(State.of(self.predictor, self.model, first[0]))
+        base = State.of(self.predictor, self.model, first[0])
+        with suppress(SolveError):
+            base = settled(base)
         self.model = base.model
         return base
 
@@ -160,7 +162,11 @@ class _Loop:
         lacking = self.candidates.beside(base, self.model, self.starts if sets > 1 else ())
         self.lacking = self.lacking or lacking
         among = self.candidates.among
-        found = contest(base, self.model, lacking, self.starts, sets, self.options.fitted, among, self.candidates)
+        try:
+            found = contest(base, self.model, lacking, self.starts, sets, self.options.fitted, among, self.candidates)
+        except SolveError as error:
+            self.predictor.skip(f"sets and effects beside {base.model.name}: {error}")
+            found = Contest([Rival.of(Fit.at(base), self.model, among)], {})
         best = found.rivals[0]
         if best.anchors != base.anchors:
             with suppress(SolveError):
@@ -186,11 +192,27 @@ class _Loop:
         rivals = [*compared.own, *(again for _, again in fitted)]
         if not any(rival.names == own for rival in rivals):
             # Whatever else cannot be followed: the model that was begun with was.
-            rivals.append(Rival.of(bent(Fit.at(base)), self.model, self.candidates.among))
+            rivals.append(Rival.of(self.allowing(self.alone(base)), self.model, self.candidates.among))
         compared.add([*rivals, *self.elsewhere(best_first(rivals), base)], self.model)
         compared.add_roughly(contest, [rough for rough, _ in fitted], own)
         self.settle(base)
         self.predictor.drop([self.model, *(rival.fitted.state.model for rival in self.compared.full)])
+
+    @staticmethod
+    def alone(base: State) -> Fit:
+        """The model that was begun with, with its free numbers fitted."""
+        try:
+            return fit(base, base.free) if base.free else Fit.at(base)
+        except SolveError:
+            return Fit.at(base)
+
+    @staticmethod
+    def allowing(fitted: Fit) -> Fit:
+        """A fit with the curvature of what the scene may have wrong, as far as that can be computed."""
+        try:
+            return bent(fitted)
+        except SolveError:
+            return fitted
 
     def settle(self, base: State) -> None:
         """Fit what is believed most, and others about it, until the likeliest is the one whose tangent was asked about other sets.
@@ -244,7 +266,10 @@ class _Loop:
     def lacks(self, plain: Rival) -> Ranking:
         """What a model without effects lacks, as all steps show it; asked once for each set."""
         if plain.anchors not in self.rankings:
-            self.rankings[plain.anchors] = rank(plain.judged, self.lacking, strict=False)
+            try:
+                self.rankings[plain.anchors] = rank(plain.judged, self.lacking, strict=False)
+            except SolveError as error:
+                self.rankings[plain.anchors] = Ranking((), {effect.name: str(error) for effect in self.lacking})
         return self.rankings[plain.anchors]
 
     def again(self, told: Hypothesis, base: State) -> Rival | None:
@@ -333,10 +358,8 @@ class _Loop:
         if best.names:
             rungs.append(self.rung(best))
         odds = self.compared.odds
-        if odds.best.unknown and not (best.names and explains(rungs[0].fitted, rungs[-1].fitted)):
-            verdict = "unknown"
-        else:
-            verdict = "+".join(best.names) or "none"
+        nearly = bool(best.names) and explains(rungs[0].fitted, rungs[-1].fitted)
+        verdict = verdict_of(best.names, odds.best.unknown, nearly, rungs[-1].adequacy.adequate)
         odds = odds.doubted(rungs[-1].adequacy.p_value, self.compared.power)
         found = Explanation(
             verdict,
@@ -347,6 +370,7 @@ class _Loop:
             self.predictor.noise,
             dict(self.predictor.trajectories),
             seconds,
+            refuted=not (best.names or rungs[-1].adequacy.adequate),
         )
         self.say(
             f"{verdict}, {percent(found.probability)}; anchors {self.name(best.anchors)}, {percent(found.held_by)}"

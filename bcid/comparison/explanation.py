@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from bcid.comparison.adequacy import Adequacy
@@ -11,7 +12,7 @@ from bcid.comparison.rivals import Rival
 from bcid.comparison.state import State
 from bcid.inference.criteria import CERTAIN, LIKELIER, NEARLY_ALL
 from bcid.inference.data import Noise
-from bcid.inference.hypotheses import HypothesisOdds
+from bcid.inference.hypotheses import OTHERS, HypothesisOdds
 from bcid.search.identification import Identification
 
 
@@ -68,6 +69,7 @@ class Explanation:
         noise: what the residual says of the noise, where that is not what is stated, or nothing is.
         trajectories: forward trajectories on the coarse, working and fine levels.
         seconds: time spent.
+        refuted: whether the reported model has no effect that was added, and the data refute it.
     """
 
     verdict: str
@@ -78,12 +80,19 @@ class Explanation:
     noise: Noise | None
     trajectories: dict[str, float]
     seconds: float
+    refuted: bool = False
 
     @property
     def probability(self) -> float:
-        """Of the verdict: of what it names that it acts, and perhaps more besides that these data do not show."""
+        """Of the verdict: of what it names that it acts, and perhaps more besides that these data do not show.
+
+        Where the data refute the model without effects, "unknown" is all that names no effect.
+        """
+        verdicts = self.odds.verdicts
+        if self.refuted:
+            return min(1.0, verdicts["unknown"] + verdicts["none"] + verdicts.get(OTHERS, 0.0))
         told = self.verdict in ("none", "unknown")
-        return self.odds.verdicts[self.verdict] if told else self.odds.acting(self.verdict)
+        return verdicts[self.verdict] if told else self.odds.acting(self.verdict)
 
     @property
     def begins(self) -> Onset | None:
@@ -116,6 +125,20 @@ class Explanation:
     def last(self) -> Rung:
         """The model the loop ended with."""
         return self.rungs[-1]
+
+
+def verdict_of(effects: Sequence[str], unknown: bool, nearly: bool, adequate: bool) -> str:
+    """The verdict of an explanation.
+
+    Args:
+        effects: names of the effects of the reported model.
+        unknown: whether an unmodelled discrepancy is the most probable explanation.
+        nearly: whether these effects explain nearly all of what the model without them misses.
+        adequate: whether the data do not refute the reported model.
+    """
+    if (unknown and not nearly) or not (effects or adequate):
+        return "unknown"
+    return "+".join(effects) or "none"
 
 
 def explained(before: Fit, after: Fit) -> float:

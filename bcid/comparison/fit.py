@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from scipy.optimize import least_squares
 
 from bcid.base.errors import InputError, SolveError, nearest
 from bcid.base.tails import limit_beyond, normal_quantile
-from bcid.base.units import UNTOLD
+from bcid.base.units import UNTOLD, WIDE
 from bcid.comparison.kept_predictions import MeasurementPrediction
 from bcid.comparison.predictor import Predictor
 from bcid.comparison.state import State
@@ -91,16 +92,15 @@ def coordinates(model: Model, names: Sequence[str]) -> list[Coordinate]:
     Raises:
         InputError: the model has no such number.
     """
-    known = {p.name: p for p in model.law.parameters}
+    known = {p.name: model.law.supported(p, model.mixed, model.constants()[p.name]) for p in model.law.parameters}
     for term in model.terms:
         known |= {term.full(p.name): p for p in term.effect.parameters}
     found = []
     for name in names:
         if name not in known:
             raise InputError(f"the model {model.name} has no number '{name}'; {nearest(name, known)}")
-        # The constants of a law have no scale: a third of their value.
         law = name in model.law.complete(model.values)
-        scale = max(abs(float(model.constants()[name])), 1e-3) / 3 if law else None
+        scale = model.law.scale(known[name], model.values) if law else None
         found.append(Coordinate.of_parameter(name, known[name], scale))
     return found
 
@@ -151,6 +151,23 @@ class Fit:
         return {c.name: numbers[c.name] for c in self.coordinates}
 
     @property
+    def law(self) -> dict[str, dict[str, Any]]:
+        """Constants of the law that were fitted, by name: value, standard error and unit, and the 95 % interval.
+
+        The interval of a stiffness is that of its logarithm. What the data do not determine is None.
+        """
+        known, errors, values = {p.name: p for p in self.state.model.law.parameters}, self.stderr, self.values
+        found = {}
+        for name, error in errors.items():
+            if name not in known:
+                continue
+            value, unit = values[name], known[name].unit
+            loose = error > UNTOLD
+            ends = None if loose else list(_interval(value, error, unit))
+            found[name] = {"value": value, "stderr": None if loose else error, "unit": unit, "interval": ends}
+        return found
+
+    @property
     def stderr(self) -> dict[str, float]:
         """Standard errors of the values; infinite where the data do not tell."""
         errors = np.sqrt(np.diag(self.covariance))
@@ -160,6 +177,14 @@ class Fit:
             c.name: float(e) * (numbers[c.name] ** 2 if c.parameter.reciprocal else 1.0)
             for c, e in zip(self.coordinates, errors, strict=True)
         }
+
+
+def _interval(value: float, error: float, unit: str) -> tuple[float, float]:
+    """Of a constant with 95 %."""
+    if unit == "Pa" and value > 0:
+        factor = math.exp(min(WIDE * error / value, 700.0))
+        return value / factor, value * factor
+    return value - WIDE * error, value + WIDE * error
 
 
 class _Problem:
@@ -182,7 +207,12 @@ class _Problem:
         """The prediction there; the last few are kept."""
         key = np.asarray(x, dtype=float).tobytes()
         if key not in self._known:
-            model = self.model(x)
+            try:
+                model = self.model(x)
+            except InputError as error:
+                # Each constant is within its range, but a law may not allow them together.
+                nothing = np.full(self.predictor.data.mask.shape, np.nan)
+                return self.start.model, MeasurementPrediction(nothing, {}, str(error))
             self._known = dict(list(self._known.items())[-1:])
             self.predictor.progress.step(f"fitting {model.name}", self.evaluations)
             self._known[key] = model, self.predictor.predict(model, self.anchors, keep=True)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.base.errors import SolveError
+from bcid.base.errors import SolveError, evaluating
 from bcid.comparison.fit import Fit, fit, pulls
 from bcid.inference.likelihood import Errors
 
@@ -31,7 +31,11 @@ def held_out(fitted: Fit) -> float | None:
         return None
     squares = 0.0
     for number in range(count):
-        residual = _without(fitted, number)
+        try:
+            with evaluating("an action held out", fitted.state.predictor.skip):
+                residual = _without(fitted, number)
+        except SolveError:
+            return None
         if residual is None:
             return None
         squares += float(np.sum(residual[data.of_position & (data.action == number)] ** 2))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -261,7 +262,12 @@ class HypothesisSearch:
             assert look is not None
             state = look.state
             sets = [s for s in _all_sets(about, self._patches, state.predictor.thin) if self._acts(s)]
-            moves = state.predictor.moves(state.model, about, state.prediction, sets)
+            try:
+                moves = state.predictor.moves(state.model, about, state.prediction, sets)
+            except SolveError:
+                # Without its tangent a set tells nothing of others.
+                self._shown[about] = {about: look.evidence.total}
+                return self._shown[about]
             known = of_state(state, self.begun, None, self.least) or Numbers.none(len(state.predictor.data))
             found = _evidences(state, known, moves)
             self._shown[about] = dict(zip(sets, found, strict=True))
@@ -273,7 +279,10 @@ class HypothesisSearch:
         look = self.looks[top]
         if look is None or top == self.base.anchors:
             return
-        own = look.state.with_own_errors()
+        try:
+            own = look.state.with_own_errors()
+        except SolveError:
+            return
         for anchors, other in self.looks.items():
             if other is not None:
                 state = own if anchors == top else other.state.with_errors(own.errors.mesh, own.errors.nuisances)
@@ -326,7 +335,10 @@ class HypothesisSearch:
             close = _all_sets(about, self._patches, False)
             every = _all_sets(about, self._patches, len(self._patches) <= _ALL)
             parts = [s for s in close if len(s ^ about) <= 2 and self._acts(s)]
-            found = loosened(look.state, effect, [s for s in every if self._acts(s)], parts)
+            try:
+                found = loosened(look.state, effect, [s for s in every if self._acts(s)], parts)
+            except SolveError:
+                continue
             best = {one.anchors: one for one in reversed(found)}
             ways: dict[Anchored, list[float]] = {}
             for one in found:
@@ -339,18 +351,20 @@ class HypothesisSearch:
                 self._look(anchors)
                 if anchors in best and self.looks[anchors] is not None:
                     self._rank(anchors, look.ranking if anchors not in self._ranked else None)
-                    self._loose[effect.name, anchors] = self._row(look, best[anchors])
+                    with suppress(SolveError):
+                        self._loose[effect.name, anchors] = self._row(look, best[anchors])
 
     def _row(self, about: Look, found: Loosened) -> Row:
         """What it would explain that a set gives or comes off, as the tangent of another one shows it."""
         look, effect = self.looks[found.anchors], found.term.effect.name
         assert look is not None
-        assert look.ranking is not None
-        rows = look.ranking.rows
+        rows = look.ranking.rows if look.ranking else ()
         if all(r.effect != effect for r in rows):
             # The ranking of another set, none of whose places it has.
             rows = rank(look.state, [found.term.effect], strict=False, least=self.least).rows
-        row = next(r for r in rows if r.effect == effect)
+        row = next((r for r in rows if r.effect == effect), None)
+        if row is None:
+            raise SolveError(f"{effect}: its sensitivities cannot be computed with these anchors")
         gain = about.evidence.plain + found.gain - look.evidence.plain
         return replace(row, term=found.term, score=look.state.chi2 - found.chi2, explained=found.moved, gain=gain)
 
@@ -358,9 +372,10 @@ class HypothesisSearch:
         """What a set lacks, with its own sensitivities or those of another."""
         look = self.looks[anchors]
         if look is not None and anchors not in self._ranked:
-            found = rank(look.state, self.known, strict=False, least=self.least, like=like)
-            self.looks[anchors] = replace(look, ranking=found)
             if like is None:
                 self._ranked.add(anchors)
+            with suppress(SolveError):
+                found = rank(look.state, self.known, strict=False, least=self.least, like=like)
+                self.looks[anchors] = replace(look, ranking=found)
         look = self.looks[anchors]
         return look.ranking if look else None

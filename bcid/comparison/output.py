@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bcid.base.collective import overlaid
+from bcid.base.errors import SolveError, evaluating
 from bcid.base.units import unit_factor
 from bcid.comparison import courses, curvature, diagnosis_text
 from bcid.comparison.adequacy import FALSE_ALARMS, groups, judge
@@ -53,11 +55,12 @@ def collect(predictor: Predictor, done: Diagnosis) -> dict[str, Any]:
     for action in predictor.actions:
         part = state.prediction.parts.get(action.name)
         if part is not None and part.states is not None:
-            detailed = forward.detail(state.anchors, [action], part)
-            assert detailed.displacement is not None
-            assert detailed.energy is not None
-            displacement[action.frames] = detailed.displacement[action.frames]
-            energy[action.frames] = detailed.energy[action.frames]
+            with suppress(SolveError), evaluating("fields of the answer", predictor.skip):
+                detailed = forward.detail(state.anchors, [action], part)
+                assert detailed.displacement is not None
+                assert detailed.energy is not None
+                displacement[action.frames] = detailed.displacement[action.frames]
+                energy[action.frames] = detailed.energy[action.frames]
     fields = {"displacement": displacement, "energy": energy}
     fields = {name: overlaid(predictor.comm.allgather(values)) for name, values in fields.items()}
     return {"parts": parts, "mesh": forward.mesh} | fields
@@ -132,6 +135,7 @@ def diagnosis_json(done: Diagnosis, unit: float) -> dict[str, Any]:
         "nuisances": nuisance_text.to_json(state.told),
         "curvature": {action: missed / unit for action, missed in curvature.allowed(state).items()},
         "stiffness": stiffness.to_json() if stiffness else None,
+        "law": last.fitted.law,
         "discretisation_rms": state.errors.mesh_rms / unit if state.errors.mesh.known else None,
         "held_out_rms": None if last.held_out is None else last.held_out / unit,
         "anchored": sorted(state.anchors, key=order.index),
@@ -143,6 +147,7 @@ def diagnosis_json(done: Diagnosis, unit: float) -> dict[str, Any]:
         ],
         "courses": courses.to_json(last.fitted),
         "warnings": list(last.fitted.warnings),
+        "skipped": list(state.predictor.skipped),
         "tests": [
             {"name": f.name, "p_value": f.p_value, "decides": f.decides, "text": f.text} for f in last.adequacy.findings
         ],
@@ -343,6 +348,9 @@ def summary(done: Diagnosis, shares: Mapping[str, float], remarks: Sequence[str]
         lines += [f"WARNING: {doubt}."] if doubt else []
         lines += [*diagnosis_text.conclusion(done.explanation, unit, name, done.pulls), ""]
         lines += [*diagnosis_text.beliefs(done.explanation), ""]
+    skipped = done.rungs[-1].state.predictor.skipped
+    if skipped:
+        lines += ["Not evaluated, because that failed:", *(f"  {text}" for text in skipped), ""]
     lines += ["The ladder of models:", *diagnosis_text.ladder(done.rungs, unit, name), ""]
     if shares:
         parts = ", ".join(f"{label} {share / unit:.3g} {name}" for label, share in shares.items())
@@ -351,6 +359,8 @@ def summary(done: Diagnosis, shares: Mapping[str, float], remarks: Sequence[str]
         lines += [*diagnosis_text.verdict(rung.state, rung.adequacy, unit, name), ""]
         told = stiffness_in_words(rung.fitted.stiffness)
         lines += [*told, ""] if told else []
+        constants = diagnosis_text.law(rung.fitted)
+        lines += [*constants, ""] if constants else []
         if rung.fitted.coordinates:
             lines += [f"  {diagnosis_text.term(d, *_own(rung.fitted, d))}" for d in rung.state.model.terms]
             lines += [f"  {diagnosis_text.in_time(row)}" for row in courses.to_json(rung.fitted)]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.collective import Comm, agree, overlaid
-from bcid.base.errors import BcidError, InputError
+from bcid.base.errors import EvaluationError, InputError, SolveError, evaluating
 from bcid.base.progress import Progress, Silent
 from bcid.comparison import questions
 from bcid.comparison.acting import by_the_clock, steady
@@ -66,6 +66,7 @@ class Predictor:
         left_out: what of the measurement is not compared, and why, in words.
         thin: whether only some steps of each action are followed.
         trajectories: forward trajectories by level ("working", "fine"), in whole-trajectory equivalents.
+        skipped: evaluations that failed otherwise than by a solve, each once, in words.
     """
 
     level = 0
@@ -96,6 +97,7 @@ class Predictor:
         self.actions = measurement.actions
         self.numbers: NDArray[np.int64] = np.arange(len(self.data.mask))
         self.trajectories: dict[str, float] = {}
+        self.skipped: list[str] = []
         self._lengths = {action.name: len(action) for action in self.actions}
         self._kept = KeptPredictions(self.thin)
         self._models = ForwardModels(self.scene, comm, self.settings, self.forces)
@@ -177,6 +179,12 @@ class Predictor:
         """Free what was built for models other than these."""
         self._models.drop(mechanical(model).name for model in keep)
 
+    def skip(self, text: str) -> None:
+        """Note an evaluation that failed otherwise than by a solve."""
+        if text not in self.skipped:
+            self.skipped.append(text)
+            self.progress.say(f"skipped: {text}")
+
     def mine(self, actions: Iterable[Action]) -> list[Action]:
         """Those of some actions that this rank computes, which are the same whatever else is asked for: it has their states.
 
@@ -217,12 +225,26 @@ class Predictor:
             known = self._recalled(
                 lambda: f"{key.level} {questions.of_model(key.model)} {sorted(key.anchors)} {key.actions} {keep}",
                 PredictionFormat(self.mine(actions), self.comm),
-                lambda: self._followed(key, actions, keep, near or {}),
+                lambda: self._attempted(key, actions, keep, near or {}),
             )
             share = sum(len(a) for a in actions) / sum(self._lengths.values())
             self.count("fine" if key.level else "working", share)
             self._kept.add(key, keep, known)
-        return replace(known, positions=self._pictured(model, known.positions, level))
+        try:
+            with evaluating(_hypothesis(model, anchors), self.skip):
+                return replace(known, positions=self._pictured(model, known.positions, level))
+        except SolveError as error:
+            return replace(known, positions=np.full_like(known.positions, np.nan), failure=str(error))
+
+    def _attempted(
+        self, key: PredictionKey, actions: list[Action], keep: bool, states: Mapping[int, Array]
+    ) -> MeasurementPrediction:
+        """Prediction before effects on the picture; one of no frame where the evaluation fails otherwise than by a solve."""
+        try:
+            with evaluating(_hypothesis(key.model, key.anchors), self.skip):
+                return self._followed(key, actions, keep, states)
+        except SolveError as error:
+            return MeasurementPrediction(np.full(self.data.mask.shape, np.nan), {}, str(error))
 
     def _followed(
         self, key: PredictionKey, actions: list[Action], keep: bool, states: Mapping[int, Array]
@@ -240,7 +262,7 @@ class Predictor:
         for action in self.mine(actions):
             try:
                 part = forward.predict(key.anchors, [action], keep=keep, known=near.get(action.name, begun), look=look)
-            except BcidError as caught:
+            except Exception as caught:
                 error = caught
                 break
             positions[action.frames] = part.positions[action.frames]
@@ -329,11 +351,12 @@ class Predictor:
     ) -> Sensitivities:
         """Sensitivities at rest and in those steps of each action that are `known`, or in all that were seen."""
         where = None if known is None else [one.steps.tolist() for one in known]
-        return self._recalled(
-            lambda: f"to {questions.of_wanted(wanted)} {where} {questions.of_model(model)} {sorted(anchors)}",
-            SensitivitiesFormat(len(wanted.probes)),
-            lambda: self._sensitivities_about(model, anchors, prediction, wanted, known),
-        )
+        with evaluating(f"sensitivities of {_hypothesis(model, anchors)}", self.skip):
+            return self._recalled(
+                lambda: f"to {questions.of_wanted(wanted)} {where} {questions.of_model(model)} {sorted(anchors)}",
+                SensitivitiesFormat(len(wanted.probes)),
+                lambda: self._sensitivities_about(model, anchors, prediction, wanted, known),
+            )
 
     def _sensitivities_about(
         self,
@@ -353,7 +376,7 @@ class Predictor:
             whole = self._whole(prediction.parts[action.name])
             try:
                 parts.append(sensitivity.of(anchors, [action], whole, wanted, model, seen))
-            except BcidError as caught:
+            except Exception as caught:
                 error = caught
                 break
         agree(self.comm, error)
@@ -380,7 +403,12 @@ class Predictor:
             )
         wanted = self._nuisances.wanted(model, anchors) if nuisances is None else Wanted()
         wanted = replace(wanted, forces=self._weights, growths=self._growths)
-        found = self.sensitivities(model, anchors, prediction, wanted)
+        try:
+            found = self.sensitivities(model, anchors, prediction, wanted)
+        except EvaluationError:
+            # Without sensitivities neither input uncertainties nor a discrepancy may explain anything for this hypothesis.
+            count = len(self.data)
+            return nuisances or NuisanceModes.none(count), Smooth.nothing(count), np.zeros((count, SPOTS, 3))
         assert found.forces is not None
         modes = nuisances or self._nuisances.modes(self.data, found, wanted, model, prediction.positions)
         smooth, spots = found.forces[:, :, :, :BUMPS], self.data.vector(found.forces[:, :, :, BUMPS:]).astype(float)
@@ -398,12 +426,13 @@ class Predictor:
         return known[1]
 
     def _set_tangent(self, model: Model, anchors: Iterable[str], prediction: MeasurementPrediction) -> SetTangent:
-        tangents = self._models.tangents(self.forward(model))
-        steps = self._recalled(
-            lambda: f"of sets {questions.of_model(model)} {sorted(anchors)}",
-            TangentsFormat(),
-            lambda: self._step_tangents(tangents, model, prediction),
-        )
+        with evaluating(f"other anchor sets about {_hypothesis(model, anchors)}", self.skip):
+            tangents = self._models.tangents(self.forward(model))
+            steps = self._recalled(
+                lambda: f"of sets {questions.of_model(model)} {sorted(anchors)}",
+                TangentsFormat(),
+                lambda: self._step_tangents(tangents, model, prediction),
+            )
         shape, numbers = self.data.mask.shape, self.numbers
 
         def held(some: frozenset[str], frame: int) -> frozenset[str]:
@@ -422,7 +451,7 @@ class Predictor:
                 continue
             try:
                 mine |= tangents.of([action], prediction.parts[action.name], seen)
-            except BcidError as caught:
+            except Exception as caught:
                 error = caught
                 break
         agree(self.comm, error)
@@ -444,7 +473,8 @@ class Predictor:
         `soft` has for each set the compliance of patches that give, m/Pa.
         """
         tangent = self.set_tangent(model, anchors, prediction)
-        moved = tangent.all_moved(sets, soft or [{}] * len(sets))
+        with evaluating(f"other anchor sets about {_hypothesis(model, anchors)}", self.skip):
+            moved = tangent.all_moved(sets, soft or [{}] * len(sets))
         for one, known in product(moved, self._known(model) or ()):
             known.fill(one)
         return moved
@@ -477,6 +507,10 @@ class Predictor:
     def destroy(self) -> None:
         """Free the PETSc objects."""
         self.drop()
+
+
+def _hypothesis(model: Model, anchors: Iterable[str]) -> str:
+    return f"{model.name} with anchors {{{' '.join(sorted(anchors))}}}"
 
 
 def mechanical(model: Model) -> Model:

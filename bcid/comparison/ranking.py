@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 from scipy.special import logsumexp
 
-from bcid.base.errors import InputError
+from bcid.base.errors import InputError, SolveError
 from bcid.base.tails import chi2_limit, chi2_tail, shifted_chi2_tail
 from bcid.comparison.fit import columns, coordinates
 from bcid.comparison.priors import log_share, log_variants, one_sided, visible
@@ -114,12 +115,27 @@ def rank(
         check_optimum(state, present)
     candidates, excluded = dormant(state, effects.catalogue() if known is None else known)
     candidates = [(effect, at) for effect, at in candidates if place is None or at == place]
-    variants = all_variants(state, candidates) if like is None else _of_candidates(like, candidates)
+    variants = _evaluated(state, candidates, excluded) if like is None else _of_candidates(like, candidates)
     basis = orthonormal(present)
     tried = max(sum(_effective(v) for v in variants.values()), 1)
     rows = [best_row(state, name, found, basis, tried, least) for name, found in variants.items() if found]
     rows.sort(key=lambda row: (-row.gain, -row.score, row.effect))
     return Ranking(tuple(_confusions(rows)), excluded, tried, variants)
+
+
+def _evaluated(
+    state: State, candidates: Sequence[tuple[Effect, str]], excluded: dict[str, str]
+) -> dict[str, list[Variant]]:
+    """Variants of all effects; where their sensitivities fail together, of each by itself, and why one is `excluded`."""
+    with suppress(SolveError):
+        return all_variants(state, candidates)
+    found: dict[str, list[Variant]] = {}
+    for name in dict.fromkeys(effect.name for effect, _ in candidates):
+        try:
+            found |= all_variants(state, [(effect, at) for effect, at in candidates if effect.name == name])
+        except SolveError as error:
+            excluded[name] = str(error)
+    return found
 
 
 def _of_candidates(like: Ranking, candidates: Sequence[tuple[Effect, str]]) -> dict[str, list[Variant]]:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.collective import Comm, agree, in_turns
-from bcid.base.errors import SHORT_OF_MEMORY, BcidError, MachineError
+from bcid.base.errors import SHORT_OF_MEMORY, BcidError, MachineError, SolveError, evaluating
 from bcid.base.progress import Progress, Silent
 from bcid.forms.forward import Forward, Prediction, Watch
 from bcid.forms.gripper_force import ForceScale
@@ -25,6 +25,7 @@ from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
 from bcid.forms.solver.status import Status
+from bcid.forms.solver.trajectory import Trajectory
 from bcid.inference.misfit import Misfit
 from bcid.inference.outcome import Candidate, Outcome, label
 from bcid.measurement import Measurement
@@ -174,9 +175,13 @@ class Evaluator:
         turns = share(list(bounds), tickets) if tickets is not None else iter(())
         while (candidate := team.bcast(next(turns, None)) if team.size > 1 else next(turns, None)) is not None:
             try:
-                outcome, predicted = self._evaluate(forward, candidate, bounds[candidate], rest)
-            except (BcidError, MemoryError) as caught:
-                error = caught if isinstance(caught, BcidError) else MachineError(SHORT_OF_MEMORY)
+                with evaluating("anchors " + label(candidate, self.patches)):
+                    outcome, predicted = self._evaluate(forward, candidate, bounds[candidate], rest)
+            except SolveError as caught:
+                # It costs this candidate alone.
+                outcome, predicted = _failed(candidate, level, str(caught), self.misfit.frames), np.zeros(0)
+            except BcidError as caught:
+                error = caught
                 break
             mine.append(outcome)
             if outcome.complete:
@@ -298,6 +303,16 @@ class Evaluator:
             known = prediction.states
             yield prediction
 
+    def _predicted(self, forward: Forward, candidate: Candidate) -> Prediction:
+        """The same, of no frame where it fails otherwise than by a solve."""
+        try:
+            with evaluating("anchors " + label(candidate, self.patches)):
+                *_, prediction = self._passes(forward, candidate)
+        except SolveError as error:
+            nowhere = np.full((self.misfit.frames, forward.rows, 3), np.nan)
+            return Prediction(nowhere, (Trajectory(Status.FAILED, reason=str(error)),), {})
+        return prediction
+
     def together(self, level: int) -> bool:
         """Whether a level's mesh is so large that ranks would share it, if there were several; collective."""
         return bool(self.forward(level).body.unknowns > self.per_rank)
@@ -319,8 +334,7 @@ class Evaluator:
             for candidate in kept:
                 mine[candidate] = work(forward, candidate, self._kept[level][2])
             for candidate in share(others, tickets):
-                *_, prediction = self._passes(forward, candidate)
-                mine[candidate] = work(forward, candidate, prediction)
+                mine[candidate] = work(forward, candidate, self._predicted(forward, candidate))
         except (BcidError, MemoryError) as caught:
             error = caught if isinstance(caught, BcidError) else MachineError(SHORT_OF_MEMORY)
         tickets.close()
@@ -358,3 +372,9 @@ class Evaluator:
                 leaders.Free()
         self._forwards.clear()
         self._leaders.clear()
+
+
+def _failed(candidate: Candidate, level: int, reason: str, frames: int) -> Outcome:
+    """Of a candidate whose evaluation failed otherwise than by a solve: nothing is known of it."""
+    nowhere = (math.nan,) * frames
+    return Outcome(candidate, level, math.inf, math.inf, False, 0.0, Status.FAILED, reason, by_frame=nowhere)

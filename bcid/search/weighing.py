@@ -11,7 +11,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.base.errors import SolveError
+from bcid.base.errors import SolveError, evaluating
 from bcid.forms.force_bumps import BUMPS, bumps, force_unit, growth_bumps
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.gripper_force import ForceScale
@@ -282,7 +282,8 @@ class Weighing:
         known = knots_of(forward.model, actions, followed)
         seen = self._seen & followed if known is None else known_frames(known, len(followed))
         try:
-            found = self._sensitivities[level].of(candidate, actions, prediction, wanted, None, seen)
+            with evaluating("sensitivities"):
+                found = self._sensitivities[level].of(candidate, actions, prediction, wanted, None, seen)
         except SolveError:
             # Where the tangent says nothing, neither nuisances nor an unknown force do.
             return Pan(prediction.positions, NuisanceModes.none(len(data)), Smooth.nothing(len(data)), failed)

@@ -18,7 +18,7 @@ from bcid import Measurement
 from bcid.app import answer_commands, cli, console
 from bcid.base.errors import MachineError
 from bcid.base.progress import Lines
-from bcid.base.run_folder import sealed
+from bcid.base.run_folder import RunFolder, sealed
 
 ROOT = Path(__file__).resolve().parents[2]
 SLAB = ROOT / "examples/scenes/slab.toml"
@@ -199,6 +199,7 @@ def identified(folder: Path, scene: Path = SLAB, state: str = "finished", **reco
         (["fit", "run", "--add", "gravity:weight=-1", "-o", "run2"], ["outside the allowed range"]),
         (["fit", "run", "--add", "gravity:weight=nan", "-o", "run2"], ["not a finite number"]),
         (["fit", "run", "--add", "gravity", "--add", "gravity", "-o", "run2"], ["has it already"]),
+        (["fit", "run", "--free", "young,poison", "-o", "run2"], ["no number 'poison'", "did you mean 'poisson'"]),
         (["fit", "run", "--free", "yung", "-o", "run2"], ["no number 'yung'", "did you mean 'young'"]),
         (["fit", "run", "--add", "inclusion", "--fixed", "x", "-o", "run2"], ["no number 'x'", "inclusion.radius"]),
     ],
@@ -212,11 +213,8 @@ def test_mistakes_about_a_run(arguments: list[object], words: list[str], tmp_pat
 
 def test_runs_that_nothing_can_start_from(tmp_path: Path) -> None:
     """Unfinished, of another command, damaged, or of a scene that has changed since."""
-    refused(bcid("compare", identified(tmp_path / "a", state="failed"), cwd=tmp_path), "the run is failed")
+    refused(bcid("compare", identified(tmp_path / "a", state="failed"), cwd=tmp_path), "the run failed", "--overwrite")
     refused(bcid("compare", identified(tmp_path / "b", names={}), cwd=tmp_path), "names no scene")
-    damaged = identified(tmp_path / "c")
-    (damaged / "model.json").write_text('{"law": {}}', encoding="utf-8")
-    refused(bcid("compare", damaged, cwd=tmp_path), "model.json", "is damaged")
     changed = identified(tmp_path / "d", edited(tmp_path))
     edited(tmp_path, ('"15 kPa"', '"16 kPa"'))
     refused(bcid("compare", changed, cwd=tmp_path), "scene.toml has changed since")
@@ -255,14 +253,15 @@ def test_a_command_counts_the_seconds_from_its_start(
 ) -> None:
     """What is said while drawing too: one object speaks for the whole command."""
     job, arguments = JOBS[command]
-    (tmp_path / "summary.txt").write_text("the result\n\nmore\n", encoding="utf-8")
-    nothing = {"ladder": [], "length_unit": "mm", "noise_rms": 0.2, "verdict": "none"}
-    (tmp_path / "diagnosis.json").write_text(json.dumps(nothing), encoding="utf-8")
+    run = RunFolder.start(tmp_path / "made", command, {})
+    run.write_text("summary.txt", "the result\n\nmore\n")
+    run.write_json("diagnosis.json", {"ladder": [], "length_unit": "mm", "noise_rms": 0.2, "verdict": "none"})
+    run.finish({})
     drawn: list[Path] = []
     made: list[Lines] = []
 
     def done(*_: Any, **__: Any) -> Path:
-        return tmp_path
+        return run.path
 
     def counted() -> Lines:
         made.append(Lines())
@@ -278,7 +277,7 @@ def test_a_command_counts_the_seconds_from_its_start(
         monkeypatch.setattr(module, "draw", draw)
     assert cli.main([command, *arguments]) == 0
     assert len(made) == 1
-    assert drawn == [tmp_path]
+    assert drawn == [run.path]
     out = capsys.readouterr().out
     assert "the result" in out
     assert f"run folder: {tmp_path}" in out

@@ -19,7 +19,10 @@ from verify.problems import move
 
 from bcid.forms.forward import Forward
 from bcid.forms.model import check_physics
+from bcid.forms.simulate import recorded
 from bcid.scene import Scene
+from bcid.search.identify import identify
+from bcid.search.identify_options import IdentifyOptions
 
 POINTS = {"top": (0.0, 0.015, 0.030), "side": (0.0, 0.0, 0.024), "other side": (0.0, 0.030, 0.006)}
 WEIGHT = {"gravity": 0.0, "52 g": 0.51012}
@@ -60,3 +63,20 @@ def _reaction(forward: Forward) -> NDArray[np.float64]:
     reacting = equilibrium.supports.reacting
     held[reacting] = equilibrium.internal[reacting]
     return np.asarray(held[equilibrium.body.displacement_dofs].reshape(-1, 3).sum(axis=0))
+
+
+def test_identify_static_loads_without_a_grasp_ends_with_an_answer(project: Path) -> None:
+    """The set without any anchor comes to no frame at all, and is compared in none."""
+    scene = Scene.read(project / "examples" / "scenes" / "beam.toml", physics=check_physics)
+    rest = np.array([scene.fiducials[name] for name in scene.fiducial_names])
+    actions = []
+    for number, (case, load) in enumerate(WEIGHT.items()):
+        hung = {"tip_edge": np.array([[0.0, 0.0, -load]])} if load else {}
+        one = move(np.zeros((1, 3)), grasp="", loads=hung)
+        actions.append(replace(one, name=case, frames=np.array([number])))
+    sag = 1e-3 * np.array([[(COMSOL_UX[c][k], 0.0, MEASURED_UZ[c][k]) for k in range(3)] for c in WEIGHT])
+    seen = recorded(scene, actions, rest + sag, 0.0, np.random.default_rng(0))
+    found = identify(scene, seen, options=IdentifyOptions(finest=1))
+    assert found.anchored == ("clamp",)
+    assert found.probability > 0.99
+    assert "{}" in found.failures

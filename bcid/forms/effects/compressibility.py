@@ -9,6 +9,7 @@ from __future__ import annotations
 from bcid.base.errors import InputError
 from bcid.forms import materials
 from bcid.forms.effects.effect import BodyEffect
+from bcid.forms.materials.law import LARGEST_POISSON
 from bcid.forms.parameter import Amount
 from bcid.measurement import Measurement
 from bcid.scene import Scene
@@ -29,7 +30,9 @@ def needs(scene: Scene, _measurement: Measurement) -> str:
 
 
 # The neutral value is the law's; 0.35 stands for it.
-poisson = Amount("poisson", "1", "Poisson's ratio", lower=0.0, upper=0.495, neutral=0.35, law="poisson", scale=0.05)
+poisson = Amount(
+    "poisson", "1", "Poisson's ratio", lower=0.0, upper=LARGEST_POISSON, neutral=0.35, law="poisson", scale=0.05
+)
 
 effect = BodyEffect(
     name="compressibility",

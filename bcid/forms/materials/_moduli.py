@@ -17,6 +17,7 @@ POISSON = Parameter(
     lower=-1,
     open_lower=True,
     upper=0.5,
+    scale=0.1,
 )
 
 

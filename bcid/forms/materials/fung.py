@@ -63,7 +63,7 @@ law = Law(
         Parameter("bf", "1", "stiffening along the fibres", lower=0),
         Parameter("bt", "1", "stiffening across the fibres", lower=0),
         Parameter("bfs", "1", "stiffening in shear along the fibres", lower=0),
-        Parameter("angle", "deg", "fibre direction in the plane of fibres", default=0, lower=-180, upper=180),
+        Parameter("angle", "deg", "fibre direction in the plane of fibres", default=0, lower=-180, upper=180, scale=10),
         POISSON,
     ),
     energy=energy,

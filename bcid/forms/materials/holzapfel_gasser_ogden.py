@@ -79,9 +79,14 @@ law = Law(
         Amount("k1", "Pa", "stiffness of each fibre family", lower=0, neutral=0),
         Parameter("k2", "1", "how sharply the fibres stiffen", lower=0, open_lower=True),
         Parameter(
-            "angle", "deg", "the families lie at + and - this angle in the plane of fibres", lower=-180, upper=180
+            "angle",
+            "deg",
+            "the families lie at + and - this angle in the plane of fibres",
+            lower=-180,
+            upper=180,
+            scale=10,
         ),
-        Parameter("kappa", "1", "dispersion of the fibre directions", default=0, lower=0, upper=1 / 3),
+        Parameter("kappa", "1", "dispersion of the fibre directions", default=0, lower=0, upper=1 / 3, scale=0.05),
         POISSON,
     ),
     energy=energy,

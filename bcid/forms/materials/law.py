@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from bcid.base.errors import InputError, nearest
@@ -23,6 +23,13 @@ Constants = Mapping[str, Scalar]
 
 Volumetric = Literal["log", "ciarlet", "quadratic"]
 """How the energy U depends on the volume ratio J, see `Law`."""
+
+
+LARGEST_POISSON = 0.495
+"""Largest Poisson's ratio that a fit may give the displacement formulation: beyond it quadratic elements lock."""
+
+LEAST_MIXED_POISSON = 0.01
+"""Least one of the mixed formulation, whose bulk term vanishes at 0."""
 
 
 @dataclass(frozen=True)
@@ -118,6 +125,26 @@ class Law:
             numbers = {name: float(value) for name, value in self.complete(values).items()}
             problems = self._wrong_together(numbers, mixed)
         return [f"{self.name}: {text}" for text in problems]
+
+    def scale(self, parameter: Parameter, values: Constants) -> float:
+        """Size of a notable change of a constant, in its unit: of a stiffness by the shear modulus, of others as they declare."""
+        full = {name: float(value) for name, value in self.complete(values).items()}
+        own = abs(full[parameter.name])
+        return max(own, float(self.shear(full))) / 3 if parameter.unit == "Pa" else max(own / 3, parameter.scale)
+
+    def supported(self, parameter: Parameter, mixed: bool, value: float) -> Parameter:
+        """A parameter of the law within the range that a formulation supports, and a `value` that is allowed already.
+
+        Args:
+            parameter: of this law.
+            mixed: whether it is for the mixed (displacement and pressure) formulation.
+            value: that the model has now.
+        """
+        if parameter.name != "poisson":
+            return parameter
+        if mixed:
+            return replace(parameter, lower=min(LEAST_MIXED_POISSON, value), open_lower=False)
+        return replace(parameter, upper=max(LARGEST_POISSON, value))
 
     def _wrong_names(self, values: Mapping[str, object]) -> list[str]:
         known = [p.name for p in self.parameters]

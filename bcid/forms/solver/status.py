@@ -22,6 +22,7 @@ class Status(StrEnum):
     OUT_OF_MEMORY = "out_of_memory"
     JUMPED = "jumped"
     DIVERGED = "diverged"
+    FAILED = "failed"
 
 
 WORDS = {
@@ -35,6 +36,7 @@ WORDS = {
     Status.OUT_OF_MEMORY: "the factorisation ran out of memory",
     Status.JUMPED: "the state found holds more energy than the gripper has put in: the motion does not lead there",
     Status.DIVERGED: "Newton's method diverged",
+    Status.FAILED: "the evaluation failed",
 }
 REASONS = {
     PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH: Status.LINE_SEARCH,
