@@ -77,8 +77,6 @@ def read_in_child(
         TimeoutError: it takes too long.
         MachineError: the temporary folder is full, or cannot be written.
     """
-    # Not above: `bcid doctor` asks for Landlock, and works without numpy.
-
     with temporary_folder("bcid-read-") as folder:
         out = folder / "out.npz"
         file = source.resolve() if in_place else _copied(source, beside, folder / "in")
@@ -138,6 +136,7 @@ def _ends(child: int, seconds: float) -> bool:
 
 def _arrays(out: Path) -> dict[str, Any]:
     """What a child gave back. It may have been taken over: nothing is unpickled, and nothing grows as it is unpacked."""
+    # Not above: `bcid doctor` asks for the barriers, and works without numpy.
     import numpy as np
 
     try:
