@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import InputError
+from bcid.base.ply_head import refuse_open_head
 from bcid.forms.mesh.body_mesh import Cells, Points
 from bcid.forms.mesh.fields import of_nodes, of_triangles
 from bcid.forms.mesh.foreign_mesh import in_space, read_meshio
@@ -96,6 +97,7 @@ def _soup(corners: Points) -> TriangleSurface:
 
 
 def _ply(source: Path) -> TriangleSurface:
+    refuse_open_head(source)
     try:
         mesh = read_meshio(source)
     except InputError:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bcid.base.confined import serve
 from bcid.base.errors import InputError
+from bcid.base.ply_head import refuse_open_head
 
 Array = NDArray[np.float64]
 CLOUDS, DEPTHS = (".ply", ".pcd", ".npy", ".csv", ".xyz", ".txt"), (".png", ".npy")
@@ -41,6 +42,7 @@ def _read(file: Path) -> Array:
 def _ply(file: Path) -> Any:
     from meshio import ply
 
+    refuse_open_head(file)
     return ply.read(file).points
 
 
