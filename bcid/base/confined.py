@@ -31,6 +31,7 @@ from bcid.base.landlock import read_only
 from bcid.base.scratch import require, temporary_folder
 from bcid.base.shipped import IMPORT_ROOT
 from bcid.base.system_calls import compute_only
+from bcid.base.unpacked import stored_arrays
 
 # What a child is given of the environment: where its libraries are, and how it writes text. Nothing that loads plugins.
 _KEPT = ("LD_LIBRARY_PATH", "PYTHONHOME", "LANG", "LC_ALL", "LC_CTYPE")
@@ -136,15 +137,8 @@ def _ends(child: int, seconds: float) -> bool:
 
 def _arrays(out: Path) -> dict[str, Any]:
     """What a child gave back. It may have been taken over: nothing is unpickled, and nothing grows as it is unpacked."""
-    # Not above: `bcid doctor` asks for the barriers, and works without numpy.
-    import numpy as np
-
     try:
-        with zipfile.ZipFile(out) as archive:
-            if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
-                raise ValueError
-        with np.load(out, allow_pickle=False) as data:
-            return {key: data[key] for key in data.files}
+        return stored_arrays(out)
     except (OSError, ValueError, EOFError, SyntaxError, MemoryError, zipfile.BadZipFile):
         require()
         raise InputError("the reader gave back nothing that can be read") from None

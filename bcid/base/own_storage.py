@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from bcid.base.errors import InputError
+from bcid.base.unpacked import refuse_large
 
 # Filters that HDF5 brings along (deflate, shuffle, Fletcher32, szip, n-bit, scale and offset), and LZF, which h5py does.
 _FILTERS = frozenset({1, 2, 3, 4, 5, 6, 32000})
@@ -19,8 +20,8 @@ def refuse_outside(file: Any) -> None:
         file: an `h5py.File`.
 
     Raises:
-        InputError: an external or user-defined link, external or virtual storage, a filter that is not built in, or groups
-            nested too deeply.
+        InputError: an external or user-defined link, external or virtual storage, too large a shape, a filter that is not built in,
+            or groups nested too deeply.
     """
     from h5py import h5l
 
@@ -40,9 +41,12 @@ def _refuse_storage(path: str, group: Any, name: bytes) -> None:
 
     if h5o.get_info(group.id, name).type != h5o.TYPE_DATASET:
         return
-    created = h5d.open(group.id, name).get_create_plist()
+    dataset = h5d.open(group.id, name)
+    created = dataset.get_create_plist()
     if created.get_layout() == h5d.VIRTUAL or created.get_external_count():
         raise InputError(f"the values of '{path}' are kept in another file, or by reference; repack the file")
+    size = dataset.get_space().get_simple_extent_npoints() * dataset.get_type().get_size()
+    refuse_large(size, f"'{path}' unpacks to", "keep only what is to be read")
     for number in range(created.get_nfilters()):
         if (code := created.get_filter(number)[0]) not in _FILTERS:
             raise InputError(f"the values of '{path}' pass the filter {code}, a plugin; repack the file with gzip")

@@ -80,12 +80,21 @@ def as_text(content: bytes, path: Path, longest: int = LONGEST_TABLE, encoding: 
     Raises:
         InputError: it is longer, or no text.
     """
-    if len(content) > longest:
-        raise InputError(f"{path}: is longer than {longest / 1e6:g} MB, the most that is read; is it the right file?")
+    refuse_longer(content, path, longest)
     try:
         return content.decode(encoding)
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: cannot be read as text: {error}") from None
+
+
+def refuse_longer(content: bytes, path: Path, longest: int) -> None:
+    """Refuse the content of the file `path` if it has more than `longest` bytes.
+
+    Raises:
+        InputError: it has.
+    """
+    if len(content) > longest:
+        raise InputError(f"{path}: is longer than {longest / 1e6:g} MB, the most that is read; is it the right file?")
 
 
 def _content(path: Path, longest: int, absent: str) -> bytes:

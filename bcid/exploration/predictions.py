@@ -24,6 +24,7 @@ from bcid.base.fingerprint import fingerprint
 from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import writing
 from bcid.base.text_file import parse_json
+from bcid.base.unpacked import stored_arrays
 from bcid.comparison.forward_models import ForwardModels
 from bcid.exploration.pull_prediction import PullPrediction, predicted
 from bcid.exploration.pull_tangent import Differentiator, PullTangent
@@ -287,9 +288,9 @@ class PullPredictor:
 def _entries(file: Path) -> list[tuple[Anchored, PullPrediction]]:
     """What a stored file holds; it must be removed when it is damaged."""
     try:
-        with np.load(file, allow_pickle=False) as content:
-            sets = [frozenset(parse_json(str(text), file)) for text in content["sets"]]
-            positions, numbers = content["positions"], content["numbers"]
+        content = stored_arrays(file)
+        sets = [frozenset(parse_json(str(text), file)) for text in content["sets"]]
+        positions, numbers = content["positions"], content["numbers"]
         if not (len(sets) == len(positions) == len(numbers) and numbers.shape[1:] == (3,) and positions.ndim == 4):
             raise ValueError(f"{len(sets)} sets, positions {positions.shape}, numbers {numbers.shape}")
         rows = zip(sets, positions, numbers, strict=True)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, Problems
 from bcid.base.progress import Progress
-from bcid.base.text_file import LONGEST_TABLE, as_lines, read_lines
+from bcid.base.text_file import as_lines, read_lines, refuse_longer
 from bcid.base.units import unit_factor
 from bcid.vision.board import CHESSBOARD, Board
 from bcid.vision.camera import SIDES
@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 CORNERS = 6
 # Pairs to look at; of more, so many are picked evenly.
 _MOST = 100
+# Longest table that is unpacked, bytes: a million corners.
+_LONGEST_UNPACKED = 100_000_000
 # Columns of a table that hold lengths and pixels.
 _SIX = ("x", "y", "u1", "v1", "u2", "v2")
 # No corner is further from the first, in pixels or in units of length.
@@ -227,11 +229,13 @@ def _lines(path: Path) -> list[str]:
         return read_lines(path, absent)
     try:
         with gzip.open(path, "rb") as stream:
-            return as_lines(stream.read(LONGEST_TABLE + 1), path)
+            content = stream.read(_LONGEST_UNPACKED + 1)
     except FileNotFoundError:
         raise InputError(f"{path}: {absent}") from None
     except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"{path}: cannot be read as text: {error}") from None
+    refuse_longer(content, path, _LONGEST_UNPACKED)
+    return as_lines(content, path)
 
 
 def _columns(header: list[str], path: Path, problems: Problems) -> tuple[dict[str, int], float]:

@@ -19,7 +19,7 @@ from bcid.measurement.formats.in_child import needed
 
 # What MATLAB and pandas keep for themselves.
 _HIDDEN = ("#refs#", "#subsystem#", "_i_table")
-_MOST_CELLS = 100_000
+_MOST_CELLS, _MOST_TEXTS = 100_000, 1_000_000
 
 
 class _Field:
@@ -78,6 +78,9 @@ def _data(file: Any, data: Any, depth: int = 0) -> Any:
     if not isinstance(data, h5py.Dataset) or depth > 8 or data.shape is None:
         return None
     kind = data.attrs.get("MATLAB_class", b"").decode() if isinstance(data.attrs.get("MATLAB_class"), bytes) else ""
+    # Text and references are read at once, one by one, and more are no names.
+    if (kind == "char" or data.dtype.kind in "OS") and data.size > _MOST_TEXTS:
+        return None
     if h5py.check_ref_dtype(data.dtype) is not None:
         references = np.asarray(data[()]).ravel()[:_MOST_CELLS]
         return [_referred(file, reference, depth) for reference in references]

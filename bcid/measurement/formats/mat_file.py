@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,15 +11,31 @@ from typing import Any
 import numpy as np
 
 from bcid.base.confined import serve
+from bcid.base.unpacked import refuse_large
 from bcid.measurement.formats.array_tree import described
 
+# Bytes of a number of MATLAB's classes, and of an entry of any other.
+_BYTES = {
+    "double": 8,
+    "int64": 8,
+    "uint64": 8,
+    "single": 4,
+    "int32": 4,
+    "uint32": 4,
+    "char": 4,
+    "int16": 2,
+    "uint16": 2,
+}
+_FEWEST = 1
 # Structs within structs that are followed.
 _DEEPEST = 12
 
 
 def _arrays(source: Path, wanted: Sequence[str]) -> dict[str, Any]:
-    from scipy.io import loadmat
+    from scipy.io import loadmat, whosmat
 
+    declared = sum(math.prod(shape) * _BYTES.get(kind, _FEWEST) for _, shape, kind in whosmat(str(source)))
+    refuse_large(declared, "unpacks to", "keep only what is to be read")
     content = loadmat(str(source))
     tree = {name: _node(value) for name, value in content.items() if not name.startswith("__")}
     return described(tree, list(wanted))
