@@ -14,7 +14,6 @@ from bcid.base.fingerprint import file_fingerprint
 from bcid.forms.mesh.body_mesh import BodyMesh
 from bcid.forms.mesh.check import check_fineness, check_groups, check_places, checked, regions
 from bcid.forms.mesh.fields import paint
-from bcid.forms.mesh.kept_meshes import kept
 from bcid.forms.mesh.references import beside
 from bcid.scene import Level, Scene
 from bcid.scene.geometry_file import PROGRAM, kind_of
@@ -86,8 +85,7 @@ def _load(path: Path, sizes: tuple[float, float], numbers: tuple[tuple[str, str]
             f"{path}.opt: gmsh would run it with {path.name}; take what it sets into {path.name}, and remove it"
         )
     arguments = [*map(repr, sizes), *(f"{name}={value}" for name, value in numbers)]
-
-    def made() -> Arrays:
+    try:
         return read_in_child(
             "bcid.forms.mesh.child",
             path,
@@ -97,9 +95,6 @@ def _load(path: Path, sizes: tuple[float, float], numbers: tuple[tuple[str, str]
             in_place=program,
             check=None if program else refuse_scripts,
         )
-
-    try:
-        return kept(path, {"arguments": arguments}, made)
     except TimeoutError:
         raise InputError(f"{path}: meshing took more than {TIME_LIMIT:.0f} s; choose larger elements") from None
     except InputError as error:
