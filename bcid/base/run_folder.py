@@ -347,11 +347,17 @@ def write_whole(target: Path, content: str | bytes) -> Path:
     with writing(target.parent):
         target.parent.mkdir(parents=True, exist_ok=True)
         partial = target.with_name(f".{target.name}.partial")
-        with partial.open("wb") as stream:
-            stream.write(content.encode() if isinstance(content, str) else content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        partial.replace(target)
+        try:
+            with partial.open("wb") as stream:
+                stream.write(content.encode() if isinstance(content, str) else content)
+                stream.flush()
+                os.fsync(stream.fileno())
+            partial.replace(target)
+        except OSError:
+            # On a read-only file system there is none, and removing it fails as well.
+            with suppress(OSError):
+                partial.unlink()
+            raise
     return target
 
 
