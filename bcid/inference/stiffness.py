@@ -68,6 +68,11 @@ class Stiffness:
         return math.exp(self.log)
 
     @property
+    def stderr(self) -> float:
+        """Standard error of the factor."""
+        return self.factor * self.log_error
+
+    @property
     def values(self) -> dict[str, float]:
         """The constants as they were found, Pa."""
         return {name: self.factor * value for name, value in self.constants.items()}
@@ -91,7 +96,7 @@ class Stiffness:
             "constants": {
                 name: {
                     "value": self.factor * value,
-                    "stderr": self.factor * self.log_error * value,
+                    "stderr": self.stderr * value,
                     "interval": list(self.interval(value)),
                     "scene": self.stated[name],
                     "unit": "Pa",

@@ -287,10 +287,11 @@ class _Search:
         scales = self.weighing(evaluator, self.levels, nearest.candidate) if self.weighing else None
         try:
             weighed = self.weigh(scales, nearest, errors) if scales else {}
-            winner = self.likeliest(weighed, nearest)
-            weight = scales.weight(scales.levels[-1], winner) if scales and weighed else None
+            winner = self.likeliest({c: log for c, log in weighed.items() if scales and scales.followed(c)}, nearest)
+            known = scales is not None and bool(weighed) and scales.followed(winner)
+            weight = scales.weight(scales.levels[-1], winner) if scales and known else None
             alike = scales.classes(scales.levels[-1], _likely(weighed)) if scales and weighed else None
-            astray = scales.astray(scales.levels[-1], winner) if scales and weighed else ()
+            astray = scales.astray(scales.levels[-1], winner) if scales and known else ()
         finally:
             if scales:
                 scales.destroy()

@@ -183,6 +183,11 @@ class Weighing:
             errors = Errors(data, errors.sigma, mesh, errors.nuisances.beside(unknown.likeliest(data, evidence)))
         return Weight(evidence, errors, residual)
 
+    def followed(self, candidate: Candidate) -> bool:
+        """Whether a set was followed to any frame on the finest level: without one nothing is known of it; collective."""
+        self._fill(self.levels[-1], [candidate])
+        return bool(self._pans[self.levels[-1], candidate].frames.any())
+
     def astray(self, level: int, candidate: Candidate) -> tuple[str, ...]:
         """Fiducials that do not go with the body, whatever of the above acts: names that were swapped, marks that came off.
 

@@ -279,6 +279,9 @@ class Toy:
     fails: str = ""
     power: float = 1.0
 
+    def skip(self, text: str) -> None:
+        raise AssertionError(f"nothing fails here: {text}")
+
     @property
     def scene(self) -> Scene:
         return SCENE

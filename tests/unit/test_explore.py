@@ -616,6 +616,7 @@ def test_the_belief_is_drawn(tmp_path: Path) -> None:
     found = explore(body.scene, MadeUpRobot(body, "1", 5e-3), plan, body)  # type: ignore[arg-type]
     run = RunFolder.start(tmp_path / "run", "explore", {})
     run.write_json("exploration.json", exploration_json(body.scene, found))
+    run.finish({})
     assert draw(tmp_path / "run") == [tmp_path / "run/belief.png"]
     assert json.loads((tmp_path / "run/exploration.json").read_text())["steps"][0]["expected_bits"] > 0
     assert "Pulls:" in summary(body.scene, plan, found)

@@ -423,8 +423,9 @@ def test_killed_while_it_proposes_explain_goes_on_there(
 
     def proposed(run: Path, output: Path | None, folder: Path, *_: Any) -> list[Path]:
         done.append("proposed")
-        (tmp_path / folder).mkdir(exist_ok=True)
-        (tmp_path / folder / "summary.txt").write_text("Proposed: springs\n", "utf-8")
+        made = RunFolder.start(tmp_path / folder, "propose", {}, overwrite=True)
+        made.write_text("summary.txt", "Proposed: springs\n")
+        made.finish({})
         return []
 
     monkeypatch.setattr("bcid.comparison.compare_runs.run_explain", explained)
@@ -439,24 +440,28 @@ def test_explain_goes_on_where_no_known_effect_explains(
 ) -> None:
     asked: list[Path] = []
 
+    def finished(folder: Path, command: str, verdict: str, summary: str) -> None:
+        run = RunFolder.start(folder, command, {}, overwrite=True)
+        run.write_json("diagnosis.json", {"verdict": verdict})
+        run.write_text("summary.txt", summary)
+        run.finish({})
+
     def explained(*_: Any, **__: Any) -> Path:
-        return tmp_path
+        return tmp_path / "made"
 
     def proposed(run: Path, output: Path | None, folder: Path, *_: Any) -> list[Path]:
         asked.append(folder)
-        folder.mkdir(exist_ok=True)
-        (folder / "summary.txt").write_text("Proposed: springs\n", "utf-8")
-        assert (run, output) == (tmp_path, None)
+        finished(folder, "propose", "unknown", "Proposed: springs\n")
+        assert (run, output) == (tmp_path / "made", None)
         return [folder / "proposed/proposed_term.py"]
 
     monkeypatch.setattr("bcid.comparison.compare_runs.run_explain", explained)
     monkeypatch.setattr("bcid.proposal.propose_run.run_propose", proposed)
-    (tmp_path / "summary.txt").write_text("the result\n", "utf-8")
     words = ["explain", "scene.toml", "seen", "-o", "run", "--quiet", "--no-picture"]
     for verdict, more, expected in (("gravity", [], 0), ("unknown", ["--no-propose"], 0), ("unknown", [], 1)):
-        (tmp_path / "diagnosis.json").write_text(json.dumps({"verdict": verdict}), "utf-8")
+        finished(tmp_path / "made", "explain", verdict, "the result\n")
         assert main([*words, *more]) == 0
-        assert asked == [tmp_path / "propose"] * expected
+        assert asked == [tmp_path / "made" / "propose"] * expected
     out = capsys.readouterr().out
     assert "Proposed: springs" in out
     assert "proposed_term.py (use it with --effects" in out

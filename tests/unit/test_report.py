@@ -428,7 +428,7 @@ def test_tables() -> None:
     rows = [["=a_1 & b", "1.42"], ["±", "12"], ["", "≥ 0.2"]]
     columns = [Column("name", TEXT), Column("error (mm)", NUMBER)]
     table = Table("t", "100 %", columns, rows, [["=a_1 & b", 1.42], ["-2", 12.0], ["", None]])
-    assert table.csv() == "name,error (mm)\n'=a_1 & b,1.42\n'-2,12.0\n,\n"
+    assert table.csv() == "name,error (mm)\n'=a_1 & b,1.42\n-2,12.0\n,\n"
     assert r"=a\_1 \& b & 1.42 \\" in table.latex()
     assert r"$\pm$ & 12\phantom{.}\phantom{0}\phantom{0} \\" in table.latex()
     assert "% 100 \\%\n" in table.latex()

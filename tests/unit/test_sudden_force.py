@@ -113,8 +113,8 @@ def test_smooth_in_larger_errors_or_sudden_count_alike() -> None:
     without = Evidence.of(known, pushed, forces)
     found = Evidence.of(known, pushed, forces, sudden=SuddenForce(known, spots(data)))
     assert found.begins is not None
-    ways = without.forced + np.log(2), found.plain + found.begins.log
-    assert found.forced == pytest.approx(np.logaddexp(*ways) - np.log(3))
+    ways = without.forced + np.log(3), found.plain + found.begins.log
+    assert found.forced == pytest.approx(np.logaddexp(*ways) - np.log(4))
     assert found.sudden == pytest.approx(softmax(ways)[1])
     assert 0.01 < found.sudden < 0.99
     assert found.plain == without.plain
