@@ -19,6 +19,7 @@ from bcid.inference import response
 from bcid.inference.criteria import NOTABLE
 from bcid.inference.data import Data
 from bcid.inference.evidence import LARGER, Force, Integrated, Numbers
+from bcid.inference.hypotheses import MISSED
 from bcid.inference.likelihood import Errors
 from bcid.inference.sudden_force import Beginning, SuddenForce
 
@@ -149,8 +150,8 @@ class Evidence:
         """Of a residual (n,), m.
 
         What is missing need not be a force: the same is asked with errors that are larger by any factor, and with a smooth misfit
-        in observation space (`bcid.inference.response`) instead. Nor need it be spread and go on with the motion: it may begin
-        somewhere. All count alike.
+        in observation space (`bcid.inference.response`) instead, with a probability of `MISSED`. Nor need it be spread and go on
+        with the motion: it may begin somewhere. The others count alike.
 
         Args:
             errors: of all else.
@@ -168,16 +169,19 @@ class Evidence:
         misfits = [Integrated.of(scaled, known, process) for process in errors.misfits]
         misfit = _mean([found.log(None if stated else LARGER) for found in misfits])
         begins = sudden.beginning(residual, known) if sudden else None
-        ways = [_mean(smooth), _mean(larger), misfit, *([plain + begins.log] if begins else [])]
+        forces_alone = [_mean(smooth), _mean(larger), *([plain + begins.log] if begins else [])]
+        # A misfit stands for what no other discrepancy does, which is as rare as what no search comes upon.
+        each = math.log((1 - MISSED) / len(forces_alone))
+        ways = np.array([*(log + each for log in forces_alone), misfit + math.log(MISSED)])
         shares = softmax(ways)
         beyond = float(softmax(larger) @ [found.excess(LARGER) for found in pushed]) - 1
         excess = 1 + float(shares[1] if stated else shares[:2].sum()) * beyond
         kind, size = _likeliest(pushed, forces)
         length = None
-        if misfit > max(ways[:2]):
+        if int(np.argmax(ways)) == len(ways) - 1:
             length, size = _likeliest(misfits, errors.misfits)
-        sudden_share = float(shares[3]) if begins else 0.0
-        return cls(plain - volume, _mean(ways) - volume, size, kind, length, excess, begins, sudden_share)
+        sudden_share = float(shares[2]) if begins else 0.0
+        return cls(plain - volume, float(logsumexp(ways)) - volume, size, kind, length, excess, begins, sudden_share)
 
     @property
     def total(self) -> float:

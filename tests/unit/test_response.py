@@ -14,6 +14,7 @@ from unit.test_compare import SIGMA, actions, data_of, rest
 from bcid.inference import response
 from bcid.inference.data import Data
 from bcid.inference.evidence import Force
+from bcid.inference.hypotheses import MISSED
 from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.unknown_force import Evidence
@@ -81,8 +82,8 @@ def test_evidence_with_a_misfit_is_the_gaussian_written_out(data: Data, errors: 
             logs.append(multivariate_normal(cov=noise + size**2 * columns @ columns.T).logpdf(residual))
     expected = logsumexp(logs) - math.log(len(logs)) + len(data) / 2 * math.log(2 * math.pi)
     found = Evidence.of(errors, residual, no_force(data))
-    # The misfit is one of three equally probable discrepancies, and the only one that explains anything here.
-    assert found.forced == pytest.approx(expected - math.log(3), abs=0.2)
+    # Of all discrepancies it is the only one that explains anything here.
+    assert found.forced == pytest.approx(expected + math.log(MISSED), abs=0.2)
 
 
 def test_smooth_misfit_is_a_discrepancy_and_no_certain_choice_between_hypotheses(data: Data, errors: Errors) -> None:

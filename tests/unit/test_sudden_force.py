@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.special import logsumexp, softmax
+from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from bcid.inference.data import Data
-from bcid.inference.evidence import Numbers
+from bcid.inference.evidence import Integrated, Numbers
+from bcid.inference.hypotheses import MISSED
 from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.sudden_force import _SIZES, SuddenForce
@@ -105,6 +106,13 @@ def test_nothing_begins_where_no_motion_was_seen_before() -> None:
     assert SuddenForce(errors(data), spots(data)).beginning(0 * data.values, Numbers.none(len(data))) is None
 
 
+def response_log(known: Errors, residual: np.ndarray) -> float:
+    """Logarithm of the density with a misfit in observation space, on the scale of `Evidence.plain`."""
+    scaled = known.whiten(residual)
+    logs = [Integrated.of(scaled, Numbers.none(len(scaled)), process).log() for process in known.misfits]
+    return float(logsumexp(logs) - np.log(len(logs)) - known.log_volume)
+
+
 def test_smooth_in_larger_errors_or_sudden_count_alike() -> None:
     data = Data(SCENE, measurement())
     known, acts = errors(data), data.frame >= 3
@@ -113,9 +121,13 @@ def test_smooth_in_larger_errors_or_sudden_count_alike() -> None:
     without = Evidence.of(known, pushed, forces)
     found = Evidence.of(known, pushed, forces, sudden=SuddenForce(known, spots(data)))
     assert found.begins is not None
-    ways = without.forced + np.log(3), found.plain + found.begins.log
-    assert found.forced == pytest.approx(np.logaddexp(*ways) - np.log(4))
-    assert found.sudden == pytest.approx(softmax(ways)[1])
+    # What does not begin has two thirds of the prior of a force instead of all of it.
+    misfit = MISSED * np.exp(response_log(known, pushed) - found.plain)
+    steady = np.exp(without.forced - found.plain) - misfit
+    begins = (1 - MISSED) / 3 * np.exp(found.begins.log)
+    whole = steady * 2 / 3 + misfit + begins
+    assert found.forced - found.plain == pytest.approx(np.log(whole))
+    assert found.sudden == pytest.approx(begins / whole)
     assert 0.01 < found.sudden < 0.99
     assert found.plain == without.plain
     assert without.sudden == 0

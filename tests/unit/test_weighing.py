@@ -20,6 +20,7 @@ from bcid.inference import response
 from bcid.inference.criteria import FAILS_FOR_THE_TRUE, NOTABLE
 from bcid.inference.data import Data
 from bcid.inference.evidence import LARGER
+from bcid.inference.hypotheses import MISSED
 from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes
@@ -93,7 +94,8 @@ def test_the_evidence_is_that_of_a_gaussian_averaged_over_sizes() -> None:
             covariance = (1 + left_out * size**2) * base + size**2 * columns @ columns.T
             misfits.append(multivariate_normal(cov=covariance).logpdf(residual) + constant)
     expected = [logsumexp(logs) - math.log(len(logs)) for logs in (each, larger, misfits)]
-    assert found.forced == pytest.approx(logsumexp(expected) - math.log(3), rel=1e-9)
+    priors = [(1 - MISSED) / 2, (1 - MISSED) / 2, MISSED]
+    assert found.forced == pytest.approx(logsumexp(expected, b=priors), rel=1e-9)
     assert found.total == pytest.approx(
         np.logaddexp(found.plain + math.log(1 - MISSING), found.forced + math.log(MISSING))
     )
