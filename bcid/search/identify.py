@@ -287,7 +287,7 @@ class _Search:
         scales = self.weighing(evaluator, self.levels, nearest.candidate) if self.weighing else None
         try:
             weighed = self.weigh(scales, nearest, errors) if scales else {}
-            winner = self.likeliest({c: log for c, log in weighed.items() if scales and scales.followed(c)}, nearest)
+            winner = self.likeliest(weighed, nearest, scales)
             known = scales is not None and bool(weighed) and scales.followed(winner)
             weight = scales.weight(scales.levels[-1], winner) if scales and known else None
             alike = scales.classes(scales.levels[-1], _likely(weighed)) if scales and weighed else None
@@ -325,10 +325,11 @@ class _Search:
             astray=astray,
         )
 
-    def likeliest(self, weighed: dict[Candidate, float], nearest: Outcome) -> Candidate:
+    def likeliest(self, weighed: dict[Candidate, float], nearest: Outcome, scales: Weighing | None) -> Candidate:
         """The set that is reported: of those that can be followed to the end."""
         for candidate in sorted(weighed, key=lambda c: (-weighed[c], len(c), sorted(c))):
-            if self.evaluator.evaluate(nearest.level, {candidate: math.inf})[candidate].complete:
+            complete = self.evaluator.evaluate(nearest.level, {candidate: math.inf})[candidate].complete
+            if complete and scales is not None and scales.followed(candidate):
                 return candidate
         return nearest.candidate
 
