@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from bcid import Measurement, Scene
 from bcid.comparison.courses import knots
 from bcid.comparison.diagnosis import Diagnosis, refitted
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.source import Source
 from bcid.comparison.variants import neutral_values
 from bcid.forms import effects
@@ -28,6 +27,7 @@ from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.simulate import simulate
 from bcid.measurement import Action
+from bcid.predict.predictor import Predictor
 from bcid.scene import Level
 from bcid.scene.uncertainty import Uncertainty
 

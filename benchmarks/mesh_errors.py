@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from bcid import Scene
 from bcid.base.errors import SolveError
 from bcid.base.shipped import shipped
-from bcid.comparison.levels import pair
 from bcid.forms.mesh import level_mesh
 from bcid.forms.model import check_physics
 from bcid.inference.mesh_error import MeshError, gain
+from bcid.predict.levels import pair
 from bcid.scene import Level
 from bcid.studies.hidden.cases import Case
 from bcid.studies.hidden.drawing import CaseChoice, draw

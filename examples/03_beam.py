@@ -27,7 +27,6 @@ from bcid.comparison import diagnosis_text
 from bcid.comparison.adequacy import Adequacy, judge
 from bcid.comparison.contest import fitted_beside
 from bcid.comparison.fit import Fit, fit
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import Ranking, Row, rank
 from bcid.comparison.rivals import Rival
 from bcid.comparison.state import State
@@ -35,6 +34,7 @@ from bcid.forms import effects
 from bcid.forms.model import Model, Term
 from bcid.forms.simulate import recorded
 from bcid.measurement import Action
+from bcid.predict.predictor import Predictor
 
 HERE = Path(__file__).resolve().parent
 CLAMPED = frozenset({"clamp"})

@@ -32,12 +32,12 @@ from bcid.api.results import ProposeResult
 from bcid.base.units import uncertain
 from bcid.comparison import diagnosis_text
 from bcid.comparison.fit import Fit, fit
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import Ranking, rank
 from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.forms.simulate import recorded, with_wrenches
 from bcid.measurement import Action
+from bcid.predict.predictor import Predictor
 
 HERE = Path(__file__).resolve().parent
 # Engineering strain, and engineering stress, kPa.

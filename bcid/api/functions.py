@@ -16,7 +16,6 @@ from bcid.comparison.diagnosis import Diagnosis, check_terms, compared, diagnose
 from bcid.comparison.explain import ExplainOptions
 from bcid.comparison.output import collect
 from bcid.comparison.output import documents as diagnosis_documents
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.source import Source
 from bcid.comparison.written_term import parsed_term
 from bcid.exploration import explore_run
@@ -31,6 +30,7 @@ from bcid.forms.mesh.patches import divided
 from bcid.forms.model import Model, Term, check_physics
 from bcid.inference.followed import as_far_as_followed
 from bcid.measurement import Measurement
+from bcid.predict.predictor import Predictor
 from bcid.proposal.proposal_documents import WrittenProposal, proposal_documents, searched
 from bcid.proposal.propose import ProposeOptions
 from bcid.proposal.propose_run import effect_names

@@ -180,7 +180,8 @@ def _explained(scene: Path, measurement: Path, arguments: argparse.Namespace, co
     from bcid.comparison.compare_runs import run_explain
 
     options, files = _options(arguments), getattr(arguments, "effects", [])
-    return run_explain(scene, measurement, arguments.output, options, comm, progress, arguments.overwrite, files)
+    store = getattr(arguments, "store", None)
+    return run_explain(scene, measurement, arguments.output, options, comm, progress, arguments.overwrite, files, store)
 
 
 def _options(arguments: argparse.Namespace) -> ExplainOptions:
@@ -202,7 +203,7 @@ def _beside(arguments: argparse.Namespace, command: str) -> Path:
 def _common(arguments: argparse.Namespace, comm: Comm, progress: Progress) -> dict[str, Any]:
     """What all jobs on a run take."""
     common = {"comm": comm, "progress": progress, "overwrite": arguments.overwrite}
-    return common | {"level": arguments.level, "files": arguments.effects}
+    return common | {"level": arguments.level, "files": arguments.effects, "store": arguments.store}
 
 
 def explore(arguments: argparse.Namespace, comm: Comm) -> None:

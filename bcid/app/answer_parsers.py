@@ -15,6 +15,7 @@ from bcid.app.options import (
     add_output,
     add_run,
     add_source,
+    add_store,
     seed,
 )
 
@@ -152,6 +153,7 @@ def add_explain(commands: Any) -> None:
     parser.add_argument(
         "--no-propose", action="store_true", help="where no known effect explains it, do not look beyond the catalogue"
     )
+    add_store(parser)
     add_level(parser)
     add_effect_files(parser)
     add_output(parser)
@@ -222,8 +224,6 @@ def add_explore(commands: Any) -> None:
     parser.add_argument("--samples", type=int, default=1000, metavar="N", help="of the estimate of information (1000)")
     parser.add_argument("--random-state", type=seed, default=0, metavar="N", help="of all that is drawn (0)")
     parser.add_argument("--wait", type=float, default=3600.0, metavar="SECONDS", help="for a measurement (3600)")
-    parser.add_argument(
-        "--store", type=Path, metavar="FOLDER", help="for predictions, shared by runs (in the run folder)"
-    )
+    add_store(parser)
     add_level(parser)
     add_output(parser)

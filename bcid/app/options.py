@@ -60,6 +60,7 @@ def add_inputs(parser: argparse.ArgumentParser) -> None:
 def add_source(parser: argparse.ArgumentParser) -> None:
     """A run to start from, and what all jobs on one have in common."""
     parser.add_argument("run_folder", type=Path, metavar="RUN", help="run folder of identify, diagnose, fit or explain")
+    add_store(parser)
     add_level(parser)
     add_effect_files(parser)
     add_output(parser)
@@ -72,6 +73,16 @@ def add_level(parser: argparse.ArgumentParser) -> None:
         type=int,
         metavar="LEVEL",
         help="level of the ladder that both meshes go by (the last with at most 40,000 unknowns)",
+    )
+
+
+def add_store(parser: argparse.ArgumentParser) -> None:
+    """Where predictions are kept."""
+    parser.add_argument(
+        "--store",
+        type=Path,
+        metavar="FOLDER",
+        help="for predictions, shared by runs (in the run folder, until it ends)",
     )
 
 

@@ -15,11 +15,11 @@ from bcid import Scene
 from bcid.base.shipped import shipped
 from bcid.bench.bcid_trajectory import seconds
 from bcid.bench.bench_slab import DEMO, EXPLAINED, measurement
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import rank
 from bcid.comparison.state import State
 from bcid.forms import effects
 from bcid.forms.model import Model
+from bcid.predict.predictor import Predictor
 
 ANCHORED = frozenset("34")
 REPEATS = 2

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from bcid.base.progress import Steps
-from bcid.comparison.predictor import Predictor
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.outcome import Candidate
+from bcid.predict.predictor import Predictor
 from bcid.search.identification import Identification
 from bcid.search.identify import identify
 from bcid.search.identify_options import IdentifyOptions

@@ -14,8 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.comparison.kept_predictions import MeasurementPrediction
-from bcid.comparison.predictor import Predictor
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model
 from bcid.forms.solver.buckling import APART, NEAR_BUCKLING, smallest_eigenvalue, stable_state
@@ -23,6 +21,8 @@ from bcid.forms.solver.supports import Pose
 from bcid.forms.solver.trajectory import poses
 from bcid.inference.data import Data
 from bcid.measurement import Action, Measurement
+from bcid.predict.kept_predictions import MeasurementPrediction
+from bcid.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 # A finer mesh is a little softer: it is asked about actions in which the coarser one comes below this part.

@@ -12,13 +12,13 @@ from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError
 from bcid.base.progress import Progress
 from bcid.base.run_folder import RunFolder, running
-from bcid.comparison.checkpoint import CHECKPOINT, Checkpoint
 from bcid.comparison.diagnosis import Diagnosis, check_terms, compared, diagnosed, explained, on_predictor, refitted
 from bcid.comparison.explain import ExplainOptions
 from bcid.comparison.output import collect, documents
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.source import Source, find_effect, from_files, from_run
 from bcid.comparison.written_term import parsed_term
+from bcid.predict.predictor import Predictor
+from bcid.predict.store import CHECKPOINT, PredictionStore
 
 MAKES = (
     *("diagnosis.json", "model.json", "identification.json", "residuals.nc", "body.nc", "where.json", "summary.txt"),
@@ -36,10 +36,11 @@ def run_compare(
     overwrite: bool = False,
     level: int | None = None,
     files: Sequence[Path] = (),
+    store: Path | None = None,
 ) -> Path:
     """Is the model of a run adequate, and where does it fail? Collective; returns the folder written."""
     source = from_run(folder, files, comm)
-    return _written("compare", source, output, {"level": level}, comm, overwrite, level, compared, progress)
+    return _written("compare", source, output, {"level": level}, comm, overwrite, level, compared, progress, store)
 
 
 def run_diagnose(
@@ -51,6 +52,7 @@ def run_diagnose(
     level: int | None = None,
     files: Sequence[Path] = (),
     only: Sequence[str] | None = None,
+    store: Path | None = None,
 ) -> Path:
     """Which effect is missing in the model of a run? Collective; returns the folder written."""
     source = from_run(folder, files, comm)
@@ -58,7 +60,7 @@ def run_diagnose(
         find_effect(name, source.own)
     options = {"level": level, "only": list(only) if only else None}
     work = partial(diagnosed, only=only)
-    return _written("diagnose", source, output, options, comm, overwrite, level, work, progress)
+    return _written("diagnose", source, output, options, comm, overwrite, level, work, progress, store)
 
 
 def run_fit(
@@ -72,6 +74,7 @@ def run_fit(
     add: Sequence[str] = (),
     free: Sequence[str] = (),
     fixed: Sequence[str] = (),
+    store: Path | None = None,
 ) -> Path:
     """Add effects to the model of a run, refit it, and compare the errors; collective; returns the folder written.
 
@@ -85,7 +88,7 @@ def run_fit(
     check_terms(source, terms, free, fixed)
     options = {"level": level, "add": list(add), "free": list(free), "fixed": list(fixed)}
     work = partial(refitted, terms=terms, free=free, fixed=fixed)
-    return _written("fit", source, output, options, comm, overwrite, level, work, progress)
+    return _written("fit", source, output, options, comm, overwrite, level, work, progress, store)
 
 
 def run_explain(
@@ -97,8 +100,12 @@ def run_explain(
     progress: Progress | None = None,
     overwrite: bool = False,
     files: Sequence[Path] = (),
+    store: Path | None = None,
 ) -> Path:
-    """Anchors and missing effects, unattended, until adequate or unknown; collective; returns the folder written."""
+    """Anchors and missing effects, unattended, until adequate or unknown; collective; returns the folder written.
+
+    `store` is a folder of predictions that runs share, here and in the other commands; by default they last as long as the run.
+    """
     chosen = options or ExplainOptions()
     source = from_files(scene_file, measurement_file, files, comm)
     for name in chosen.only or ():
@@ -107,7 +114,7 @@ def run_explain(
         for text in source.measurement.remarks:
             progress.say(f"look at this first: {text}")
     work = partial(explained, options=chosen)
-    return _written("explain", source, folder, asdict(chosen), comm, overwrite, chosen.level, work, progress)
+    return _written("explain", source, folder, asdict(chosen), comm, overwrite, chosen.level, work, progress, store)
 
 
 def _written(
@@ -120,6 +127,7 @@ def _written(
     level: int | None,
     work: Callable[[Predictor, Source], Diagnosis],
     progress: Progress | None,
+    store: Path | None,
 ) -> Path:
     levels = len(source.scene.levels)
     if level is not None and not 0 <= level < levels:
@@ -127,14 +135,14 @@ def _written(
     makes = _EXPLAIN_MAKES if command == "explain" else MAKES
     inputs = source.inputs(options)
     with running(comm, folder, command, inputs, makes, overwrite) as run:
-        checkpoint = Checkpoint(folder / CHECKPOINT, comm, inputs, progress)
+        kept = PredictionStore.of_run(folder, comm, {"effects": inputs["effects"]}, progress, store)
 
         def use(predictor: Predictor, here: Source, done: Diagnosis) -> None:
             content = collect(predictor, done)
             on_root(comm, lambda: _write(run, here, predictor, done, content))
 
-        on_predictor(source, comm, level, progress, work, use, checkpoint)
-        checkpoint.clear()
+        on_predictor(source, comm, level, progress, work, use, kept)
+        kept.clear()
     return folder
 
 
@@ -157,8 +165,8 @@ def finish(
         "trajectories": {k: round(v, 3) for k, v in predictor.trajectories.items()},
         "mesh": content["mesh"].fingerprint(),
     }
-    if predictor.checkpoint is not None:
-        steps = predictor.checkpoint
+    if predictor.store is not None:
+        steps = predictor.store
         run.record["steps"] = {"computed": steps.computed, "recalled": steps.recalled}
     told = ("adequate", "verdict", "anchored", "rms", "noise_rms")
     run.finish({key: found["diagnosis.json"][key] for key in told})

@@ -14,7 +14,6 @@ from bcid.comparison.candidates import Candidates, StandIn, Start
 from bcid.comparison.held_out import held_out
 from bcid.comparison.hypothesis_search import HypothesisSearch, Look, Promise
 from bcid.comparison.loosened import loosens
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.rivals import (
     FAR,
     WORTH,
@@ -33,6 +32,7 @@ from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.criteria import NOTABLE
 from bcid.inference.hypotheses import Hypothesis
+from bcid.predict.predictor import Predictor
 
 Anchored = frozenset[str]
 Found = TypeVar("Found")

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import evaluating
 from bcid.comparison.fit import Fit, coordinates, fit
-from bcid.comparison.mesh_ladder import states_in
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.state import State
 from bcid.forms.model import Model, Term
 from bcid.inference.knots import Knots
+from bcid.predict.mesh_ladder import states_in
+from bcid.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 # Less than this part of the noise of an action is left out. What is further off than so many standard deviations is not believed.

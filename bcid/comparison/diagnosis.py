@@ -13,15 +13,12 @@ from bcid.base.errors import InputError, SolveError, evaluating, nearest
 from bcid.base.progress import Progress, Silent
 from bcid.comparison.adequacy import judge
 from bcid.comparison.buckled_frames import leave_out
-from bcid.comparison.checkpoint import Checkpoint
 from bcid.comparison.contest import fitted_beside
 from bcid.comparison.curvature import bent
 from bcid.comparison.explain import ExplainOptions, explain
 from bcid.comparison.explanation import Explanation, Rung
 from bcid.comparison.fit import Fit, fit
 from bcid.comparison.held_out import held_out
-from bcid.comparison.mesh_ladder import mesh_error
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import rank
 from bcid.comparison.rivals import refit
 from bcid.comparison.second_start import fit_twice
@@ -35,6 +32,9 @@ from bcid.forms.model import Model, Term
 from bcid.inference.followed import as_far_as_followed
 from bcid.inference.outcome import label
 from bcid.measurement import Measurement
+from bcid.predict.mesh_ladder import mesh_error
+from bcid.predict.predictor import Predictor
+from bcid.predict.store import PredictionStore
 from bcid.scene import Scene
 from bcid.search.surface_rounds import settled
 
@@ -65,7 +65,7 @@ def on_predictor(
     progress: Progress | None,
     work: Callable[[Predictor, Source], Diagnosis],
     use: Callable[[Predictor, Source, Diagnosis], T],
-    checkpoint: Checkpoint | None = None,
+    store: PredictionStore | None = None,
 ) -> T:
     """What `use` makes of the diagnosis of a source's measurement, or of as much of it as can be followed; collective.
 
@@ -74,14 +74,14 @@ def on_predictor(
         comm, level, progress: of the predictor.
         work: makes the diagnosis.
         use: while the predictor is there.
-        checkpoint: of the predictor.
+        store: of the predictor.
     """
 
     def attempt(seen: Measurement) -> T:
         made: list[Predictor] = []
 
         def search(scene: Scene, seen: Measurement) -> tuple[Source, Diagnosis]:
-            made.append(Predictor(scene, seen, comm, level, progress=progress, checkpoint=checkpoint))
+            made.append(Predictor(scene, seen, comm, level, progress=progress, store=store))
             here = replace(source, scene=scene, measurement=seen)
             return here, work(made[-1], here)
 

@@ -22,7 +22,6 @@ from bcid.comparison.explanation import Explanation, Rung, explains, verdict_of
 from bcid.comparison.first_sets import first_sets
 from bcid.comparison.fit import Fit, fit
 from bcid.comparison.held_out import held_out
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import Ranking, rank
 from bcid.comparison.rivals import (
     UNLIKELY,
@@ -44,6 +43,7 @@ from bcid.inference.criteria import LIKELIER
 from bcid.inference.data import told_noise
 from bcid.inference.hypotheses import Hypothesis
 from bcid.inference.outcome import label
+from bcid.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]

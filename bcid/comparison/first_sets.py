@@ -13,13 +13,13 @@ from bcid.base.progress import Steps
 from bcid.comparison import anchors as anchor_search
 from bcid.comparison.contest import GLANCE, glanced
 from bcid.comparison.hypothesis_search import HypothesisSearch, weighed
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.rivals import WORTH
 from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.followed import NotFollowed
 from bcid.inference.mesh_error import MeshError
+from bcid.predict.predictor import Predictor
 from bcid.search.identify import identify
 from bcid.search.identify_options import IdentifyOptions
 

@@ -14,8 +14,6 @@ from scipy.optimize import least_squares
 from bcid.base.errors import InputError, SolveError, nearest
 from bcid.base.tails import limit_beyond, normal_quantile
 from bcid.base.units import UNTOLD, WIDE
-from bcid.comparison.kept_predictions import MeasurementPrediction
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.forms.parameter import Parameter
@@ -23,6 +21,8 @@ from bcid.forms.probes import Probe, Wanted
 from bcid.inference.criteria import CERTAIN
 from bcid.inference.nuisances import fitted_instead
 from bcid.inference.stiffness import Stiffness
+from bcid.predict.kept_predictions import MeasurementPrediction
+from bcid.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 # A step that moves no number by more than this part of its scale ends the fit.

@@ -19,7 +19,6 @@ from bcid.comparison.adequacy import FALSE_ALARMS, groups, judge
 from bcid.comparison.diagnosis import Diagnosis
 from bcid.comparison.explanation import Explanation, Onset, Rung, explains
 from bcid.comparison.fit import Fit
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import Ranking
 from bcid.comparison.rivals import Rival
 from bcid.comparison.source import Source, stored_effect
@@ -32,6 +31,7 @@ from bcid.inference.criteria import CERTAIN
 from bcid.inference.data import Data
 from bcid.inference.hypotheses import patches
 from bcid.measurement import AXES, WRENCH
+from bcid.predict.predictor import Predictor
 from bcid.search.identify_run import body_parts, inputs_in_words, odd, stiffness_in_words
 
 MODEL_FORMAT = "bcid-model/1"

@@ -9,9 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError
-from bcid.comparison.kept_predictions import MeasurementPrediction
-from bcid.comparison.mesh_ladder import mesh_error
-from bcid.comparison.predictor import Predictor
 from bcid.forms.force_bumps import force_unit
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
@@ -22,6 +19,9 @@ from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes, fitted_instead, placed, replaced, stood_for
 from bcid.inference.sudden_force import SuddenForce
 from bcid.inference.unknown_force import Evidence, Smooth
+from bcid.predict.kept_predictions import MeasurementPrediction
+from bcid.predict.mesh_ladder import mesh_error
+from bcid.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 

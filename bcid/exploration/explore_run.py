@@ -42,7 +42,7 @@ from bcid.inference.criteria import CERTAIN
 from bcid.inference.hypotheses import Hypothesis, entropy
 from bcid.measurement import Measurement
 from bcid.scene import Scene
-from bcid.search.identify_run import odd, scene_fingerprint, stiffness_in_words
+from bcid.search.identify_run import odd, stiffness_in_words
 
 SIMULATED, FOLDER = "simulated", "folder"
 # So many sets are named in a sentence.
@@ -86,7 +86,7 @@ def run_exploration(
         raise InputError(f"--hide '{hidden[0]}': belongs to a simulated robot")
     ladder = paired(scene, options.level, comm)
     check_geometry(ladder, 0, comm)
-    inputs = {"scene": scene_fingerprint(scene), "robot": robot, "plan": asdict(options)}
+    inputs = {"scene": scene.fingerprint(), "robot": robot, "plan": asdict(options)}
     if hidden:
         inputs["hidden"] = list(hidden)
     store = store or folder / "predictions"

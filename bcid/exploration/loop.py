@@ -13,7 +13,6 @@ from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError, nearest
 from bcid.base.progress import Progress, Silent
 from bcid.base.units import percent
-from bcid.comparison.levels import affordable, pair
 from bcid.exploration.choice import CRITERIA, Choice, Chooser, Option
 from bcid.exploration.moves import Move, cost, limits_of, moves
 from bcid.exploration.posterior_summary import PosteriorSummary
@@ -26,6 +25,7 @@ from bcid.forms.gripper_force import ForceScale
 from bcid.inference.criteria import CERTAIN
 from bcid.inference.hypotheses import Hypothesis
 from bcid.measurement import Measurement
+from bcid.predict.levels import affordable, pair
 from bcid.scene import Scene
 
 _UNCOUNTED = "holds forces of the gripper, which do not count: state their noise with --wrench-noise"

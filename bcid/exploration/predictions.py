@@ -25,7 +25,6 @@ from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import writing
 from bcid.base.text_file import parse_json
 from bcid.base.unpacked import stored_arrays
-from bcid.comparison.forward_models import ForwardModels
 from bcid.exploration.pull_prediction import PullPrediction, predicted
 from bcid.exploration.pull_tangent import Differentiator, PullTangent
 from bcid.forms.anchor_compliance import AnchorCompliance, affordable, undeformed
@@ -36,9 +35,9 @@ from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.nuisances import Nuisances
 from bcid.measurement import Action
+from bcid.predict.forward_models import ForwardModels
 from bcid.scene import Scene
 from bcid.scene.uncertainty import Uncertainty
-from bcid.search.identify_run import scene_fingerprint
 from bcid.search.scheduler import counter, share
 
 T = TypeVar("T")
@@ -99,7 +98,7 @@ class PullPredictor:
         # What a robot may do, and how well the scene is known, changes no prediction.
         about = {
             "format": _FORMAT,
-            "scene": scene_fingerprint(replace(scene, limits=None, uncertainty=Uncertainty())),
+            "scene": replace(scene, limits=None, uncertainty=Uncertainty()).fingerprint(),
             "level": level,
             "model": self.model.name,
         }

@@ -19,7 +19,6 @@ from bcid.base.errors import SolveError
 from bcid.comparison.contest import at_a_glance
 from bcid.comparison.fit import Fit
 from bcid.comparison.hypothesis_search import HypothesisSearch
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.priors import expected
 from bcid.comparison.rivals import Rival, best_first, moved, promoted, refit
 from bcid.comparison.state import State
@@ -29,6 +28,7 @@ from bcid.forms.model import Model
 from bcid.inference.hypotheses import Anchored, Hypothesis
 from bcid.inference.unknown_force import Evidence
 from bcid.measurement import Measurement
+from bcid.predict.predictor import Predictor
 from bcid.scene import Scene
 
 Array = NDArray[np.float64]

@@ -11,11 +11,11 @@ from bcid.base.units import unit_factor
 from bcid.comparison.diagnosis import Diagnosis
 from bcid.comparison.law_form import LawForm
 from bcid.comparison.output import beliefs, documents, finite
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.source import Source
 from bcid.comparison.where import missing_force
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
+from bcid.predict.predictor import Predictor
 from bcid.proposal import proposal_text
 from bcid.proposal.effect_file import made, source
 from bcid.proposal.propose import Proposal, ProposeOptions, ladder, propose

@@ -16,12 +16,12 @@ from bcid.comparison.adequacy import judge
 from bcid.comparison.explain import ExplainOptions, explain
 from bcid.comparison.explanation import Explanation, Rung, explained
 from bcid.comparison.fit import Fit, fit
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import Ranking
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model, Term
 from bcid.inference.criteria import CERTAIN
+from bcid.predict.predictor import Predictor
 from bcid.proposal.family import Family
 from bcid.proposal.grammar import KINDS
 from bcid.proposal.term_scores import FITTED, ScoredFamily, TermScores

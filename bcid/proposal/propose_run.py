@@ -12,13 +12,13 @@ from bcid.base.errors import InputError
 from bcid.base.fingerprint import file_fingerprint
 from bcid.base.progress import Progress
 from bcid.base.run_folder import RunFolder, running, write_whole
-from bcid.comparison.checkpoint import CHECKPOINT, Checkpoint
 from bcid.comparison.compare_runs import MAKES, finish
 from bcid.comparison.diagnosis import Diagnosis, on_predictor
 from bcid.comparison.output import collect
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.source import Source, from_run
 from bcid.forms.model import Model
+from bcid.predict.predictor import Predictor
+from bcid.predict.store import PredictionStore
 from bcid.proposal.effect_file import check_name
 from bcid.proposal.proposal_documents import WrittenProposal, proposal_documents, searched
 from bcid.proposal.propose import ProposeOptions
@@ -64,7 +64,7 @@ def run_propose(
     makes = (*MAKES, "proposal.json", _FOLDER)
     inputs = given.inputs(asdict(options))
     with running(comm, folder, "propose", inputs, makes, overwrite) as to:
-        checkpoint = Checkpoint(folder / CHECKPOINT, comm, inputs, progress)
+        store = PredictionStore.of_run(folder, comm, inputs, progress)
 
         def work(predictor: Predictor, here: Source) -> Diagnosis:
             written, done = searched(predictor, begun, options, names)
@@ -76,8 +76,8 @@ def run_propose(
             found = proposal_documents(told[-1], here, predictor, done, content)
             on_root(comm, lambda: _write(to, here, predictor, found, content, told[-1].files, output))
 
-        on_predictor(replace(given, model=begun), comm, options.level, progress, work, use, checkpoint)
-        checkpoint.clear()
+        on_predictor(replace(given, model=begun), comm, options.level, progress, work, use, store)
+        store.clear()
     return [_target(folder, output, name) for name in told[-1].files]
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.base.fingerprint import file_fingerprint, fingerprint
 from bcid.scene.parts import Grasp, Level, Limits, Material, Region, Values, Vector, horizontal
 from bcid.scene.reader import SceneFile
 from bcid.scene.uncertainty import Uncertainty
@@ -82,6 +83,13 @@ class Scene:
     def rest(self) -> NDArray[np.float64]:
         """Stress-free fiducial positions, shape (fiducials, 3), m."""
         return np.array(list(self.fiducials.values()), dtype=float).reshape(-1, 3)
+
+    def fingerprint(self) -> str:
+        """Short hash of the scene and its geometry: not of where the files lie. `InputError` where the geometry cannot be read."""
+        content = {
+            key: value for key, value in asdict(self).items() if key not in ("geometry", "source", "description")
+        }
+        return fingerprint({"scene": content, "geometry": file_fingerprint(self.geometry)})
 
     @classmethod
     def read(cls, path: str | Path, physics: PhysicsCheck | None = None) -> Scene:

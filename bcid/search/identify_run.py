@@ -11,7 +11,6 @@ import numpy as np
 import xarray as xr
 
 from bcid.base.collective import Comm, on_root
-from bcid.base.fingerprint import file_fingerprint, fingerprint
 from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import RunFolder, running
 from bcid.base.units import percent, unit_factor
@@ -144,13 +143,7 @@ def fitting(scene: Scene, measurement: Measurement, comm: Comm) -> tuple[Scene, 
 
 def fingerprints(scene: Scene, measurement: Measurement) -> dict[str, Any]:
     """Fingerprints of scene and measurement, as run folders hold them."""
-    return {"scene": scene_fingerprint(scene), "measurement": measurement.fingerprint()}
-
-
-def scene_fingerprint(scene: Scene) -> str:
-    """Fingerprint of a scene with its geometry: not of where the files lie."""
-    content = {key: value for key, value in asdict(scene).items() if key not in ("geometry", "source", "description")}
-    return fingerprint({"scene": content, "geometry": file_fingerprint(scene.geometry)})
+    return {"scene": scene.fingerprint(), "measurement": measurement.fingerprint()}
 
 
 def _keeper(run: RunFolder | None, comm: Comm) -> Callable[[list[Outcome]], None]:

@@ -25,13 +25,13 @@ _ROUNDING = 1e-6
 _KILLED = """
 import os, signal, sys
 from bcid.app import cli
-from bcid.comparison.checkpoint import Checkpoint
-keep = Checkpoint._keep
+from bcid.predict.store import PredictionStore
+keep = PredictionStore._keep
 def killed(self, *arguments):
     keep(self, *arguments)
     if self.computed == int(sys.argv[1]):
         os.kill(os.getpid(), signal.SIGKILL)
-Checkpoint._keep = killed
+PredictionStore._keep = killed
 sys.exit(cli.main(sys.argv[2:]))
 """
 

@@ -20,9 +20,7 @@ from verify.problems import box, move, pull_and_lift, scene_of, straight
 
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import BcidError, InputError
-from bcid.comparison.checkpoint import Checkpoint
 from bcid.comparison.curvature import curvature
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.source import from_files
 from bcid.comparison.state import State
 from bcid.exploration.loop import Exploration, ExploreOptions, explore
@@ -40,6 +38,8 @@ from bcid.forms.solver.equilibrium import Equilibrium, Settings
 from bcid.forms.solver.factor import Factor
 from bcid.forms.solver.status import Status
 from bcid.forms.solver.trajectory import follow
+from bcid.predict.predictor import Predictor
+from bcid.predict.store import PredictionStore
 from bcid.scene import Level, Limits, Region, Scene
 from bcid.scene.motions import about_x, motion
 from bcid.search.evaluator import Evaluator
@@ -167,13 +167,13 @@ def test_what_some_ranks_have_kept_is_known_to_others(slab: Scene, tmp_path: Pat
     folder = WORLD.bcast(tmp_path)
     found = []
     for comm in (WORLD, WORLD, MPI.COMM_SELF) if WORLD.rank == 0 else (WORLD, WORLD):
-        checkpoint = Checkpoint(folder, comm)
-        predictor = Predictor(scene, measurement, comm, settings=EXACT, checkpoint=checkpoint)
+        store = PredictionStore(folder, comm)
+        predictor = Predictor(scene, measurement, comm, settings=EXACT, store=store)
         prediction = predictor.predict(model, anchors, keep=True)
         states = {frame: state for part in prediction.parts.values() for frame, state in (part.states or {}).items()}
         young = predictor.sensitivities(model, anchors, prediction, wanted).law["young"]
         tangent = predictor.set_tangent(model, anchors, prediction).moved({"1"})
-        found.append((prediction.positions, states, young, tangent, checkpoint.recalled, dict(predictor.trajectories)))
+        found.append((prediction.positions, states, young, tangent, store.recalled, dict(predictor.trajectories)))
         predictor.destroy()
     (positions, states, *rest, none, counted), *others = found
     assert none == 0

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from bcid.base.errors import MachineError
-from bcid.comparison import checkpoint
-from bcid.comparison.kept_predictions import MeasurementPrediction, PredictionKey
-from bcid.comparison.predictor import Predictor
+from bcid.predict import store
+from bcid.predict.kept_predictions import MeasurementPrediction, PredictionKey
+from bcid.predict.predictor import Predictor
 from benchmarks.reliability import disk, resumed
 
 # Of the steps of the explanation, so many are there when it is killed.
@@ -88,7 +88,7 @@ def test_what_two_ranks_have_computed_serves_one(words: list[str], right: Path, 
 def test_a_full_disk_costs_no_answer(
     words: list[str], right: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole, written = checkpoint.write_whole, list[Path]()
+    whole, written = store.write_whole, list[Path]()
 
     def full(target: Path, content: bytes) -> Path:
         written.append(target)
@@ -96,7 +96,7 @@ def test_a_full_disk_costs_no_answer(
             raise MachineError(f"{target.parent}: cannot be written: No space left on device")
         return whole(target, content)
 
-    monkeypatch.setattr(checkpoint, "write_whole", full)
+    monkeypatch.setattr(store, "write_whole", full)
     code, said = disk.command(*words, tmp_path / "run")
     assert code == 0, said
     assert said.count("No space left on device; the run goes on, but killed it would begin anew") == 1

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from bcid.comparison.acting import by_the_clock, steady
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.variants import neutral_values
 from bcid.forms import effects
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.probes import Probe, Wanted
 from bcid.forms.sensitivity import Sensitivity
 from bcid.forms.simulate import simulate
+from bcid.predict.acting import by_the_clock, steady
+from bcid.predict.predictor import Predictor
 from bcid.scene import Scene
 from bcid.scene.motions import motion
 

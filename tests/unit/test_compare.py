@@ -20,7 +20,6 @@ from bcid.comparison.diagnosis_text import conclusion
 from bcid.comparison.explanation import Explanation, Rung, explains
 from bcid.comparison.fit import WIDEST, Coordinate, Fit, _covariance, _loose, fit
 from bcid.comparison.held_out import held_out
-from bcid.comparison.kept_predictions import MeasurementPrediction
 from bcid.comparison.law_form import LawForm
 from bcid.comparison.priors import _width, of_state
 from bcid.comparison.ranking import _bounded, rank
@@ -40,6 +39,7 @@ from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes, Nuisances, placed, replaced
 from bcid.measurement import Action, Measurement
 from bcid.measurement.frame_error import FrameError
+from bcid.predict.kept_predictions import MeasurementPrediction
 from bcid.report.text import amount
 from bcid.scene import Scene
 from bcid.scene.uncertainty import Uncertainty

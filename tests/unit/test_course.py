@@ -21,7 +21,6 @@ from bcid.base.errors import InputError
 from bcid.comparison import diagnosis_text
 from bcid.comparison.courses import knots, seen, to_json, variant_in_time
 from bcid.comparison.fit import Fit
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.priors import one_sided, visible
 from bcid.comparison.ranking import dormant
 from bcid.comparison.source import Source, _stored_model, stored_effect
@@ -39,6 +38,7 @@ from bcid.forms.simulate import simulate
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.evidence import log_gains
 from bcid.measurement import Action
+from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Scene
 from benchmarks.courses import Case, missed
 

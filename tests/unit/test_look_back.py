@@ -9,10 +9,10 @@ import numpy as np
 from mpi4py import MPI
 
 from bcid.comparison.explain import ExplainOptions, explain
-from bcid.comparison.predictor import Predictor
 from bcid.forms.model import Model, Term
 from bcid.forms.simulate import simulate
 from bcid.measurement import Action
+from bcid.predict.predictor import Predictor
 from bcid.scene import Scene
 
 SOFTENED, STRAIN = 0.5, 0.1

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from bcid.comparison.levels import pair
-from bcid.comparison.mesh_ladder import carried_on
 from bcid.forms.mesh import level_mesh
 from bcid.inference.mesh_error import gain, gains
 from bcid.measurement import Action
+from bcid.predict.levels import pair
+from bcid.predict.mesh_ladder import carried_on
 from bcid.scene import Level, Scene
 
 
@@ -40,11 +40,11 @@ def test_the_fine_mesh_has_elements_of_one_degree_more(
 def test_a_mesh_file_is_its_own_working_mesh(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = Scene.read(project / "examples" / "scenes" / "finger_hidden.toml")
     mesh = level_mesh(scene, Level(1, 0.012))
-    monkeypatch.setattr("bcid.comparison.levels.level_mesh", lambda *_: mesh)
+    monkeypatch.setattr("bcid.predict.levels.level_mesh", lambda *_: mesh)
     assert pair(replace(scene, levels=(Level(1),)), 0, MPI.COMM_SELF) == (Level(1), Level(2))
     refined = replace(scene, levels=(Level(1), Level(1, refinements=1)))
     assert pair(refined, 1, MPI.COMM_SELF) == (Level(1), Level(2, refinements=1))
-    monkeypatch.setattr("bcid.comparison.levels._FINE", 0)
+    monkeypatch.setattr("bcid.predict.levels._FINE", 0)
     assert pair(refined, 1, MPI.COMM_SELF) == (Level(1), Level(1, refinements=1))
     assert pair(refined, 0, MPI.COMM_SELF) == (Level(1),)
 

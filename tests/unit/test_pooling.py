@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import rank
 from bcid.comparison.state import State
 from bcid.forms import effects
@@ -17,6 +16,7 @@ from bcid.forms.model import Model, check_physics
 from bcid.forms.simulate import simulate
 from bcid.measurement import Measurement
 from bcid.measurement.pooling import pooled
+from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Scene, motions
 from bcid.search.identify_run import fitting
 

@@ -20,7 +20,6 @@ from bcid.app.cli import main
 from bcid.base.errors import InputError, SolveError
 from bcid.base.run_folder import RunFolder
 from bcid.comparison.explain import ExplainOptions
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.source import stored_effect
 from bcid.forms import effects
 from bcid.forms.mesh import level_mesh
@@ -28,6 +27,7 @@ from bcid.forms.model import Term, check_physics
 from bcid.forms.simulate import simulate
 from bcid.inference.followed import NotFollowed
 from bcid.measurement import Measurement
+from bcid.predict.predictor import Predictor
 from bcid.proposal import proposal_text
 from bcid.proposal.effect_file import made, source
 from bcid.proposal.energies import directions, energies

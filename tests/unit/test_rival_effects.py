@@ -13,7 +13,6 @@ from scipy.stats import norm
 
 from bcid.base.errors import InputError
 from bcid.comparison.fit import fit
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.priors import of_state, visible
 from bcid.comparison.rivals import Rival
 from bcid.comparison.state import State
@@ -29,6 +28,7 @@ from bcid.forms.simulate import simulate
 from bcid.inference.hypotheses import Hypothesis
 from bcid.inference.mesh_error import MeshError
 from bcid.measurement import Measurement
+from bcid.predict.predictor import Predictor
 from bcid.scene import Scene
 
 NOISE = 3e-4

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 import bcid
 from bcid import Scene, motions
 from bcid.comparison.contest import contest
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import BodyEffect, Constants, Point
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.parameter import Amount
+from bcid.predict.predictor import Predictor
 from bcid.proposal.term_scores import TermScores
 from bcid.scene import Level
 

@@ -27,9 +27,6 @@ from bcid.comparison.explain import ExplainOptions, explain
 from bcid.comparison.explanation import Explanation, explained, explains
 from bcid.comparison.fit import Fit, columns, coordinates, fit
 from bcid.comparison.hypothesis_search import HypothesisSearch
-from bcid.comparison.levels import pair
-from bcid.comparison.mesh_ladder import mesh_error
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.priors import of_state
 from bcid.comparison.ranking import rank
 from bcid.comparison.rivals import Rival, promoted, refit
@@ -48,6 +45,9 @@ from bcid.inference.followed import as_far_as_followed
 from bcid.inference.hypotheses import Hypothesis
 from bcid.inference.mesh_error import MeshError
 from bcid.measurement import Action, Measurement
+from bcid.predict.levels import pair
+from bcid.predict.mesh_ladder import mesh_error
+from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Scene
 from bcid.studies.hidden import outside
 
@@ -63,7 +63,7 @@ FEW = ("gravity", "fibres", "grasp_slip", "stiffness_gradient", "marker_fault", 
 def coarse() -> Iterator[None]:
     """Coarser meshes than are chosen, of one degree."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bcid.comparison.predictor.pair", lambda *_: (Level(2, 0.075), Level(2, 0.025)))
+        patch.setattr("bcid.predict.predictor.pair", lambda *_: (Level(2, 0.075), Level(2, 0.025)))
         yield
 
 
@@ -510,7 +510,7 @@ def test_that_solves_fail_is_no_evidence_on_the_meshes_that_are_chosen(
     slab: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The same, measured by cubic elements."""
-    monkeypatch.setattr("bcid.comparison.predictor.pair", pair)
+    monkeypatch.setattr("bcid.predict.predictor.pair", pair)
     seen = simulate(replace(slab, levels=(Level(3, 0.016),)), ANCHORED, pulls(), level=0)
     monkeypatch.setattr(Forward, "predict", inverting)
 

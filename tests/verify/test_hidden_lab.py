@@ -16,7 +16,7 @@ from mpi4py import MPI
 from bcid import Measurement, Scene
 from bcid.comparison.explain import explain
 from bcid.comparison.explanation import Explanation
-from bcid.comparison.predictor import Predictor
+from bcid.predict.predictor import Predictor
 
 # Of two grasps, in two directions.
 PULLS = "14"

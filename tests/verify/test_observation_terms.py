@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from bcid.comparison.kept_predictions import MeasurementPrediction
 from bcid.comparison.state import State
 from bcid.forms import check_effect
 from bcid.forms import effect_trial as trial
@@ -21,6 +20,7 @@ from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.data import Data
 from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
+from bcid.predict.kept_predictions import MeasurementPrediction
 from bcid.proposal.effect_file import made, source
 from bcid.proposal.observation_terms import observation_terms, observed_variant, picture_is_told
 from bcid.proposal.timed import steady_variants, timed_families, variants_in_time

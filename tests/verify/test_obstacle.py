@@ -9,7 +9,6 @@ import numpy as np
 from mpi4py import MPI
 
 from bcid.comparison.ahead import balls
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.ranking import rank
 from bcid.comparison.state import State
 from bcid.forms import effects
@@ -18,6 +17,7 @@ from bcid.forms.simulate import simulate
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.mesh_error import MeshError
 from bcid.measurement import Action
+from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Scene
 
 ANCHORS, STEPS = frozenset("34"), 5

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from bcid.comparison.fit import fit
 from bcid.comparison.loosened import loosened
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.rivals import Rival, promoted
 from bcid.comparison.state import State
 from bcid.comparison.variants import all_variants
@@ -25,6 +24,7 @@ from bcid.forms.simulate import simulate
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.mesh_error import MeshError
 from bcid.measurement import Action
+from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Scene
 
 Array = NDArray[np.float64]

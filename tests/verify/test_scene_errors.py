@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from bcid.comparison.adequacy import judge
 from bcid.comparison.curvature import allowed, bent, curvature
 from bcid.comparison.fit import Fit
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.state import State
 from bcid.forms import effect_trial as trial
 from bcid.forms import effects
@@ -29,6 +28,7 @@ from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.data import Data
 from bcid.inference.nuisances import Nuisances
 from bcid.measurement import Action
+from bcid.predict.predictor import Predictor
 from bcid.scene import Grasp, Level, Region, Scene
 from bcid.scene.uncertainty import Uncertainty
 
@@ -288,7 +288,7 @@ def test_what_sensitivities_miss_near_an_instability_is_allowed_for(
 ) -> None:
     """A flat finger pulled aside bends out of its plane before long, and by how much a turn of the gripper decides."""
     # What was seen is what the fine one of two meshes of one degree shows.
-    monkeypatch.setattr("bcid.comparison.predictor.pair", lambda *_: (Level(2, 0.036), Level(2, 0.012)))
+    monkeypatch.setattr("bcid.predict.predictor.pair", lambda *_: (Level(2, 0.036), Level(2, 0.012)))
     whole = Scene.read(project / "examples" / "scenes" / "finger_hidden.toml")
     here = replace(whole, levels=whole.levels[:1], uncertainty=replace(Uncertainty.none(), grip_turn=1.0))
     number, still = np.arange(7), np.tile([1.0, 0.0, 0.0, 0.0], (7, 1))

@@ -17,7 +17,6 @@ from dolfinx import fem
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from bcid.comparison.predictor import mechanical
 from bcid.forms import effect_trial as trial
 from bcid.forms import effects
 from bcid.forms.forward import Forward
@@ -27,6 +26,7 @@ from bcid.forms.probes import Probe, Sensitivities, Wanted
 from bcid.forms.responses import Responses
 from bcid.forms.sensitivity import Sensitivity
 from bcid.forms.solver.equilibrium import Settings
+from bcid.predict.predictor import mechanical
 from bcid.scene import Level, Material
 
 Array = NDArray[np.float64]

@@ -12,7 +12,6 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from bcid.comparison.loosened import loosened
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.state import State
 from bcid.forms import effects
 from bcid.forms.model import Model, Term, check_physics
@@ -21,6 +20,7 @@ from bcid.forms.simulate import simulate
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.mesh_error import MeshError
 from bcid.measurement import Action
+from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Scene
 
 ABOUT = frozenset({"3", "4"})

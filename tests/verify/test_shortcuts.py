@@ -13,8 +13,6 @@ import pytest
 from mpi4py import MPI
 
 from bcid.base.progress import Silent
-from bcid.comparison.mesh_ladder import mesh_error
-from bcid.comparison.predictor import Predictor
 from bcid.exploration import predictions
 from bcid.exploration.moves import limits_of, moves
 from bcid.exploration.predictions import PullPredictor
@@ -33,6 +31,8 @@ from bcid.inference.knots import knots_of, known_frames
 from bcid.inference.nuisances import Nuisances
 from bcid.inference.outcome import Candidate
 from bcid.measurement import Action
+from bcid.predict.mesh_ladder import mesh_error
+from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Scene
 from bcid.scene.motions import motion
 from bcid.search.evaluator import Evaluator

@@ -105,7 +105,7 @@ def store(name: str, folder: Path) -> None:
     with zipfile.ZipFile(INPUTS / f"{name}.zip", "w", zipfile.ZIP_DEFLATED) as archive:
         for file in sorted(file for file in folder.rglob("*") if file.is_file()):
             inside = file.relative_to(folder)
-            if inside.parts[0] not in ("run", "diagnosis"):
+            if inside.parts[0] not in ("run", "diagnosis", "store"):
                 # A fixed date: the same input makes the same file.
                 archive.writestr(zipfile.ZipInfo(str(inside)), file.read_bytes(), zipfile.ZIP_DEFLATED)
 

@@ -41,7 +41,10 @@ def explained(folder: Path) -> dict[str, Any]:
     began, began_cpu = time.perf_counter(), time.process_time()
     shutil.rmtree(folder / "run", ignore_errors=True)
     try:
-        run_explain(folder / SCENE, folder / MEASUREMENT, folder / "run", None, MPI.COMM_SELF, Silent(), False)
+        kept = folder / "store"
+        run_explain(
+            folder / SCENE, folder / MEASUREMENT, folder / "run", None, MPI.COMM_SELF, Silent(), False, store=kept
+        )
         run = RunFolder.open(folder / "run")
         answer = {"diagnosis": run.read_json("diagnosis.json"), "trajectories": run.record["trajectories"]}
     except Exception as error:

@@ -35,7 +35,7 @@ from bcid.studies.hidden.conditions import Conditions
 from bcid.studies.hidden.drawing import CaseChoice, draw
 
 if TYPE_CHECKING:
-    from bcid.comparison.predictor import Predictor
+    from bcid.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 # Of the noise, m; sizes of a term of the truth in units of it; radius of its patch relative to the body.
@@ -215,7 +215,7 @@ def proposed(folder: Path) -> dict[str, Any]:
 def _proposed(scene: Scene, measurement: Measurement, known: Mapping[str, Any]) -> dict[str, Any]:
     from mpi4py import MPI
 
-    from bcid.comparison.predictor import Predictor
+    from bcid.predict.predictor import Predictor
     from bcid.proposal.propose import propose
 
     predictor = Predictor(scene, measurement, MPI.COMM_SELF)

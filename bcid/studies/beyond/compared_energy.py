@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from bcid.comparison.fit import Fit
 from bcid.comparison.law_form import LawForm
-from bcid.comparison.predictor import Predictor
 from bcid.forms import compiled
 from bcid.forms.model import Model
 from bcid.forms.weak_form import WeakForm
+from bcid.predict.predictor import Predictor
 from bcid.scene import Material
 
 Array = NDArray[np.float64]

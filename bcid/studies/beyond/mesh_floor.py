@@ -11,12 +11,12 @@ from bcid.base.units import p_value
 from bcid.comparison.adequacy import judge
 from bcid.comparison.fit import Fit
 from bcid.comparison.held_out import held_out
-from bcid.comparison.predictor import Predictor
 from bcid.comparison.state import State
 from bcid.forms.model import Model, Term
 from bcid.inference.criteria import SURPRISE
 from bcid.inference.likelihood import Errors
 from bcid.measurement import Measurement
+from bcid.predict.predictor import Predictor
 from bcid.scene import Scene
 
 

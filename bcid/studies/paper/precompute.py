@@ -26,7 +26,6 @@ from bcid.exploration.predictions import PullPredictor
 from bcid.forms.model import check_physics
 from bcid.measurement import Measurement
 from bcid.scene import Scene
-from bcid.search.identify_run import scene_fingerprint
 from bcid.search.seeds import all_candidates
 from bcid.studies.paper.condition import Condition
 from bcid.studies.paper.study_file import Trial
@@ -94,7 +93,7 @@ class Store:
 
         scene = self.read()
         alone = replace(_true(condition), anchors=(tuple(sorted(condition.held(number))),))
-        about = [scene_fingerprint(scene), alone.to_json(), number, self.seed]
+        about = [scene.fingerprint(), alone.to_json(), number, self.seed]
         folder = self.folder / "filmed" / fingerprint(about)
         if not folder.is_dir():
             measurement = filmed(condition, scene, number, self.seed)
@@ -193,7 +192,7 @@ def tasks(trials: Iterable[Trial], scene: Scene, seed: int) -> dict[str, dict[st
             {"condition": plain.to_json(), "level": level, "sets": [sorted(c) for c in sets[i : i + size]]}
             for i in range(0, len(sets), size)
         ]
-    about = scene_fingerprint(scene)
+    about = scene.fingerprint()
     return {fingerprint([about, task]): task for task in found}
 
 

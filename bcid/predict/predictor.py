@@ -14,13 +14,6 @@ from numpy.typing import NDArray
 from bcid.base.collective import Comm, agree, overlaid
 from bcid.base.errors import EvaluationError, InputError, SolveError, evaluating
 from bcid.base.progress import Progress, Silent
-from bcid.comparison import questions
-from bcid.comparison.acting import by_the_clock, steady
-from bcid.comparison.checkpoint import Checkpoint, ResultFormat
-from bcid.comparison.forward_models import ForwardModels
-from bcid.comparison.kept_predictions import KeptPredictions, MeasurementPrediction, PredictionKey
-from bcid.comparison.levels import affordable, pair
-from bcid.comparison.result_formats import PredictionFormat, SensitivitiesFormat, TangentsFormat
 from bcid.forms.force_bumps import BUMPS, SPOTS, bumps, force_unit, growth_bumps
 from bcid.forms.forward import Forward, Look, Prediction
 from bcid.forms.gripper_force import ForceScale
@@ -34,8 +27,14 @@ from bcid.inference.knots import Knots, knots_of, known_frames, spread
 from bcid.inference.nuisances import NuisanceModes, Nuisances
 from bcid.inference.unknown_force import Smooth
 from bcid.measurement import Action, Measurement
+from bcid.predict import questions
+from bcid.predict.acting import by_the_clock, steady
+from bcid.predict.forward_models import ForwardModels
+from bcid.predict.kept_predictions import KeptPredictions, MeasurementPrediction, PredictionKey
+from bcid.predict.levels import affordable, pair
+from bcid.predict.result_formats import PredictionFormat, SensitivitiesFormat, TangentsFormat
+from bcid.predict.store import PredictionStore, ResultFormat
 from bcid.scene import Scene
-from bcid.search.identify_run import scene_fingerprint
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -45,7 +44,7 @@ class Predictor:
     """Predicts what a measurement should have shown. All methods are collective on `comm`; actions are spread over ranks.
 
     It works on a mesh with larger elements than those of a level of the scene's ladder; one with elements of one degree more says
-    how large the error of the working one is (`bcid.comparison.levels`).
+    how large the error of the working one is (`bcid.predict.levels`).
 
     Args:
         scene: the scene.
@@ -54,7 +53,7 @@ class Predictor:
         level: of the ladder; by default the last with at most 40,000 unknowns.
         settings: accuracy and patience of the solver.
         progress: told what goes on (give it on rank 0 only).
-        checkpoint: keeps what the expensive steps gave, and knows what they have given in a run that was interrupted.
+        store: keeps what the expensive steps gave, and knows what they have given in a run that was interrupted.
 
     Attributes:
         scene: the scene with the working level and, if there is one, the fine level, for a ladder.
@@ -79,7 +78,7 @@ class Predictor:
         level: int | None = None,
         settings: Settings | None = None,
         progress: Progress | None = None,
-        checkpoint: Checkpoint | None = None,
+        store: PredictionStore | None = None,
     ) -> None:
         if level is not None and not 0 <= level < len(scene.levels):
             raise InputError(f"level {level}: the scene has levels 0 to {len(scene.levels) - 1}")
@@ -88,7 +87,7 @@ class Predictor:
         self.scene = replace(scene, levels=pair(scene, self.fine_level, comm))
         # Where a step must be halved more often the body buckles, and following it proves nothing.
         self.settings = settings or Settings(rtol=1e-6, halvings=3)
-        self.progress, self.checkpoint = progress or Silent(), checkpoint
+        self.progress, self.store = progress or Silent(), store
         self.thin = False
         self.noise: Noise | None = None
         self.forces = ForceScale.of(scene, measurement)
@@ -276,15 +275,15 @@ class Predictor:
 
     def _recalled(self, question: Callable[[], str], form: ResultFormat[T], work: Callable[[], T]) -> T:
         """What `work` gives, as it is known from an interrupted run or else computed; collective."""
-        if self.checkpoint is None:
+        if self.store is None:
             return work()
-        return self.checkpoint.result(lambda: f"{self._identity} {question()}", form, work)
+        return self.store.result(lambda: f"{self._identity} {question()}", form, work)
 
     @property
     def _identity(self) -> str:
         """What all results depend on: body, motions, levels and solver."""
         if self._whole_scene is None:
-            self._whole_scene = scene_fingerprint(self.whole)
+            self._whole_scene = self.whole.fingerprint()
         motions = questions.of_measurement(self.measurement)
         return f"{self._whole_scene} {self.fine_level} {self.settings} {self.thin} {self.numbers.tolist()} {motions}"
 

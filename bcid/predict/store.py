@@ -1,8 +1,8 @@
-"""What the expensive steps of a comparison gave, kept on disk while it runs: killed and begun again, it finds it there.
+"""What expensive predictions gave, kept on disk: a run that was killed finds it there, and so do other runs that share a folder.
 
-The loops that ask for these steps are deterministic. Begun again they ask the same questions in the same order, and are given the
-answers that are known already, to the last bit. A file is named after all that its answer depends on, and after how often the
-question was asked before, since a trajectory begins at the states of those before it.
+The loops that ask are deterministic. Started again they ask the same questions in the same order, and are given the answers that
+are known already, to the last bit. A file is named after all that its answer depends on, and after how often a run asked for it
+before, since a trajectory starts from the states of those before it. What weighs predictions is no part of its name.
 """
 
 from __future__ import annotations
@@ -21,12 +21,14 @@ from bcid.base.fingerprint import fingerprint
 from bcid.base.inside_folder import read_inside
 from bcid.base.packed import packed, unpacked
 from bcid.base.progress import Progress, Silent
-from bcid.base.run_folder import write_whole, writing
+from bcid.base.run_folder import versions, write_whole, writing
 
 T = TypeVar("T")
 Arrays = dict[str, Any]
-# The folder of a run folder that they are in.
+# The folder of a run folder that they are in, unless the user names another.
 CHECKPOINT = "checkpoint"
+# Packages of bcid whose code makes predictions: what other code of them computed is another result.
+_MAKERS = ("base", "scene", "measurement", "forms", "predict")
 # Bytes at most: what comes after is computed again.
 _MOST = 4e9
 
@@ -43,32 +45,44 @@ class ResultFormat(Protocol[T]):
         ...
 
 
-class Checkpoint:
-    """Results in a folder that nobody else writes; collective on `comm`.
+class PredictionStore:
+    """Results in a folder; collective on `comm`.
 
     Args:
         folder: where they are, as rank 0 names it; made when the first is kept.
         comm: ranks that compute the results together. Another number of them may go on.
-        inputs: what all results depend on besides what they are asked for with; the code of bcid is looked at in any case.
-        progress: told what is found, and when nothing more can be kept.
+        inputs: what all results depend on besides what they are asked for with; the code that predicts counts in any case.
+        progress: shows what is found, and when nothing more can be kept.
+        shared: whether other runs use the folder too: results of other inputs are left there, and so are those of this run.
 
     Attributes:
         recalled, computed: how many results were known, and were not.
     """
 
-    def __init__(self, folder: Path, comm: Comm, inputs: Any = None, progress: Progress | None = None) -> None:
-        self.folder, self.comm, self.progress = folder, comm, progress or Silent()
+    def __init__(
+        self, folder: Path, comm: Comm, inputs: Any = None, progress: Progress | None = None, shared: bool = False
+    ) -> None:
+        self.folder, self.comm, self.progress, self.shared = folder, comm, progress or Silent(), shared
         self.recalled = self.computed = 0
         self._asked: Counter[str] = Counter()
         self._full = False
         self._identity = fingerprint({"inputs": inputs, "code": _code()})
         self._size = on_root(comm, self._begun)
 
+    @classmethod
+    def of_run(
+        cls, run: Path, comm: Comm, inputs: Any, progress: Progress | None = None, shared: Path | None = None
+    ) -> PredictionStore:
+        """That of a run folder while the run lasts, or the one that it shares with others."""
+        return cls(shared or run / CHECKPOINT, comm, inputs, progress, shared is not None)
+
     def _begun(self) -> int:
         """Remove what does not belong here, and say what is there; its bytes."""
         files = [file for file in self.folder.glob("*") if file.is_symlink() or not file.is_dir()]
         own = [file for file in files if file.name.startswith(f"{self._identity}-")]
         others = [file for file in files if file not in own]
+        if self.shared:
+            return sum(file.lstat().st_size for file in files)
         with writing(self.folder):
             for file in others:
                 file.unlink()
@@ -124,22 +138,24 @@ class Checkpoint:
         except MachineError as error:
             self._full = True
             self.progress.say(f"{error}; the run goes on, but killed it would begin anew")
-            self._removed()
+            if not self.shared:
+                self._removed()
             return
         self._size += len(content)
 
     def clear(self) -> None:
-        """Remove everything: the run is complete; collective."""
-        on_root(self.comm, self._removed)
+        """Remove everything, unless others share it: the run is complete; collective."""
+        if not self.shared:
+            on_root(self.comm, self._removed)
 
     def _removed(self) -> None:
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
 def _code() -> str:
-    """Fingerprint of bcid's own code: what other code computed is another result."""
-    digest = hashlib.sha256()
+    """Fingerprint of the code that makes predictions, and of the versions of what solves."""
+    digest = hashlib.sha256(str(versions()).encode())
     package = Path(__file__).resolve().parents[1]
-    for file in sorted(package.rglob("*.py")):
+    for file in sorted(file for name in _MAKERS for file in (package / name).rglob("*.py")):
         digest.update(str(file.relative_to(package)).encode() + file.read_bytes())
     return digest.hexdigest()[:16]

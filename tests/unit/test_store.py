@@ -13,10 +13,6 @@ import pytest
 from mpi4py import MPI
 
 from bcid.base.packed import packed, unpacked
-from bcid.comparison import checkpoint, questions
-from bcid.comparison.checkpoint import Checkpoint
-from bcid.comparison.predictor import Predictor
-from bcid.comparison.result_formats import SensitivitiesFormat, TangentsFormat
 from bcid.forms import effect_trial as trial
 from bcid.forms import effects
 from bcid.forms.course import in_time
@@ -26,6 +22,10 @@ from bcid.forms.set_tangent import StepTangent
 from bcid.forms.simulate import recorded
 from bcid.forms.solver.equilibrium import Settings
 from bcid.measurement import Action
+from bcid.predict import questions, store
+from bcid.predict.predictor import Predictor
+from bcid.predict.result_formats import SensitivitiesFormat, TangentsFormat
+from bcid.predict.store import PredictionStore
 
 
 class Plain:
@@ -53,7 +53,7 @@ class Spoken:
 
 def asked(folder: Path, questions: list[str], inputs: Any = None, spoken: Spoken | None = None) -> tuple[int, int]:
     """Ask for results, which are numbered as they are computed; how many were known, and how many not."""
-    kept = Checkpoint(folder, MPI.COMM_SELF, inputs, spoken)
+    kept = PredictionStore(folder, MPI.COMM_SELF, inputs, spoken)
     for question in questions:
         kept.result(lambda question=question: question, Plain(), lambda: float(kept.computed))  # type: ignore[misc]
     return kept.recalled, kept.computed
@@ -68,7 +68,7 @@ def test_what_was_asked_before_is_known(tmp_path: Path) -> None:
 
 def test_the_same_question_has_an_answer_each_time(tmp_path: Path) -> None:
     for _ in range(2):
-        kept = Checkpoint(tmp_path, MPI.COMM_SELF)
+        kept = PredictionStore(tmp_path, MPI.COMM_SELF)
         answers = [kept.result(lambda: "a", Plain(), lambda: float(kept.computed)) for _ in range(3)]  # noqa: B023
         assert answers == [0.0, 1.0, 2.0]
 
@@ -79,8 +79,19 @@ def test_other_inputs_and_other_code_begin_anew(tmp_path: Path, monkeypatch: pyt
     assert asked(tmp_path, ["a"], {"scene": 2}, spoken) == (0, 1)
     assert spoken.lines == ["begun anew: what an interrupted run left was computed by other code, or of other inputs"]
     assert len(list(tmp_path.iterdir())) == 1
-    monkeypatch.setattr(checkpoint, "_code", lambda: "other")
+    monkeypatch.setattr(store, "_code", lambda: "other")
     assert asked(tmp_path, ["a"], {"scene": 2}) == (0, 1)
+
+
+def test_shared_store_other_inputs_and_end_of_run_remove_nothing(tmp_path: Path) -> None:
+    for inputs in ({"scene": 1}, {"scene": 2}):
+        kept = PredictionStore.of_run(tmp_path / "run", MPI.COMM_SELF, inputs, shared=tmp_path / "shared")
+        assert kept.result(lambda: "a", Plain(), lambda: 1.0) == 1.0
+        kept.clear()
+    assert len(list((tmp_path / "shared").iterdir())) == 2
+    kept = PredictionStore.of_run(tmp_path / "other", MPI.COMM_SELF, {"scene": 1}, shared=tmp_path / "shared")
+    assert kept.result(lambda: "a", Plain(), lambda: 2.0) == 1.0
+    assert (kept.recalled, kept.computed) == (1, 0)
 
 
 def test_what_was_written_in_part_is_removed(tmp_path: Path) -> None:
@@ -104,7 +115,7 @@ def test_what_is_damaged_is_computed_again(tmp_path: Path) -> None:
 
 
 def test_it_stays_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(checkpoint, "_MOST", 250)
+    monkeypatch.setattr(store, "_MOST", 250)
     spoken = Spoken()
     assert asked(tmp_path, ["a", "b", "c", "d"], spoken=spoken) == (0, 4)
     assert len(list(tmp_path.iterdir())) == 2
@@ -201,7 +212,7 @@ def test_other_wishes_are_other_questions() -> None:
 
 def test_other_motions_settings_and_steps_are_other_questions(monkeypatch: pytest.MonkeyPatch) -> None:
     # The file of the geometry is none: nothing is meshed.
-    monkeypatch.setattr("bcid.comparison.predictor.pair", lambda scene, *_: scene.levels)
+    monkeypatch.setattr("bcid.predict.predictor.pair", lambda scene, *_: scene.levels)
     scene = replace(trial.scene(), geometry=Path(__file__))
     way = np.linspace(0, 1e-3, 5)[:, None] * [1.0, 0, 0]
     seen = []

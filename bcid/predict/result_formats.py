@@ -1,4 +1,4 @@
-"""How the results of a predictor's expensive steps are kept in a checkpoint, as arrays."""
+"""How the results of a predictor's expensive steps are kept in a store, as arrays."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.collective import Comm
-from bcid.comparison.kept_predictions import MeasurementPrediction
 from bcid.forms.forward import Prediction
 from bcid.forms.probes import Sensitivities
 from bcid.forms.set_tangent import StepTangent
 from bcid.measurement import Action
+from bcid.predict.kept_predictions import MeasurementPrediction
 
 Array = NDArray[np.float64]
 Arrays = dict[str, Any]

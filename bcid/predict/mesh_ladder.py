@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.comparison.kept_predictions import MeasurementPrediction
-from bcid.comparison.predictor import Predictor
 from bcid.forms.model import Model
 from bcid.inference.knots import Knots
 from bcid.inference.mesh_error import MeshError, gains
 from bcid.measurement import Action
+from bcid.predict.kept_predictions import MeasurementPrediction
+from bcid.predict.predictor import Predictor
 
 Array = NDArray[np.float64]
 # A distance of positions need not be known as well as they themselves; and that the states are stable the working level has shown.
