@@ -7,6 +7,7 @@ own plane (Remacle, Geuzaine, Compere, Marchandise, High-quality surface remeshi
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -96,7 +97,9 @@ def _meshed(surface: TriangleSurface, size: float, angle: float) -> Arrays:
         mesh.generate(3)
         tetrahedra = mesh.getElementsByType(4)[0]
         if len(tetrahedra) and min(mesh.getElementQualities(tetrahedra, "gamma")) < _POOR:
-            mesh.optimize("Netgen")
+            # Not every build of gmsh has it; what is too flat is refused later.
+            with suppress(Exception):
+                mesh.optimize("Netgen")
         return gmsh_arrays(gmsh)
 
 
