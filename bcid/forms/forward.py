@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from bcid.base.collective import Comm
 from bcid.forms.effects.effect import Frame
 from bcid.forms.gripper_force import ROWS, ForceScale, GripperForce
-from bcid.forms.length_unit import check_length_unit
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.mesh.body import Body
+from bcid.forms.mesh.length_unit import check_length_unit, fiducial_limit
 from bcid.forms.model import Model
 from bcid.forms.observe import Observer, attach, points_of
 from bcid.forms.solver.equilibrium import Equilibrium, Settings
@@ -70,11 +70,6 @@ class Prediction:
     def failure(self) -> Trajectory | None:
         """The action that could not be followed, if any."""
         return next((t for t in self.trajectories if t.status is not Status.CONVERGED), None)
-
-
-def fiducial_limit(scene: Scene, mesh: BodyMesh) -> float:
-    """How far from the mesh a fiducial may be, m: the scene's `attach_within`, or 5 % of the body's size."""
-    return 0.05 * mesh.size if scene.attach_within is None else scene.attach_within
 
 
 def check_geometry(scene: Scene, level: int = 0, comm: Comm | None = None) -> None:

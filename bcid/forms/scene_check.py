@@ -9,11 +9,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.forms.forward import fiducial_limit
-from bcid.forms.length_unit import check_length_unit
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.mesh.check import expected_cells, places
 from bcid.forms.mesh.closest import closest_triangles
+from bcid.forms.mesh.length_unit import check_length_unit, fiducial_limit
 from bcid.forms.mesh.patches import divided, first_level
 from bcid.forms.model import Model
 from bcid.forms.observe import attach

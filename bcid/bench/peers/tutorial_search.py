@@ -26,9 +26,9 @@ from mpi4py import MPI
 from bcid import Measurement, Scene
 from bcid.bench.bench_slab import decoded, encoded, measurement, with_level
 from bcid.bench.peers.tutorial import neo_hooke, newton
-from bcid.forms.forward import fiducial_limit
 from bcid.forms.mesh import level_mesh
 from bcid.forms.mesh.body import Body
+from bcid.forms.mesh.length_unit import fiducial_limit
 from bcid.forms.observe import Observer
 from bcid.inference.misfit import Misfit
 from bcid.measurement import Action

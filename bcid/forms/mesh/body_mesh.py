@@ -92,6 +92,14 @@ class BodyMesh:
             raise InputError(f"{what}: {self._why_none(region)}")
         return entities[chosen]
 
+    def shows(self, region: Region) -> bool:
+        """Whether an entity of the mesh is of a region."""
+        try:
+            self.select(region, "")
+        except InputError:
+            return False
+        return True
+
     def _chosen(self, entities: Cells, region: Region, what: str) -> NDArray[np.bool_]:
         """Which entities every criterion of a region takes, shape (k,)."""
         tolerance = 1e-6 * self.size

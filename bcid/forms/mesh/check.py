@@ -98,13 +98,12 @@ def expected_cells(volume: float, size: float) -> float:
     return 6 * math.sqrt(2) * volume / size**3
 
 
-def refuse_many(volume: float, size: float, spans: Sequence[float]) -> None:
-    """Refuse far more elements of a size than can be solved on, in a body of a volume and of these extents, all in its own unit.
+def refuse_many(cells: float, size: float, spans: Sequence[float]) -> None:
+    """Refuse far more elements of a size than can be solved on, in a body of these extents in the unit of its file.
 
     Raises:
         InputError: with the number of tetrahedra.
     """
-    cells = expected_cells(volume, size)
     if cells > MOST_CELLS:
         extent = " x ".join(f"{span:.4g}" for span in spans)
         raise InputError(

@@ -1,4 +1,4 @@
-"""Child process that makes or reads a mesh: ``python -m bcid.forms.mesh.child FILE OUT.npz SIZE FINEST [NAME=NUMBER ...]``.
+"""Child process that makes or reads a mesh: ``python -m bcid.forms.mesh.child FILE OUT.npz SIZE FINEST MOST [NAME=NUMBER ...]``.
 
 It runs apart because gmsh may abort on damaged files, and runs scripts. Says in one line why a file cannot be used; exits with 1.
 """
@@ -49,15 +49,15 @@ def main() -> int:
 
 
 def _read(source: Path, arguments: Sequence[str]) -> Arrays:
-    size, finest = map(float, arguments[:2])
-    numbers = dict(entry.split("=", 1) for entry in arguments[2:])
+    size, finest, most = map(float, arguments[:3])
+    numbers = dict(entry.split("=", 1) for entry in arguments[3:])
     if source.suffix in _GMSH:
-        return with_gmsh(source, size, finest, numbers)
+        return with_gmsh(source, size, finest, numbers, most)
     if kind_of(source) == SURFACE:
-        return solid(mended(read_surface(source)), size, finest)
+        return solid(mended(read_surface(source)), size, finest, most)
     if kind_of(source) == IMAGE:
         _require("nibabel", "vtkmodules")
-        return solid(mended(surface_of_label(source, int(numbers["label"]))), size, finest)
+        return solid(mended(surface_of_label(source, int(numbers["label"]))), size, finest, most)
     refuse_references(source)
     return with_meshio(source)
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -12,14 +14,20 @@ from typing import Any
 import numpy as np
 
 from bcid.base.errors import InputError
-from bcid.forms.mesh.check import refuse_many
+from bcid.forms.mesh.body_mesh import BodyMesh, volumes
+from bcid.forms.mesh.check import MOST_CELLS, expected_cells, refuse_many
+from bcid.forms.mesh.length_unit import ROUGH
 from bcid.forms.mesh.solid_cells import Block, as_simplices, as_tetrahedra
 
 Arrays = dict[str, Any]
 
 
 def with_gmsh(
-    source: Path, size: float = 0.0, finest: float = 0.0, numbers: Mapping[str, str] = MappingProxyType({})
+    source: Path,
+    size: float = 0.0,
+    finest: float = 0.0,
+    numbers: Mapping[str, str] = MappingProxyType({}),
+    most: float = math.inf,
 ) -> Arrays:
     """Mesh a `.geo`, or read a `.msh`.
 
@@ -28,10 +36,14 @@ def with_gmsh(
         size: of the elements of a `.geo`, in its own unit: its parameter h.
         finest: the smallest size that will be asked for; refused when it makes more elements than can be solved on.
         numbers: other parameters of the `.geo`.
+        most: where more elements are expected, a rough mesh is made instead, and marked as "rough".
     """
     program = source.suffix == ".geo"
-    if program and finest:
-        _refuse_too_many(source, finest, numbers)
+    if program and size:
+        outline = _outline(source, finest or size, numbers)
+        _refuse_too_many(outline, finest or size)
+        if outline.cells(size) > most and outline.rough is not None:
+            return outline.rough | {"rough": np.array(True)}
     with _opened(source, size, numbers) as gmsh:
         if program:
             gmsh.model.mesh.generate(3)
@@ -69,19 +81,81 @@ def _opened(source: Path, size: float, numbers: Mapping[str, str]) -> Iterator[A
         yield gmsh
 
 
-def _refuse_too_many(source: Path, size: float, numbers: Mapping[str, str]) -> None:
-    """Refuse far more elements than can be solved on, by the volume of a coarse mesh where the box around it is large enough."""
+@dataclass(frozen=True)
+class _Outline:
+    """What is known of the body of a `.geo` before it is meshed.
+
+    Attributes:
+        source, numbers: the file and its parameters.
+        spans: of the box around it.
+        stated: the largest size of elements that its points ask for themselves; 0 where one of them asks for none.
+    """
+
+    source: Path
+    numbers: Mapping[str, str]
+    spans: list[float]
+    stated: float
+
+    def cells(self, size: float) -> float:
+        """At most about so many elements of a size, or of that which is stated, are in the box."""
+        return expected_cells(math.prod(self.spans), min(size, self.stated or size))
+
+    @cached_property
+    def rough(self) -> Arrays | None:
+        """Its mesh with elements of a part of its length, whatever it asks for; None if gmsh cannot make it."""
+        with suppress(RuntimeError), self.coarse(ROUGH) as gmsh:
+            gmsh.model.mesh.generate(3)
+            return gmsh_arrays(gmsh)
+        return None
+
+    @contextmanager
+    def coarse(self, part: float) -> Iterator[Any]:
+        """gmsh with the body, and elements of a part of its length."""
+        size = part * max(self.spans)
+        with _opened(self.source, size, self.numbers) as gmsh:
+            for option in ("MeshSizeMin", "MeshSizeMax"):
+                gmsh.option.setNumber(f"Mesh.{option}", size)
+            yield gmsh
+
+    @property
+    def obeys(self) -> bool:
+        """Whether sizes decide how many nodes its curves have, which may also be numbered one by one (transfinite)."""
+        nodes = []
+        for part in (ROUGH, ROUGH / 4):
+            with self.coarse(part) as gmsh:
+                gmsh.model.mesh.generate(1)
+                nodes.append(len(gmsh.model.mesh.getNodes()[0]))
+        return nodes[1] > 2 * nodes[0]
+
+
+def _outline(source: Path, size: float, numbers: Mapping[str, str]) -> _Outline:
+    """What opening a `.geo` says of its body."""
     with _opened(source, size, numbers) as gmsh:
-        box = gmsh.model.getBoundingBox(-1, -1)
-    spans = [high - low for low, high in zip(box[:3], box[3:], strict=True)]
-    volume = math.prod(spans)
-    with suppress(InputError):
-        refuse_many(volume, size, spans)
+        low, high = np.array(gmsh.model.getBoundingBox(-1, -1)).reshape(2, 3)
+        sizes = gmsh.model.mesh.getSizes(gmsh.model.getEntities(0))
+        least, most, factor, used = (
+            gmsh.option.getNumber(f"Mesh.{option}")
+            for option in ("MeshSizeMin", "MeshSizeMax", "MeshSizeFactor", "MeshSizeFromPoints")
+        )
+    stated = float(max(sizes)) if used and len(sizes) and min(sizes) > 0 else 0.0
+    return _Outline(source, numbers, (high - low).tolist(), factor * min(max(stated, least), most) if stated else 0.0)
+
+
+def _refuse_too_many(outline: _Outline, size: float) -> None:
+    """Refuse far more elements than can be solved on, by the volume of a rough mesh where the box around it is large enough.
+
+    Where points state sizes of their own the area alone counts: layers of extruded areas may be of any height.
+    """
+    if outline.cells(size) <= MOST_CELLS:
         return
-    with suppress(RuntimeError), _opened(source, max(spans) / 10, numbers) as gmsh:
-        gmsh.model.mesh.generate(3)
-        volume = sum(gmsh.model.mesh.getElementQualities(gmsh.model.mesh.getElementsByType(4)[0], "volume")) or volume
-    refuse_many(volume, size, spans)
+    volume, area = math.prod(outline.spans), 0.0
+    if outline.rough is not None:
+        points, cells = outline.rough["points"], outline.rough["cells"]
+        volume = float(np.abs(volumes(points, cells)).sum()) or volume
+        area = BodyMesh(points, cells).area(BodyMesh(points, cells).boundary)
+    refuse_many(expected_cells(volume, size), size, outline.spans)
+    if outline.stated and area / outline.stated**2 > MOST_CELLS and outline.obeys:
+        refuse_many(area / outline.stated**2, outline.stated, outline.spans)
 
 
 def gmsh_arrays(gmsh: Any) -> Arrays:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -14,6 +15,7 @@ from bcid.base.fingerprint import file_fingerprint
 from bcid.forms.mesh.body_mesh import BodyMesh
 from bcid.forms.mesh.check import check_fineness, check_groups, check_places, checked, regions
 from bcid.forms.mesh.fields import paint
+from bcid.forms.mesh.length_unit import check_rough
 from bcid.forms.mesh.references import beside
 from bcid.scene import Level, Scene
 from bcid.scene.geometry_file import PROGRAM, kind_of
@@ -21,6 +23,8 @@ from bcid.scene.geometry_file import PROGRAM, kind_of
 Arrays = dict[str, Any]
 
 TIME_LIMIT = 600.0
+# Before a mesh of more tetrahedra is made, which takes more than some seconds, the unit of length is checked on a rough one.
+MANY = 100_000
 
 
 def level_mesh(scene: Scene, level: Level, comm: Comm | None = None) -> BodyMesh:
@@ -38,18 +42,38 @@ def _level_mesh(scene: Scene, level: Level) -> BodyMesh:
     sizes = (size or 0.0, finest / scene.length_unit)
     numbers = {name: repr(value) for name, value in scene.parameters.items()}
     numbers |= {} if scene.label is None else {"label": str(scene.label)}
-    arrays = _load(scene.geometry, sizes, tuple(numbers.items()), file_fingerprint(scene.geometry))
-    groups = {name[6:]: part for name, part in arrays.items() if name.startswith("group:")}
-    notes = tuple(map(str, arrays["notes"]))
-    points = arrays["points"] * scene.length_unit
-    mesh = checked(BodyMesh(points, arrays["cells"], groups, notes=notes), scene.geometry)
+    given = scene.geometry, sizes, tuple(numbers.items()), file_fingerprint(scene.geometry)
+    arrays = _load(*given, MANY)
+    if "rough" in arrays:
+        _check_unit(arrays, scene)
+        arrays = _load(*given, math.inf)
+    mesh = _body(arrays, scene)
     check_fineness(scene, mesh)
     check_groups(scene, mesh)
+    if level.refinements and len(mesh.cells) * 8**level.refinements > MANY:
+        _check_unit(arrays, scene)
     for _ in range(level.refinements):
         mesh = mesh.refined()
     mesh = _painted(mesh, arrays, scene)
     check_places(scene, level_name(scene, level), mesh)
     return mesh
+
+
+def _body(arrays: Arrays, scene: Scene) -> BodyMesh:
+    """The mesh that a child gave back, in m."""
+    groups = {name[6:]: part for name, part in arrays.items() if name.startswith("group:")}
+    notes = tuple(map(str, arrays["notes"]))
+    points = arrays["points"] * scene.length_unit
+    return checked(BodyMesh(points, arrays["cells"], groups, notes=notes), scene.geometry)
+
+
+def _check_unit(arrays: Arrays, scene: Scene) -> None:
+    """`check_rough` on a rough mesh, if it is sound: where it is not, a finer one may be."""
+    try:
+        mesh = _painted(_body(arrays, scene), arrays, scene)
+    except InputError:
+        return
+    check_rough(scene, mesh)
 
 
 def _painted(mesh: BodyMesh, arrays: Arrays, scene: Scene) -> BodyMesh:
@@ -73,7 +97,9 @@ def level_name(scene: Scene, level: Level) -> str:
 
 
 @lru_cache(maxsize=8)
-def _load(path: Path, sizes: tuple[float, float], numbers: tuple[tuple[str, str], ...], _content: str) -> Arrays:
+def _load(
+    path: Path, sizes: tuple[float, float], numbers: tuple[tuple[str, str], ...], _content: str, most: float
+) -> Arrays:
     """Run the loader in a child process: a damaged file may make gmsh abort, and must not take this process along.
 
     The last results are kept for as long as the content of the file is the same: patches are made and looked for on the
@@ -84,7 +110,7 @@ def _load(path: Path, sizes: tuple[float, float], numbers: tuple[tuple[str, str]
         raise InputError(
             f"{path}.opt: gmsh would run it with {path.name}; take what it sets into {path.name}, and remove it"
         )
-    arguments = [*map(repr, sizes), *(f"{name}={value}" for name, value in numbers)]
+    arguments = [*map(repr, (*sizes, most)), *(f"{name}={value}" for name, value in numbers)]
     try:
         return read_in_child(
             "bcid.forms.mesh.child",

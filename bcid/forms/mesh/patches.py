@@ -118,17 +118,9 @@ def _missing(scene: Scene, mesh: BodyMesh) -> list[str]:
     """Names of the pieces without a facet on a mesh that has the surface they are of."""
     found = []
     for name, region in scene.patches.items():
-        if region.within and not _on(mesh, region) and _on(mesh, replace(region, within=None)):
+        if region.within and not mesh.shows(region) and mesh.shows(replace(region, within=None)):
             found.append(name)
     return found
-
-
-def _on(mesh: BodyMesh, region: Region) -> bool:
-    try:
-        mesh.select(region, "")
-    except InputError:
-        return False
-    return True
 
 
 def _bare(scene: Scene) -> Scene:
@@ -151,7 +143,7 @@ class _Surface:
     def __call__(self, region: Region, name: str) -> Array:
         """Corners of the triangles of a patch, cut to its piece, shape (k, 3, 3), m."""
         whole = replace(region, within=None)
-        number = next((i for i in range(len(self.scene.levels)) if _on(self._mesh(i), whole)), 0)
+        number = next((i for i in range(len(self.scene.levels)) if self._mesh(i).shows(whole)), 0)
         mesh = self._mesh(number)
         entities = mesh.select(whole, f"patch {name}")
         if entities.shape[1] != 3:

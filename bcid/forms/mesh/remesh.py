@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from bcid.base.errors import InputError
-from bcid.forms.mesh.check import refuse_many
+from bcid.forms.mesh.check import expected_cells, refuse_many
 from bcid.forms.mesh.fields import field_arrays
 from bcid.forms.mesh.gmsh_mesh import gmsh_arrays, session
+from bcid.forms.mesh.length_unit import ROUGH
 from bcid.forms.mesh.parts_of_surface import enclosed
 from bcid.forms.mesh.surface_file import TriangleSurface
 
@@ -28,24 +29,31 @@ _TOLD, _WRONG = 0.05, 0.5
 _POOR = 0.05
 
 
-def solid(surface: TriangleSurface, size: float, finest: float) -> Arrays:
+def solid(surface: TriangleSurface, size: float, finest: float, most: float = math.inf) -> Arrays:
     """Nodes and tetrahedra of a size, in the unit of the file, with the fields of the surface and what was done to it.
 
     Args:
         surface: one closed surface that looks outward, with cavities that look inward.
         size: length of the edges.
         finest: the smallest size that will be asked for; refused when it makes more elements than can be solved on.
+        most: where more elements are expected, a rough mesh is made instead, and marked as "rough".
 
     Raises:
         InputError: too many elements, or gmsh cannot mesh it with elements of this size.
     """
     volume = enclosed(surface)
-    refuse_many(volume, finest or size, np.ptp(surface.points, axis=0).tolist())
+    spans = np.ptp(surface.points, axis=0).tolist()
+    refuse_many(expected_cells(volume, finest or size), finest or size, spans)
+    if expected_cells(volume, size) > most:
+        rough, _ = _first_good(surface, ROUGH * max(spans), volume)
+        if rough is not None:
+            return rough | {"rough": np.array(True)} | field_arrays(surface.points[surface.triangles], surface.fields)
     arrays, said = _first_good(surface, size, volume)
     if arrays is None:
+        unit = ", or mend geometry.length_unit: they are longer than the body" if size > max(spans) else ""
         raise InputError(
             f"the surface ({len(surface.triangles)} triangles, volume {volume:.4g}) cannot be meshed with elements of {size:.4g} "
-            f"in the unit of the file: {said}; choose smaller elements than its thinnest part, or smooth the surface"
+            f"in the unit of the file: {said}; choose smaller elements than its thinnest part, or smooth the surface{unit}"
         )
     inside = _volume(arrays)
     notes = [*surface.notes, *arrays["notes"].tolist()]

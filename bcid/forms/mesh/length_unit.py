@@ -3,23 +3,46 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from itertools import permutations
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import Problems
-from bcid.forms.mesh import BodyMesh
+from bcid.base.units import unit_factor
+from bcid.forms.mesh.body_mesh import BodyMesh
 from bcid.forms.mesh.closest import closest_on_triangles
 from bcid.scene import Scene
 
 Array = NDArray[np.float64]
-# Factors by which coordinates are wrong when their unit is: mm for m, cm for mm, cm for m, inches for mm.
-_SLIPS = (1000.0, 1e-3, 10.0, 0.1, 100.0, 1e-2, 25.4, 1 / 25.4)
+# Factors by which coordinates are wrong when one of these units is taken for another.
+_UNITS = tuple(unit_factor(unit, like="m") for unit in ("m", "cm", "mm", "um", "in"))
+_SLIPS = tuple(sorted({float(f"{a / b:.9g}") for a, b in permutations(_UNITS, 2)}))
 # The centre of a grasp may be away from its facets by this part of the body's size: the middle of a curved area is not on it.
 _AWAY = 0.25
 # Another unit is named when it brings the places so much nearer to the body, and onto it, both in parts of its size.
 _NEARER, _ON_IT = 5.0, 0.1
+# Units that fit are as good as the best up to so many times its distances, and this part of the size more.
+_AS_GOOD, _ALIKE = 1.5, 0.01
+# The surface of a rough mesh may be away from the body's by this part of its size: its elements are as long.
+ROUGH = 0.1
+
+
+def fiducial_limit(scene: Scene, mesh: BodyMesh) -> float:
+    """How far from the mesh a fiducial may be, m: the scene's `attach_within`, or 5 % of the body's size."""
+    return 0.05 * mesh.size if scene.attach_within is None else scene.attach_within
+
+
+def check_rough(scene: Scene, mesh: BodyMesh) -> None:
+    """`check_length_unit` on a rough mesh, before a fine one is made: by the grasps that it shows, and not to within an element.
+
+    Raises:
+        InputError: the unit is another.
+    """
+    shown = {name: grasp for name, grasp in scene.grasps.items() if mesh.shows(grasp.region)}
+    check_length_unit(replace(scene, grasps=shown), mesh, max(fiducial_limit(scene, mesh), ROUGH * mesh.size))
 
 
 def check_length_unit(scene: Scene, mesh: BodyMesh, limit: float) -> None:
@@ -55,12 +78,13 @@ def check_length_unit(scene: Scene, mesh: BodyMesh, limit: float) -> None:
 
 
 def _other_unit(scene: Scene, mesh: BodyMesh, now: Array) -> str:
-    """The slip nearest to none that would bring markers and grasps onto the body, in words."""
+    """The slip that would bring markers and grasps onto the body, of those as good the nearest to none, in words."""
     found = {factor: _rms(_distances(scene, mesh, factor)) for factor in _SLIPS}
     good = [factor for factor in _SLIPS if found[factor] <= min(_ON_IT, _rms(now) / _NEARER)]
     if not good:
         return ""
-    factor = min(good, key=lambda f: abs(math.log(f)))
+    most = _AS_GOOD * min(found[factor] for factor in good) + _ALIKE
+    factor = min((f for f in good if found[f] <= most), key=lambda f: abs(math.log(f)))
     looks = f"{factor:.4g} times too large" if factor > 1 else f"{1 / factor:.4g} times too small"
     return (
         f"geometry.length_unit: the body looks {looks}: it is {mesh.size * 1e3:.4g} mm long; with another unit the markers and "
