@@ -344,12 +344,13 @@ def running(
 
 def write_whole(target: Path, content: str | bytes) -> Path:
     """Write a file whole under another name, then rename it; returns its path."""
+    encoded = content.encode() if isinstance(content, str) else content
     with writing(target.parent):
         target.parent.mkdir(parents=True, exist_ok=True)
         partial = target.with_name(f".{target.name}.partial")
         try:
             with partial.open("wb") as stream:
-                stream.write(content.encode() if isinstance(content, str) else content)
+                stream.write(encoded)
                 stream.flush()
                 os.fsync(stream.fileno())
             partial.replace(target)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bcid.base.errors import InputError, unwritable
-from bcid.base.run_folder import writing
+from bcid.base.errors import InputError
+from bcid.base.run_folder import write_whole, writing
 from bcid.base.units import unit_factor
 from bcid.measurement.array_guess import guess_arrays
 from bcid.measurement.formats.foreign import Foreign
@@ -87,10 +87,12 @@ def import_file(source: Path, target: Path | None = None, scene: Scene | None = 
             _write(extra, scene_lines(dense, unit))
         with writing(target):
             partial.replace(target)
-    finally:
+    except BaseException:
         # What cannot be written cannot be removed either, and is not there.
-        with suppress(OSError):
-            partial.unlink(missing_ok=True)
+        for begun in (partial, extra):
+            with suppress(OSError):
+                begun.unlink(missing_ok=True)
+        raise
     written = [target, *([extra] if dense is not None else [])]
     return Inspected(
         seen, unit, target, extra if dense is not None else None, _text(source, found, seen, unit, written)
@@ -154,9 +156,7 @@ def _of_table(mapping: Mapping, words: str, unit: str) -> Foreign:
 
 def _write(path: Path, lines: list[str]) -> None:
     try:
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise unwritable(path, error) from None
+        write_whole(path, "\n".join(lines) + "\n")
     except UnicodeEncodeError:
         raise InputError(f"{path}: cannot name a file or label that is not UTF-8; rename it first") from None
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from bcid.app.cli import main
+from benchmarks.reliability import foreign_files as made
 
 _TABLE = "time,{0}_x,{0}_y,{0}_z\n" + "".join(f"{0.1 * k},{k},1,2\n" for k in range(5))
 
@@ -22,7 +23,10 @@ def test_import_read_only_folder_ends_with_3(
         raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
 
     # As Linux answers on a file system that is read-only, also of a file that is not there.
-    monkeypatch.setattr(Path, "write_text", refused)
+    read = Path.open
+    monkeypatch.setattr(
+        Path, "open", lambda path, mode="r", **more: (refused if "w" in mode else read)(path, mode, **more)
+    )
     monkeypatch.setattr(Path, "unlink", refused)
     assert main(["import", str(tmp_path / "a.csv"), "--no-picture"]) == 3
     assert "read-only" in capfd.readouterr().err.lower()
@@ -41,3 +45,20 @@ def test_import_emoji_label_is_read(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(_TABLE.format("🦴"), encoding="utf-8")
     assert main(["import", str(tmp_path / "a.csv"), "--no-picture"]) == 0
     assert "🦴" in (tmp_path / "a.toml").read_text(encoding="utf-8")
+
+
+def test_import_points_without_names_whose_mapping_cannot_be_placed_leaves_no_table(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    pattern, place = made.vic3d(tmp_path), Path.replace
+    before = sorted(tmp_path.iterdir())
+
+    def replaced(path: Path, target: Path) -> Path:
+        if target.name == "dense.toml":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return place(path, target)
+
+    monkeypatch.setattr(Path, "replace", replaced)
+    assert main(["import", str(tmp_path / pattern), "-o", str(tmp_path / "dense.toml"), "--no-picture"]) == 3
+    assert "dense.toml: cannot be written: No space left" in capfd.readouterr().err
+    assert sorted(tmp_path.iterdir()) == before
