@@ -25,10 +25,14 @@ def copy_examples(target: Path) -> list[str]:
     """
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise InputError(f"{target}: exists and is not empty; name another folder")
+    partial = target.with_name(f".{target.name}.partial")
     try:
+        shutil.rmtree(partial, ignore_errors=True)
         for name in _EXAMPLES:
-            shutil.copytree(shipped(name), target / name, ignore=shutil.ignore_patterns("__pycache__"))
+            shutil.copytree(shipped(name), partial / name, ignore=shutil.ignore_patterns("__pycache__"))
+        partial.replace(target)
     except OSError as error:
+        shutil.rmtree(partial, ignore_errors=True)
         raise unwritable(target, error) from None
     return list(_EXAMPLES)
 
