@@ -22,6 +22,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from bcid.base.errors import MachineError
 from bcid.base.landlock import landlock
 from bcid.base.scratch import trouble
 from bcid.base.solver_wheel import prepare
@@ -380,7 +381,7 @@ def report() -> list[Check]:
 
 
 def main() -> int:
-    """Prints all findings; the exit code is 1 if something essential is missing."""
+    """Prints all findings; the exit code is that of a fault of the machine if something essential is missing."""
     shown = True
     if importlib.util.find_spec("mpi4py"):
         with contextlib.suppress(ImportError):
@@ -397,7 +398,7 @@ def main() -> int:
         print(f"bcid cannot work here: {', '.join(wrong)}" if wrong else "Everything that bcid needs works.")
         if notes:
             print(f"It could be better: {', '.join(notes)}")
-    return 1 if wrong else 0
+    return MachineError.exit_code if wrong else 0
 
 
 if __name__ == "__main__":

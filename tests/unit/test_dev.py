@@ -369,7 +369,7 @@ def test_doctor_survives_a_broken_part(monkeypatch: pytest.MonkeyPatch, capsys: 
     assert doctor.main() == 0
     assert "get it" in capsys.readouterr().out
     monkeypatch.setattr(doctor, "CHECKS", [check_something, lambda: good])
-    assert doctor.main() == 1
+    assert doctor.main() == 3
     out = capsys.readouterr().out
     assert "SystemError: cannot load" in out
     assert "bcid cannot work here: something" in out
@@ -385,7 +385,7 @@ def test_doctor_without_dolfinx() -> None:
         text=True,
         timeout=60,
     )
-    assert run.returncode == 1, run.stderr
+    assert run.returncode == 3, run.stderr
     assert "WRONG  DOLFINx" in run.stdout
     assert "pip install" in run.stdout
     assert "Traceback" not in run.stderr
