@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.base.errors import InputError, Problems, unwritable
+from bcid.base.errors import InputError, Problems
+from bcid.base.run_folder import write_whole
 from bcid.base.units import FURTHEST, unit_factor
 from bcid.vision.calibrations.camera_file import FORMAT, read_stored
 from bcid.vision.calibrations.stored import SIDES, Counting, Optics
@@ -168,20 +169,18 @@ class Cameras:
         return cameras
 
     def write(self, path: str | Path) -> None:
-        """Write bcid's own format (JSON, lengths in m)."""
+        """Write bcid's own format (JSON, lengths in m).
+
+        Raises:
+            MachineError: it cannot be written.
+        """
         sides = {
             side: {"matrix": c.matrix.tolist(), "distortion": c.distortion.tolist(), "size": list(c.size)}
             for side, c in zip(SIDES, (self.left, self.right), strict=True)
         }
         content: dict[str, Any] = {"format": FORMAT, "length_unit": "m", **sides, "rotation": self.rotation.tolist()}
         content |= {"translation": self.translation.tolist(), "reprojection_error": self.error}
-        path = Path(path)
-        partial = path.with_name(f".{path.name}.partial")
-        try:
-            partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-            partial.replace(path)
-        except OSError as error:
-            raise unwritable(path, error) from None
+        write_whole(Path(path), json.dumps(content, indent=1) + "\n")
 
     def _check(self, path: Path, problems: Problems) -> None:
         for side, camera in zip(SIDES, (self.left, self.right), strict=True):

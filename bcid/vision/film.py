@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import MachineError
+from bcid.base.run_folder import writing
 from bcid.vision.camera import Cameras
 from bcid.vision.detect import Image
 from bcid.vision.track import StereoFrame
@@ -40,6 +42,7 @@ class Film:
         self.path, self.cameras, self.names, self.rate = path, cameras, names, rate
         self._partial = path.with_name(f".{path.stem}.partial.mp4")
         self._writer: Any = None
+        self._frames = 0
 
     def __enter__(self) -> Film:
         return self
@@ -49,10 +52,28 @@ class Film:
     ) -> None:
         if self._writer is not None:
             self._writer.release()
-        if kind is None and self._partial.exists():
+        try:
+            if kind is None and self._writer is not None:
+                self._finish()
+        finally:
+            # On a read-only file system there is none, and removing it fails as well.
+            with suppress(OSError):
+                self._partial.unlink(missing_ok=True)
+
+    def _finish(self) -> None:
+        """Give the film its name: OpenCV does not say when the disk is full, but then the film does not have its frames."""
+        import cv2
+
+        reader = cv2.VideoCapture(str(self._partial))
+        written = int(reader.get(cv2.CAP_PROP_FRAME_COUNT)) if reader.isOpened() else 0
+        reader.release()
+        if written < self._frames:
+            raise MachineError(
+                f"{self.path}: cannot be written: it has {written} of {self._frames} frames; free some space or choose another "
+                "folder, or make no film (--no-film)"
+            )
+        with writing(self.path):
             self._partial.replace(self.path)
-        else:
-            self._partial.unlink(missing_ok=True)
 
     def add(self, left: Image | None, right: Image | None, frame: StereoFrame, text: str) -> NDArray[np.uint8]:
         """Draw a frame and append it; returns it (height, width, 3), in OpenCV's order of colours.
@@ -67,8 +88,11 @@ class Film:
             size = (drawn.shape[1], drawn.shape[0])
             self._writer = cv2.VideoWriter(str(self._partial), cv2.VideoWriter_fourcc(*"mp4v"), self.rate, size)
             if not self._writer.isOpened():
-                raise MachineError(f"{self.path}: cannot be written (is there space, and can OpenCV write mp4?)")
+                raise MachineError(
+                    f"{self.path}: cannot be written; is there space, may you write there, and can OpenCV write mp4?"
+                )
         self._writer.write(drawn)
+        self._frames += 1
         return drawn
 
     def drawn(self, left: Image | None, right: Image | None, frame: StereoFrame, text: str) -> NDArray[np.uint8]:

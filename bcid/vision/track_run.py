@@ -13,7 +13,7 @@ import xarray as xr
 
 from bcid.base.fingerprint import file_fingerprint, fingerprint
 from bcid.base.progress import Progress, Silent
-from bcid.base.run_folder import RunFolder, running, writing
+from bcid.base.run_folder import RunFolder, running, write_whole
 from bcid.measurement import AXES, Measurement
 from bcid.vision.camera import SIDES
 from bcid.vision.film import Film, legend
@@ -90,8 +90,7 @@ def run_tracking(
 def _picture(path: Path, drawn: np.ndarray) -> None:
     import cv2
 
-    with writing(path.parent):
-        cv2.imwrite(str(path), drawn)
+    write_whole(path, cv2.imencode(path.suffix, drawn)[1].tobytes())
 
 
 def _write(run: RunFolder, found: Tracking, recording: Recording, seconds: float) -> None:

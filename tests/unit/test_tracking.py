@@ -15,7 +15,7 @@ from drawn import DIAMETER, LAYOUT, REST, SHIFT, TO_CAMERA, cameras, draw, in_ca
 
 from bcid import Measurement
 from bcid.app.cli import main
-from bcid.base.errors import InputError
+from bcid.base.errors import InputError, MachineError
 from bcid.base.run_folder import RunFolder
 from bcid.measurement import Units
 from bcid.measurement.folder import read_grasps
@@ -25,6 +25,7 @@ from bcid.vision.neighbours import neighbours
 from bcid.vision.recording import Recording
 from bcid.vision.register import register, rigid
 from bcid.vision.track import Tracker, working_distance
+from bcid.vision.track_run import run_tracking
 from bcid.vision.tracking import track
 from bcid.vision.triangulate import Points, epipolar_distance, triangulate
 
@@ -318,6 +319,32 @@ def test_a_recording_becomes_a_measurement(recorded: Path) -> None:
     assert made.action_names == ["1"]
     assert np.allclose(made.actions[0].translation[:, 0], AMOUNTS, atol=1e-9)
     assert np.array_equal(np.isnan(made.data["sigma"].values), np.isnan(made.positions))
+
+
+@pytest.mark.parametrize("fault", ["frames are lost", "no right to write"])
+def test_track_whose_film_cannot_be_written_ends_with_a_fault_of_the_machine(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str
+) -> None:
+    """OpenCV does not say that a disk is full: the film that it has written has fewer frames."""
+
+    class Writer:
+        def __init__(self, path: str, *_: object) -> None:
+            self.path = Path(path)
+
+        def isOpened(self) -> bool:
+            return fault == "frames are lost"
+
+        def write(self, _: object) -> None:
+            self.path.write_bytes(b"the begin of a film")
+
+        def release(self) -> None:
+            """Nothing is left to be done."""
+
+    monkeypatch.setattr(cv2, "VideoWriter", Writer)
+    with pytest.raises(MachineError, match=r"film\.mp4: cannot be written"):
+        run_tracking(recorded / "recording.toml", dict(LAYOUT), tmp_path / "run")
+    assert not list((tmp_path / "run").glob("*film*"))
+    assert not list((tmp_path / "run").glob(".film*"))
 
 
 def test_beads_are_found_where_a_model_has_them(recorded: Path, tmp_path: Path) -> None:
