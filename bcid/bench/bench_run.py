@@ -13,6 +13,7 @@ from typing import Any
 
 from bcid.base.errors import InputError, MachineError, nearest
 from bcid.base.progress import Lines, Progress
+from bcid.base.run_folder import write_whole
 from bcid.base.version import VERSION
 from bcid.bench import explain_bench, explore_bench, growth_bench, identification_bench, toggles_bench, trajectory_bench
 from bcid.bench.bench_table import Part, goals_table
@@ -80,7 +81,7 @@ def _write(folder: Path, found: dict[str, Part], quick: bool, seconds: float) ->
         "seconds": seconds,
         "parts": {name: part.to_json() for name, part in found.items()},
     }
-    (folder / "bench.json").write_text(json.dumps(content, indent=1, default=float) + "\n", encoding="utf-8")
+    write_whole(folder / "bench.json", json.dumps(content, indent=1, default=float) + "\n")
 
 
 def machine() -> dict[str, Any]:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bcid.base.run_folder import write_whole
 from bcid.report.scene3d import COLOURS, Image
 
 if TYPE_CHECKING:
@@ -45,10 +47,14 @@ _STYLE: dict[Any, Any] = {
 
 
 def save(figure: Figure, target: Path) -> Path:
-    """Write a figure whole under another name and rename it: a reader never sees half of one. Returns `target`."""
-    partial = target.with_name(f".{target.stem}.partial.png")
-    figure.savefig(partial, dpi=150)
-    return partial.replace(target)
+    """Write a figure as PNG, whole; returns `target`.
+
+    Raises:
+        MachineError: it cannot be written.
+    """
+    stream = BytesIO()
+    figure.savefig(stream, format="png", dpi=150)
+    return write_whole(target, stream.getvalue())
 
 
 @contextmanager

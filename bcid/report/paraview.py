@@ -21,13 +21,20 @@ _VERTEX, _TETRA = 1, 10
 
 
 def write_paraview(folder: Path, body: xr.Dataset, prediction: xr.Dataset, anchored: Sequence[str] = ()) -> Path:
-    """Write `body.vtkhdf` (solid, displacement in mm), `fiducials.vtkhdf` (predicted points and their residuals, mm), both by
-    frame, and `patches.vtp` (the boundary at rest: which named place a triangle belongs to, and whether it is anchored);
-    returns the first.
+    """Write `paraview_files` into a folder; returns the first.
 
     Raises:
         MachineError: a file cannot be written.
     """
+    for name, content in paraview_files(body, prediction, anchored).items():
+        write_whole(folder / name, content)
+    return folder / "body.vtkhdf"
+
+
+def paraview_files(body: xr.Dataset, prediction: xr.Dataset, anchored: Sequence[str] = ()) -> dict[str, bytes]:
+    """Contents by name: `body.vtkhdf` (solid, displacement in mm), `fiducials.vtkhdf` (predicted points and their residuals,
+    mm), both by frame, and `patches.vtp` (the boundary at rest: which named place a triangle belongs to, and whether it is
+    anchored)."""
     solid = _Grids(_TETRA, "displacement")
     solid.shape(body["points"].values * 1e3, body["cells"].values[:, :4])
     for displacement in body["displacement"].values:
@@ -37,9 +44,8 @@ def write_paraview(folder: Path, body: xr.Dataset, prediction: xr.Dataset, ancho
         seen = np.isfinite(predicted).all(axis=1) & np.isfinite(measured).all(axis=1)
         fiducials.shape(predicted[seen] * 1e3, np.arange(seen.sum())[:, None])
         fiducials.frame((measured - predicted)[seen] * 1e3)
-    write_whole(folder / "patches.vtp", _polydata(_patches(body, anchored)))
-    write_whole(folder / "fiducials.vtkhdf", fiducials.file())
-    return write_whole(folder / "body.vtkhdf", solid.file())
+    patches = _polydata(_patches(body, anchored))
+    return {"body.vtkhdf": solid.file(), "fiducials.vtkhdf": fiducials.file(), "patches.vtp": patches}
 
 
 def _patches(body: xr.Dataset, anchored: Sequence[str]) -> pv.PolyData:

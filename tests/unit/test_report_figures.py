@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import csv
+import resource
+import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +16,7 @@ import pytest
 import runs
 
 from bcid.app import cli
-from bcid.base.errors import InputError
+from bcid.base.errors import InputError, MachineError
 from bcid.report.export import write_figures
 from bcid.report.found import Found
 from bcid.report.paraview import write_paraview
@@ -100,6 +104,29 @@ def test_an_error_leaves_nothing(tmp_path: Path) -> None:
     runs.rewrite(folder, "exploration.json", '{"steps": [{"number": 1}]}')
     with pytest.raises(InputError, match="figure 'sets' cannot be made"):
         write_figures(folder, target, ["png"])
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run"]
+
+
+@contextmanager
+def short_files(longest: int) -> Iterator[None]:
+    """Writes fail behind so many bytes of a file, as on a full disk: in the midst of what a library writes."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (longest, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, before)
+
+
+@pytest.mark.parametrize("kind", ["pdf", "png", "svg"])
+def test_write_figures_where_writing_ends_in_the_midst_of_a_file_is_a_fault_of_the_machine(
+    tmp_path: Path, kind: str
+) -> None:
+    folder, target = runs.explored(tmp_path / "run"), tmp_path / "figures"
+    with short_files(3000), pytest.raises(MachineError, match=r"figures: cannot be written: File too large"):
+        write_figures(folder, target, [kind])
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run"]
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bcid.base.errors import MachineError
-from bcid.base.run_folder import writing
+from bcid.base.run_folder import write_whole
 from bcid.studies.engine.work import read_result
 from bcid.studies.hidden.wilson import wilson
 from bcid.studies.paper.study_file import StudyFile, Trial
@@ -58,13 +59,12 @@ def frame(rows: Sequence[Row]) -> pd.DataFrame:
 
 def write_parquet(rows: Sequence[Row], target: Path) -> None:
     """All trials as Parquet, written whole."""
-    partial = target.with_name(f".{target.name}.partial")
-    with writing(target.parent):
-        try:
-            frame(rows).to_parquet(partial, index=False)
-        except ImportError:
-            raise MachineError("pyarrow is not installed; `pip install bcid[studies]` brings it") from None
-        partial.replace(target)
+    stream = BytesIO()
+    try:
+        frame(rows).to_parquet(stream, index=False)
+    except ImportError:
+        raise MachineError("pyarrow is not installed; `pip install bcid[studies]` brings it") from None
+    write_whole(target, stream.getvalue())
 
 
 @dataclass(frozen=True)
