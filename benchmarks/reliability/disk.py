@@ -7,12 +7,11 @@ import errno
 import io
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ import xarray as xr
 from bcid.app import cli
 from bcid.base.run_folder import RunFolder
 from benchmarks.reliability import Reached
-from benchmarks.reliability.inputs import small_scene
+from benchmarks.reliability.writers import Writer, calibrating, others, solving
 
 ERRORS = (errno.ENOSPC, errno.EIO, errno.EROFS)
 _FIRST = 5
@@ -115,63 +114,78 @@ def wrong(code: int, said: str) -> str:
 
 
 def failures(count: int = 0, seed: int = 0, only: Sequence[int] = ERRORS) -> Reached:
-    """F3: identify and simulate on a disk that fails from the n-th change on: `count` values of n, or all (0), and each error."""
+    """F3: commands that write, on a disk that fails from the n-th change on: `count` values of n, or all (0), and each error."""
     misses: list[str] = []
     tried = 0
     with tempfile.TemporaryDirectory(prefix="bcid-") as name:
         folder = Path(name)
-        scene, seen, out = small_scene(folder), folder / "seen", folder / "out"
-        out.mkdir()
-        simulate = ("simulate", scene, "--anchors", "3,4", "--motion", "pull", "--level", "1", "--quiet", "-o")
-        assert command(*simulate, seen)[0] == 0
-        identify = ("identify", scene, seen, "--finest", "0", "--certify", "yes", "--quiet", "--no-picture", "-o")
-        for words, result in ((simulate, "fiducials.csv"), (identify, "identification.json")):
-            total = _changes(words, out / "right", out)
-            right = (out / "right" / result).read_bytes()
-            shutil.rmtree(out / "right")
-            # The first ones make the folder, its lock and its record.
-            few = {*range(_FIRST), *(round(i * (total - 1) / max(count - 1, 1)) for i in range(count))}
-            chosen = sorted(n for n in few if n < total) if count else range(total)
-            for error in only:
-                for n in chosen:
-                    tried += 1
-                    target = out / f"{words[0]}-{error}-{n}"
-                    fault = _one(words, target, out, n, error, lambda t=target, r=result: (t / r).read_bytes(), right)
-                    if fault:
-                        misses.append(f"{words[0]}, {errno.errorcode[error]} from change {n}: {fault}")
-        text = (
-            f"{tried} failures of identify and simulate, from the first change of a file to the last; {_tmpfs(folder)}"
+        simulate, identify, calibrate = *solving(folder), calibrating(folder)
+        made = folder / "seen", folder / "run", folder / "calibrated"
+        for writer, target in zip((simulate, identify, calibrate), made, strict=True):
+            code, said = command(*writer.words, target)
+            assert code == 0, said
+        writers = [simulate, identify, calibrate, *others(folder, *made[1:])]
+        for writer in writers:
+            out = folder / f"out-{writer.words[0]}"
+            out.mkdir()
+            for error, n, fault in _each(writer, out, count, only):
+                tried += 1
+                if fault:
+                    misses.append(f"{writer.name}, {errno.errorcode[error]} from change {n}: {fault}")
+        full = [on_tmpfs(writer, folder / "small") for writer in ([identify] if count else writers)]
+        misses += filter(None, full)
+        tmpfs = (
+            "no tmpfs can be mounted here" if None in full else "a full tmpfs, and then one with more space, besides"
         )
+        text = f"{tried} failures of {len(writers)} commands, from the first change of a file to the last; {tmpfs}"
     goal = "disk full, read-only, I/O error: one message, exit code 3, what was stored opens, resume works"
     return Reached(goal, text, not misses, tuple(misses))
 
 
-def _changes(words: Sequence[object], target: Path, out: Path) -> int:
+def _each(writer: Writer, out: Path, count: int, only: Sequence[int]) -> Iterator[tuple[int, int, str]]:
+    """Errors, changes from which on the disk fails with them, and what is wrong with how the command fails then."""
+    total = _changes(writer, out)
+    right = writer.read(out / f"right{writer.end}")
+    # The first ones make the folder, its lock and its record.
+    few = {*range(_FIRST), *(round(i * (total - 1) / max(count - 1, 1)) for i in range(count))}
+    chosen = sorted(n for n in few if n < total) if count else range(total)
+    for error in only:
+        for n in chosen:
+            target = out / f"{error}-{n}{writer.end}"
+            yield error, n, _one(writer, target, out, n, error, right)
+
+
+def _changes(writer: Writer, out: Path) -> int:
     """How many changes of files a command makes."""
     with disk().failing(out, 10**9, 0):
-        code, said = command(*words, target)
+        code, said = command(*writer.words, out / f"right{writer.end}")
     assert code == 0, said
     return disk().made
 
 
-def _one(
-    words: Sequence[object], target: Path, out: Path, n: int, error: int, read: Callable[[], bytes], right: bytes
-) -> str:
+def _one(writer: Writer, target: Path, out: Path, n: int, error: int, right: bytes) -> str:
     with disk().failing(out, n, error):
-        code, said = command(*words, target)
-    fault = wrong(code, said) or sound(target)
+        code, said = command(*writer.words, target)
+    if code == 0 and not said and writer.read(target) == right:
+        # What failed was to remove what is needed no more.
+        return ""
+    fault = wrong(code, said) or (sound(target) if writer.goes_on else _stays(target))
     if fault:
         return fault
-    code, said = command(*words, target)
+    code, said = command(*writer.words, target)
     if code != 0:
         return f"does not go on: exit code {code}, {said[-300:]!r}"
-    return "" if read() == right else "goes on to another result"
+    return "" if writer.read(target) == right else "goes on to another result"
+
+
+def _stays(target: Path) -> str:
+    return f"{target.name} stays" if target.exists() else ""
 
 
 _MOUNTED = """
 import ctypes, subprocess, sys
 place, command, libc = sys.argv[1], sys.argv[2:], ctypes.CDLL(None)
-if libc.mount(b"small", place.encode(), b"tmpfs", 0, b"size=16k"):
+if libc.mount(b"small", place.encode(), b"tmpfs", 0, b"size=4k"):
     sys.exit(77)
 print("code", subprocess.run(command).returncode, flush=True)
 libc.mount(b"small", place.encode(), b"tmpfs", 32, b"size=64m")
@@ -179,17 +193,15 @@ print("code", subprocess.run(command).returncode, flush=True)
 """
 
 
-def _tmpfs(folder: Path) -> str:
-    """Identify on a real file system of 16 KiB, where one can be mounted, then with more space."""
-    place = folder / "small"
-    place.mkdir()
-    words = [sys.executable, "-m", "bcid", "identify", str(folder / "scene.toml"), str(folder / "seen")]
-    words += ["--finest", "0", "--certify", "yes", "--quiet", "--no-picture", "-o", str(place / "run")]
+def on_tmpfs(writer: Writer, place: Path) -> str | None:
+    """What is wrong with a command on a real file system of 4 KiB, and then with more space; None where none can be mounted."""
+    place.mkdir(exist_ok=True)
+    words = [sys.executable, "-m", "bcid", *map(str, writer.words), str(place / f"made{writer.end}")]
     unshared = ["unshare", "-rm", sys.executable, "-c", _MOUNTED, str(place), *words]
     done = subprocess.run(unshared, capture_output=True, text=True, check=False)
     if done.returncode == 77 or "unshare" in done.stderr:
-        return "no tmpfs can be mounted here"
+        return None
     codes = [line for line in done.stdout.splitlines() if line.startswith("code")]
     if codes != ["code 3", "code 0"] or done.stderr.count("bcid:") != 1 or "Traceback" in done.stderr:
-        raise AssertionError(f"on a full tmpfs: {done.stdout[-500:]} {done.stderr[-500:]}")
-    return "on a full tmpfs exit code 3, with more space 0"
+        return f"{writer.name} on a full tmpfs: {done.stdout[-500:]} {done.stderr[-500:]}"
+    return ""

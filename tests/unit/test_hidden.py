@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from bcid.base.errors import InputError
+from bcid.base.run_folder import RunFolder
 from bcid.base.shipped import shipped
 from bcid.measurement import Measurement
 from bcid.scene import Level, Scene
@@ -561,6 +562,7 @@ def test_a_study_that_was_killed_goes_on(
     # Who interrupts it sees what the cases so far say.
     told = (run / "table.txt").read_text() if number == signal.SIGINT else ""
     assert (f"{len(before)} of 5 cases" in told) is (number == signal.SIGINT)
+    assert told == (RunFolder.open(run).read_text("table.txt") if number == signal.SIGINT else "")
     began = len(calls.read_text().splitlines())
     monkeypatch.setenv("FAKE_STUDY_SLEEP", "0")
     run_hidden(run, options(5))
