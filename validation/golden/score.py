@@ -8,7 +8,7 @@ anchors are scored apart.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from bcid.studies.hidden.judge import verdict_right
@@ -22,29 +22,31 @@ CERTAIN = 0.95
 
 def verdict_bits(answer: Json) -> float | None:
     """Of the verdict; None where the truth is not published."""
-    truth, diagnosis = answer["truth"], answer["diagnosis"]
-    if truth is None or truth["kind"] == "unpublished":
-        return None
-    if diagnosis is None:
-        return FLOOR
-    effects = diagnosis["probabilities"]["effects"]
-    return _bits(sum(p for verdict, p in effects.items() if verdict_right(truth, {"verdict": verdict})))
+    return _bits_of(answer, _right_verdicts)
 
 
 def anchor_bits(answer: Json) -> float | None:
     """Of the anchored patches; None where the truth is not published."""
+    return _bits_of(answer, _right_anchors)
+
+
+def _bits_of(answer: Json, right: Callable[[Json, Json], Iterable[float]]) -> float | None:
+    """Of what is right by truth and diagnosis."""
     truth, diagnosis = answer["truth"], answer["diagnosis"]
     if truth is None or truth["kind"] == "unpublished":
         return None
-    if diagnosis is None:
-        return FLOOR
-    apart = set(truth["not_asked"])
-    right = [
-        one["probability"]
-        for one in diagnosis["probabilities"]["hypotheses"]
-        if not (set(one["anchored"]) ^ set(truth["anchored"])) - apart
-    ]
-    return _bits(sum(right))
+    return FLOOR if diagnosis is None else _bits(sum(right(truth, diagnosis)))
+
+
+def _right_verdicts(truth: Json, diagnosis: Json) -> Iterable[float]:
+    effects = diagnosis["probabilities"]["effects"]
+    return (p for verdict, p in effects.items() if verdict_right(truth, {"verdict": verdict}))
+
+
+def _right_anchors(truth: Json, diagnosis: Json) -> Iterable[float]:
+    apart, anchored = set(truth["not_asked"]), set(truth["anchored"])
+    found = diagnosis["probabilities"]["hypotheses"]
+    return (one["probability"] for one in found if not (set(one["anchored"]) ^ anchored) - apart)
 
 
 def certain_and_wrong(answer: Json) -> list[str]:
