@@ -345,6 +345,7 @@ def test_track_whose_film_cannot_be_written_ends_with_a_fault_of_the_machine(
         run_tracking(recorded / "recording.toml", dict(LAYOUT), tmp_path / "run")
     assert not list((tmp_path / "run").glob("*film*"))
     assert not list((tmp_path / "run").glob(".film*"))
+    assert RunFolder.open(tmp_path / "run").record["state"] == "failed"
 
 
 def test_beads_are_found_where_a_model_has_them(recorded: Path, tmp_path: Path) -> None:
