@@ -146,8 +146,8 @@ def _each(writer: Writer, out: Path, count: int, only: Sequence[int]) -> Iterato
     """Errors, changes from which on the disk fails with them, and what is wrong with how the command fails then."""
     total = _changes(writer, out)
     right = writer.read(out / f"right{writer.end}")
-    # The first ones make the folder, its lock and its record.
-    few = {*range(_FIRST), *(round(i * (total - 1) / max(count - 1, 1)) for i in range(count))}
+    # The first ones of a run make the folder, its lock and its record.
+    few = {*range(_FIRST if writer.goes_on else 1), *(round(i * (total - 1) / max(count - 1, 1)) for i in range(count))}
     chosen = sorted(n for n in few if n < total) if count else range(total)
     for error in only:
         for n in chosen:
