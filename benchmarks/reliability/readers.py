@@ -26,6 +26,9 @@ _Made = tuple[Path, Callable[[], Any]]
 _HANGS = 100.0
 _MAPPING = 'format = "bcid-mapping/1"\nlength_unit = "{unit}"\ntime_unit = "s"\nforce_unit = "N"\nfile = "{file}"\n'
 _ARRAYS = '[arrays]\npositions = "trial/data/xyz"\norder = "marker axis frame"\n'
+_CELLS = '[arrays]\npositions = "DIC3DPPresults/Points3D"\n'
+_MOVED = "data_dic_save/displacements/plot_{}_ref_formatted"
+_GRID = f'[arrays]\ndisplacements = ["{_MOVED.format("u")}", "{_MOVED.format("v")}"]\ngrid = 5.0\n'
 _WORDS = (b"nan", b"inf", b"-1", b"1e308", b"99999999999", b"4294967295", b"", b"[" * 60_000, b'"', b"\0")
 _COUNTS = (0xFFFFFFFF, 0x7FFFFFFF, 0x80000000, 0, 1 << 20)
 _CLOUD = 'format = "bcid-measurement/1"\nlength_unit = "mm"\ntime_unit = "s"\nforce_unit = "N"\n[surface]\n'
@@ -123,6 +126,49 @@ def _save_pcd(file: Path, points: Any) -> None:
     file.write_bytes(head.format(len(points)).encode() + points.astype("<f8").tobytes())
 
 
+def _images(ending: str) -> Callable[[Path], _Made]:
+    """A folder with one image of a camera."""
+
+    def make(folder: Path) -> _Made:
+        import cv2
+
+        file = folder / "left" / f"1{ending}"
+        file.parent.mkdir()
+        cv2.imwrite(str(file), np.random.default_rng(0).integers(0, 256, (24, 32), np.uint8))
+        return file, lambda: _every_image(file.parent)
+
+    return make
+
+
+def _film(ending: str, code: str) -> Callable[[Path], _Made]:
+    """A film of a camera."""
+
+    def make(folder: Path) -> _Made:
+        import cv2
+
+        file = folder / f"left{ending}"
+        writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*code), 25, (64, 48))
+        for number in range(6):
+            writer.write(np.full((48, 64, 3), 20 * number, np.uint8))
+        writer.release()
+        return file, lambda: _every_image(file)
+
+    return make
+
+
+def _every_image(source: Path) -> None:
+    """Read the images of a camera, at most 20; refused where one cannot be read."""
+    from bcid.vision.images import Images
+
+    images = Images.open(source)
+    try:
+        for number in images.numbers[:20]:
+            if images.read(number) is None:
+                raise InputError(images.troubles[number])
+    finally:
+        images.close()
+
+
 def _cameras(name: str) -> Callable[[Path], _Made]:
     """A calibration of two cameras."""
 
@@ -210,21 +256,38 @@ READERS: dict[str, Callable[[Path], _Made]] = {
     "Qualisys": _mapped(foreign_files.qualisys),
     "TRC": _mapped(foreign_files.trc),
     "VIC-3D": _mapped(foreign_files.vic3d),
-    "Ncorr": _mapped(foreign_files.multidic, '[arrays]\npositions = "DIC3DPPresults/Points3D"\n'),
+    "ARAMIS": _mapped(foreign_files.aramis),
+    "ARAMIS node map": _mapped(foreign_files.nodemap),
+    "MatchID": _mapped(foreign_files.matchid),
+    "MultiDIC": _mapped(foreign_files.multidic, _CELLS),
+    "DuoDIC": _mapped(foreign_files.duodic, _CELLS),
+    "Ncorr": _mapped(foreign_files.ncorr, _GRID),
     "PLY cloud": _cloud(".ply", _save_ply),
     "PCD cloud": _cloud(".pcd", _save_pcd),
     "NPY cloud": _cloud(".npy", np.save),
+    "XYZ cloud": _cloud(".xyz", np.savetxt),
     "PNG depth": _cloud(".png", _save_png, "depth"),
+    "NPY depth": _cloud(".npy", np.save, "depth"),
+    "PNG images": _images(".png"),
+    "JPEG images": _images(".jpg"),
+    "TIFF images": _images(".tif"),
+    "BMP images": _images(".bmp"),
+    "AVI film": _film(".avi", "MJPG"),
+    "MP4 film": _film(".mp4", "mp4v"),
+    "Matroska film": _film(".mkv", "mp4v"),
     "STL surface": _body("s.stl"),
     "PLY surface": _body("s.ply"),
     "OBJ surface": _body("s.obj"),
     "NIfTI": _body("s.nii", "label = 1", (10.0,)),
+    "NIfTI, packed": _body("s.nii.gz", "label = 1", (10.0,)),
     "MSH": _body("m.msh"),
     "VTK": _body("m.vtk"),
     "VTU": _body("m.vtu"),
     "XDMF": _body("m.xdmf"),
     "MED": _body("m.med"),
     "Abaqus": _body("m.inp"),
+    "Nastran": _body("m.bdf"),
+    "CGNS": _body("m.cgns"),
     "OpenCV YAML": _cameras("c.yml"),
     "OpenCV XML": _cameras("c.xml"),
     "MATLAB stereo": _cameras("c.mat"),
