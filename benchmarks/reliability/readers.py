@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from bcid.base.errors import InputError
-from benchmarks.reliability import ROOT, Reached, foreign_files, scanned
+from benchmarks.reliability import ROOT, Reached, foreign_files, forked, scanned
 
 # What reads a file of a folder, made before it is damaged; the file is what is damaged.
 _Made = tuple[Path, Callable[[], Any]]
@@ -332,6 +332,7 @@ def _read_all(name: str, count: int, seed: int) -> None:
         file, read = READERS[name](Path(place))
         good = file.read_bytes()
         read()
+        forked.install()
         for number in range(count):
             file.write_bytes(mutated(good, rng))
             print(json.dumps({"begins": number}), flush=True)
