@@ -95,8 +95,12 @@ def _refuse_items(items: list[tuple[str, list[str]]], folder: Path) -> None:
 
 
 def _refuse_in_cards(source: Path) -> None:
+    # Of Nastran's bulk data meshio waits for a card behind their first line, for ever where there is none.
+    missing = [] if source.suffix.lower() == ".inp" else ["BEGIN BULK", "ENDDATA"]
     with source.open(encoding="utf-8", errors="replace") as lines:
         for number, line in enumerate(lines, start=1):
+            if missing and line.lstrip().startswith(missing[0]):
+                missing.pop(0)
             if line.startswith(("**", "$")):
                 continue
             words = [word.strip() for word in line.split(",")]
@@ -108,6 +112,8 @@ def _refuse_in_cards(source: Path) -> None:
                 raise InputError(
                     f"line {number}: '{line.strip()[:80]}' reads another file; write the mesh into one file"
                 )
+    if missing:
+        raise InputError(f"has no line {missing[0]}: it is truncated, or no bulk data of Nastran; export it again")
 
 
 def _is_hdf5(file: Path) -> bool:
