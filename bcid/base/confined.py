@@ -98,7 +98,7 @@ def _run(command: Sequence[str], folder: Path, seconds: float) -> tuple[int, lis
     with said[0].open("wb") as output, said[1].open("wb") as faults:
         child = subprocess.Popen(
             command,
-            env=_environment(folder),
+            env=environment_of_child(folder),
             cwd=folder,
             stdin=subprocess.DEVNULL,
             stdout=output,
@@ -164,7 +164,7 @@ def _suffix(source: Path) -> str:
     return "".join(source.suffixes[-2:]) if source.suffix.lower() == ".gz" else source.suffix
 
 
-def _environment(folder: Path) -> dict[str, str]:
+def environment_of_child(folder: Path) -> dict[str, str]:
     """Of a child: no program is found by name, nothing is configured from the user's home, HDF5 loads no plugins."""
     kept = {name: value for name, value in os.environ.items() if name in _KEPT or name.startswith(_COVERAGE)}
     return kept | {
@@ -191,11 +191,8 @@ def serve(
     """
     import numpy as np
 
-    ctypes.CDLL(None).prctl(_PARENT_DEATH_SIGNAL, signal.SIGKILL, 0, 0, 0)
     source, out = Path(sys.argv[1]), sys.argv[2]
-    for name in libraries:
-        with suppress(ImportError):
-            import_module(name)
+    prepare(libraries)
     limit_memory(source, space)
     with open(out, "wb") as stream:
         confine([source.parent])
@@ -205,6 +202,14 @@ def serve(
             print(str(error).strip().replace("\n", " ") or type(error).__name__)
             return 1
     return 0
+
+
+def prepare(libraries: Sequence[str]) -> None:
+    """End with bcid, and import libraries while they may still be looked for with the help of programs."""
+    ctypes.CDLL(None).prctl(_PARENT_DEATH_SIGNAL, signal.SIGKILL, 0, 0, 0)
+    for name in libraries:
+        with suppress(ImportError):
+            import_module(name)
 
 
 def limit_memory(source: Path, space: int | None = None) -> None:

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import re
-import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.base.answering import Answering
 from bcid.base.errors import InputError, Problems
 
 Image = NDArray[np.uint8]
@@ -22,16 +19,13 @@ VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v")
 # Bits that cameras put into 16; the images looked at to tell them apart.
 _DEPTHS = (8, 10, 12, 14, 16)
 _LOOKS = 9
-# A gap of frames in a video that is read, not jumped over: jumps of a decoder are slow, and inexact in some formats.
-_GAP = 100
-# A file may carry zeros behind its end.
-_PADDING = 64
-_PNG = b"\x89PNG\r\n\x1a\n"
-# How files of SUFFIXES begin. OpenCV goes by what a file holds, and knows formats that are seldom tried.
-_IMAGES = (_PNG, b"\xff\xd8\xff", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"BM")
-# How files of VIDEOS begin: AVI, Matroska, and the first box of MP4 and MOV. What begins otherwise may be a list of other files
-# or addresses, which FFmpeg would open.
-_VIDEO = re.compile(rb"RIFF....AVI |\x1aE\xdf\xa3|....(?:ftyp|moov|mdat|wide|free|skip|pnot)", re.DOTALL)
+# What decodes them, in a process of its own.
+_DECODER = "bcid.vision.decoder"
+# Longest file of an image, bytes, and most frames of a film: a day at 100 frames per second.
+_LONGEST, _MOST_FRAMES = 1_000_000_000, 10_000_000
+# Time for an image, s, and how much more a byte of its file may take; for a frame of a film, which may be counted from the first.
+_SECONDS, _SECONDS_PER_BYTE = 30.0, 1e-6
+_FILM_SECONDS, _FILM_SECONDS_PER_BYTE = 120.0, 1e-5
 
 
 class _Source(Protocol):
@@ -98,7 +92,7 @@ class Images:
             return None
 
     def close(self) -> None:
-        """Close the video."""
+        """End the process that decodes."""
         self._stored.close()
 
     def _read(self, number: int) -> Image:
@@ -151,117 +145,51 @@ class _Folder:
         if not files:
             raise InputError(f"{folder}: holds no image; expected files that end in {_listed(SUFFIXES)}")
         self._files = _numbered(files, folder)
+        self._decoder = Answering(_DECODER)
         self.numbers = list(self._files)
 
     def grey(self, number: int) -> NDArray[Any]:
-        import cv2
-
         file = self._files[number]
         try:
+            if not file.is_file() or file.stat().st_size > _LONGEST:
+                raise InputError(f"{file.name} is no file of at most {_LONGEST / 1e9:g} GB")
             content = file.read_bytes()
         except OSError as error:
             raise InputError(f"{file.name} cannot be read: {error.strerror}") from None
-        if not content:
-            raise InputError(f"{file.name} is empty")
-        if not content.startswith(_IMAGES):
-            raise InputError(f"{file.name} is no image of a format that is read ({_listed(SUFFIXES)}), or is damaged")
-        if not _whole(content):
-            raise InputError(f"{file.name} is cut short or damaged; copy it again")
-        flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
         try:
-            with _silent():
-                image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
-        except cv2.error:
-            image = None
-        if image is None or image.size == 0:
-            raise InputError(f"{file.name} is not an image that OpenCV can read, or is damaged")
-        if image.dtype not in (np.uint8, np.uint16):
-            raise InputError(f"{file.name} holds {image.dtype} values; save it with 8 or 16 bit")
-        return np.asarray(image)
+            return self._decoder.ask(content, _SECONDS + _SECONDS_PER_BYTE * len(content))
+        except InputError as error:
+            raise InputError(f"{file.name} {error}") from None
 
     def close(self) -> None:
-        """Nothing stays open."""
+        self._decoder.close()
 
 
 class _Video:
-    """Frames of a video, read one after the other; it jumps only where it must."""
+    """Frames of a video."""
 
     def __init__(self, file: Path) -> None:
-        self._file = file
-        self._capture = self._opened()
-        self._next = 0
-        self.numbers = list(range(self._count()))
-        if not self.numbers:
-            raise InputError(f"{file}: holds no frame that OpenCV can read; save it as AVI or MP4 again")
+        self._decoder = Answering(_DECODER, [str(file.absolute())])
+        self._seconds = _FILM_SECONDS + _FILM_SECONDS_PER_BYTE * file.stat().st_size
+        try:
+            count = int(self._decoder.ask(b"", self._seconds).flat[0])
+        except InputError as error:
+            raise InputError(f"{file}: {error}") from None
+        if not 0 < count <= _MOST_FRAMES:
+            self.close()
+            raise InputError(
+                f"{file}: holds {count} frames, expected 1 to {_MOST_FRAMES:,}; save it as AVI or MP4 again"
+            )
+        self.numbers = list(range(count))
 
     def grey(self, number: int) -> NDArray[Any]:
-        import cv2
-
-        with _silent():
-            self._go(number)
-            good, frame = self._capture.read()
-        if not good or frame is None:
-            # Where a decoder stands after an error is not known.
-            self._next = -1
-            raise InputError(f"frame {number} cannot be read: the video is damaged, or shorter than it says")
-        self._next = number + 1
-        if frame.ndim == 3:
-            frame = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if frame.shape[2] == 3 else frame[:, :, 0]
-        return np.asarray(frame)
+        try:
+            return self._decoder.ask(number.to_bytes(8, "little"), self._seconds)
+        except InputError as error:
+            raise InputError(f"frame {number} {error}") from None
 
     def close(self) -> None:
-        self._capture.release()
-
-    def _opened(self) -> Any:
-        import cv2
-
-        try:
-            with self._file.open("rb") as stream:
-                head = stream.read(12)
-        except OSError as error:
-            raise InputError(f"{self._file}: cannot be read: {error.strerror}") from None
-        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-        os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "protocol_whitelist;file")
-        # The other ways in which OpenCV opens a name take it for a pattern of images, an address or a pipeline.
-        for backend in (cv2.CAP_FFMPEG, cv2.CAP_OPENCV_MJPEG) if _VIDEO.match(head) else ():
-            with _silent():
-                capture = cv2.VideoCapture(str(self._file.absolute()), backend)
-            if capture.isOpened():
-                break
-        else:
-            raise InputError(f"{self._file}: is not a video that OpenCV can read, or is damaged")
-        capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
-        return capture
-
-    def _go(self, number: int) -> None:
-        """Stand before a frame."""
-        import cv2
-
-        if not 0 <= number - self._next <= _GAP or self._next < 0:
-            self._capture.set(cv2.CAP_PROP_POS_FRAMES, number)
-            self._next = number
-            if round(self._capture.get(cv2.CAP_PROP_POS_FRAMES)) != number:
-                # The jump went elsewhere: count from the start.
-                self._capture.release()
-                self._capture = self._opened()
-                self._next = 0
-        for _ in range(number - self._next):
-            self._capture.grab()
-        self._next = number
-
-    def _count(self) -> int:
-        import cv2
-
-        stated = round(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        if stated > 0:
-            return stated
-        # The file does not say.
-        count = 0
-        while self._capture.grab():
-            count += 1
-        self._capture.release()
-        self._capture = self._opened()
-        return count
+        self._decoder.close()
 
 
 def _numbered(files: list[Path], folder: Path) -> dict[int, Path]:
@@ -284,48 +212,6 @@ def _numbered(files: list[Path], folder: Path) -> dict[int, Path]:
         result.setdefault(number, file)
     problems.raise_if_any()
     return result
-
-
-def _whole(content: bytes) -> bool:
-    """Whether a PNG, JPEG or BMP is complete: decoders fill up what is missing with grey. Of other formats always true."""
-    if content.startswith(_PNG):
-        return _whole_png(content)
-    if content.startswith(b"\xff\xd8"):
-        return b"\xff\xd9" in content[-_PADDING:]
-    if content.startswith(b"BM") and len(content) >= 6:
-        return len(content) >= int.from_bytes(content[2:6], "little")
-    return True
-
-
-def _whole_png(content: bytes) -> bool:
-    """Whether all chunks are there, up to the last one, with the right checksums (PNG specification, section 5)."""
-    at = len(_PNG)
-    while at + 12 <= len(content):
-        end = at + 8 + int.from_bytes(content[at : at + 4], "big")
-        kind = content[at + 4 : at + 8]
-        if zlib.crc32(content[at + 4 : end]) != int.from_bytes(content[end : end + 4], "big"):
-            return False
-        if kind == b"IEND":
-            return True
-        at = end + 4
-    return False
-
-
-@contextmanager
-def _silent() -> Iterator[None]:
-    """Keep OpenCV from writing to standard error about files that are damaged; they are reported by number."""
-    import cv2
-
-    logging = getattr(getattr(cv2, "utils", None), "logging", None)
-    if logging is None:
-        yield
-        return
-    before = logging.getLogLevel()
-    logging.setLogLevel(logging.LOG_LEVEL_SILENT)
-    try:
-        yield
-    finally:
-        logging.setLogLevel(before)
 
 
 def _listed(suffixes: tuple[str, ...]) -> str:

@@ -55,7 +55,7 @@ def _be_child(command: Sequence[str], folder: Path, said: Sequence[Path], second
         for number, file in enumerate((Path(os.devnull), *said)):
             opened = os.open(file, os.O_RDWR | os.O_CREAT, 0o600)
             os.dup2(opened, number)
-        environment = confined._environment(folder)
+        environment = confined.environment_of_child(folder)
         os.environ.clear()
         os.environ.update(environment)
         os.chdir(folder)

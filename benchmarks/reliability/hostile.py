@@ -45,7 +45,7 @@ _SYSTEM = ("/usr", "/lib", "/lib64", "/bin", "/sbin", "/etc", "/proc", "/sys", "
 # What a child of bcid begins with, after the interpreter.
 _CHILDREN = tuple(
     ("-P", "-m", f"bcid.{name}")
-    for name in ("forms.mesh.child", "measurement.c3d", "vision.calibrations.opencv_storage")
+    for name in ("forms.mesh.child", "measurement.c3d", "vision.calibrations.opencv_storage", "vision.decoder")
 )
 _CHILDREN += tuple(
     ("-P", "-m", f"bcid.measurement.formats.{name}")

@@ -110,7 +110,7 @@ def test_without_libseccomp_landlock_holds_files_and_programs(tmp_path: Path, us
 def test_the_environment_of_a_child_holds_no_plugins(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in ("HDF5_PLUGIN_PATH", "GMSHPLUGINSHOME", "LD_PRELOAD", "PYTHONSTARTUP", "OMPI_COMM_WORLD_SIZE"):
         monkeypatch.setenv(name, "/evil")
-    made = confined._environment(tmp_path)
+    made = confined.environment_of_child(tmp_path)
     assert "/evil" not in made.values()
     assert made["HOME"] == made["TMPDIR"] == str(tmp_path)
     assert made["HDF5_PLUGIN_PRELOAD"] == "::"

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from bcid.base.errors import InputError
-from bcid.vision.images import Image, Images, _whole
+from bcid.vision.decoder import StoredFilm, whole
+from bcid.vision.images import Image, Images
 
 
 def smooth(seed: int = 0, size: tuple[int, int] = (60, 40)) -> Image:
@@ -72,13 +73,13 @@ def test_numbers_that_are_not_clear_are_all_told(folder: Path) -> None:
 def test_a_file_that_is_cut_short_is_no_image(folder: Path, suffix: str, share: float) -> None:
     """Decoders would fill up what is missing with grey."""
     file = write(folder / f"cut_5.{suffix}", smooth(5))
-    whole = file.read_bytes()
+    content = file.read_bytes()
     images = Images.open(folder)
     assert images.read(5) is not None
-    file.write_bytes(cut := whole[: int(len(whole) * share)])
+    file.write_bytes(cut := content[: int(len(content) * share)])
     # Some versions of OpenCV refuse these files by themselves, others do not.
-    assert _whole(whole)
-    assert not share or suffix == "tif" or not _whole(cut)
+    assert whole(content)
+    assert not share or suffix == "tif" or not whole(cut)
     images = Images.open(folder)
     assert images.read(5) is None
     assert f"cut_5.{suffix}" in images.troubles[5]
@@ -90,7 +91,7 @@ def test_a_damaged_png_is_no_image(folder: Path) -> None:
     file = folder / "cam1_0010.png"
     content = bytearray(file.read_bytes())
     content[len(content) // 2] ^= 0xFF
-    assert not _whole(bytes(content))
+    assert not whole(bytes(content))
     file.write_bytes(content)
     images = Images.open(folder)
     assert images.read(10) is None
@@ -172,17 +173,13 @@ def test_a_video_is_read_in_order_without_jumps(tmp_path: Path) -> None:
     images = Images.open(file)
     assert images.numbers == list(range(12))
     assert images.size == (64, 48)
-    stored: Any = images._stored
-    stored._next = 0
+    stored = StoredFilm(file)
     stored._capture = watched = Watched(stored._opened())
     for number in (0, 1, 2, 3, 6, 7):
-        found = images.read(number)
-        assert found is not None
-        assert abs(float(found.mean()) - 20 * number) < 3
+        same(images.read(number), frame := stored.grey(number))
+        assert abs(float(frame.mean()) - 20 * number) < 3
     assert watched.jumps == 0
-    found = images.read(4)
-    assert found is not None
-    assert abs(float(found.mean()) - 80) < 3
+    same(images.read(4), stored.grey(4))
     assert watched.jumps == 1
     assert images.read(12) is None
     assert "no image with the number 12" in images.troubles[12]
@@ -195,3 +192,62 @@ def test_a_video_is_read_in_order_without_jumps(tmp_path: Path) -> None:
         return
     assert short.read(0) is not None
     assert short.read(11) is None
+
+
+_DYING = """
+import ctypes, sys
+from bcid.base.answering import answer
+from bcid.vision.decoder import grey_image
+
+def reply(content):
+    if content == b"dies":
+        ctypes.string_at(0)
+    return grey_image(content)
+
+sys.exit(answer(reply, ["cv2"]))
+"""
+
+
+def test_image_that_kills_its_decoder_is_a_trouble_of_that_image(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "dying.py").write_text(_DYING, encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr("bcid.vision.images._DECODER", "dying")
+    for number in (3, 4, 5, 6, 7):
+        (folder / f"bad_{number}.png").write_bytes(b"dies")
+    images = Images.open(folder)
+    for number in (3, 4, 5):
+        assert images.read(number) is None
+        assert images.troubles[number] == (
+            f"bad_{number}.png cannot be read: the reader died, code -11; is it whole? Copy it again"
+        )
+        same(images.read(10), smooth(10))
+    assert images.read(6) is None
+    # It is not started without end.
+    assert images.read(7) is None
+    assert "the reader had to be started 4 times" in images.troubles[7]
+
+
+def test_image_file_of_30_gigabytes_is_not_read(folder: Path) -> None:
+    with (folder / "hole_3.png").open("wb") as stream:
+        stream.truncate(30_000_000_000)
+    images = Images.open(folder)
+    assert images.read(3) is None
+    assert images.troubles[3] == "hole_3.png is no file of at most 1 GB"
+
+
+def test_film_that_states_too_many_frames_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "left.avi"
+    writer = cv2.VideoWriter(str(file), cv2.VideoWriter_fourcc(*"MJPG"), 25, (64, 48))
+    for number in range(12):
+        writer.write(np.full((48, 64, 3), 20 * number, np.uint8))
+    writer.release()
+    content = bytearray(file.read_bytes())
+    # The length of its stream (AVISTREAMHEADER, dwLength).
+    at = content.index(b"vids") + 32
+    assert content[at : at + 4] == (12).to_bytes(4, "little")
+    content[at : at + 4] = (50_000_000).to_bytes(4, "little")
+    file.write_bytes(content)
+    with pytest.raises(InputError, match=r"left\.avi: holds 50000000 frames, expected 1 to 10,000,000"):
+        Images.open(file)
