@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 from bcid.base.errors import InputError
 
 # Most bytes that are read of a file, by the ending of its name; other files are texts.
-_LONGEST = {".json": 100_000_000, ".nc": 2_000_000_000}
+_LONGEST = {".json": 100_000_000, ".nc": 2_000_000_000, ".npz": 2_000_000_000, ".png": 50_000_000}
 _LONGEST_TEXT = 10_000_000
 # A FIFO is not waited for, and no link is followed.
 _FLAGS = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC

@@ -165,7 +165,7 @@ class RunFolder:
     def check(self) -> None:
         """Refuse a run of which a file is missing or damaged, as `InputError`."""
         for name in self.record.get("files", {}):
-            self._bytes(name)
+            self.read_bytes(name)
 
     @classmethod
     def finished(cls, path: str | Path) -> RunFolder:
@@ -224,14 +224,18 @@ class RunFolder:
     def write_text(self, name: str, text: str) -> Path:
         """Write a file whole; returns its path. What is read on a terminal shows no control characters of others."""
         text = visible(text) if name.endswith(".txt") else text
-        self._note(name, text.encode())
-        return write_whole(self.path / name, text)
+        return self.write_bytes(name, text.encode())
+
+    def write_bytes(self, name: str, content: bytes) -> Path:
+        """Write a file whole; returns its path."""
+        self._note(name, content)
+        return write_whole(self.path / name, content)
 
     def _note(self, name: str, content: bytes) -> None:
         """Keep the checksum of a file; `run.json` gets it when the run ends, before which nobody reads its results."""
         self.record["files"] = {**self.record.get("files", {}), name: _checksum(content)}
 
-    def _bytes(self, name: str) -> bytes:
+    def read_bytes(self, name: str) -> bytes:
         """Content of a file, as it was written; `InputError` when it is missing or damaged."""
         if not self.holds(name):
             raise InputError(f"{self.path / name}: is missing: run.json does not list it; {_REMEDY}")
@@ -246,7 +250,7 @@ class RunFolder:
 
     def read_json(self, name: str) -> Any:
         """Content of a JSON file; `InputError` when it is missing or damaged."""
-        return _parsed(self._bytes(name), self.path / name)
+        return _parsed(self.read_bytes(name), self.path / name)
 
     def write_dataset(self, name: str, data: xr.Dataset) -> Path:
         """Write arrays as NetCDF, each with its unit."""
@@ -263,7 +267,7 @@ class RunFolder:
         import xarray as xr
 
         target = self.path / name
-        content = self._bytes(name)
+        content = self.read_bytes(name)
         try:
             with xr.open_dataset(BytesIO(content), engine="scipy") as opened:
                 data = opened.load()
@@ -297,7 +301,7 @@ class RunFolder:
 
     def read_text(self, name: str) -> str:
         """Content of a text file; `InputError` when it is missing or damaged."""
-        return as_text(self._bytes(name), self.path / name)
+        return as_text(self.read_bytes(name), self.path / name)
 
     def add_batch(self, batch: list[dict[str, Any]]) -> None:
         """Keep a batch of results, so that a killed run need not compute them again."""

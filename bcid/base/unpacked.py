@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from bcid.base.errors import InputError
 
@@ -27,7 +27,7 @@ def refuse_large(size: float, what: str, remedy: str, largest: int = LARGEST) ->
         raise InputError(f"{what} {size / 1e9:.3g} GB, more than {largest / 1e9:g} GB; {remedy}")
 
 
-def stored_arrays(file: Path) -> dict[str, Any]:
+def stored_arrays(file: Path | BinaryIO) -> dict[str, Any]:
     """The arrays of an NPZ archive, by name, none of them compressed: it takes no more memory than its file is long.
 
     Raises:
@@ -41,5 +41,7 @@ def stored_arrays(file: Path) -> dict[str, Any]:
     with zipfile.ZipFile(file) as archive:
         if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
             raise ValueError("its arrays are compressed")
+    if not isinstance(file, Path):
+        file.seek(0)
     with np.load(file, allow_pickle=False) as data:
         return {key: data[key] for key in data.files}

@@ -11,6 +11,7 @@ import socket
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
+from io import BytesIO
 from operator import itemgetter
 from pathlib import Path
 from typing import TypeVar
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from bcid.base.collective import Comm, agree, on_root
 from bcid.base.errors import BcidError, InputError
 from bcid.base.fingerprint import fingerprint
+from bcid.base.inside_folder import read_inside
 from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import writing
 from bcid.base.text_file import parse_json
@@ -287,7 +289,7 @@ class PullPredictor:
 def _entries(file: Path) -> list[tuple[Anchored, PullPrediction]]:
     """What a stored file holds; it must be removed when it is damaged."""
     try:
-        content = stored_arrays(file)
+        content = stored_arrays(BytesIO(read_inside(file.parent, file.name)))
         sets = [frozenset(parse_json(str(text), file)) for text in content["sets"]]
         positions, numbers = content["positions"], content["numbers"]
         if not (len(sets) == len(positions) == len(numbers) and numbers.shape[1:] == (3,) and positions.ndim == 4):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from bcid.base.errors import InputError, MachineError, SolveError, nearest
+from bcid.base.inside_folder import read_inside
 from bcid.base.run_folder import write_whole
 from bcid.base.units import unit_factor
 from bcid.exploration.predictions import PullPredictor
@@ -118,8 +120,8 @@ class Folder:
         length, seconds = unit_factor(self.units[0], "m"), unit_factor(self.units[1], "s")
         text = "\n".join(grasp_lines([action], length, seconds)) + "\n"
         file = self._place / "wanted.csv"
-        if file.is_file():
-            if file.read_bytes() != text.encode():
+        if os.path.lexists(file):
+            if read_inside(self._place, file.name) != text.encode():
                 raise InputError(f"{file}: asks for another pull already; give this exploration a folder of its own")
             return
         furthest = float(np.linalg.norm(action.translation, axis=1).max()) / length

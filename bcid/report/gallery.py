@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from bcid.base.run_folder import RunFolder
 from bcid.report import exploration_picture as exploration
 from bcid.report import ladder, residual
 from bcid.report.calibration_picture import calibration_figure
@@ -16,7 +17,7 @@ from bcid.report.found import Found
 from bcid.report.identification_picture import body_figure, probability_chart
 from bcid.report.residual import Residual
 from bcid.report.text import model_name
-from bcid.report.tracking_picture import tracking_figure
+from bcid.report.tracking_picture import rest_picture, tracking_figure
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -166,6 +167,6 @@ def _of_images(found: Found) -> list[Drawing]:
         made.append(Drawing("calibration", IMAGES, text, lambda: calibration_figure(calibration), True))
     if tracking is not None and tracks is not None:
         text = "The beads at rest; when, how well and how consistently each was seen."
-        rest = found.path / "rest.png"
-        made.append(Drawing("tracking", IMAGES, text, lambda: tracking_figure(tracking, tracks, rest), True))
+        draw: Callable[[], Figure] = lambda: tracking_figure(tracking, tracks, rest_picture(RunFolder.open(found.path)))  # noqa: E731
+        made.append(Drawing("tracking", IMAGES, text, draw, True))
     return made

@@ -10,6 +10,7 @@ import xarray as xr
 
 from bcid.base.run_folder import RunFolder, writing
 from bcid.report.figure import open_frame, save, styled
+from bcid.report.picture_file import Pixels, decoded
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 # Okabe & Ito.
 _BLUE, _ORANGE, _GREY = "#0072B2", "#D55E00", "#BBBBBB"
+# The picture of the images at rest, which the run wrote.
+REST = "rest.png"
 # Height of the line of text above the images of rest.png, px.
 _LINE = 44
 
@@ -26,14 +29,23 @@ def draw(folder: str | Path) -> list[Path]:
     run = RunFolder.open(folder)
     found, data = run.read_json("tracking.json"), run.read_dataset("tracking.nc")
     with styled(), writing(run.path):
-        return [save(tracking_figure(found, data, run.path / "rest.png"), run.path / "tracking.png")]
+        return [save(tracking_figure(found, data, rest_picture(run)), run.path / "tracking.png")]
 
 
-def tracking_figure(found: dict[str, Any], data: xr.Dataset, rest: Path) -> Figure:
+def rest_picture(run: RunFolder) -> Pixels | None:
+    """The images at rest of a tracking run; None where it wrote none.
+
+    Raises:
+        InputError: the file is missing or damaged.
+    """
+    return decoded(run.read_bytes(REST), run.path / REST) if run.holds(REST) else None
+
+
+def tracking_figure(found: dict[str, Any], data: xr.Dataset, rest: Pixels | None) -> Figure:
     """The images at rest above; seen and hidden beads, standard deviations and the cameras' agreement below."""
     from matplotlib.figure import Figure
 
-    pictured = rest.is_file()
+    pictured = rest is not None
     figure = Figure(figsize=(12, 9.4 if pictured else 4.6), facecolor="white")
     rows = [1.55, 1] if pictured else [1]
     grid = figure.add_gridspec(len(rows), 3, height_ratios=rows, width_ratios=[1.5, 1, 1], hspace=0.12, wspace=0.3)
@@ -45,7 +57,7 @@ def tracking_figure(found: dict[str, Any], data: xr.Dataset, rest: Path) -> Figu
         figure.text(
             0.02, 0.935 if pictured else 0.89, f"{len(found['warnings'])} warning(s): see summary.txt", color=_ORANGE
         )
-    if pictured:
+    if rest is not None:
         _images(figure.add_subplot(grid[0, :]), rest)
     _presence(figure.add_subplot(grid[-1, 0]), data)
     _deviations(figure.add_subplot(grid[-1, 1]), data)
@@ -53,10 +65,8 @@ def tracking_figure(found: dict[str, Any], data: xr.Dataset, rest: Path) -> Figu
     return figure
 
 
-def _images(axes: Axes, rest: Path) -> None:
-    from matplotlib.image import imread
-
-    axes.imshow(imread(rest)[_LINE:])
+def _images(axes: Axes, rest: Pixels) -> None:
+    axes.imshow(rest[_LINE:])
     axes.set_axis_off()
     axes.set_title(
         "the first images, left and right: circles around the beads that were found", loc="left", fontsize=10

@@ -13,7 +13,7 @@ import xarray as xr
 
 from bcid.base.fingerprint import file_fingerprint, fingerprint
 from bcid.base.progress import Progress, Silent
-from bcid.base.run_folder import RunFolder, running, write_whole
+from bcid.base.run_folder import RunFolder, running
 from bcid.measurement import AXES, Measurement
 from bcid.vision.camera import SIDES
 from bcid.vision.film import Film, legend
@@ -76,7 +76,7 @@ def run_tracking(
                     *pair, frame, f"pair {place}: {frame.seen.sum()} of {len(layout)} beads   ({legend()})"
                 )
                 if place == 0:
-                    _picture(folder / "rest.png", drawn)
+                    runs[0].write_bytes("rest.png", _png(drawn))
             if place % 20 == 0:
                 progress.say(f"pair {place}: {frame.seen.sum()} of {len(layout)} beads")
             drawing += perf_counter() - before
@@ -87,10 +87,10 @@ def run_tracking(
     return folder
 
 
-def _picture(path: Path, drawn: np.ndarray) -> None:
+def _png(drawn: np.ndarray) -> bytes:
     import cv2
 
-    write_whole(path, cv2.imencode(path.suffix, drawn)[1].tobytes())
+    return bytes(cv2.imencode(".png", drawn)[1])
 
 
 def _write(run: RunFolder, found: Tracking, recording: Recording, seconds: float) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import threading
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -20,7 +21,7 @@ from bcid.exploration.choice import Chooser, live
 from bcid.exploration.information import coordinates, information, noise_free
 from bcid.exploration.loop import BUDGET, DECIDED, INSEPARABLE, UNEXPLAINED, ExploreOptions, explore
 from bcid.exploration.moves import Move, cost, limits_of, moves
-from bcid.exploration.predictions import key_of, small_action
+from bcid.exploration.predictions import _entries, key_of, small_action
 from bcid.exploration.pull_errors import Allowance, allowance
 from bcid.exploration.pull_prediction import PullPrediction
 from bcid.exploration.pull_tangent import PullTangent
@@ -580,6 +581,28 @@ def test_a_folder_is_asked_once_and_waited_for(tmp_path: Path) -> None:
     assert (tmp_path / "0001/wanted.csv").read_text() == asked
     with pytest.raises(InputError, match="asks for another pull already"):
         robot.move(Move("A", "+y", 0.01).action(LIMITS, "1"))
+
+
+def test_wanted_pull_behind_a_link_is_refused(tmp_path: Path) -> None:
+    action = Move("A", "+x", 0.01).action(LIMITS, "1")
+    Folder(tmp_path / "first", scene()).move(action)
+    (tmp_path / "second/0001").mkdir(parents=True)
+    for target in ("first/0001/wanted.csv", "nowhere"):
+        link = tmp_path / "second/0001/wanted.csv"
+        link.unlink(missing_ok=True)
+        link.symlink_to(tmp_path / target)
+        with pytest.raises(InputError, match=r"wanted\.csv: cannot be read: .*expected a regular file, no link"):
+            Folder(tmp_path / "second", scene()).move(action)
+        assert link.is_symlink()
+
+
+@pytest.mark.timeout(30)
+def test_stored_predictions_that_are_no_regular_file_are_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.npz")
+    (tmp_path / "link.npz").symlink_to(tmp_path / "pipe.npz")
+    for name, words in (("pipe.npz", "is no regular file"), ("link.npz", "expected a regular file, no link")):
+        with pytest.raises(InputError, match=words):
+            _entries(tmp_path / name)
 
 
 def test_nothing_in_the_folder_ends_the_waiting(tmp_path: Path) -> None:
