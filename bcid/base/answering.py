@@ -133,7 +133,7 @@ def _ended(child: subprocess.Popen[bytes]) -> None:
 
 
 def _send(pipe: int, content: bytes) -> None:
-    """Write to a pipe; `OSError` where nobody reads it. The kernel sends a signal besides, at which PETSc would end this process."""
+    """Write to a pipe; `OSError` where nobody reads it. The kernel also sends a signal, at which PETSc would end this process."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGPIPE})
     try:
         rest = memoryview(content)
