@@ -21,7 +21,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.base.confined import confine, environment_of_child, limit_memory, prepare
+from bcid.base.confined import confine, environment_of_child, limit_memory, prepare, reason_of
 from bcid.base.errors import InputError
 
 # Before a request its length; before an answer what it is, bytes of an item, rows, columns.
@@ -185,7 +185,7 @@ def answer(reply: Callable[[bytes], NDArray[Any]], libraries: Sequence[str] = ()
             said = _HEAD.pack(_ARRAY, found.itemsize, *found.shape)
             content = found.data.cast("B")
         except Exception as error:
-            reason = (str(error).strip().replace("\n", " ") or type(error).__name__).encode()[:_LONGEST_REASON]
+            reason = reason_of(error).encode()[:_LONGEST_REASON]
             said, content = _HEAD.pack(_REFUSED, 1, len(reason), 1), memoryview(reason)
         answers.write(said)
         answers.write(content)

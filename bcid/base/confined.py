@@ -199,9 +199,14 @@ def serve(
         try:
             np.savez(stream, **read(source, sys.argv[3:]))
         except Exception as error:
-            print(str(error).strip().replace("\n", " ") or type(error).__name__)
+            print(reason_of(error))
             return 1
     return 0
+
+
+def reason_of(error: Exception) -> str:
+    """What an error says, in one line, whatever a file has put into it."""
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def prepare(libraries: Sequence[str]) -> None:

@@ -52,9 +52,11 @@ def _be_child(command: Sequence[str], folder: Path, said: Sequence[Path], second
     code = 1
     try:
         os.setsid()
-        for number, file in enumerate((Path(os.devnull), *said)):
-            opened = os.open(file, os.O_RDWR | os.O_CREAT, 0o600)
-            os.dup2(opened, number)
+        # PETSc, where it is loaded, would catch what a child dies of.
+        for number in (signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT, signal.SIGPIPE):
+            signal.signal(number, signal.SIG_DFL)
+        for place, file in enumerate((Path(os.devnull), *said)):
+            os.dup2(os.open(file, os.O_RDWR | os.O_CREAT, 0o600), place)
         environment = confined.environment_of_child(folder)
         os.environ.clear()
         os.environ.update(environment)

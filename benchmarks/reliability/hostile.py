@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 
 from bcid.base.errors import BcidError
-from benchmarks.reliability import ROOT, Reached, foreign_files
+from benchmarks.reliability import ROOT, Reached, canaries, foreign_files
+from benchmarks.reliability.canaries import Opens
 from benchmarks.reliability.inputs import small_scene, write_inputs
 from benchmarks.reliability.tracer import Event, traced
 
@@ -136,6 +137,7 @@ class Corpus:
         yield from self.others()
         yield from self.recordings()
         yield from self.objects()
+        yield from self.definitions()
         yield from self.runs()
 
     def scripts(self) -> Iterator[Case]:
@@ -348,13 +350,13 @@ class Corpus:
         place = self.place()
         units = 'length_unit = "mm"\ntime_unit = "s"\nforce_unit = "N"\n'
         for number, write in enumerate((_object_block, _object_labels)):
-            write(place / f"{number}.h5", _Opens(str(self.secret)))
+            write(place / f"{number}.h5", Opens(str(self.secret)))
             mapping = place / f"mapping{number}.toml"
             mapping.write_text(f'format = "bcid-mapping/1"\nfile = "{number}.h5"\n{units}', encoding="utf-8")
             yield Case(f"DeepLabCut: {write.__name__}", lambda m=mapping: Measurement.read(m))
-        np.save(place / "cameras.npy", np.array([_Opens(str(self.secret))], dtype=object))
+        np.save(place / "cameras.npy", np.array([Opens(str(self.secret))], dtype=object))
         yield Case("calibration .npy of objects", lambda: Cameras.read(place / "cameras.npy"))
-        np.save(place / "0.npy", np.array([_Opens(str(self.secret))], dtype=object))
+        np.save(place / "0.npy", np.array([Opens(str(self.secret))], dtype=object))
         surface = f'format = "bcid-measurement/1"\n{units}[surface]\nclouds = "{{step}}.npy"\nunit = "mm"\n'
         (place / "measurement.toml").write_text(surface, encoding="utf-8")
         poses = "action,step,time,grasp,x,y,z,qw,qx,qy,qz\na,0,0,I,0,0,0,1,0,0,0\na,1,1,I,1,0,0,1,0,0,0\n"
@@ -367,6 +369,12 @@ class Corpus:
         mapping = place / "bag.toml"
         mapping.write_text(f'format = "bcid-mapping/1"\nfile = "{bag.name}"\n{units}', encoding="utf-8")
         yield Case("ROS 2 bag whose metadata make an object", lambda: Measurement.read(mapping), None)
+
+    def definitions(self) -> Iterator[Case]:
+        """Code in definitions, names, attributes and extensions; of many, every sixth where the corpus is reduced."""
+        for number, (name, file) in enumerate(canaries.files(self.place, self.secret)):
+            if self.full or number % 6 == 0:
+                yield Case(name, lambda f=file: canaries.read(f), None)
 
     def runs(self) -> Iterator[Case]:
         """Run folders of others, whose model names a program."""
@@ -392,16 +400,6 @@ class _Bomb:
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
         return os.system, (f"touch {self.canary}",)
-
-
-class _Opens:
-    """Unpickling it opens a file."""
-
-    def __init__(self, path: str) -> None:
-        self.path = path
-
-    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        return open, (self.path,)
 
 
 def _object_block(file: Path, one: Any) -> None:

@@ -203,6 +203,26 @@ def _alive(group: int) -> list[int]:
     return found
 
 
+_REFUSING = """
+import sys
+from bcid.base.confined import serve
+
+def read(source, arguments):
+    raise ValueError("line 1\\nline 2\\rline 3\\u2028line 4")
+
+sys.exit(serve(read))
+"""
+
+
+def test_reason_of_a_reader_is_passed_on_as_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file cannot make it begin where it likes."""
+    (tmp_path / "refusing.py").write_text(_REFUSING, encoding="utf-8")
+    (tmp_path / "some.dat").write_bytes(b"x")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with pytest.raises(InputError, match=r"^line 1 line 2 line 3 line 4$"):
+        read_in_child("refusing", tmp_path / "some.dat", seconds=30)
+
+
 _TAKEN_OVER = """
 import sys, zipfile
 from pathlib import Path
