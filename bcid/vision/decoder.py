@@ -135,7 +135,8 @@ class StoredFilm:
                 self._capture = self._opened()
                 self._next = 0
         for _ in range(number - self._next):
-            self._capture.grab()
+            if not self._capture.grab():
+                break
         self._next = number
 
 

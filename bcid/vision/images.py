@@ -19,6 +19,8 @@ VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v")
 # Bits that cameras put into 16; the images looked at to tell them apart.
 _DEPTHS = (8, 10, 12, 14, 16)
 _LOOKS = 9
+# Images that are tried until one can be read.
+_TRIES = 1000
 # What decodes them, in a process of its own.
 _DECODER = "bcid.vision.decoder"
 # Longest file of an image, bytes, and most frames of a film: a day at 100 frames per second.
@@ -104,7 +106,8 @@ class Images:
         return self._eight_bit(grey)
 
     def _first_size(self) -> tuple[int, int]:
-        for number in self.numbers:
+        tried = self.numbers[:_TRIES]
+        for number in tried:
             try:
                 grey = self._stored.grey(number)
             except InputError as error:
@@ -112,7 +115,9 @@ class Images:
                 continue
             return grey.shape[1], grey.shape[0]
         reasons = "".join(f"\n  {number}: {reason}" for number, reason in list(self.troubles.items())[:5])
-        raise InputError(f"{self.source}: none of its {len(self.numbers)} images can be read:{reasons}")
+        self.close()
+        which = f"first {_TRIES}" if len(tried) < len(self.numbers) else str(len(tried))
+        raise InputError(f"{self.source}: none of its {which} images can be read:{reasons}")
 
     def _eight_bit(self, grey: NDArray[Any]) -> Image:
         if grey.dtype == np.uint8:
@@ -170,16 +175,17 @@ class _Video:
 
     def __init__(self, file: Path) -> None:
         self._decoder = Answering(_DECODER, [str(file.absolute())])
-        self._seconds = _FILM_SECONDS + _FILM_SECONDS_PER_BYTE * file.stat().st_size
+        size = file.stat().st_size
+        self._seconds = _FILM_SECONDS + _FILM_SECONDS_PER_BYTE * size
         try:
             count = int(self._decoder.ask(b"", self._seconds).flat[0])
         except InputError as error:
             raise InputError(f"{file}: {error}") from None
-        if not 0 < count <= _MOST_FRAMES:
+        # A frame takes at least a byte.
+        most = min(_MOST_FRAMES, size)
+        if not 0 < count <= most:
             self.close()
-            raise InputError(
-                f"{file}: holds {count} frames, expected 1 to {_MOST_FRAMES:,}; save it as AVI or MP4 again"
-            )
+            raise InputError(f"{file}: states {count} frames, expected 1 to {most}; save it as AVI or MP4 again")
         self.numbers = list(range(count))
 
     def grey(self, number: int) -> NDArray[Any]:

@@ -56,7 +56,7 @@ def interfaces(code: str) -> dict[str, str]:
 
 
 def files(place: Callable[[], Path], secret: Path) -> Iterator[tuple[str, Path]]:
-    """Names of cases, and the mapping or geometry that reads the file; each in a folder of its own."""
+    """Names of cases, and the mapping or scene that reads the file; each in a folder of its own."""
     code = f"open('{secret}')"
     for what, (name, text) in messages(code).items():
         yield f"ROS 1: {what}", _mapping(_bag1(place() / "evil.bag", name, text), "m")
@@ -166,17 +166,17 @@ def _extended(file: Path, evil: bytes) -> Path:
     labels = np.zeros((12, 12, 12), np.uint8)
     labels[3:9, 3:9, 3:9] = 1
     # 16 is the code of pickles.
-    return scanned.image(
-        file, labels, np.diag([5.0, 5, 5, 1]), lambda head: head.extensions.append(Nifti1Extension(16, evil))
-    )
+    scanned.image(file, labels, np.diag([5.0, 5, 5, 1]), lambda head: head.extensions.append(Nifti1Extension(16, evil)))
+    scanned.scene_of(file, more="label = 1", sizes=(10.0,))
+    return file.parent / "scene.toml"
 
 
 def read(file: Path) -> Any:
-    """Read a mapping, or mesh a label image."""
-    from bcid import Measurement
+    """Read a mapping, or mesh the geometry of a scene."""
+    from bcid import Measurement, Scene
     from bcid.forms.mesh import level_mesh
 
-    if file.suffix == ".toml":
+    if file.name != "scene.toml":
         return Measurement.read(file)
-    scene = scanned.scene_of(file, more="label = 1", sizes=(10.0,))
+    scene = Scene.read(file)
     return level_mesh(scene, scene.levels[0])

@@ -1,5 +1,6 @@
 """Folders of images and videos: numbers, grey values, and what is said of files that cannot be read."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -150,11 +151,15 @@ def test_nothing_to_read_is_an_error(tmp_path: Path) -> None:
 
 
 class Watched:
-    """A video capture that counts its jumps."""
+    """A video capture that counts its jumps, and frames that are passed over."""
 
     def __init__(self, capture: Any) -> None:
         self.capture = capture
-        self.jumps = 0
+        self.jumps = self.grabs = 0
+
+    def grab(self) -> Any:
+        self.grabs += 1
+        return self.capture.grab()
 
     def set(self, what: int, value: float) -> Any:
         self.jumps += what == cv2.CAP_PROP_POS_FRAMES
@@ -237,8 +242,8 @@ def test_image_file_of_30_gigabytes_is_not_read(folder: Path) -> None:
     assert images.troubles[3] == "hole_3.png is no file of at most 1 GB"
 
 
-def test_film_that_states_too_many_frames_is_refused(tmp_path: Path) -> None:
-    file = tmp_path / "left.avi"
+def _stating(file: Path, frames: int, more: int = 0) -> Path:
+    """A film of 12 frames that states another count, with `more` bytes behind its end."""
     writer = cv2.VideoWriter(str(file), cv2.VideoWriter_fourcc(*"MJPG"), 25, (64, 48))
     for number in range(12):
         writer.write(np.full((48, 64, 3), 20 * number, np.uint8))
@@ -247,7 +252,34 @@ def test_film_that_states_too_many_frames_is_refused(tmp_path: Path) -> None:
     # The length of its stream (AVISTREAMHEADER, dwLength).
     at = content.index(b"vids") + 32
     assert content[at : at + 4] == (12).to_bytes(4, "little")
-    content[at : at + 4] = (50_000_000).to_bytes(4, "little")
+    content[at : at + 4] = frames.to_bytes(4, "little")
+    file.write_bytes(bytes(content) + bytes(more))
+    return file
+
+
+def test_film_that_states_more_frames_than_bytes_is_refused(tmp_path: Path) -> None:
+    file = _stating(tmp_path / "left.avi", 50_000_000)
+    with pytest.raises(InputError, match=rf"left\.avi: states 50000000 frames, expected 1 to {file.stat().st_size};"):
+        Images.open(file)
+    _stating(file, 50_000_000, more=60_000_000)
+    with pytest.raises(InputError, match=r"left\.avi: states 50000000 frames, expected 1 to 10000000;"):
+        Images.open(file)
+
+
+def test_film_that_is_shorter_than_it_states_is_left_at_its_end(tmp_path: Path) -> None:
+    stored = StoredFilm(_stating(tmp_path / "left.avi", 5000))
+    stored._capture = watched = Watched(stored._opened())
+    with pytest.raises(InputError, match="shorter than it says"):
+        stored.grey(80)
+    assert watched.grabs == 13
+
+
+def test_film_without_a_frame_that_can_be_read_is_given_up(tmp_path: Path) -> None:
+    file = _stating(tmp_path / "left.avi", 5000, more=5000)
+    content = bytearray(file.read_bytes())
+    for found in re.finditer(rb"00dc(....)\xff\xd8", bytes(content), re.DOTALL):
+        length = int.from_bytes(found[1], "little")
+        content[found.end(1) : found.end(1) + length] = bytes(length)
     file.write_bytes(content)
-    with pytest.raises(InputError, match=r"left\.avi: holds 50000000 frames, expected 1 to 10,000,000"):
+    with pytest.raises(InputError, match=r"left\.avi: none of its first 1000 images can be read"):
         Images.open(file)
