@@ -20,6 +20,7 @@ from bcid.forms.parameter import Parameter
 from bcid.forms.probes import Probe, Wanted
 from bcid.inference.criteria import CERTAIN
 from bcid.inference.nuisances import fitted_instead
+from bcid.inference.priors import PRIORS
 from bcid.inference.stiffness import Stiffness
 from bcid.predict.kept_predictions import MeasurementPrediction
 from bcid.predict.predictor import Predictor
@@ -36,8 +37,6 @@ _STEP, _STEP_FROM_PAST = 1e-2, 0.3
 _ALIKE = 0.1
 # A number is not identified when its standard error exceeds this many of its scales, and an amount then only where it may be none.
 _LOOSE = 3.0
-# The widest that is believed of an amount, in notable ones: what data tell from no larger one is taken for no larger than that.
-WIDEST = 10.0
 # Variance of a number of which nothing is seen.
 _UNKNOWN = 1e200
 
@@ -338,7 +337,7 @@ def _from_past(model: Model) -> set[str]:
 def fit(start: State, names: Sequence[str], most: int = 12, ftol: float = FTOL, like: Fit | None = None) -> Fit:
     """Fit numbers of a model to the data; collective.
 
-    Amounts are those of the maximum of the posterior with the widest prior, a standard deviation of `WIDEST` notable ones about
+    Amounts are those of the maximum of the posterior with the widest prior, one of `Priors.widest` notable ones about
     none: it moves only what the data hardly tell, such as the stiffness of a contact that is already as good as rigid. Other
     numbers have the prior that they declare, if any.
 
@@ -410,7 +409,7 @@ def pulls(model: Model, chosen: Sequence[Coordinate]) -> tuple[Array, Array]:
     for k, c in enumerate(chosen):
         p = c.parameter
         if p.neutral is not None:
-            pulls[k], expected[k] = 1 / WIDEST, (0.0 if p.reciprocal else model.neutral(p) or 0.0) / c.scale
+            pulls[k], expected[k] = 1 / PRIORS.widest, (0.0 if p.reciprocal else model.neutral(p) or 0.0) / c.scale
         elif p.prior is not None and c.scale == p.scale:
             pulls[k], expected[k] = p.scale / p.prior[1], p.prior[0] / p.scale
     return np.diag(pulls)[pulls > 0], expected

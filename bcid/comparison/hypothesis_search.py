@@ -19,7 +19,7 @@ from scipy.special import logsumexp
 
 from bcid.base.errors import SolveError
 from bcid.comparison.loosened import Loosened, loosened, loosens
-from bcid.comparison.priors import of_state
+from bcid.comparison.parameter_priors import of_state
 from bcid.comparison.ranking import Ranking, Row, rank
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
@@ -130,7 +130,7 @@ class HypothesisSearch:
         begun: the model without the effects that were added.
         known: the effects that may be missing.
         most: sets whose evidence is computed.
-        least: how well an effect must be seen, see `bcid.comparison.priors.visible`.
+        least: how well an effect must be seen, see `bcid.comparison.parameter_priors.visible`.
         among: of how many effects these were chosen; they are all by default.
     """
 

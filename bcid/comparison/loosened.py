@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.comparison.priors import log_variants
+from bcid.comparison.parameter_priors import log_variants
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Term

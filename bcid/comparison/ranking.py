@@ -15,7 +15,7 @@ from scipy.special import logsumexp
 from bcid.base.errors import InputError, SolveError
 from bcid.base.tails import chi2_limit, chi2_tail, shifted_chi2_tail
 from bcid.comparison.fit import columns, coordinates
-from bcid.comparison.priors import log_share, log_variants, one_sided, visible
+from bcid.comparison.parameter_priors import log_share, log_variants, one_sided, visible
 from bcid.comparison.state import State
 from bcid.comparison.variants import Variant, all_variants
 from bcid.forms import effects
@@ -102,7 +102,7 @@ def rank(
     Args:
         state: the model at its optimum.
         known: the effects to look at; the whole catalogue by default.
-        least: how well an effect must be seen, see `bcid.comparison.priors.visible`.
+        least: how well an effect must be seen, see `bcid.comparison.parameter_priors.visible`.
         place: where the effects act; everywhere they can by default.
         strict: refuse a model that is not at its optimum (what a refit of it could explain is projected out anyway).
         like: of a set near by with the same errors, whose sensitivities serve.

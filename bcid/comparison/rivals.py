@@ -16,7 +16,7 @@ from bcid.comparison.curvature import bent
 from bcid.comparison.fit import FTOL, Fit, fit
 from bcid.comparison.hypothesis_search import HypothesisSearch, Look, weighed
 from bcid.comparison.loosened import loosens
-from bcid.comparison.priors import of_state
+from bcid.comparison.parameter_priors import of_state
 from bcid.comparison.ranking import Row, rank
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
@@ -186,7 +186,7 @@ class Rival:
 
     @classmethod
     def of(cls, fitted: Fit, begun: Model, known: int, least: float = SEEN) -> Rival:
-        """Of a fit of a model that was begun from another; `least` as in `bcid.comparison.priors.visible`."""
+        """Of a fit of a model that was begun from another; `least` as in `bcid.comparison.parameter_priors.visible`."""
         names = tuple(term.effect.name for term in fitted.state.model.added(begun))
         return cls(names, fitted, weighed(fitted.state, begun, fitted.jacobian, least), known)
 

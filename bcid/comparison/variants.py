@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from bcid.comparison.ahead import balls
 from bcid.comparison.fit import Coordinate
-from bcid.comparison.priors import CYCLES, visible
+from bcid.comparison.parameter_priors import visible
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
 from bcid.forms.force_bumps import scattered
 from bcid.forms.model import Model, Term
 from bcid.forms.parameter import Parameter
 from bcid.forms.probes import Probe, Wanted
+from bcid.inference.priors import PRIORS
 
 Array = NDArray[np.float64]
 # Directions are scanned in steps of this size, in degrees, centres of inclusions at so many places, in radii of these sizes.
@@ -236,7 +237,7 @@ def _all_periods(state: State, steady: Variant, period: Parameter) -> list[Varia
     times, frames = np.unique(state.predictor.times, return_inverse=True)
     found = []
     # Two frequencies are told apart when they are out of step at the end.
-    for cycles in np.arange(*CYCLES, _CYCLE) if np.ptp(times) > 0 else ():
+    for cycles in np.arange(*PRIORS.cycles, _CYCLE) if np.ptp(times) > 0 else ():
         term = steady.term.with_values({period.name: float(times.max() / cycles)})
         share = np.array(
             [[effect.slopes(p.name, float(t), term.values).get(p.name, 0.0) for p in effect.amounts] for t in times]

@@ -19,7 +19,7 @@ from bcid.base.errors import SolveError
 from bcid.comparison.contest import at_a_glance
 from bcid.comparison.fit import Fit
 from bcid.comparison.hypothesis_search import HypothesisSearch
-from bcid.comparison.priors import expected
+from bcid.comparison.parameter_priors import expected
 from bcid.comparison.rivals import Rival, best_first, moved, promoted, refit
 from bcid.comparison.state import State
 from bcid.exploration.joined import joined

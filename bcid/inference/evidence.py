@@ -20,10 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr, logsumexp, softmax
 
+from bcid.inference.priors import PRIORS, spaced
+
 Array = NDArray[np.float64]
 # Errors may be larger than they are taken for by any of these factors, all equally likely: where no noise is stated, and where
 # what is missing is no force.
-LARGER: Array = np.geomspace(1.0, 20.0, 30, dtype=float)
+LARGER: Array = spaced(PRIORS.noise)
 
 
 @dataclass(frozen=True)

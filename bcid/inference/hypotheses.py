@@ -10,14 +10,11 @@ import numpy as np
 from scipy.special import softmax
 
 from bcid.inference.outcome import label
+from bcid.inference.priors import PRIORS
 
 Anchored = frozenset[str]
-# Before the data are looked at, so many of the known effects are expected to act, each as likely as the others; and something that
-# is not known with this probability.
-EXPECTED, UNKNOWN = 0.7, 0.15
-# What acts may be effects that no search came upon: they are told as `OTHERS`. So often that happens by the blind bench (2 of 40
-# cases).
-MISSED, OTHERS = 0.05, "others"
+# Effects that act and that no search came upon.
+OTHERS = "others"
 # A smaller p-value is as good as this one.
 _LEAST = 1e-300
 
@@ -55,9 +52,9 @@ def log_prior(effects: int, unknown: bool, known: int) -> float:
 
     Every effect acts with the same probability, whatever else does.
     """
-    each = EXPECTED / max(known, 1)
+    each = PRIORS.effects / max(known, 1)
     odds = effects * math.log(each / (1 - min(each, 0.5)))
-    return odds + (math.log(UNKNOWN / (1 - UNKNOWN)) if unknown else 0.0)
+    return odds + (math.log(PRIORS.discrepancy / (1 - PRIORS.discrepancy)) if unknown else 0.0)
 
 
 def normalised(logs: Mapping[Hypothesis, float]) -> dict[Hypothesis, float]:
@@ -77,7 +74,9 @@ def with_others(logs: Mapping[Hypothesis, float]) -> dict[Hypothesis, float]:
     for h, log in logs.items():
         if h.unknown:
             other = Hypothesis(h.anchors, OTHERS)
-            found[other] = float(np.logaddexp(found.get(other, -math.inf), log + math.log(MISSED / UNKNOWN)))
+            found[other] = float(
+                np.logaddexp(found.get(other, -math.inf), log + math.log(PRIORS.missed / PRIORS.discrepancy))
+            )
     return found
 
 
@@ -145,7 +144,10 @@ class HypothesisOdds:
         """
         if self.alike or self.best.unknown:
             return self
-        found, odds = dict(self.probabilities), MISSED / (1 - MISSED) * math.exp(power * log_doubt(p_value))
+        found, odds = (
+            dict(self.probabilities),
+            PRIORS.missed / (1 - PRIORS.missed) * math.exp(power * log_doubt(p_value)),
+        )
         for h, p in self.probabilities.items():
             if not h.unknown and h.effect != OTHERS:
                 other = Hypothesis(h.anchors, OTHERS)

@@ -7,7 +7,8 @@ J. R. Stat. Soc. B 63 (2001) 425), the same for all hypotheses:
     cov(eta_i, eta_j) = kappa^2 exp(-|x_i - x_j|^2 / 2 l^2) (p_i . p_j + A exp(-|p_i - p_j|^2 / 2 L^2))
 
 for the same axis of markers at x_i, x_j with the gripper at p_i, p_j; actions with the same poses share it. Forces and torques
-of the gripper have a block each. It is kept in at most RANK columns; the variance that these leave out makes the noise larger.
+of the gripper have a block each. It is kept in at most
+`Priors.misfit_columns` columns; the variance that these leave out makes the noise larger.
 """
 
 from __future__ import annotations
@@ -20,26 +21,21 @@ from numpy.typing import NDArray
 
 from bcid.inference.data import Data
 from bcid.inference.evidence import Force
+from bcid.inference.priors import PRIORS
 from bcid.scene import Scene
 from bcid.scene.rotation import as_rotation
 
 Array = NDArray[np.float64]
-# Columns of a process, for the three axes together.
-RANK = 60
-# Correlation lengths over the markers, as parts of their largest distance, and how many standard deviations are tried.
-LENGTHS, SCALES = (0.1, 0.25, 0.6, 1.5), 8
-# Variance and correlation length of the part that is smooth in the pose, where the furthest pose is 1.
-SMOOTH_PART, SMOOTH_LENGTH = 0.1, 0.3
 
 
 @lru_cache(maxsize=2)
 def columns(data: Data) -> list[Array]:
-    """What a misfit of size one does to the values, for each length: shape (n, k), m, with k at most RANK for positions."""
+    """What a misfit of size one does to the values, for each length: (n, k), m; k at most `misfit_columns` for positions."""
     frames = np.unique(data.frame)
     pose = _over_poses(poses(data)[frames])
     row = np.searchsorted(frames, data.frame)
     found = []
-    for length in LENGTHS:
+    for length in PRIORS.misfit_lengths:
         blocks = [_block(data, kind, row, pose, length) for kind in np.unique(data.kind)]
         found.append(np.hstack(blocks))
     return found
@@ -63,13 +59,13 @@ def processes(data: Data, sigma: Array, whiten: Callable[[Array], Array]) -> lis
 
 def _variance(data: Data) -> Array:
     """Of a process of size one, of each value, shape (n,)."""
-    return np.asarray(np.sum(poses(data) ** 2, axis=1)[data.frame] + SMOOTH_PART)
+    return np.asarray(np.sum(poses(data) ** 2, axis=1)[data.frame] + PRIORS.misfit_smooth[0])
 
 
 def scales(data: Data, sigma: Array) -> Array:
-    """Standard deviations of the misfit that are equally likely, m: from the noise to the motion, shape (SCALES,)."""
+    """Standard deviations of the misfit that are equally likely, m: from the noise to the motion, shape (sizes,)."""
     noise, motion = data.rms(sigma), data.rms(data.values - data.vector(np.broadcast_to(data.rest, data.mask.shape)))
-    return np.geomspace(noise, max(motion, 2 * noise), SCALES, dtype=float)
+    return np.geomspace(noise, max(motion, 2 * noise), PRIORS.misfit_sizes, dtype=float)
 
 
 def poses(data: Data) -> Array:
@@ -107,7 +103,8 @@ def _scaled(part: Array) -> Array:
 
 def _over_poses(pose: Array) -> Array:
     """Covariance over the poses of frames, shape (frames, frames)."""
-    return np.asarray(pose @ pose.T + SMOOTH_PART * _near(pose, SMOOTH_LENGTH))
+    variance, length = PRIORS.misfit_smooth
+    return np.asarray(pose @ pose.T + variance * _near(pose, length))
 
 
 def _near(points: Array, length: float) -> Array:
@@ -125,7 +122,7 @@ def _block(data: Data, kind: int, row: NDArray[np.int64], pose: Array, length: f
     over_markers, over_poses = _factors(_near(places, length * size)), _factors(pose)
     # The largest products of eigenvalues: a Kronecker product has those of its factors.
     strength = np.einsum("p,m->pm", np.sum(over_poses**2, axis=0), np.sum(over_markers**2, axis=0))
-    kept = np.argsort(-strength, axis=None, kind="stable")[: RANK // 3]
+    kept = np.argsort(-strength, axis=None, kind="stable")[: PRIORS.misfit_columns // 3]
     of_pose, of_marker = np.unravel_index(kept[strength.ravel()[kept] > 1e-9 * strength.max()], strength.shape)
     marker = np.searchsorted(names, data.fiducial[inside])
     values = over_poses[row[inside]][:, of_pose] * over_markers[marker][:, of_marker]

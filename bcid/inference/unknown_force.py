@@ -19,16 +19,11 @@ from bcid.inference import response
 from bcid.inference.criteria import NOTABLE
 from bcid.inference.data import Data
 from bcid.inference.evidence import LARGER, Force, Integrated, Numbers
-from bcid.inference.hypotheses import MISSED
 from bcid.inference.likelihood import Errors
+from bcid.inference.priors import PRIORS, spaced
 from bcid.inference.sudden_force import Beginning, SuddenForce
 
 Array = NDArray[np.float64]
-# Standard deviations of the force's density that are equally likely, in units of shear modulus per size of the body: from a strain
-# that nobody sees to one that tears.
-_SIZES = np.logspace(-4, 1, 21)
-# How often something is missing in a model that was taken for complete.
-MISSING = 0.5
 # Where the way back does not mirror the way there, what grows with time differs from what grows with the way by this part.
 _APART = 0.2
 
@@ -109,7 +104,7 @@ def unknown_force(errors: Errors, moved: Array, unit: float) -> Force:
         unit: of the force's density: shear modulus per size of the body.
     """
     most = math.sqrt(float(np.mean(np.sum(moved**2, axis=1) / errors.sigma**2)))
-    sizes = _SIZES * unit
+    sizes = spaced(PRIORS.force) * unit
     return Force.of(errors.whiten(moved), sizes[sizes * most >= min(NOTABLE, float(sizes[-1]) * most)])
 
 
@@ -150,7 +145,7 @@ class Evidence:
         """Of a residual (n,), m.
 
         What is missing need not be a force: the same is asked with errors that are larger by any factor, and with a smooth misfit
-        in observation space (`bcid.inference.response`) instead, with a probability of `MISSED`. Nor need it be spread and go on
+        in observation space (`bcid.inference.response`) instead (`Priors.missed`). Nor need it be spread and go on
         with the motion: it may begin somewhere. The others count alike.
 
         Args:
@@ -171,8 +166,8 @@ class Evidence:
         begins = sudden.beginning(residual, known) if sudden else None
         forces_alone = [_mean(smooth), _mean(larger), *([plain + begins.log] if begins else [])]
         # A misfit stands for what no other discrepancy does, which is as rare as what no search comes upon.
-        each = math.log((1 - MISSED) / len(forces_alone))
-        ways = np.array([*(log + each for log in forces_alone), misfit + math.log(MISSED)])
+        each = math.log((1 - PRIORS.missed) / len(forces_alone))
+        ways = np.array([*(log + each for log in forces_alone), misfit + math.log(PRIORS.missed)])
         shares = softmax(ways)
         beyond = float(softmax(larger) @ [found.excess(LARGER) for found in pushed]) - 1
         excess = 1 + float(shares[1] if stated else shares[:2].sum()) * beyond
@@ -186,7 +181,7 @@ class Evidence:
     @property
     def total(self) -> float:
         """Whether or not something is missing."""
-        return float(np.logaddexp(self.plain + math.log(1 - MISSING), self.forced + math.log(MISSING)))
+        return float(np.logaddexp(self.plain + math.log(1 - PRIORS.missing), self.forced + math.log(PRIORS.missing)))
 
     @property
     def left(self) -> float:
@@ -196,7 +191,7 @@ class Evidence:
     @property
     def missing(self) -> float:
         """Probability that something is."""
-        return math.exp(self.forced + math.log(MISSING) - self.total)
+        return math.exp(self.forced + math.log(PRIORS.missing) - self.total)
 
 
 def _likeliest(found: Sequence[Integrated], forces: Sequence[Force]) -> tuple[int, float]:

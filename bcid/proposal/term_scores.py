@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from bcid.base.errors import SolveError
 from bcid.comparison.candidates import StandIn, Start
 from bcid.comparison.contest import at_a_glance
-from bcid.comparison.fit import WIDEST
 from bcid.comparison.hypothesis_search import HypothesisSearch
 from bcid.comparison.ranking import Row, best_row, orthonormal, present_columns
 from bcid.comparison.state import State
@@ -23,6 +22,7 @@ from bcid.forms.forward import Forward
 from bcid.forms.model import Model, Term
 from bcid.forms.probes import Sensitivities, Wanted
 from bcid.inference.criteria import SEEN
+from bcid.inference.priors import PRIORS
 from bcid.proposal.effect_file import made, source
 from bcid.proposal.family import OBSERVATION, Family
 from bcid.proposal.grammar import KINDS, Grammar, TermVariant
@@ -129,7 +129,7 @@ class TermScores:
         self.families[name] = family
         found = []
         for patch in sorted(state.anchors & set(grammar.surfaces)):
-            values = {stiffness.name: WIDEST * stiffness.scale} | grammar.about(patch)
+            values = {stiffness.name: PRIORS.widest * stiffness.scale} | grammar.about(patch)
             found.append(StandIn(state.anchors - {patch}, Term(made(source(family, name, values, "", ())), values)))
         return found
 

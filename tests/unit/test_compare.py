@@ -18,10 +18,10 @@ from bcid.comparison import diagnosis_text
 from bcid.comparison.adequacy import breaking, judge
 from bcid.comparison.diagnosis_text import conclusion
 from bcid.comparison.explanation import Explanation, Rung, explains
-from bcid.comparison.fit import WIDEST, Coordinate, Fit, _covariance, _loose, fit
+from bcid.comparison.fit import Coordinate, Fit, _covariance, _loose, fit
 from bcid.comparison.held_out import held_out
 from bcid.comparison.law_form import LawForm
-from bcid.comparison.priors import _width, of_state
+from bcid.comparison.parameter_priors import _width, of_state
 from bcid.comparison.ranking import _bounded, rank
 from bcid.comparison.state import State
 from bcid.comparison.variants import Variant, _harmonics, _large
@@ -37,6 +37,7 @@ from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
 from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes, Nuisances, placed, replaced
+from bcid.inference.priors import PRIORS
 from bcid.measurement import Action, Measurement
 from bcid.measurement.frame_error import FrameError
 from bcid.predict.kept_predictions import MeasurementPrediction
@@ -468,7 +469,7 @@ def test_a_linear_model_is_fitted_and_predicts_what_it_was_not_fitted_to() -> No
     away = made.data.values - made.data.vector(rest(made.actions))
     assert list(fitted.values.values()) == pytest.approx(np.linalg.lstsq(table, away, rcond=None)[0], rel=1e-3)
     parameters = [next(p for p in term.effect.parameters if term.full(p.name) in names) for term in model.terms]
-    pull = np.diag([1 / (WIDEST * p.scale) for p in parameters])
+    pull = np.diag([1 / (PRIORS.widest * p.scale) for p in parameters])
     right = np.append(away / SIGMA, pull @ [p.neutral for p in parameters])
     best = np.linalg.lstsq(np.vstack([table / SIGMA, pull]), right, rcond=None)[0]
     assert list(fitted.values.values()) == pytest.approx(best, rel=1e-7)

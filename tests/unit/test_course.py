@@ -21,7 +21,7 @@ from bcid.base.errors import InputError
 from bcid.comparison import diagnosis_text
 from bcid.comparison.courses import knots, seen, to_json, variant_in_time
 from bcid.comparison.fit import Fit
-from bcid.comparison.priors import one_sided, visible
+from bcid.comparison.parameter_priors import one_sided, visible
 from bcid.comparison.ranking import dormant
 from bcid.comparison.source import Source, _stored_model, stored_effect
 from bcid.comparison.state import State

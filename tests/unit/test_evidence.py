@@ -16,10 +16,7 @@ from scipy.stats import multivariate_normal, norm
 from bcid.inference.data import Data, Noise, told_noise
 from bcid.inference.evidence import LARGER, Force, Integrated, Numbers, log_gains
 from bcid.inference.hypotheses import (
-    EXPECTED,
-    MISSED,
     OTHERS,
-    UNKNOWN,
     Hypothesis,
     HypothesisOdds,
     log_doubt,
@@ -30,6 +27,7 @@ from bcid.inference.hypotheses import (
 )
 from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
+from bcid.inference.priors import PRIORS
 
 Array = NDArray[np.float64]
 COUNT = 60
@@ -128,7 +126,7 @@ def test_a_prior_that_is_three_times_as_wide_changes_little(larger: float) -> No
 
 def test_the_prior_of_hypotheses() -> None:
     """Every effect acts with the same probability, whatever else does."""
-    each, unknown = EXPECTED / 18, UNKNOWN / (1 - UNKNOWN)
+    each, unknown = PRIORS.effects / 18, PRIORS.discrepancy / (1 - PRIORS.discrepancy)
     assert log_prior(0, False, 18) == 0.0
     assert log_prior(1, False, 18) == pytest.approx(math.log(each / (1 - each)))
     assert log_prior(2, True, 18) == pytest.approx(2 * math.log(each / (1 - each)) + math.log(unknown))
@@ -174,11 +172,11 @@ def test_what_was_not_looked_at_shares_the_odds_of_something_unknown() -> None:
     }
     found = with_others(logs)
     assert {h: log for h, log in found.items() if h.effect != OTHERS} == logs
-    share = math.log(MISSED / UNKNOWN)
+    share = math.log(PRIORS.missed / PRIORS.discrepancy)
     assert found[Hypothesis(a, OTHERS)] == pytest.approx(np.logaddexp(1.0, 2.0) + share)
     assert found[Hypothesis(b, OTHERS)] == pytest.approx(3.0 + share)
     verdicts = HypothesisOdds.of(found).verdicts
-    assert verdicts[OTHERS] / verdicts["unknown"] == pytest.approx(MISSED / UNKNOWN)
+    assert verdicts[OTHERS] / verdicts["unknown"] == pytest.approx(PRIORS.missed / PRIORS.discrepancy)
 
 
 def test_a_p_value_says_how_likely_the_likeliest_is_wrong() -> None:
@@ -190,11 +188,13 @@ def test_a_p_value_says_how_likely_the_likeliest_is_wrong() -> None:
     gravity, more, odd = Hypothesis(frozenset("1"), "gravity"), Hypothesis(frozenset("2"), "gravity"), frozenset("3")
     odds = HypothesisOdds.of({gravity: 5.0, more: 3.0, Hypothesis(frozenset("1")): 0.0})
     fits, fails, refuted = (odds.doubted(p) for p in (1.0, 1e-3, 0.0))
-    assert fits.acting("gravity") == pytest.approx(odds.acting("gravity") / (1 + MISSED / (1 - MISSED) / 2))
+    assert fits.acting("gravity") == pytest.approx(
+        odds.acting("gravity") / (1 + PRIORS.missed / (1 - PRIORS.missed) / 2)
+    )
     assert odds.acting("gravity") > fits.acting("gravity") > 0.95 > fails.acting("gravity") > refuted.acting("gravity")
     assert fails.verdicts[OTHERS] == pytest.approx(1 - fails.acting("gravity") - fails.verdicts["none"])
     assert fails.held_by(frozenset("1")) == pytest.approx(odds.held_by(frozenset("1")))
-    assert odds.doubted(1e-3, power=0.0).verdicts[OTHERS] == pytest.approx(MISSED)
+    assert odds.doubted(1e-3, power=0.0).verdicts[OTHERS] == pytest.approx(PRIORS.missed)
     unknown = HypothesisOdds.of(with_others({gravity: 0.0, Hypothesis(odd, unknown=True): 5.0}))
     assert unknown.doubted(1e-9) == unknown
     assert replace(odds, alike=True).doubted(1e-9).verdicts == odds.verdicts

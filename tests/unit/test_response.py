@@ -14,9 +14,9 @@ from unit.test_compare import SIGMA, actions, data_of, rest
 from bcid.inference import response
 from bcid.inference.data import Data
 from bcid.inference.evidence import Force
-from bcid.inference.hypotheses import MISSED
 from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
+from bcid.inference.priors import PRIORS
 from bcid.inference.unknown_force import Evidence
 
 Array = NDArray[np.float64]
@@ -52,10 +52,10 @@ def smooth_misfit(data: Data, size: float) -> Array:
 def test_columns_have_the_stated_rank_and_size(data: Data) -> None:
     for columns in response.columns(data):
         assert len(columns) == len(data)
-        assert columns.shape[1] <= response.RANK
+        assert columns.shape[1] <= PRIORS.misfit_columns
         largest = float(np.sum(columns**2, axis=1).max())
         # The linear part has a variance of one at the furthest pose, and the smooth part adds its own.
-        assert largest <= 1 + response.SMOOTH_PART + 1e-9
+        assert largest <= 1 + PRIORS.misfit_smooth[0] + 1e-9
 
 
 def test_columns_reproduce_the_kernel_of_few_poses(data: Data) -> None:
@@ -63,17 +63,17 @@ def test_columns_reproduce_the_kernel_of_few_poses(data: Data) -> None:
     columns = response.columns(data)[-1]
     pose = response.poses(data)[data.frame]
     place = data.rest[data.fiducial]
-    length = response.LENGTHS[-1] * float(np.linalg.norm(np.ptp(data.rest, axis=0)))
+    length = PRIORS.misfit_lengths[-1] * float(np.linalg.norm(np.ptp(data.rest, axis=0)))
     apart = np.sum((place[:, None] - place) ** 2, axis=2)
     turned = np.sum((pose[:, None] - pose) ** 2, axis=2)
-    over_poses = pose @ pose.T + response.SMOOTH_PART * np.exp(-0.5 * turned / response.SMOOTH_LENGTH**2)
+    over_poses = pose @ pose.T + PRIORS.misfit_smooth[0] * np.exp(-0.5 * turned / PRIORS.misfit_smooth[1] ** 2)
     expected = np.exp(-0.5 * apart / length**2) * over_poses * (data.axis[:, None] == data.axis)
     assert np.linalg.norm(columns @ columns.T - expected) < 0.05 * np.linalg.norm(expected)
 
 
 def test_evidence_with_a_misfit_is_the_gaussian_written_out(data: Data, errors: Errors) -> None:
     residual = smooth_misfit(data, 5 * SIGMA) + SIGMA * np.random.default_rng(1).normal(size=len(data))
-    variance = np.sum(response.poses(data)[data.frame] ** 2, axis=1) + response.SMOOTH_PART
+    variance = np.sum(response.poses(data)[data.frame] ** 2, axis=1) + PRIORS.misfit_smooth[0]
     logs = []
     for columns in response.columns(data):
         left_out = float(np.mean(variance - np.sum(columns**2, axis=1)))
@@ -83,7 +83,7 @@ def test_evidence_with_a_misfit_is_the_gaussian_written_out(data: Data, errors: 
     expected = logsumexp(logs) - math.log(len(logs)) + len(data) / 2 * math.log(2 * math.pi)
     found = Evidence.of(errors, residual, no_force(data))
     # Of all discrepancies it is the only one that explains anything here.
-    assert found.forced == pytest.approx(expected + math.log(MISSED), abs=0.2)
+    assert found.forced == pytest.approx(expected + math.log(PRIORS.missed), abs=0.2)
 
 
 def test_smooth_misfit_is_a_discrepancy_and_no_certain_choice_between_hypotheses(data: Data, errors: Errors) -> None:

@@ -13,7 +13,7 @@ from scipy.stats import norm
 
 from bcid.base.errors import InputError
 from bcid.comparison.fit import fit
-from bcid.comparison.priors import of_state, visible
+from bcid.comparison.parameter_priors import of_state, visible
 from bcid.comparison.rivals import Rival
 from bcid.comparison.state import State
 from bcid.exploration.explore_run import run_exploration

@@ -9,9 +9,9 @@ from scipy.stats import multivariate_normal
 
 from bcid.inference.data import Data
 from bcid.inference.evidence import Integrated, Numbers
-from bcid.inference.hypotheses import MISSED
 from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
+from bcid.inference.priors import PRIORS
 from bcid.inference.sudden_force import _SIZES, SuddenForce
 from bcid.inference.unknown_force import Evidence, Smooth
 from tests.unit.test_weighing import SCENE, STEPS, UNIT, errors, measurement, slopes
@@ -122,9 +122,9 @@ def test_smooth_in_larger_errors_or_sudden_count_alike() -> None:
     found = Evidence.of(known, pushed, forces, sudden=SuddenForce(known, spots(data)))
     assert found.begins is not None
     # What does not begin has two thirds of the prior of a force instead of all of it.
-    misfit = MISSED * np.exp(response_log(known, pushed) - found.plain)
+    misfit = PRIORS.missed * np.exp(response_log(known, pushed) - found.plain)
     steady = np.exp(without.forced - found.plain) - misfit
-    begins = (1 - MISSED) / 3 * np.exp(found.begins.log)
+    begins = (1 - PRIORS.missed) / 3 * np.exp(found.begins.log)
     whole = steady * 2 / 3 + misfit + begins
     assert found.forced - found.plain == pytest.approx(np.log(whole))
     assert found.sudden == pytest.approx(begins / whole)

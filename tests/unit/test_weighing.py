@@ -20,12 +20,12 @@ from bcid.inference import response
 from bcid.inference.criteria import FAILS_FOR_THE_TRUE, NOTABLE
 from bcid.inference.data import Data
 from bcid.inference.evidence import LARGER
-from bcid.inference.hypotheses import MISSED
 from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes
 from bcid.inference.outcome import Candidate
-from bcid.inference.unknown_force import _SIZES, MISSING, Evidence, Smooth, courses, unknown_force
+from bcid.inference.priors import PRIORS, spaced
+from bcid.inference.unknown_force import Evidence, Smooth, courses, unknown_force
 from bcid.measurement import Action, Measurement
 from bcid.search.climb import ODDS
 from bcid.search.weighing import _BATCH, _MOST, Pan, Weighing
@@ -76,8 +76,10 @@ def test_the_evidence_is_that_of_a_gaussian_averaged_over_sizes() -> None:
     assert found.plain == pytest.approx(multivariate_normal(cov=base).logpdf(residual) + constant, rel=1e-9)
     # A force that hardly moves a marker is none.
     shown = np.sqrt(np.mean(np.sum(moved**2, axis=1) / data.sigma**2))
-    assert force.sizes == pytest.approx([UNIT * size for size in _SIZES if UNIT * size * shown >= NOTABLE])
-    assert 0 < len(force.sizes) < len(_SIZES)
+    assert force.sizes == pytest.approx(
+        [UNIT * size for size in spaced(PRIORS.force) if UNIT * size * shown >= NOTABLE]
+    )
+    assert 0 < len(force.sizes) < len(spaced(PRIORS.force))
     covariances = [base + size**2 * moved @ moved.T for size in force.sizes]
     each = [multivariate_normal(cov=c).logpdf(residual) + constant for c in covariances]
     assert found.size == pytest.approx(force.sizes[int(np.argmax(each))])
@@ -87,17 +89,17 @@ def test_the_evidence_is_that_of_a_gaussian_averaged_over_sizes() -> None:
     ]
     # Or it is a misfit in observation space, whose variance beyond its columns makes all errors larger.
     misfits = []
-    variance = np.sum(response.poses(data) ** 2, axis=1)[data.frame] + response.SMOOTH_PART
+    variance = np.sum(response.poses(data) ** 2, axis=1)[data.frame] + PRIORS.misfit_smooth[0]
     for columns in response.columns(data):
         left_out = max(float(np.mean((variance - np.sum(columns**2, axis=1)) / data.sigma**2)), 0.0)
         for size in response.scales(data, data.sigma):
             covariance = (1 + left_out * size**2) * base + size**2 * columns @ columns.T
             misfits.append(multivariate_normal(cov=covariance).logpdf(residual) + constant)
     expected = [logsumexp(logs) - math.log(len(logs)) for logs in (each, larger, misfits)]
-    priors = [(1 - MISSED) / 2, (1 - MISSED) / 2, MISSED]
+    priors = [(1 - PRIORS.missed) / 2, (1 - PRIORS.missed) / 2, PRIORS.missed]
     assert found.forced == pytest.approx(logsumexp(expected, b=priors), rel=1e-9)
     assert found.total == pytest.approx(
-        np.logaddexp(found.plain + math.log(1 - MISSING), found.forced + math.log(MISSING))
+        np.logaddexp(found.plain + math.log(1 - PRIORS.missing), found.forced + math.log(PRIORS.missing))
     )
 
 

@@ -27,7 +27,7 @@ from bcid.comparison.explain import ExplainOptions, explain
 from bcid.comparison.explanation import Explanation, explained, explains
 from bcid.comparison.fit import Fit, columns, coordinates, fit
 from bcid.comparison.hypothesis_search import HypothesisSearch
-from bcid.comparison.priors import of_state
+from bcid.comparison.parameter_priors import of_state
 from bcid.comparison.ranking import rank
 from bcid.comparison.rivals import Rival, promoted, refit
 from bcid.comparison.separate import separating_pulls

@@ -9,23 +9,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.comparison.fit import WIDEST, Coordinate, columns, coordinates
+from bcid.comparison.fit import Coordinate, columns, coordinates
 from bcid.comparison.state import State
 from bcid.forms.model import Model, Term
 from bcid.inference.criteria import SEEN
 from bcid.inference.evidence import Numbers
+from bcid.inference.priors import PRIORS, spaced
 
 Array = NDArray[np.float64]
-# Standard deviations of an amount, in notable ones: from a tenth of one to ten, all equally likely, which makes heavy tails.
-_AMOUNTS: Array = np.geomspace(0.1, WIDEST, 7, dtype=float)
-# Where a single one is needed it is this.
-_TYPICAL = 2.0
-# A time constant or a radius lies within so many times the values that are tried, in either direction.
-_BEYOND = 2.0
-# A period is one of so many cycles per measurement, from and to.
-CYCLES = (1.0, 8.0)
-# Onsets, places and directions are counted; another number lies within so many notable changes of where it was found.
-_ELSE = 3.0
+_AMOUNTS = spaced(PRIORS.amounts)
 
 
 def visible(shown: float, least: float = SEEN) -> Array:
@@ -128,7 +120,8 @@ def expected(state: State, begun: Model) -> tuple[Array, Array]:
     numbers, chosen = state.model.constants(), coordinates(state.model, state.free)
     apart = np.array([_apart(c, numbers[c.name], begun) for c in chosen])
     widths = [
-        _TYPICAL * c.scale if c.parameter.neutral is not None else _width(c, numbers[c.name], state) for c in chosen
+        PRIORS.typical_amount * c.scale if c.parameter.neutral is not None else _width(c, numbers[c.name], state)
+        for c in chosen
     ]
     return apart, np.array(widths)
 
@@ -174,7 +167,7 @@ def _width(c: Coordinate, value: float, state: State) -> float:
     if p.off is not None:
         # A period: uniform in the cycles per measurement over those that are tried.
         cycle = value**2 / float(np.max(state.predictor.times))
-        return cycle * float(np.ptp(CYCLES)) / math.sqrt(12)
+        return cycle * float(np.ptp(PRIORS.cycles)) / math.sqrt(12)
     if p.within:
         low, high = state.room(p.within)
         return (high - low) / math.sqrt(12)
@@ -183,5 +176,5 @@ def _width(c: Coordinate, value: float, state: State) -> float:
         return float(np.linalg.norm(np.ptp(points, axis=0))) / 6
     if len(p.scan) > 1:
         # Uniform in its logarithm over the values that are tried.
-        return value * math.log(max(p.scan) / min(p.scan) * _BEYOND**2) / math.sqrt(12)
-    return _ELSE * c.scale
+        return value * math.log(max(p.scan) / min(p.scan) * PRIORS.scanned**2) / math.sqrt(12)
+    return PRIORS.other * c.scale

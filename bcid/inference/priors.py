@@ -1,0 +1,67 @@
+"""The numbers of the prior: what is believed of a hypothesis and of its sizes before the data are seen.
+
+None of them is fitted to the cases that score an answer. A parameter of an effect has its prior in the file of that effect.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Priors:
+    """Probabilities, and ranges over which sizes are uniform in their logarithm.
+
+    Attributes:
+        effects: known effects that are expected to act, each as likely as the others; shared by all effects of the catalogue.
+        discrepancy: probability that something unknown acts besides what a hypothesis names.
+        missing: the same of a model whose anchors alone are asked for: as likely as not.
+        missed: probability that what acts was found by no search; of a discrepancy, that it is a misfit in observation space.
+        amounts: standard deviations of the amount of an effect, in notable changes: smallest, largest and how many. A mixture of
+            normal distributions has the heavy tails of a half-Cauchy distribution (Gelman, Bayesian Anal. 1, 2006, 515).
+        typical_amount: where a single one is needed, in notable changes.
+        scanned: a time constant or radius lies within so many times the values that are tried, in either direction.
+        cycles: a period is one of so many cycles per measurement, from and to.
+        other: any other number lies within so many notable changes of where it was found.
+        force: standard deviations of the density of an unknown force, in units of shear modulus per size of the body: from a
+            strain that nobody sees to one that tears.
+        noise: factors of all errors where no noise is stated, and where what is missing is no force.
+        misfit_lengths: correlation lengths of a misfit over the markers, in their largest distance.
+        misfit_sizes: how many of its standard deviations are tried, from the noise to the motion.
+        misfit_smooth: variance and correlation length of its part that is smooth in the pose, where the furthest pose is 1.
+        misfit_columns: in which it is kept at most (Kennedy & O'Hagan, J. R. Stat. Soc. B 63, 2001, 425).
+    """
+
+    effects: float = 0.7
+    discrepancy: float = 0.15
+    missing: float = 0.5
+    missed: float = 0.05
+    amounts: tuple[float, float, int] = (0.1, 10.0, 7)
+    typical_amount: float = 2.0
+    scanned: float = 2.0
+    cycles: tuple[float, float] = (1.0, 8.0)
+    other: float = 3.0
+    force: tuple[float, float, int] = (1e-4, 10.0, 21)
+    noise: tuple[float, float, int] = (1.0, 20.0, 30)
+    misfit_lengths: tuple[float, ...] = (0.1, 0.25, 0.6, 1.5)
+    misfit_sizes: int = 8
+    misfit_smooth: tuple[float, float] = (0.1, 0.3)
+    misfit_columns: int = 60
+
+    @property
+    def widest(self) -> float:
+        """Standard deviation of the widest prior of an amount, in notable changes."""
+        return self.amounts[1]
+
+
+def spaced(span: tuple[float, float, int]) -> Array:
+    """So many values from a first to a last, evenly in their logarithm, shape (count,)."""
+    return np.geomspace(span[0], span[1], span[2], dtype=float)
+
+
+PRIORS = Priors()
