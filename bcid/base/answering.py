@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from bcid.base.confined import confine, environment_of_child, limit_memory, prepare, reason_of
 from bcid.base.errors import InputError
+from bcid.base.pipe import send
 
 # Before a request its length; before an answer what it is, bytes of an item, rows, columns.
 _LENGTH, _HEAD = struct.Struct("<Q"), struct.Struct("<BB6xQQ")
@@ -67,7 +68,7 @@ class Answering:
         assert child.stdout is not None
         try:
             with _limited(child, seconds):
-                _send(child.stdin.fileno(), _LENGTH.pack(len(request)) + request)
+                send(child.stdin.fileno(), _LENGTH.pack(len(request)) + request)
                 answer = _received(child.stdout)
         except (OSError, EOFError, ValueError):
             self.close()
@@ -130,19 +131,6 @@ def _ended(child: subprocess.Popen[bytes]) -> None:
         if stream is not None:
             with suppress(OSError):
                 stream.close()
-
-
-def _send(pipe: int, content: bytes) -> None:
-    """Write to a pipe; `OSError` where nobody reads it. The kernel also sends a signal, at which PETSc would end this process."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGPIPE})
-    try:
-        rest = memoryview(content)
-        while rest:
-            rest = rest[os.write(pipe, rest) :]
-    finally:
-        if signal.SIGPIPE not in before:
-            signal.sigtimedwait({signal.SIGPIPE}, 0)
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _received(stream: IO[bytes]) -> NDArray[Any] | str:

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from bcid.base.errors import MachineError
+from bcid.base.pipe import send
 from bcid.base.shipped import IMPORT_ROOT
 from bcid.studies.engine.time_limit import PATIENCE, never_done, used_up
 from bcid.studies.engine.work import Task, Work, Workers
@@ -47,8 +48,7 @@ class _Worker:
         assert self.process.stdin
         # One that has died meanwhile is noticed by its answers.
         with suppress(OSError):
-            self.process.stdin.write(json.dumps([name, dict(task)]).encode() + b"\n")
-            self.process.stdin.flush()
+            send(self.process.stdin.fileno(), json.dumps([name, dict(task)]).encode() + b"\n")
 
     def last_words(self) -> list[str]:
         """What it said last."""
@@ -132,7 +132,7 @@ class _Pool:
         assert process.stdin
         with suppress(OSError):
             about = asdict(self.work) | {"results": str(self.work.results), "job": dict(self.work.job)}
-            process.stdin.write(json.dumps(about).encode() + b"\n")
+            send(process.stdin.fileno(), json.dumps(about).encode() + b"\n")
         self.tries[name] += 1
         worker.give(name, self.tasks[name])
 
