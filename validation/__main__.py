@@ -19,6 +19,7 @@ def main(words: list[str] | None = None) -> int:
     golden.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="folder; a run in it goes on")
     golden.add_argument("--only", nargs="+", choices=list(CASES), metavar="CASE", help="some cases (all)")
     golden.add_argument("--jobs", type=int, default=2, metavar="N", help="processes at a time (2)")
+    golden.add_argument("--store", type=Path, metavar="FOLDER", help="keep predictions here, for other runs")
     golden.add_argument("--freeze", action="store_true", help="make these answers the frozen ones")
     chosen = parser.parse_args(words)
     try:
@@ -32,7 +33,7 @@ def _golden(chosen: argparse.Namespace) -> int:
     from validation.golden import run
     from validation.golden.score import table
 
-    run.run(chosen.output, chosen.only or list(CASES), chosen.jobs, progress_on())
+    run.run(chosen.output, chosen.only or list(CASES), chosen.jobs, progress_on(), chosen.store)
     if chosen.freeze:
         print(f"{run.freeze(chosen.output)} answers are frozen in {run.ANSWERS}")
     print(table(run.frozen(), run.read(chosen.output)))

@@ -132,6 +132,8 @@ def _written(
     levels = len(source.scene.levels)
     if level is not None and not 0 <= level < levels:
         raise InputError(f"--level {level}: the scene has levels 0 to {levels - 1}")
+    if on_root(comm, lambda: store is not None and store.exists() and not store.is_dir()):
+        raise InputError(f"--store {store}: is a file; name a folder")
     makes = _EXPLAIN_MAKES if command == "explain" else MAKES
     inputs = source.inputs(options)
     with running(comm, folder, command, inputs, makes, overwrite) as run:

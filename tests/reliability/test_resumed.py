@@ -85,6 +85,26 @@ def test_what_two_ranks_have_computed_serves_one(words: list[str], right: Path, 
     assert resumed.steps(tmp_path / "run")["recalled"] == EARLY
 
 
+def test_shared_store_predictions_of_another_run_same_answer(words: list[str], right: Path, tmp_path: Path) -> None:
+    shared, output = tmp_path / "store", tmp_path / "run"
+    resumed.killed(words, tmp_path / "killed", LATE)
+    shutil.copytree(tmp_path / "killed" / "checkpoint", shared)
+    code, said = disk.command(*words, output, "--store", shared)
+    assert code == 0, said
+    assert resumed.steps(output) == {"computed": resumed.steps(right)["computed"] - LATE, "recalled": LATE}
+    assert resumed.same(resumed.answer(output), resumed.answer(right))
+    assert len(list(shared.iterdir())) == resumed.steps(right)["computed"]
+
+
+def test_shared_store_a_file_is_refused(words: list[str], tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    code, said = disk.command(*words, tmp_path / "run", "--store", file)
+    assert (code, file.read_bytes()) == (2, b"")
+    assert f"--store {file}: is a file; name a folder" in said
+    assert not (tmp_path / "run").exists()
+
+
 def test_a_full_disk_costs_no_answer(
     words: list[str], right: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -21,17 +21,17 @@ LIMIT = 1800.0
 
 
 def maker(job: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
-    """The function that explains a case, for `bcid.studies.engine.dispatch`; `job` holds the folder `cases`."""
+    """The function that explains a case, for `bcid.studies.engine.dispatch`; `job` holds the folders `cases` and `store`."""
 
     def case(task: Mapping[str, Any]) -> dict[str, Any]:
         folder = Path(job["cases"]) / task["name"]
         prepare(task["name"], folder)
-        return explained(folder)
+        return explained(folder, Path(job["store"]) / task["name"] if job["store"] else None)
 
     return case
 
 
-def explained(folder: Path) -> dict[str, Any]:
+def explained(folder: Path, store: Path | None = None) -> dict[str, Any]:
     """What `bcid explain` answers for a case, given its scene and measurement alone, and what that costs."""
     from mpi4py import MPI
 
@@ -41,10 +41,9 @@ def explained(folder: Path) -> dict[str, Any]:
     began, began_cpu = time.perf_counter(), time.process_time()
     shutil.rmtree(folder / "run", ignore_errors=True)
     try:
-        kept = folder / "store"
-        run_explain(
-            folder / SCENE, folder / MEASUREMENT, folder / "run", None, MPI.COMM_SELF, Silent(), False, store=kept
-        )
+        # Code of which answers are frozen may keep no predictions.
+        kept: dict[str, Any] = {} if store is None else {"store": store}
+        run_explain(folder / SCENE, folder / MEASUREMENT, folder / "run", None, MPI.COMM_SELF, Silent(), False, **kept)
         run = RunFolder.open(folder / "run")
         answer = {"diagnosis": run.read_json("diagnosis.json"), "trajectories": run.record["trajectories"]}
     except Exception as error:
@@ -54,9 +53,13 @@ def explained(folder: Path) -> dict[str, Any]:
     return answer | {name: round(value, 1) for name, value in cost.items()}
 
 
-def run(folder: Path, names: Iterable[str], jobs: int, progress: Progress) -> None:
-    """Explain cases into a folder; what is there already is kept, so that a run that was interrupted goes on."""
-    work = Work("validation.golden.run:maker", {"cases": str(folder.resolve() / "cases")}, folder.resolve() / "results")
+def run(folder: Path, names: Iterable[str], jobs: int, progress: Progress, store: Path | None = None) -> None:
+    """Explain cases into a folder; what is there already is kept, so that a run that was interrupted goes on.
+
+    Predictions are kept in `store`, so that a change of what weighs them is tried without computing them again.
+    """
+    job = {"cases": str(folder.resolve() / "cases"), "store": str(store.resolve()) if store else ""}
+    work = Work("validation.golden.run:maker", job, folder.resolve() / "results")
     how = Workers(None, jobs, LIMIT, tries=2, fresh=True)
     dispatch(work, {name: {"name": name} for name in names}, how, progress)
 

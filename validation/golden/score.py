@@ -32,10 +32,22 @@ def anchor_bits(answer: Json) -> float | None:
 
 def _bits_of(answer: Json, right: Callable[[Json, Json], Iterable[float]]) -> float | None:
     """Of what is right by truth and diagnosis."""
-    truth, diagnosis = answer["truth"], answer["diagnosis"]
-    if truth is None or truth["kind"] == "unpublished":
+    truth, diagnosis = _known(answer), answer["diagnosis"]
+    if truth is None:
         return None
     return FLOOR if diagnosis is None else _bits(sum(right(truth, diagnosis)))
+
+
+def _known(answer: Json) -> Json | None:
+    """The truth as the blinded study writes it: that of a law or a term beyond the catalogue is outside of it."""
+    truth: Json | None = answer["truth"]
+    if truth is None or truth["kind"] == "unpublished":
+        return None
+    if "effects" in truth:
+        return truth
+    if truth["kind"] == "none":
+        return {**truth, "effects": []}
+    return {**truth, "kind": "outside", "effects": [{"effect": truth["kind"], "size": truth["size"]}]}
 
 
 def _right_verdicts(truth: Json, diagnosis: Json) -> Iterable[float]:
@@ -51,8 +63,8 @@ def _right_anchors(truth: Json, diagnosis: Json) -> Iterable[float]:
 
 def certain_and_wrong(answer: Json) -> list[str]:
     """Which of verdict and anchors are certain and wrong."""
-    truth, diagnosis = answer["truth"], answer["diagnosis"]
-    if truth is None or diagnosis is None or truth["kind"] == "unpublished":
+    truth, diagnosis = _known(answer), answer["diagnosis"]
+    if truth is None or diagnosis is None:
         return []
     wrong = []
     if diagnosis["verdict_probability"] >= CERTAIN and not verdict_right(truth, diagnosis):
