@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from bcid.base import confined
-from bcid.base.confined import read_in_child
+from bcid.base.confined import environment_of_child, read_in_child
 from bcid.base.errors import InputError
 from bcid.base.landlock import landlock
 from bcid.base.run_folder import RunFolder
@@ -276,3 +276,10 @@ def test_effects_of_a_run_are_run_only_when_named_again(tmp_path: Path) -> None:
         ):
             from_run(tmp_path / "run", given, None)
     assert not ran.exists()
+
+
+def test_environment_of_child_libraries_of_relative_folders_are_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LD_LIBRARY_PATH", f"{tmp_path}::here:")
+    assert environment_of_child(tmp_path)["LD_LIBRARY_PATH"] == str(tmp_path)

@@ -24,17 +24,17 @@ def test_bulk_data_without_begin_or_end_are_refused(file: Path, missing: str) ->
     assert missing in text
     file.write_text(text.replace(missing, ""), encoding="utf-8")
     with pytest.raises(InputError, match=f"has no line {missing}: it is truncated, or no bulk data of Nastran"):
-        read_in_child("bcid.forms.mesh.child", file, ["0.0", "0.0"], seconds=20)
+        read_in_child("bcid.forms.mesh.child", file, ["0.0", "0.0", "inf"], seconds=20)
 
 
 def test_bulk_data_that_end_where_they_begin_are_refused(file: Path) -> None:
     text = file.read_text(encoding="utf-8")
     file.write_text(text[: text.index("BEGIN BULK") + 11], encoding="utf-8")
     with pytest.raises(InputError, match="has no line ENDDATA"):
-        read_in_child("bcid.forms.mesh.child", file, ["0.0", "0.0"], seconds=5)
+        read_in_child("bcid.forms.mesh.child", file, ["0.0", "0.0", "inf"], seconds=5)
 
 
 def test_whole_bulk_data_are_read(file: Path) -> None:
-    found = read_in_child("bcid.forms.mesh.child", file, ["0.0", "0.0"], seconds=60)
+    found = read_in_child("bcid.forms.mesh.child", file, ["0.0", "0.0", "inf"], seconds=60)
     np.testing.assert_allclose(found["points"], _POINTS)
     assert found["cells"].tolist() == [[0, 1, 2, 3]]
