@@ -25,12 +25,19 @@ def copy_examples(target: Path) -> list[str]:
     """
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise InputError(f"{target}: exists and is not empty; name another folder")
-    partial = target.with_name(f".{target.name}.partial")
+    # A folder that is there may be the one that the user works in, and must stay the same.
+    partial = target / ".partial" if target.exists() else target.with_name(f".{target.name}.partial")
     try:
         shutil.rmtree(partial, ignore_errors=True)
         for name in _EXAMPLES:
             shutil.copytree(shipped(name), partial / name, ignore=shutil.ignore_patterns("__pycache__"))
-        partial.replace(target)
+        if target.exists():
+            for name in _EXAMPLES:
+                (target / name).parent.mkdir(parents=True, exist_ok=True)
+                (partial / name).replace(target / name)
+            shutil.rmtree(partial)
+        else:
+            partial.replace(target)
     except OSError as error:
         shutil.rmtree(partial, ignore_errors=True)
         raise unwritable(target, error) from None
