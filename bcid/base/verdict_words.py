@@ -10,6 +10,7 @@ from bcid.base.units import p_value
 NO_EFFECTS = {
     "none": "nothing missing",
     "unknown": "something unknown",
+    # In runs of version 0.8 and before.
     "others": "effects that were not looked at",
 }
 

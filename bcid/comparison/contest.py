@@ -12,7 +12,7 @@ import numpy as np
 from bcid.base.errors import InputError, SolveError
 from bcid.comparison.candidates import Candidates, StandIn, Start
 from bcid.comparison.held_out import held_out
-from bcid.comparison.hypothesis_search import HypothesisSearch, Look, Promise
+from bcid.comparison.hypothesis_search import HypothesisSearch, Kept, Look, Promise, Promised
 from bcid.comparison.loosened import loosens
 from bcid.comparison.rivals import (
     FAR,
@@ -65,13 +65,15 @@ class Contest:
 
     Attributes:
         rivals: those that were fitted, the likeliest first.
-        promised: logarithms of evidence and of prior odds of those that do not seem worth a fit.
+        promised: those that do not seem worth a fit.
         stood_in: effects and sets of those that hold the body in the place of a patch.
+        kept: what tangents said of hypotheses that were looked at or fitted later.
     """
 
     rivals: list[Rival]
-    promised: dict[Hypothesis, tuple[float, float]]
+    promised: dict[Hypothesis, Promised]
     stood_in: frozenset[tuple[tuple[str, ...], Anchored]] = frozenset()
+    kept: tuple[Kept, ...] = ()
 
 
 def contest(
@@ -103,7 +105,7 @@ def contest(
         found = refitted(promises, begun, search.among, most, candidates=candidates)
         fitted = {rival.names for rival in found.rivals}
         given = {h: promised for h, promised in search.giving().items() if h.names not in fitted}
-        return replace(found, promised=given | found.promised)
+        return replace(found, promised=given | found.promised, kept=(*search.kept(), *found.kept))
 
     return at_a_glance(state, work)
 
@@ -151,6 +153,7 @@ def refitted(
     tried: set[tuple[str, Anchored | None]] = set()
     states: dict[Anchored, State] = {}
     hoped: dict[str, float] = {}
+    kept: list[Kept] = []
     for promise in promises:
         row, best = promise.row, best_first(rivals)[0]
         if row is None:
@@ -167,6 +170,9 @@ def refitted(
         hoped.setdefault(row.effect, promise.log)
         promise.look.state.predictor.progress.step("candidates refitted", len(tried) - 1, most, f"now {row.effect}")
         found = _refit(states, promise, begun, count)
+        told = _promised(promise, begun)
+        base = promise.look.evidence.plain
+        kept += [Kept(told.hypothesis, told.about, told.log, one.evidence.plain, base) for one in found]
         if found and found[0].log < promise.log - WORTH and promise.log > best.log:
             # What breaks its promise on one set may keep it on another.
             found += moved(found[0], begun, count)
@@ -188,9 +194,20 @@ def refitted(
     promised = {}
     for promise in promises:
         if promise.row and promise.row.effect not in fitted and math.isfinite(promise.log):
-            names = [*(term.effect.name for term in promise.look.state.model.added(begun)), promise.row.effect]
-            promised[Hypothesis(promise.anchors, "+".join(names))] = promise.evidence, promise.log_prior
-    return Contest(best_first(rivals), promised, frozenset((rival.names, rival.anchors) for rival in stood))
+            one = _promised(promise, begun)
+            promised[one.hypothesis] = one
+    return Contest(
+        best_first(rivals), promised, frozenset((rival.names, rival.anchors) for rival in stood), tuple(kept)
+    )
+
+
+def _promised(promise: Promise, begun: Model) -> Promised:
+    """What the tangent of a set says of an effect."""
+    assert promise.row is not None
+    names = [term.effect.name for term in promise.look.state.model.added(begun)]
+    about = Hypothesis(promise.anchors, "+".join(names))
+    hypothesis = Hypothesis(promise.anchors, "+".join([*names, promise.row.effect]))
+    return Promised(hypothesis, about, promise.evidence, promise.log_prior)
 
 
 def _likelier_in_part(

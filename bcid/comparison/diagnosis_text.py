@@ -23,6 +23,7 @@ from bcid.base.units import (
 from bcid.base.verdict_words import NO_EFFECTS, not_adequate_either
 from bcid.comparison import curvature
 from bcid.comparison.adequacy import BREAKING, Adequacy, groups
+from bcid.comparison.evidence_split import PARTS, EvidenceSplit, no_better_fit
 from bcid.comparison.explanation import Explanation, Rung
 from bcid.comparison.fit import Fit
 from bcid.comparison.ranking import Ranking, Row
@@ -35,7 +36,7 @@ from bcid.forms.model import Term
 from bcid.forms.parameter import Parameter
 from bcid.inference import nuisance_text
 from bcid.inference.criteria import CERTAIN, FAR
-from bcid.inference.hypotheses import OTHERS, HypothesisOdds
+from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
 from bcid.inference.outcome import label
 
 # A hypothesis with a smaller probability is not told.
@@ -150,15 +151,36 @@ def beliefs(found: Explanation) -> list[str]:
     told = {_called(found.odds, name): p for name, p in found.odds.verdicts.items() if p > _LITTLE}
     effects = ", ".join(f"{name}{_alone(name, told)} {percent(p)}" for name, p in told.items())
     lines = [f"How probable: {effects}."]
-    likely = [(h, p) for h, p in found.odds.probabilities.items() if p > _LITTLE and h.effect != OTHERS][:6]
-    lines += [f"  {h.label(names)}{' and something unknown' if h.unknown else ''}: {percent(p)}" for h, p in likely]
+    likely = [(h, p) for h, p in found.odds.probabilities.items() if p > _LITTLE][:6]
+    lines += [f"  {_hypothesis(h, names)}: {percent(p)}" for h, p in likely]
+    return lines + _split(found.splits, names)
+
+
+def _hypothesis(h: Hypothesis, names: Iterable[str]) -> str:
+    return h.label(names) + (" and something unknown" if h.unknown else "")
+
+
+def _split(splits: Sequence[EvidenceSplit], names: Sequence[str]) -> list[str]:
+    """Why the first of some hypotheses is more probable than the others."""
+    if len(splits) < 2:
+        return []
+    called = [_hypothesis(one.hypothesis, names) for one in splits]
+    wide = max(len(name) for name in called)
+    heads = ("misfit", "volume", "Occam", "discrepancy", "prior", "sum")
+    lines = [
+        f"Why this and not that (log evidence, against the first):\n  {'':{wide}s}{''.join(f'{h:>13s}' for h in heads)}"
+    ]
+    for name, one in zip(called, splits, strict=True):
+        parts = (*(getattr(one, part) for part in PARTS), one.total)
+        lines.append(f"  {name:{wide}s}{''.join(f'{part:+13.1f}' for part in parts)}")
+    if alike := no_better_fit(splits):
+        first, other = (_hypothesis(each.hypothesis, names) for each in (splits[0], alike))
+        lines.append(f"  {first} fits no better than {other}: the rest of the table makes it more probable.")
     return lines
 
 
 def _called(odds: HypothesisOdds, verdict: str) -> str:
     """What a verdict is called where probabilities are told: something unknown with the effects that it most likely acts beside."""
-    if verdict == OTHERS:
-        return NO_EFFECTS[verdict]
     if verdict != "unknown":
         return verdict
     beside = next(h.effect for h in odds.probabilities if h.unknown)

@@ -15,13 +15,13 @@ from bcid.base.units import p_value, percent
 from bcid.comparison.adequacy import judge
 from bcid.comparison.buckled_frames import leave_out
 from bcid.comparison.candidates import Candidates, Known
-from bcid.comparison.compared import Compared
 from bcid.comparison.contest import GLANCE, Contest, contest, glanced
 from bcid.comparison.curvature import bent
 from bcid.comparison.explanation import Explanation, Rung, explains, verdict_of
 from bcid.comparison.first_sets import first_sets
 from bcid.comparison.fit import Fit, fit
 from bcid.comparison.held_out import held_out
+from bcid.comparison.hypothesis_table import HypothesisTable
 from bcid.comparison.ranking import Ranking, rank
 from bcid.comparison.rivals import (
     UNLIKELY,
@@ -30,7 +30,7 @@ from bcid.comparison.rivals import (
     added,
     best_first,
     promoted,
-    shown_about,
+    sets_about,
 )
 from bcid.comparison.settle import settled
 from bcid.comparison.state import State
@@ -54,6 +54,8 @@ _STOOD_IN = 2
 # So many others that seem likelier than these are fitted too, as long as no more of them than this cannot be followed; and more, up
 # to a limit, while one of them is believed more than all else together.
 _CONFIRMED, _REFUSED, _LIMIT = 3, 6, 9
+# A hypothesis with more than this probability is fitted to all steps.
+_WORTH = 0.05
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,7 @@ class _Loop:
         self.starts: list[Anchored] = []
         # What may be missing beside the model that is begun with.
         self.lacking: list[Effect] = []
-        self.compared = Compared(alike=candidates.alike)
+        self.compared = HypothesisTable(alike=candidates.alike)
         # What the model that was begun with lacks on sets that were compared with all steps.
         self.rankings: dict[Anchored, Ranking] = {}
         # Effects beside which further ones were looked for.
@@ -178,23 +180,23 @@ class _Loop:
         own = tuple(term.effect.name for term in base.model.added(self.model))
         # Beside an effect that explains all a second one need not be known as well.
         chosen = _for_all_steps(contest, own, WORTH if own and contest.rivals[0].complete else UNLIKELY)
-        compared, fitted = self.compared, list[tuple[Rival, Rival]]()
+        compared, fitted = self.compared, list[Rival]()
         for number, rival in enumerate(chosen):
             self.step("hypotheses fitted to all steps", number, len(chosen))
             known = compared.like(rival)
             again = known or promoted(rival, base, self.model)
             if again is None:
                 continue
-            fitted.append((rival, again))
+            fitted.append(again)
             state = again.fitted.state
             if known is None:
                 self.say(f"  {state.model.name}, anchors {self.name(again.anchors)}: {state.rms * 1e3:.3g} mm")
-        rivals = [*compared.own, *(again for _, again in fitted)]
+        rivals = [*compared.own, *fitted]
         if not any(rival.names == own for rival in rivals):
             # Whatever else cannot be followed: the model that was begun with was.
             rivals.append(Rival.of(self.allowing(self.alone(base)), self.model, self.candidates.among))
         compared.add([*rivals, *self.elsewhere(best_first(rivals), base)], self.model)
-        compared.add_roughly(contest, [rough for rough, _ in fitted], own)
+        compared.coarse.append(contest)
         self.settle(base)
         self.predictor.drop([self.model, *(rival.fitted.state.model for rival in self.compared.full)])
 
@@ -235,7 +237,7 @@ class _Loop:
         """
         fitted = refused = 0
         while refused < _REFUSED:
-            least = 0.0 if fitted < _CONFIRMED else LIKELIER if fitted < _LIMIT else 1.0
+            least = _WORTH if fitted < _CONFIRMED else LIKELIER if fitted < _LIMIT else 1.0
             told = self.compared.unconfirmed(least) or self.compared.unopposed()
             if told is None and self.promised_anew():
                 continue
@@ -250,7 +252,7 @@ class _Loop:
             fitted += 1
             state = again.fitted.state
             self.say(f"  {state.model.name}, anchors {self.name(again.anchors)}: {state.rms * 1e3:.3g} mm")
-            self.compared.confirm(told, again, self.model)
+            self.compared.add([again], self.model)
 
     def promised_anew(self) -> bool:
         """Ask all steps what the likeliest model lacks, where no effect is thought to act; whether that was not asked before.
@@ -260,7 +262,7 @@ class _Loop:
         best = self.compared.best()
         if best.names or best.anchors in self.rankings:
             return False
-        self.compared.promise(best, self.lacks(best).rows)
+        self.compared.add_effects(best, self.lacks(best).rows)
         return True
 
     def lacks(self, plain: Rival) -> Ranking:
@@ -278,7 +280,7 @@ class _Loop:
         more = [name for name in best.names if name not in names]
         if told.anchors <= best.anchors and len(more) == 1 and len(names) < len(best.names):
             return promoted(best.without(more[0]), base, self.model, anchors=told.anchors)
-        rough = next((r for r in self.compared.thin if (r.names, r.anchors) == (names, told.anchors)), None)
+        rough = self.compared.roughly(told)
         if rough is not None:
             return promoted(rough, base, self.model)
         like = next((r for r in self.compared.full if r.names == names), None)
@@ -299,17 +301,13 @@ class _Loop:
             return None
 
     def elsewhere(self, rivals: Sequence[Rival], base: State) -> list[Rival]:
-        """The best of some hypotheses on other sets, fitted where its tangent in all steps shows them to be as likely.
-
-        What it shows of the others is kept, less what it showed too much of those.
-        """
+        """The best of some hypotheses on other sets, fitted where its tangent in all steps shows them to be as likely."""
         found: list[Rival] = []
         if not rivals:
             return found
         best = rivals[0]
         tried = {r.anchors for r in rivals if r.names == best.names}
-        shown = shown_about(best, self.model)
-        misses, refused = list[float](), set[Anchored]()
+        shown = self.shown(best)
         for _ in range(_MOVED):
             near = [s for s in shown if s not in tried and shown[s] > shown[best.anchors] - WORTH]
             if not near:
@@ -319,21 +317,24 @@ class _Loop:
             self.step("other anchor sets fitted to all steps", len(found), _MOVED)
             again = promoted(best, base, self.model, anchors=anchors)
             if again is None:
-                refused.add(anchors)
+                self.compared.refuse(Hypothesis(anchors, best.hypothesis.effect))
                 continue
             found.append(again)
             self.say(
                 f"  {again.fitted.state.model.name}, anchors {self.name(anchors)}: {again.fitted.state.rms * 1e3:.3g} mm"
             )
-            misses.append(again.log - best.log - (shown[anchors] - shown[best.anchors]))
             if again.log > best.log:
-                best, shown = again, shown_about(again, self.model)
-        self.compared.about, self.compared.misses = best, misses
-        others = {s: log for s, log in shown.items() if s != best.anchors and s not in refused}
-        self.compared.shown = {s: log - shown[best.anchors] for s, log in others.items()}
-        unlikely = [s for s, log in self.compared.shown.items() if log < -WORTH]
+                best, shown = again, self.shown(again)
+        self.compared.about = best
+        unlikely = [s for s, log in shown.items() if log < shown[best.anchors] - WORTH]
         self.compared.fewer = best.without_a_patch(unlikely, glanced(self.predictor), GLANCE, self.model)
         return found
+
+    def shown(self, rival: Rival) -> dict[Anchored, float]:
+        """Logarithms of the evidence of other sets with a hypothesis, as its tangent shows them."""
+        found = sets_about(rival, self.model)
+        self.compared.add_sets(rival, found)
+        return {anchors: evidence.total for anchors, evidence in found.items()}
 
     def deeper(self) -> bool:
         """Look for a further effect beside the likeliest model; whether there was one to look beside."""
@@ -360,12 +361,11 @@ class _Loop:
         odds = self.compared.odds
         nearly = bool(best.names) and explains(rungs[0].fitted, rungs[-1].fitted)
         verdict = verdict_of(best.names, odds.best.unknown, nearly, rungs[-1].adequacy.adequate)
-        odds = odds.doubted(rungs[-1].adequacy.p_value, self.compared.power)
         found = Explanation(
             verdict,
             odds,
             tuple(rungs),
-            told_anchors(best_first([*self.compared.full, *self.compared.thin]), odds, best, seconds),
+            told_anchors(best_first([*self.compared.full, *self.compared.rough]), odds, best, seconds),
             tuple(self.compared.full),
             self.predictor.noise,
             dict(self.predictor.trajectories),
@@ -379,7 +379,7 @@ class _Loop:
 
     def singles(self) -> list[Rival]:
         """The hypotheses with one effect, the likeliest first."""
-        return best_first(r for r in [*self.compared.full, *self.compared.thin] if len(r.names) == 1)
+        return best_first(r for r in [*self.compared.full, *self.compared.rough] if len(r.names) == 1)
 
     def rung(self, rival: Rival) -> Rung:
         state, adequacy = rival.fitted.state, judge(rival.fitted.state)

@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from bcid.comparison.adequacy import Adequacy
+from bcid.comparison.evidence_split import EvidenceSplit, evidence_splits
 from bcid.comparison.fit import Fit
 from bcid.comparison.ranking import Ranking
 from bcid.comparison.rivals import Rival
 from bcid.comparison.state import State
 from bcid.inference.criteria import CERTAIN, LIKELIER, NEARLY_ALL
 from bcid.inference.data import Noise
-from bcid.inference.hypotheses import OTHERS, HypothesisOdds
+from bcid.inference.hypotheses import HypothesisOdds
 from bcid.search.identification import Identification
 
 
@@ -90,9 +91,18 @@ class Explanation:
         """
         verdicts = self.odds.verdicts
         if self.refuted:
-            return min(1.0, verdicts["unknown"] + verdicts["none"] + verdicts.get(OTHERS, 0.0))
+            return min(1.0, verdicts["unknown"] + verdicts["none"])
         told = self.verdict in ("none", "unknown")
         return verdicts[self.verdict] if told else self.odds.acting(self.verdict)
+
+    @property
+    def splits(self) -> list[EvidenceSplit]:
+        """Why the reported hypothesis is more probable than others that were compared with all steps; it comes first."""
+        best = next((r for r in self.rivals if r.fitted.state is self.last.state), None)
+        if best is None:
+            return []
+        first = max(best.logs, key=lambda h: self.odds.probabilities.get(h, 0.0))
+        return evidence_splits(self.rivals, self.odds, first)
 
     @property
     def begins(self) -> Onset | None:

@@ -86,6 +86,40 @@ class Promise:
         return self.look.state.anchors
 
 
+@dataclass(frozen=True)
+class Promised:
+    """What a tangent says of a hypothesis.
+
+    Attributes:
+        hypothesis: without a discrepancy besides.
+        about: the one whose tangent it is.
+        log: logarithm of its evidence.
+        log_prior: logarithm of its prior odds.
+    """
+
+    hypothesis: Hypothesis
+    about: Hypothesis
+    log: float
+    log_prior: float
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What a tangent said of a hypothesis that was looked at later.
+
+    Attributes:
+        hypothesis, about: the hypothesis, and the one whose tangent it is.
+        low, high: logarithm of its evidence by the tangent, and as it was found to be.
+        base: the same of the one whose tangent it is.
+    """
+
+    hypothesis: Hypothesis
+    about: Hypothesis
+    low: float
+    high: float
+    base: float
+
+
 def weighed(state: State, begun: Model, jacobian: Array | None = None, least: float = SEEN) -> Evidence:
     """Evidence of a model whose free numbers were unknown, beside the model that it was begun from; collective.
 
@@ -101,7 +135,7 @@ def _all_sets(about: Anchored, patches: Sequence[str], cheap: bool) -> list[Anch
     return [about ^ frozenset(s) for count in range(toggled + 1) for s in combinations(patches, count)]
 
 
-def _evidences(state: State, known: Numbers, moves: Sequence[Array]) -> list[float]:
+def _evidences(state: State, known: Numbers, moves: Sequence[Array]) -> list[Evidence]:
     """Of sets that move the fiducials elsewhere by (frames, fiducials, 3), m, than the one of a state.
 
     How far they move them in each action is known to first order only; and the `known` numbers of the model may be others then.
@@ -118,7 +152,7 @@ def _evidences(state: State, known: Numbers, moves: Sequence[Array]) -> list[flo
     for shift, own, size in zip(shifts.T, np.moveaxis(columns, 1, 0), sizes.T, strict=True):
         bent = np.broadcast_to(_CURVED + _BENT * np.minimum(size, 1.0) ** 2, (len(known.widths), len(size)))
         numbers = Numbers(np.hstack([own, known.columns]), apart, np.hstack([bent, known.widths]), positive)
-        found.append(Evidence.of(state.errors, state.residual - shift, state.forces, numbers).total)
+        found.append(Evidence.of(state.errors, state.residual - shift, state.forces, numbers))
     return found
 
 
@@ -146,11 +180,12 @@ class HypothesisSearch:
         self.base, self.begun, self.known, self.most, self.least = base, begun, list(known), most, least
         self.among = len(self.known) if among is None else among
         self.looks: dict[Anchored, Look | None] = {}
-        self._shown: dict[Anchored, dict[Anchored, float]] = {}
+        self._shown: dict[Anchored, dict[Anchored, Evidence]] = {}
         self._ranked: set[Anchored] = set()
         self._loose: dict[tuple[str, Anchored], Row] = {}
         # Logarithms of the evidence of all sets whose anchors give or come off, as the tangent of one shows them.
         self._given: dict[tuple[str, Anchored], float] = {}
+        self._loosened_about = base.anchors
         self._patches = list(base.predictor.scene.patches)
 
     def run(self, starts: Iterable[Anchored] = ()) -> list[Promise]:
@@ -211,17 +246,32 @@ class HypothesisSearch:
                 found.append(Promise(look, row, plain + row.gain, log_prior(added + 1, False, known)))
         return sorted(found, key=lambda p: (-p.log, len(p.anchors), sorted(p.anchors), p.row.effect if p.row else ""))
 
-    def giving(self) -> dict[Hypothesis, tuple[float, float]]:
-        """Logarithms of evidence and of prior odds of all sets whose anchors give or come off, the model being as it is besides.
+    def giving(self) -> dict[Hypothesis, Promised]:
+        """All sets whose anchors give or come off, the model being as it is besides.
 
         Many sets may be as likely so, with a patch each that hardly holds, and together they are likelier than the best of them.
         """
         own = [term.effect.name for term in self.base.model.added(self.begun)]
         prior = log_prior(len(own) + 1, False, self.among)
-        return {
-            Hypothesis(anchors, "+".join([*own, effect])): (evidence, prior)
-            for (effect, anchors), evidence in self._given.items()
-        }
+        about = Hypothesis(self._loosened_about, "+".join(own))
+        found = {}
+        for (effect, anchors), evidence in self._given.items():
+            h = Hypothesis(anchors, "+".join([*own, effect]))
+            found[h] = Promised(h, about, evidence, prior)
+        return found
+
+    def kept(self) -> list[Kept]:
+        """What tangents said of the sets that were looked at."""
+        effect = "+".join(term.effect.name for term in self.base.model.added(self.begun))
+        found = []
+        for about, shown in self._shown.items():
+            here = self.looks[about]
+            for anchors, look in self.looks.items():
+                if look is not None and here is not None and anchors in shown and anchors != about:
+                    base, h = here.evidence.total, Hypothesis(anchors, effect)
+                    low = base + shown[anchors].total - shown[about].total
+                    found.append(Kept(h, Hypothesis(about, effect), low, look.evidence.total, base))
+        return found
 
     def _rows(self, look: Look) -> list[Row]:
         """What a set may lack; that anchors give or come off, as far as that was looked at, only where they do so best."""
@@ -256,7 +306,11 @@ class HypothesisSearch:
         return sorted(near, key=lambda s: (-found[s], len(s), sorted(s)))
 
     def shown(self, about: Anchored) -> dict[Anchored, float]:
-        """Logarithm of the evidence of all sets, or those near by, as the tangent of one that was looked at shows them."""
+        """Logarithms of the evidence of sets, with or without a discrepancy; see `evidences`."""
+        return {anchors: evidence.total for anchors, evidence in self.evidences(about).items()}
+
+    def evidences(self, about: Anchored) -> dict[Anchored, Evidence]:
+        """Evidence of all sets, or those near by, as the tangent of one that was looked at shows them."""
         if about not in self._shown:
             look = self.looks[about]
             assert look is not None
@@ -266,7 +320,7 @@ class HypothesisSearch:
                 moves = state.predictor.moves(state.model, about, state.prediction, sets)
             except SolveError:
                 # Without its tangent a set tells nothing of others.
-                self._shown[about] = {about: look.evidence.total}
+                self._shown[about] = {about: look.evidence}
                 return self._shown[about]
             known = of_state(state, self.begun, None, self.least) or Numbers.none(len(state.predictor.data))
             found = _evidences(state, known, moves)
@@ -328,7 +382,7 @@ class HypothesisSearch:
 
     def _loosen(self, about: Anchored) -> None:
         """Look at the sets that fit best when anchors give or come off, as the tangent of one shows them."""
-        look = self.looks[about]
+        look, self._loosened_about = self.looks[about], about
         for effect in (e for e in self.known if loosens(e)):
             if look is None or not look.ranking or effect.name in look.ranking.excluded:
                 continue

@@ -73,6 +73,11 @@ class Rival:
         return self.fitted.state.anchors
 
     @property
+    def hypothesis(self) -> Hypothesis:
+        """Its set and effects, whatever acts besides."""
+        return Hypothesis(self.anchors, "+".join(self.names))
+
+    @property
     def term(self) -> Term:
         """The effect that was added last."""
         return self.fitted.state.model.terms[-1]
@@ -96,10 +101,6 @@ class Rival:
             Hypothesis(self.anchors, name, True): (self.evidence.forced, log_prior(count, True, self.known)),
         }
 
-    def shifted(self, log: float) -> Rival:
-        """The same with so much more evidence."""
-        return self.gaining(log, log)
-
     def gaining(self, plain: float, forced: float) -> Rival:
         """The same with so much more evidence without, and with an unknown force besides."""
         evidence = replace(self.evidence, plain=self.evidence.plain + plain, forced=self.evidence.forced + forced)
@@ -116,17 +117,10 @@ class Rival:
         )
 
     def allowing(self, left: Array, begun: Model) -> Rival:
-        """The same with what may be left of the error of the mesh as it is with another hypothesis, (frames, fiducials, 3), m.
-
-        It counts as far as it makes this one less likely: none gains by being seen more exactly than others, nor is what its own
-        mesh leaves open explained by the mesh of another.
-        """
+        """The same with what may be left of the error of the mesh as it is with another hypothesis, (frames, fiducials, 3), m."""
         old = self.fitted.state
         state = old.with_errors(replace(old.errors.mesh, left=left))
-        found, own = weighed(state, begun, self._jacobian(state.errors)), self.evidence
-        less = min(found, own, key=lambda evidence: evidence.forced)
-        both = replace(less, plain=min(found.plain, own.plain))
-        return replace(self, evidence=both, allowed=state if found.plain < own.plain else None)
+        return replace(self, evidence=weighed(state, begun, self._jacobian(state.errors)), allowed=state)
 
     def _jacobian(self, errors: Errors) -> Array:
         """Change of the residual with each fitted number in units of other errors than its own, shape (n, p)."""
@@ -227,11 +221,11 @@ def moved(rival: Rival, begun: Model, known: int, least: float = SEEN) -> list[R
     return [r for r in found if id(r) in fitted or r.anchors not in sets]
 
 
-def shown_about(rival: Rival, begun: Model, least: float = SEEN) -> dict[Anchored, float]:
-    """Logarithm of the evidence of sets near that of a rival, as its tangent shows them; collective."""
+def sets_about(rival: Rival, begun: Model, least: float = SEEN) -> dict[Anchored, Evidence]:
+    """Evidence of sets near that of a rival, and of its own, as its tangent shows them; collective."""
     search = HypothesisSearch(rival.fitted.state, begun, (), 1, least)
     search.look()
-    return search.shown(rival.anchors)
+    return search.evidences(rival.anchors)
 
 
 def promoted(

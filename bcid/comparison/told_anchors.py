@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from bcid.comparison.rivals import Rival
 from bcid.forms.forward import Prediction
-from bcid.inference.hypotheses import OTHERS, HypothesisOdds, patches
+from bcid.inference.hypotheses import HypothesisOdds, patches
 from bcid.search.identification import Alternative, Identification
 
 # So many other sets are told.
@@ -63,7 +63,7 @@ def told_anchors(rivals: Sequence[Rival], odds: HypothesisOdds, best: Rival, sec
         failures={},
         seconds=seconds,
         remarks=predictor.measurement.remarks,
-        missing=odds.verdicts["unknown"] + odds.verdicts.get(OTHERS, 0.0),
+        missing=odds.verdicts["unknown"],
         nuisances=tuple(state.told),
         stiffness=best.fitted.stiffness,
     )

@@ -18,13 +18,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, logsumexp, softmax
+from scipy.special import log_ndtr, logsumexp
 
 from bcid.inference.priors import PRIORS, spaced
 
 Array = NDArray[np.float64]
-# Errors may be larger than they are taken for by any of these factors, all equally likely: where no noise is stated, and where
-# what is missing is no force.
+# Where no noise is stated errors may be larger than they are taken for by any of these factors, all equally likely.
 LARGER: Array = spaced(PRIORS.noise)
 
 
@@ -138,11 +137,6 @@ class Integrated:
         """
         found = _density(self.squares.ravel(), self.volumes.ravel(), self.count, factors) + self.inside.ravel()
         return float(logsumexp(found)) - math.log(len(found)) + self.log_prior
-
-    def excess(self, factors: Array) -> float:
-        """By what the squares of errors are larger on average, that may be so by any of some factors, all equally likely."""
-        found = _each(self.squares.ravel(), self.volumes.ravel(), self.count, factors) + self.inside.ravel()[:, None]
-        return float(np.sum(softmax(found) * factors**2))
 
 
 def log_gains(

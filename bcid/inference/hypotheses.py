@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 
-import numpy as np
 from scipy.special import softmax
 
 from bcid.inference.outcome import label
 from bcid.inference.priors import PRIORS
 
 Anchored = frozenset[str]
-# Effects that act and that no search came upon.
-OTHERS = "others"
-# A smaller p-value is as good as this one.
-_LEAST = 1e-300
 
 
 @dataclass(frozen=True)
@@ -39,7 +34,7 @@ class Hypothesis:
 
     @property
     def verdict(self) -> str:
-        """As it is told: the effect, "none", "unknown", or "others": effects that were not looked at, alone or together."""
+        """The effect, "none", or "unknown" where a discrepancy acts besides."""
         return "unknown" if self.unknown else self.effect or "none"
 
     def label(self, names: Iterable[str]) -> str:
@@ -63,32 +58,6 @@ def normalised(logs: Mapping[Hypothesis, float]) -> dict[Hypothesis, float]:
         return {}
     shares = softmax(list(logs.values())).tolist()
     return dict(sorted(zip(logs, shares, strict=True), key=lambda item: (-item[1], item[0].order)))
-
-
-def with_others(logs: Mapping[Hypothesis, float]) -> dict[Hypothesis, float]:
-    """The same with effects that act together and that no search came upon.
-
-    They look like something unknown, and are as likely as that something unknown acts, but for the prior odds of both.
-    """
-    found = dict(logs)
-    for h, log in logs.items():
-        if h.unknown:
-            other = Hypothesis(h.anchors, OTHERS)
-            found[other] = float(
-                np.logaddexp(found.get(other, -math.inf), log + math.log(PRIORS.missed / PRIORS.discrepancy))
-            )
-    return found
-
-
-def log_doubt(p_value: float) -> float:
-    """Logarithm of how much likelier such a p-value is of a model that is wrong than of the one that is right.
-
-    Of the right one every p-value is as likely. Of a wrong one they have a density xi p^(xi - 1) with some xi between 0 and 1
-    (Sellke, Bayarri & Berger, Am. Stat. 55, 2001, 62), every one as likely here: for p = 1 half as likely, for p = 0.001 twenty
-    times.
-    """
-    far = -math.log(max(p_value, _LEAST))
-    return -math.log(2) if far < 1e-6 else math.log(math.expm1(far) - far) - 2 * math.log(far)
 
 
 @dataclass(frozen=True)
@@ -122,7 +91,7 @@ class HypothesisOdds:
 
     def _told(self, h: Hypothesis) -> str:
         """What a hypothesis has in common with others that count with it."""
-        return "known" if self.alike and h.verdict not in ("none", "unknown", OTHERS) else h.verdict
+        return "known" if self.alike and h.verdict not in ("none", "unknown") else h.verdict
 
     def _shares(self, told: Callable[[Hypothesis], str]) -> dict[str, float]:
         """Probability of all hypotheses that are told alike, the likeliest first."""
@@ -130,29 +99,6 @@ class HypothesisOdds:
         for h, p in self.probabilities.items():
             found[told(h)] = found.get(told(h), 0.0) + p
         return dict(sorted(found.items(), key=lambda item: (-item[1], item[0])))
-
-    def doubted(self, p_value: float, power: float = 1.0) -> HypothesisOdds:
-        """The same with what was not looked at, beside or instead of what is likeliest and has this p-value.
-
-        The likeliest of all that was looked at may be wrong, and what is wrong seldom fits as well as what is right. Where
-        something unknown is likeliest, it stands for what was not looked at. What is written in many ways was looked at in all of
-        them.
-
-        Args:
-            p_value: of what is left of the data.
-            power: of the likelihood, that counts.
-        """
-        if self.alike or self.best.unknown:
-            return self
-        found, odds = (
-            dict(self.probabilities),
-            PRIORS.missed / (1 - PRIORS.missed) * math.exp(power * log_doubt(p_value)),
-        )
-        for h, p in self.probabilities.items():
-            if not h.unknown and h.effect != OTHERS:
-                other = Hypothesis(h.anchors, OTHERS)
-                found[other] = found.get(other, 0.0) + odds * p
-        return replace(self, probabilities=normalised({h: math.log(p) for h, p in found.items() if p > 0}))
 
     def acting(self, effect: str) -> float:
         """Probability that these effects act, and perhaps others besides."""
@@ -162,21 +108,6 @@ class HypothesisOdds:
     def held_by(self, anchors: Anchored) -> float:
         """Probability of a set."""
         return min(1.0, math.fsum(p for h, p in self.probabilities.items() if h.anchors == anchors))
-
-
-def moderated(apart: float, misses: Sequence[float]) -> float:
-    """Logarithm of the odds of a set against another as a tangent shows it, where that has missed others by so much.
-
-    It is taken to show too much, or too little, of this one by as much as of those on average, and by an unknown amount that varies
-    as theirs does; the odds are then nearer to even (MacKay, Neural Computation 4, 1992, 720: moderated outputs). A set that
-    does not show what acts missed by no number, and says nothing of others.
-    """
-    told = [miss for miss in misses if math.isfinite(miss)]
-    if not told:
-        return apart
-    mean = float(np.mean(told))
-    variance = float(np.var(told, ddof=1)) if len(told) > 1 else mean**2
-    return (apart + mean) / math.sqrt(1 + math.pi / 8 * variance)
 
 
 def entropy(probabilities: Iterable[float]) -> float:

@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 _OF_ACTION = 0.5
 _OF_TRAJECTORY = 0.5
 _OF_FIDUCIAL = 1.5
+# The error of the mesh along a trajectory is a polynomial of this degree.
+_DEGREES = 1
 # A constant and a slope of this size have a mean square of 1 along a trajectory.
 _OF_SLOW = math.sqrt(3 / 4)
 # A mesh is too stiff everywhere: of all forces and torques together.
@@ -120,8 +122,6 @@ class Errors:
         self._single: list[_LowRank] = []
         rest = _at_rest(data, mesh.left)
         moving = data.vector(mesh.left) - rest
-        # RMS of what the mesh leaves of positions as the gripper moves, m: its shape along an action is a guess.
-        self.guessed_rms = data.rms(moving)
         for rows, columns in self._of_fiducials(moving, rest):
             self._single.append(_LowRank.of(rows, columns / sigma[rows, None]))
         self._modes = self._of_nuisances()
@@ -307,21 +307,23 @@ def _by_kind(data: Data, left: Array) -> dict[int, float]:
 
 
 def _along(data: Data, left: Array) -> Array:
-    """A constant and a slope along each trajectory, as large as what the mesh leaves and what of the noise persists, (n, 2)."""
+    """Legendre polynomials along each trajectory, as large as what the mesh leaves and what persists of the noise, (n, degrees).
+
+    What of the noise persists has a constant and a slope.
+    """
     group = np.unique(np.column_stack([data.kind, data.action]), axis=0, return_inverse=True)[1].ravel()
     own, common = _mean(left**2, data.trajectory), _mean(left**2, group)
-    amount = np.hypot(
-        _OF_TRAJECTORY * np.sqrt(np.maximum(own, common)), _OF_SLOW * np.sqrt(_mean(data.slow**2, data.trajectory))
-    )
+    meshed = _OF_TRAJECTORY * np.sqrt(np.maximum(own, common))
+    persists = _OF_SLOW * np.sqrt(_mean(data.slow**2, data.trajectory))
     order = np.argsort(data.trajectory, kind="stable")
     _, first, count = np.unique(data.trajectory[order], return_index=True, return_counts=True)
     along = np.empty(len(data))
     along[order] = (np.arange(len(data)) - np.repeat(first, count)) / np.repeat(np.maximum(count - 1, 1), count)
     along[order[first[count == 1]]] = 1.0
+    shapes = np.polynomial.legendre.legvander(2 * along - 1, _DEGREES)
+    amount = np.where(np.arange(_DEGREES + 1) < 2, np.hypot(meshed, persists)[:, None], meshed[:, None])
     # At rest there is no error; it grows with the motion.
-    return np.asarray(
-        (amount * np.minimum(1.0, 4 * along))[:, None] * np.column_stack([np.ones(len(data)), 2 * along - 1])
-    )
+    return np.asarray(amount * np.minimum(1.0, 4 * along)[:, None] * shapes)
 
 
 def _mean(values: Array, group: NDArray[np.int64]) -> Array:

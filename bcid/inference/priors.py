@@ -19,18 +19,22 @@ class Priors:
 
     Attributes:
         effects: known effects that are expected to act, each as likely as the others; shared by all effects of the catalogue.
-        discrepancy: probability that something unknown acts besides what a hypothesis names.
-        missing: the same of a model whose anchors alone are asked for: as likely as not.
-        missed: probability that what acts was found by no search; of a discrepancy, that it is a misfit in observation space.
+        force, change_point, response: probability of each kind of discrepancy: a smooth force or growth, a force at one place
+            from one frame on, and a misfit in observation space. They also stand for effects that no search came upon.
+        missing: probability of a discrepancy of a model whose anchors alone are asked for: as likely as not.
+        fidelity_error: scale of the error in the logarithm of a difference of log evidences, per toggled patch or effect, where a
+            tangent or a few steps tell it, before a run has any pair of fidelities.
+        error_freedom: degrees of freedom of the Student distribution of these errors, before any pair.
+        draws: of them.
         amounts: standard deviations of the amount of an effect, in notable changes: smallest, largest and how many. A mixture of
             normal distributions has the heavy tails of a half-Cauchy distribution (Gelman, Bayesian Anal. 1, 2006, 515).
         typical_amount: where a single one is needed, in notable changes.
         scanned: a time constant or radius lies within so many times the values that are tried, in either direction.
         cycles: a period is one of so many cycles per measurement, from and to.
         other: any other number lies within so many notable changes of where it was found.
-        force: standard deviations of the density of an unknown force, in units of shear modulus per size of the body: from a
+        force_sizes: standard deviations of the density of an unknown force, in units of shear modulus per size of the body: from a
             strain that nobody sees to one that tears.
-        noise: factors of all errors where no noise is stated, and where what is missing is no force.
+        noise: factors of all errors where no noise is stated.
         misfit_lengths: correlation lengths of a misfit over the markers, in their largest distance.
         misfit_sizes: how many of its standard deviations are tried, from the noise to the motion.
         misfit_smooth: variance and correlation length of its part that is smooth in the pose, where the furthest pose is 1.
@@ -38,20 +42,29 @@ class Priors:
     """
 
     effects: float = 0.7
-    discrepancy: float = 0.15
+    force: float = 0.1
+    change_point: float = 0.05
+    response: float = 0.05
     missing: float = 0.5
-    missed: float = 0.05
+    fidelity_error: tuple[float, float] = (0.5, 0.3)
+    error_freedom: float = 4.0
+    draws: int = 4096
     amounts: tuple[float, float, int] = (0.1, 10.0, 7)
     typical_amount: float = 2.0
     scanned: float = 2.0
     cycles: tuple[float, float] = (1.0, 8.0)
     other: float = 3.0
-    force: tuple[float, float, int] = (1e-4, 10.0, 21)
+    force_sizes: tuple[float, float, int] = (1e-4, 10.0, 21)
     noise: tuple[float, float, int] = (1.0, 20.0, 30)
     misfit_lengths: tuple[float, ...] = (0.1, 0.25, 0.6, 1.5)
     misfit_sizes: int = 8
     misfit_smooth: tuple[float, float] = (0.1, 0.3)
     misfit_columns: int = 60
+
+    @property
+    def discrepancy(self) -> float:
+        """Probability that something unknown acts besides what a hypothesis names."""
+        return self.force + self.change_point + self.response
 
     @property
     def widest(self) -> float:

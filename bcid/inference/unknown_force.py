@@ -104,7 +104,7 @@ def unknown_force(errors: Errors, moved: Array, unit: float) -> Force:
         unit: of the force's density: shear modulus per size of the body.
     """
     most = math.sqrt(float(np.mean(np.sum(moved**2, axis=1) / errors.sigma**2)))
-    sizes = spaced(PRIORS.force) * unit
+    sizes = spaced(PRIORS.force_sizes) * unit
     return Force.of(errors.whiten(moved), sizes[sizes * most >= min(NOTABLE, float(sizes[-1]) * most)])
 
 
@@ -120,8 +120,6 @@ class Evidence:
         length: the likeliest of the lengths of a misfit in observation space, where that is likelier than a force.
         begins: something that begins at a place, see `bcid.inference.sudden_force`, where that was asked.
         sudden: probability that it begins somewhere, if something is missing.
-        excess: how many times as large as they are taken for the squares of all other errors are beside it, on average; 1 where
-            the force explains what is missing, or nothing is.
     """
 
     plain: float
@@ -129,7 +127,6 @@ class Evidence:
     size: float
     kind: int = 0
     length: int | None = None
-    excess: float = 1.0
     begins: Beginning | None = None
     sudden: float = 0.0
 
@@ -144,9 +141,9 @@ class Evidence:
     ) -> Evidence:
         """Of a residual (n,), m.
 
-        What is missing need not be a force: the same is asked with errors that are larger by any factor, and with a smooth misfit
-        in observation space (`bcid.inference.response`) instead (`Priors.missed`). Nor need it be spread and go on
-        with the motion: it may begin somewhere. The others count alike.
+        What is missing is a smooth force or growth, something that begins somewhere, or a smooth misfit in observation space
+        (`bcid.inference.response`), with the prior probabilities of `PRIORS`. Errors that are not stated may be larger by any of
+        the factors `LARGER`.
 
         Args:
             errors: of all else.
@@ -156,37 +153,29 @@ class Evidence:
             sudden: what may begin; nothing by default.
         """
         scaled, known = errors.whiten(residual), numbers or Numbers.none(len(residual))
-        stated, volume = errors.data.stated, errors.log_volume
-        plain = Integrated.of(scaled, known).log(None if stated else LARGER)
+        factors, volume = None if errors.data.stated else LARGER, errors.log_volume
+        plain = Integrated.of(scaled, known).log(factors)
         pushed = [Integrated.of(scaled, known, force) for force in forces]
-        larger = np.array([found.log(LARGER) for found in pushed])
-        smooth = np.array([found.log() for found in pushed]) if stated else larger
         misfits = [Integrated.of(scaled, known, process) for process in errors.misfits]
-        misfit = _mean([found.log(None if stated else LARGER) for found in misfits])
         begins = sudden.beginning(residual, known) if sudden else None
-        forces_alone = [_mean(smooth), _mean(larger), *([plain + begins.log] if begins else [])]
-        # A misfit stands for what no other discrepancy does, which is as rare as what no search comes upon.
-        each = math.log((1 - PRIORS.missed) / len(forces_alone))
-        ways = np.array([*(log + each for log in forces_alone), misfit + math.log(PRIORS.missed)])
+        ways = [
+            math.log(PRIORS.force) + _mean([found.log(factors) for found in pushed]),
+            math.log(PRIORS.response) + _mean([found.log(factors) for found in misfits]),
+            math.log(PRIORS.change_point) + plain + begins.log if begins else -math.inf,
+        ]
         shares = softmax(ways)
-        beyond = float(softmax(larger) @ [found.excess(LARGER) for found in pushed]) - 1
-        excess = 1 + float(shares[1] if stated else shares[:2].sum()) * beyond
         kind, size = _likeliest(pushed, forces)
         length = None
-        if int(np.argmax(ways)) == len(ways) - 1:
+        if int(np.argmax(ways)) == 1:
             length, size = _likeliest(misfits, errors.misfits)
-        sudden_share = float(shares[2]) if begins else 0.0
-        return cls(plain - volume, float(logsumexp(ways)) - volume, size, kind, length, excess, begins, sudden_share)
+        asked = PRIORS.force + PRIORS.response + (PRIORS.change_point if begins else 0.0)
+        forced = float(logsumexp(ways)) - math.log(asked)
+        return cls(plain - volume, forced - volume, size, kind, length, begins, float(shares[2]))
 
     @property
     def total(self) -> float:
         """Whether or not something is missing."""
         return float(np.logaddexp(self.plain + math.log(1 - PRIORS.missing), self.forced + math.log(PRIORS.missing)))
-
-    @property
-    def left(self) -> float:
-        """How many times as large as they are taken for the squares of errors are, whether or not something is missing."""
-        return 1 + self.missing * (self.excess - 1)
 
     @property
     def missing(self) -> float:

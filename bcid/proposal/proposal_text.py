@@ -47,7 +47,7 @@ def _not_ruled_out(proposal: Proposal) -> str:
 
 def _told(proposal: Proposal) -> set[str]:
     """Names of verdicts of which something is said elsewhere; of something unknown as what is missing besides."""
-    return {proposal.explanation.verdict, "+".join(term.effect.name for term in proposal.terms), "unknown", "others"}
+    return {proposal.explanation.verdict, "+".join(term.effect.name for term in proposal.terms), "unknown"}
 
 
 def _interval_lines(proposal: Proposal, term: Term) -> list[str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from copy import copy
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,14 +15,10 @@ from scipy.stats import multivariate_normal, norm
 from bcid.inference.data import Data, Noise, told_noise
 from bcid.inference.evidence import LARGER, Force, Integrated, Numbers, log_gains
 from bcid.inference.hypotheses import (
-    OTHERS,
     Hypothesis,
     HypothesisOdds,
-    log_doubt,
     log_prior,
-    moderated,
     patches,
-    with_others,
 )
 from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
@@ -152,62 +147,11 @@ def test_what_is_believed_is_told_by_verdict_and_by_patch() -> None:
 def test_terms_that_write_the_same_are_one_verdict() -> None:
     """Which of them it is may be open although it is one of them."""
     a = frozenset("12")
-    parts = {"exponential": 0.25, "power": 0.24, OTHERS: 0.1}
+    parts = {"exponential": 0.25, "power": 0.24}
     logs = {Hypothesis(a, name): math.log(part) for name, part in parts.items()}
     logs |= {Hypothesis(a, "power", True): math.log(0.2), Hypothesis(a, "", True): math.log(0.21)}
     assert HypothesisOdds.of(logs).best == Hypothesis(a, "", True)
     assert HypothesisOdds.of(logs, alike=True).best == Hypothesis(a, "exponential")
-    # What was not looked at counts for neither.
-    logs[Hypothesis(a, OTHERS)], logs[Hypothesis(a, "exponential")] = math.log(0.25), math.log(0.1)
-    assert HypothesisOdds.of(logs, alike=True).best == Hypothesis(a, "", True)
-
-
-def test_what_was_not_looked_at_shares_the_odds_of_something_unknown() -> None:
-    a, b = frozenset("12"), frozenset("13")
-    logs = {
-        Hypothesis(a): 0.0,
-        Hypothesis(a, "", True): 1.0,
-        Hypothesis(a, "gravity", True): 2.0,
-        Hypothesis(b, "", True): 3.0,
-    }
-    found = with_others(logs)
-    assert {h: log for h, log in found.items() if h.effect != OTHERS} == logs
-    share = math.log(PRIORS.missed / PRIORS.discrepancy)
-    assert found[Hypothesis(a, OTHERS)] == pytest.approx(np.logaddexp(1.0, 2.0) + share)
-    assert found[Hypothesis(b, OTHERS)] == pytest.approx(3.0 + share)
-    verdicts = HypothesisOdds.of(found).verdicts
-    assert verdicts[OTHERS] / verdicts["unknown"] == pytest.approx(PRIORS.missed / PRIORS.discrepancy)
-
-
-def test_a_p_value_says_how_likely_the_likeliest_is_wrong() -> None:
-    """Likelihoods of a p-value are a density; each is the mean of those of Sellke, Bayarri and Berger (2001)."""
-    whole = quad(lambda far: math.exp(log_doubt(math.exp(-far)) - far), 0, 690, limit=200)[0]
-    assert whole == pytest.approx(1, abs=2e-3)
-    for p in (1.0, 0.5, 0.05, 1e-3):
-        assert math.exp(log_doubt(p)) == pytest.approx(quad(lambda xi, p=p: xi * p ** (xi - 1), 0, 1)[0])
-    gravity, more, odd = Hypothesis(frozenset("1"), "gravity"), Hypothesis(frozenset("2"), "gravity"), frozenset("3")
-    odds = HypothesisOdds.of({gravity: 5.0, more: 3.0, Hypothesis(frozenset("1")): 0.0})
-    fits, fails, refuted = (odds.doubted(p) for p in (1.0, 1e-3, 0.0))
-    assert fits.acting("gravity") == pytest.approx(
-        odds.acting("gravity") / (1 + PRIORS.missed / (1 - PRIORS.missed) / 2)
-    )
-    assert odds.acting("gravity") > fits.acting("gravity") > 0.95 > fails.acting("gravity") > refuted.acting("gravity")
-    assert fails.verdicts[OTHERS] == pytest.approx(1 - fails.acting("gravity") - fails.verdicts["none"])
-    assert fails.held_by(frozenset("1")) == pytest.approx(odds.held_by(frozenset("1")))
-    assert odds.doubted(1e-3, power=0.0).verdicts[OTHERS] == pytest.approx(PRIORS.missed)
-    unknown = HypothesisOdds.of(with_others({gravity: 0.0, Hypothesis(odd, unknown=True): 5.0}))
-    assert unknown.doubted(1e-9) == unknown
-    assert replace(odds, alike=True).doubted(1e-9).verdicts == odds.verdicts
-
-
-def test_what_a_tangent_tells_counts_by_how_far_it_missed() -> None:
-    assert moderated(-4.0, []) == -4.0
-    assert moderated(-4.0, [-10.0, -10.0, -10.0]) == pytest.approx(-14.0)
-    assert -0.2 < moderated(-4.0, [-100.0, 95.0, -10.0]) < 0.0
-    # A set on which nothing is seen of what acts says nothing.
-    assert moderated(-4.0, [-math.inf]) == -4.0
-    assert moderated(-4.0, [-10.0, -math.inf, -10.0]) == pytest.approx(-14.0)
-    assert moderated(-4.0, [-10.0]) == pytest.approx(-14.0 / math.sqrt(1 + math.pi / 8 * 100))
 
 
 # -- the noise of a residual

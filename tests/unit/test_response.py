@@ -83,7 +83,9 @@ def test_evidence_with_a_misfit_is_the_gaussian_written_out(data: Data, errors: 
     expected = logsumexp(logs) - math.log(len(logs)) + len(data) / 2 * math.log(2 * math.pi)
     found = Evidence.of(errors, residual, no_force(data))
     # Of all discrepancies it is the only one that explains anything here.
-    assert found.forced == pytest.approx(expected + math.log(PRIORS.missed), abs=0.2)
+    assert found.forced == pytest.approx(
+        expected + math.log(PRIORS.response / (PRIORS.force + PRIORS.response)), abs=0.2
+    )
 
 
 def test_smooth_misfit_is_a_discrepancy_and_no_certain_choice_between_hypotheses(data: Data, errors: Errors) -> None:

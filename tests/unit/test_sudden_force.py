@@ -8,7 +8,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from bcid.inference.data import Data
-from bcid.inference.evidence import Integrated, Numbers
+from bcid.inference.evidence import Numbers
 from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.priors import PRIORS
@@ -106,14 +106,7 @@ def test_nothing_begins_where_no_motion_was_seen_before() -> None:
     assert SuddenForce(errors(data), spots(data)).beginning(0 * data.values, Numbers.none(len(data))) is None
 
 
-def response_log(known: Errors, residual: np.ndarray) -> float:
-    """Logarithm of the density with a misfit in observation space, on the scale of `Evidence.plain`."""
-    scaled = known.whiten(residual)
-    logs = [Integrated.of(scaled, Numbers.none(len(scaled)), process).log() for process in known.misfits]
-    return float(logsumexp(logs) - np.log(len(logs)) - known.log_volume)
-
-
-def test_smooth_in_larger_errors_or_sudden_count_alike() -> None:
+def test_evidence_smooth_or_sudden_discrepancy_each_has_its_prior() -> None:
     data = Data(SCENE, measurement())
     known, acts = errors(data), data.frame >= 3
     pushed = residual(data) + 0.05 * MOST * acts * spots(data)[:, 1, 2]
@@ -121,11 +114,10 @@ def test_smooth_in_larger_errors_or_sudden_count_alike() -> None:
     without = Evidence.of(known, pushed, forces)
     found = Evidence.of(known, pushed, forces, sudden=SuddenForce(known, spots(data)))
     assert found.begins is not None
-    # What does not begin has two thirds of the prior of a force instead of all of it.
-    misfit = PRIORS.missed * np.exp(response_log(known, pushed) - found.plain)
-    steady = np.exp(without.forced - found.plain) - misfit
-    begins = (1 - PRIORS.missed) / 3 * np.exp(found.begins.log)
-    whole = steady * 2 / 3 + misfit + begins
+    # Each kind of discrepancy has its prior.
+    others = (PRIORS.force + PRIORS.response) / PRIORS.discrepancy * np.exp(without.forced - found.plain)
+    begins = PRIORS.change_point / PRIORS.discrepancy * np.exp(found.begins.log)
+    whole = others + begins
     assert found.forced - found.plain == pytest.approx(np.log(whole))
     assert found.sudden == pytest.approx(begins / whole)
     assert 0.01 < found.sudden < 0.99

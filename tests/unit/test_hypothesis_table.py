@@ -12,11 +12,11 @@ import pytest
 
 from bcid.base.progress import Silent
 from bcid.comparison import contest, explain, hypothesis_search, rivals
-from bcid.comparison.compared import Compared
 from bcid.comparison.contest import Contest, _in_turn, _with_own_mesh, refitted
 from bcid.comparison.diagnosis_text import _alone, _begins, _called, _look
 from bcid.comparison.explanation import Explanation
-from bcid.comparison.hypothesis_search import HypothesisSearch, Look
+from bcid.comparison.hypothesis_search import HypothesisSearch, Look, Promised
+from bcid.comparison.hypothesis_table import HypothesisTable
 from bcid.comparison.loosened import Loosened
 from bcid.comparison.ranking import Ranking
 from bcid.comparison.rivals import UNLIKELY, Rival, best_first
@@ -31,9 +31,10 @@ def rival(
     names: tuple[str, ...], anchors: str, evidence: float, terms: tuple[Term, ...] = (), mesh: float = 0.0
 ) -> Rival:
     """A hypothesis that was compared with all steps, with so much evidence and error of the mesh."""
-    errors = SimpleNamespace(mesh_rms=mesh, guessed_rms=mesh)
+    errors = SimpleNamespace(mesh_rms=mesh)
     model = SimpleNamespace(terms=terms)
-    state = SimpleNamespace(anchors=frozenset(anchors), noise=1.0, errors=errors, model=model)
+    predictor = SimpleNamespace(data=SimpleNamespace(stated=False))
+    state = SimpleNamespace(anchors=frozenset(anchors), noise=1.0, errors=errors, model=model, predictor=predictor)
     fitted = SimpleNamespace(state=state, coordinates=names)
     return Rival(names, cast("Any", fitted), Evidence(evidence, evidence - 50, 1.0), 20)
 
@@ -59,14 +60,14 @@ def less(anchors: str, effect: str = "") -> Hypothesis:
     ],
 )
 def test_an_effect_is_weighed_against_the_same_anchors_without_it(full: list[Rival], wanted: Hypothesis | None) -> None:
-    assert Compared(own=full, full=full).unopposed() == wanted
+    assert HypothesisTable(own=full, full=full).unopposed() == wanted
 
 
 def test_the_best_is_weighed_against_sets_that_lack_one_of_its_patches() -> None:
     """As far as a few steps show them to be as likely, whatever the tangent shows; and about itself, not about another."""
     best, other = rival(("gravity",), "12", 100), rival(("gravity",), "34", 80)
     full = [best, other, rival((), "12", 50)]
-    compared = Compared(own=full, full=full, about=best, shown={frozenset("1"): -30.0}, fewer=[frozenset("1")])
+    compared = HypothesisTable(own=full, full=full, about=best, fewer=[frozenset("1")])
     assert compared.unopposed() == less("1", "gravity")
     assert replace(compared, about=other).unopposed() is None
     fitted = [*full, rival(("gravity",), "1", 90)]
@@ -129,7 +130,7 @@ def test_what_is_believed_more_than_all_else_is_fitted_however_many_were() -> No
         return left[0] if left and left[0] > least else None
 
     compared = SimpleNamespace(
-        unconfirmed=unconfirmed, unopposed=lambda: None, confirm=lambda told, *_: fitted.append(told)
+        unconfirmed=unconfirmed, unopposed=lambda: None, add=lambda *_: fitted.append(shares[len(fitted)])
     )
     state: Any = SimpleNamespace(model=SimpleNamespace(name="law"), rms=1e-3)
     again = replace(found, fitted=cast("Any", SimpleNamespace(state=SimpleNamespace(**vars(found.fitted.state)))))
@@ -142,36 +143,46 @@ def test_what_is_believed_more_than_all_else_is_fitted_however_many_were() -> No
 
 def test_a_likely_hypothesis_that_was_not_fitted_is_asked_for_as_far_as_it_is_believed() -> None:
     full = [rival((), "1", 100)]
-    compared = Compared(own=full, full=full, thin=[rival(("gravity",), "1", 106)])
+    rough = [rival((), "1", 40), rival(("gravity",), "1", 46)]
+    compared = HypothesisTable(own=full, full=full, coarse=[Contest(rough, {})])
     share = compared.odds.verdicts["gravity"]
     assert 0.5 < share < 0.99
     assert compared.unconfirmed(share - 0.01) == compared.unconfirmed() == less("1", "gravity")
-    assert compared.unconfirmed(share) is None
+    assert compared.unconfirmed(share + 0.01) is None
 
 
-@pytest.mark.parametrize(("misses", "least"), [([-400.0, -350.0, -700.0], 0.8), ([-300.0], 2 / 3), ([], 1.0)])
-def test_sets_that_were_not_fitted_are_no_likelier_together_than_that_one_more_wins(
-    misses: list[float], least: float
-) -> None:
-    """However many there are, where those that were shown to be likelier have lost."""
-    full = [rival((), "1", 100), rival((), "2", -300)]
-    others = {frozenset(f"3{name}"): -20.0 for name in "456789abcdefghijklmnopqrstuvwxyz" * (1 if misses else 0)}
-    compared = Compared(own=full, full=full, about=full[0], shown=others, misses=misses)
-    assert compared.odds.held_by(frozenset("1")) == pytest.approx(least, abs=1e-6)
-    # Where another set than that whose tangent was asked is the best, nothing was lost to it.
-    elsewhere = replace(compared, about=full[1])
-    assert elsewhere.odds.held_by(frozenset("1")) > 0.999
+def test_sets_below_the_best_by_its_tangent_are_nearly_excluded() -> None:
+    """Thirty of them, each thirty below: known from one tangent, they share its errors."""
+    best = rival((), "1", 100)
+    others = [frozenset(f"3{name}") for name in "456789abcdefghijklmnopqrstuvwxyz"]
+    sets = {best.anchors: Evidence(100.0, 50.0, 1.0), **dict.fromkeys(others, Evidence(70.0, 20.0, 1.0))}
+    table = HypothesisTable(own=[best], full=[best])
+    table.add_sets(best, sets)
+    assert 0.95 < table.odds.held_by(frozenset("1")) < 0.9999
+    # Of what was compared with all steps, and fell short of its tangent, the table knows by how much.
+    (other, *_) = others
+    fitted = [best, rival((), "".join(other), -300)]
+    known = HypothesisTable(own=fitted, full=fitted, tangents=table.tangents).posterior()
+    assert [pair.high for pair in known.pairs] == [-400.0]
+    assert known.evaluations[Hypothesis(other)].toggles == ()
 
 
-def test_where_nothing_explains_the_data_less_of_the_likelihood_counts() -> None:
-    """What is left then has no shape that is known, as the error of the mesh has not: it says little of sets."""
-    full = [rival((), "1", 100), rival((), "2", 94)]
-    forced = [replace(r, evidence=replace(r.evidence, forced=r.evidence.plain + 90, excess=4.0)) for r in full]
-    gone = [replace(r, evidence=replace(r.evidence, excess=4.0)) for r in full]
-    for some, apart in ((full, 6.0), (gone, 6.0), (forced, 6.0 / 4)):
-        odds = Compared(own=some, full=some).odds
-        found = odds.held_by(frozenset("1")) / odds.held_by(frozenset("2"))
-        assert math.log(found) == pytest.approx(apart)
+def test_hypotheses_of_a_few_steps_keep_their_distance_from_the_nearest_of_all_steps() -> None:
+    base, rough = rival((), "1", 100), [rival((), "1", 40), rival((), "12", 37), rival(("gravity",), "1", 38)]
+    promised = Promised(less("12", "gravity"), less("12"), 39.0, log_prior(1, False, 20))
+    table = HypothesisTable(own=[base], full=[base], coarse=[Contest(rough, {promised.hypothesis: promised})])
+    found = table.posterior().evaluations
+    assert {h.label("12"): round(one.gain, 3) for h, one in found.items() if not h.unknown} == {
+        "{1}": 0.0,
+        "{1 2}": -3.0,
+        "{1} + gravity": -2.0,
+        "{1 2} + gravity": -1.0,
+    }
+    assert {one.base for one in found.values() if one.toggles} == {100.0}
+    assert len(found[promised.hypothesis].toggles) == 2
+    # A hypothesis that cannot be followed to the end is left out.
+    table.refuse(less("12"))
+    assert less("12") not in table.posterior().evaluations
 
 
 def test_of_an_effect_it_is_told_how_probable_it_is_whatever_else_acts() -> None:
@@ -294,7 +305,7 @@ def test_what_is_weighed_once_is_not_weighed_again(monkeypatch: pytest.MonkeyPat
         return self
 
     monkeypatch.setattr(Rival, "allowing", allowing)
-    compared, begun = Compared(), cast("Any", None)
+    compared, begun = HypothesisTable(), cast("Any", None)
     first, second, third = (rival((), name, 100.0, mesh=mesh) for name, mesh in (("1", 1.0), ("2", 0.5), ("3", 2.0)))
     for one in (first, second, third):
         one.fitted.state.errors.mesh = SimpleNamespace(left=np.ones(3))
@@ -351,7 +362,7 @@ def test_effects_are_compared_with_the_error_of_the_mesh_that_each_has(monkeypat
 
     def own(one: Rival, _: object) -> Rival:
         asked.append(one.effect)
-        return one.shifted(gains[one.effect])
+        return one.gaining(gains[one.effect], gains[one.effect])
 
     monkeypatch.setattr(contest, "with_own_mesh", own)
     rivals = [
@@ -387,7 +398,7 @@ def test_effects_are_compared_with_the_error_of_the_mesh_that_each_has(monkeypat
 
 def test_what_cannot_be_followed_is_not_asked_for_again() -> None:
     full = [rival(("gravity",), "1", 100), rival((), "2", 80)]
-    compared = Compared(own=full, full=full)
+    compared = HypothesisTable(own=full, full=full)
     compared.refuse(less("1"))
     assert compared.unopposed() is None
 
@@ -397,14 +408,8 @@ def test_an_effect_is_told_to_act_alone_where_others_may_act_with_it() -> None:
     assert [name + _alone(name, told) for name in told] == ["gravity alone", *told[1:]]
 
 
-@pytest.mark.parametrize(
-    ("plain", "forced", "wanted", "allowed"),
-    [(90.0, 60.0, (90.0, 50.0), True), (400.0, 300.0, (100.0, 50.0), False), (400.0, 20.0, (100.0, 20.0), False)],
-)
-def test_the_mesh_of_another_takes_and_gives_nothing(
-    monkeypatch: pytest.MonkeyPatch, plain: float, forced: float, wanted: tuple[float, float], allowed: bool
-) -> None:
-    """That it leaves more open makes a hypothesis less likely, never what its own mesh does not explain; so it is with promises."""
+def test_all_hypotheses_are_compared_with_one_error_of_the_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whether that makes one likelier or less likely; and so is what it lacks."""
 
     @dataclass
     class Mesh:
@@ -418,10 +423,10 @@ def test_the_mesh_of_another_takes_and_gives_nothing(
     state.errors, state.predictor = errors, SimpleNamespace(data=data)
     state.with_errors = lambda mesh: wide if mesh.left == 1.0 else None
     cast("Any", one.fitted).jacobian = np.ones((4, 1))
-    monkeypatch.setattr(rivals, "weighed", lambda found, *_: Evidence(plain, forced, 1.0) if found is wide else None)
+    monkeypatch.setattr(rivals, "weighed", lambda found, *_: Evidence(400.0, 20.0, 1.0) if found is wide else None)
     found = one.allowing(cast("Any", 1.0), PLAIN)
-    assert (found.evidence.plain, found.evidence.forced) == wanted
-    assert found.judged is (wide if allowed else state)
+    assert (found.evidence.plain, found.evidence.forced) == (400.0, 20.0)
+    assert found.judged is wide
     asked: list[Any] = []
     monkeypatch.setattr(explain, "rank", lambda judged, *_, **__: asked.append(judged))
     loop: Any = SimpleNamespace(rankings={}, lacking=[])
@@ -447,14 +452,15 @@ def test_every_set_that_may_give_counts(monkeypatch: pytest.MonkeyPatch) -> None
     search._loosen(about)
     expected = {less(s, "soft_anchor"): 50 + math.log(sum(map(math.exp, gains))) for s, gains in ways.items()}
     found = search.giving()
-    assert {h: evidence for h, (evidence, _) in found.items()} == pytest.approx(expected)
-    assert {prior for _, prior in found.values()} == {log_prior(1, False, 20)}
+    assert {h: one.log for h, one in found.items()} == pytest.approx(expected)
+    assert {one.log_prior for one in found.values()} == {log_prior(1, False, 20)}
     # They are told beside what was fitted, unless that is how anchors give.
     monkeypatch.setattr(contest, "at_a_glance", lambda base, work: work(base))
     monkeypatch.setattr(contest, "HypothesisSearch", lambda *_, **__: search)
     monkeypatch.setattr(search, "run", lambda _: [])
+    gravity = Promised(less("1", "gravity"), less("1"), 1.0, 0.0)
     for name, wanted in (("fibres", set(expected)), ("soft_anchor", set())):
-        told = Contest([rival((name,), "12", 60.0)], {less("1", "gravity"): (1.0, 0.0)})
+        told = Contest([rival((name,), "12", 60.0)], {gravity.hypothesis: gravity})
         monkeypatch.setattr(contest, "refitted", lambda *_, told=told, **__: told)
         promised = contest.contest(state, PLAIN, [soft], [], 5, 5).promised
         assert set(promised) == wanted | {less("1", "gravity")}

@@ -1,0 +1,56 @@
+"""Differences of log evidence, split: they add up, and a hypothesis that wins without fitting better is visible as such."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from bcid.comparison.diagnosis_text import _split
+from bcid.comparison.evidence_split import evidence_splits, no_better_fit
+from bcid.comparison.rivals import Rival
+from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
+from bcid.inference.unknown_force import Evidence
+
+
+def rival(names: tuple[str, ...], anchors: str, chi2: float, occam: float, forced: float = -9.0) -> Rival:
+    """With a volume of 7 for each patch."""
+    volume = 7.0 * len(anchors)
+    state = SimpleNamespace(anchors=frozenset(anchors), chi2=chi2, errors=SimpleNamespace(log_volume=volume))
+    plain = -0.5 * chi2 - volume + occam
+    return Rival(names, cast("Any", SimpleNamespace(state=state)), Evidence(plain, plain + forced, 1.0), 20)
+
+
+RIVALS = [rival((), "1", 100.0, 0.0), rival(("gravity",), "1", 99.0, -2.5), rival((), "12", 160.0, 0.0)]
+ODDS = HypothesisOdds.of({h: log for one in RIVALS for h, log in one.logs.items()})
+
+
+def test_evidence_splits_parts_add_up_to_the_difference() -> None:
+    first = Hypothesis(frozenset("1"))
+    found = evidence_splits(RIVALS, ODDS, first)
+    logs = {h: log for one in RIVALS for h, log in one.logs.items()}
+    assert [one.hypothesis for one in found][:2] == [first, Hypothesis(frozenset("1"), "gravity")]
+    assert found[0].total == 0
+    assert [one.total for one in found] == pytest.approx([logs[one.hypothesis] - logs[first] for one in found])
+    heavy = found[1]
+    assert (heavy.misfit, heavy.volume, heavy.occam) == pytest.approx((0.5, 0.0, -2.5))
+    assert heavy.prior == pytest.approx(log_prior(1, False, 20))
+    assert {one.hypothesis: one.discrepancy for one in found}[Hypothesis(frozenset("1"), "", True)] == -9.0
+    assert heavy.to_json("12")["effects"] == ["gravity"]
+    # What was not compared with all steps has no parts.
+    assert evidence_splits(RIVALS, ODDS, Hypothesis(frozenset("3"))) == []
+
+
+def test_no_better_fit_names_what_fits_as_well() -> None:
+    """Of another set; that an effect that is not there would fit a little better is no surprise."""
+    plain = evidence_splits(RIVALS, ODDS, Hypothesis(frozenset("1")))
+    assert no_better_fit(plain) is None
+    wide = [RIVALS[0], rival((), "12", 101.0, 0.0)]
+    splits = evidence_splits(wide, ODDS, Hypothesis(frozenset("1")))
+    assert no_better_fit(splits) == splits[1]
+    text = "\n".join(_split(splits, "12"))
+    assert "{1} fits no better than {1 2}: the rest of the table" in text
+    assert "-7.0" in text
+    assert "fits no better" not in "\n".join(_split(plain, "12"))
+    assert _split(splits[:1], "12") == []

@@ -1,0 +1,141 @@
+"""Equation (2): probabilities from evidences at different fidelities, against integrals written out and against simulation."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.special import expit
+from scipy.stats import t as student
+
+from bcid.inference.hypotheses import Hypothesis
+from bcid.inference.posterior import Evaluation, Fidelity, Kind, Pair, Posterior, Toggle, toggles
+from bcid.inference.priors import PRIORS
+
+ALONE = Hypothesis(frozenset("1"))
+OTHER = Hypothesis(frozenset("12"))
+HEAVY = Hypothesis(frozenset("1"), "gravity")
+FULL = Evaluation(0.0, 0.0, 0.0)
+LOSING = Kind(Fidelity.TANGENT, effect=False, gains=False)
+
+
+def known(h: Hypothesis, gain: float, fidelity: Fidelity = Fidelity.TANGENT, log_prior: float = 0.0) -> Evaluation:
+    """A hypothesis against the one that holds patch 1 alone."""
+    return Evaluation(0.0, gain, log_prior, toggles(fidelity, h, ALONE, gain))
+
+
+def pair(patches: str, low: float, high: float) -> Pair:
+    return Pair(toggles(Fidelity.TANGENT, Hypothesis(frozenset(patches)), ALONE, low), low, high)
+
+
+def test_toggles_patches_and_effects_in_which_hypotheses_differ_are_named() -> None:
+    one, other = Hypothesis(frozenset("12"), "gravity+fibres"), Hypothesis(frozenset("23"), "fibres")
+    found = toggles(Fidelity.COARSE, one, other, 2.0)
+    assert [(t.kind.effect, t.name) for t in found] == [(False, "1"), (False, "3"), (True, "gravity")]
+    assert {(t.kind.fidelity, t.kind.gains) for t in found} == {(Fidelity.COARSE, True)}
+    assert toggles(Fidelity.TANGENT, Hypothesis(frozenset("1"), "", unknown=True), ALONE, 1.0) == ()
+
+
+def test_probabilities_all_at_full_fidelity_are_evidence_times_prior() -> None:
+    found = Posterior({ALONE: Evaluation(-3.0, 0.0, 0.0), HEAVY: Evaluation(-1.0, 0.0, -1.5)}).probabilities()
+    assert found == pytest.approx({HEAVY: 1 / (1 + math.exp(-0.5)), ALONE: 1 / (1 + math.exp(0.5))})
+    assert list(found) == [HEAVY, ALONE]
+    assert Posterior({}).probabilities() == {}
+
+
+@pytest.mark.parametrize(
+    ("fidelity", "gain"),
+    [(Fidelity.TANGENT, -4.0), (Fidelity.COARSE, -2.0), (Fidelity.TANGENT, -0.1), (Fidelity.TANGENT, 1.5)],
+)
+def test_probabilities_one_hypothesis_below_is_the_expectation_over_its_error(fidelity: Fidelity, gain: float) -> None:
+    """Bias and error of one toggle without pairs: a Student distribution with four degrees of freedom."""
+    scale, ceiling = math.sqrt(2) * PRIORS.fidelity_error[fidelity], 3.0
+    apart = math.copysign(max(abs(gain), 1.0), gain)
+
+    def share(error: float) -> float:
+        log = min(apart * math.exp(error), ceiling) - 0.5
+        return float(student.pdf(error, PRIORS.error_freedom, scale=scale) * expit(log))
+
+    expected = quad(share, -40, 40, points=[-2, 0, 2], limit=400)[0]
+    posterior = Posterior({ALONE: FULL, OTHER: known(OTHER, gain, fidelity, -0.5)}, ceiling=ceiling)
+    assert posterior.probabilities()[OTHER] == pytest.approx(expected, abs=0.01)
+
+
+def test_probabilities_many_unlikely_hypotheses_do_not_win_together() -> None:
+    """Each with an error of its own, some of a thousand would always be drawn as likely."""
+    sets = [Hypothesis(frozenset(s)) for count in range(11) for s in combinations("0123456789", count)]
+    table = {h: known(h, -30.0 * len(h.anchors ^ ALONE.anchors)) for h in sets if h != ALONE}
+    found = Posterior({ALONE: FULL, **table}).probabilities()
+    assert sum(found.values()) == pytest.approx(1.0)
+    assert found[ALONE] > 0.95
+
+
+def test_probabilities_tangents_that_showed_too_much_leave_others_open() -> None:
+    """As far as they may be as likely as what they are known against, and no further."""
+    table = {ALONE: FULL, OTHER: known(OTHER, -20.0)}
+    right, wrong = ([pair(f"1{n}", -20.0, high) for n in "345"] for high in (-20.0, -1.0))
+    sure, doubtful = (Posterior(table, pairs).probabilities()[OTHER] for pairs in (right, wrong))
+    assert sure < 0.005 < 0.02 < doubtful < 0.5
+
+
+def test_probabilities_promise_never_exceeds_what_explains_all() -> None:
+    promise = {ALONE: FULL, HEAVY: known(HEAVY, 1000.0)}
+    found = Posterior(promise, ceiling=2.0).probabilities()
+    assert found[HEAVY] == pytest.approx(expit(2.0), abs=1e-3)
+
+
+def test_probabilities_error_of_a_toggle_is_shared_by_all_hypotheses_with_it() -> None:
+    """What is known of patch 2 from one set says what it does in another."""
+    one = pair("12", -10.0, -200.0)
+    two, three = (Hypothesis(frozenset(s)) for s in ("124", "134"))
+    mean, _, freedom = Posterior({}, [one]).learned(LOSING, (Toggle(LOSING, "2"), Toggle(LOSING, "3")))
+    assert mean[0] > 0.5
+    assert mean[1] == 0.0
+    assert freedom == PRIORS.error_freedom + 1
+    found = Posterior({ALONE: FULL, two: known(two, -3.0), three: known(three, -3.0)}, [one]).probabilities()
+    assert found[two] < found[three]
+
+
+def test_probabilities_order_and_offset_change_nothing() -> None:
+    table = {ALONE: FULL, OTHER: known(OTHER, -3.0), HEAVY: known(HEAVY, -2.0, Fidelity.COARSE, -3.0)}
+    pairs = [pair("12", -3.0, -4.0)]
+    found = Posterior(table, pairs, 0.5).probabilities()
+    assert Posterior(dict(reversed(table.items())), pairs, 0.5).probabilities() == pytest.approx(found)
+    moved = {h: Evaluation(one.base + 1e3, one.gain, one.log_prior + 7, one.toggles) for h, one in table.items()}
+    assert Posterior(moved, pairs, 1000.5).probabilities() == pytest.approx(found)
+
+
+def test_pair_that_cannot_be_computed_is_left_out() -> None:
+    pairs = [pair("12", -3.0, -math.inf), pair("12", math.nan, 1.0), pair("1", -1.0, -2.0)]
+    assert Posterior({}, pairs).pairs == []
+
+
+def test_pair_with_another_sign_has_nothing_left_of_its_difference() -> None:
+    assert pair("12", -20.0, -40.0).miss == pytest.approx(math.log(2))
+    assert pair("12", -20.0, 300.0).miss == pytest.approx(-math.log(20))
+    assert pair("12", -20.0, -0.1).miss == pytest.approx(-math.log(20))
+
+
+def test_learned_errors_drawn_from_the_prior_lie_within_their_intervals() -> None:
+    """Simulation-based calibration of the errors: given the pairs of others, as many are within an interval as it says."""
+    generator, names, inside = np.random.default_rng(3), "abcdef", []
+    for _ in range(400):
+        scale = PRIORS.fidelity_error[0] * math.sqrt(PRIORS.error_freedom / generator.chisquare(PRIORS.error_freedom))
+        bias, own = scale * generator.normal(), scale * generator.normal(size=len(names))
+        misses = bias + own[:-1] + scale * generator.normal(size=len(names) - 1)
+        pairs = [Pair((Toggle(LOSING, n),), -1e4, -1e4 * math.exp(m)) for n, m in zip(names, misses, strict=False)]
+        last = Toggle(LOSING, names[-1])
+        mean, root, freedom = Posterior({}, pairs).learned(LOSING, (last.bias, last))
+        spread = math.sqrt(float(np.sum(np.sum(root, axis=0) ** 2)))
+        inside.append(abs(bias + own[-1] - mean.sum()) < spread * student.ppf(0.9, freedom))
+    assert np.mean(inside) == pytest.approx(0.8, abs=0.06)
+
+
+def test_variance_coarse_is_smaller_than_tangent_and_grows_with_the_difference() -> None:
+    posterior = Posterior({})
+    coarse, tangent, far = known(OTHER, -3.0, Fidelity.COARSE), known(OTHER, -3.0), known(OTHER, -30.0)
+    assert 0 < posterior.variance(coarse) < posterior.variance(tangent) < posterior.variance(far)
+    assert posterior.variance(FULL) == 0.0
