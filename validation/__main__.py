@@ -1,4 +1,4 @@
-"""`python -m validation golden ...`, in a checkout."""
+"""`python -m validation golden | ablation ...`, in a checkout."""
 
 from __future__ import annotations
 
@@ -21,9 +21,16 @@ def main(words: list[str] | None = None) -> int:
     golden.add_argument("--jobs", type=int, default=2, metavar="N", help="processes at a time (2)")
     golden.add_argument("--store", type=Path, metavar="FOLDER", help="keep predictions here, for other runs")
     golden.add_argument("--freeze", action="store_true", help="make these answers the frozen ones")
+    ablation = parts.add_parser(
+        "ablation", help="explain golden cases without one term of the posterior after the other"
+    )
+    ablation.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="folder; a run in it goes on")
+    ablation.add_argument("--only", nargs="+", choices=list(CASES), metavar="CASE", help="some cases (all)")
+    ablation.add_argument("--jobs", type=int, default=2, metavar="N", help="processes at a time (2)")
+    ablation.add_argument("--store", type=Path, metavar="FOLDER", help="predictions that all runs share (RUN/store)")
     chosen = parser.parse_args(words)
     try:
-        return _golden(chosen)
+        return _golden(chosen) if chosen.part == "golden" else _ablation(chosen)
     except BcidError as error:
         print(f"validation: {error}", file=sys.stderr)
         return 2
@@ -37,6 +44,15 @@ def _golden(chosen: argparse.Namespace) -> int:
     if chosen.freeze:
         print(f"{run.freeze(chosen.output)} answers are frozen in {run.ANSWERS}")
     print(table(run.frozen(), run.read(chosen.output)))
+    return 0
+
+
+def _ablation(chosen: argparse.Namespace) -> int:
+    from validation import ablation
+
+    store = chosen.store or chosen.output / "store"
+    ablation.run(chosen.output, chosen.only or list(CASES), chosen.jobs, store, progress_on())
+    print(ablation.table(ablation.read(chosen.output)))
     return 0
 
 

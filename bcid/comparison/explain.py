@@ -370,6 +370,7 @@ class _Loop:
             self.predictor.noise,
             dict(self.predictor.trajectories),
             seconds,
+            self.compared.neglected,
             refuted=not (best.names or rungs[-1].adequacy.adequate),
         )
         self.say(

@@ -70,6 +70,7 @@ class Explanation:
         noise: what the residual says of the noise, where that is not what is stated, or nothing is.
         trajectories: forward trajectories on the coarse, working and fine levels.
         seconds: time spent.
+        neglected: probability of the hypotheses that were not fitted to all steps.
         refuted: whether the reported model has no effect that was added, and the data refute it.
     """
 
@@ -81,6 +82,7 @@ class Explanation:
     noise: Noise | None
     trajectories: dict[str, float]
     seconds: float
+    neglected: float = 0.0
     refuted: bool = False
 
     @property

@@ -115,6 +115,12 @@ class HypothesisTable:
         """Posterior probabilities of all hypotheses."""
         return HypothesisOdds(self.posterior().probabilities(), self.alike)
 
+    @property
+    def neglected(self) -> float:
+        """Probability of the hypotheses that were not compared with all steps."""
+        found = self.odds.probabilities.items()
+        return min(1.0, math.fsum(p for h, p in found if not self._fitted(Hypothesis(h.anchors, h.effect))))
+
     def posterior(self) -> Posterior:
         """Of all hypotheses, each at the fidelity with the smallest error."""
         full = {r.hypothesis: r for r in self.full}

@@ -197,6 +197,7 @@ def beliefs(found: Explanation, order: list[str]) -> dict[str, Any]:
             "patches": patches(odds.probabilities, order),
             "hypotheses": hypotheses,
         },
+        "neglected": found.neglected,
         "evidence_split": [one.to_json(order) for one in found.splits],
         "begins": _onset(found.begins),
         "noise_doubt": diagnosis_text.noise_doubt(found),

@@ -17,7 +17,6 @@ from bcid.inference.evidence import Numbers
 from bcid.inference.priors import PRIORS, spaced
 
 Array = NDArray[np.float64]
-_AMOUNTS = spaced(PRIORS.amounts)
 
 
 def visible(shown: float, least: float = SEEN) -> Array:
@@ -27,12 +26,13 @@ def visible(shown: float, least: float = SEEN) -> Array:
         shown: by how many standard deviations a notable amount moves the data.
         least: an amount is seen where it moves the data by so many; a smaller one is told as nothing. With 0 it keeps its chance.
     """
-    return _AMOUNTS[_AMOUNTS * shown >= least]
+    sizes = spaced(PRIORS.amounts)
+    return sizes[sizes * shown >= least]
 
 
 def log_share(count: int) -> float:
     """Logarithm of the probability of being visible, where so many of the sizes are."""
-    return math.log(count / len(_AMOUNTS))
+    return math.log(count / PRIORS.amounts[2])
 
 
 def of_state(state: State, begun: Model, jacobian: Array | None = None, least: float = SEEN) -> Numbers | None:

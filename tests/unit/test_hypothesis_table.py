@@ -159,6 +159,7 @@ def test_sets_below_the_best_by_its_tangent_are_nearly_excluded() -> None:
     table = HypothesisTable(own=[best], full=[best])
     table.add_sets(best, sets)
     assert 0.95 < table.odds.held_by(frozenset("1")) < 0.9999
+    assert table.neglected == pytest.approx(1 - table.odds.held_by(frozenset("1")))
     # Of what was compared with all steps, and fell short of its tangent, the table knows by how much.
     (other, *_) = others
     fitted = [best, rival((), "".join(other), -300)]

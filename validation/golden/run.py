@@ -21,7 +21,9 @@ LIMIT = 1800.0
 
 
 def maker(job: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
-    """The function that explains a case, for `bcid.studies.engine.dispatch`; `job` holds the folders `cases` and `store`."""
+    """The function that explains a case, for `bcid.studies.engine.dispatch`; `job` holds folders and numbers, see `run`."""
+    if job["priors"]:
+        _change_priors(job["priors"])
 
     def case(task: Mapping[str, Any]) -> dict[str, Any]:
         folder = Path(job["cases"]) / task["name"]
@@ -29,6 +31,14 @@ def maker(job: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any
         return explained(folder, Path(job["store"]) / task["name"] if job["store"] else None)
 
     return case
+
+
+def _change_priors(changes: Mapping[str, Any]) -> None:
+    """For the whole process, which is one of a single case: all modules share the object."""
+    from bcid.inference.priors import PRIORS
+
+    for name, value in changes.items():
+        object.__setattr__(PRIORS, name, tuple(value) if isinstance(value, list) else value)
 
 
 def explained(folder: Path, store: Path | None = None) -> dict[str, Any]:
@@ -53,12 +63,24 @@ def explained(folder: Path, store: Path | None = None) -> dict[str, Any]:
     return answer | {name: round(value, 1) for name, value in cost.items()}
 
 
-def run(folder: Path, names: Iterable[str], jobs: int, progress: Progress, store: Path | None = None) -> None:
+def run(
+    folder: Path,
+    names: Iterable[str],
+    jobs: int,
+    progress: Progress,
+    store: Path | None = None,
+    priors: Mapping[str, Any] | None = None,
+) -> None:
     """Explain cases into a folder; what is there already is kept, so that a run that was interrupted goes on.
 
-    Predictions are kept in `store`, so that a change of what weighs them is tried without computing them again.
+    Predictions are kept in `store`, so that a change of what weighs them is tried without computing them again. `priors` are
+    numbers of `bcid.inference.priors` that differ from those in the repository.
     """
-    job = {"cases": str(folder.resolve() / "cases"), "store": str(store.resolve()) if store else ""}
+    job = {
+        "cases": str(folder.resolve() / "cases"),
+        "store": str(store.resolve()) if store else "",
+        "priors": priors or {},
+    }
     work = Work("validation.golden.run:maker", job, folder.resolve() / "results")
     how = Workers(None, jobs, LIMIT, tries=2, fresh=True)
     dispatch(work, {name: {"name": name} for name in names}, how, progress)
