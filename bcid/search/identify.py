@@ -29,6 +29,7 @@ from bcid.search.identification import Alternative, Identification
 from bcid.search.identify_options import GROUP, IdentifyOptions
 from bcid.search.screening import classes, finest, level_errors, log_odds, lost_beyond, screened
 from bcid.search.seeds import above, all_candidates, maxima, perturbed, random_seeds
+from bcid.search.set_evidence import SetEvidence
 from bcid.search.termination import SETTLED
 from bcid.search.weighing import Weighing, Weight
 
@@ -286,7 +287,8 @@ class _Search:
         errors = level_errors(evaluator, nearest.candidate, self.levels)
         scales = self.weighing(evaluator, self.levels, nearest.candidate) if self.weighing else None
         try:
-            weighed = self.weigh(scales, nearest, errors) if scales else {}
+            weights = self.weigh(scales, nearest, errors) if scales else SetEvidence()
+            weighed = weights.logs
             winner = self.likeliest(weighed, nearest, scales)
             known = scales is not None and bool(weighed) and scales.followed(winner)
             weight = scales.weight(scales.levels[-1], winner) if scales and known else None
@@ -297,7 +299,7 @@ class _Search:
                 scales.destroy()
         outcome = evaluator.evaluate(nearest.level, {winner: math.inf})[winner]
         self.complete(outcome)
-        belief = screened(evaluator, nearest.candidate, errors, weighed)
+        belief = screened(evaluator, nearest.candidate, errors, weights)
         if alike is None:
             alike = classes(evaluator, nearest.level, errors[nearest.level], ODDS)
         return Identification(
@@ -333,7 +335,7 @@ class _Search:
                 return candidate
         return nearest.candidate
 
-    def weigh(self, scales: Weighing, nearest: Outcome, errors: dict[int, float]) -> dict[Candidate, float]:
+    def weigh(self, scales: Weighing, nearest: Outcome, errors: dict[int, float]) -> SetEvidence:
         """Logarithms of the evidence of the sets that may be the one."""
         evaluator = self.evaluator
 
@@ -343,9 +345,9 @@ class _Search:
 
         known = {c: (-log(o), rank(o)) for c, o in finest(evaluator, self.levels[-1]).items()}
         weighed = scales.run(sorted(known, key=lambda c: known[c]), lambda c: neighbours(c, evaluator.patches))
-        if weighed:
+        if weighed.finely:
             self.say(
-                f"{len(weighed)} sets weighed with what the scene may have slightly wrong and with an unknown force"
+                f"{len(weighed.logs)} sets weighed with what the scene may have slightly wrong and with an unknown force"
             )
         return weighed
 

@@ -15,6 +15,8 @@ from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
 from bcid.inference.mesh_error import gain
 from bcid.inference.misfit import Misfit
 from bcid.inference.outcome import Candidate, Evaluated, Outcome
+from bcid.inference.posterior import Evaluation, Fidelity, Pair, Posterior, toggles
+from bcid.search.set_evidence import SetEvidence
 
 # Odds from which on two sets count as told apart.
 _TELLING = 20.0
@@ -24,13 +26,13 @@ def screened(
     evaluated: Evaluated,
     best: Candidate,
     errors: Mapping[int, float],
-    weighed: Mapping[Candidate, float] | None = None,
+    weighed: SetEvidence | None = None,
 ) -> HypothesisOdds:
     """What is believed of everything that was evaluated, all sets being as likely before the measurement.
 
-    What was weighed has its evidence; other sets are at most as likely as the least likely of those, and compared with the
-    `best`, on the finest level on which each was evaluated (see `log_odds`). A set whose evaluation stopped early has an upper
-    bound.
+    What was weighed has its evidence, with the error of that fidelity where it is known on the coarsest level only. Other sets are
+    at most as likely as the least likely of those, and compared with the `best`, on the finest level on which each was evaluated
+    (see `log_odds`). A set whose evaluation stopped early has an upper bound.
 
     Args:
         evaluated: holds the outcomes.
@@ -38,13 +40,22 @@ def screened(
         errors: of the model, m, on each of the levels used (see `level_errors`).
         weighed: logarithms of the evidence of the sets that were weighed.
     """
-    weighed = weighed or {}
-    least = min(weighed.values(), default=0.0)
-    logs = {
+    weighed = weighed or SetEvidence()
+    least = min(weighed.logs.values(), default=0.0)
+    bounds = {
         c: min(log_odds(o, evaluated.outcomes[o.level, best], evaluated.misfit, errors[o.level]), least)
         for c, o in finest(evaluated, max(errors)).items()
-    } | dict(weighed)
-    return HypothesisOdds.of({Hypothesis(c): log for c, log in logs.items()})
+    }
+    known = {Hypothesis(c): Evaluation(log, 0.0, 0.0) for c, log in (bounds | dict(weighed.finely)).items()}
+    pairs = []
+    for c, log in weighed.coarsely.items():
+        changed = toggles(Fidelity.COARSE, Hypothesis(c), Hypothesis(weighed.top), log)
+        base = weighed.finely[weighed.top]
+        if c not in weighed.finely:
+            known[Hypothesis(c)] = Evaluation(base, log, 0.0, changed)
+        else:
+            pairs.append(Pair(changed, log, weighed.finely[c] - base))
+    return HypothesisOdds(Posterior(known, pairs).probabilities())
 
 
 def finest(evaluated: Evaluated, last: int) -> dict[Candidate, Outcome]:

@@ -28,6 +28,7 @@ from bcid.inference.stiffness import Stiffness
 from bcid.inference.unknown_force import Evidence, Smooth
 from bcid.search.climb import ODDS
 from bcid.search.evaluator import Evaluator
+from bcid.search.set_evidence import SetEvidence
 
 Array = NDArray[np.float64]
 # So many sets are weighed at a time, and at most on the coarsest level and on the finest: where more are likely, little is decided.
@@ -114,10 +115,8 @@ class Weighing:
         self._meshes: dict[int, MeshError] = {}
         self._bumps: dict[int, tuple[Array, Array]] = {}
 
-    def run(
-        self, order: Sequence[Candidate], near: Callable[[Candidate], Iterable[Candidate]]
-    ) -> dict[Candidate, float]:
-        """Logarithms of the evidence of the sets that were weighed, against the likeliest of them.
+    def run(self, order: Sequence[Candidate], near: Callable[[Candidate], Iterable[Candidate]]) -> SetEvidence:
+        """Logarithms of the evidence of the sets that were weighed.
 
         They are weighed on the coarsest level a few at a time, until the last few hold next to nothing; the likeliest of those that
         are not `ODDS` times less likely than the best, on the finest.
@@ -127,7 +126,7 @@ class Weighing:
             near: the sets around one: they are weighed too when it is the likeliest.
         """
         if not self.levels:
-            return {}
+            return SetEvidence()
         coarse, fine = self.levels[0], self.levels[-1]
         found: dict[Candidate, float] = {}
         waiting = list(order)
@@ -142,10 +141,8 @@ class Weighing:
             waiting = [c for c in waiting if c not in found]
         ordered = sorted(found, key=lambda c: (-found[c], len(c), sorted(c)))
         if fine == coarse:
-            return found
-        finely = self.relative(fine, [c for c in ordered[:_FINELY] if found[c] > -math.log(ODDS)])
-        # The others keep their distance from the set that was the best on the coarsest level.
-        return {c: found[c] + finely[ordered[0]] for c in ordered if c not in finely} | finely
+            return SetEvidence(found)
+        return SetEvidence(self.relative(fine, [c for c in ordered[:_FINELY] if found[c] > -math.log(ODDS)]), found)
 
     def alone(self, found: dict[Candidate, float]) -> bool:
         """Whether the likeliest set has no rival."""

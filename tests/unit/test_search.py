@@ -23,6 +23,7 @@ from bcid.search.identify import _Search
 from bcid.search.identify_options import IdentifyOptions
 from bcid.search.screening import classes, finest, level_errors, log_odds, lost_beyond, screened
 from bcid.search.seeds import above, all_candidates, maxima, perturbed, random_seeds
+from bcid.search.set_evidence import SetEvidence
 from bcid.search.termination import Stop, Termination
 
 PATCHES = ["1", "2", "3", "4", "5", "6"]
@@ -201,6 +202,23 @@ def test_belief_is_a_distribution() -> None:
     assert one == pytest.approx(math.exp(-2.0)), "chi-square 4 above is a likelihood ratio of exp(-2)"
     with_two = [c for c in all_candidates(PATCHES) if "2" in c]
     assert patches(belief.probabilities, "2")["2"] == pytest.approx(sum(map(belief.held_by, with_two)))
+
+
+def test_screened_sets_of_the_coarsest_level_have_the_error_of_that_fidelity() -> None:
+    """Known to be five below the best there, one is believed as far as another was right of which both levels are known."""
+    evaluator = Landscape(lambda c: VALUES + 4.0 * len(c ^ TRUE))
+    evaluator.evaluate(0, {TRUE: math.inf})
+    fine, rough = frozenset("3"), frozenset("13")
+    shares = []
+    for log in (-5.0, -40.0):
+        weighed = SetEvidence({TRUE: 0.0, fine: log}, {TRUE: 0.0, fine: -5.0, rough: -5.0})
+        belief = screened(evaluator, TRUE, {0: 0.0}, weighed)  # type: ignore[arg-type]
+        assert math.fsum(belief.probabilities.values()) == pytest.approx(1.0)
+        assert belief.held_by(fine) / belief.held_by(TRUE) == pytest.approx(math.exp(log))
+        shares.append(belief.held_by(rough))
+    # Where few steps showed too little of one set, they do of the other.
+    assert math.exp(-5) < shares[0] < 0.05
+    assert shares[1] < shares[0]
 
 
 def test_a_coarse_level_is_not_believed_beyond_its_error() -> None:

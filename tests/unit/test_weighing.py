@@ -205,7 +205,7 @@ def scales(bench: Bench, best: Candidate = TRUE) -> Weighing:
 
 def test_on_a_mesh_of_which_nothing_is_known_nothing_is_weighed() -> None:
     weighing = Weighing(Bench({TRUE: 0.0}), [0], TRUE)  # type: ignore[arg-type]
-    assert weighing.run([TRUE], lambda _: ()) == {}
+    assert weighing.run([TRUE], lambda _: ()).logs == {}
 
 
 def test_a_set_that_fails_late_is_weighed_in_the_frames_before() -> None:
@@ -226,14 +226,14 @@ def test_weighing_ends_when_the_last_hold_nothing() -> None:
     far = {c: 1e-3 * (1 + i) for i, c in enumerate(sets)} | {TRUE: 0.0}
     bench = Bench(far)
     order = [TRUE, *(c for c in sets if c != TRUE)]
-    found = scales(bench).run(order, lambda _: ())
+    found = scales(bench).run(order, lambda _: ()).logs
     assert found[TRUE] == 0.0
     assert all(log < -math.log(ODDS) for c, log in found.items() if c != TRUE)
     assert len(bench.weighed) == 2 * _BATCH
     # What is around the likeliest is weighed as well, while more than one is likely.
     near = frozenset("9")
     bench = Bench({c: 0.0 if c in (TRUE, near, sets[0]) else shift for c, shift in far.items()})
-    found = scales(bench).run(order[:_BATCH], lambda c: [near] if c == TRUE else [])
+    found = scales(bench).run(order[:_BATCH], lambda c: [near] if c == TRUE else []).logs
     assert found[near] == pytest.approx(0.0, abs=1e-9)
 
 
@@ -248,7 +248,7 @@ def test_sets_that_predict_the_same_are_one_class() -> None:
 def test_where_all_are_likely_not_all_are_weighed() -> None:
     sets = [frozenset({str(i)}) for i in range(60)]
     bench = Bench(dict.fromkeys([TRUE, *sets], 0.0))
-    found = scales(bench).run([TRUE, *(c for c in sets if c != TRUE)], lambda _: ())
+    found = scales(bench).run([TRUE, *(c for c in sets if c != TRUE)], lambda _: ()).logs
     assert len(bench.weighed) == len(found) == _MOST
 
 
