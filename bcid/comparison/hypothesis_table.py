@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.base.units import WIDE
 from bcid.comparison.contest import Contest
+from bcid.comparison.hypothesis_search import Promised
 from bcid.comparison.loosened import loosens
 from bcid.comparison.ranking import Row
 from bcid.comparison.rivals import UNLIKELY, Rival, best_first
 from bcid.forms.model import Model
+from bcid.inference.criteria import FAILS_FOR_THE_TRUE
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
-from bcid.inference.posterior import Evaluation, Fidelity, Pair, Posterior, toggles
+from bcid.inference.posterior import Evaluation, Fidelity, Pair, Posterior, Toggles, toggles
 from bcid.inference.unknown_force import Evidence
 
 Array = NDArray[np.float64]
@@ -104,7 +107,7 @@ class HypothesisTable:
         self.tangents = [one for one in self.tangents if key(one) != key(tangent)] + [tangent]
 
     def refuse(self, hypothesis: Hypothesis) -> None:
-        """Take out one that cannot be followed to the end."""
+        """Note that one cannot be followed to the end."""
         self.refused.add(hypothesis)
 
     # -- the posterior
@@ -112,8 +115,34 @@ class HypothesisTable:
 
     @property
     def odds(self) -> HypothesisOdds:
-        """Posterior probabilities of all hypotheses."""
-        return HypothesisOdds(self.posterior().probabilities(), self.alike)
+        """Posterior probabilities of all hypotheses; a patch is attached where its stiffness is not zero."""
+        found = self.posterior().probabilities()
+        slack = {r.hypothesis: self._without_slack(r) for r in self.full}
+        for h in list(found):
+            free = slack.get(Hypothesis(h.anchors, h.effect))
+            if free is not None:
+                same = replace(free, unknown=h.unknown)
+                found[same] = found.get(same, 0.0) + found.pop(h)
+        return HypothesisOdds(dict(sorted(found.items(), key=lambda item: (-item[1], item[0].order))), self.alike)
+
+    def _without_slack(self, rival: Rival) -> Hypothesis | None:
+        """The same with a patch free whose springs may have no stiffness; None where all patches hold.
+
+        Springs that may as well be infinitely stiff have a large standard error too: the likelier of both ends tells.
+        """
+        for term in rival.fitted.state.model.terms:
+            if term.place and loosens(term.effect) and term.effect.held is None:
+                (name,) = term.values
+                effects = "+".join(n for n in rival.names if n != term.effect.name)
+                free, rigid = (self._of(Hypothesis(a, effects)) for a in (rival.anchors - {term.place}, rival.anchors))
+                loose = term.values[name] < WIDE * rival.fitted.stderr.get(term.full(name), 0.0)
+                if loose and free is not None and (rigid is None or free.log > rigid.log):
+                    return free.hypothesis
+        return None
+
+    def _of(self, hypothesis: Hypothesis) -> Rival | None:
+        """A hypothesis as it was compared with all steps."""
+        return next((r for r in self.full if r.hypothesis == hypothesis), None)
 
     @property
     def neglected(self) -> float:
@@ -129,14 +158,26 @@ class HypothesisTable:
         lower: dict[Hypothesis, tuple[float, Evaluation]] = {}
         for h, one in self._below(full):
             acting = Hypothesis(h.anchors, h.effect)
-            if acting in full or acting in self.refused or not math.isfinite(one.base + one.gain):
+            if acting in full or not math.isfinite(one.base + one.gain):
                 continue
+            if acting in self.refused:
+                one = self._unfollowed(one)
             variance = known.variance(one)
             if h not in lower or variance < lower[h][0]:
                 lower[h] = variance, one
         found |= {h: one for h, (_, one) in lower.items()}
         finite = {h: one for h, one in found.items() if math.isfinite(one.base + one.gain)}
         return Posterior(finite, known.pairs, known.ceiling)
+
+    def _unfollowed(self, one: Evaluation) -> Evaluation:
+        """A hypothesis that cannot be followed to the end: that solves fail says no more than how often they do.
+
+        Their rate is that of this run, beside one hypothesis of which the true one's rate is known. Of the frames that it does not
+        reach a hypothesis predicts what the best one does.
+        """
+        rate = (FAILS_FOR_THE_TRUE + len(self.refused)) / (1 + len(self.full) + len(self.refused))
+        best = max(max(r.evidence.plain, r.evidence.forced) for r in self.full)
+        return replace(one, gain=min(one.gain, best - one.base), log_prior=one.log_prior + math.log(rate))
 
     def _ceiling(self) -> float:
         """Logarithm of the evidence of a hypothesis that leaves noise alone, or of the best; none where no noise is stated."""
@@ -200,7 +241,7 @@ class HypothesisTable:
         shares: dict[Hypothesis, float] = {}
         for h, p in self.odds.probabilities.items():
             acting = Hypothesis(h.anchors, h.effect)
-            if not self._fitted(acting):
+            if not self._fitted(acting) and acting not in self.refused:
                 shares[acting] = shares.get(acting, 0.0) + p
         best = min(shares, key=lambda h: (-shares[h], h.order), default=None)
         return best if best is not None and shares[best] > least else None
@@ -224,7 +265,7 @@ class HypothesisTable:
 
     def _fitted(self, hypothesis: Hypothesis) -> bool:
         """Whether it was compared with all steps."""
-        return any(hypothesis == rival.hypothesis for rival in self.full)
+        return self._of(hypothesis) is not None
 
     def best(self) -> Rival:
         """The likeliest of the hypotheses that were compared with all steps."""
@@ -254,7 +295,7 @@ class _Stage:
     """Hypotheses that were compared with a few steps: each keeps its distance from the nearest that was compared with all."""
 
     def __init__(self, stage: Contest, full: Mapping[Hypothesis, Rival]) -> None:
-        self.stage = stage
+        self.stage, self._full = stage, full
         both = [(rough, full[rough.hypothesis]) for rough in stage.rivals if rough.hypothesis in full]
         both = [pair for pair in both if all(math.isfinite(rival.log) for rival in pair)]
         # The likeliest first.
@@ -271,9 +312,13 @@ class _Stage:
         for one in self.stage.promised.values() if self.both else ():
             rough, fine = self._nearest(one.about)
             gain = one.log - _log(rough)
-            coarse = toggles(Fidelity.COARSE, one.about, fine.hypothesis, gain)
-            linear = toggles(Fidelity.TANGENT, one.hypothesis, one.about, gain)
-            yield one.hypothesis, Evaluation(_log(fine), gain, one.log_prior, (*linear, *coarse))
+            yield one.hypothesis, Evaluation(_log(fine), gain, one.log_prior, self._promised(one, fine, gain))
+
+    @staticmethod
+    def _promised(one: Promised, fine: Rival, gain: float) -> Toggles:
+        """In which what a tangent of the stage promises differs from a hypothesis that was compared with all steps."""
+        coarse = toggles(Fidelity.COARSE, one.about, fine.hypothesis, gain)
+        return (*toggles(Fidelity.TANGENT, one.hypothesis, one.about, gain), *coarse)
 
     def pairs(self) -> Iterator[Pair]:
         """What it was off, against the likeliest hypothesis that was compared with all steps; and what its tangents were."""
@@ -281,6 +326,11 @@ class _Stage:
             base_rough, base = self.both[0]
             low, high = _log(rough) - _log(base_rough), _log(fine) - _log(base)
             yield Pair(toggles(Fidelity.COARSE, fine.hypothesis, base.hypothesis, low), low, high)
+        for told in self.stage.promised.values() if self.both else ():
+            if fitted := self._full.get(told.hypothesis):
+                rough, fine = self._nearest(told.about)
+                low, high = told.log - _log(rough), fitted.evidence.plain - _log(fine)
+                yield Pair(self._promised(told, fine, low), low, high)
         for one in self.stage.kept:
             low, high = one.low - one.base, one.high - one.base
             yield Pair(toggles(Fidelity.TANGENT, one.hypothesis, one.about, low), low, high)

@@ -105,6 +105,11 @@ class Pair:
     high: float
 
     @property
+    def kind(self) -> Kind:
+        """Whose error it tells."""
+        return min((toggle.kind for toggle in self.toggles), key=lambda kind: (kind.fidelity, not kind.effect))
+
+    @property
     def miss(self) -> float:
         """Logarithm of the factor by which the difference was wrong; where it has the other sign, nothing was left of it."""
         low, high = (float(_apart(np.array(gain))) for gain in (self.low, self.high))
@@ -164,8 +169,8 @@ class Posterior:
         """Of the errors of toggles of a kind, given its pairs.
 
         Returns:
-            Their mean, shape (k,), a root of their scale matrix, (k, k), and their degrees of freedom. Of a pair in which both
-            patches and effects differ the error is taken to be that of the effects.
+            Their mean, shape (k,), a root of their scale matrix, (k, k), and their degrees of freedom. Of a pair with toggles of
+            several kinds the error is taken to be that of the lowest fidelity, and of effects before patches.
         """
         key = kind, wanted
         if key not in self._learned:
@@ -173,7 +178,7 @@ class Posterior:
         return self._learned[key]
 
     def _learn(self, kind: Kind, wanted: Toggles) -> tuple[Array, Array, float]:
-        pairs = [pair for pair in self.pairs if max(toggle.kind for toggle in pair.toggles) == kind]
+        pairs = [pair for pair in self.pairs if pair.kind == kind]
         own = [tuple(toggle for toggle in pair.toggles if toggle.kind == kind) for pair in pairs]
         every = _with_biases([*wanted, *(toggle for some in own for toggle in some)])
         scale = PRIORS.fidelity_error[kind.fidelity]

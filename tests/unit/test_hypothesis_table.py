@@ -22,20 +22,27 @@ from bcid.comparison.ranking import Ranking
 from bcid.comparison.rivals import UNLIKELY, Rival, best_first
 from bcid.forms import effects
 from bcid.forms.model import Term
+from bcid.inference.criteria import FAILS_FOR_THE_TRUE
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
 from bcid.inference.sudden_force import Beginning
 from bcid.inference.unknown_force import Evidence
 
 
 def rival(
-    names: tuple[str, ...], anchors: str, evidence: float, terms: tuple[Term, ...] = (), mesh: float = 0.0
+    names: tuple[str, ...],
+    anchors: str,
+    evidence: float,
+    terms: tuple[Term, ...] = (),
+    mesh: float = 0.0,
+    stderr: float = 0.0,
 ) -> Rival:
     """A hypothesis that was compared with all steps, with so much evidence and error of the mesh."""
     errors = SimpleNamespace(mesh_rms=mesh)
     model = SimpleNamespace(terms=terms)
     predictor = SimpleNamespace(data=SimpleNamespace(stated=False))
     state = SimpleNamespace(anchors=frozenset(anchors), noise=1.0, errors=errors, model=model, predictor=predictor)
-    fitted = SimpleNamespace(state=state, coordinates=names)
+    errors_of = {term.full(name): stderr for term in terms for name in term.values}
+    fitted = SimpleNamespace(state=state, coordinates=names, stderr=errors_of)
     return Rival(names, cast("Any", fitted), Evidence(evidence, evidence - 50, 1.0), 20)
 
 
@@ -72,6 +79,22 @@ def test_the_best_is_weighed_against_sets_that_lack_one_of_its_patches() -> None
     assert replace(compared, about=other).unopposed() is None
     fitted = [*full, rival(("gravity",), "1", 90)]
     assert replace(compared, own=fitted, full=fitted).unopposed() is None
+
+
+@pytest.mark.parametrize(
+    ("stderr", "rigid", "held"),
+    [(1e3, 20.0, {"12": 1.0}), (1e5, 20.0, {"2": 1.0}), (1e5, 95.0, {"12": 1.0})],
+)
+def test_a_patch_whose_springs_may_have_no_stiffness_is_free(
+    stderr: float, rigid: float, held: dict[str, float]
+) -> None:
+    """What holds by 50,000 +- 100,000 Pa/m is not attached, unless it may as well be infinitely stiff."""
+    soft = rival(("soft_anchor",), "12", 120, SOFT, stderr=stderr)
+    full = [soft, rival((), "2", 90), rival((), "12", rigid)]
+    table = HypothesisTable(own=full, full=full)
+    assert {s: round(table.odds.held_by(frozenset(s)), 6) for s in held} == held
+    assert sum(table.odds.probabilities.values()) == pytest.approx(1.0)
+    assert table.best() is (full[1] if "2" in held else soft)
 
 
 def test_a_set_that_cannot_be_followed_in_a_few_steps_has_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -181,9 +204,28 @@ def test_hypotheses_of_a_few_steps_keep_their_distance_from_the_nearest_of_all_s
     }
     assert {one.base for one in found.values() if one.toggles} == {100.0}
     assert len(found[promised.hypothesis].toggles) == 2
-    # A hypothesis that cannot be followed to the end is left out.
+    # That a hypothesis cannot be followed to the end says little against it, and nothing for it.
+    before = found[less("12")]
     table.refuse(less("12"))
-    assert less("12") not in table.posterior().evaluations
+    refused = table.posterior().evaluations[less("12")]
+    assert refused.gain == before.gain
+    assert refused.log_prior == pytest.approx(before.log_prior + math.log((FAILS_FOR_THE_TRUE + 1) / 3))
+    assert table.unconfirmed() != less("12")
+    table.refuse(promised.hypothesis)
+    table.coarse = [Contest(rough, {promised.hypothesis: replace(promised, log=400.0)})]
+    assert table.posterior().evaluations[promised.hypothesis].gain == 0.0
+
+
+def test_promises_that_were_fitted_tell_how_much_others_are_worth() -> None:
+    base, rough = rival((), "1", 100), [rival((), "1", 40), rival((), "12", 40), rival((), "13", 40)]
+    promised = [
+        Promised(less(anchors, "fibres"), less(anchors), 70.0, log_prior(1, False, 20)) for anchors in ("12", "13")
+    ]
+    stage = Contest(rough, {one.hypothesis: one for one in promised})
+    full = [base, rival(("fibres",), "12", 98)]
+    before, after = (HypothesisTable(own=some, full=some, coarse=[stage]) for some in ([base], full))
+    assert [(pair.low, pair.high) for pair in after.posterior().pairs] == [(30.0, -2.0)]
+    assert before.odds.acting("fibres") > 0.9 > after.odds.acting("fibres")
 
 
 def test_of_an_effect_it_is_told_how_probable_it_is_whatever_else_acts() -> None:
