@@ -153,6 +153,10 @@ def beliefs(found: Explanation) -> list[str]:
     lines = [f"How probable: {effects}."]
     likely = [(h, p) for h, p in found.odds.probabilities.items() if p > _LITTLE][:6]
     lines += [f"  {_hypothesis(h, names)}: {percent(p)}" for h, p in likely]
+    lines += [
+        f"  {_hypothesis(r.hypothesis, names)} counts as the set without the patch: its springs may have no stiffness."
+        for r in found.slack
+    ]
     if found.neglected > _LITTLE:
         lines.append(f"  {percent(found.neglected)} of it is of hypotheses that were not fitted to all steps.")
     return lines + _split(found.splits, names)

@@ -81,7 +81,9 @@ def evidence_splits(
 
     Without any where that one was not compared.
     """
-    found = [EvidenceSplit.of(rival, unknown, odds) for rival in rivals for unknown in (False, True)]
+    both = [EvidenceSplit.of(rival, unknown, odds) for rival in rivals for unknown in (False, True)]
+    # One that is the same as another has no probability of its own.
+    found = [one for one in both if one.hypothesis in odds.probabilities]
     base = next((one for one in found if one.hypothesis == first), None)
     if base is None:
         return []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -96,6 +97,11 @@ class Explanation:
             return min(1.0, verdicts["unknown"] + verdicts["none"])
         told = self.verdict in ("none", "unknown")
         return verdicts[self.verdict] if told else self.odds.acting(self.verdict)
+
+    @property
+    def slack(self) -> list[Rival]:
+        """Hypotheses with a patch whose springs may have no stiffness: they count as the set without it."""
+        return [r for r in self.rivals if r.hypothesis not in self.odds.probabilities and math.isfinite(r.log)]
 
     @property
     def splits(self) -> list[EvidenceSplit]:

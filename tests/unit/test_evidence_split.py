@@ -38,6 +38,9 @@ def test_evidence_splits_parts_add_up_to_the_difference() -> None:
     assert heavy.prior == pytest.approx(log_prior(1, False, 20))
     assert {one.hypothesis: one.discrepancy for one in found}[Hypothesis(frozenset("1"), "", True)] == -9.0
     assert heavy.to_json("12")["effects"] == ["gravity"]
+    # What is the same as another has no row, as springs without stiffness.
+    others = HypothesisOdds({h: p for h, p in ODDS.probabilities.items() if h != heavy.hypothesis})
+    assert heavy.hypothesis not in [one.hypothesis for one in evidence_splits(RIVALS, others, first)]
     # What was not compared with all steps has no parts.
     assert evidence_splits(RIVALS, ODDS, Hypothesis(frozenset("3"))) == []
 
