@@ -16,7 +16,7 @@ from bcid.predict.predictor import Predictor
 from benchmarks.reliability import disk, resumed
 
 # Of the steps of the explanation, so many are there when it is killed.
-EARLY, LATE = 5, 60
+EARLY, LATE = 5, 75
 
 
 @pytest.fixture(scope="module")
