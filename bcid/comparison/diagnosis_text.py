@@ -158,7 +158,9 @@ def beliefs(found: Explanation) -> list[str]:
         for r in found.slack
     ]
     if found.neglected > _LITTLE:
-        lines.append(f"  {percent(found.neglected)} of it is of hypotheses that were not fitted to all steps.")
+        lines.append(
+            f"  {percent(found.neglected)} of the probability is of hypotheses that were not fitted to all steps."
+        )
     return lines + _split(found.splits, names)
 
 
