@@ -196,7 +196,7 @@ class _Loop:
             # Whatever else cannot be followed: the model that was begun with was.
             rivals.append(Rival.of(self.allowing(self.alone(base)), self.model, self.candidates.among))
         compared.add([*rivals, *self.elsewhere(best_first(rivals), base)], self.model)
-        compared.coarse.append(contest)
+        compared.add_stage(contest)
         self.settle(base)
         self.predictor.drop([self.model, *(rival.fitted.state.model for rival in self.compared.full)])
 

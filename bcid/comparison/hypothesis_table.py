@@ -58,6 +58,7 @@ class HypothesisTable:
         alike: whether effects are ways to write the same, see `HypothesisOdds`.
         _left: what may be left of the error of the mesh that `full` was compared with.
         _allowing: each of `own`, by its identity, and the same in `full`: none is weighed twice with the same.
+        _odds: of all that is known; None where something has come since.
     """
 
     own: list[Rival] = field(default_factory=list)
@@ -70,6 +71,7 @@ class HypothesisTable:
     alike: bool = False
     _left: Array | None = None
     _allowing: dict[int, tuple[Rival, Rival]] = field(default_factory=dict)
+    _odds: HypothesisOdds | None = field(default=None, init=False)
 
     # -- what is known
     # -----------------------------------------------------------------------------------------------------------
@@ -84,6 +86,7 @@ class HypothesisTable:
         left = _most_left([r for r in self.own if r.log > self.own[0].log - UNLIKELY])
         self._allowing = {id(r): (r, self._with(r, left, begun)) for r in self.own}
         self.full, self._left = best_first(allowed for _, allowed in self._allowing.values()), left
+        self._odds = None
 
     def _with(self, rival: Rival, left: Array, begun: Model) -> Rival:
         """A hypothesis with what may be left of the error of the mesh with another; what is known is not weighed again."""
@@ -105,10 +108,17 @@ class HypothesisTable:
             return one.about, bool(one.sets)
 
         self.tangents = [one for one in self.tangents if key(one) != key(tangent)] + [tangent]
+        self._odds = None
 
     def refuse(self, hypothesis: Hypothesis) -> None:
         """Note that one cannot be followed to the end."""
         self.refused.add(hypothesis)
+        self._odds = None
+
+    def add_stage(self, stage: Contest) -> None:
+        """What was compared with a few steps."""
+        self.coarse.append(stage)
+        self._odds = None
 
     # -- the posterior
     # -----------------------------------------------------------------------------------------------------------
@@ -116,10 +126,15 @@ class HypothesisTable:
     @property
     def odds(self) -> HypothesisOdds:
         """Posterior probabilities of all hypotheses; a patch is attached where its stiffness is not zero."""
+        if self._odds is None:
+            self._odds = self._weighed()
+        return self._odds
+
+    def _weighed(self) -> HypothesisOdds:
         found = self.posterior().probabilities()
         slack = {r.hypothesis: self._without_slack(r) for r in self.full}
         for h in list(found):
-            free = slack.get(Hypothesis(h.anchors, h.effect))
+            free = slack.get(h.known)
             if free is not None:
                 same = replace(free, unknown=h.unknown)
                 found[same] = found.get(same, 0.0) + found.pop(h)
@@ -148,7 +163,7 @@ class HypothesisTable:
     def neglected(self) -> float:
         """Probability of the hypotheses that were not compared with all steps."""
         found = self.odds.probabilities.items()
-        return min(1.0, math.fsum(p for h, p in found if not self._fitted(Hypothesis(h.anchors, h.effect))))
+        return min(1.0, math.fsum(p for h, p in found if not self._fitted(h.known)))
 
     def posterior(self) -> Posterior:
         """Of all hypotheses, each at the fidelity with the smallest error."""
@@ -157,10 +172,9 @@ class HypothesisTable:
         found = {h: Evaluation(log, 0.0, prior) for r in self.full for h, (log, prior) in r.weights.items()}
         lower: dict[Hypothesis, tuple[float, Evaluation]] = {}
         for h, one in self._below(full):
-            acting = Hypothesis(h.anchors, h.effect)
-            if acting in full or not math.isfinite(one.base + one.gain):
+            if h.known in full or not math.isfinite(one.base + one.gain):
                 continue
-            if acting in self.refused:
+            if h.known in self.refused:
                 one = self._unfollowed(one)
             variance = known.variance(one)
             if h not in lower or variance < lower[h][0]:
@@ -240,9 +254,8 @@ class HypothesisTable:
         """The most probable hypothesis below the full fidelity, if it has more than `least` of the probability."""
         shares: dict[Hypothesis, float] = {}
         for h, p in self.odds.probabilities.items():
-            acting = Hypothesis(h.anchors, h.effect)
-            if not self._fitted(acting) and acting not in self.refused:
-                shares[acting] = shares.get(acting, 0.0) + p
+            if not self._fitted(h.known) and h.known not in self.refused:
+                shares[h.known] = shares.get(h.known, 0.0) + p
         best = min(shares, key=lambda h: (-shares[h], h.order), default=None)
         return best if best is not None and shares[best] > least else None
 

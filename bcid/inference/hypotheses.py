@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from scipy.special import softmax
 
@@ -26,6 +26,11 @@ class Hypothesis:
     def order(self) -> tuple[bool, bool, int, list[str], str]:
         """The simpler of two that are as likely comes first."""
         return bool(self.effect), self.unknown, len(self.anchors), sorted(self.anchors), self.effect
+
+    @property
+    def known(self) -> Hypothesis:
+        """The same without a discrepancy."""
+        return replace(self, unknown=False) if self.unknown else self
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -28,8 +28,6 @@ Array = NDArray[np.float64]
 _OF_ACTION = 0.5
 _OF_TRAJECTORY = 0.5
 _OF_FIDUCIAL = 1.5
-# The error of the mesh along a trajectory is a polynomial of this degree.
-_DEGREES = 1
 # A constant and a slope of this size have a mean square of 1 along a trajectory.
 _OF_SLOW = math.sqrt(3 / 4)
 # A mesh is too stiff everywhere: of all forces and torques together.
@@ -307,23 +305,21 @@ def _by_kind(data: Data, left: Array) -> dict[int, float]:
 
 
 def _along(data: Data, left: Array) -> Array:
-    """Legendre polynomials along each trajectory, as large as what the mesh leaves and what persists of the noise, (n, degrees).
-
-    What of the noise persists has a constant and a slope.
-    """
+    """A constant and a slope along each trajectory, as large as what the mesh leaves and what of the noise persists, (n, 2)."""
     group = np.unique(np.column_stack([data.kind, data.action]), axis=0, return_inverse=True)[1].ravel()
     own, common = _mean(left**2, data.trajectory), _mean(left**2, group)
-    meshed = _OF_TRAJECTORY * np.sqrt(np.maximum(own, common))
-    persists = _OF_SLOW * np.sqrt(_mean(data.slow**2, data.trajectory))
+    amount = np.hypot(
+        _OF_TRAJECTORY * np.sqrt(np.maximum(own, common)), _OF_SLOW * np.sqrt(_mean(data.slow**2, data.trajectory))
+    )
     order = np.argsort(data.trajectory, kind="stable")
     _, first, count = np.unique(data.trajectory[order], return_index=True, return_counts=True)
     along = np.empty(len(data))
     along[order] = (np.arange(len(data)) - np.repeat(first, count)) / np.repeat(np.maximum(count - 1, 1), count)
     along[order[first[count == 1]]] = 1.0
-    shapes = np.polynomial.legendre.legvander(2 * along - 1, _DEGREES)
-    amount = np.where(np.arange(_DEGREES + 1) < 2, np.hypot(meshed, persists)[:, None], meshed[:, None])
     # At rest there is no error; it grows with the motion.
-    return np.asarray(amount * np.minimum(1.0, 4 * along)[:, None] * shapes)
+    return np.asarray(
+        (amount * np.minimum(1.0, 4 * along))[:, None] * np.column_stack([np.ones(len(data)), 2 * along - 1])
+    )
 
 
 def _mean(values: Array, group: NDArray[np.int64]) -> Array:

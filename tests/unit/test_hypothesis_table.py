@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -214,6 +215,20 @@ def test_hypotheses_of_a_few_steps_keep_their_distance_from_the_nearest_of_all_s
     table.refuse(promised.hypothesis)
     table.coarse = [Contest(rough, {promised.hypothesis: replace(promised, log=400.0)})]
     assert table.posterior().evaluations[promised.hypothesis].gain == 0.0
+
+
+def test_odds_follow_whatever_comes_to_be_known() -> None:
+    base = rival((), "1", 100)
+    table = HypothesisTable(own=[base], full=[base])
+    seen = [table.odds.probabilities]
+    table.add_stage(Contest([rival((), "1", 40), rival((), "12", 39)], {}))
+    seen.append(table.odds.probabilities)
+    table.add_sets(base, {base.anchors: Evidence(100.0, 50.0, 1.0), frozenset("13"): Evidence(99.0, 50.0, 1.0)})
+    seen.append(table.odds.probabilities)
+    table.refuse(less("13"))
+    seen.append(table.odds.probabilities)
+    assert all(before != after for before, after in pairwise(seen))
+    assert table.odds is table.odds
 
 
 def test_promises_that_were_fitted_tell_how_much_others_are_worth() -> None:
