@@ -66,13 +66,11 @@ class Contest:
     Attributes:
         rivals: those that were fitted, the likeliest first.
         promised: those that do not seem worth a fit.
-        stood_in: effects and sets of those that hold the body in the place of a patch.
         kept: what tangents said of hypotheses that were looked at or fitted later.
     """
 
     rivals: list[Rival]
     promised: dict[Hypothesis, Promised]
-    stood_in: frozenset[tuple[tuple[str, ...], Anchored]] = frozenset()
     kept: tuple[Kept, ...] = ()
 
 
@@ -196,9 +194,7 @@ def refitted(
         if promise.row and promise.row.effect not in fitted and math.isfinite(promise.log):
             one = _promised(promise, begun)
             promised[one.hypothesis] = one
-    return Contest(
-        best_first(rivals), promised, frozenset((rival.names, rival.anchors) for rival in stood), tuple(kept)
-    )
+    return Contest(best_first(rivals), promised, tuple(kept))
 
 
 def _promised(promise: Promise, begun: Model) -> Promised:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.base.tails import chi2_limit
 from bcid.base.units import WIDE
 from bcid.comparison.contest import Contest
 from bcid.comparison.hypothesis_search import Promised
@@ -16,7 +17,7 @@ from bcid.comparison.loosened import loosens
 from bcid.comparison.ranking import Row
 from bcid.comparison.rivals import UNLIKELY, Rival, best_first
 from bcid.forms.model import Model
-from bcid.inference.criteria import FAILS_FOR_THE_TRUE
+from bcid.inference.criteria import FAILS_FOR_THE_TRUE, SURPRISE
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
 from bcid.inference.posterior import Evaluation, Fidelity, Pair, Posterior, Toggles, toggles
 from bcid.inference.unknown_force import Evidence
@@ -52,8 +53,7 @@ class HypothesisTable:
         full: the same, all with what may be left of that error where it is largest among them.
         coarse: those that were compared with a few steps, in the stages in which they were.
         tangents: what tangents in all steps say of others.
-        about: the one whose tangent was asked last about other sets.
-        fewer: those that lack one of its patches and may be as likely although the tangent shows them as less likely.
+        reduced: by hypothesis, sets that lack one of its patches and may be as likely although its tangent shows them less so.
         refused: hypotheses that cannot be followed to the end.
         alike: whether effects are ways to write the same, see `HypothesisOdds`.
         _left: what may be left of the error of the mesh that `full` was compared with.
@@ -65,8 +65,7 @@ class HypothesisTable:
     full: list[Rival] = field(default_factory=list)
     coarse: list[Contest] = field(default_factory=list)
     tangents: list[TangentEvidence] = field(default_factory=list)
-    about: Rival | None = None
-    fewer: list[Anchored] = field(default_factory=list)
+    reduced: dict[Hypothesis, list[Anchored]] = field(default_factory=dict)
     refused: set[Hypothesis] = field(default_factory=set)
     alike: bool = False
     _left: Array | None = None
@@ -75,10 +74,6 @@ class HypothesisTable:
 
     # -- what is known
     # -----------------------------------------------------------------------------------------------------------
-
-    def like(self, rival: Rival) -> Rival | None:
-        """The same effects on the same set, compared with all steps."""
-        return next((r for r in self.own if r.hypothesis == rival.hypothesis), None)
 
     def add(self, rivals: Iterable[Rival], begun: Model) -> None:
         """What was compared with all steps; of what comes twice the latest counts. `begun` is the model without added effects."""
@@ -199,7 +194,7 @@ class HypothesisTable:
         data = state.predictor.data
         if not data.stated:
             return math.inf
-        noise = -0.5 * len(data) - state.errors.log_volume
+        noise = -0.5 * chi2_limit(1 - SURPRISE, len(data)) - state.errors.log_volume
         return max(noise, *(max(r.evidence.plain, r.evidence.forced) for r in self.full))
 
     def _below(self, full: Mapping[Hypothesis, Rival]) -> Iterator[tuple[Hypothesis, Evaluation]]:
@@ -250,14 +245,22 @@ class HypothesisTable:
     # -- what to compare next
     # -----------------------------------------------------------------------------------------------------------
 
-    def unconfirmed(self, least: float = 0.0) -> Hypothesis | None:
-        """The most probable hypothesis below the full fidelity, if it has more than `least` of the probability."""
+    def changes(self) -> dict[Hypothesis, float]:
+        """By how much the expected Brier score falls once a hypothesis below the full fidelity is compared with all steps.
+
+        By one where it is more probable than each that was: no answer is reported from a few steps or a tangent.
+        """
         shares: dict[Hypothesis, float] = {}
         for h, p in self.odds.probabilities.items():
-            if not self._fitted(h.known) and h.known not in self.refused:
-                shares[h.known] = shares.get(h.known, 0.0) + p
-        best = min(shares, key=lambda h: (-shares[h], h.order), default=None)
-        return best if best is not None and shares[best] > least else None
+            shares[h.known] = shares.get(h.known, 0.0) + p
+        likeliest = min(shares, key=lambda h: (-shares[h], h.order))
+        variances = self.posterior().variances(lambda h: h.known)
+        waiting = [h for h in sorted(variances, key=lambda h: h.order) if not self._fitted(h) and h not in self.refused]
+        return {h: 1.0 if h == likeliest else variances[h] for h in waiting}
+
+    def sets_about(self, hypothesis: Hypothesis) -> Mapping[Anchored, Evidence]:
+        """What its tangent says of other sets, and of its own; nothing where it was not asked."""
+        return next((one.sets for one in self.tangents if one.about == hypothesis and one.sets), {})
 
     def unopposed(self) -> Hypothesis | None:
         """The likeliest without one of its effects or patches, if that was not compared with all steps and may be.
@@ -272,8 +275,7 @@ class HypothesisTable:
             lesser += [
                 Hypothesis(best.anchors - {place}, others) for place in ("", *([held[name]] if name in held else []))
             ]
-        if self.about is not None and self.about.hypothesis == best.hypothesis:
-            lesser += [Hypothesis(anchors, best.hypothesis.effect) for anchors in self.fewer]
+        lesser += [Hypothesis(anchors, best.hypothesis.effect) for anchors in self.reduced.get(best.hypothesis, ())]
         return next((h for h in lesser if not self._fitted(h) and h not in self.refused), None)
 
     def _fitted(self, hypothesis: Hypothesis) -> bool:

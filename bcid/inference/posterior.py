@@ -16,13 +16,14 @@ freedom, and one more for each pair (Gelman et al., Bayesian Data Analysis, 3rd 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 from scipy.special import softmax
 
 from bcid.inference.hypotheses import Hypothesis
@@ -137,17 +138,42 @@ class Posterior:
         """Of each hypothesis, the most probable first; they sum to one."""
         if not self.evaluations:
             return {}
+        shares = self._over_draws(lambda drawn: np.sum(drawn, axis=0))
+        found = {h: float(share) / PRIORS.draws for h, share in zip(self.evaluations, shares, strict=True)}
+        return dict(sorted(found.items(), key=lambda item: (-item[1], item[0].order)))
+
+    def variances(self, of: Callable[[Hypothesis], Hypothesis]) -> dict[Hypothesis, float]:
+        """Variance over the draws of the probability of all hypotheses for which `of` is the same.
+
+        By so much the expected Brier score of the answer falls once their evidence is known exactly (Brier, Mon. Weather Rev. 78,
+        1950, 1).
+        """
+        if not self.evaluations:
+            return {}
+        names = [of(h) for h in self.evaluations]
+        every = {name: k for k, name in enumerate(dict.fromkeys(names))}
+        ones = np.ones(len(names))
+        belongs = csr_array((ones, (np.arange(len(names)), [every[name] for name in names])), (len(names), len(every)))
+
+        def moments(drawn: Array) -> Array:
+            shares = drawn @ belongs
+            return np.stack([np.sum(shares, axis=0), np.sum(shares**2, axis=0)])
+
+        total, squares = self._over_draws(moments) / PRIORS.draws
+        return {name: max(0.0, float(squares[k] - total[k] ** 2)) for name, k in every.items()}
+
+    def _over_draws(self, summed: Callable[[Array], Array]) -> Array:
+        """Sum over parts of the draws of what is made of the probabilities in them, shape (draws, hypotheses)."""
         known = list(self.evaluations.values())
         every = _with_biases(toggle for one in known for toggle in one.toggles)
         base, gain, prior = (np.array([getattr(one, name) for one in known]) for name in ("base", "gain", "log_prior"))
         weights, exact = _weights([one.toggles for one in known], every), np.array([not one.toggles for one in known])
-        errors, shares = self.errors(every), np.zeros(len(known))
+        errors, found = self.errors(every), list[Array]()
         for part in np.array_split(errors, math.ceil(len(errors) * len(known) / _AT_A_TIME)):
             drawn = base + _apart(gain) * np.exp(np.minimum(part @ weights.T, _LARGEST))
             logs = np.where(exact, base + gain, np.minimum(drawn, self.ceiling))
-            shares += np.sum(softmax(logs + prior, axis=1), axis=0)
-        found = {h: float(share) / len(errors) for h, share in zip(self.evaluations, shares, strict=True)}
-        return dict(sorted(found.items(), key=lambda item: (-item[1], item[0].order)))
+            found.append(summed(softmax(logs + prior, axis=1)))
+        return np.asarray(sum(found))
 
     def errors(self, every: Sequence[Toggle]) -> Array:
         """Fixed draws of the errors of toggles, shape (draws, toggles)."""

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from bcid.base.progress import Silent
-from bcid.comparison import contest, explain, hypothesis_search, rivals
+from bcid.comparison import contest, hypothesis_search, rivals
 from bcid.comparison.contest import Contest, _in_turn, _with_own_mesh, refitted
 from bcid.comparison.diagnosis_text import _alone, _begins, _called, _look
 from bcid.comparison.explanation import Explanation
@@ -20,7 +20,7 @@ from bcid.comparison.hypothesis_search import HypothesisSearch, Look, Promised
 from bcid.comparison.hypothesis_table import HypothesisTable
 from bcid.comparison.loosened import Loosened
 from bcid.comparison.ranking import Ranking
-from bcid.comparison.rivals import UNLIKELY, Rival, best_first
+from bcid.comparison.rivals import Rival
 from bcid.forms import effects
 from bcid.forms.model import Term
 from bcid.inference.criteria import FAILS_FOR_THE_TRUE
@@ -75,9 +75,9 @@ def test_the_best_is_weighed_against_sets_that_lack_one_of_its_patches() -> None
     """As far as a few steps show them to be as likely, whatever the tangent shows; and about itself, not about another."""
     best, other = rival(("gravity",), "12", 100), rival(("gravity",), "34", 80)
     full = [best, other, rival((), "12", 50)]
-    compared = HypothesisTable(own=full, full=full, about=best, fewer=[frozenset("1")])
+    compared = HypothesisTable(own=full, full=full, reduced={best.hypothesis: [frozenset("1")]})
     assert compared.unopposed() == less("1", "gravity")
-    assert replace(compared, about=other).unopposed() is None
+    assert replace(compared, reduced={other.hypothesis: [frozenset("1")]}).unopposed() is None
     fitted = [*full, rival(("gravity",), "1", 90)]
     assert replace(compared, own=fitted, full=fitted).unopposed() is None
 
@@ -122,57 +122,20 @@ def test_a_set_that_cannot_be_followed_in_a_few_steps_has_not_lost(monkeypatch: 
     assert shown == {frozenset("1"): 0.0, frozenset("2"): 1.0}
 
 
-def test_the_likeliest_is_the_one_whose_tangent_was_asked_about_other_sets() -> None:
-    """Where a fit makes another one the likeliest, sets about that one are asked for too; of two that take turns each once."""
-    first, second = rival(("gravity",), "1", 100), rival(("gravity",), "2", 110)
-    compared = SimpleNamespace(about=first, full=[first, second], best=lambda: second, add=lambda *_: None)
-    asked: list[Rival] = []
-
-    def elsewhere(rivals: list[Rival], _: Any) -> list[Rival]:
-        asked.append(rivals[0])
-        compared.about = rivals[0]
-        return []
-
-    loop = SimpleNamespace(compared=compared, confirm=lambda _: None, elsewhere=elsewhere, model=None)
-    explain._Loop.settle(cast("Any", loop), cast("Any", None))
-    assert asked == [second]
-    turns = iter([second, first, second, first])
-    compared.best = lambda: next(turns)
-    compared.about = None
-    asked.clear()
-    explain._Loop.settle(cast("Any", loop), cast("Any", None))
-    assert asked == [second, first]
-
-
-def test_what_is_believed_more_than_all_else_is_fitted_however_many_were() -> None:
-    """Else nothing is said to be missing, with a probability of 0, where a few steps promise too much of one after the other."""
-    found = rival((), "1", 100)
-    shares, fitted = [0.9, 0.4, 0.7, 0.6, 0.45], list[float]()
-
-    def unconfirmed(least: float) -> float | None:
-        left = shares[len(fitted) :]
-        return left[0] if left and left[0] > least else None
-
-    compared = SimpleNamespace(
-        unconfirmed=unconfirmed, unopposed=lambda: None, add=lambda *_: fitted.append(shares[len(fitted)])
-    )
-    state: Any = SimpleNamespace(model=SimpleNamespace(name="law"), rms=1e-3)
-    again = replace(found, fitted=cast("Any", SimpleNamespace(state=SimpleNamespace(**vars(found.fitted.state)))))
-    again.fitted.state.model, again.fitted.state.rms = state.model, state.rms
-    quiet: Any = {"step": lambda *_: None, "say": lambda _: None, "name": lambda _: "", "promised_anew": lambda: False}
-    loop = SimpleNamespace(compared=compared, again=lambda *_: again, model=None, **quiet)
-    explain._Loop.confirm(cast("Any", loop), cast("Any", None))
-    assert fitted == [0.9, 0.4, 0.7, 0.6]
-
-
-def test_a_likely_hypothesis_that_was_not_fitted_is_asked_for_as_far_as_it_is_believed() -> None:
-    full = [rival((), "1", 100)]
-    rough = [rival((), "1", 40), rival(("gravity",), "1", 46)]
-    compared = HypothesisTable(own=full, full=full, coarse=[Contest(rough, {})])
-    share = compared.odds.verdicts["gravity"]
-    assert 0.5 < share < 0.99
-    assert compared.unconfirmed(share - 0.01) == compared.unconfirmed() == less("1", "gravity")
-    assert compared.unconfirmed(share + 0.01) is None
+def test_changes_uncertain_hypothesis_is_worth_an_evaluation() -> None:
+    """As much as its probability varies over errors of the fidelity; one where it is the most probable; none where refused."""
+    full = [rival((), "1", 100), rival((), "2", 98)]
+    rough = [rival((), "1", 40), rival(("gravity",), "1", 43), rival(("fibres",), "1", -400)]
+    table = HypothesisTable(own=full, full=full, coarse=[Contest(rough, {})])
+    found = table.changes()
+    assert set(found) == {less("1", "gravity"), less("1", "fibres")}
+    assert 1e-3 < found[less("1", "gravity")] < 0.25
+    assert found[less("1", "fibres")] < 1e-9
+    rough[1] = rival(("gravity",), "1", 60)
+    likely = HypothesisTable(own=full, full=full, coarse=[Contest(rough, {})])
+    assert likely.changes()[less("1", "gravity")] == 1.0
+    likely.refuse(less("1", "gravity"))
+    assert less("1", "gravity") not in likely.changes()
 
 
 def test_sets_below_the_best_by_its_tangent_are_nearly_excluded() -> None:
@@ -211,7 +174,7 @@ def test_hypotheses_of_a_few_steps_keep_their_distance_from_the_nearest_of_all_s
     refused = table.posterior().evaluations[less("12")]
     assert refused.gain == before.gain
     assert refused.log_prior == pytest.approx(before.log_prior + math.log((FAILS_FOR_THE_TRUE + 1) / 3))
-    assert table.unconfirmed() != less("12")
+    assert less("12") not in table.changes()
     table.refuse(promised.hypothesis)
     table.coarse = [Contest(rough, {promised.hypothesis: replace(promised, log=400.0)})]
     assert table.posterior().evaluations[promised.hypothesis].gain == 0.0
@@ -485,11 +448,6 @@ def test_all_hypotheses_are_compared_with_one_error_of_the_mesh(monkeypatch: pyt
     found = one.allowing(cast("Any", 1.0), PLAIN)
     assert (found.evidence.plain, found.evidence.forced) == (400.0, 20.0)
     assert found.judged is wide
-    asked: list[Any] = []
-    monkeypatch.setattr(explain, "rank", lambda judged, *_, **__: asked.append(judged))
-    loop: Any = SimpleNamespace(rankings={}, lacking=[])
-    explain._Loop.lacks(loop, found)
-    assert asked == [found.judged]
 
 
 def test_every_set_that_may_give_counts(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -522,15 +480,6 @@ def test_every_set_that_may_give_counts(monkeypatch: pytest.MonkeyPatch) -> None
         monkeypatch.setattr(contest, "refitted", lambda *_, told=told, **__: told)
         promised = contest.contest(state, PLAIN, [soft], [], 5, 5).promised
         assert set(promised) == wanted | {less("1", "gravity")}
-
-
-def test_other_effects_are_fitted_to_all_steps_before_other_sets_with_the_same_one() -> None:
-    """Of an effect the tangent in all steps shows the other sets; of another effect it shows nothing."""
-    slips = [rival(("time_lag",), anchors, 100 - k) for k, anchors in enumerate(("1", "2", "3", "4"))]
-    other, far, alone = rival(("grasp_slip",), "1", 97.5), rival(("fibres",), "1", 91), rival((), "1", 20)
-    found = best_first([*slips, other, far, alone])
-    chosen = explain._for_all_steps(Contest(found, {}), (), UNLIKELY)
-    assert [(r.names, r.log) for r in chosen] == [(r.names, r.log) for r in (slips[0], other, slips[1], alone)]
 
 
 def test_something_unknown_is_told_beside_the_effects_that_it_acts_with() -> None:

@@ -139,3 +139,15 @@ def test_variance_coarse_is_smaller_than_tangent_and_grows_with_the_difference()
     coarse, tangent, far = known(OTHER, -3.0, Fidelity.COARSE), known(OTHER, -3.0), known(OTHER, -30.0)
     assert 0 < posterior.variance(coarse) < posterior.variance(tangent) < posterior.variance(far)
     assert posterior.variance(FULL) == 0.0
+
+
+def test_variances_are_those_of_the_probabilities_over_the_draws() -> None:
+    """Nothing where the errors decide nothing, a quarter at most, and of hypotheses together that of their sum."""
+    sure = Evaluation(0.0, 0.0, 0.0)
+    doubtful = Evaluation(0.0, 5.0, -5.0, toggles(Fidelity.TANGENT, HEAVY, ALONE, 5.0))
+    found = Posterior({ALONE: sure, HEAVY: doubtful})
+    apart, together = found.variances(lambda h: h), found.variances(lambda _: ALONE)
+    assert apart[ALONE] == pytest.approx(apart[HEAVY], rel=1e-9)
+    assert 0.05 < apart[HEAVY] < 0.25
+    assert together == {ALONE: pytest.approx(0.0, abs=1e-9)}
+    assert Posterior({ALONE: sure}).variances(lambda h: h) == {ALONE: pytest.approx(0.0, abs=1e-12)}

@@ -1,0 +1,108 @@
+"""The order of the queue: the most probable hypothesis, its tangents, what is uncertain, and the same less a patch or an effect."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from bcid.comparison.contest import Contest
+from bcid.comparison.rivals import Rival
+from bcid.comparison.search_queue import SearchQueue
+from bcid.comparison.state import State
+from bcid.inference.hypotheses import Hypothesis
+from bcid.inference.unknown_force import Evidence
+from bcid.search.settings import SETTINGS
+from tests.unit.test_hypothesis_table import less, rival
+
+Known = Mapping[Hypothesis, float | None]
+
+
+class Simulated(SearchQueue):
+    """A queue whose evaluations are given: log evidence in all steps by hypothesis, None where it cannot be followed."""
+
+    def __init__(self, truth: Known, coarse: list[Rival], tangent: Known | None = None) -> None:
+        base: Any = SimpleNamespace(model=None, predictor=None)
+        candidates: Any = SimpleNamespace(alike=False)
+        super().__init__(base, candidates, (), 1, 5, 28)
+        self.truth, self.coarse, self.tangent, self.done = truth, coarse, tangent or {}, list[tuple[str, Hypothesis]]()
+
+    def extend(self, base: State, sets: int) -> None:
+        plain = next(one for one in self.coarse if not one.names)
+        self._add(plain.hypothesis)
+        self.table.add_stage(Contest(self.coarse, {}))
+
+    def fit(self, hypothesis: Hypothesis) -> None:
+        self.fits += 1
+        self.done.append(("fit", hypothesis))
+        if self.truth[hypothesis] is None:
+            self.table.refuse(hypothesis)
+        else:
+            self._add(hypothesis)
+
+    def ask_sets(self, rival: Rival) -> None:
+        self.done.append(("sets", rival.hypothesis))
+        about = {rival.anchors: rival.evidence.plain}
+        about |= {
+            h.anchors: log for h, log in self.tangent.items() if log is not None and h.effect == rival.hypothesis.effect
+        }
+        self.table.add_sets(rival, {s: Evidence(log, log - 50, 1.0) for s, log in about.items()})
+
+    def ask_effects(self, plain: Rival) -> None:
+        self.rankings[plain.anchors] = cast("Any", None)
+
+    def reduce(self, rival: Rival) -> None:
+        self.table.reduced[rival.hypothesis] = []
+        self.done.append(("reduce", rival.hypothesis))
+
+    def _add(self, h: Hypothesis) -> None:
+        log = self.truth[h]
+        assert log is not None
+        found = rival(h.names, "".join(sorted(h.anchors)), log)
+        kept = [one for one in self.table.own if one.hypothesis != h]
+        self.table.own = self.table.full = sorted([*kept, found], key=lambda one: -one.log)
+        self.table._odds = None
+
+
+def test_run_most_probable_is_fitted_before_its_tangent_is_asked() -> None:
+    queue = Simulated({less("1"): 0.0, less("1", "gravity"): 40.0}, [rival((), "1", 0), rival(("gravity",), "1", 40)])
+    best = queue.run().best()
+    assert best.hypothesis == less("1", "gravity")
+    assert queue.done == [("fit", best.hypothesis), ("sets", best.hypothesis), ("reduce", best.hypothesis)]
+
+
+def test_run_set_that_a_tangent_shows_to_be_as_likely_is_fitted() -> None:
+    """And where it is more probable then, its own tangent is asked; each once."""
+    truth = {less("1"): 0.0, less("2"): 6.0, less("3"): -500.0}
+    queue = Simulated(truth, [rival((), "1", 0)], {less("1"): 0.0, less("2"): 0.5, less("3"): -500.0})
+    assert queue.run().best().hypothesis == less("2")
+    kinds = [one for one in queue.done if one[0] != "reduce"]
+    assert kinds == [("sets", less("1")), ("fit", less("2")), ("sets", less("2"))]
+    assert queue.table.neglected < 1e-6
+
+
+def test_run_what_cannot_be_followed_is_tried_once() -> None:
+    queue = Simulated({less("1"): 0.0, less("1", "gravity"): None}, [rival((), "1", 0), rival(("gravity",), "1", 8.0)])
+    assert queue.run().best().hypothesis == less("1")
+    assert [one for one in queue.done if one[0] == "fit"] == [("fit", less("1", "gravity"))]
+
+
+def test_run_effect_is_compared_with_the_same_anchors_without_it() -> None:
+    truth = {less("2"): 0.0, less("1", "gravity"): 60.0, less("1"): 5.0}
+    queue = Simulated(truth, [rival((), "2", 0), rival(("gravity",), "1", 60), rival((), "1", -90)])
+    queue.run()
+    assert ("fit", less("1")) in queue.done
+
+
+@pytest.mark.parametrize("count", [3, 30])
+def test_run_ends_with_its_budget(count: int) -> None:
+    """Of thirty sets that a tangent shows as likelier than they are some are fitted; the table says that others are neglected."""
+    sets = [chr(ord("A") + k) for k in range(count)]
+    truth = {less(s): float(-k) / 100 for k, s in enumerate(sets)}
+    queue = Simulated(truth, [rival((), "A", 0)], {h: log + 3.0 for h, log in truth.items() if h != less("A")})
+    queue.run()
+    fits = [one for one in queue.done if one[0] == "fit"]
+    assert len(fits) == min(count - 1, SETTINGS.fits)
+    assert (queue.table.neglected > 0.1) == (count > SETTINGS.fits + 1)
