@@ -15,8 +15,6 @@ from bcid.comparison.held_out import held_out
 from bcid.comparison.hypothesis_search import HypothesisSearch, Kept, Look, Promise, Promised
 from bcid.comparison.loosened import loosens
 from bcid.comparison.rivals import (
-    FAR,
-    WORTH,
     Rival,
     best_first,
     moved,
@@ -33,12 +31,10 @@ from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.criteria import NOTABLE
 from bcid.inference.hypotheses import Hypothesis
 from bcid.predict.predictor import Predictor
+from bcid.search.settings import SETTINGS
 
 Anchored = frozenset[str]
 Found = TypeVar("Found")
-# Many sets and effects are looked at in so many steps of each action besides rest, and in more where those are fewer values: they
-# would be explained by anything that has as many numbers.
-_FEWEST, _VALUES = 2, 40
 # With these settings: a set with which steps must be halved more often is seldom the one.
 GLANCE = Settings(rtol=1e-6, halvings=2)
 
@@ -47,7 +43,7 @@ def glanced(predictor: Predictor) -> int:
     """So many steps of each action."""
     data = predictor.data
     seen = len(data) / max(len(np.unique(data.frame)), 1)
-    return max(_FEWEST, math.ceil(_VALUES / max(seen * len(predictor.actions), 1)))
+    return max(SETTINGS.steps, math.ceil(SETTINGS.values / max(seen * len(predictor.actions), 1)))
 
 
 def at_a_glance(state: State, work: Callable[[State], Found]) -> Found:
@@ -127,7 +123,7 @@ def refitted(
     begun: Model,
     count: int,
     most: int,
-    worth: float = WORTH,
+    worth: float = SETTINGS.comparable,
     candidates: Candidates | None = None,
 ) -> Contest:
     """The models alone, and the most promising of `count` effects with their sets fitted; collective.
@@ -171,7 +167,7 @@ def refitted(
         told = _promised(promise, begun)
         base = promise.look.evidence.plain
         kept += [Kept(told.hypothesis, told.about, told.log, one.evidence.plain, base) for one in found]
-        if found and found[0].log < promise.log - WORTH and promise.log > best.log:
+        if found and found[0].log < promise.log - SETTINGS.comparable and promise.log > best.log:
             # What breaks its promise on one set may keep it on another.
             found += moved(found[0], begun, count)
         rivals += found
@@ -250,7 +246,7 @@ def _stood_in(alone: Sequence[Rival], begun: Model, count: int, candidates: Cand
     """
     found, done = list[Rival](), set[Anchored]()
     best, begun_with = best_first(alone)[0], {start.anchors for start in candidates.starts.values()}
-    for rival in (r for r in best_first(alone) if r.log > best.log - WORTH or r.anchors in begun_with):
+    for rival in (r for r in best_first(alone) if r.log > best.log - SETTINGS.comparable or r.anchors in begun_with):
         state = rival.fitted.state
         for one in candidates.standing_in(state, begun):
             patch = state.anchors - one.anchors
@@ -290,7 +286,7 @@ def _with_own_mesh(rivals: Sequence[Rival], begun: Model) -> list[Rival]:
         return list(rivals)
     found, most, done = list(rivals), 0.0, set()
     for names, rival in first.items():
-        near = rival.log + most > best_first(found)[0].log - FAR
+        near = rival.log + most > best_first(found)[0].log - SETTINGS.hopeless
         own = with_own_mesh(rival, begun) if near else None
         if own is None:
             continue
@@ -353,4 +349,4 @@ def _unlikely(promise: Promise) -> float:
     data = state.predictor.data
     pulled = data.vector(state.predicted) - data.vector(np.broadcast_to(data.rest, data.mask.shape))
     bent = float(np.linalg.norm(state.errors.unwhiten(row.explained)) / max(float(np.linalg.norm(pulled)), 1e-12))
-    return min(WORTH + bent * (max(state.chi2 - len(data), 0.0) + row.score) / 2, FAR)
+    return min(SETTINGS.comparable + bent * (max(state.chi2 - len(data), 0.0) + row.score) / 2, SETTINGS.hopeless)

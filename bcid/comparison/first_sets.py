@@ -13,7 +13,6 @@ from bcid.base.progress import Steps
 from bcid.comparison import anchors as anchor_search
 from bcid.comparison.contest import GLANCE, glanced
 from bcid.comparison.hypothesis_search import HypothesisSearch, weighed
-from bcid.comparison.rivals import WORTH
 from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
@@ -22,12 +21,9 @@ from bcid.inference.mesh_error import MeshError
 from bcid.predict.predictor import Predictor
 from bcid.search.identify import identify
 from bcid.search.identify_options import IdentifyOptions
+from bcid.search.settings import SETTINGS
 
 Anchored = frozenset[str]
-# So many of the likeliest sets are looked at.
-_LOOKED_AT = 8
-# So many of those that are shown to be likelier but cannot be followed in a few steps are tried in all.
-_LOST = 2
 # Where none of them can be followed the coarsest level is climbed from so many seeds, with steps halved so often.
 _SEEDS, _HALVINGS = 2, 3
 
@@ -53,7 +49,7 @@ def _recovered(predictor: Predictor, model: Model, lost: Sequence[Anchored], bes
     and something unknown would have to act with that, what comes after is not compared.
     """
     found = []
-    for anchors in lost[:_LOST]:
+    for anchors in lost[: SETTINGS.recovered_sets]:
         try:
             State.of(predictor, model, anchors, MeshError.unknown(predictor.data.mask.shape))
         except NotFollowed as error:
@@ -72,7 +68,7 @@ def _outdone(predictor: Predictor, model: Model, error: NotFollowed, anchors: An
         here, there = (weighed(State.of(before, model, a, nothing), model) for a in (anchors, best))
     except SolveError:
         return False
-    return there.forced > there.plain and here.total > there.total + WORTH
+    return there.forced > there.plain and here.total > there.total + SETTINGS.comparable
 
 
 def _seen(predictor: Predictor, model: Model) -> tuple[list[Anchored], list[Anchored]]:
@@ -81,7 +77,7 @@ def _seen(predictor: Predictor, model: Model) -> tuple[list[Anchored], list[Anch
     for anchors in _openings(predictor, model):
         with suppress(SolveError):
             state = State.of(thin, model, anchors, MeshError.unknown(thin.data.mask.shape))
-            search = HypothesisSearch(state, model, (), _LOOKED_AT)
+            search = HypothesisSearch(state, model, (), SETTINGS.first_sets)
             return search.sets(), search.lost()
     return _climbed(predictor, model), []
 
@@ -111,7 +107,9 @@ def _climbed(predictor: Predictor, model: Model) -> list[Anchored]:
     except NotFollowed as error:
         raise NotFollowed(str(error), error.remark, _came_to(predictor, frames[error.frames])) from None
     predictor.count("coarse", sum(found.evaluations.values()))
-    return [frozenset(names) for names in [found.anchored, *(a.anchored for a in found.alternatives)]][:_LOOKED_AT]
+    return [frozenset(names) for names in [found.anchored, *(a.anchored for a in found.alternatives)]][
+        : SETTINGS.first_sets
+    ]
 
 
 def _came_to(predictor: Predictor, frames: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -27,20 +27,12 @@ from bcid.forms.model import Model
 from bcid.inference.criteria import SEEN
 from bcid.inference.evidence import Numbers
 from bcid.inference.hypotheses import Hypothesis, log_prior
+from bcid.inference.priors import PRIORS
 from bcid.inference.unknown_force import Evidence
+from bcid.search.settings import SETTINGS
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
-# A set is looked at when it seems not exp(_FAR) times less likely than the best; so many at a time.
-_FAR, _BATCH = 12.0, 4
-# All sets of so many patches are compared.
-_FEW = 10
-# By this part of a movement, as a standard deviation, it differs from its tangent, and by more where it is large.
-_CURVED, _BENT = 0.1, 0.5
-# The sensitivities to effects are computed for so many sets at most.
-_RANKED = 5
-# So many of the sets that fit best when they give or come off are looked at; of many patches all sets are too many.
-_LOOSE, _ALL = 2, 8
 _NOTHING = Evidence(-math.inf, -math.inf, 0.0)
 
 
@@ -131,7 +123,13 @@ def weighed(state: State, begun: Model, jacobian: Array | None = None, least: fl
 
 def _all_sets(about: Anchored, patches: Sequence[str], cheap: bool) -> list[Anchored]:
     """All sets of a few patches where they are cheap; else those that differ from one by three patches, or two of many, at most."""
-    toggled = len(patches) if cheap and len(patches) <= _FEW else 3 if len(patches) <= _FEW else 2
+    toggled = (
+        len(patches)
+        if cheap and len(patches) <= SETTINGS.few_patches
+        else 3
+        if len(patches) <= SETTINGS.few_patches
+        else 2
+    )
     return [about ^ frozenset(s) for count in range(toggled + 1) for s in combinations(patches, count)]
 
 
@@ -147,10 +145,10 @@ def _evidences(state: State, known: Numbers, moves: Sequence[Array]) -> list[Evi
     sizes = np.sqrt((inside.T @ shifts**2) / np.maximum(inside.T @ pulled, 1e-300)[:, None])
     parts = shifts[:, :, None] * inside[:, None, :]
     columns = state.errors.whiten(parts.reshape(len(data), -1)).reshape(parts.shape)
-    nowhere, found = np.zeros(len(data.actions)), []
+    nowhere, found, (small, large) = np.zeros(len(data.actions)), [], PRIORS.tangent_error
     apart, positive = np.concatenate([nowhere, known.apart]), np.concatenate([nowhere > 0, known.positive])
     for shift, own, size in zip(shifts.T, np.moveaxis(columns, 1, 0), sizes.T, strict=True):
-        bent = np.broadcast_to(_CURVED + _BENT * np.minimum(size, 1.0) ** 2, (len(known.widths), len(size)))
+        bent = np.broadcast_to(small + large * np.minimum(size, 1.0) ** 2, (len(known.widths), len(size)))
         numbers = Numbers(np.hstack([own, known.columns]), apart, np.hstack([bent, known.widths]), positive)
         found.append(Evidence.of(state.errors, state.residual - shift, state.forces, numbers))
     return found
@@ -294,7 +292,7 @@ class HypothesisSearch:
 
     def _look_at(self, sets: Sequence[Anchored]) -> bool:
         """Look at the first of some sets; whether there were any to look at."""
-        fresh = [s for s in sets if s not in self.looks][: min(_BATCH, max(self.most - len(self.looks), 0))]
+        fresh = [s for s in sets if s not in self.looks][: min(SETTINGS.batch, max(self.most - len(self.looks), 0))]
         for anchors in fresh:
             self._look(anchors)
         return bool(fresh)
@@ -302,7 +300,7 @@ class HypothesisSearch:
     def _likely(self, about: Anchored) -> list[Anchored]:
         """The sets that may be as likely as one that was looked at, as its tangent shows them, the likeliest first."""
         found = self.shown(about)
-        near = [s for s in found if found[s] > found[about] - _FAR]
+        near = [s for s in found if found[s] > found[about] - SETTINGS.unlikely]
         return sorted(near, key=lambda s: (-found[s], len(s), sorted(s)))
 
     def shown(self, about: Anchored) -> dict[Anchored, float]:
@@ -372,9 +370,9 @@ class HypothesisSearch:
         for anchors in self.best_sets():
             if anchors not in self._ranked:
                 self._rank(anchors, own)
-        while len(self._ranked) < _RANKED:
+        while len(self._ranked) < SETTINGS.sensitive_sets:
             promises = self.promises()
-            near = [p.anchors for p in promises if p.row and p.log > promises[0].log - _FAR]
+            near = [p.anchors for p in promises if p.row and p.log > promises[0].log - SETTINGS.unlikely]
             fresh = next((s for s in near if s not in self._ranked), None)
             if fresh is None:
                 break
@@ -387,7 +385,7 @@ class HypothesisSearch:
             if look is None or not look.ranking or effect.name in look.ranking.excluded:
                 continue
             close = _all_sets(about, self._patches, False)
-            every = _all_sets(about, self._patches, len(self._patches) <= _ALL)
+            every = _all_sets(about, self._patches, len(self._patches) <= SETTINGS.loosened_patches)
             parts = [s for s in close if len(s ^ about) <= 2 and self._acts(s)]
             try:
                 found = loosened(look.state, effect, [s for s in every if self._acts(s)], parts)
@@ -399,8 +397,8 @@ class HypothesisSearch:
                 ways.setdefault(one.anchors, []).append(one.gain)
             self._given |= {(effect.name, s): look.evidence.plain + float(logsumexp(all_)) for s, all_ in ways.items()}
             # Where nothing is missing other sets must be as likely.
-            least = -_FAR if look.evidence.plain > look.evidence.forced else -np.inf
-            near = list(dict.fromkeys(one.anchors for one in found if one.gain > least))[:_LOOSE]
+            least = -SETTINGS.unlikely if look.evidence.plain > look.evidence.forced else -np.inf
+            near = list(dict.fromkeys(one.anchors for one in found if one.gain > least))[: SETTINGS.loosened_sets]
             for anchors in dict.fromkeys([about, *near]):
                 self._look(anchors)
                 if anchors in best and self.looks[anchors] is not None:

@@ -15,12 +15,13 @@ from bcid.comparison.contest import Contest
 from bcid.comparison.hypothesis_search import Promised
 from bcid.comparison.loosened import loosens
 from bcid.comparison.ranking import Row
-from bcid.comparison.rivals import UNLIKELY, Rival, best_first
+from bcid.comparison.rivals import Rival, best_first
 from bcid.forms.model import Model
 from bcid.inference.criteria import FAILS_FOR_THE_TRUE, SURPRISE
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
 from bcid.inference.posterior import Evaluation, Fidelity, Pair, Posterior, Toggles, toggles
 from bcid.inference.unknown_force import Evidence
+from bcid.search.settings import SETTINGS
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
@@ -78,7 +79,7 @@ class HypothesisTable:
     def add(self, rivals: Iterable[Rival], begun: Model) -> None:
         """What was compared with all steps; of what comes twice the latest counts. `begun` is the model without added effects."""
         self.own = best_first({r.hypothesis: r for r in (*self.own, *rivals)}.values())
-        left = _most_left([r for r in self.own if r.log > self.own[0].log - UNLIKELY])
+        left = _most_left([r for r in self.own if r.log > self.own[0].log - SETTINGS.unlikely])
         self._allowing = {id(r): (r, self._with(r, left, begun)) for r in self.own}
         self.full, self._left = best_first(allowed for _, allowed in self._allowing.values()), left
         self._odds = None

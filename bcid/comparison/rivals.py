@@ -27,6 +27,7 @@ from bcid.inference.evidence import Numbers
 from bcid.inference.hypotheses import Hypothesis, log_prior
 from bcid.inference.likelihood import Errors
 from bcid.inference.unknown_force import Evidence
+from bcid.search.settings import SETTINGS
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
@@ -34,17 +35,10 @@ Anchored = frozenset[str]
 _ROUGH = 3e-3
 # A reciprocal or a direction may need a start away from the neutral value: part of the way to the expected value.
 _CAUTION = (1.0, 0.5, 0.2)
-# What is exp(UNLIKELY) times less likely is left out, and not fitted where it promises to be exp(WORTH) times less likely than the
-# best; or exp(FAR) times where the best explains all, however rough that promise is.
-UNLIKELY, WORTH, FAR = 12.0, 3.0, 60.0
 # The error of the mesh is that of numbers that are no more than this part of a notable change off; it is asked for so often anew.
 _FAR_OFF, _REMESHED = 0.2, 2
-# A fit to all steps that has not come to an end, or one of what acts about a place, goes on for so many predictions at most.
-_SETTLING = 16
 # Numbers that say about which place an effect acts.
 _PLACE = {"cx", "cy", "cz"}
-# With the numbers of the best candidate sets are searched again, so often and with so many sets at most.
-_MOVES, _WEIGHED = 4, 5
 
 
 @dataclass(frozen=True)
@@ -147,7 +141,7 @@ class Rival:
                 if not found.failure:
                     moved[here] = found.positions[action.frames] - state.prediction.positions[here]
             # What has lost in one action is not followed in the others.
-            least = UNLIKELY if number == len(thin.actions) else FAR
+            least = SETTINGS.unlikely if number == len(thin.actions) else SETTINGS.hopeless
             moves = {s: moves[s] for s, log in self._shown(moves, seen, begun).items() if log > -least}
         return list(moves)
 
@@ -200,13 +194,13 @@ def moved(rival: Rival, begun: Model, known: int, least: float = SEEN) -> list[R
     """The best rival on other sets with its numbers in place, and fitted anew on those that its tangent shows to be as likely."""
     found: list[Rival] = []
     best, tried, about = rival, {rival.anchors}, None
-    for _ in range(_MOVES):
+    for _ in range(SETTINGS.moves):
         state = best.fitted.state
         if about is None or about.base is not state:
-            about = HypothesisSearch(state, begun, (), _WEIGHED, least, known)
+            about = HypothesisSearch(state, begun, (), SETTINGS.moved_sets, least, known)
             found += [Rival.looked_at(p.look, begun, known) for p in about.around() if p.anchors != best.anchors]
         shown = about.shown(best.anchors)
-        near = [s for s in shown if s not in tried and shown[s] > shown[best.anchors] - WORTH]
+        near = [s for s in shown if s not in tried and shown[s] > shown[best.anchors] - SETTINGS.comparable]
         if not near:
             break
         anchors = min(near, key=lambda s: (-shown[s], len(s), sorted(s)))
@@ -252,13 +246,13 @@ def promoted(
         found = fit(State.of(full.predictor, model, anchors, mesh), free, most=8)
         if anchors != rival.anchors:
             there = Rival.of(found, begun, rival.known, least)
-            if there.log < rival.log - FAR:
+            if there.log < rival.log - SETTINGS.hopeless:
                 # It has lost whatever the error of the mesh is with it.
                 return there
         found = _remeshed(found, model if anchors == rival.anchors else None)
         if not found.settled:
             # Standard errors are those at the end of a fit, and say nothing of how far that still is.
-            found = fit(found.state, free, most=_SETTLING, like=found)
+            found = fit(found.state, free, most=SETTINGS.settling, like=found)
         found = bent(found)
     except (SolveError, InputError):
         return None
@@ -320,7 +314,7 @@ def refit(state: State, row: Row, begun: Model, known: int, least: float = SEEN)
         found.append(Rival.of(again, begun, known, least))
         if (
             not row.term.effect.shapes
-            or found[-1].evidence.plain > weighed(state, begun, None, least).plain + row.gain - WORTH
+            or found[-1].evidence.plain > weighed(state, begun, None, least).plain + row.gain - SETTINGS.comparable
         ):
             break
     return best_first(found)[:1]
@@ -343,7 +337,7 @@ def _begun_with(state: State, anchors: Anchored, term: Term) -> Fit:
     again = fit(start, (*state.free, *term.free), most=8, ftol=_ROUGH)
     if not again.settled and {p.name for p in term.effect.shapes} >= _PLACE:
         # What still looks for its place is not as unlikely as it seems.
-        again = fit(again.state, again.state.free, most=_SETTLING, ftol=_ROUGH, like=again)
+        again = fit(again.state, again.state.free, most=SETTINGS.settling, ftol=_ROUGH, like=again)
     return again
 
 

@@ -13,7 +13,7 @@ from bcid.comparison.curvature import bent
 from bcid.comparison.fit import Fit, fit
 from bcid.comparison.hypothesis_table import HypothesisTable
 from bcid.comparison.ranking import Ranking, rank
-from bcid.comparison.rivals import WORTH, Rival, added, best_first, promoted, sets_about
+from bcid.comparison.rivals import Rival, added, best_first, promoted, sets_about
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
 from bcid.inference.hypotheses import Hypothesis
@@ -106,7 +106,7 @@ class SearchQueue:
     def reduce(self, rival: Rival) -> None:
         """Compare a hypothesis in a few steps with the same less one of its patches, where its tangent speaks against these."""
         shown = self.table.sets_about(rival.hypothesis)
-        least = shown[rival.anchors].total - WORTH
+        least = shown[rival.anchors].total - SETTINGS.comparable
         unlikely = [anchors for anchors, evidence in shown.items() if evidence.total < least]
         found = rival.without_a_patch(unlikely, glanced(self.predictor), GLANCE, self.model)
         self.table.reduced[rival.hypothesis] = found

@@ -1,11 +1,12 @@
 """The posterior: probabilities of hypotheses whose evidences are known at different fidelities.
 
 An evidence is exact where a hypothesis was fitted to all steps. A lower fidelity knows it against a hypothesis k that was, and errs
-by a factor in their difference. The logarithm of the factor is a sum over the T patches and effects in which the two differ, with
-one error for each, shared by all hypotheses with that toggle:
+in their difference: by a factor where that is large, by a few units where it is small. On the scale of its inverse hyperbolic sine
+the error is a sum over the T patches and effects in which the two differ, with one for each, shared by all hypotheses with that
+toggle:
 
     P(h | d) = E_u [Z_h(u) p(h) / sum_j Z_j(u) p(j)],
-    log Z_h(u) = min(C, l_k + (l_h - l_k) exp(b + s sum_t u_t / sqrt(T))),                                                (2)
+    log Z_h(u) = min(C, l_k + sinh(arsinh(l_h - l_k) + b + s sum_t u_t / sqrt(T))),                                       (2)
 
 where C is the evidence of a hypothesis that explains all. With errors of their own some of thousands of unlikely hypotheses would
 always be drawn as likely. Bias and scale are learned from the pairs of fidelities that a run has, apart for patches and effects and
@@ -32,7 +33,7 @@ from bcid.inference.priors import PRIORS
 Array = NDArray[np.float64]
 # Exponentials that are computed together, so that memory is bounded.
 _AT_A_TIME = 2_000_000
-# A logarithm of a factor that makes any hypothesis impossible.
+# On the scale of the inverse hyperbolic sine a difference that makes any hypothesis impossible.
 _LARGEST = 50.0
 
 
@@ -112,9 +113,8 @@ class Pair:
 
     @property
     def miss(self) -> float:
-        """Logarithm of the factor by which the difference was wrong; where it has the other sign, nothing was left of it."""
-        low, high = (float(_apart(np.array(gain))) for gain in (self.low, self.high))
-        return math.log(high / low) if high * low > 0 else -math.log(abs(low))
+        """The error of the lower fidelity, on the scale of the inverse hyperbolic sine."""
+        return math.asinh(self.high) - math.asinh(self.low)
 
 
 class Posterior:
@@ -170,7 +170,7 @@ class Posterior:
         weights, exact = _weights([one.toggles for one in known], every), np.array([not one.toggles for one in known])
         errors, found = self.errors(every), list[Array]()
         for part in np.array_split(errors, math.ceil(len(errors) * len(known) / _AT_A_TIME)):
-            drawn = base + _apart(gain) * np.exp(np.minimum(part @ weights.T, _LARGEST))
+            drawn = base + np.sinh(np.clip(np.arcsinh(gain) + part @ weights.T, -_LARGEST, _LARGEST))
             logs = np.where(exact, base + gain, np.minimum(drawn, self.ceiling))
             found.append(summed(softmax(logs + prior, axis=1)))
         return np.asarray(sum(found))
@@ -230,12 +230,7 @@ class Posterior:
         for kind in sorted({toggle.kind for toggle in every}):
             own = [k for k, toggle in enumerate(every) if toggle.kind == kind]
             total += float(np.sum((self.learned(kind, tuple(every[k] for k in own))[1].T @ weights[own]) ** 2))
-        return total * float(_apart(np.array(one.gain))) ** 2
-
-
-def _apart(gains: Array) -> Array:
-    """Differences of evidences, at least one either way: by that the same hypothesis differs from itself by chance."""
-    return np.asarray(np.where(gains > 0, 1.0, -1.0) * np.maximum(np.abs(gains), 1.0))
+        return total * (1.0 + one.gain**2)
 
 
 def _with_biases(some: Iterable[Toggle]) -> list[Toggle]:

@@ -22,10 +22,12 @@ class Priors:
         force, change_point, response: probability of each kind of discrepancy: a smooth force or growth, a force at one place
             from one frame on, and a misfit in observation space. They also stand for effects that no search came upon.
         missing: probability of a discrepancy of a model whose anchors alone are asked for: as likely as not.
-        fidelity_error: scale of the error in the logarithm of a difference of log evidences, per toggled patch or effect, where a
-            tangent or a few steps tell it, before a run has any pair of fidelities.
+        fidelity_error: scale of the error of a difference of log evidences, on the scale of its inverse hyperbolic sine, per
+            toggled patch or effect, where a tangent or a few steps tell it, before a run has any pair of fidelities.
         error_freedom: degrees of freedom of the Student distribution of these errors, before any pair.
         draws: of them.
+        tangent_error: standard deviation of the error of a movement that the tangent of another set predicts, as a part of it: of a
+            small one, and what it has more where it is as large as that of the pull.
         amounts: standard deviations of the amount of an effect, in notable changes: smallest, largest and how many. A mixture of
             normal distributions has the heavy tails of a half-Cauchy distribution (Gelman, Bayesian Anal. 1, 2006, 515).
         typical_amount: where a single one is needed, in notable changes.
@@ -49,6 +51,7 @@ class Priors:
     fidelity_error: tuple[float, float] = (0.5, 0.3)
     error_freedom: float = 4.0
     draws: int = 4096
+    tangent_error: tuple[float, float] = (0.1, 0.5)
     amounts: tuple[float, float, int] = (0.1, 10.0, 7)
     typical_amount: float = 2.0
     scanned: float = 2.0

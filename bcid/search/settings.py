@@ -7,15 +7,44 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """How far a search over hypotheses goes.
+    """How far a search over hypotheses goes; differences are of logarithms of evidence and prior.
 
     Attributes:
         negligible: a hypothesis is fitted to all steps while the Brier score is expected to fall by more than this once it is.
         fits: hypotheses that are fitted to all steps for each set of effects that further ones are sought beside, at most.
+        comparable: what is no more below the best than this is as likely as far as a tangent or a few steps tell.
+        unlikely: what is further below the best is left out, as far as a tangent or a few steps tell.
+        hopeless: what is further below the best is left out however rough the prediction is.
+        steps, values: of each action so many steps besides rest are compared first, and more where those are fewer values: they
+            would be explained by anything that has as many parameters.
+        batch: anchor sets that are predicted in a few steps before their tangents are asked again.
+        first_sets: sets that are predicted in a few steps to begin with.
+        recovered_sets: of those that cannot be followed in a few steps so many are tried in all.
+        few_patches: with no more than these all sets are compared by a cheap tangent, and those that differ by three by any.
+        loosened_patches: with no more than these all sets are compared whose anchors give or come off.
+        loosened_sets: sets that are predicted because they fit best when an anchor gives or comes off.
+        sensitive_sets: sets with sensitivities to effects of their own.
+        moves, moved_sets: a fitted effect is moved to other sets so often, each time with so many predicted.
+        settling: predictions for which a fit that has not come to an end goes on.
     """
 
-    negligible: float = 0.02
+    negligible: float = 0.005
     fits: int = 9
+    comparable: float = 3.0
+    unlikely: float = 12.0
+    hopeless: float = 60.0
+    steps: int = 2
+    values: int = 40
+    batch: int = 4
+    first_sets: int = 8
+    recovered_sets: int = 2
+    few_patches: int = 10
+    loosened_patches: int = 8
+    loosened_sets: int = 2
+    sensitive_sets: int = 5
+    moves: int = 4
+    moved_sets: int = 5
+    settling: int = 16
 
 
 SETTINGS = SearchSettings()

@@ -1,0 +1,81 @@
+"""The page of the theory: each equation names functions that exist, and they compute what it says."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from bcid.inference.evidence import Integrated, Numbers, log_gains
+from bcid.inference.hypotheses import log_prior
+from bcid.inference.mesh_error import MeshError
+from bcid.inference.posterior import Pair
+from bcid.inference.priors import PRIORS
+
+PAGE = (Path(__file__).resolve().parents[2] / "docs/theory.md").read_text(encoding="utf-8")
+NAMES = sorted(set(re.findall(r"`(bcid\.[\w.]+)`", PAGE)))
+EQUATIONS = re.findall(r"^\$\$ \((\w+)\)$", PAGE, re.MULTILINE)
+
+
+def named(path: str) -> Any:
+    """What a dotted path stands for: a module and attributes of it."""
+    parts = path.split(".")
+    for count in range(len(parts), 0, -1):
+        try:
+            found: Any = importlib.import_module(".".join(parts[:count]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[count:]:
+            found = getattr(found, part)
+        return found
+    raise AssertionError(path)
+
+
+@pytest.mark.parametrize("path", NAMES)
+def test_name_in_the_theory_is_that_of_something_documented(path: str) -> None:
+    assert named(path).__doc__
+
+
+def test_equation_is_followed_by_the_name_of_a_function() -> None:
+    """Before the next one; that of the observation is what all others are made of."""
+    parts = re.split(r"^\$\$ \(\w+\)$", PAGE, flags=re.MULTILINE)[1:]
+    without = [name for name, text in zip(EQUATIONS, parts, strict=True) if "`bcid." not in text]
+    assert (len(EQUATIONS), without) == (11, ["observation"])
+
+
+def test_evidence_of_a_linear_model_is_its_gaussian_density() -> None:
+    rng = np.random.default_rng(1)
+    jacobian, width, apart = rng.normal(size=(6, 2)), np.array([0.5, 2.0]), np.array([0.3, -1.0])
+    residual = rng.normal(size=6)
+    free = np.zeros(2, dtype=bool)
+    found = Integrated.of(residual, Numbers(jacobian, apart, width[None], free)).log()
+    covariance = np.eye(6) + (jacobian * width**2) @ jacobian.T
+    expected = multivariate_normal(cov=covariance).logpdf(residual + jacobian @ apart)
+    assert found == pytest.approx(expected + 3 * math.log(2 * math.pi), abs=1e-9)
+    gain = log_gains(residual, jacobian[:, None], width[None], free)[0]
+    alone = multivariate_normal(cov=np.eye(6)).logpdf(residual)
+    assert gain == pytest.approx(multivariate_normal(cov=covariance).logpdf(residual) - alone, abs=1e-9)
+
+
+def test_correction_of_second_order_meshes_is_exact_for_a_quadratic_error() -> None:
+    exact, error = 2.0, 0.3
+    coarse, fine = (np.full((1, 1, 3), exact + error / q**2) for q in (1, 2))
+    found = MeshError.between(coarse, fine, 2.0**2 - 1)
+    assert coarse + found.correction == pytest.approx(exact)
+    assert np.abs(found.left) == pytest.approx(np.abs(fine - coarse) / 3)
+
+
+def test_prior_odds_are_those_of_independent_effects_and_a_discrepancy() -> None:
+    each = PRIORS.effects / 20
+    assert log_prior(2, False, 20) == pytest.approx(2 * math.log(each / (1 - each)))
+    assert log_prior(0, True, 20) == pytest.approx(math.log(PRIORS.discrepancy / (1 - PRIORS.discrepancy)))
+
+
+def test_error_of_a_fidelity_is_a_difference_of_inverse_hyperbolic_sines() -> None:
+    assert Pair((), 2.0, 5.0).miss == pytest.approx(np.arcsinh(5.0) - np.arcsinh(2.0))
