@@ -1,4 +1,4 @@
-"""`python -m validation golden | ablation ...`, in a checkout."""
+"""`python -m validation golden | ablation | calibration ...`, in a checkout."""
 
 from __future__ import annotations
 
@@ -28,9 +28,16 @@ def main(words: list[str] | None = None) -> int:
     ablation.add_argument("--only", nargs="+", choices=list(CASES), metavar="CASE", help="some cases (all)")
     ablation.add_argument("--jobs", type=int, default=2, metavar="N", help="processes at a time (2)")
     ablation.add_argument("--store", type=Path, metavar="FOLDER", help="predictions that all runs share (RUN/store)")
+    calibration = parts.add_parser(
+        "calibration", help="draw data from the linearised model, and compare answers with the truth"
+    )
+    calibration.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="RUN", help="folder; a run in it goes on"
+    )
+    calibration.add_argument("--draws", type=int, default=1000, metavar="N", help="with each level of the noise (1000)")
     chosen = parser.parse_args(words)
     try:
-        return _golden(chosen) if chosen.part == "golden" else _ablation(chosen)
+        return {"golden": _golden, "ablation": _ablation, "calibration": _calibration}[chosen.part](chosen)
     except BcidError as error:
         print(f"validation: {error}", file=sys.stderr)
         return 2
@@ -53,6 +60,16 @@ def _ablation(chosen: argparse.Namespace) -> int:
     store = chosen.store or chosen.output / "store"
     ablation.run(chosen.output, chosen.only or list(CASES), chosen.jobs, store, progress_on())
     print(ablation.table(ablation.read(chosen.output)))
+    return 0
+
+
+def _calibration(chosen: argparse.Namespace) -> int:
+    from validation import calibration
+
+    calibration.run(chosen.output, chosen.draws, progress_on())
+    found = calibration.read(chosen.output)
+    print(calibration.table(found))
+    print(calibration.picture(found, chosen.output / "calibration.png"))
     return 0
 
 

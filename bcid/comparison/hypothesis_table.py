@@ -247,17 +247,17 @@ class HypothesisTable:
     # -----------------------------------------------------------------------------------------------------------
 
     def changes(self) -> dict[Hypothesis, float]:
-        """By how much the expected Brier score falls once a hypothesis below the full fidelity is compared with all steps.
+        """By how much the Brier score may fall once a hypothesis below the full fidelity is compared with all steps.
 
-        By one where it is more probable than each that was: no answer is reported from a few steps or a tangent.
+        That is the variance of whether it is true (Brier, Mon. Weather Rev. 78, 1950, 1). It is one where a hypothesis is more
+        probable than each that was compared so: no answer is reported from a few steps or a tangent.
         """
         shares: dict[Hypothesis, float] = {}
         for h, p in self.odds.probabilities.items():
             shares[h.known] = shares.get(h.known, 0.0) + p
         likeliest = min(shares, key=lambda h: (-shares[h], h.order))
-        variances = self.posterior().variances(lambda h: h.known)
-        waiting = [h for h in sorted(variances, key=lambda h: h.order) if not self._fitted(h) and h not in self.refused]
-        return {h: 1.0 if h == likeliest else variances[h] for h in waiting}
+        waiting = [h for h in sorted(shares, key=lambda h: h.order) if not self._fitted(h) and h not in self.refused]
+        return {h: 1.0 if h == likeliest else shares[h] * (1 - shares[h]) for h in waiting}
 
     def sets_about(self, hypothesis: Hypothesis) -> Mapping[Anchored, Evidence]:
         """What its tangent says of other sets, and of its own; nothing where it was not asked."""

@@ -1,12 +1,11 @@
 """The posterior: probabilities of hypotheses whose evidences are known at different fidelities.
 
 An evidence is exact where a hypothesis was fitted to all steps. A lower fidelity knows it against a hypothesis k that was, and errs
-in their difference: by a factor where that is large, by a few units where it is small. On the scale of its inverse hyperbolic sine
-the error is a sum over the T patches and effects in which the two differ, with one for each, shared by all hypotheses with that
-toggle:
+by a factor in their difference. The logarithm of the factor is a sum over the T patches and effects in which the two differ, with
+one error for each, shared by all hypotheses with that toggle:
 
     P(h | d) = E_u [Z_h(u) p(h) / sum_j Z_j(u) p(j)],
-    log Z_h(u) = min(C, l_k + sinh(arsinh(l_h - l_k) + b + s sum_t u_t / sqrt(T))),                                       (2)
+    log Z_h(u) = min(C, l_k + (l_h - l_k) exp(b + s sum_t u_t / sqrt(T))),                                                (2)
 
 where C is the evidence of a hypothesis that explains all. With errors of their own some of thousands of unlikely hypotheses would
 always be drawn as likely. Bias and scale are learned from the pairs of fidelities that a run has, apart for patches and effects and
@@ -17,14 +16,13 @@ freedom, and one more for each pair (Gelman et al., Bayesian Data Analysis, 3rd 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 from scipy.special import softmax
 
 from bcid.inference.hypotheses import Hypothesis
@@ -33,7 +31,7 @@ from bcid.inference.priors import PRIORS
 Array = NDArray[np.float64]
 # Exponentials that are computed together, so that memory is bounded.
 _AT_A_TIME = 2_000_000
-# On the scale of the inverse hyperbolic sine a difference that makes any hypothesis impossible.
+# A logarithm of a factor that makes any hypothesis impossible.
 _LARGEST = 50.0
 
 
@@ -113,8 +111,9 @@ class Pair:
 
     @property
     def miss(self) -> float:
-        """The error of the lower fidelity, on the scale of the inverse hyperbolic sine."""
-        return math.asinh(self.high) - math.asinh(self.low)
+        """Logarithm of the factor by which the difference was wrong; where it has the other sign, nothing was left of it."""
+        low, high = (float(_apart(np.array(gain))) for gain in (self.low, self.high))
+        return math.log(high / low) if high * low > 0 else -math.log(abs(low))
 
 
 class Posterior:
@@ -138,42 +137,17 @@ class Posterior:
         """Of each hypothesis, the most probable first; they sum to one."""
         if not self.evaluations:
             return {}
-        shares = self._over_draws(lambda drawn: np.sum(drawn, axis=0))
-        found = {h: float(share) / PRIORS.draws for h, share in zip(self.evaluations, shares, strict=True)}
-        return dict(sorted(found.items(), key=lambda item: (-item[1], item[0].order)))
-
-    def variances(self, of: Callable[[Hypothesis], Hypothesis]) -> dict[Hypothesis, float]:
-        """Variance over the draws of the probability of all hypotheses for which `of` is the same.
-
-        By so much the expected Brier score of the answer falls once their evidence is known exactly (Brier, Mon. Weather Rev. 78,
-        1950, 1).
-        """
-        if not self.evaluations:
-            return {}
-        names = [of(h) for h in self.evaluations]
-        every = {name: k for k, name in enumerate(dict.fromkeys(names))}
-        ones = np.ones(len(names))
-        belongs = csr_array((ones, (np.arange(len(names)), [every[name] for name in names])), (len(names), len(every)))
-
-        def moments(drawn: Array) -> Array:
-            shares = drawn @ belongs
-            return np.stack([np.sum(shares, axis=0), np.sum(shares**2, axis=0)])
-
-        total, squares = self._over_draws(moments) / PRIORS.draws
-        return {name: max(0.0, float(squares[k] - total[k] ** 2)) for name, k in every.items()}
-
-    def _over_draws(self, summed: Callable[[Array], Array]) -> Array:
-        """Sum over parts of the draws of what is made of the probabilities in them, shape (draws, hypotheses)."""
         known = list(self.evaluations.values())
         every = _with_biases(toggle for one in known for toggle in one.toggles)
         base, gain, prior = (np.array([getattr(one, name) for one in known]) for name in ("base", "gain", "log_prior"))
         weights, exact = _weights([one.toggles for one in known], every), np.array([not one.toggles for one in known])
-        errors, found = self.errors(every), list[Array]()
+        errors, shares = self.errors(every), np.zeros(len(known))
         for part in np.array_split(errors, math.ceil(len(errors) * len(known) / _AT_A_TIME)):
-            drawn = base + np.sinh(np.clip(np.arcsinh(gain) + part @ weights.T, -_LARGEST, _LARGEST))
+            drawn = base + _apart(gain) * np.exp(np.minimum(part @ weights.T, _LARGEST))
             logs = np.where(exact, base + gain, np.minimum(drawn, self.ceiling))
-            found.append(summed(softmax(logs + prior, axis=1)))
-        return np.asarray(sum(found))
+            shares += np.sum(softmax(logs + prior, axis=1), axis=0)
+        found = {h: float(share) / len(errors) for h, share in zip(self.evaluations, shares, strict=True)}
+        return dict(sorted(found.items(), key=lambda item: (-item[1], item[0].order)))
 
     def errors(self, every: Sequence[Toggle]) -> Array:
         """Fixed draws of the errors of toggles, shape (draws, toggles)."""
@@ -230,7 +204,12 @@ class Posterior:
         for kind in sorted({toggle.kind for toggle in every}):
             own = [k for k, toggle in enumerate(every) if toggle.kind == kind]
             total += float(np.sum((self.learned(kind, tuple(every[k] for k in own))[1].T @ weights[own]) ** 2))
-        return total * (1.0 + one.gain**2)
+        return total * float(_apart(np.array(one.gain))) ** 2
+
+
+def _apart(gains: Array) -> Array:
+    """Differences of evidences, at least one either way: by that the same hypothesis differs from itself by chance."""
+    return np.asarray(np.where(gains > 0, 1.0, -1.0) * np.maximum(np.abs(gains), 1.0))
 
 
 def _with_biases(some: Iterable[Toggle]) -> list[Toggle]:

@@ -22,8 +22,8 @@ class Priors:
         force, change_point, response: probability of each kind of discrepancy: a smooth force or growth, a force at one place
             from one frame on, and a misfit in observation space. They also stand for effects that no search came upon.
         missing: probability of a discrepancy of a model whose anchors alone are asked for: as likely as not.
-        fidelity_error: scale of the error of a difference of log evidences, on the scale of its inverse hyperbolic sine, per
-            toggled patch or effect, where a tangent or a few steps tell it, before a run has any pair of fidelities.
+        fidelity_error: scale of the error in the logarithm of a difference of log evidences, per toggled patch or effect, where a
+            tangent or a few steps tell it, before a run has any pair of fidelities.
         error_freedom: degrees of freedom of the Student distribution of these errors, before any pair.
         draws: of them.
         tangent_error: standard deviation of the error of a movement that the tangent of another set predicts, as a part of it: of a

@@ -10,7 +10,7 @@ class SearchSettings:
     """How far a search over hypotheses goes; differences are of logarithms of evidence and prior.
 
     Attributes:
-        negligible: a hypothesis is fitted to all steps while the Brier score is expected to fall by more than this once it is.
+        negligible: a hypothesis is fitted to all steps while the Brier score of the answer may fall by more than this once it is.
         fits: hypotheses that are fitted to all steps for each set of effects that further ones are sought beside, at most.
         comparable: what is no more below the best than this is as likely as far as a tangent or a few steps tell.
         unlikely: what is further below the best is left out, as far as a tangent or a few steps tell.
@@ -28,8 +28,8 @@ class SearchSettings:
         settling: predictions for which a fit that has not come to an end goes on.
     """
 
-    negligible: float = 0.005
-    fits: int = 9
+    negligible: float = 0.05
+    fits: int = 6
     comparable: float = 3.0
     unlikely: float = 12.0
     hopeless: float = 60.0

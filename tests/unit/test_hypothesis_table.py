@@ -123,7 +123,7 @@ def test_a_set_that_cannot_be_followed_in_a_few_steps_has_not_lost(monkeypatch: 
 
 
 def test_changes_uncertain_hypothesis_is_worth_an_evaluation() -> None:
-    """As much as its probability varies over errors of the fidelity; one where it is the most probable; none where refused."""
+    """As much as whether it is true varies; one where it is the most probable; none where it was refused."""
     full = [rival((), "1", 100), rival((), "2", 98)]
     rough = [rival((), "1", 40), rival(("gravity",), "1", 43), rival(("fibres",), "1", -400)]
     table = HypothesisTable(own=full, full=full, coarse=[Contest(rough, {})])

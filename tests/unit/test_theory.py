@@ -77,5 +77,5 @@ def test_prior_odds_are_those_of_independent_effects_and_a_discrepancy() -> None
     assert log_prior(0, True, 20) == pytest.approx(math.log(PRIORS.discrepancy / (1 - PRIORS.discrepancy)))
 
 
-def test_error_of_a_fidelity_is_a_difference_of_inverse_hyperbolic_sines() -> None:
-    assert Pair((), 2.0, 5.0).miss == pytest.approx(np.arcsinh(5.0) - np.arcsinh(2.0))
+def test_error_of_a_fidelity_is_the_logarithm_of_a_ratio() -> None:
+    assert Pair((), 2.0, 5.0).miss == pytest.approx(math.log(2.5))

@@ -161,7 +161,7 @@ def test_an_effect_that_a_few_steps_hide_is_found_in_all(slab: Scene, monkeypatc
         fewest = min(len(rival.names) for rival in rivals)
         return Contest([rival for rival in rivals if len(rival.names) == fewest], {})
 
-    monkeypatch.setattr("bcid.comparison.explain.contest", blind)
+    monkeypatch.setattr("bcid.comparison.search_queue.contest", blind)
     fault = Term("marker_fault", {"x": 0.005, "y": 0.0, "z": 0.001, "onset": 0.0}, place=slab.fiducial_names[4])
     seen = simulate(slab, HEAVY, pulls(), level=2, model=Model.of(slab) + fault)
     predictor = Predictor(slab, seen, MPI.COMM_SELF, level=1)
@@ -187,7 +187,7 @@ def test_what_is_believed_most_was_fitted_to_all_steps(predictor: Predictor, mon
         }
         return Contest([rival for rival in found.rivals if rival.names != ("fibres",)], found.promised | others)
 
-    monkeypatch.setattr("bcid.comparison.explain.contest", promising)
+    monkeypatch.setattr("bcid.comparison.search_queue.contest", promising)
     found = explain(predictor, ExplainOptions(level=1, only=("gravity", "fibres")))
     assert found.verdict == "none"
     assert found.odds.best in {told for rival in found.rivals for told in rival.logs}
