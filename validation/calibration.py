@@ -12,6 +12,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -79,6 +80,12 @@ class LinearModel:
         found = rank(state, effects.catalogue(EFFECTS), strict=False).variants
         return cls(state, shifts, {name: some for name, some in found.items() if some}, len(EFFECTS))
 
+    @cached_property
+    def grouped(self) -> dict[str, list[_Alike]]:
+        """Effects that the data could show, with their variants."""
+        found = {name: _Alike.grouped(variants) for name, variants in self.variants.items()}
+        return {name: groups for name, groups in found.items() if groups}
+
     def draw(self, rng: np.random.Generator) -> tuple[Hypothesis, Array]:
         """A hypothesis and data, in units of their errors, shape (n,), from the joint prior."""
         anchors = list(self.shifts)[rng.integers(len(self.shifts))]
@@ -120,10 +127,10 @@ class LinearModel:
             evidence = Evidence.of(errors, errors.unwhiten(residual), self.state.forces)
             logs[Hypothesis(anchors)] = evidence.plain
             logs[Hypothesis(anchors, unknown=True)] = evidence.forced + log_prior(0, True, self.known)
-            for name, variants in self.variants.items():
-                gain = _gain(residual, variants)
-                if math.isfinite(gain):
-                    logs[Hypothesis(anchors, name)] = evidence.plain + gain + log_prior(1, False, self.known)
+            for name, groups in self.grouped.items():
+                gain = float(logsumexp(np.concatenate([some.logs(residual) for some in groups])))
+                among = log_variants(len(self.variants[name])) + log_prior(1, False, self.known)
+                logs[Hypothesis(anchors, name)] = evidence.plain + gain + among
         return HypothesisOdds.of(logs)
 
 
@@ -134,15 +141,29 @@ def _widths(variant: Variant) -> list[Array]:
     return [size * scale for size in visible(shown, SEEN)]
 
 
-def _gain(residual: Array, variants: Sequence[Variant]) -> float:
-    """Logarithm of how much more probable an effect makes a residual, over all its variants and visible amounts."""
-    found = []
-    for one in variants:
-        widths = _widths(one)
-        if widths:
-            gain = log_gains(residual, one.sensitivity[:, None], np.array(widths), one_sided(one.amounts))
-            found.append(float(gain[0]) + log_share(len(widths)))
-    return float(logsumexp(found)) + log_variants(len(variants)) if found else -math.inf
+@dataclass(frozen=True)
+class _Alike:
+    """Variants of an effect that have the same visible amounts, whose sensitivities (n, variants, amounts) are used together."""
+
+    sensitivities: Array
+    widths: Array
+    positive: NDArray[np.bool_]
+
+    @classmethod
+    def grouped(cls, variants: Sequence[Variant]) -> list[_Alike]:
+        """Those of an effect that the data could show at all."""
+        groups: dict[int, list[Variant]] = {}
+        for one in variants:
+            groups.setdefault(len(_widths(one)), []).append(one)
+        return [
+            cls(np.stack([v.sensitivity for v in some], axis=1), np.array(_widths(some[0])), one_sided(some[0].amounts))
+            for count, some in groups.items()
+            if count
+        ]
+
+    def logs(self, residual: Array) -> Array:
+        """How much more probable each makes a residual (n,), as logarithms, shape (variants,)."""
+        return log_gains(residual, self.sensitivities, self.widths, self.positive) + log_share(len(self.widths))
 
 
 def run(folder: Path, draws: int, progress: Progress) -> None:
@@ -157,7 +178,7 @@ def run(folder: Path, draws: int, progress: Progress) -> None:
         for number in range(draws):
             progress.step(f"draws with {noise:g} times the noise", number, draws)
             truth, data = model.draw(rng)
-            found.append(_judged(truth, model.posterior(data), float(rng.random())))
+            found.append(judged(truth, model.posterior(data), float(rng.random())))
         write_whole(_file(folder, noise), json.dumps(found) + "\n")
     state.predictor.destroy()
 
@@ -178,7 +199,7 @@ def _state(folder: Path) -> State:
     return State.of(predictor, model, first_sets(predictor, model)[0]).thinned(glanced(predictor), GLANCE)
 
 
-def _judged(truth: Hypothesis, odds: HypothesisOdds, between: float) -> dict[str, Any]:
+def judged(truth: Hypothesis, odds: HypothesisOdds, between: float) -> dict[str, Any]:
     """Probabilities of the reported verdict and set, whether each is right, and the rank of the true hypothesis, in 0 to 1."""
     p, verdicts = odds.probabilities, odds.verdicts
     verdict = next(iter(verdicts))
