@@ -10,7 +10,6 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.exploration.information import Expected, information, noise_free
 from bcid.exploration.moves import Move, cost, limits_of
 from bcid.exploration.posterior_summary import PosteriorSummary
 from bcid.exploration.predictions import key_of
@@ -20,6 +19,7 @@ from bcid.forms.gripper_force import ROWS
 from bcid.forms.simulate import recorded, with_wrenches
 from bcid.inference.data import LEAST_NOISE, Data
 from bcid.inference.hypotheses import Hypothesis, entropy
+from bcid.inference.information import Expected, information, noise_free
 from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
 from bcid.measurement import Action

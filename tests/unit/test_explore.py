@@ -18,7 +18,6 @@ from scipy.stats import multivariate_normal, norm
 
 from bcid.base.errors import InputError, MachineError
 from bcid.exploration.choice import Chooser, live
-from bcid.exploration.information import coordinates, information, noise_free
 from bcid.exploration.loop import BUDGET, DECIDED, INSEPARABLE, UNEXPLAINED, ExploreOptions, explore
 from bcid.exploration.moves import Move, cost, limits_of, moves
 from bcid.exploration.predictions import _entries, key_of, small_action
@@ -32,6 +31,7 @@ from bcid.forms.simulate import recorded
 from bcid.inference.criteria import CERTAIN
 from bcid.inference.data import Data
 from bcid.inference.hypotheses import Hypothesis, effects, entropy, patches
+from bcid.inference.information import coordinates, information, noise_free
 from bcid.inference.nuisances import NuisanceModes
 from bcid.inference.relative import relative
 from bcid.inference.unknown_force import Smooth, courses

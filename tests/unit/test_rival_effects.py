@@ -17,7 +17,6 @@ from bcid.comparison.parameter_priors import of_state, visible
 from bcid.comparison.rivals import Rival
 from bcid.comparison.state import State
 from bcid.exploration.explore_run import run_exploration
-from bcid.exploration.information import information
 from bcid.exploration.joined import joined
 from bcid.exploration.loop import ExploreOptions
 from bcid.exploration.moves import Move, limits_of
@@ -26,6 +25,7 @@ from bcid.forms import effects
 from bcid.forms.model import Model, Term
 from bcid.forms.simulate import simulate
 from bcid.inference.hypotheses import Hypothesis
+from bcid.inference.information import information
 from bcid.inference.mesh_error import MeshError
 from bcid.measurement import Measurement
 from bcid.predict.predictor import Predictor
