@@ -82,6 +82,19 @@ class Force:
 
 
 @dataclass(frozen=True)
+class Known:
+    """A nuisance that is known instead of integrated over.
+
+    Attributes:
+        column: what one standard deviation of it does, which the errors contain, in units of these errors, shape (n,).
+        values: that it may have, in its standard deviations, shape (values,).
+    """
+
+    column: Array
+    values: Array
+
+
+@dataclass(frozen=True)
 class _Products:
     """Products of residual and columns with the inverse of the covariance, and half the logarithm of its determinant, by size.
 
@@ -99,6 +112,23 @@ class _Products:
         volume = self.volume + count * np.log(factors)
         return _Products(self.rr / f, self.rj / f[:, None], self.jj / f[:, None, None], volume)
 
+    def knowing(self, values: Array) -> _Products:
+        """The same for each of some values of a nuisance, whose column is the last: leading shape (values * sizes,).
+
+        The residual loses what that value does, and the covariance the square of the column (Woodbury's identity).
+        """
+        v = values[:, None]
+        rw, jw, ww = self.rj[:, -1], self.jj[:, :-1, -1], self.jj[:, -1, -1]
+        left = 1 - ww
+        beside = (rw - v * ww) / np.sqrt(left)
+        along = jw / np.sqrt(left)[:, None]
+        rr = self.rr - 2 * v * rw + v**2 * ww + beside**2
+        rj = self.rj[:, :-1] - v[..., None] * jw + beside[..., None] * along
+        jj = self.jj[:, :-1, :-1] + along[:, :, None] * along[:, None, :]
+        count = len(values)
+        volume = np.tile(self.volume + 0.5 * np.log(left), count)
+        return _Products(rr.ravel(), rj.reshape(-1, rj.shape[2]), np.tile(jj, (count, 1, 1)), volume)
+
 
 @dataclass(frozen=True)
 class Integrated:
@@ -111,6 +141,7 @@ class Integrated:
         forced: logarithm of the density for each size while no number is unknown, shape (sizes,).
         count: values of the residual.
         log_prior: see `Numbers`.
+        values: how many values of a nuisance that is known the sizes are of, one after the other.
     """
 
     squares: Array
@@ -119,15 +150,23 @@ class Integrated:
     forced: Array
     count: int
     log_prior: float
+    values: int = 1
 
     @classmethod
-    def of(cls, scaled: Array, numbers: Numbers, force: Force | None = None) -> Integrated:
-        """Of a residual at the numbers, in units of its errors, shape (n,), and a force that may act besides."""
-        products = _alone(scaled, numbers.columns) if force is None else _forced(scaled, numbers.columns, force)
+    def of(cls, scaled: Array, numbers: Numbers, force: Force | None = None, known: Known | None = None) -> Integrated:
+        """Of a residual at the numbers, in units of its errors, shape (n,), and a force that may act besides.
+
+        With a nuisance that is `known`, for each of its values.
+        """
+        columns = numbers.columns if known is None else np.column_stack([numbers.columns, known.column])
+        products = _alone(scaled, columns) if force is None else _forced(scaled, columns, force)
+        values = 1
+        if known is not None:
+            products, values = products.knowing(known.values), len(known.values)
         if force is not None and force.inflation is not None:
-            products = products.inflated(force.inflation, len(scaled))
+            products = products.inflated(np.tile(force.inflation, values), len(scaled))
         forced = -0.5 * products.rr - products.volume
-        return cls(*_integrated(products, numbers), forced, len(scaled), numbers.log_prior)
+        return cls(*_integrated(products, numbers), forced, len(scaled), numbers.log_prior, values)
 
     def log(self, factors: Array | None = None) -> float:
         """Logarithm of the density of the residual, without that of its errors alone and the constant of n values.
@@ -135,8 +174,13 @@ class Integrated:
         All sizes and widths are equally likely, and so are the `factors` by which the errors may be larger than they are taken
         for; they are known by default.
         """
+        return float(self.logs(factors)[0])
+
+    def logs(self, factors: Array | None = None) -> Array:
+        """The same for each value of a nuisance that is known, shape (values,)."""
         found = _density(self.squares.ravel(), self.volumes.ravel(), self.count, factors) + self.inside.ravel()
-        return float(logsumexp(found)) - math.log(len(found)) + self.log_prior
+        each = found.reshape(self.values, -1)
+        return np.asarray(logsumexp(each, axis=1) - math.log(each.shape[1]) + self.log_prior)
 
 
 def log_gains(

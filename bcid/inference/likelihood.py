@@ -255,6 +255,10 @@ class Errors:
         """Values of the nuisances of all fiducials together, (k,), in their standard deviations: means given a residual (n,), m."""
         return np.asarray(self._modes.T @ (self.rough(residual) / self.sigma**2))
 
+    def of_nuisance(self, number: int) -> Array:
+        """What one standard deviation of a nuisance does, by its column in `nuisances.common`, in units of the errors, (n,)."""
+        return self.whiten(self._modes[:, number])
+
     def told(self, residual: Array) -> list[NuisanceEstimate]:
         """What a residual (n,), m, says of every nuisance: the mean of its values given the data."""
         weighed, common = self.rough(residual) / self.sigma**2, self.likeliest(residual)

@@ -26,7 +26,7 @@ _OFF = {
     "force_drift": "what the force sensor shows without a force would have to change over an action by {}",
     "gripper_weight": "the gripper would have to weigh {}",
 }
-_RELATIVE = ("dimensions", "stiffness", "force_gain")
+_RELATIVE = ("dimensions", "stiffness", "force_gain", "noise")
 _UNITS = dict.fromkeys(LENGTHS, "m") | dict.fromkeys(ANGLES, "deg") | dict.fromkeys(FORCES, "N")
 
 
@@ -67,8 +67,12 @@ def to_json(told: Sequence[NuisanceEstimate]) -> list[dict[str, Any]]:
 
 
 def _amount(one: NuisanceEstimate, value: float) -> str:
+    return amount(one.name, value)
+
+
+def amount(name: str, value: float) -> str:
     """A value of a nuisance with its unit: "0.41 mm", "2 %"."""
-    if one.name in _RELATIVE:
+    if name in _RELATIVE:
         return f"{100 * value:.2g} %"
-    shown, _, unit = for_people(value, None, _UNITS.get(one.name, "1"))
+    shown, _, unit = for_people(value, None, _UNITS.get(name, "1"))
     return f"{shown:.2g}" if unit == "1" else f"{shown:.2g} {unit}"

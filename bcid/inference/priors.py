@@ -40,6 +40,8 @@ class Priors:
         misfit_lengths: correlation lengths of a misfit over the markers, in their largest distance.
         misfit_sizes: how many of its standard deviations are tried, from the noise to the motion.
         misfit_smooth: variance and correlation length of its part that is smooth in the pose, where the furthest pose is 1.
+        noise_error: relative standard deviation of a noise that is stated, where an answer is given for another one: a convention,
+            with which two standard deviations are 20 %.
         misfit_columns: in which it is kept at most (Kennedy & O'Hagan, J. R. Stat. Soc. B 63, 2001, 425).
     """
 
@@ -63,6 +65,7 @@ class Priors:
     misfit_sizes: int = 8
     misfit_smooth: tuple[float, float] = (0.1, 0.3)
     misfit_columns: int = 60
+    noise_error: float = 0.1
 
     @property
     def discrepancy(self) -> float:

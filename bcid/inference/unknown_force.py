@@ -18,7 +18,7 @@ from scipy.special import logsumexp, softmax
 from bcid.inference import response
 from bcid.inference.criteria import NOTABLE
 from bcid.inference.data import Data
-from bcid.inference.evidence import LARGER, Force, Integrated, Numbers
+from bcid.inference.evidence import LARGER, Force, Integrated, Known, Numbers
 from bcid.inference.likelihood import Errors
 from bcid.inference.priors import PRIORS, spaced
 from bcid.inference.sudden_force import Beginning, SuddenForce
@@ -158,18 +158,14 @@ class Evidence:
         pushed = [Integrated.of(scaled, known, force) for force in forces]
         misfits = [Integrated.of(scaled, known, process) for process in errors.misfits]
         begins = sudden.beginning(residual, known) if sudden else None
-        ways = [
-            math.log(PRIORS.force) + _mean([found.log(factors) for found in pushed]),
-            math.log(PRIORS.response) + _mean([found.log(factors) for found in misfits]),
-            math.log(PRIORS.change_point) + plain + begins.log if begins else -math.inf,
-        ]
+        kinds = [[found.log(factors) for found in some] for some in (pushed, misfits)]
+        ways = _ways(plain, kinds[0], kinds[1], begins)
         shares = softmax(ways)
         kind, size = _likeliest(pushed, forces)
         length = None
         if int(np.argmax(ways)) == 1:
             length, size = _likeliest(misfits, errors.misfits)
-        asked = PRIORS.force + PRIORS.response + (PRIORS.change_point if begins else 0.0)
-        forced = float(logsumexp(ways)) - math.log(asked)
+        forced = float(logsumexp(ways))
         return cls(plain - volume, forced - volume, size, kind, length, begins, float(shares[2]))
 
     @property
@@ -183,12 +179,56 @@ class Evidence:
         return math.exp(self.forced + math.log(PRIORS.missing) - self.total)
 
 
+def conditional(
+    errors: Errors,
+    residual: Array,
+    forces: Sequence[Force],
+    numbers: Numbers,
+    begins: Beginning | None,
+    known: Known | None = None,
+    larger: float = 1.0,
+) -> tuple[Array, Array]:
+    """Logarithms of the evidence without and with a discrepancy where a nuisance is known, each of shape (values,).
+
+    What begins keeps the gain that it has where the nuisance is not known.
+
+    Args:
+        errors, residual, forces, numbers: as of `Evidence.of`.
+        begins: of the evidence without that knowledge.
+        known: the nuisance; none by default, which has one value.
+        larger: factor of all errors.
+    """
+    scaled, volume = errors.whiten(residual), errors.log_volume
+    factors = np.array([larger]) if errors.data.stated else larger * LARGER
+
+    def logs(force: Force | None = None) -> Array:
+        return Integrated.of(scaled, numbers, force, known).logs(factors) - volume
+
+    plain = logs()
+    pushed, misfits = ([logs(one) for one in some] for some in (forces, errors.misfits))
+    return plain, np.asarray(logsumexp(_ways(plain, pushed, misfits, begins), axis=0))
+
+
+def _ways(
+    plain: ArrayLike, pushed: Sequence[ArrayLike], misfits: Sequence[ArrayLike], begins: Beginning | None
+) -> Array:
+    """Logarithms of the density with each kind of discrepancy and its prior, given that there is one: shape (3, ...)."""
+    asked = math.log(PRIORS.force + PRIORS.response + (PRIORS.change_point if begins else 0.0))
+    nothing = np.full_like(np.asarray(plain), -math.inf)
+    found = [
+        math.log(PRIORS.force) + _mean(pushed),
+        math.log(PRIORS.response) + _mean(misfits),
+        math.log(PRIORS.change_point) + np.asarray(plain) + begins.log if begins else nothing,
+    ]
+    return np.array(found) - asked
+
+
 def _likeliest(found: Sequence[Integrated], forces: Sequence[Force]) -> tuple[int, float]:
     """Which of some forces is the likeliest, and with which standard deviation."""
     kind = int(np.argmax([one.forced.max() for one in found]))
     return kind, float(forces[kind].sizes[int(np.argmax(found[kind].forced))])
 
 
-def _mean(logs: ArrayLike) -> float:
-    """Logarithm of the mean of what has these logarithms."""
-    return float(logsumexp(logs)) - math.log(np.size(logs))
+def _mean(logs: Sequence[ArrayLike]) -> Array:
+    """Logarithm of the mean of what has these logarithms, over the first axis."""
+    return np.asarray(logsumexp(logs, axis=0)) - math.log(len(logs))

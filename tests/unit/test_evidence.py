@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
 from bcid.inference.data import Data, Noise, told_noise
-from bcid.inference.evidence import LARGER, Force, Integrated, Numbers, log_gains
+from bcid.inference.evidence import LARGER, Force, Integrated, Known, Numbers, log_gains
 from bcid.inference.hypotheses import (
     Hypothesis,
     HypothesisOdds,
@@ -113,6 +114,30 @@ def test_errors_that_are_known_but_for_a_factor() -> None:
 def test_a_prior_that_is_three_times_as_wide_changes_little(larger: float) -> None:
     plain, wider = numbers(), Numbers(COLUMNS, np.zeros(2), larger * WIDTHS, np.zeros(2, bool), math.log(0.25))
     assert Integrated.of(RESIDUAL, wider).log() == pytest.approx(Integrated.of(RESIDUAL, plain).log(), abs=3.0)
+
+
+@pytest.mark.parametrize("forced", [False, True])
+def test_evidence_of_a_known_nuisance_is_that_without_its_column(forced: bool) -> None:
+    """Written out in full; and its mean over what the nuisance may be is the evidence where it is not known."""
+    size = 0.7
+    column = 0.2 * RNG.normal(size=COUNT)
+    pushes = size * PUSHES if forced else np.zeros((COUNT, 1))
+    root = np.linalg.cholesky(np.eye(COUNT) + np.outer(column, column))
+    # All is in units of errors that hold the column.
+    known = Known(np.linalg.solve(root, column), np.array([-2.0, 0.0, 2.0]))
+    scaled = Numbers(np.linalg.solve(root, COLUMNS), np.zeros(2), WIDTHS, np.zeros(2, bool), math.log(0.25))
+    force = Force.of(np.linalg.solve(root, PUSHES), np.array([size])) if forced else None
+    residual = np.linalg.solve(root, RESIDUAL)
+    volume = float(np.sum(np.log(np.diag(root))))
+    wanted = [
+        logsumexp([written_out(RESIDUAL - value * column, row, pushes) for row in WIDTHS]) - math.log(8)
+        for value in known.values
+    ]
+    assert Integrated.of(residual, scaled, force, known).logs() - volume == pytest.approx(wanted)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(120)
+    each = Integrated.of(residual, scaled, force, replace(known, values=nodes)).logs()
+    mean = logsumexp(each, b=weights / weights.sum())
+    assert mean == pytest.approx(Integrated.of(residual, scaled, force).log(), abs=1e-6)
 
 
 # -- hypotheses
