@@ -19,8 +19,10 @@ from bcid.comparison.explain import ExplainOptions, explain
 from bcid.comparison.explanation import Explanation, Rung
 from bcid.comparison.fit import Fit, fit
 from bcid.comparison.held_out import held_out
+from bcid.comparison.next_steps import NextSteps, next_steps
 from bcid.comparison.ranking import rank
 from bcid.comparison.rivals import refit
+from bcid.comparison.scene_sensitivity import AnswerAt, fitted_hypotheses, scene_sensitivity
 from bcid.comparison.second_start import fit_twice
 from bcid.comparison.separate import Pull, separating_pulls
 from bcid.comparison.source import Source
@@ -50,12 +52,16 @@ class Diagnosis:
         where: the force that would explain what the model misses; None where it was not asked for.
         explanation: anchors and effects, where they were searched.
         pulls: pulls that would tell explanations apart.
+        sensitivity: the answer where inputs of the scene are off.
+        next_steps: what would tell explanations apart; None where the answer is certain.
     """
 
     rungs: tuple[Rung, ...]
     where: MissingForce | None
     explanation: Explanation | None = None
     pulls: tuple[Pull, ...] = ()
+    sensitivity: tuple[AnswerAt, ...] = ()
+    next_steps: NextSteps | None = None
 
 
 def on_predictor(
@@ -158,7 +164,7 @@ def refitted(
 def explained(predictor: Predictor, source: Source, options: ExplainOptions) -> Diagnosis:
     """Anchors and missing effects, until the model is adequate or nothing helps. Collective on the predictor's ranks."""
     found = explain(predictor, options, source.model, source.own)
-    where, pulls = None, list[Pull]()
+    where, pulls, sensitivity, steps = None, list[Pull](), list[AnswerAt](), None
     # What is computed about the answer costs no answer where it fails.
     with suppress(SolveError), evaluating("the missing force", predictor.skip):
         where = None if found.last.adequacy.adequate else missing_force(found.last.state)
@@ -166,7 +172,11 @@ def explained(predictor: Predictor, source: Source, options: ExplainOptions) -> 
             where = missing_force(found.rungs[0].state)
     with suppress(SolveError), evaluating("pulls that separate explanations", predictor.skip):
         pulls = _pulls(found) if found.open else []
-    return Diagnosis(found.rungs, where, found, tuple(pulls))
+    with suppress(SolveError), evaluating("the answer with other inputs of the scene", predictor.skip):
+        fitted = fitted_hypotheses(found)
+        sensitivity = scene_sensitivity(found, fitted)
+        steps = next_steps(found, fitted, pulls)
+    return Diagnosis(found.rungs, where, found, tuple(pulls), tuple(sensitivity), steps)
 
 
 def check_terms(source: Source, terms: Sequence[Term], free: Sequence[str], fixed: Sequence[str]) -> None:

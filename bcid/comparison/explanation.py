@@ -92,11 +92,7 @@ class Explanation:
 
         Where the data refute the model without effects, "unknown" is all that names no effect.
         """
-        verdicts = self.odds.verdicts
-        if self.refuted:
-            return min(1.0, verdicts["unknown"] + verdicts["none"])
-        told = self.verdict in ("none", "unknown")
-        return verdicts[self.verdict] if told else self.odds.acting(self.verdict)
+        return probability_of(self.odds, self.verdict, self.refuted)
 
     @property
     def slack(self) -> list[Rival]:
@@ -157,6 +153,14 @@ def verdict_of(effects: Sequence[str], unknown: bool, nearly: bool, adequate: bo
     if (unknown and not nearly) or not (effects or adequate):
         return "unknown"
     return "+".join(effects) or "none"
+
+
+def probability_of(odds: HypothesisOdds, verdict: str, refuted: bool) -> float:
+    """Of a verdict, see `Explanation.probability`."""
+    verdicts = odds.verdicts
+    if refuted:
+        return min(1.0, verdicts["unknown"] + verdicts["none"])
+    return verdicts[verdict] if verdict in ("none", "unknown") else odds.acting(verdict)
 
 
 def explained(before: Fit, after: Fit) -> float:

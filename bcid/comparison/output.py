@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bcid.base.collective import overlaid
 from bcid.base.errors import SolveError, evaluating
 from bcid.base.units import unit_factor
-from bcid.comparison import courses, curvature, diagnosis_text
+from bcid.comparison import answer_text, courses, curvature, diagnosis_text
 from bcid.comparison.adequacy import FALSE_ALARMS, groups, judge
 from bcid.comparison.diagnosis import Diagnosis
 from bcid.comparison.explanation import Explanation, Onset, Rung, explains
@@ -162,6 +162,9 @@ def diagnosis_json(done: Diagnosis, unit: float) -> dict[str, Any]:
             {"grasp": p.grasp, "direction": p.direction, "distance": p.distance / unit, "sigmas": p.sigmas}
             for p in done.pulls
         ],
+        "scene_sensitivity": [row.to_json(order) for row in done.sensitivity],
+        "open_bits": None if done.next_steps is None else done.next_steps.open,
+        "next_steps": [step.to_json(unit) for step in done.next_steps.steps] if done.next_steps else [],
         "ladder": [
             {
                 "model": rung.state.model.name,
@@ -350,6 +353,8 @@ def summary(done: Diagnosis, shares: Mapping[str, float], remarks: Sequence[str]
         lines += [f"WARNING: {doubt}."] if doubt else []
         lines += [*diagnosis_text.conclusion(done.explanation, unit, name, done.pulls), ""]
         lines += [*diagnosis_text.beliefs(done.explanation), ""]
+        lines += answer_text.sensitivity(done.sensitivity, list(done.rungs[-1].state.predictor.whole.patches))
+        lines += answer_text.next_steps(done.next_steps)
     skipped = done.rungs[-1].state.predictor.skipped
     if skipped:
         lines += ["Not evaluated, because that failed:", *(f"  {text}" for text in skipped), ""]

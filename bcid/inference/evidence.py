@@ -127,7 +127,7 @@ class _Products:
         jj = self.jj[:, :-1, :-1] + along[:, :, None] * along[:, None, :]
         count = len(values)
         volume = np.tile(self.volume + 0.5 * np.log(left), count)
-        return _Products(rr.ravel(), rj.reshape(-1, rj.shape[2]), np.tile(jj, (count, 1, 1)), volume)
+        return _Products(rr.ravel(), rj.reshape(rr.size, rj.shape[2]), np.tile(jj, (count, 1, 1)), volume)
 
 
 @dataclass(frozen=True)

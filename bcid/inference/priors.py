@@ -42,6 +42,7 @@ class Priors:
         misfit_smooth: variance and correlation length of its part that is smooth in the pose, where the furthest pose is 1.
         noise_error: relative standard deviation of a noise that is stated, where an answer is given for another one: a convention,
             with which two standard deviations are 20 %.
+        force_sensor: noise of a force sensor that is not there yet, in the largest force: as of six-axis sensors of a laboratory.
         misfit_columns: in which it is kept at most (Kennedy & O'Hagan, J. R. Stat. Soc. B 63, 2001, 425).
     """
 
@@ -66,6 +67,7 @@ class Priors:
     misfit_smooth: tuple[float, float] = (0.1, 0.3)
     misfit_columns: int = 60
     noise_error: float = 0.1
+    force_sensor: float = 0.01
 
     @property
     def discrepancy(self) -> float:
