@@ -8,7 +8,6 @@ from bcid.base.units import percent
 from bcid.base.verdict_words import NO_EFFECTS
 from bcid.comparison.next_steps import LEAST_BITS, NextSteps
 from bcid.comparison.scene_sensitivity import AnswerAt
-from bcid.inference.nuisance_text import amount
 from bcid.inference.outcome import label
 
 # So many steps are named.
@@ -27,16 +26,10 @@ def sensitivity(rows: Sequence[AnswerAt], patches: Sequence[str]) -> list[str]:
     for row in depends:
         verdict = NO_EFFECTS.get(row.answer.verdict, row.answer.verdict)
         lines.append(
-            f"  {row.input.label} {shifted(row)}: {verdict} ({percent(row.answer.probability)}), "
+            f"  {row.input.label} {row.shifted}: {verdict} ({percent(row.answer.probability)}), "
             f"anchored {label(row.answer.anchors, patches)} ({percent(row.answer.held_by)})"
         )
     return [*lines, ""]
-
-
-def shifted(row: AnswerAt) -> str:
-    """By how much an input is off: "+0.054", "−4 %"."""
-    sign = "+" if row.offset > 0 else "−"
-    return sign + amount(row.input.name, abs(row.offset) * row.input.stddev)
 
 
 def next_steps(found: NextSteps | None) -> list[str]:

@@ -24,6 +24,7 @@ from bcid.forms.scene_errors import Outline
 from bcid.inference.criteria import CERTAIN
 from bcid.inference.evidence import Known, Numbers
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
+from bcid.inference.nuisance_text import amount
 from bcid.inference.priors import PRIORS
 from bcid.inference.unknown_force import conditional
 
@@ -92,6 +93,12 @@ class AnswerAt:
     answer: Answer
     depends: bool
 
+    @property
+    def shifted(self) -> str:
+        """By how much the input is off: "+0.054", "−4 %"."""
+        sign = "+" if self.offset > 0 else "−"
+        return sign + amount(self.input.name, abs(self.offset) * self.input.stddev)
+
     def to_json(self, order: Sequence[str]) -> dict[str, Any]:
         """A row of `scene_sensitivity`."""
         return {
@@ -99,6 +106,7 @@ class AnswerAt:
             "label": self.input.label,
             "stddev": self.input.stddev,
             "offset": self.offset,
+            "off": self.shifted,
             "verdict": self.answer.verdict,
             "verdict_probability": self.answer.probability,
             "anchored": sorted(self.answer.anchors, key=list(order).index),

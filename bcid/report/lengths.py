@@ -11,7 +11,7 @@ from bcid.base.units import unit_factor
 
 # What is a length in the documents of a run.
 _RMS = ("rms", "noise_rms", "discretisation_rms", "held_out_rms", "best_rms", "expected_rms", "fitted_rms")
-_LENGTHS = frozenset((*_RMS, "distance", "position", "contributions"))
+_LENGTHS = frozenset((*_RMS, "distance", "position", "positions", "contributions"))
 
 
 def in_mm(document: dict[str, Any]) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from bcid.base.errors import BcidError
-from bcid.report import gallery, tables
+from bcid.report import answer_tables, gallery, tables
 from bcid.report.body_view import view_data
 from bcid.report.figure import styled
 from bcid.report.found import Found
@@ -75,6 +75,7 @@ class Section:
         with styled():
             parts = [
                 self._body(),
+                self._answer(),
                 self._proposal(),
                 self._residuals(),
                 self._ranking(),
@@ -108,6 +109,16 @@ class Section:
             caption = next(d.caption for d in drawings if d.picture)
             content.append(tag("figure", still, tag("figcaption", caption), class_="picture"))
         return tag("section", tag("h3", "The body"), content, charts, class_="body")
+
+    def _answer(self) -> Markup:
+        """On which inputs of the scene it depends, and what would tell more."""
+        diagnosis = self.found.documents.get("diagnosis", {})
+        made = [
+            self.tried("the answer with other inputs", lambda: answer_tables.sensitivity_table(diagnosis)),
+            self.tried("what to do next", lambda: answer_tables.steps_table(diagnosis)),
+        ]
+        shown = [_table(table) for table in made if table is not None]
+        return tag("section", tag("h3", "How far the answer holds"), shown) if shown else Markup("")
 
     def _proposal(self) -> Markup:
         proposal = self.found.documents.get("proposal")

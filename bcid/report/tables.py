@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from bcid.base.units import WIDE, for_people, p_value, percent, significance, uncertain
+from bcid.report.answer_tables import sensitivity_table, steps_table
 from bcid.report.found import Found
 from bcid.report.gallery import residuals_of
 from bcid.report.ladder import asked_rung, place_name
@@ -224,6 +225,7 @@ def tables(found: Found) -> list[Table]:
         made += residual_tables(residual)
     if "diagnosis" in found.documents:
         diagnosis = found.documents["diagnosis"]
+        made += [sensitivity_table(diagnosis), steps_table(diagnosis)]
         made += [ranking_table(diagnosis), ladder_table(diagnosis), tests_table(diagnosis)]
     if "identification" in found.documents:
         made.append(sets_table(found.documents["identification"]))

@@ -80,6 +80,8 @@ def poisoned(path: Path, payload: str) -> Path:
         "anchored": [payload],
         "cannot_be_told_from": [payload],
         "begins": {"action": payload, "step": payload, "probability": 0.9},
+        "scene_sensitivity": [runs.answer_at(2.0, [payload]) | {"label": payload, "off": payload, "verdict": payload}],
+        "next_steps": [{"kind": payload, "text": payload, "bits": 0.4, "positions": []}],
         "ranking": [row, runs.ranked("gravity", 0.3)],
         "adopted": [{"effect": payload, "place": payload, "parameters": row["parameters"]}],
         "tests": [{"name": payload, "p_value": 0.5, "decides": True, "text": payload}],

@@ -120,10 +120,20 @@ def diagnosis() -> dict[str, Any]:
         "tests": [{"name": "size", "p_value": 0.9, "decides": True, "text": "it is 0.98 times what noise explains"}],
         "ranking": [ranked("gravity", 0.24, 0.21), ranked("soft_anchor", 1.3)],
         "begins": None,
+        "scene_sensitivity": [answer_at(-2.0, ["left"]), answer_at(2.0, [])],
+        "open_bits": 0.8,
+        "next_steps": [{"kind": "number", "text": "measure: Poisson's ratio", "bits": 0.42, "positions": []}],
         "cannot_be_told_from": [],
         "ladder": [rung("neo_hooke", 1.42, False), rung("neo_hooke + gravity", 0.21, True)],
         "length_unit": "mm",
     }
+
+
+def answer_at(offset: float, anchored: list[str]) -> dict[str, Any]:
+    """The answer where Poisson's ratio is off; it depends on it where no patch is held then."""
+    found = {"input": "poisson", "label": "Poisson's ratio", "stddev": 0.03, "offset": offset, "off": f"{offset:+.0f}"}
+    answer = {"verdict": "gravity", "verdict_probability": 0.97, "anchored": anchored, "anchors_probability": 0.96}
+    return found | answer | {"depends": not anchored}
 
 
 def identification() -> dict[str, Any]:

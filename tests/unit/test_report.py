@@ -27,6 +27,7 @@ from bcid.report.lengths import in_mm
 from bcid.report.page import MARK, write_report
 from bcid.report.residual import Residual, rms
 from bcid.report.table import NUMBER, TEXT, Column, Table, aligned
+from bcid.report.tables import tables
 from bcid.report.text import amount
 
 FEW = ("body", "ladder", "sets", "calibration")
@@ -137,6 +138,22 @@ def test_what_is_odd_and_an_unknown_noise_stand_in_the_report(tmp_path: Path) ->
     folder = runs.identified(tmp_path / "identified")
     runs.rewrite(folder, "identification.json", json.dumps(runs.identification() | {"noise_rms": None}))
     assert "No noise is stated: whether this set explains the measurement cannot be told." in said(tmp_path, folder)
+
+
+def test_report_of_an_answer_shows_on_what_it_depends_and_what_to_do(tmp_path: Path) -> None:
+    text = said(tmp_path, runs.explained(tmp_path / "run"))
+    assert "How far the answer holds" in text
+    assert "of the 0.8 bits that are open" in text
+    found = Found.read(tmp_path / "run")
+    made = {table.name: table for table in tables(found)}
+    assert made["scene-sensitivity"].strong == frozenset({1})
+    row = ["Poisson's ratio", "+2", "gravity", "97 %", "no patch", "96 %", "yes"]
+    assert made["scene-sensitivity"].rows[1] == row
+    assert made["next-steps"].rows == [["measure: Poisson's ratio", "0.42"]]
+    # A run of an earlier version has neither.
+    old = runs.diagnosis() | {"scene_sensitivity": [], "next_steps": []}
+    runs.rewrite(tmp_path / "run", "diagnosis.json", json.dumps(old))
+    assert "How far the answer holds" not in said(tmp_path, tmp_path / "run")
 
 
 @pytest.mark.parametrize(
