@@ -18,7 +18,7 @@ from scipy.special import logsumexp
 
 from bcid.base.collective import overlaid
 from bcid.comparison.explanation import Explanation
-from bcid.comparison.scene_sensitivity import Fitted, SceneInput
+from bcid.comparison.scene_sensitivity import SceneInput, WeighedHypothesis
 from bcid.comparison.separate import Pull
 from bcid.comparison.state import State
 from bcid.inference.hypotheses import entropy
@@ -74,7 +74,7 @@ class NextSteps:
 
 
 @dataclass(frozen=True)
-class Field:
+class BodyPrediction:
     """What a hypothesis predicts besides the markers.
 
     Attributes:
@@ -86,7 +86,7 @@ class Field:
     wrench: Array
 
 
-def next_steps(found: Explanation, fitted: Sequence[Fitted], pulls: Sequence[Pull] = ()) -> NextSteps | None:
+def next_steps(found: Explanation, fitted: Sequence[WeighedHypothesis], pulls: Sequence[Pull] = ()) -> NextSteps | None:
     """The ranked list; None where the answer is certain. Collective.
 
     Args:
@@ -110,7 +110,7 @@ def next_steps(found: Explanation, fitted: Sequence[Fitted], pulls: Sequence[Pul
     return NextSteps(left, tuple(sorted(useful, key=lambda step: -step.bits)))
 
 
-def probabilities(fitted: Sequence[Fitted]) -> Array:
+def probabilities(fitted: Sequence[WeighedHypothesis]) -> Array:
     """Of anchors and effects, whether or not something unknown acts besides, (hypotheses,); they sum to one."""
     logs = np.array([logsumexp([v[0] for v in one.logs().values()]) for one in fitted])
     return np.exp(logs - logsumexp(logs))
@@ -120,7 +120,7 @@ def probabilities(fitted: Sequence[Fitted]) -> Array:
 # --------------------------------------------------------------------------------------------------------------
 
 
-def _number(one: SceneInput, fitted: Sequence[Fitted], p: Array) -> NextStep:
+def _number(one: SceneInput, fitted: Sequence[WeighedHypothesis], p: Array) -> NextStep:
     return NextStep(
         "number",
         f"measure: {one.label} (now known to {amount(one.name, one.stddev)})",
@@ -128,7 +128,7 @@ def _number(one: SceneInput, fitted: Sequence[Fitted], p: Array) -> NextStep:
     )
 
 
-def number_information(one: SceneInput, fitted: Sequence[Fitted], p: Array) -> float:
+def number_information(one: SceneInput, fitted: Sequence[WeighedHypothesis], p: Array) -> float:
     """Bits that an input of the scene is expected to tell where it is measured exactly.
 
     Given the data it has under each hypothesis the density p(v | d, h) = N(v; 0, 1) Z_h(v) / Z_h, which is integrated on a grid.
@@ -150,7 +150,7 @@ def number_information(one: SceneInput, fitted: Sequence[Fitted], p: Array) -> f
     return max(float(p @ gains.sum(axis=1)), 0.0)
 
 
-def _densities(one: SceneInput, fitted: Sequence[Fitted], nodes: Array) -> Array:
+def _densities(one: SceneInput, fitted: Sequence[WeighedHypothesis], nodes: Array) -> Array:
     """Logarithms of the density of an input under each hypothesis, up to a constant of each: shape (hypotheses, nodes)."""
     each = [logsumexp(list(h.logs(one, nodes).values()), axis=0) for h in fitted]
     return np.array(each) - 0.5 * nodes**2
@@ -165,7 +165,7 @@ def _about(logs: Array) -> tuple[float, float]:
     return float(_COARSE[k] - step * slope / bend), float(step / math.sqrt(-bend))
 
 
-def repeated(fitted: Sequence[Fitted], p: Array) -> float:
+def repeated(fitted: Sequence[WeighedHypothesis], p: Array) -> float:
     """Bits that the same pulls are expected to tell once more, with fresh noise and all else as it is.
 
     Given the data d a repeat is d - S C^-1 r with covariance 2 S - S C^-1 S, for noise S, covariance C and residual r. It is
@@ -198,7 +198,7 @@ class _Repeat:
         mean: minus what is expected of it beyond the data, shape (n,).
     """
 
-    def __init__(self, one: Fitted) -> None:
+    def __init__(self, one: WeighedHypothesis) -> None:
         state, numbers = one.rival.judged, one.numbers
         self.errors, width = state.errors, numbers.widths[len(numbers.widths) // 2]
         columns = [numbers.columns * width]
@@ -223,7 +223,7 @@ class _Repeat:
 # --------------------------------------------------------------------------------------------------------------
 
 
-def uncovered(fitted: Sequence[Fitted], p: Array) -> float:
+def uncovered(fitted: Sequence[WeighedHypothesis], p: Array) -> float:
     """Which part of what separates hypotheses in the measured pulls, in units of the noise, other errors do not cover (0 to 1)."""
     first = fitted[int(np.argmax(p))].rival.judged
     shown = np.array([first.predictor.data.vector(one.rival.judged.predicted) for one in fitted])
@@ -232,7 +232,9 @@ def uncovered(fitted: Sequence[Fitted], p: Array) -> float:
     return math.sqrt(float(np.sum(first.errors.whiten(apart) ** 2)) / whole) if whole > 0 else 0.0
 
 
-def predicted(found: Explanation, fitted: Sequence[Fitted], p: Array, pulls: Sequence[Pull]) -> list[NextStep]:
+def predicted(
+    found: Explanation, fitted: Sequence[WeighedHypothesis], p: Array, pulls: Sequence[Pull]
+) -> list[NextStep]:
     """A pull, a force sensor and further markers; collective."""
     part = uncovered(fitted, p)
     steps = _pull(found, fitted, p, part, pulls)
@@ -245,7 +247,9 @@ def predicted(found: Explanation, fitted: Sequence[Fitted], p: Array, pulls: Seq
     return steps + _markers(fitted, p, part, fields)
 
 
-def _pull(found: Explanation, fitted: Sequence[Fitted], p: Array, part: float, pulls: Sequence[Pull]) -> list[NextStep]:
+def _pull(
+    found: Explanation, fitted: Sequence[WeighedHypothesis], p: Array, part: float, pulls: Sequence[Pull]
+) -> list[NextStep]:
     """The first of some pulls that separate the last model from the next best: others count as that which they resemble less."""
     last = found.last.state
     own = [k for k, one in enumerate(fitted) if one.rival.fitted.state is last]
@@ -258,7 +262,7 @@ def _pull(found: Explanation, fitted: Sequence[Fitted], p: Array, part: float, p
     return [NextStep("pull", f"pull {pulls[0].text.split(' (')[0]}", bits)]
 
 
-def _field(one: Fitted) -> Field:
+def _field(one: WeighedHypothesis) -> BodyPrediction:
     """What a hypothesis predicts of the whole body, from the states of its prediction; collective."""
     state = one.rival.fitted.state
     predictor, forward = state.predictor, state.predictor.forward(state.model)
@@ -274,10 +278,10 @@ def _field(one: Fitted) -> Field:
             displacement[action.frames] = detailed.displacement[action.frames]
             wrench[action.frames] = detailed.wrench[action.frames]
     both = (overlaid(predictor.comm.allgather(values)) for values in (displacement, wrench))
-    return Field(*both)
+    return BodyPrediction(*both)
 
 
-def _stiffness(fitted: Sequence[Fitted]) -> float:
+def _stiffness(fitted: Sequence[WeighedHypothesis]) -> float:
     """Relative standard deviation of the stiffness of the body."""
     scene = fitted[0].rival.fitted.state.predictor.scene
     return float(scene.uncertainty.of(1.0).stiffness or 0.0)
@@ -301,7 +305,9 @@ def force_information(forces: Array, p: Array, part: float, stiffness: float) ->
     return information(part * shown, p, _SAMPLES, _SEED, [part * stiffness * row[None] for row in shown]).bits
 
 
-def _markers(fitted: Sequence[Fitted], p: Array, part: float, fields: Sequence[Field]) -> list[NextStep]:
+def _markers(
+    fitted: Sequence[WeighedHypothesis], p: Array, part: float, fields: Sequence[BodyPrediction]
+) -> list[NextStep]:
     """The best place for one marker more, and the best for three, one after the other."""
     state = fitted[int(np.argmax(p))].rival.judged
     nodes = _free_surface(state)

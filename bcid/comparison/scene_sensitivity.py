@@ -22,7 +22,7 @@ from bcid.comparison.state import State
 from bcid.forms.model import Model, Term
 from bcid.forms.scene_errors import Outline
 from bcid.inference.criteria import CERTAIN
-from bcid.inference.evidence import Known, Numbers
+from bcid.inference.evidence import KnownNuisance, Numbers
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
 from bcid.inference.nuisance_text import amount
 from bcid.inference.priors import PRIORS
@@ -116,7 +116,7 @@ class AnswerAt:
 
 
 @dataclass(frozen=True)
-class Fitted:
+class WeighedHypothesis:
     """A hypothesis that was fitted to all steps, as its evidence sees it.
 
     Attributes:
@@ -130,7 +130,7 @@ class Fitted:
     inputs: Mapping[SceneInput, int]
 
     @classmethod
-    def of(cls, rival: Rival, begun: Model) -> Fitted | None:
+    def of(cls, rival: Rival, begun: Model) -> WeighedHypothesis | None:
         """Of a hypothesis; None where these data could not show its amounts. Collective."""
         state, own = rival.judged, rival.fitted.state.errors
         moved = [state.errors.whiten(own.unwhiten(column)) for column in rival.fitted.jacobian.T]
@@ -150,18 +150,18 @@ class Fitted:
         state, known = self.rival.judged, None
         count = 1 if values is None else len(values)
         if one is not None and values is not None and one in self.inputs:
-            known = Known(state.errors.of_nuisance(self.inputs[one]), values)
+            known = KnownNuisance(state.errors.of_nuisance(self.inputs[one]), values)
         begins = self.rival.evidence.begins
         found = conditional(state.errors, state.residual, state.forces, self.numbers, begins, known, larger)
         each = zip(self.rival.weights.items(), found, strict=True)
         return {h: np.broadcast_to(logs + prior, (count,)) for (h, (_, prior)), logs in each}
 
 
-def fitted_hypotheses(found: Explanation) -> list[Fitted]:
+def fitted_hypotheses(found: Explanation) -> list[WeighedHypothesis]:
     """The hypotheses of an explanation that were fitted to all steps; collective. What counts as another one is left out."""
     begun = found.rungs[0].state.model
     known = [r for r in found.rivals if r.hypothesis in found.odds.probabilities and math.isfinite(r.log)]
-    return [one for one in (Fitted.of(rival, begun) for rival in known) if one is not None]
+    return [one for one in (WeighedHypothesis.of(rival, begun) for rival in known) if one is not None]
 
 
 def inputs_of(state: State) -> dict[SceneInput, int]:
@@ -216,7 +216,7 @@ def _along(direction: Array) -> str:
     return f"({' '.join(f'{part:.2f}' for part in signed)})"
 
 
-def scene_sensitivity(found: Explanation, fitted: Sequence[Fitted]) -> list[AnswerAt]:
+def scene_sensitivity(found: Explanation, fitted: Sequence[WeighedHypothesis]) -> list[AnswerAt]:
     """The answer at two standard deviations of each input, and of the noise, either way; collective.
 
     Args:

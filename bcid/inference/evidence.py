@@ -82,7 +82,7 @@ class Force:
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownNuisance:
     """A nuisance that is known instead of integrated over.
 
     Attributes:
@@ -153,7 +153,9 @@ class Integrated:
     values: int = 1
 
     @classmethod
-    def of(cls, scaled: Array, numbers: Numbers, force: Force | None = None, known: Known | None = None) -> Integrated:
+    def of(
+        cls, scaled: Array, numbers: Numbers, force: Force | None = None, known: KnownNuisance | None = None
+    ) -> Integrated:
         """Of a residual at the numbers, in units of its errors, shape (n,), and a force that may act besides.
 
         With a nuisance that is `known`, for each of its values.

@@ -18,7 +18,7 @@ from scipy.special import logsumexp, softmax
 from bcid.inference import response
 from bcid.inference.criteria import NOTABLE
 from bcid.inference.data import Data
-from bcid.inference.evidence import LARGER, Force, Integrated, Known, Numbers
+from bcid.inference.evidence import LARGER, Force, Integrated, KnownNuisance, Numbers
 from bcid.inference.likelihood import Errors
 from bcid.inference.priors import PRIORS, spaced
 from bcid.inference.sudden_force import Beginning, SuddenForce
@@ -185,7 +185,7 @@ def conditional(
     forces: Sequence[Force],
     numbers: Numbers,
     begins: Beginning | None,
-    known: Known | None = None,
+    known: KnownNuisance | None = None,
     larger: float = 1.0,
 ) -> tuple[Array, Array]:
     """Logarithms of the evidence without and with a discrepancy where a nuisance is known, each of shape (values,).

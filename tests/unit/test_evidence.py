@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
 from bcid.inference.data import Data, Noise, told_noise
-from bcid.inference.evidence import LARGER, Force, Integrated, Known, Numbers, log_gains
+from bcid.inference.evidence import LARGER, Force, Integrated, KnownNuisance, Numbers, log_gains
 from bcid.inference.hypotheses import (
     Hypothesis,
     HypothesisOdds,
@@ -124,7 +124,7 @@ def test_evidence_of_a_known_nuisance_is_that_without_its_column(forced: bool) -
     pushes = size * PUSHES if forced else np.zeros((COUNT, 1))
     root = np.linalg.cholesky(np.eye(COUNT) + np.outer(column, column))
     # All is in units of errors that hold the column.
-    known = Known(np.linalg.solve(root, column), np.array([-2.0, 0.0, 2.0]))
+    known = KnownNuisance(np.linalg.solve(root, column), np.array([-2.0, 0.0, 2.0]))
     scaled = Numbers(np.linalg.solve(root, COLUMNS), np.zeros(2), WIDTHS, np.zeros(2, bool), math.log(0.25))
     force = Force.of(np.linalg.solve(root, PUSHES), np.array([size])) if forced else None
     residual = np.linalg.solve(root, RESIDUAL)

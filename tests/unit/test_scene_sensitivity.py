@@ -7,7 +7,7 @@ import pytest
 from weighed_sets import POISSON, Sets, force
 
 from bcid.comparison.answer_text import sensitivity
-from bcid.comparison.scene_sensitivity import Fitted, noise_error, scene_sensitivity
+from bcid.comparison.scene_sensitivity import WeighedHypothesis, noise_error, scene_sensitivity
 from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.priors import PRIORS
@@ -18,7 +18,7 @@ def test_fitted_without_a_known_input_has_the_evidence_that_was_reported() -> No
     for one in Sets.of().fitted:
         assert {h: float(v[0]) for h, v in one.logs().items()} == pytest.approx(one.rival.logs)
         # An input that a hypothesis does not have tells nothing of it.
-        alone = Fitted(one.rival, one.numbers, {})
+        alone = WeighedHypothesis(one.rival, one.numbers, {})
         assert alone.logs(POISSON, np.array([2.0])) == one.logs()
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.comparison.rivals import Rival
-from bcid.comparison.scene_sensitivity import Fitted, SceneInput
+from bcid.comparison.scene_sensitivity import SceneInput, WeighedHypothesis
 from bcid.forms import effect_trial as trial
 from bcid.forms.simulate import recorded
 from bcid.inference.data import Data
@@ -57,7 +57,7 @@ class Sets:
 
     data: Data
     column: Array
-    fitted: tuple[Fitted, Fitted]
+    fitted: tuple[WeighedHypothesis, WeighedHypothesis]
 
     @classmethod
     def of(cls, tau: float = 1.0, off: float = 2.0, value: float = 0.0, apart: float = 0.0) -> Sets:
@@ -85,7 +85,7 @@ class Sets:
         )  # fmt: skip
 
 
-def _fitted(seen: Data, column: Array, residual: Array, anchors: str) -> Fitted:
+def _fitted(seen: Data, column: Array, residual: Array, anchors: str) -> WeighedHypothesis:
     modes = NuisanceModes(np.zeros((len(seen), 3)), column[:, None], ("poisson",), {"poisson": 0.03})
     errors = Errors(seen, seen.sigma, MeshError.unknown(seen.mask.shape), modes)
     state = SimpleNamespace(
@@ -94,4 +94,4 @@ def _fitted(seen: Data, column: Array, residual: Array, anchors: str) -> Fitted:
     )  # fmt: skip
     evidence = Evidence.of(errors, residual, [force(errors)])
     rival = Rival((), cast("Any", SimpleNamespace(state=state)), evidence, 20)
-    return Fitted(rival, Numbers.none(len(seen)), {POISSON: 0})
+    return WeighedHypothesis(rival, Numbers.none(len(seen)), {POISSON: 0})
