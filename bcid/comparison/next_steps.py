@@ -317,7 +317,7 @@ def _markers(
     shown = np.array([np.nan_to_num(field.displacement[:, nodes]) for field in fields]) * (part / state.noise)
     chosen, bits = best_places(np.moveaxis(shown, 2, 1).reshape(len(fields), len(nodes), -1), p)
     places = [tuple(float(v) for v in points[nodes[k]]) for k in chosen]
-    told = [f"({' '.join(f'{1e3 * v:.0f}' for v in place)}) mm" for place in places]
+    told = [f"({' '.join(f'{round(1e3 * v)}' for v in place)}) mm" for place in places]
     steps = [NextStep("markers", f"a marker at {told[0]}", bits[0], (places[0],))]
     if len(places) == _MARKERS:
         steps.append(NextStep("markers", f"markers at {', '.join(told)}", bits[-1], tuple(places)))

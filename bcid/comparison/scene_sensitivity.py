@@ -213,7 +213,7 @@ def _along(direction: Array) -> str:
     if abs(direction[axis]) > _ALONG:
         return _AXES[axis]
     signed = direction * np.sign(direction[axis])
-    return f"({' '.join(f'{part:.2f}' for part in signed)})"
+    return f"({' '.join(f'{round(part, 2) + 0.0:.2f}' for part in signed)})"
 
 
 def scene_sensitivity(found: Explanation, fitted: Sequence[WeighedHypothesis]) -> list[AnswerAt]:

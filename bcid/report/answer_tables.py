@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from bcid.base.units import percent
@@ -13,7 +14,7 @@ from bcid.report.text import listed, patches, plain
 def sensitivity_table(d: dict[str, Any]) -> Table | None:
     """The answer with each input of the scene off by two standard deviations; None where that was not computed."""
     rows, exact, strong = list[list[str]](), list[list[Any]](), set[int]()
-    for one in d.get("scene_sensitivity", ()):
+    for one in _joined(d.get("scene_sensitivity", ())):
         if one["depends"]:
             strong.add(len(rows))
         names = patches(one["anchored"])
@@ -29,9 +30,23 @@ def sensitivity_table(d: dict[str, Any]) -> Table | None:
     columns = [Column(head, TEXT) for head in heads]
     caption = (
         "The answer where one input of the scene is off by two standard deviations and all else is as it is, of the hypotheses "
-        "that were fitted to all steps. It depends on an input where verdict or anchors change, or fall below 95 %."
+        "that were fitted to all steps. It depends on an input where verdict or anchors change, or fall below 95 %. With ± the "
+        "smaller probability of both signs stands."
     )
     return Table("scene-sensitivity", caption, columns, rows, exact, frozenset(strong))
+
+
+def _joined(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows with both signs of an input in one, with the smaller probabilities, where the answer depends on neither."""
+    found: list[dict[str, Any]] = []
+    for one in rows:
+        last = found[-1] if found else None
+        if last is None or last["label"] != one["label"] or last["depends"] or one["depends"]:
+            found.append(one)
+            continue
+        least = {key: min(last[key], one[key]) for key in ("verdict_probability", "anchors_probability")}
+        found[-1] = last | least | {"off": f"±{one['off'][1:]}"}
+    return found
 
 
 def steps_table(d: dict[str, Any]) -> Table | None:

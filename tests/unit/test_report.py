@@ -21,6 +21,7 @@ from bcid.base.errors import InputError
 from bcid.base.run_folder import RunFolder
 from bcid.base.units import significance, uncertain
 from bcid.report import gallery
+from bcid.report.answer_tables import sensitivity_table
 from bcid.report.body_view import view_data
 from bcid.report.found import Found
 from bcid.report.lengths import in_mm
@@ -149,6 +150,11 @@ def test_report_of_an_answer_shows_on_what_it_depends_and_what_to_do(tmp_path: P
     assert made["scene-sensitivity"].strong == frozenset({1})
     row = ["Poisson's ratio", "+2", "gravity", "97 %", "no patch", "96 %", "yes"]
     assert made["scene-sensitivity"].rows[1] == row
+    # Both signs in one row where the answer depends on neither.
+    both = [runs.answer_at(-2.0, ["left"]), runs.answer_at(2.0, ["left"]) | {"verdict_probability": 0.96}]
+    joined = sensitivity_table({"scene_sensitivity": both})
+    assert joined is not None
+    assert joined.rows == [["Poisson's ratio", "±2", "gravity", "96 %", "patch left", "96 %", ""]]
     assert made["next-steps"].rows == [["measure: Poisson's ratio", "0.42"]]
     # A run of an earlier version has neither.
     old = runs.diagnosis() | {"scene_sensitivity": [], "next_steps": []}
