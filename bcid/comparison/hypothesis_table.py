@@ -250,13 +250,17 @@ class HypothesisTable:
         """By how much the Brier score may fall once a hypothesis below the full fidelity is compared with all steps.
 
         That is the variance of whether it is true (Brier, Mon. Weather Rev. 78, 1950, 1). It is one where a hypothesis is more
-        probable than each that was compared so: no answer is reported from a few steps or a tangent.
+        probable than each that was compared so: no answer is reported from a few steps or a tangent. Of those that may explain all
+        the one with the largest evidence comes first, whatever the ceiling leaves of it.
         """
         shares: dict[Hypothesis, float] = {}
         for h, p in self.odds.probabilities.items():
             shares[h.known] = shares.get(h.known, 0.0) + p
         likeliest = min(shares, key=lambda h: (-shares[h], h.order))
-        waiting = [h for h in sorted(shares, key=lambda h: h.order) if not self._fitted(h) and h not in self.refused]
+        found = self.posterior().evaluations
+        logs = {h: one.base + one.gain + one.log_prior for h, one in found.items() if not h.unknown}
+        waiting = [h for h in shares if not self._fitted(h) and h not in self.refused]
+        waiting.sort(key=lambda h: (-logs.get(h, -math.inf), h.order))
         return {h: 1.0 if h == likeliest else shares[h] * (1 - shares[h]) for h in waiting}
 
     def sets_about(self, hypothesis: Hypothesis) -> Mapping[Anchored, Evidence]:

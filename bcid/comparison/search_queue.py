@@ -22,6 +22,8 @@ from bcid.search.settings import SETTINGS
 
 Anchored = frozenset[str]
 Task = Callable[[], None]
+# Falls of the Brier score that agree in so many digits are equal: the draws tell no more.
+_DIGITS = 3
 
 
 class SearchQueue:
@@ -66,7 +68,7 @@ class SearchQueue:
         of which most is expected, then the first one without each of its patches and effects. At last effects are sought beside it.
         """
         best, changes = self.table.best(), self.table.changes()
-        likely = max(changes, key=lambda h: changes[h], default=None)
+        likely = max(changes, key=lambda h: round(changes[h], _DIGITS), default=None)
         worth = changes[likely] if likely and self.fits < SETTINGS.fits else 0.0
         if likely and worth >= 1.0:
             return partial(self.fit, likely)

@@ -44,7 +44,7 @@ class Fidelity(IntEnum):
 
 
 class Kind(NamedTuple):
-    """What has errors of the same size: toggled patches or effects, at a fidelity, that gain or lose."""
+    """What has errors of the same size: toggled patches or effects, at a fidelity, that gain or lose by a tangent."""
 
     fidelity: Fidelity
     effect: bool
@@ -68,7 +68,9 @@ Toggles = tuple[Toggle, ...]
 
 def toggles(fidelity: Fidelity, one: Hypothesis, other: Hypothesis, gain: float) -> Toggles:
     """In which a hypothesis differs from another, whose evidence it exceeds by so much in the logarithm; sorted."""
-    patches, effects = (Kind(fidelity, effect, gain > 0) for effect in (False, True))
+    # A few steps treat both alike, and which is known against which is a matter of convention.
+    gains = fidelity == Fidelity.TANGENT and gain > 0
+    patches, effects = (Kind(fidelity, effect, gains) for effect in (False, True))
     found = [Toggle(patches, name) for name in one.anchors ^ other.anchors]
     found += [Toggle(effects, name) for name in set(one.names) ^ set(other.names)]
     return tuple(sorted(found))

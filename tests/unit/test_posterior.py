@@ -35,7 +35,9 @@ def test_toggles_patches_and_effects_in_which_hypotheses_differ_are_named() -> N
     one, other = Hypothesis(frozenset("12"), "gravity+fibres"), Hypothesis(frozenset("23"), "fibres")
     found = toggles(Fidelity.COARSE, one, other, 2.0)
     assert [(t.kind.effect, t.name) for t in found] == [(False, "1"), (False, "3"), (True, "gravity")]
-    assert {(t.kind.fidelity, t.kind.gains) for t in found} == {(Fidelity.COARSE, True)}
+    assert {(t.kind.fidelity, t.kind.gains) for t in found} == {(Fidelity.COARSE, False)}
+    assert {t.kind.gains for t in toggles(Fidelity.TANGENT, one, other, 2.0)} == {True}
+    assert {t.kind.gains for t in toggles(Fidelity.TANGENT, one, other, -2.0)} == {False}
     assert toggles(Fidelity.TANGENT, Hypothesis(frozenset("1"), "", unknown=True), ALONE, 1.0) == ()
 
 

@@ -192,7 +192,8 @@ def test_what_is_believed_most_was_fitted_to_all_steps(predictor: Predictor, mon
     assert found.verdict == "none"
     assert found.odds.best in {told for rival in found.rivals for told in rival.logs}
     # Others that rest on the same promise are doubted with those that broke it.
-    assert sum(rival.names == ("fibres",) for rival in found.rivals) <= 3 < found.odds.verdicts["none"] * 10
+    assert sum(rival.names == ("fibres",) for rival in found.rivals) <= 4
+    assert found.odds.verdicts["none"] > 0.3
 
 
 def test_anchors_and_effects_are_rivals(slab: Scene) -> None:
