@@ -88,7 +88,7 @@ class Session:
     def peer_python(self) -> tuple[str | None, str]:
         """The Python that has the peers of environment/bench.txt, or None and why not; installed on first use."""
         if not self._peers:
-            self._peers.append((None, "left out of --quick") if self.quick else _peer_python(self.progress.say))
+            self._peers.append((None, "left out of --quick") if self.quick else peer_python(self.progress.say))
         return self._peers[0]
 
 
@@ -99,18 +99,24 @@ def _environment() -> dict[str, str]:
     return os.environ | threads | {"PYTHONPATH": os.pathsep.join(filter(None, [str(IMPORT_ROOT), found]))}
 
 
-def _peer_python(say: Callable[[str], None]) -> tuple[str | None, str]:
+def peer_python(say: Callable[[str], None], pins: str = PINS) -> tuple[str | None, str]:
+    """A Python with the packages of a list of pins, or None and why not; installed into the cache on first use.
+
+    Args:
+        say: told what is installed.
+        pins: file of the project that lists the packages.
+    """
     import scipy
 
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "bcid-bench"
-    key = hashlib.sha256((shipped(PINS).read_text(encoding="utf-8") + sys.version + sys.prefix).encode()).hexdigest()[
+    key = hashlib.sha256((shipped(pins).read_text(encoding="utf-8") + sys.version + sys.prefix).encode()).hexdigest()[
         :12
     ]
     folder, partial = base / f"venv-{key}", base / f"venv-{key}.partial-{os.getpid()}"
     python = folder / "bin" / "python"
     if python.exists():
         return str(python), ""
-    say(f"installing FElupe, scikit-fem and PARDISO into {folder} (0.3 GB to download, once)")
+    say(f"installing the packages of {pins} into {folder} (once)")
     try:
         base.mkdir(parents=True, exist_ok=True)
         _must([sys.executable, "-m", "venv", "--system-site-packages", "--without-pip", str(partial)])
@@ -127,7 +133,7 @@ def _peer_python(say: Callable[[str], None]) -> tuple[str | None, str]:
         fixed = partial / "constraints.txt"
         fixed.write_text(f"numpy=={np.__version__}\nscipy=={scipy.__version__}\n", encoding="utf-8")
         options = ["--no-input", "--retries", "1", "--timeout", "20", "--no-cache-dir", "--disable-pip-version-check"]
-        _must([str(made), "-m", "pip", "install", *options, "-r", str(shipped(PINS)), "-c", str(fixed)])
+        _must([str(made), "-m", "pip", "install", *options, "-r", str(shipped(pins)), "-c", str(fixed)])
         partial.rename(folder)
     except (MachineError, OSError) as error:
         subprocess.run(["rm", "-rf", "--", str(partial)], check=False)
