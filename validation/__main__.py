@@ -1,4 +1,4 @@
-"""`python -m validation golden | ablation | calibration ...`, in a checkout."""
+"""`python -m validation golden | ablation | calibration | outside ...`, in a checkout."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from pathlib import Path
 from bcid.base.errors import BcidError
 from bcid.base.progress import progress_on
 from validation.golden.cases import CASES
+from validation.outside.worlds import CASES as CASES_OF_KIND
+from validation.outside.worlds import KINDS
 
 
 def main(words: list[str] | None = None) -> int:
@@ -34,10 +36,24 @@ def main(words: list[str] | None = None) -> int:
     calibration.add_argument(
         "-o", "--output", type=Path, required=True, metavar="RUN", help="folder; a run in it goes on"
     )
-    calibration.add_argument("--draws", type=int, default=1000, metavar="N", help="with each level of the noise (1000)")
+    calibration.add_argument(
+        "--draws", type=_count, default=1000, metavar="N", help="with each level of the noise (1000)"
+    )
+    outside = parts.add_parser(
+        "outside", help="explain worlds of an independent code that are outside the family of models"
+    )
+    outside.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="folder; a run in it goes on")
+    outside.add_argument("--kinds", nargs="+", choices=list(KINDS), metavar="KIND", help=f"of {', '.join(KINDS)} (all)")
+    outside.add_argument(
+        "--cases", type=_count, default=CASES_OF_KIND, metavar="N", help=f"of each kind ({CASES_OF_KIND})"
+    )
+    outside.add_argument("--jobs", type=_count, default=2, metavar="N", help="processes at a time (2)")
+    outside.add_argument("--store", type=Path, metavar="FOLDER", help="keep predictions here, for other runs")
+    outside.add_argument("--freeze", action="store_true", help="keep these inputs in the repository")
     chosen = parser.parse_args(words)
+    work = {"golden": _golden, "ablation": _ablation, "calibration": _calibration, "outside": _outside}
     try:
-        return {"golden": _golden, "ablation": _ablation, "calibration": _calibration}[chosen.part](chosen)
+        return work[chosen.part](chosen)
     except BcidError as error:
         print(f"validation: {error}", file=sys.stderr)
         return 2
@@ -71,6 +87,23 @@ def _calibration(chosen: argparse.Namespace) -> int:
     print(calibration.table(found))
     print(calibration.picture(found, chosen.output / "calibration.png"))
     return 0
+
+
+def _outside(chosen: argparse.Namespace) -> int:
+    from validation.outside import run
+    from validation.outside.score import table
+
+    run.run(chosen.output, chosen.kinds or list(KINDS), chosen.cases, chosen.jobs, progress_on(), chosen.store)
+    if chosen.freeze:
+        print(f"{run.freeze(chosen.output)} inputs are kept in {run.INPUTS}")
+    print(table(run.read(chosen.output)))
+    return 0
+
+
+def _count(word: str) -> int:
+    if not word.isdecimal() or int(word) < 1:
+        raise argparse.ArgumentTypeError(f"needs a whole number from 1 on, found '{word}'")
+    return int(word)
 
 
 if __name__ == "__main__":
