@@ -1,8 +1,8 @@
 """A world in FElupe: ``python felupe_world.py SPEC OUTPUT`` computes the motion of the markers. Units mm, kPa (forces mN).
 
 SPEC is JSON (see `validation.outside.worlds`). OUTPUT takes an array `motion` (pulls, steps + 1, markers, 3), mm, of the world;
-`plain`, the same with nothing wrong; and `toggled` (patches, pulls, markers, 3), the change of the last step of `motion` where
-the attachment of one patch is toggled. The script imports nothing of bcid.
+`plain`, the same with nothing wrong; and `toggled` (patches, pulls, markers, 3), the change of the last step, mm, where
+the attachment of one patch is toggled, to first order. The script imports nothing of bcid.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ Spec = Mapping[str, Any]
 # Linear elements along x, y, z of the coarsest grid whose lines run along the borders of all patches.
 GRID = (6, 2, 4)
 TOLERANCE = 1e-6
-# Steps to the end of a pull where only its end counts.
-COARSE = 2
+# Share of a pull at which the first order is taken.
+TANGENT = 0.01
 
 
 class Springs:
@@ -191,6 +191,20 @@ def _pull(spec: Spec, body: Body, anchored: list[str], pull: Spec, steps: int) -
     return np.array(found)
 
 
+def _toggled(spec: Spec, anchored: list[str]) -> list[Array]:
+    """Change at the end of each pull where one patch is toggled, with nothing wrong, to first order in the pull."""
+    pulls = [{**pull, "to": (TANGENT * np.array(pull["to"])).tolist()} for pull in spec["pulls"]]
+    small = {**spec, "world": {}, "pulls": pulls}
+    before = motion(small, anchored, 1, 1)[:, -1]
+    found = []
+    for name in spec["patches"]:
+        other = [patch for patch in anchored if patch != name] if name in anchored else [*anchored, name]
+        # A body without anchors moves as the gripper does, by more than any noise.
+        after = motion(small, other, 1, 1)[:, -1] if other else np.full_like(before, 1.0)
+        found.append((after - before) / TANGENT)
+    return found
+
+
 def main() -> None:
     """The world, and what there is to compare it with."""
     with open(sys.argv[1], encoding="utf-8") as file:
@@ -198,13 +212,7 @@ def main() -> None:
     refine, steps, anchored = int(spec["refine"]), int(spec["steps"]), list(spec["anchored"])
     world = motion(spec, anchored, refine, steps)
     plain = motion({**spec, "world": {}}, anchored, refine, steps) if spec["world"] else world
-    toggled = []
-    for name in spec["patches"] if spec["toggle"] else ():
-        other = [p for p in anchored if p != name] if name in anchored else [*anchored, name]
-        # Markers of a body without anchors are where the gripper is.
-        toggled.append(
-            motion(spec, other, 1, COARSE)[:, -1] - world[:, -1] if other else np.full_like(world[:, -1], 1e3)
-        )
+    toggled = _toggled(spec, anchored) if spec["toggle"] else []
     np.savez(sys.argv[2], motion=world, plain=plain, toggled=np.array(toggled))
 
 
