@@ -10,7 +10,7 @@ from bcid.comparison.next_steps import LEAST_BITS, NextSteps
 from bcid.comparison.scene_sensitivity import AnswerAt
 from bcid.inference.outcome import label
 
-# So many steps are named.
+# Steps that are named.
 _STEPS = 6
 
 
@@ -36,10 +36,16 @@ def next_steps(found: NextSteps | None) -> list[str]:
     """What would tell most; nothing where the answer is certain."""
     if found is None:
         return []
+    if found.open < LEAST_BITS:
+        return [
+            "What to do next: anchors and effects are decided among the hypotheses that were fitted to all steps. Open is only "
+            "what was not fitted to them, or whether something unknown acts besides.",
+            "",
+        ]
     if not found.steps:
         return [
             f"What to do next: nothing that is computed here gives {LEAST_BITS:g} bits of the {found.open:.2g} that are open "
-            "about anchors and effects.",
+            "about anchors and effects, among the hypotheses that were fitted to all steps.",
             "",
         ]
     lines = [f"What to do next (expected, of the {found.open:.2g} bits that are open about anchors and effects):"]

@@ -21,7 +21,7 @@ from bcid.comparison.explanation import Explanation
 from bcid.comparison.scene_sensitivity import SceneInput, WeighedHypothesis
 from bcid.comparison.separate import Pull
 from bcid.comparison.state import State
-from bcid.inference.hypotheses import entropy
+from bcid.inference.hypotheses import Hypothesis, entropy
 from bcid.inference.information import information
 from bcid.inference.nuisance_text import amount
 from bcid.inference.priors import PRIORS
@@ -96,11 +96,8 @@ def next_steps(found: Explanation, fitted: Sequence[WeighedHypothesis], pulls: S
     """
     if not found.open or not fitted:
         return None
-    weights = probabilities(fitted)
-    kept = [one for one, p in zip(fitted, weights, strict=True) if p > LEAST_PROBABILITY]
-    p = weights[weights > LEAST_PROBABILITY]
-    p /= p.sum()
-    steps, left = [], entropy(p)
+    kept, p = leading(fitted)
+    steps, left = [], entropy(p) + 0.0
     if len(kept) > 1:
         inputs = dict.fromkeys(one for each in kept for one in each.inputs)
         steps += [_number(one, kept, p) for one in inputs]
@@ -110,10 +107,21 @@ def next_steps(found: Explanation, fitted: Sequence[WeighedHypothesis], pulls: S
     return NextSteps(left, tuple(sorted(useful, key=lambda step: -step.bits)))
 
 
-def probabilities(fitted: Sequence[WeighedHypothesis]) -> Array:
-    """Of anchors and effects, whether or not something unknown acts besides, (hypotheses,); they sum to one."""
+def leading(fitted: Sequence[WeighedHypothesis]) -> tuple[list[WeighedHypothesis], Array]:
+    """Anchors and effects that count, each by the likeliest fit, and their probabilities (hypotheses,), which sum to one.
+
+    Whether or not something unknown acts besides.
+    """
     logs = np.array([logsumexp([v[0] for v in one.logs().values()]) for one in fitted])
-    return np.exp(logs - logsumexp(logs))
+    shares = np.exp(logs - logsumexp(logs))
+    best: dict[Hypothesis, int] = {}
+    total: dict[Hypothesis, float] = {}
+    for k in np.argsort(-shares, kind="stable"):
+        best.setdefault(fitted[k].reported, int(k))
+        total[fitted[k].reported] = total.get(fitted[k].reported, 0.0) + float(shares[k])
+    kept = [h for h in best if total[h] > LEAST_PROBABILITY]
+    p = np.array([total[h] for h in kept])
+    return [fitted[best[h]] for h in kept], np.asarray(p / p.sum())
 
 
 # -- with all columns
@@ -251,8 +259,8 @@ def _pull(
     found: Explanation, fitted: Sequence[WeighedHypothesis], p: Array, part: float, pulls: Sequence[Pull]
 ) -> list[NextStep]:
     """The first of some pulls that separate the last model from the next best: others count as that which they resemble less."""
-    last = found.last.state
-    own = [k for k, one in enumerate(fitted) if one.rival.fitted.state is last]
+    last = next((r.hypothesis for r in found.rivals if r.fitted.state is found.last.state), None)
+    own = [k for k, one in enumerate(fitted) if one.reported == last]
     others = [k for k in range(len(fitted)) if k not in own]
     if not (pulls and own and others):
         return []
@@ -317,10 +325,10 @@ def _markers(
     shown = np.array([np.nan_to_num(field.displacement[:, nodes]) for field in fields]) * (part / state.noise)
     chosen, bits = best_places(np.moveaxis(shown, 2, 1).reshape(len(fields), len(nodes), -1), p)
     places = [tuple(float(v) for v in points[nodes[k]]) for k in chosen]
-    told = [f"({' '.join(f'{round(1e3 * v)}' for v in place)}) mm" for place in places]
-    steps = [NextStep("markers", f"a marker at {told[0]}", bits[0], (places[0],))]
+    texts = [f"({' '.join(f'{round(1e3 * v)}' for v in place)}) mm" for place in places]
+    steps = [NextStep("markers", f"a marker at {texts[0]}", bits[0], (places[0],))]
     if len(places) == _MARKERS:
-        steps.append(NextStep("markers", f"markers at {', '.join(told)}", bits[-1], tuple(places)))
+        steps.append(NextStep("markers", f"markers at {', '.join(texts)}", bits[-1], tuple(places)))
     return steps
 
 
@@ -335,9 +343,9 @@ def best_places(shown: Array, p: Array) -> tuple[list[int], list[float]]:
     bits: list[float] = []
     for _ in range(min(_MARKERS, shown.shape[1])):
         rest = [k for k in range(shown.shape[1]) if k not in chosen]
-        told = [information(shown[:, [*chosen, k]].reshape(len(p), -1), p, _SAMPLES // 4, _SEED).bits for k in rest]
-        chosen.append(rest[int(np.argmax(told))])
-        bits.append(max(told))
+        gains = [information(shown[:, [*chosen, k]].reshape(len(p), -1), p, _SAMPLES // 4, _SEED).bits for k in rest]
+        chosen.append(rest[int(np.argmax(gains))])
+        bits.append(max(gains))
     return chosen, bits
 
 

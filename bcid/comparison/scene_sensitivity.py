@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bcid.comparison.explanation import Explanation, explains, probability_of, verdict_of
+from bcid.comparison.loosened import loosens
 from bcid.comparison.parameter_priors import of_state
 from bcid.comparison.rivals import Rival
 from bcid.comparison.state import State
@@ -29,7 +30,7 @@ from bcid.inference.priors import PRIORS
 from bcid.inference.unknown_force import conditional
 
 Array = NDArray[np.float64]
-# Inputs are moved by so many standard deviations.
+# Offsets of an input, in its standard deviations.
 OFFSETS = (-2.0, 2.0)
 _AXES = "xyz"
 # A direction is along an axis where its component is larger.
@@ -121,21 +122,23 @@ class WeighedHypothesis:
 
     Attributes:
         rival: it.
+        reported: the hypothesis as which it counts: springs without stiffness hold nothing.
         numbers: its fitted numbers, in units of the errors that it was weighed by.
         inputs: columns of its nuisances, by the input that they are.
     """
 
     rival: Rival
+    reported: Hypothesis
     numbers: Numbers
     inputs: Mapping[SceneInput, int]
 
     @classmethod
-    def of(cls, rival: Rival, begun: Model) -> WeighedHypothesis | None:
+    def of(cls, rival: Rival, reported: Hypothesis, begun: Model) -> WeighedHypothesis | None:
         """Of a hypothesis; None where these data could not show its amounts. Collective."""
         state, own = rival.judged, rival.fitted.state.errors
         moved = [state.errors.whiten(own.unwhiten(column)) for column in rival.fitted.jacobian.T]
         numbers = of_state(state, begun, np.column_stack([*moved, np.zeros((len(state.predictor.data), 0))]))
-        return None if numbers is None else cls(rival, numbers, inputs_of(state))
+        return None if numbers is None else cls(rival, reported, numbers, inputs_of(state))
 
     def logs(
         self, one: SceneInput | None = None, values: Array | None = None, larger: float = 1.0
@@ -154,14 +157,31 @@ class WeighedHypothesis:
         begins = self.rival.evidence.begins
         found = conditional(state.errors, state.residual, state.forces, self.numbers, begins, known, larger)
         each = zip(self.rival.weights.items(), found, strict=True)
-        return {h: np.broadcast_to(logs + prior, (count,)) for (h, (_, prior)), logs in each}
+        return {
+            replace(self.reported, unknown=h.unknown): np.broadcast_to(logs + prior, (count,))
+            for (h, (_, prior)), logs in each
+        }
 
 
 def fitted_hypotheses(found: Explanation) -> list[WeighedHypothesis]:
-    """The hypotheses of an explanation that were fitted to all steps; collective. What counts as another one is left out."""
+    """The hypotheses of an explanation that were fitted to all steps; collective."""
     begun = found.rungs[0].state.model
-    known = [r for r in found.rivals if r.hypothesis in found.odds.probabilities and math.isfinite(r.log)]
-    return [one for one in (WeighedHypothesis.of(rival, begun) for rival in known) if one is not None]
+    known = [(r, reported_as(r, found.odds)) for r in found.rivals if math.isfinite(r.log)]
+    made = [WeighedHypothesis.of(rival, h, begun) for rival, h in known if h is not None]
+    return [one for one in made if one is not None]
+
+
+def reported_as(rival: Rival, odds: HypothesisOdds) -> Hypothesis | None:
+    """The hypothesis as which one counts: itself, or where its springs may have no stiffness that without them and the patch."""
+    if rival.hypothesis in odds.probabilities:
+        return rival.hypothesis
+    for term in rival.fitted.state.model.terms:
+        if term.place and loosens(term.effect):
+            names = "+".join(name for name in rival.names if name != term.effect.name)
+            free = Hypothesis(rival.anchors - {term.place}, names)
+            if free in odds.probabilities:
+                return free
+    return None
 
 
 def inputs_of(state: State) -> dict[SceneInput, int]:
@@ -250,7 +270,11 @@ def noise_error(found: Explanation) -> float:
 
 
 def _odds(logs: Sequence[Mapping[Hypothesis, Array]], at: int, found: Explanation) -> HypothesisOdds:
-    return HypothesisOdds.of({h: float(v[at]) for some in logs for h, v in some.items()}, found.odds.alike)
+    """Of hypotheses that count as the same one the sum."""
+    each: dict[Hypothesis, float] = {}
+    for h, values in (item for some in logs for item in some.items()):
+        each[h] = float(np.logaddexp(each.get(h, -math.inf), values[at]))
+    return HypothesisOdds.of(each, found.odds.alike)
 
 
 def answer(found: Explanation, odds: HypothesisOdds) -> Answer:

@@ -22,8 +22,8 @@ def sensitivity_table(d: dict[str, Any]) -> Table | None:
         answer = [verdict, percent(one["verdict_probability"]), names, percent(one["anchors_probability"])]
         rows.append([one["label"], one["off"], *answer, "yes" if one["depends"] else ""])
         names = " ".join(one["anchored"]) or "none"
-        told = [one["verdict"], one["verdict_probability"], names, one["anchors_probability"]]
-        exact.append([one["label"], one["off"], *told, "yes" if one["depends"] else "no"])
+        cells = [one["verdict"], one["verdict_probability"], names, one["anchors_probability"]]
+        exact.append([one["label"], one["off"], *cells, "yes" if one["depends"] else "no"])
     if not rows:
         return None
     heads = ("input", "off by", "missing", "probability", "anchored", "of these", "depends")

@@ -18,9 +18,9 @@ from bcid.comparison.next_steps import (
     NextSteps,
     best_places,
     force_information,
+    leading,
     next_steps,
     number_information,
-    probabilities,
     repeated,
     uncovered,
 )
@@ -34,11 +34,11 @@ RNG = np.random.default_rng(2)
 def test_number_information_is_that_of_draws() -> None:
     """Of hypotheses and of the number under each, whose density comes from errors made anew for each value."""
     sets = Sets.of(off=1.2)
-    p = probabilities(sets.fitted)
+    fitted, p = leading(sets.fitted)
     nodes = np.linspace(-5, 5, 101)
     errors = Errors(sets.data, sets.data.sigma, MeshError.unknown(sets.data.mask.shape))
     densities = []
-    for one in sets.fitted:
+    for one in fitted:
         state, (_, plain), (_, forced) = one.rival.judged, *one.rival.weights.values()
         each = []
         for value in nodes:
@@ -50,27 +50,28 @@ def test_number_information_is_that_of_draws() -> None:
     of = np.array(densities)
     bits = float(np.mean(np.log2(of[drawn, at] / (p @ of[:, at]))))
     assert 0.1 < bits < 0.95
-    assert number_information(POISSON, sets.fitted, p) == pytest.approx(bits, abs=0.02)
+    assert number_information(POISSON, fitted, p) == pytest.approx(bits, abs=0.02)
 
 
 def test_a_number_that_is_measured_tells_what_was_open() -> None:
     open_case = Sets.of(off=1.5)
-    p = probabilities(open_case.fitted)
+    fitted, p = leading(open_case.fitted)
     assert p.max() < 0.95
-    assert number_information(POISSON, open_case.fitted, p) > 0.5 * -float(p @ np.log2(p))
+    assert number_information(POISSON, fitted, p) > 0.5 * -float(p @ np.log2(p))
     # The scene has the value of the first set, and knows it well.
-    assert probabilities(Sets.of(tau=1e-3, off=1.5, value=1.5).fitted)[0] > 0.99
+    measured, shares = leading(Sets.of(tau=1e-3, off=1.5, value=1.5).fitted)
+    assert measured[0].reported.anchors == frozenset("1")
+    assert shares[0] > 0.99
 
 
 def test_repeated_is_the_information_of_draws_of_the_whole_measurement() -> None:
     sets = Sets.of(off=0.5, apart=0.25)
-    p = probabilities(sets.fitted)
+    fitted, p = leading(sets.fitted)
     count = len(sets.data)
     covariance = np.eye(count) + np.outer(sets.column, sets.column) / SIGMA**2
     inverse = np.linalg.inv(covariance)
     clouds = [
-        multivariate_normal(-inverse @ one.rival.judged.residual / SIGMA, 2 * np.eye(count) - inverse)
-        for one in sets.fitted
+        multivariate_normal(-inverse @ one.rival.judged.residual / SIGMA, 2 * np.eye(count) - inverse) for one in fitted
     ]
     bits = 0.0
     for share, own in zip(p, clouds, strict=True):
@@ -78,7 +79,7 @@ def test_repeated_is_the_information_of_draws_of_the_whole_measurement() -> None
         logs = np.array([cloud.logpdf(seen) for cloud in clouds])
         bits += share * float(np.mean(logs[clouds.index(own)] - logsumexp(logs.T + np.log(p), axis=1))) / math.log(2)
     assert bits > 0.01
-    assert repeated(sets.fitted, p) == pytest.approx(bits, rel=0.1, abs=0.01)
+    assert repeated(fitted, p) == pytest.approx(bits, rel=0.1, abs=0.01)
 
 
 def test_uncovered_is_small_where_a_nuisance_does_the_same() -> None:
@@ -120,5 +121,6 @@ def test_next_steps_are_none_for_what_is_certain(monkeypatch: pytest.MonkeyPatch
     found.open = False
     assert next_steps(found, sets.fitted) is None
     assert in_words(None) == []
+    assert "Open is only what was not fitted" in in_words(NextSteps(0.0, ()))[0]
     assert "nothing that is computed here" in in_words(NextSteps(0.4, ()))[0]
     assert cast("Any", steps.steps[0].to_json(1e-3))["kind"] == "pull"

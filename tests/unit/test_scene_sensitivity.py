@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
+
 import numpy as np
 import pytest
 from weighed_sets import POISSON, Sets, force
 
 from bcid.comparison.answer_text import sensitivity
-from bcid.comparison.scene_sensitivity import WeighedHypothesis, noise_error, scene_sensitivity
+from bcid.comparison.next_steps import leading
+from bcid.comparison.rivals import Rival
+from bcid.comparison.scene_sensitivity import noise_error, reported_as, scene_sensitivity
+from bcid.forms.model import Term
+from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
 from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.priors import PRIORS
@@ -18,7 +26,7 @@ def test_fitted_without_a_known_input_has_the_evidence_that_was_reported() -> No
     for one in Sets.of().fitted:
         assert {h: float(v[0]) for h, v in one.logs().items()} == pytest.approx(one.rival.logs)
         # An input that a hypothesis does not have tells nothing of it.
-        alone = WeighedHypothesis(one.rival, one.numbers, {})
+        alone = replace(one, inputs={})
         assert alone.logs(POISSON, np.array([2.0])) == one.logs()
 
 
@@ -52,3 +60,21 @@ def test_scene_sensitivity_names_the_input_on_which_the_answer_depends() -> None
     assert rows[0].to_json("12")["anchored"] in (["1"], ["2"])
     assert noise_error(found) == PRIORS.noise_error
     assert scene_sensitivity(found, []) == []
+
+
+def test_springs_without_stiffness_count_as_the_set_without_the_patch() -> None:
+    """As they do in the reported probabilities: what they have adds to that set."""
+    sets = Sets.of()
+    free, other = sets.fitted[0], sets.fitted[1]
+    soft = replace(other, reported=free.reported)
+    rows = scene_sensitivity(sets.explanation, [free, soft])
+    assert {row.answer.anchors for row in rows} == {frozenset("1")}
+    assert all(row.answer.held_by == pytest.approx(1.0) for row in rows)
+    assert leading([free, soft])[1] == pytest.approx([1.0])
+    spring = Term("soft_anchor", {"stiffness": 5e4}, place="2")
+    state = SimpleNamespace(anchors=frozenset("12"), model=SimpleNamespace(terms=(spring,)))
+    rival = Rival(("soft_anchor",), cast("Any", SimpleNamespace(state=state)), Evidence(0.0, -1.0, 1.0), 20)
+    odds = HypothesisOdds({Hypothesis(frozenset("1")): 1.0})
+    assert reported_as(rival, odds) == Hypothesis(frozenset("1"))
+    assert reported_as(rival, HypothesisOdds({rival.hypothesis: 1.0})) == rival.hypothesis
+    assert reported_as(rival, HypothesisOdds({})) is None

@@ -94,4 +94,4 @@ def _fitted(seen: Data, column: Array, residual: Array, anchors: str) -> Weighed
     )  # fmt: skip
     evidence = Evidence.of(errors, residual, [force(errors)])
     rival = Rival((), cast("Any", SimpleNamespace(state=state)), evidence, 20)
-    return WeighedHypothesis(rival, Numbers.none(len(seen)), {POISSON: 0})
+    return WeighedHypothesis(rival, rival.hypothesis, Numbers.none(len(seen)), {POISSON: 0})
