@@ -196,12 +196,12 @@ def _toggled(spec: Spec, anchored: list[str]) -> list[Array]:
     pulls = [{**pull, "to": (TANGENT * np.array(pull["to"])).tolist()} for pull in spec["pulls"]]
     small = {**spec, "world": {}, "pulls": pulls}
     before = motion(small, anchored, 1, 1)[:, -1]
-    found = []
+    found = list[Array]()
     for name in spec["patches"]:
         other = [patch for patch in anchored if patch != name] if name in anchored else [*anchored, name]
         # A body without anchors moves as the gripper does, by more than any noise.
         after = motion(small, other, 1, 1)[:, -1] if other else np.full_like(before, 1.0)
-        found.append((after - before) / TANGENT)
+        found.append(np.asarray((after - before) / TANGENT, dtype=float))
     return found
 
 
