@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import MachineError
+from bcid.studies.hidden.truth import rms
 from validation.golden.cases import MEASUREMENT, SCENE, TRUTH
 from validation.outside.worlds import GRASPS, KINDS, MARKERS, NOISES, PATCHES, SEED, SIZES, Box, Spec, draw
 
@@ -159,8 +160,8 @@ def truth_of(spec: Spec, arrays: Mapping[str, Array], noise: float) -> Truth:
 
 
 def _difference(arrays: Mapping[str, Array]) -> float:
-    """RMS of what is wrong over pulls, steps, markers and coordinates, mm."""
-    return float(np.sqrt(np.mean((arrays["motion"] - arrays["plain"])[:, 1:] ** 2)))
+    """RMS of what is wrong over pulls, steps, markers and coordinates, mm, as in the blinded study."""
+    return rms((arrays["motion"] - arrays["plain"])[:, 1:])
 
 
 def write(spec: Spec, arrays: Mapping[str, Array], folder: Path) -> None:

@@ -18,9 +18,9 @@ import numpy as np
 SEED = 60_2026
 CASES = 20
 STEPS = 4
-# RMS change of a coordinate by what is wrong, in noises, and the noises that there are, mm.
+# RMS change of a coordinate by what is wrong, in noises, and the noises that there are, mm. The coarsest grid errs by 0.02 mm.
 SIZES = (3.0, 20.0)
-NOISES = (0.03, 0.3)
+NOISES = (0.1, 0.3)
 
 # Corners in shares of the body's size; all borders are lines of the grid of `felupe_world`.
 Box = list[list[float]]
@@ -85,11 +85,11 @@ def draw(kind: str, index: int) -> Spec:
 
 
 def _pull(rng: np.random.Generator, grasp: str) -> dict[str, Any]:
-    """Outward, and aside: translations of 6 to 9 mm."""
+    """Outward, and aside: translations of 8 to 12 mm."""
     outward, aside = {"G1": (0, 2), "G2": (2, 0)}[grasp]
     to = np.zeros(3)
     to[outward], to[1], to[aside] = rng.uniform(0.3, 1), rng.uniform(0, 1), rng.uniform(-1, 1)
-    return {"grasp": grasp, "to": [round(float(x), 3) for x in to / np.linalg.norm(to) * rng.uniform(6, 9)]}
+    return {"grasp": grasp, "to": [round(float(x), 3) for x in to / np.linalg.norm(to) * rng.uniform(8, 12)]}
 
 
 def _pad(rng: np.random.Generator, spec: Spec) -> None:
@@ -130,7 +130,7 @@ def _energy(rng: np.random.Generator, spec: Spec) -> None:
 def _pressure(rng: np.random.Generator, spec: Spec) -> None:
     x, z = int(rng.integers(0, 4)), int(rng.integers(0, 3))
     box = [[x / 6, 1.0, z / 4], [(x + 2) / 6, 1.0, (z + 2) / 4]]
-    kPa = spec["young"] * rng.uniform(0.02, 0.08) * rng.choice([-1, 1])
+    kPa = spec["young"] * rng.uniform(0.05, 0.15) * rng.choice([-1, 1])
     spec["world"] = {"pressure": {"box": box, "kPa": float(kPa)}}
 
 
