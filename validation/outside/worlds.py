@@ -48,6 +48,7 @@ class Kind:
         accepted: effects of the catalogue that an ideal observer cannot separate from it.
         open_patches: whose attachment it hides, from the specification.
         patches: that may be anchored.
+        most: patches that are anchored, and at least one less.
         anchors_right: False where no set of anchors is right.
     """
 
@@ -56,13 +57,15 @@ class Kind:
     accepted: tuple[str, ...] = ()
     open_patches: Callable[[Spec], list[str]] = field(default=lambda _spec: [])
     patches: tuple[str, ...] = tuple(PATCHES)
+    most: int = 3
     anchors_right: bool = True
 
 
 def draw(kind: str, index: int) -> Spec:
     """The specification of a measurement: the body, its anchors and pulls (mm, kPa), and what is wrong (`world`)."""
     rng = np.random.default_rng([SEED, list(KINDS).index(kind), index])
-    anchored = sorted(rng.choice(KINDS[kind].patches, rng.integers(2, 4), replace=False).tolist())
+    count = rng.integers(KINDS[kind].most - 1, KINDS[kind].most + 1)
+    anchored = sorted(rng.choice(KINDS[kind].patches, count, replace=False).tolist())
     spec: Spec = {
         "kind": kind,
         "index": index,
@@ -151,6 +154,8 @@ KINDS: Mapping[str, Kind] = {
         ("soft_anchor", "foundation", "tether"),
         lambda _spec: ["1", "2"],
         ("3", "4", "5", "6"),
+        # More would hide the far field.
+        most=2,
     ),
     "thickness": Kind("the thickness varies by 20 %", _thickness, ("stiffness_gradient", "inclusion")),
     "partly": Kind(
