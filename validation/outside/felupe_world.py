@@ -21,7 +21,7 @@ Array = np.ndarray[Any, np.dtype[np.float64]]
 Indices = np.ndarray[Any, np.dtype[np.int64]]
 Spec = Mapping[str, Any]
 # Linear elements along x, y, z of the coarsest grid whose lines run along the borders of all patches.
-GRID = (6, 2, 4)
+GRID = (8, 2, 4)
 TOLERANCE = 1e-6
 # Share of a pull at which the first order is taken.
 TANGENT = 0.01
@@ -196,12 +196,12 @@ def _toggled(spec: Spec, anchored: list[str]) -> list[Array]:
     pulls = [{**pull, "to": (TANGENT * np.array(pull["to"])).tolist()} for pull in spec["pulls"]]
     small = {**spec, "world": {}, "pulls": pulls}
     before = motion(small, anchored, 1, 1)[:, -1]
-    found = list[Array]()
+    found: list[Array] = []
     for name in spec["patches"]:
         other = [patch for patch in anchored if patch != name] if name in anchored else [*anchored, name]
         # A body without anchors moves as the gripper does, by more than any noise.
         after = motion(small, other, 1, 1)[:, -1] if other else np.full_like(before, 1.0)
-        found.append(np.asarray((after - before) / TANGENT, dtype=float))
+        found.append(np.asarray((after - before) / TANGENT, dtype=np.float64))
     return found
 
 
