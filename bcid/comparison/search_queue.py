@@ -45,14 +45,14 @@ class SearchQueue:
         self, base: State, candidates: Candidates, starts: Sequence[Anchored], effects: int, fitted: int, sets: int
     ) -> None:
         self.base, self.model, self.predictor, self.candidates = base, base.model, base.predictor, candidates
-        self.starts, self.most, self.fitted, self.sets = tuple(starts), effects, fitted, sets
+        self.starts, self.most, self.few, self.sets = tuple(starts), effects, fitted, sets
         self.table = HypothesisTable(alike=candidates.alike)
         self.effects: dict[str, Effect] = {}
         # What the model without effects lacks on sets, as all steps show it.
         self.rankings: dict[Anchored, Ranking] = {}
         # Effects beside which further ones were sought.
         self.extended: set[tuple[str, ...]] = set()
-        self.fits = 0
+        self.fits = self.failures = 0
 
     def run(self) -> HypothesisTable:
         """Evaluate until nothing is expected to change the posterior noticeably, or the budget ends."""
@@ -69,7 +69,7 @@ class SearchQueue:
         """
         best, changes = self.table.best(), self.table.changes()
         likely = max(changes, key=lambda h: round(changes[h], _DIGITS), default=None)
-        worth = changes[likely] if likely and self.fits < SETTINGS.fits else 0.0
+        worth = changes[likely] if likely and max(self.fits, self.failures) < SETTINGS.fits else 0.0
         if likely and worth >= 1.0:
             return partial(self.fit, likely)
         if not best.names and best.anchors not in self.rankings:
@@ -93,11 +93,12 @@ class SearchQueue:
     def fit(self, hypothesis: Hypothesis) -> None:
         """Fit a hypothesis to all steps."""
         self.predictor.progress.step("hypotheses fitted to all steps", self.fits, SETTINGS.fits)
-        self.fits += 1
-        found = self._fitted(hypothesis)
+        found = self.fitted(hypothesis)
         if found is None:
+            self.failures += 1
             self.table.refuse(hypothesis)
             return
+        self.fits += 1
         self.say_fitted(found)
         self.table.add([found], self.model)
 
@@ -135,13 +136,13 @@ class SearchQueue:
         progress = self.predictor.progress
         progress.say(f"weighing anchor sets and effects beside {base.model.name}")
         self.extended.add(tuple(term.effect.name for term in base.model.added(self.model)))
-        self.fits = 0
+        self.fits = self.failures = 0
         missing = self.candidates.beside(base, self.model, self.starts if sets > 1 else ())
         # What the plain model lacks is known by the effects of the first extension.
         self.effects = {effect.name: effect for effect in missing} | self.effects
         among = self.candidates.among
         try:
-            found = contest(base, self.model, missing, self.starts, sets, self.fitted, among, self.candidates)
+            found = contest(base, self.model, missing, self.starts, sets, self.few, among, self.candidates)
         except SolveError as error:
             self.predictor.skip(f"sets and effects beside {base.model.name}: {error}")
             found = Contest([Rival.of(Fit.at(base), self.model, among)], {})
@@ -162,7 +163,7 @@ class SearchQueue:
     # -- how a hypothesis is fitted
     # ---------------------------------------------------------------------------------------------------------------
 
-    def _fitted(self, wanted: Hypothesis) -> Rival | None:
+    def fitted(self, wanted: Hypothesis) -> Rival | None:
         """A hypothesis fitted to all steps, begun at the nearest that is known; None where that fails."""
         names, best = wanted.names, self.table.best()
         more = [name for name in best.names if name not in names]

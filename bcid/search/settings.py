@@ -11,7 +11,8 @@ class SearchSettings:
 
     Attributes:
         negligible: a hypothesis is fitted to all steps while the Brier score of the answer may fall by more than this once it is.
-        fits: hypotheses that are fitted to all steps for each set of effects that further ones are sought beside, at most.
+        fits: hypotheses that are fitted to all steps for each set of effects that further ones are sought beside, at most; and as
+            many that cannot be followed.
         comparable: what is no more below the best than this is as likely as far as a tangent or a few steps tell.
         unlikely: what is further below the best is left out, as far as a tangent or a few steps tell.
         hopeless: what is further below the best is left out however rough the prediction is.

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
 from bcid.comparison.contest import Contest
-from bcid.comparison.rivals import Rival
+from bcid.comparison.hypothesis_table import HypothesisTable
+from bcid.comparison.rivals import Rival, best_first
 from bcid.comparison.search_queue import SearchQueue
 from bcid.comparison.state import State
+from bcid.forms.model import Model
 from bcid.inference.hypotheses import Hypothesis
 from bcid.inference.unknown_force import Evidence
 from bcid.search.settings import SETTINGS
@@ -20,27 +22,43 @@ from tests.unit.test_hypothesis_table import less, rival
 Known = Mapping[Hypothesis, float | None]
 
 
+class PlainTable(HypothesisTable):
+    """Of hypotheses whose evidence is given: no error of the mesh is common to them."""
+
+    def add(self, rivals: Iterable[Rival], begun: Model) -> None:
+        known = {one.hypothesis: one for one in (*self.own, *rivals)}
+        self.own = self.full = best_first(known.values())
+        self._odds = None
+
+
 class Simulated(SearchQueue):
     """A queue whose evaluations are given: log evidence in all steps by hypothesis, None where it cannot be followed."""
 
     def __init__(self, truth: Known, coarse: list[Rival], tangent: Known | None = None) -> None:
-        base: Any = SimpleNamespace(model=None, predictor=None)
+        quiet = SimpleNamespace(step=lambda *_: None, say=lambda *_: None)
+        base: Any = SimpleNamespace(model=None, predictor=SimpleNamespace(progress=quiet))
         candidates: Any = SimpleNamespace(alike=False)
         super().__init__(base, candidates, (), 1, 5, 28)
+        self.table = PlainTable()
         self.truth, self.coarse, self.tangent, self.done = truth, coarse, tangent or {}, list[tuple[str, Hypothesis]]()
 
     def extend(self, base: State, sets: int) -> None:
         plain = next(one for one in self.coarse if not one.names)
-        self._add(plain.hypothesis)
+        first = self.fitted(plain.hypothesis)
+        assert first is not None
+        self.table.add([first], self.model)
         self.table.add_stage(Contest(self.coarse, {}))
 
     def fit(self, hypothesis: Hypothesis) -> None:
-        self.fits += 1
         self.done.append(("fit", hypothesis))
-        if self.truth[hypothesis] is None:
-            self.table.refuse(hypothesis)
-        else:
-            self._add(hypothesis)
+        super().fit(hypothesis)
+
+    def fitted(self, wanted: Hypothesis) -> Rival | None:
+        log = self.truth[wanted]
+        return None if log is None else rival(wanted.names, "".join(sorted(wanted.anchors)), log)
+
+    def say_fitted(self, rival: Rival) -> None:
+        """Nothing: these have no residual."""
 
     def ask_sets(self, rival: Rival) -> None:
         self.done.append(("sets", rival.hypothesis))
@@ -56,14 +74,6 @@ class Simulated(SearchQueue):
     def reduce(self, rival: Rival) -> None:
         self.table.reduced[rival.hypothesis] = []
         self.done.append(("reduce", rival.hypothesis))
-
-    def _add(self, h: Hypothesis) -> None:
-        log = self.truth[h]
-        assert log is not None
-        found = rival(h.names, "".join(sorted(h.anchors)), log)
-        kept = [one for one in self.table.own if one.hypothesis != h]
-        self.table.own = self.table.full = sorted([*kept, found], key=lambda one: -one.log)
-        self.table._odds = None
 
 
 def test_run_most_probable_is_fitted_before_its_tangent_is_asked() -> None:
@@ -94,6 +104,15 @@ def test_run_effect_is_compared_with_the_same_anchors_without_it() -> None:
     queue = Simulated(truth, [rival((), "2", 0), rival(("gravity",), "1", 60), rival((), "1", -90)])
     queue.run()
     assert ("fit", less("1")) in queue.done
+
+
+def test_run_what_cannot_be_followed_takes_no_fit_from_others() -> None:
+    sets = [chr(ord("A") + k) for k in range(2 * SETTINGS.fits)]
+    truth: dict[Hypothesis, float | None] = {less(s): None if k % 2 else 0.0 for k, s in enumerate(sets)}
+    queue = Simulated(truth, [rival((), "A", 0)], {h: 3.0 for h in truth if h != less("A")})
+    queue.run()
+    fitted = [h for kind, h in queue.done if kind == "fit" and truth[h] is not None]
+    assert len(fitted) == SETTINGS.fits - 1
 
 
 @pytest.mark.parametrize("count", [3, 30])
