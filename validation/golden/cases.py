@@ -15,7 +15,6 @@ import json
 import re
 import shutil
 import sys
-import zipfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -32,13 +31,15 @@ from bcid.studies.beyond import beyond_case
 from bcid.studies.beyond.beyond_study import BeyondOptions
 from bcid.studies.hidden import truth as hidden_truth
 from bcid.studies.hidden.drawing import CaseChoice
+from validation import stored_input
+from validation.stored_input import TRUTH
 
 PROJECT = Path(__file__).resolve().parents[2]
 SCENES = PROJECT / "examples" / "scenes"
 # Measurements beside the checkout, for those that may not be copied into it.
 DATA = PROJECT.parent / "shared" / "data"
 INPUTS = Path(__file__).resolve().parent / "inputs"
-SCENE, MEASUREMENT, TRUTH = "scene.toml", "measurement", "truth.json"
+SCENE, MEASUREMENT = "scene.toml", "measurement"
 
 BLINDED = {
     211: (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 18, 20),
@@ -86,29 +87,16 @@ def prepare(name: str, folder: Path) -> dict[str, Any]:
     """
     if name not in CASES:
         raise InputError(f"there is no golden case '{name}'")
-    if not (folder / TRUTH).is_file():
-        folder.mkdir(parents=True, exist_ok=True)
-        stored = INPUTS / f"{name}.zip"
-        if stored.is_file():
-            with zipfile.ZipFile(stored) as archive:
-                archive.extractall(folder)
-        else:
-            CASES[name](folder)
-    truth: dict[str, Any] = json.loads((folder / TRUTH).read_text(encoding="utf-8"))
-    return truth
+    return stored_input.prepared(folder, INPUTS / f"{name}.zip", lambda: CASES[name](folder))
 
 
 def store(name: str, folder: Path) -> None:
     """Keep the input of a case in the repository, but for published measurements, which stay where they are."""
     if name in UNSTORED:
         return
-    INPUTS.mkdir(exist_ok=True)
-    with zipfile.ZipFile(INPUTS / f"{name}.zip", "w", zipfile.ZIP_DEFLATED) as archive:
-        for file in sorted(file for file in folder.rglob("*") if file.is_file()):
-            inside = file.relative_to(folder)
-            if inside.parts[0] not in ("run", "diagnosis"):
-                # A fixed date: the same input makes the same file.
-                archive.writestr(zipfile.ZipInfo(str(inside)), file.read_bytes(), zipfile.ZIP_DEFLATED)
+    files = sorted(file for file in folder.rglob("*") if file.is_file())
+    own = [file for file in files if file.relative_to(folder).parts[0] not in ("run", "diagnosis")]
+    stored_input.store(INPUTS / f"{name}.zip", folder, own)
 
 
 def _write(folder: Path, scene: str, directory: Path, measurement: Measurement | Path, truth: Truth) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,10 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import MachineError
 from bcid.studies.hidden.truth import rms
-from validation.golden.cases import MEASUREMENT, SCENE, TRUTH
+from validation import stored_input
+from validation.golden.cases import MEASUREMENT, SCENE
 from validation.outside.worlds import GRASPS, KINDS, MARKERS, NOISES, PATCHES, SEED, SIZES, Box, Spec, draw
+from validation.stored_input import TRUTH
 
 WORLD = Path(__file__).with_name("felupe_world.py")
 INPUTS = Path(__file__).with_name("inputs")
@@ -92,28 +93,18 @@ def prepare(kind: str, index: int, folder: Path, python: str | None) -> Truth:
     Raises:
         MachineError: the independent code is not there or failed.
     """
-    if not (folder / TRUTH).is_file():
-        folder.mkdir(parents=True, exist_ok=True)
-        stored = INPUTS / f"{kind}-{index}.zip"
-        if stored.is_file():
-            with zipfile.ZipFile(stored) as archive:
-                archive.extractall(folder)
-        else:
-            spec = draw(kind, index)
-            write(spec, computed(spec, folder, python), folder)
-    truth: Truth = json.loads((folder / TRUTH).read_text(encoding="utf-8"))
-    return truth
+
+    def make() -> None:
+        spec = draw(kind, index)
+        write(spec, computed(spec, folder, python), folder)
+
+    return stored_input.prepared(folder, INPUTS / f"{kind}-{index}.zip", make)
 
 
 def store(kind: str, index: int, folder: Path) -> None:
     """Keep the input of a case in the repository."""
-    INPUTS.mkdir(exist_ok=True)
     files = [folder / SCENE, folder / "box.geo", folder / TRUTH, *sorted((folder / MEASUREMENT).iterdir())]
-    with zipfile.ZipFile(INPUTS / f"{kind}-{index}.zip", "w") as archive:
-        for file in files:
-            # A fixed date: the same input makes the same file.
-            inside = zipfile.ZipInfo(str(file.relative_to(folder)))
-            archive.writestr(inside, file.read_bytes(), zipfile.ZIP_DEFLATED, 9)
+    stored_input.store(INPUTS / f"{kind}-{index}.zip", folder, files)
 
 
 def computed(spec: Spec, folder: Path, python: str | None) -> dict[str, Array]:

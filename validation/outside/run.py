@@ -11,9 +11,9 @@ from bcid.base.progress import Progress
 from bcid.bench.measure import peer_python
 from bcid.studies.engine.dispatch import dispatch
 from bcid.studies.engine.work import Work, Workers, read_result
-from validation.golden.cases import TRUTH
 from validation.golden.run import LIMIT, explained
 from validation.outside.case import INPUTS, prepare, store
+from validation.stored_input import TRUTH
 
 PINS = "environment/outside.txt"
 
