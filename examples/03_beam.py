@@ -25,10 +25,9 @@ from bcid import Measurement, Scene
 from bcid.base.units import uncertain
 from bcid.comparison import diagnosis_text
 from bcid.comparison.adequacy import Adequacy, judge
-from bcid.comparison.contest import fitted_beside
 from bcid.comparison.fit import Fit, fit
 from bcid.comparison.ranking import Ranking, Row, rank
-from bcid.comparison.rivals import Rival
+from bcid.comparison.rivals import Rival, fitted_beside
 from bcid.comparison.state import State
 from bcid.forms import effects
 from bcid.forms.model import Model, Term

@@ -187,7 +187,7 @@ def _state(folder: Path) -> State:
     """The case in a few steps, with the set that is likeliest there."""
     from mpi4py import MPI
 
-    from bcid.comparison.contest import GLANCE, glanced
+    from bcid.comparison.few_steps import in_few_steps
     from bcid.comparison.first_sets import first_sets
     from bcid.measurement import Measurement
     from bcid.predict.predictor import Predictor
@@ -196,7 +196,7 @@ def _state(folder: Path) -> State:
     scene = Scene.read(folder / SCENE)
     predictor = Predictor(scene, Measurement.read(folder / MEASUREMENT), MPI.COMM_SELF)
     model = Model.of(scene)
-    return State.of(predictor, model, first_sets(predictor, model)[0]).thinned(glanced(predictor), GLANCE)
+    return in_few_steps(State.of(predictor, model, first_sets(predictor, model)[0]))
 
 
 def judged(truth: Hypothesis, odds: HypothesisOdds, between: float) -> dict[str, Any]:

@@ -13,7 +13,6 @@ from bcid.base.errors import InputError, SolveError, evaluating, nearest
 from bcid.base.progress import Progress, Silent
 from bcid.comparison.adequacy import judge
 from bcid.comparison.buckled_frames import leave_out
-from bcid.comparison.contest import fitted_beside
 from bcid.comparison.curvature import bent
 from bcid.comparison.explain import ExplainOptions, explain
 from bcid.comparison.explanation import Explanation, Rung
@@ -21,7 +20,7 @@ from bcid.comparison.fit import Fit, fit
 from bcid.comparison.held_out import held_out
 from bcid.comparison.next_steps import NextSteps, next_steps
 from bcid.comparison.ranking import rank
-from bcid.comparison.rivals import refit
+from bcid.comparison.rivals import fitted_beside, refit
 from bcid.comparison.scene_sensitivity import AnswerAt, fitted_hypotheses, scene_sensitivity
 from bcid.comparison.second_start import fit_twice
 from bcid.comparison.separate import Pull, separating_pulls

@@ -14,9 +14,9 @@ from bcid.comparison.buckled_frames import leave_out
 from bcid.comparison.candidates import Candidates, Known
 from bcid.comparison.explanation import Explanation, Rung, explains, verdict_of
 from bcid.comparison.first_sets import first_sets
+from bcid.comparison.full_search import FullSearch
 from bcid.comparison.held_out import held_out
 from bcid.comparison.rivals import Rival, best_first
-from bcid.comparison.search_queue import SearchQueue
 from bcid.comparison.settle import settled
 from bcid.comparison.state import State
 from bcid.comparison.told_anchors import told_anchors
@@ -38,14 +38,14 @@ class ExplainOptions:
     Attributes:
         level: of the ladder, that both meshes go by; by default the last with at most 40,000 unknowns.
         effects: effects that may be adopted together at most.
-        fitted: effects that are refitted at each step, on a few steps of each action; large ones besides, see `contest`.
-        sets: anchor sets that are weighed, at each step.
+        fitted: effects that are fitted on a few steps of each action, each time on one set, beside each model.
+        sets: anchor sets that are compared on a few steps of each action.
         only: names of the effects to look at; all by default.
     """
 
     level: int | None = None
     effects: int = 2
-    fitted: int = 5
+    fitted: int = 10
     sets: int = 28
     only: tuple[str, ...] | None = None
 
@@ -74,7 +74,7 @@ def explain(
     candidates = candidates or Known(tuple(effects.catalogue(options.only, more)))
     start = time.perf_counter()
     base, sets = _base(predictor, model or Model.of(predictor.scene))
-    queue = SearchQueue(base, candidates, sets, options.effects, options.fitted, options.sets)
+    queue = FullSearch(base, candidates, sets, options.effects, options.fitted, options.sets)
     best = queue.run().best()
     check_not_stood_for(best, queue.table.refused, queue.model)
     return _explanation(queue, best, time.perf_counter() - start)
@@ -112,7 +112,7 @@ def _with_noise(base: State) -> State:
 # --------------------------------------------------------------------------------------------------------------------
 
 
-def _explanation(queue: SearchQueue, best: Rival, seconds: float) -> Explanation:
+def _explanation(queue: FullSearch, best: Rival, seconds: float) -> Explanation:
     """What is reported of a search; collective."""
     table, predictor = queue.table, queue.predictor
     plain = next(r for r in table.full if not r.names)

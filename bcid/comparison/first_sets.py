@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from bcid.base.errors import SolveError
 from bcid.base.progress import Steps
 from bcid.comparison import anchors as anchor_search
-from bcid.comparison.contest import GLANCE, glanced
-from bcid.comparison.hypothesis_search import HypothesisSearch, weighed
+from bcid.comparison.coarse_search import CoarseSearch
+from bcid.comparison.few_steps import FEW_STEPS, few_steps
+from bcid.comparison.rivals import weighed
 from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
@@ -73,12 +74,12 @@ def _outdone(predictor: Predictor, model: Model, error: NotFollowed, anchors: An
 
 def _seen(predictor: Predictor, model: Model) -> tuple[list[Anchored], list[Anchored]]:
     """The likely sets with something unknown besides, and those that could not be followed though likelier; the likeliest first."""
-    thin, _ = predictor.thinned(glanced(predictor), GLANCE)
+    thin, _ = predictor.thinned(few_steps(predictor), FEW_STEPS)
     for anchors in _openings(predictor, model):
         with suppress(SolveError):
             state = State.of(thin, model, anchors, MeshError.unknown(thin.data.mask.shape))
-            search = HypothesisSearch(state, model, (), SETTINGS.first_sets)
-            return search.sets(), search.lost()
+            table = CoarseSearch(state, model, sets=SETTINGS.first_sets).run()
+            return table.sets, table.lost
     return _climbed(predictor, model), []
 
 
@@ -100,7 +101,7 @@ def _openings(predictor: Predictor, model: Model) -> list[Anchored]:
 
 def _climbed(predictor: Predictor, model: Model) -> list[Anchored]:
     """The likely sets on the coarsest level, with a few steps of each action that may be halved more often."""
-    thin, frames = predictor.thinned(glanced(predictor), Settings(rtol=1e-6, halvings=_HALVINGS))
+    thin, frames = predictor.thinned(few_steps(predictor), Settings(rtol=1e-6, halvings=_HALVINGS))
     options = IdentifyOptions(certify="no", seeds=_SEEDS, finest=0)
     try:
         found = identify(thin.whole, thin.measurement, thin.comm, options, model, thin.settings, Steps(thin.progress))

@@ -5,21 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.tails import chi2_limit
 from bcid.base.units import WIDE
-from bcid.comparison.contest import Contest
-from bcid.comparison.hypothesis_search import Promised
 from bcid.comparison.loosened import loosens
 from bcid.comparison.ranking import Row
 from bcid.comparison.rivals import Rival, best_first
 from bcid.forms.model import Model
 from bcid.inference.criteria import FAILS_FOR_THE_TRUE, SURPRISE
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
-from bcid.inference.posterior import Evaluation, Fidelity, Pair, Posterior, Toggles, toggles
+from bcid.inference.posterior import Evaluation, Fidelity, FidelityStep, Pair, Posterior, toggles, with_error
 from bcid.inference.unknown_force import Evidence
 from bcid.search.settings import SETTINGS
 
@@ -29,49 +28,49 @@ Anchored = frozenset[str]
 
 @dataclass(frozen=True)
 class TangentEvidence:
-    """What the tangent of a hypothesis that was compared with all steps says of others.
+    """What the tangent of a hypothesis that was evaluated says of others.
 
     Attributes:
-        about: that hypothesis.
         sets: evidence of its effects on other sets, and on its own.
         effects: logarithms of the evidence of further effects on its set.
+        springs: the same of sets some patches of which give or come off.
         known: how many effects may act.
     """
 
-    about: Hypothesis
     sets: Mapping[Anchored, Evidence] = field(default_factory=dict)
     effects: Mapping[str, float] = field(default_factory=dict)
+    springs: Mapping[Hypothesis, float] = field(default_factory=dict)
     known: int = 1
 
 
 @dataclass
 class HypothesisTable:
-    """Hypotheses as far as they were compared.
+    """Hypotheses as far as they were evaluated at a fidelity, in all steps or in a few, and below it.
 
     Attributes:
-        own: those that were compared with all steps, each with the error of the mesh as its own hierarchy has it, the likeliest
-            first.
+        own: those that were evaluated, each with the error of the mesh as its own hierarchy has it, the likeliest first.
         full: the same, all with what may be left of that error where it is largest among them.
-        coarse: those that were compared with a few steps, in the stages in which they were.
-        tangents: what tangents in all steps say of others.
+        coarse: tables of a lower fidelity, in the order of the stages in which they were made.
+        tangents: what the tangent of a hypothesis says of others.
         reduced: by hypothesis, sets that lack one of its patches and may be as likely although its tangent shows them less so.
         refused: hypotheses that cannot be followed to the end.
         alike: whether effects are ways to write the same, see `HypothesisOdds`.
         _left: what may be left of the error of the mesh that `full` was compared with.
         _allowing: each of `own`, by its identity, and the same in `full`: none is weighed twice with the same.
-        _odds: of all that is known; None where something has come since.
+        _odds, _posterior: of all that is known; None where something has come since.
     """
 
     own: list[Rival] = field(default_factory=list)
     full: list[Rival] = field(default_factory=list)
-    coarse: list[Contest] = field(default_factory=list)
-    tangents: list[TangentEvidence] = field(default_factory=list)
+    coarse: list[HypothesisTable] = field(default_factory=list)
+    tangents: dict[Hypothesis, TangentEvidence] = field(default_factory=dict)
     reduced: dict[Hypothesis, list[Anchored]] = field(default_factory=dict)
     refused: set[Hypothesis] = field(default_factory=set)
     alike: bool = False
     _left: Array | None = None
     _allowing: dict[int, tuple[Rival, Rival]] = field(default_factory=dict)
     _odds: HypothesisOdds | None = field(default=None, init=False)
+    _posterior: Posterior | None = field(default=None, init=False)
 
     # -- what is known
     # -----------------------------------------------------------------------------------------------------------
@@ -82,7 +81,7 @@ class HypothesisTable:
         left = _most_left([r for r in self.own if r.log > self.own[0].log - SETTINGS.unlikely])
         self._allowing = {id(r): (r, self._with(r, left, begun)) for r in self.own}
         self.full, self._left = best_first(allowed for _, allowed in self._allowing.values()), left
-        self._odds = None
+        self.reconsider()
 
     def _with(self, rival: Rival, left: Array, begun: Model) -> Rival:
         """A hypothesis with what may be left of the error of the mesh with another; what is known is not weighed again."""
@@ -91,30 +90,35 @@ class HypothesisTable:
 
     def add_sets(self, rival: Rival, sets: Mapping[Anchored, Evidence]) -> None:
         """What the tangent of a hypothesis says of other sets."""
-        self._replace(TangentEvidence(rival.hypothesis, sets=sets, known=rival.known))
+        self._note(rival, sets=dict(sets))
 
     def add_effects(self, rival: Rival, rows: Iterable[Row]) -> None:
         """What the tangent of a hypothesis says of effects."""
         plain = rival.evidence.plain
-        effects = {row.effect: plain + row.gain for row in rows if math.isfinite(row.gain)}
-        self._replace(TangentEvidence(rival.hypothesis, effects=effects, known=rival.known))
+        self._note(rival, effects={row.effect: plain + row.gain for row in rows if math.isfinite(row.gain)})
 
-    def _replace(self, tangent: TangentEvidence) -> None:
-        def key(one: TangentEvidence) -> tuple[Hypothesis, bool]:
-            return one.about, bool(one.sets)
+    def add_springs(self, rival: Rival, springs: Mapping[Hypothesis, float]) -> None:
+        """Logarithms of the evidence of sets some patches of which give or come off, as the tangent of a hypothesis shows them."""
+        self._note(rival, springs=dict(springs))
 
-        self.tangents = [one for one in self.tangents if key(one) != key(tangent)] + [tangent]
-        self._odds = None
+    def _note(self, rival: Rival, **what: Any) -> None:
+        before = self.tangents.get(rival.hypothesis, TangentEvidence(known=rival.known))
+        self.tangents[rival.hypothesis] = replace(before, **what)
+        self.reconsider()
 
     def refuse(self, hypothesis: Hypothesis) -> None:
         """Note that one cannot be followed to the end."""
         self.refused.add(hypothesis)
-        self._odds = None
+        self.reconsider()
 
-    def add_stage(self, stage: Contest) -> None:
-        """What was compared with a few steps."""
+    def add_stage(self, stage: HypothesisTable) -> None:
+        """What was evaluated at a lower fidelity."""
         self.coarse.append(stage)
-        self._odds = None
+        self.reconsider()
+
+    def reconsider(self) -> None:
+        """Weigh everything anew, after a table of a lower fidelity has changed."""
+        self._odds = self._posterior = None
 
     # -- the posterior
     # -----------------------------------------------------------------------------------------------------------
@@ -162,21 +166,22 @@ class HypothesisTable:
         return min(1.0, math.fsum(p for h, p in found if not self._fitted(h.known)))
 
     def posterior(self) -> Posterior:
-        """Of all hypotheses, each at the fidelity with the smallest error."""
+        """Of all hypotheses, each by the best that is known of it."""
+        if self._posterior is None:
+            self._posterior = self._by_best()
+        return self._posterior
+
+    def _by_best(self) -> Posterior:
         full = {r.hypothesis: r for r in self.full}
         known = Posterior({}, self._pairs(full), self._ceiling())
-        found = {h: Evaluation(log, 0.0, prior) for r in self.full for h, (log, prior) in r.weights.items()}
-        lower: dict[Hypothesis, tuple[float, Evaluation]] = {}
+        found = {h: Evaluation(log, prior) for r in self.full for h, (log, prior) in r.weights.items()}
+        lower: dict[Hypothesis, list[Evaluation]] = {}
         for h, one in self._below(full):
-            if h.known in full or not math.isfinite(one.base + one.gain):
-                continue
-            if h.known in self.refused:
-                one = self._unfollowed(one)
-            variance = known.variance(one)
-            if h not in lower or variance < lower[h][0]:
-                lower[h] = variance, one
-        found |= {h: one for h, (_, one) in lower.items()}
-        finite = {h: one for h, one in found.items() if math.isfinite(one.base + one.gain)}
+            if h.known not in full and math.isfinite(one.log):
+                lower.setdefault(h, []).append(self._unfollowed(one) if h.known in self.refused else one)
+        logs = {h: _log(r) for h, r in full.items()}
+        found |= {h: min(some, key=lambda one: one.order(logs)) for h, some in lower.items()}
+        finite = {h: one for h, one in found.items() if math.isfinite(one.log)}
         return Posterior(finite, known.pairs, known.ceiling)
 
     def _unfollowed(self, one: Evaluation) -> Evaluation:
@@ -187,7 +192,7 @@ class HypothesisTable:
         """
         rate = (FAILS_FOR_THE_TRUE + len(self.refused)) / (1 + len(self.full) + len(self.refused))
         best = max(max(r.evidence.plain, r.evidence.forced) for r in self.full)
-        return replace(one, gain=min(one.gain, best - one.base), log_prior=one.log_prior + math.log(rate))
+        return replace(one.at_most(best), log_prior=one.log_prior + math.log(rate))
 
     def _ceiling(self) -> float:
         """Logarithm of the evidence of a hypothesis that leaves noise alone, or of the best; none where no noise is stated."""
@@ -202,45 +207,52 @@ class HypothesisTable:
         """What is known of hypotheses below the full fidelity."""
         for stage in self.coarse:
             yield from _Stage(stage, full).evaluations()
-        for tangent in self.tangents:
-            if tangent.about in full:
-                yield from self._linearised(tangent, full[tangent.about])
+        for about, tangent in self.tangents.items():
+            if about in full:
+                yield from self._linearised(tangent, full[about])
 
     def _linearised(self, tangent: TangentEvidence, about: Rival) -> Iterator[tuple[Hypothesis, Evaluation]]:
-        """Other sets, with whatever was compared on the same set; and further effects on it."""
+        """Other sets with the same effects, further effects on the same set, and patches that give or come off."""
         here = tangent.sets.get(about.anchors)
-        acting = [r for r in self.full if r.anchors == about.anchors]
         for anchors, there in tangent.sets.items() if here else ():
             assert here is not None
             apart = {False: there.plain - here.plain, True: there.forced - here.forced}
-            for r in acting if anchors != about.anchors else ():
-                for h, (log, prior) in r.weights.items():
-                    other = Hypothesis(anchors, h.effect, h.unknown)
-                    gain = apart[h.unknown]
-                    yield other, Evaluation(log, gain, prior, toggles(Fidelity.TANGENT, other, h, gain))
+            for h, (log, prior) in about.weights.items() if anchors != about.anchors else ():
+                other = Hypothesis(anchors, h.effect, h.unknown)
+                changed = toggles(Fidelity.TANGENT, other, h, apart[h.unknown])
+                yield other, Evaluation(log + apart[h.unknown], prior, (FidelityStep(log, log, changed),), h.known)
         for effect, log in tangent.effects.items():
             h = Hypothesis(about.anchors, "+".join([*about.names, effect]))
-            prior = log_prior(len(h.names), False, tangent.known)
-            base = _log(about)
-            changed = toggles(Fidelity.TANGENT, h, about.hypothesis, log - base)
-            yield h, Evaluation(base, log - base, prior, changed)
+            yield h, self._of_effects(h, about, log, tangent.known)
+        for h, log in tangent.springs.items():
+            yield h, self._of_effects(h, about, log, tangent.known)
+
+    @staticmethod
+    def _of_effects(h: Hypothesis, about: Rival, log: float, known: int) -> Evaluation:
+        """A hypothesis with further effects, by the tangent of one without them and without a discrepancy."""
+        base = about.evidence.plain
+        changed = toggles(Fidelity.TANGENT, h, about.hypothesis, log - base)
+        step = FidelityStep(base, base, changed)
+        return Evaluation(log, log_prior(len(h.names), False, known), (step,), about.hypothesis)
 
     def _pairs(self, full: Mapping[Hypothesis, Rival]) -> list[Pair]:
         """Hypotheses that are known at two fidelities."""
         found = [pair for stage in self.coarse for pair in _Stage(stage, full).pairs()]
-        for tangent in self.tangents:
-            about = full.get(tangent.about)
+        for h, tangent in self.tangents.items():
+            about = full.get(h)
             here = None if about is None else tangent.sets.get(about.anchors)
-            for r in self.full:
+            for r in self.full if about else ():
+                assert about is not None
                 there = tangent.sets.get(r.anchors)
-                if about and here and there and r.names == about.names:
-                    low = there.total - here.total
-                    changed = toggles(Fidelity.TANGENT, r.hypothesis, tangent.about, low)
-                    found.append(Pair(changed, low, _log(r) - _log(about)))
-                if about and r.anchors == about.anchors and r.names[:-1] == about.names and r.names:
-                    low = tangent.effects.get(r.effect, math.nan) - _log(about)
-                    changed = toggles(Fidelity.TANGENT, r.hypothesis, tangent.about, low)
-                    found.append(Pair(changed, low, r.evidence.plain - _log(about)))
+                if here and there and r.names == about.names:
+                    low, high = there.total - here.total, _log(r) - _log(about)
+                    found.append(Pair(toggles(Fidelity.TANGENT, r.hypothesis, h, low), low, high))
+                logs = [tangent.springs.get(r.hypothesis)]
+                if r.anchors == about.anchors and r.names[:-1] == about.names and r.names:
+                    logs.append(tangent.effects.get(r.effect))
+                for low in (log - about.evidence.plain for log in logs if log is not None):
+                    changed = toggles(Fidelity.TANGENT, r.hypothesis, h, low)
+                    found.append(Pair(changed, low, r.evidence.plain - about.evidence.plain))
         return found
 
     # -- what to compare next
@@ -249,23 +261,39 @@ class HypothesisTable:
     def changes(self) -> dict[Hypothesis, float]:
         """By how much the Brier score may fall once a hypothesis below the full fidelity is compared with all steps.
 
-        That is the variance of whether it is true (Brier, Mon. Weather Rev. 78, 1950, 1). It is one where a hypothesis is more
-        probable than each that was compared so: no answer is reported from a few steps or a tangent. Of those that may explain all
-        the one with the largest evidence comes first, whatever the ceiling leaves of it.
+        That is the variance of whether it is true (Brier, Mon. Weather Rev. 78, 1950, 1); of the most probable one with a set, or
+        with effects, that no hypothesis was compared with, of whether that set, or these effects, are true. It is one where a
+        hypothesis is more probable than each that was compared so: no answer is reported from a few steps or a tangent. Of those
+        that may explain all the one with the largest evidence comes first, whatever the ceiling leaves of it.
         """
         shares: dict[Hypothesis, float] = {}
         for h, p in self.odds.probabilities.items():
             shares[h.known] = shares.get(h.known, 0.0) + p
         likeliest = min(shares, key=lambda h: (-shares[h], h.order))
         found = self.posterior().evaluations
-        logs = {h: one.base + one.gain + one.log_prior for h, one in found.items() if not h.unknown}
+        logs = {h: one.log + one.log_prior for h, one in found.items() if not h.unknown}
         waiting = [h for h in shares if not self._fitted(h) and h not in self.refused]
         waiting.sort(key=lambda h: (-logs.get(h, -math.inf), h.order))
+        shares |= self._open(shares, waiting)
         return {h: 1.0 if h == likeliest else shares[h] * (1 - shares[h]) for h in waiting}
+
+    def _open(self, shares: Mapping[Hypothesis, float], waiting: Iterable[Hypothesis]) -> dict[Hypothesis, float]:
+        """Probability of each hypothesis that waits, or of all with its set, or its effects, if it stands for these."""
+        found = {h: shares[h] for h in waiting}
+        for part in (_set_of, _effect_of):
+            known = {part(r.hypothesis) for r in self.full}
+            groups: dict[Any, list[Hypothesis]] = {}
+            for h in shares:
+                if part(h) not in known and h in found:
+                    groups.setdefault(part(h), []).append(h)
+            for some in groups.values():
+                first = max(some, key=lambda h: shares[h])
+                found[first] = max(found[first], min(math.fsum(shares[h] for h in some), 0.5))
+        return found
 
     def sets_about(self, hypothesis: Hypothesis) -> Mapping[Anchored, Evidence]:
         """What its tangent says of other sets, and of its own; nothing where it was not asked."""
-        return next((one.sets for one in self.tangents if one.about == hypothesis and one.sets), {})
+        return self.tangents[hypothesis].sets if hypothesis in self.tangents else {}
 
     def unopposed(self) -> Hypothesis | None:
         """The likeliest without one of its effects or patches, if that was not compared with all steps and may be.
@@ -289,21 +317,46 @@ class HypothesisTable:
 
     def best(self) -> Rival:
         """The likeliest of the hypotheses that were compared with all steps."""
-        full = {h: p for h, p in self.odds.probabilities.items() if any(h in r.logs for r in self.full)}
-        chosen = HypothesisOdds(full, self.alike).best
-        return next(r for r in self.full if chosen in r.logs)
+        full = {h: r for r in reversed(self.full) for h in r.weights}
+        chosen = HypothesisOdds({h: p for h, p in self.odds.probabilities.items() if h in full}, self.alike).best
+        return full[chosen]
 
     def roughly(self, hypothesis: Hypothesis) -> Rival | None:
         """A hypothesis as it was fitted to a few steps, in the latest stage in which it was."""
-        rivals = (r for stage in self.coarse[::-1] for r in stage.rivals)
+        rivals = (r for stage in self.coarse[::-1] for r in stage.full)
         return next((r for r in rivals if r.hypothesis == hypothesis), None)
+
+    @property
+    def sets(self) -> list[Anchored]:
+        """Sets that were evaluated without effects, the most probable first."""
+        return [r.anchors for r in self.full if not r.names]
+
+    @property
+    def lost(self) -> list[Anchored]:
+        """Sets that could not be followed though tangents show them to be likelier than each that was; the likeliest first."""
+        best, logs = self.full[0], dict[Anchored, float]()
+        for about, tangent in self.tangents.items():
+            here = tangent.sets.get(about.anchors)
+            for h in self.refused if here else ():
+                if h.effect == about.effect and h.anchors in tangent.sets:
+                    assert here is not None
+                    logs[h.anchors] = tangent.sets[h.anchors].total - here.total + _log(self._of(about) or best)
+        return sorted((s for s in logs if logs[s] > _log(best)), key=lambda s: (-logs[s], len(s), sorted(s)))
 
     @property
     def rough(self) -> list[Rival]:
         """Hypotheses that were compared with a few steps and not with all."""
         full = {r.hypothesis for r in self.full}
-        found = {r.hypothesis: r for stage in self.coarse for r in stage.rivals if r.hypothesis not in full}
+        found = {r.hypothesis: r for stage in self.coarse for r in stage.full if r.hypothesis not in full}
         return best_first(found.values())
+
+
+def _set_of(h: Hypothesis) -> Anchored:
+    return h.anchors
+
+
+def _effect_of(h: Hypothesis) -> str:
+    return h.effect
 
 
 def _log(rival: Rival) -> float:
@@ -312,52 +365,45 @@ def _log(rival: Rival) -> float:
 
 
 class _Stage:
-    """Hypotheses that were compared with a few steps: each keeps its distance from the nearest that was compared with all."""
+    """What a few steps say: each hypothesis keeps its distance from the nearest that was compared with all of them."""
 
-    def __init__(self, stage: Contest, full: Mapping[Hypothesis, Rival]) -> None:
-        self.stage, self._full = stage, full
-        both = [(rough, full[rough.hypothesis]) for rough in stage.rivals if rough.hypothesis in full]
+    def __init__(self, stage: HypothesisTable, full: Mapping[Hypothesis, Rival]) -> None:
+        self._known, self._full = stage.posterior(), full
+        both = [(rough, full[rough.hypothesis]) for rough in stage.full if rough.hypothesis in full]
         both = [pair for pair in both if all(math.isfinite(rival.log) for rival in pair)]
         # The likeliest first.
-        self.both = sorted(both, key=lambda pair: (-pair[1].log, pair[1].hypothesis.order))
+        self._both = sorted(both, key=lambda pair: (-pair[1].log, pair[1].hypothesis.order))
 
     def evaluations(self) -> Iterator[tuple[Hypothesis, Evaluation]]:
-        """What the stage knows of hypotheses."""
-        for rival in self.stage.rivals if self.both else ():
-            rough, fine = self._nearest(rival.hypothesis)
-            for h, (log, prior) in rival.weights.items():
-                gain = log - _log(rough)
-                changed = toggles(Fidelity.COARSE, h, fine.hypothesis, gain)
-                yield h, Evaluation(_log(fine), gain, prior, changed)
-        for one in self.stage.promised.values() if self.both else ():
-            rough, fine = self._nearest(one.about)
-            gain = one.log - _log(rough)
-            yield one.hypothesis, Evaluation(_log(fine), gain, one.log_prior, self._promised(one, fine, gain))
-
-    @staticmethod
-    def _promised(one: Promised, fine: Rival, gain: float) -> Toggles:
-        """In which what a tangent of the stage promises differs from a hypothesis that was compared with all steps."""
-        coarse = toggles(Fidelity.COARSE, one.about, fine.hypothesis, gain)
-        return (*toggles(Fidelity.TANGENT, one.hypothesis, one.about, gain), *coarse)
+        """What the stage knows of hypotheses, from a few steps or from their tangents."""
+        for h, one in self._known.evaluations.items() if self._both else ():
+            rough, fine = self._nearest(h)
+            low, high = _log(rough), _log(fine)
+            changed = toggles(Fidelity.COARSE, h, fine.hypothesis, one.log - low)
+            yield h, replace(one, steps=(*one.steps, FidelityStep(low, high, changed)))
 
     def pairs(self) -> Iterator[Pair]:
         """What it was off, against the likeliest hypothesis that was compared with all steps; and what its tangents were."""
-        for rough, fine in self.both[1:]:
-            base_rough, base = self.both[0]
+        own = list[Pair]()
+        for rough, fine in self._both[1:]:
+            base_rough, base = self._both[0]
             low, high = _log(rough) - _log(base_rough), _log(fine) - _log(base)
-            yield Pair(toggles(Fidelity.COARSE, fine.hypothesis, base.hypothesis, low), low, high)
-        for told in self.stage.promised.values() if self.both else ():
-            if fitted := self._full.get(told.hypothesis):
-                rough, fine = self._nearest(told.about)
-                low, high = told.log - _log(rough), fitted.evidence.plain - _log(fine)
-                yield Pair(self._promised(told, fine, low), low, high)
-        for one in self.stage.kept:
-            low, high = one.low - one.base, one.high - one.base
-            yield Pair(toggles(Fidelity.TANGENT, one.hypothesis, one.about, low), low, high)
+            own.append(Pair(toggles(Fidelity.COARSE, fine.hypothesis, base.hypothesis, low), low, high))
+        yield from own
+        yield from self._known.pairs
+        errors = Posterior({}, own)
+        for h, one in self._known.evaluations.items() if self._both else ():
+            if h in self._full and one.about:
+                # What a few steps would show of it, by what they were off with others.
+                rough, fine = self._nearest(h)
+                gain = self._full[h].evidence.plain - _log(fine)
+                error = errors.expected(toggles(Fidelity.COARSE, h, fine.hypothesis, gain))
+                there = _log(rough) + float(with_error(np.array(gain), np.array(-error)))
+                yield Pair(one.toggles, one.start - one.steps[0].low, there - one.steps[0].low)
 
     def _nearest(self, h: Hypothesis) -> tuple[Rival, Rival]:
         """Of those that were compared with all steps the one that differs least from a hypothesis: in the stage, and in all."""
-        return min(self.both, key=lambda pair: len(toggles(Fidelity.COARSE, h, pair[1].hypothesis, 0.0)))
+        return min(self._both, key=lambda pair: len(toggles(Fidelity.COARSE, h, pair[1].hypothesis, 0.0)))
 
 
 def _most_left(rivals: Sequence[Rival]) -> Array:

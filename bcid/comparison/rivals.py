@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,8 +12,9 @@ from numpy.typing import NDArray
 from bcid.base.errors import InputError, SolveError
 from bcid.comparison.candidates import StandIn
 from bcid.comparison.curvature import bent
-from bcid.comparison.fit import FTOL, Fit, fit
-from bcid.comparison.hypothesis_search import HypothesisSearch, Look, weighed
+from bcid.comparison.few_steps import in_few_steps
+from bcid.comparison.fit import FTOL, Fit, columns, coordinates, fit
+from bcid.comparison.held_out import held_out
 from bcid.comparison.loosened import loosens
 from bcid.comparison.parameter_priors import of_state
 from bcid.comparison.ranking import Row, rank
@@ -32,13 +32,14 @@ from bcid.search.settings import SETTINGS
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
 # Candidates are refitted to this relative change of chi-square.
-_ROUGH = 3e-3
+ROUGH = 3e-3
 # A reciprocal or a direction may need a start away from the neutral value: part of the way to the expected value.
 _CAUTION = (1.0, 0.5, 0.2)
 # The error of the mesh is that of numbers that are no more than this part of a notable change off; it is asked for so often anew.
 _FAR_OFF, _REMESHED = 0.2, 2
 # Numbers that say about which place an effect acts.
 _PLACE = {"cx", "cy", "cz"}
+_NOTHING = Evidence(-math.inf, -math.inf, 0.0)
 
 
 @dataclass(frozen=True)
@@ -95,11 +96,6 @@ class Rival:
             Hypothesis(self.anchors, name, True): (self.evidence.forced, log_prior(count, True, self.known)),
         }
 
-    def gaining(self, plain: float, forced: float) -> Rival:
-        """The same with so much more evidence without, and with an unknown force besides."""
-        evidence = replace(self.evidence, plain=self.evidence.plain + plain, forced=self.evidence.forced + forced)
-        return replace(self, evidence=evidence)
-
     def without(self, name: str) -> Rival:
         """Where to begin with the same without one of its effects: nothing was computed with that yet."""
         state = self.fitted.state
@@ -113,10 +109,12 @@ class Rival:
     def allowing(self, left: Array, begun: Model) -> Rival:
         """The same with what may be left of the error of the mesh as it is with another hypothesis, (frames, fiducials, 3), m."""
         old = self.fitted.state
+        if old.errors.mesh.left is left:
+            return self
         state = old.with_errors(replace(old.errors.mesh, left=left))
-        return replace(self, evidence=weighed(state, begun, self._jacobian(state.errors)), allowed=state)
+        return replace(self, evidence=weighed(state, begun, self.jacobian(state.errors)), allowed=state)
 
-    def _jacobian(self, errors: Errors) -> Array:
+    def jacobian(self, errors: Errors) -> Array:
         """Change of the residual with each fitted number in units of other errors than its own, shape (n, p)."""
         state = self.fitted.state
         moved = [errors.whiten(state.errors.unwhiten(column)) for column in self.fitted.jacobian.T]
@@ -150,7 +148,7 @@ class Rival:
         state = self.fitted.state
         errors = state.errors.unseeing(~seen[state.predictor.data.frame])
         only = replace(state, errors=errors)
-        numbers = of_state(only, begun, self._jacobian(errors)) or Numbers.none(len(state.predictor.data))
+        numbers = of_state(only, begun, self.jacobian(errors)) or Numbers.none(len(state.predictor.data))
         shifts = [state.predictor.data.vector(moved) for moved in (np.zeros_like(state.predicted), *moves.values())]
         here, *logs = (Evidence.of(errors, only.residual - shift, only.forces, numbers).total for shift in shifts)
         return {anchors: log - here for anchors, log in zip(moves, logs, strict=True)}
@@ -179,47 +177,27 @@ class Rival:
         return cls(names, fitted, weighed(fitted.state, begun, fitted.jacobian, least), known)
 
     @classmethod
-    def looked_at(cls, look: Look, begun: Model, known: int) -> Rival:
-        """A model as it is, with a set that was looked at."""
-        names = tuple(term.effect.name for term in look.state.model.added(begun))
-        return cls(names, Fit.at(look.state), look.evidence, known)
+    def unfitted(cls, state: State, begun: Model, known: int, least: float = SEEN) -> Rival:
+        """A model with numbers that were fitted elsewhere, or none: what they would do here its tangent shows; collective."""
+        names = tuple(term.effect.name for term in state.model.added(begun))
+        chosen = coordinates(state.model, state.free)
+        jacobian = -state.errors.whiten(columns(state.predictor, state.model, state.anchors, state.prediction, chosen))
+        fitted = replace(Fit.at(state), jacobian=jacobian)
+        return cls(names, fitted, weighed(state, begun, jacobian, least), known)
+
+
+def weighed(state: State, begun: Model, jacobian: Array | None = None, least: float = SEEN) -> Evidence:
+    """Evidence of a model whose free numbers were unknown, beside the model that it was begun from; collective.
+
+    Where their `jacobian` is not known (see `Fit`), it is computed.
+    """
+    numbers = of_state(state, begun, jacobian, least)
+    return _NOTHING if numbers is None else state.evidence(numbers)
 
 
 def best_first(rivals: Iterable[Rival]) -> list[Rival]:
     """The likeliest first."""
     return sorted(rivals, key=lambda r: (-r.log, len(r.names), len(r.anchors), sorted(r.anchors), r.names))
-
-
-def moved(rival: Rival, begun: Model, known: int, least: float = SEEN) -> list[Rival]:
-    """The best rival on other sets with its numbers in place, and fitted anew on those that its tangent shows to be as likely."""
-    found: list[Rival] = []
-    best, tried, about = rival, {rival.anchors}, None
-    for _ in range(SETTINGS.moves):
-        state = best.fitted.state
-        if about is None or about.base is not state:
-            about = HypothesisSearch(state, begun, (), SETTINGS.moved_sets, least, known)
-            found += [Rival.looked_at(p.look, begun, known) for p in about.around() if p.anchors != best.anchors]
-        shown = about.shown(best.anchors)
-        near = [s for s in shown if s not in tried and shown[s] > shown[best.anchors] - SETTINGS.comparable]
-        if not near:
-            break
-        anchors = min(near, key=lambda s: (-shown[s], len(s), sorted(s)))
-        tried.add(anchors)
-        with suppress(SolveError):
-            again = Rival.of(fit(state.of_set(anchors), state.free, most=8, ftol=_ROUGH), begun, known, least)
-            found.append(again)
-            best = again if again.log > best.log else best
-    fitted = {id(r) for r in found if r.fitted.coordinates}
-    # Where a set was fitted that does not stand beside what was only estimated for it.
-    sets = {r.anchors for r in found if id(r) in fitted} | {rival.anchors}
-    return [r for r in found if id(r) in fitted or r.anchors not in sets]
-
-
-def sets_about(rival: Rival, begun: Model, least: float = SEEN) -> dict[Anchored, Evidence]:
-    """Evidence of sets near that of a rival, and of its own, as its tangent shows them; collective."""
-    search = HypothesisSearch(rival.fitted.state, begun, (), 1, least)
-    search.look()
-    return search.evidences(rival.anchors)
 
 
 def promoted(
@@ -234,8 +212,8 @@ def promoted(
     alike = (full.model.name, full.anchors) == (model.name, anchors)
     mesh = full.errors.mesh if alike else None
     try:
-        if rival.names and rival.term.effect.sudden:
-            # In which frame it begins is only known once all are looked at.
+        if rival.names and (rival.term.effect.sudden or any(p.off is not None for p in rival.term.effect.parameters)):
+            # In which frame it begins, and whether it comes and goes, is only known once all are looked at.
             own = full.errors.mesh if anchors == full.anchors else None
             others = tuple(name for name in free if name not in rival.term.free)
             base = State.of(full.predictor, model.without(rival.term.label), anchors, own, others)
@@ -257,16 +235,6 @@ def promoted(
     except (SolveError, InputError):
         return None
     return Rival.of(found, begun, rival.known, least)
-
-
-def with_own_mesh(rival: Rival, begun: Model, least: float = SEEN) -> Rival | None:
-    """A rival with the error of the mesh at its own numbers, and fitted anew; None where that is not known."""
-    if not rival.fitted.state.errors.mesh.known:
-        return None
-    try:
-        return Rival.of(_remeshed(rival.fitted, None, _ROUGH), begun, rival.known, least)
-    except SolveError:
-        return None
 
 
 def _remeshed(found: Fit, model: Model | None, ftol: float = FTOL) -> Fit:
@@ -299,25 +267,41 @@ def added(base: State, effect: Effect, begun: Model, known: int, least: float = 
 
 
 def refit(state: State, row: Row, begun: Model, known: int, least: float = SEEN) -> list[Rival]:
-    """Add an effect, begin at what is expected of it, and fit everything together; nothing if that cannot be followed.
+    """Add an effect, begin at what is expected of it, and fit everything together; nothing if that cannot be followed."""
+    return refit_term(state, row.term, row.gain, begun, known, least)
 
-    One whose shape is fitted too may end in a minimum that is not the least: where it explains less than its sensitivities
-    promised, it is begun elsewhere as well.
+
+def refit_term(state: State, term: Term, gain: float, begun: Model, known: int, least: float = SEEN) -> list[Rival]:
+    """The same of a term with the values that it is begun with, which is expected to gain so much.
+
+    One whose shape is fitted too may end in a minimum that is not the least: where it explains less than was expected, it is begun
+    elsewhere as well.
     """
     found: list[Rival] = []
     for part in _CAUTION:
         try:
-            term = _careful(row, state.model, part)
-            again = _begun_with(state, state.anchors, term)
+            again = _begun_with(state, state.anchors, _careful(term, state.model, part))
         except (SolveError, InputError):
             continue
         found.append(Rival.of(again, begun, known, least))
         if (
-            not row.term.effect.shapes
-            or found[-1].evidence.plain > weighed(state, begun, None, least).plain + row.gain - SETTINGS.comparable
+            not term.effect.shapes
+            or found[-1].evidence.plain > weighed(state, begun, None, least).plain + gain - SETTINGS.comparable
         ):
             break
     return best_first(found)[:1]
+
+
+def fitted_beside(state: State, known: Sequence[Effect], most: int) -> list[Rival]:
+    """The most promising effects beside a model with its set, `most` of them, fitted to all steps; collective."""
+    thin = in_few_steps(state)
+    try:
+        rows = [row for row in rank(thin, known, strict=False).rows if math.isfinite(row.gain)][:most]
+    except SolveError:
+        return []
+    few = [rival for row in rows for rival in refit(thin, row, state.model, len(known))]
+    fitted = [rival for rival in (promoted(one, state, state.model) for one in few) if rival]
+    return best_first(replace(rival, held_out=held_out(rival.fitted)) for rival in fitted)
 
 
 def stood_in(state: State, stand_in: StandIn, begun: Model, known: int, least: float = SEEN) -> list[Rival]:
@@ -334,23 +318,18 @@ def _begun_with(state: State, anchors: Anchored, term: Term) -> Fit:
     if loosens(term.effect):
         # Where anchors give, what is slightly wrong moves the body otherwise than where they hold.
         start = start.with_own_errors(anew=True)
-    again = fit(start, (*state.free, *term.free), most=8, ftol=_ROUGH)
+    again = fit(start, (*state.free, *term.free), most=8, ftol=ROUGH)
     if not again.settled and {p.name for p in term.effect.shapes} >= _PLACE:
         # What still looks for its place is not as unlikely as it seems.
-        again = fit(again.state, again.state.free, most=SETTINGS.settling, ftol=_ROUGH, like=again)
+        again = fit(again.state, again.state.free, most=SETTINGS.settling, ftol=ROUGH, like=again)
     return again
 
 
-def small_part(row: Row, model: Model) -> Term:
-    """A small part of the expected term."""
-    return _careful(row, model, min(_CAUTION))
-
-
-def _careful(row: Row, model: Model, part: float) -> Term:
+def _careful(term: Term, model: Model, part: float) -> Term:
     """The expected term, or a part of it, within its bounds."""
     values = {}
-    for p in row.term.effect.parameters:
-        value, neutral = row.term.values[p.name], model.neutral(p)
+    for p in term.effect.parameters:
+        value, neutral = term.values[p.name], model.neutral(p)
         if p.reciprocal:
             value = p.scale if not math.isfinite(value) else value / part
             value = min(value, 1e4 * p.scale)
@@ -359,4 +338,4 @@ def _careful(row: Row, model: Model, part: float) -> Term:
         elif neutral is not None:
             value = neutral + part * (value - neutral)
         values[p.name] = float(np.clip(value, p.lower, p.upper))
-    return Term(row.term.effect, values, place=row.term.place)
+    return Term(term.effect, values, place=term.place)

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from bcid.base.collective import Comm
 from bcid.base.errors import SolveError
-from bcid.comparison.contest import at_a_glance
+from bcid.comparison.coarse_search import CoarseSearch
+from bcid.comparison.few_steps import in_few_steps
 from bcid.comparison.fit import Fit
-from bcid.comparison.hypothesis_search import HypothesisSearch
 from bcid.comparison.parameter_priors import expected
-from bcid.comparison.rivals import Rival, best_first, moved, promoted, refit
+from bcid.comparison.rivals import Rival, best_first, promoted
 from bcid.comparison.state import State
 from bcid.exploration.joined import joined
 from bcid.forms.effects.effect import Effect
@@ -34,8 +34,8 @@ from bcid.scene import Scene
 Array = NDArray[np.float64]
 # Sets weighed together with the effects at most.
 _SETS = 28
-# An effect is fitted with so many sets that promise much, and kept with so many.
-_TRIED, _KEPT = 2, 3
+# An effect is fitted with so many sets on average, and kept with so many.
+_FITS, _KEPT = 3, 3
 # A set is kept with odds of at least exp(-_NEAR) against the best one of the effect, as a few steps of each pull tell.
 _NEAR = 10.0
 # What these pulls do not show may show in those to come: it keeps its chance.
@@ -163,9 +163,9 @@ class RivalEffects:
         acting = [e for e in self.effects if not (e.needs and e.needs(self.scene, measurement))]
         plain = best_first(Rival.of(Fit.at(s), begun, len(acting)) for s in alone)
         base, others = plain[0].fitted.state, [rival.anchors for rival in plain[1:]]
-        glanced = at_a_glance(base, lambda thin: _glanced(thin, begun, acting, others))
+        coarse = _fitted_coarsely(base, begun, acting, others)
         found = [Fitted(Hypothesis(r.anchors), r, begun) for r in plain]
-        for name, rivals in glanced.items():
+        for name, rivals in coarse.items():
             fitted = best_first(r for r in (promoted(one, base, begun, _UNSEEN) for one in rivals) if r)
             found += [Fitted(Hypothesis(r.anchors, name), r, begun) for r in fitted]
             if fitted:
@@ -186,18 +186,18 @@ def _followed(predictor: Predictor, model: Model, anchors: Anchored) -> State | 
         return None
 
 
-def _glanced(
-    thin: State, begun: Model, effects: Sequence[Effect], others: Iterable[Anchored]
+def _fitted_coarsely(
+    base: State, begun: Model, effects: Sequence[Effect], others: Sequence[Anchored]
 ) -> dict[str, list[Rival]]:
     """Effects fitted to a few steps of each pull, each with the sets that may go with it, the best first."""
-    promises = HypothesisSearch(thin, begun, effects, _SETS, _UNSEEN).run(others)
+    count = len(effects)
+    search = CoarseSearch(in_few_steps(base), begun, effects, count, _SETS, _FITS * count, others, least=_UNSEEN)
+    search.run()
     found = {}
-    for effect in effects:
-        chosen = [p for p in promises if p.row is not None and p.row.effect == effect.name and math.isfinite(p.log)]
-        rivals = [r for p in chosen[:_TRIED] if p.row for r in refit(p.look.state, p.row, begun, len(effects), _UNSEEN)]
+    for name in (effect.name for effect in effects):
+        # What these pulls do not show may show in those to come: each is fitted.
+        search.fit_effect(name)
+        rivals = [r for r in search.table.full if r.names == (name,) and math.isfinite(r.log)]
         if rivals:
-            rivals += moved(best_first(rivals)[0], begun, len(effects), _UNSEEN)
-            ordered = best_first(rivals)
-            near = {r.anchors: r for r in reversed(ordered) if r.log > ordered[0].log - _NEAR}
-            found[effect.name] = best_first(near.values())[:_KEPT]
+            found[name] = [r for r in rivals if r.log > rivals[0].log - _NEAR][:_KEPT]
     return found

@@ -71,8 +71,8 @@ class HypothesisOdds:
 
     Attributes:
         probabilities: of each; they sum to one.
-        alike: whether effects are ways to write the same, as forms of an energy are: that one of them acts is then one verdict, to
-            which something unknown is the other.
+        alike: whether effects are ways to write the same, as forms of an energy are: that one of them acts, whatever acts besides,
+            is then one verdict, to which a discrepancy alone is the other.
     """
 
     probabilities: dict[Hypothesis, float]
@@ -96,7 +96,7 @@ class HypothesisOdds:
 
     def _told(self, h: Hypothesis) -> str:
         """What a hypothesis has in common with others that count with it."""
-        return "known" if self.alike and h.verdict not in ("none", "unknown") else h.verdict
+        return "known" if self.alike and h.names else h.verdict
 
     def _shares(self, told: Callable[[Hypothesis], str]) -> dict[str, float]:
         """Probability of all hypotheses that are told alike, the likeliest first."""

@@ -1,23 +1,24 @@
 """The posterior: probabilities of hypotheses whose evidences are known at different fidelities.
 
 An evidence is exact where a hypothesis was fitted to all steps. A lower fidelity knows it against a hypothesis k that was, and errs
-by a factor in their difference. The logarithm of the factor is a sum over the T patches and effects in which the two differ, with
-one error for each, shared by all hypotheses with that toggle:
+in their difference: by a factor where that is large, by a few nats where it is small. The error is a sum over the T patches and
+effects in which the two differ, with one term for each, shared by all hypotheses with that toggle:
 
     P(h | d) = E_u [Z_h(u) p(h) / sum_j Z_j(u) p(j)],
-    log Z_h(u) = min(C, l_k + (l_h - l_k) exp(b + s sum_t u_t / sqrt(T))),                                                (2)
+    log Z_h(u) = min(C, l_k + a sinh(arsinh((l_h - l_k) / a) + b + s sum_t u_t / sqrt(T))),                               (2)
 
-where C is the evidence of a hypothesis that explains all. With errors of their own some of thousands of unlikely hypotheses would
-always be drawn as likely. Bias and scale are learned from the pairs of fidelities that a run has, apart for patches and effects and
-for gains and losses: with a normal-inverse-gamma prior b and s u_t have a multivariate Student distribution with four degrees of
-freedom, and one more for each pair (Gelman et al., Bayesian Data Analysis, 3rd ed. 2013, section 14.8).
+where C is the evidence of a hypothesis that explains all. Of a tangent in a few steps l_h is in turn such a sum. With errors of
+their own some of thousands of unlikely hypotheses would always be drawn as likely. Bias and scale are learned from the pairs of
+fidelities that a run has, apart for patches and effects and for gains and losses: with a normal-inverse-gamma prior b and s u_t
+have a multivariate Student distribution with four degrees of freedom, and one more for each pair (Gelman et al., Bayesian Data
+Analysis, 3rd ed. 2013, section 14.8). A pair that misses by more counts less (Lange et al., J. Am. Stat. Assoc. 84, 1989, 881).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -31,8 +32,10 @@ from bcid.inference.priors import PRIORS
 Array = NDArray[np.float64]
 # Exponentials that are computed together, so that memory is bounded.
 _AT_A_TIME = 2_000_000
-# A logarithm of a factor that makes any hypothesis impossible.
+# An error that makes any hypothesis impossible.
 _LARGEST = 50.0
+# Rounds of reweighting, after which the errors of heavy tails change no more.
+_ROUNDS = 10
 
 
 class Fidelity(IntEnum):
@@ -44,7 +47,7 @@ class Fidelity(IntEnum):
 
 
 class Kind(NamedTuple):
-    """What has errors of the same size: toggled patches or effects, at a fidelity, that gain or lose by a tangent."""
+    """What has errors of the same size: toggled patches or effects, at a fidelity, that gain or lose by it."""
 
     fidelity: Fidelity
     effect: bool
@@ -52,28 +55,59 @@ class Kind(NamedTuple):
 
 
 class Toggle(NamedTuple):
-    """A patch or an effect in which two hypotheses differ, at a fidelity below the full one."""
+    """A patch or an effect in which two hypotheses differ, at a fidelity below the full one.
+
+    Attributes:
+        kind, name: which error it has.
+        sign: of the error: of a few steps it is that of adding the patch or effect, -1 where it is taken away.
+    """
 
     kind: Kind
     name: str
+    sign: int = 1
+
+    @property
+    def error(self) -> Toggle:
+        """What stands for its error, whatever the sign."""
+        return self._replace(sign=1)
 
     @property
     def bias(self) -> Toggle:
         """What stands for the error that all of its kind have in common."""
-        return self._replace(name="")
+        return self._replace(name="", sign=1)
 
 
 Toggles = tuple[Toggle, ...]
+# Where each toggle of the pairs of a kind is; mean and scale matrix of their errors; factor of all variances; degrees of freedom.
+_Learned = tuple[dict[Toggle, int], Array, Array, float, float]
 
 
 def toggles(fidelity: Fidelity, one: Hypothesis, other: Hypothesis, gain: float) -> Toggles:
-    """In which a hypothesis differs from another, whose evidence it exceeds by so much in the logarithm; sorted."""
-    # A few steps treat both alike, and which is known against which is a matter of convention.
-    gains = fidelity == Fidelity.TANGENT and gain > 0
-    patches, effects = (Kind(fidelity, effect, gains) for effect in (False, True))
-    found = [Toggle(patches, name) for name in one.anchors ^ other.anchors]
-    found += [Toggle(effects, name) for name in set(one.names) ^ set(other.names)]
-    return tuple(sorted(found))
+    """In which a hypothesis differs from another, whose evidence it exceeds by so much in the logarithm; sorted.
+
+    A tangent is about the other; in a few steps both are known alike, and what one gains the other loses.
+    """
+    names, others = set(one.names), set(other.names)
+    added = {(False, patch) for patch in one.anchors - other.anchors} | {(True, effect) for effect in names - others}
+    taken = {(False, patch) for patch in other.anchors - one.anchors} | {(True, effect) for effect in others - names}
+    alike = fidelity == Fidelity.COARSE
+    # What gains was chosen among many for what it seemed to gain: it has errors of its own.
+    gains = (gain > 0) != (alike and len(taken) > len(added))
+    signs = dict.fromkeys(added, 1) | dict.fromkeys(taken, -1 if alike else 1)
+    return tuple(sorted(Toggle(Kind(fidelity, effect, gains), name, sign) for (effect, name), sign in signs.items()))
+
+
+class FidelityStep(NamedTuple):
+    """From a lower fidelity to a higher one, by a hypothesis that is known at both.
+
+    Attributes:
+        low, high: logarithm of the evidence of that one, at either.
+        toggles: in which it differs from the one that is known at the lower only.
+    """
+
+    low: float
+    high: float
+    toggles: Toggles
 
 
 @dataclass(frozen=True)
@@ -81,16 +115,45 @@ class Evaluation:
     """What is known of a hypothesis.
 
     Attributes:
-        base: logarithm of the evidence of the one that it is known against; its own at the full fidelity.
-        gain: by how much its own exceeds that.
+        start: logarithm of its evidence at the fidelity at which it is known.
         log_prior: logarithm of its prior odds.
-        toggles: in which it differs from that one; none at the full fidelity.
+        steps: from that fidelity to the full one; none where it is known there.
+        about: the hypothesis whose tangent tells of it, if one does.
     """
 
-    base: float
-    gain: float
+    start: float
     log_prior: float
-    toggles: Toggles = ()
+    steps: tuple[FidelityStep, ...] = ()
+    about: Hypothesis | None = None
+
+    @property
+    def log(self) -> float:
+        """Logarithm of its evidence at the full fidelity, as it is expected."""
+        return self._raised(self.start, self.steps)
+
+    @staticmethod
+    def _raised(log: float, steps: Iterable[FidelityStep]) -> float:
+        return log + math.fsum(step.high - step.low for step in steps)
+
+    @property
+    def toggles(self) -> Toggles:
+        """Whose errors it has."""
+        return tuple(toggle for step in self.steps for toggle in step.toggles)
+
+    def order(self, known: Mapping[Hypothesis, float]) -> tuple[bool, float, int]:
+        """The better of two that are known of a hypothesis comes first: without a tangent, or else about what fits best.
+
+        What a tangent says is the more exact the less it leaves to be explained. `known` are logarithms of evidences.
+        """
+        about = self.log
+        if self.about:
+            about = known.get(self.about, self._raised(self.steps[0].high, self.steps[1:]))
+        return self.about is not None, -about, len(self.toggles)
+
+    def at_most(self, log: float) -> Evaluation:
+        """The same with no more evidence."""
+        *steps, last = self.steps
+        return replace(self, steps=(*steps, last._replace(high=last.high - max(self.log - log, 0.0))))
 
 
 @dataclass(frozen=True)
@@ -113,9 +176,12 @@ class Pair:
 
     @property
     def miss(self) -> float:
-        """Logarithm of the factor by which the difference was wrong; where it has the other sign, nothing was left of it."""
-        low, high = (float(_apart(np.array(gain))) for gain in (self.low, self.high))
-        return math.log(high / low) if high * low > 0 else -math.log(abs(low))
+        """The error of the difference, see equation (2).
+
+        Of a gain that turned into a loss nothing was left: that fit may have failed.
+        """
+        high = max(self.high, 0.0) if self.low > 0 else self.high
+        return float(np.arcsinh(high / PRIORS.error_nats) - np.arcsinh(self.low / PRIORS.error_nats))
 
 
 class Posterior:
@@ -133,7 +199,7 @@ class Posterior:
         self.evaluations = dict(evaluations)
         self.pairs = [pair for pair in pairs if pair.toggles and math.isfinite(pair.low + pair.high)]
         self.ceiling = ceiling
-        self._learned: dict[tuple[Kind, Toggles], tuple[Array, Array, float]] = {}
+        self._learned: dict[Kind, _Learned] = {}
 
     def probabilities(self) -> dict[Hypothesis, float]:
         """Of each hypothesis, the most probable first; they sum to one."""
@@ -141,12 +207,16 @@ class Posterior:
             return {}
         known = list(self.evaluations.values())
         every = _with_biases(toggle for one in known for toggle in one.toggles)
-        base, gain, prior = (np.array([getattr(one, name) for one in known]) for name in ("base", "gain", "log_prior"))
-        weights, exact = _weights([one.toggles for one in known], every), np.array([not one.toggles for one in known])
+        start, prior = np.array([one.start for one in known]), np.array([one.log_prior for one in known])
         errors, shares = self.errors(every), np.zeros(len(known))
+        steps = [_step(known, k, every) for k in range(max(len(one.steps) for one in known))]
+        exact = np.array([not one.steps for one in known])
         for part in np.array_split(errors, math.ceil(len(errors) * len(known) / _AT_A_TIME)):
-            drawn = base + _apart(gain) * np.exp(np.minimum(part @ weights.T, _LARGEST))
-            logs = np.where(exact, base + gain, np.minimum(drawn, self.ceiling))
+            logs: Array = np.repeat(start[None], len(part), axis=0)
+            for low, high, weights in steps:
+                missed = with_error(logs - low, part @ weights.T)
+                logs = high + np.where(weights.any(axis=1), missed, logs - low)
+            logs = np.where(exact, start, np.minimum(logs, self.ceiling))
             shares += np.sum(softmax(logs + prior, axis=1), axis=0)
         found = {h: float(share) / len(errors) for h, share in zip(self.evaluations, shares, strict=True)}
         return dict(sorted(found.items(), key=lambda item: (-item[1], item[0].order)))
@@ -167,6 +237,12 @@ class Posterior:
         mixing = np.sqrt(freedom / generator.chisquare(freedom, (PRIORS.draws, 1)))
         return np.asarray(mean + mixing * (normal @ root.T))
 
+    def expected(self, some: Toggles) -> float:
+        """The error of the difference of two hypotheses that is expected after the pairs."""
+        every = tuple(_with_biases(some))
+        means = np.array([self.learned(toggle.kind, (toggle,))[0][0] for toggle in every])
+        return float(np.sum(_weights([some], every) @ means)) if every else 0.0
+
     def learned(self, kind: Kind, wanted: Toggles) -> tuple[Array, Array, float]:
         """Of the errors of toggles of a kind, given its pairs.
 
@@ -174,50 +250,67 @@ class Posterior:
             Their mean, shape (k,), a root of their scale matrix, (k, k), and their degrees of freedom. Of a pair with toggles of
             several kinds the error is taken to be that of the lowest fidelity, and of effects before patches.
         """
-        key = kind, wanted
-        if key not in self._learned:
-            self._learned[key] = self._learn(kind, wanted)
-        return self._learned[key]
+        if kind not in self._learned:
+            self._learned[kind] = self._learn(kind)
+        known, means, covariances, surprise, freedom = self._learned[kind]
+        # What no pair tells has the prior, but for the scale that all of its kind have.
+        mean, covariance = (
+            np.zeros(len(wanted)),
+            surprise * _scale(kind) ** 2 * np.eye(len(wanted)),
+        )
+        here = [k for k, toggle in enumerate(wanted) if toggle in known]
+        there = [known[wanted[k]] for k in here]
+        mean[here], covariance[np.ix_(here, here)] = means[there], covariances[np.ix_(there, there)]
+        values, vectors = np.linalg.eigh(covariance)
+        return mean, vectors * np.sqrt(np.maximum(values, 0.0)), freedom
 
-    def _learn(self, kind: Kind, wanted: Toggles) -> tuple[Array, Array, float]:
+    def _learn(self, kind: Kind) -> _Learned:
+        """Of the toggles of the pairs of a kind."""
         pairs = [pair for pair in self.pairs if pair.kind == kind]
         own = [tuple(toggle for toggle in pair.toggles if toggle.kind == kind) for pair in pairs]
-        every = _with_biases([*wanted, *(toggle for some in own for toggle in some)])
-        scale = PRIORS.fidelity_error[kind.fidelity]
-        covariance = scale**2 * np.eye(len(every))
-        mean, freedom = np.zeros(len(every)), PRIORS.error_freedom
+        every = _with_biases(toggle for some in own for toggle in some)
+        scale, freedom, surprise = _scale(kind), PRIORS.error_freedom, 1.0
+        mean, covariance = np.zeros(len(every)), scale**2 * np.eye(len(every))
         if pairs:
             design, misses = _weights(own, every), np.array([pair.miss for pair in pairs])
-            # What toggles do together is as uncertain as what each does.
-            expected = design @ covariance @ design.T + scale**2 * np.eye(len(pairs))
-            gain = np.linalg.solve(expected, design @ covariance).T
-            surprise = float(misses @ np.linalg.solve(expected, misses))
-            mean, covariance = gain @ misses, covariance - gain @ design @ covariance
-            covariance *= (freedom + surprise) / (freedom + len(pairs))
+            prior, weights = covariance, np.ones(len(pairs))
+            for _ in range(_ROUNDS):
+                # What toggles do together is as uncertain as what each does, and has as heavy tails.
+                expected = design @ prior @ design.T + scale**2 * np.diag(1 / weights)
+                gain = np.linalg.solve(expected, design @ prior).T
+                squares = float(misses @ np.linalg.solve(expected, misses))
+                surprise, mean = (freedom + squares) / (freedom + len(pairs)), gain @ misses
+                apart = (misses - design @ mean) ** 2 / (surprise * scale**2)
+                weights = (freedom + 1) / (freedom + apart)
+            covariance = surprise * (prior - gain @ design @ prior)
             freedom += len(pairs)
-        at = [every.index(t) for t in wanted]
-        values, vectors = np.linalg.eigh(covariance[np.ix_(at, at)])
-        return mean[at], vectors * np.sqrt(np.maximum(values, 0.0)), freedom
-
-    def variance(self, one: Evaluation) -> float:
-        """Of the error of an evidence, as a square of scales: by it two ways to know the same are compared."""
-        total, every = 0.0, _with_biases(one.toggles)
-        weights = _weights([one.toggles], every)[0]
-        for kind in sorted({toggle.kind for toggle in every}):
-            own = [k for k, toggle in enumerate(every) if toggle.kind == kind]
-            total += float(np.sum((self.learned(kind, tuple(every[k] for k in own))[1].T @ weights[own]) ** 2))
-        return total * float(_apart(np.array(one.gain))) ** 2
+        return {toggle: k for k, toggle in enumerate(every)}, mean, covariance, surprise, freedom
 
 
-def _apart(gains: Array) -> Array:
-    """Differences of evidences, at least one either way: by that the same hypothesis differs from itself by chance."""
-    return np.asarray(np.where(gains > 0, 1.0, -1.0) * np.maximum(np.abs(gains), 1.0))
+def _scale(kind: Kind) -> float:
+    """Of errors of a kind before any pair."""
+    patches, effects, coarse = PRIORS.fidelity_error
+    return coarse if kind.fidelity == Fidelity.COARSE else effects if kind.effect else patches
+
+
+def with_error(gains: Array, errors: Array) -> Array:
+    """Differences of log evidences with errors, see equation (2); elementwise."""
+    sizes = np.arcsinh(gains / PRIORS.error_nats) + np.clip(errors, -_LARGEST, _LARGEST)
+    return np.asarray(PRIORS.error_nats * np.sinh(np.clip(sizes, -_LARGEST, _LARGEST)))
+
+
+def _step(known: Sequence[Evaluation], number: int, every: Sequence[Toggle]) -> tuple[Array, Array, Array]:
+    """Of each evaluation the step of a number, or none: low and high, (k,), and weights of the errors of toggles, (k, toggles)."""
+    nothing = FidelityStep(0.0, 0.0, ())
+    steps = [one.steps[number] if number < len(one.steps) else nothing for one in known]
+    low, high = np.array([step.low for step in steps]), np.array([step.high for step in steps])
+    return low, high, _weights([step.toggles for step in steps], every)
 
 
 def _with_biases(some: Iterable[Toggle]) -> list[Toggle]:
-    """Toggles and what stands for their biases, sorted."""
+    """What stands for the errors of toggles and for their biases, sorted."""
     found = set(some)
-    return sorted(found | {toggle.bias for toggle in found})
+    return sorted({toggle.error for toggle in found} | {toggle.bias for toggle in found})
 
 
 def _weights(hypotheses: Sequence[Toggles], every: Sequence[Toggle]) -> Array:
@@ -226,6 +319,6 @@ def _weights(hypotheses: Sequence[Toggles], every: Sequence[Toggle]) -> Array:
     found = np.zeros((len(hypotheses), len(every)))
     for row, some in zip(found, hypotheses, strict=True):
         for toggle in some:
-            row[at[toggle]] = 1 / math.sqrt(len(some))
-            row[at[toggle.bias]] = 1.0
+            row[at[toggle.error]] = toggle.sign / math.sqrt(len(some))
+            row[at[toggle.bias]] += toggle.sign / sum(other.kind == toggle.kind for other in some)
     return found

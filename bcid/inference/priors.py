@@ -22,8 +22,9 @@ class Priors:
         force, change_point, response: probability of each kind of discrepancy: a smooth force or growth, a force at one place
             from one frame on, and a misfit in observation space. They also stand for effects that no search came upon.
         missing: probability of a discrepancy of a model whose anchors alone are asked for: as likely as not.
-        fidelity_error: scale of the error in the logarithm of a difference of log evidences, per toggled patch or effect, where a
-            tangent or a few steps tell it, before a run has any pair of fidelities.
+        fidelity_error: scale of the error of a difference of log evidences, as a logarithm of a factor, before a run has any pair
+            of fidelities: of a toggled patch by a tangent, of an effect by a tangent, and of either in a few steps.
+        error_nats: the difference below which that error is one of so many nats, no factor.
         error_freedom: degrees of freedom of the Student distribution of these errors, before any pair.
         draws: of them.
         tangent_error: standard deviation of the error of a movement that the tangent of another set predicts, as a part of it: of a
@@ -51,7 +52,8 @@ class Priors:
     change_point: float = 0.05
     response: float = 0.05
     missing: float = 0.5
-    fidelity_error: tuple[float, float] = (0.5, 0.3)
+    fidelity_error: tuple[float, float, float] = (0.5, 0.2, 0.3)
+    error_nats: float = 3.0
     error_freedom: float = 4.0
     draws: int = 4096
     tangent_error: tuple[float, float] = (0.1, 0.5)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError
 from bcid.comparison.candidates import StandIn, Start
-from bcid.comparison.contest import at_a_glance
-from bcid.comparison.hypothesis_search import HypothesisSearch
+from bcid.comparison.coarse_search import CoarseSearch
+from bcid.comparison.few_steps import in_few_steps
 from bcid.comparison.ranking import Row, best_row, orthonormal, present_columns
 from bcid.comparison.state import State
 from bcid.comparison.variants import Variant, amounts
@@ -226,9 +226,9 @@ def _others(state: State, begun: Model, sets: Sequence[Anchored]) -> list[State]
     """
     if not sets:
         return []
-    likely = at_a_glance(state, lambda thin: HypothesisSearch(thin, begun, (), _WIDENED).widened(sets))
+    likely = CoarseSearch(in_few_steps(state), begun, sets=_WIDENED, starts=sets).run().full
     found = []
-    for anchors in [s for s in likely if s != state.anchors][: _SETS - 1]:
+    for anchors in [r.anchors for r in likely if r.anchors != state.anchors][: _SETS - 1]:
         with suppress(SolveError):
             found.append(state.of_set(anchors))
     return found

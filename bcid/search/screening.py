@@ -15,7 +15,7 @@ from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
 from bcid.inference.mesh_error import gain
 from bcid.inference.misfit import Misfit
 from bcid.inference.outcome import Candidate, Evaluated, Outcome
-from bcid.inference.posterior import Evaluation, Fidelity, Pair, Posterior, toggles
+from bcid.inference.posterior import Evaluation, Fidelity, FidelityStep, Pair, Posterior, toggles
 from bcid.search.set_evidence import SetEvidence
 
 # Odds from which on two sets count as told apart.
@@ -46,13 +46,13 @@ def screened(
         c: min(log_odds(o, evaluated.outcomes[o.level, best], evaluated.misfit, errors[o.level]), least)
         for c, o in finest(evaluated, max(errors)).items()
     }
-    known = {Hypothesis(c): Evaluation(log, 0.0, 0.0) for c, log in (bounds | dict(weighed.finely)).items()}
+    known = {Hypothesis(c): Evaluation(log, 0.0) for c, log in (bounds | dict(weighed.finely)).items()}
     pairs = []
     for c, log in weighed.coarsely.items():
         changed = toggles(Fidelity.COARSE, Hypothesis(c), Hypothesis(weighed.top), log)
         base = weighed.finely[weighed.top]
         if c not in weighed.finely:
-            known[Hypothesis(c)] = Evaluation(base, log, 0.0, changed)
+            known[Hypothesis(c)] = Evaluation(log, 0.0, (FidelityStep(0.0, base, changed),))
         else:
             pairs.append(Pair(changed, log, weighed.finely[c] - base))
     return HypothesisOdds(Posterior(known, pairs).probabilities())

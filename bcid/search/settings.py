@@ -10,7 +10,9 @@ class SearchSettings:
     """How far a search over hypotheses goes; differences are of logarithms of evidence and prior.
 
     Attributes:
-        negligible: a hypothesis is fitted to all steps while the Brier score of the answer may fall by more than this once it is.
+        negligible: a hypothesis is evaluated while the Brier score of the answer may fall by more than this times its cost once it
+            is; a fit to all steps costs one.
+        cost_of_coarse_fit, cost_of_set: what a fit to a few steps costs, and a prediction of a set in them.
         fits: hypotheses that are fitted to all steps for each set of effects that further ones are sought beside, at most; and as
             many that cannot be followed.
         comparable: what is no more below the best than this is as likely as far as a tangent or a few steps tell.
@@ -23,13 +25,12 @@ class SearchSettings:
         recovered_sets: of those that cannot be followed in a few steps so many are tried in all.
         few_patches: with no more than these all sets are compared by a cheap tangent, and those that differ by three by any.
         loosened_patches: with no more than these all sets are compared whose anchors give or come off.
-        loosened_sets: sets that are predicted because they fit best when an anchor gives or comes off.
-        sensitive_sets: sets with sensitivities to effects of their own.
-        moves, moved_sets: a fitted effect is moved to other sets so often, each time with so many predicted.
         settling: predictions for which a fit that has not come to an end goes on.
     """
 
     negligible: float = 0.05
+    cost_of_coarse_fit: float = 0.25
+    cost_of_set: float = 0.07
     fits: int = 6
     comparable: float = 3.0
     unlikely: float = 12.0
@@ -41,10 +42,6 @@ class SearchSettings:
     recovered_sets: int = 2
     few_patches: int = 10
     loosened_patches: int = 8
-    loosened_sets: int = 2
-    sensitive_sets: int = 5
-    moves: int = 4
-    moved_sets: int = 5
     settling: int = 16
 
 

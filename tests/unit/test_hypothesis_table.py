@@ -11,17 +11,11 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from bcid.base.progress import Silent
-from bcid.comparison import contest, hypothesis_search, rivals
-from bcid.comparison.contest import Contest, _in_turn, _with_own_mesh, refitted
+from bcid.comparison import rivals
 from bcid.comparison.diagnosis_text import _alone, _begins, _called, _look
 from bcid.comparison.explanation import Explanation
-from bcid.comparison.hypothesis_search import HypothesisSearch, Look, Promised
-from bcid.comparison.hypothesis_table import HypothesisTable
-from bcid.comparison.loosened import Loosened
-from bcid.comparison.ranking import Ranking
+from bcid.comparison.hypothesis_table import HypothesisTable, TangentEvidence
 from bcid.comparison.rivals import Rival
-from bcid.forms import effects
 from bcid.forms.model import Term
 from bcid.inference.criteria import FAILS_FOR_THE_TRUE
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
@@ -45,6 +39,11 @@ def rival(
     errors_of = {term.full(name): stderr for term in terms for name in term.values}
     fitted = SimpleNamespace(state=state, coordinates=names, stderr=errors_of)
     return Rival(names, cast("Any", fitted), Evidence(evidence, evidence - 50, 1.0), 20)
+
+
+def stage(rough: list[Rival], tangents: dict[Hypothesis, TangentEvidence] | None = None) -> HypothesisTable:
+    """What was evaluated in a few steps."""
+    return HypothesisTable(own=rough, full=rough, tangents=tangents or {})
 
 
 SOFT = (Term("soft_anchor", {"stiffness": 5e4}, place="1"),)
@@ -126,13 +125,12 @@ def test_changes_uncertain_hypothesis_is_worth_an_evaluation() -> None:
     """As much as whether it is true varies; one where it is the most probable; none where it was refused."""
     full = [rival((), "1", 100), rival((), "2", 98)]
     rough = [rival((), "1", 40), rival(("gravity",), "1", 43), rival(("fibres",), "1", -400)]
-    table = HypothesisTable(own=full, full=full, coarse=[Contest(rough, {})])
+    table = HypothesisTable(own=full, full=full, coarse=[stage(rough)])
     found = table.changes()
     assert set(found) == {less("1", "gravity"), less("1", "fibres")}
-    assert 1e-3 < found[less("1", "gravity")] < 0.25
-    assert found[less("1", "fibres")] < 1e-4
+    assert found[less("1", "fibres")] < 1e-3 < found[less("1", "gravity")] < 0.25
     rough[1] = rival(("gravity",), "1", 60)
-    likely = HypothesisTable(own=full, full=full, coarse=[Contest(rough, {})])
+    likely = HypothesisTable(own=full, full=full, coarse=[stage(rough)])
     assert likely.changes()[less("1", "gravity")] == 1.0
     likely.refuse(less("1", "gravity"))
     assert less("1", "gravity") not in likely.changes()
@@ -156,35 +154,71 @@ def test_sets_below_the_best_by_its_tangent_are_nearly_excluded() -> None:
 
 
 def test_hypotheses_of_a_few_steps_keep_their_distance_from_the_nearest_of_all_steps() -> None:
+    """What a tangent of these says of others as well, about the hypothesis whose tangent it is."""
     base, rough = rival((), "1", 100), [rival((), "1", 40), rival((), "12", 37), rival(("gravity",), "1", 38)]
-    promised = Promised(less("12", "gravity"), less("12"), 39.0, log_prior(1, False, 20))
-    table = HypothesisTable(own=[base], full=[base], coarse=[Contest(rough, {promised.hypothesis: promised})])
-    found = table.posterior().evaluations
-    assert {h.label("12"): round(one.gain, 3) for h, one in found.items() if not h.unknown} == {
-        "{1}": 0.0,
-        "{1 2}": -3.0,
-        "{1} + gravity": -2.0,
-        "{1 2} + gravity": -1.0,
+    tangents = {less("12"): TangentEvidence(effects={"gravity": 39.0}, known=20)}
+    table = HypothesisTable(own=[base], full=[base], coarse=[stage(rough, tangents)])
+    found, steady = table.posterior().evaluations, less("12", "gravity")
+    assert {h.label("12"): round(one.log, 3) for h, one in found.items() if not h.unknown} == {
+        "{1}": 100.0,
+        "{1 2}": 97.0,
+        "{1} + gravity": 98.0,
+        "{1 2} + gravity": 99.0,
     }
-    assert {one.base for one in found.values() if one.toggles} == {100.0}
-    assert len(found[promised.hypothesis].toggles) == 2
+    # The error of the tangent is one of the few steps, and that of these one of both.
+    assert [(round(one.low, 3), round(one.high, 3)) for one in found[steady].steps] == [(37.0, 37.0), (40.0, 100.0)]
+    assert (found[steady].about, len(found[steady].toggles)) == (less("12"), 3)
     # That a hypothesis cannot be followed to the end says little against it, and nothing for it.
     before = found[less("12")]
     table.refuse(less("12"))
     refused = table.posterior().evaluations[less("12")]
-    assert refused.gain == before.gain
+    assert refused.log == before.log
     assert refused.log_prior == pytest.approx(before.log_prior + math.log((FAILS_FOR_THE_TRUE + 1) / 3))
     assert less("12") not in table.changes()
-    table.refuse(promised.hypothesis)
-    table.coarse = [Contest(rough, {promised.hypothesis: replace(promised, log=400.0)})]
-    assert table.posterior().evaluations[promised.hypothesis].gain == 0.0
+    likely = {less("12"): TangentEvidence(effects={"gravity": 400.0}, known=20)}
+    table = HypothesisTable(own=[base], full=[base], coarse=[stage(rough, likely)])
+    assert table.posterior().evaluations[steady].log == pytest.approx(460.0)
+    table.refuse(steady)
+    assert table.posterior().evaluations[steady].log == pytest.approx(100.0)
+
+
+def test_the_tangent_of_a_hypothesis_says_nothing_of_other_effects() -> None:
+    """A set that fits better without an effect may fit worse with it."""
+    full = [rival(("gravity",), "1", 100), rival((), "1", 10)]
+    table = HypothesisTable(own=full, full=full)
+    table.add_sets(full[1], {frozenset("1"): Evidence(10.0, 5.0, 1.0), frozenset("2"): Evidence(40.0, 5.0, 1.0)})
+    assert less("2") in table.posterior().evaluations
+    assert less("2", "gravity") not in table.posterior().evaluations
+    # What gives or comes off is known about the same hypothesis.
+    table.add_springs(full[1], {less("2", "soft_anchor"): 30.0})
+    found = table.posterior().evaluations[less("2", "soft_anchor")]
+    assert (found.log, found.about) == (30.0, less("1"))
+    assert found.log_prior == log_prior(1, False, 20)
+
+
+def test_what_a_tangent_missed_tells_how_much_others_are_worth() -> None:
+    base, rough = rival((), "1", 100), [rival((), "1", 40), rival((), "12", 40), rival((), "13", 40)]
+    tangents = {less(s): TangentEvidence(effects={"fibres": 70.0}, known=20) for s in ("12", "13")}
+    full = [base, rival((), "12", 100), rival(("fibres",), "12", 98)]
+    before, after = (HypothesisTable(own=some, full=some, coarse=[stage(rough, tangents)]) for some in (full[:2], full))
+    assert (30.0, -2.0) in [(pair.low, pair.high) for pair in after.posterior().pairs]
+    assert before.odds.acting("fibres") > 0.9 > after.odds.acting("fibres")
+
+
+def test_what_a_few_steps_missed_of_a_set_says_nothing_of_an_effect_on_another() -> None:
+    """An effect that neither its tangent nor a fit to all steps shows was not missed by the tangent."""
+    base, rough = rival((), "1", 100), [rival((), "1", 40), rival((), "2", 39)]
+    tangents = {less("1"): TangentEvidence(effects={"fibres": 38.0}, known=20)}
+    full = [base, rival((), "2", 10), rival(("fibres",), "1", 99.5)]
+    pairs = HypothesisTable(own=full, full=full, coarse=[stage(rough, tangents)]).posterior().pairs
+    assert [(pair.low, round(pair.high, 3)) for pair in pairs] == [(-1.0, -90.0), (-2.0, -0.5)]
 
 
 def test_odds_follow_whatever_comes_to_be_known() -> None:
     base = rival((), "1", 100)
     table = HypothesisTable(own=[base], full=[base])
     seen = [table.odds.probabilities]
-    table.add_stage(Contest([rival((), "1", 40), rival((), "12", 39)], {}))
+    table.add_stage(stage([rival((), "1", 40), rival((), "12", 39)]))
     seen.append(table.odds.probabilities)
     table.add_sets(base, {base.anchors: Evidence(100.0, 50.0, 1.0), frozenset("13"): Evidence(99.0, 50.0, 1.0)})
     seen.append(table.odds.probabilities)
@@ -192,18 +226,6 @@ def test_odds_follow_whatever_comes_to_be_known() -> None:
     seen.append(table.odds.probabilities)
     assert all(before != after for before, after in pairwise(seen))
     assert table.odds is table.odds
-
-
-def test_promises_that_were_fitted_tell_how_much_others_are_worth() -> None:
-    base, rough = rival((), "1", 100), [rival((), "1", 40), rival((), "12", 40), rival((), "13", 40)]
-    promised = [
-        Promised(less(anchors, "fibres"), less(anchors), 70.0, log_prior(1, False, 20)) for anchors in ("12", "13")
-    ]
-    stage = Contest(rough, {one.hypothesis: one for one in promised})
-    full = [base, rival(("fibres",), "12", 98)]
-    before, after = (HypothesisTable(own=some, full=some, coarse=[stage]) for some in ([base], full))
-    assert [(pair.low, pair.high) for pair in after.posterior().pairs] == [(30.0, -2.0)]
-    assert before.odds.acting("fibres") > 0.9 > after.odds.acting("fibres")
 
 
 def test_of_an_effect_it_is_told_how_probable_it_is_whatever_else_acts() -> None:
@@ -247,76 +269,6 @@ def test_by_when_something_unknown_has_begun_is_told_where_that_is_the_likeliest
 PLAIN: Any = SimpleNamespace(terms=(), added=lambda _: [])
 
 
-def promise(anchors: str, effect: str, log: float, gain: float = 0.0, forced: float = 0.0) -> Any:
-    """What sensitivities promise of an effect with a set; of the set alone without an effect."""
-    evidence = SimpleNamespace(plain=0.0, forced=forced)
-    row = SimpleNamespace(effect=effect, gain=gain, term=Term("gravity", {"weight": 1.0})) if effect else None
-    predictor = SimpleNamespace(progress=Silent(), data=())
-    state = SimpleNamespace(anchors=frozenset(anchors), predictor=predictor, model=PLAIN)
-    state.with_own_errors = lambda: state
-    look = SimpleNamespace(evidence=evidence, state=state)
-    return SimpleNamespace(anchors=frozenset(anchors), row=row, log=log, look=look, evidence=log, log_prior=0.0)
-
-
-@pytest.mark.parametrize(("forced", "second"), [(200.0, ("346", "foundation")), (-5.0, ("123568", "fibres"))])
-def test_what_explains_most_on_the_likeliest_set_is_fitted_second(forced: float, second: tuple[str, str]) -> None:
-    """Where something unknown acts with that: other sets may promise more that only seem to hold the body."""
-    promises = [
-        promise("123568", "release", 400.0, 300.0),
-        promise("123568", "fibres", 300.0, 90.0),
-        promise("346", "", 200.0, forced=forced),
-        promise("346", "fibres", 70.0, 60.0),
-        promise("346", "foundation", 69.0, 80.0),
-        promise("123568", "", 60.0),
-        promise("123568", "foundation", 50.0, 8.0),
-    ]
-    turns = [("".join(sorted(p.anchors)), p.row.effect) for p in _in_turn(promises, {}) if p.row]
-    assert turns[:2] == [("123568", "release"), second]
-    # What promises most anyway keeps the set with which it does.
-    promises.insert(0, promise("123568", "foundation", 500.0, 8.0))
-    turns = [("".join(sorted(p.anchors)), p.row.effect) for p in _in_turn(promises, {}) if p.row]
-    assert turns[:2] == [("123568", "foundation"), ("123568", "release")]
-
-
-def refits(
-    monkeypatch: pytest.MonkeyPatch, fits: dict[tuple[str, str], float], unlikely: float
-) -> list[tuple[str, str]]:
-    """What is refitted from here on, in order: sets and effects that have these evidences then."""
-    asked: list[tuple[str, str]] = []
-
-    def fitted(state: Any, row: Any, *_: object) -> list[Rival]:
-        asked.append(("".join(sorted(state.anchors)), row.effect))
-        return [rival((row.effect,), asked[-1][0], fits[asked[-1]])]
-
-    monkeypatch.setattr(contest, "refit", fitted)
-    monkeypatch.setattr(contest, "moved", lambda *_: [])
-    monkeypatch.setattr(contest, "_unlikely", lambda _: unlikely)
-    monkeypatch.setattr(contest, "_with_own_mesh", lambda rivals, _: rivals)
-    return asked
-
-
-def test_an_effect_that_loses_is_tried_on_the_set_that_it_loses_to(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its sensitivities may promise most of it where it does not act."""
-    fits = {
-        ("147", "inclusion"): 310.0,
-        ("127", "gradient"): 200.0,
-        ("147", "gradient"): 320.0,
-        ("147", "fibres"): 100.0,
-    }
-    asked = refits(monkeypatch, fits, 400.0)
-    promises = [
-        promise("147", "inclusion", 300.0, 90.0),
-        promise("127", "gradient", 190.0, 80.0),
-        promise("147", "fibres", 110.0, 70.0),
-        promise("127", "fibres", 90.0, 60.0),
-        promise("147", "gradient", 80.0, 50.0),
-        promise("147", "", 0.0, forced=-5.0),
-    ]
-    found = refitted(promises, PLAIN, 3, 5)
-    assert asked == [("147", "inclusion"), ("127", "gradient"), ("147", "gradient"), ("147", "fibres")]
-    assert (found.rivals[0].names, found.rivals[0].anchors) == (("gradient",), frozenset("147"))
-
-
 def test_what_is_weighed_once_is_not_weighed_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """Unless another error of the mesh is the largest: then all are."""
     asked = []
@@ -336,85 +288,6 @@ def test_what_is_weighed_once_is_not_weighed_again(monkeypatch: pytest.MonkeyPat
     compared.add([third], begun)
     assert sorted(asked[2:]) == ["1", "2", "3"]
     assert {r.anchors for r in compared.full} == {frozenset(name) for name in "123"}
-
-
-def test_what_promised_as_much_may_do_better_than_it_promised_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What promises less than the best did by more than it was off is not fitted."""
-    fits = {("7", "compressibility"): 320.0, ("7", "viscosity"): 330.0}
-    asked = refits(monkeypatch, fits, 3.0)
-    promises = [
-        promise("7", "compressibility", 300.0, 33.0),
-        promise("7", "viscosity", 298.0, 31.0),
-        promise("7", "fibres", 260.0, 3.0),
-        promise("7", "", 0.0, forced=-5.0),
-    ]
-    found = refitted(promises, PLAIN, 3, 5)
-    assert asked == [("7", "compressibility"), ("7", "viscosity")]
-    assert found.rivals[0].names == ("viscosity",)
-
-
-@pytest.mark.parametrize(("forced", "last"), [(20.0, ["swelling", "gravity"]), (-20.0, [])])
-def test_where_nothing_fitted_explains_all_others_are_tried_in_part(
-    monkeypatch: pytest.MonkeyPatch, forced: float, last: list[str]
-) -> None:
-    """What is likelier than the best then is fitted, the likeliest first; nothing where something fitted explains all."""
-    fits = {("7", name): 90.0 for name in ("release", "swelling", "gravity")}
-    in_part = {"swelling": 150.0, "gravity": 140.0, "fibres": 100.0}
-    asked = refits(monkeypatch, fits, 3.0)
-    monkeypatch.setattr(contest, "_log_in_part", lambda promise, *_: in_part[promise.row.effect])
-    best = replace(rival((), "7", 110.0), evidence=Evidence(110.0, 110.0 + forced, 1.0))
-    monkeypatch.setattr(contest, "best_first", lambda _: [best])
-    promises = [
-        promise("7", "release", 300.0, 250.0),
-        promise("7", "gravity", 60.0, 10.0),
-        promise("7", "swelling", 50.0, 5.0),
-        promise("7", "fibres", 49.0, 4.0),
-        promise("7", "tether", -math.inf, -math.inf),
-        promise("7", "", 100.0, forced=forced),
-        promise("8", "swelling", 40.0, 3.0),
-    ]
-    refitted(promises, PLAIN, 5, 1)
-    assert asked == [("7", name) for name in ["release", *last]]
-
-
-def test_effects_are_compared_with_the_error_of_the_mesh_that_each_has(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a coarse mesh that of the plain model may make a wrong one fit best."""
-    gains, asked = {"inclusion": 40.0, "gradient": 70.0, "fibres": 5.0, "swelling": 500.0}, []
-
-    def own(one: Rival, _: object) -> Rival:
-        asked.append(one.effect)
-        return one.gaining(gains[one.effect], gains[one.effect])
-
-    monkeypatch.setattr(contest, "with_own_mesh", own)
-    rivals = [
-        rival((), "12", 150, mesh=0.6),
-        rival(("inclusion",), "1", 200, mesh=0.6),
-        rival(("inclusion",), "2", 198, mesh=0.6),
-        rival(("gradient",), "1", 185, mesh=0.6),
-        rival(("fibres",), "1", 175, mesh=0.6),
-        rival(("swelling",), "1", 174, mesh=0.6),
-    ]
-    found = {(r.names[-1:], "".join(sorted(r.anchors))): r.evidence.plain for r in _with_own_mesh(rivals, PLAIN)}
-    # Beside one that does not catch up the others are not asked: they were less likely before.
-    assert asked == ["inclusion", "gradient", "fibres"]
-    assert found == {
-        ((), "12"): 150,
-        (("inclusion",), "1"): 240,
-        (("inclusion",), "2"): 238,
-        (("gradient",), "1"): 255,
-        (("fibres",), "1"): 180,
-        (("swelling",), "1"): 174,
-    }
-    # What loses by it is not compared with others that were not asked.
-    gains |= {"inclusion": -30.0, "gradient": -20.0}
-    asked.clear()
-    _with_own_mesh(rivals, PLAIN)
-    assert asked == ["inclusion", "gradient", "fibres", "swelling"]
-    # What is alone is not asked, nor where the mesh leaves little.
-    asked.clear()
-    _with_own_mesh(rivals[:3], PLAIN)
-    _with_own_mesh([rival((name,), "1", 100, mesh=0.4) for name in ("inclusion", "gradient")], PLAIN)
-    assert asked == []
 
 
 def test_what_cannot_be_followed_is_not_asked_for_again() -> None:
@@ -448,38 +321,6 @@ def test_all_hypotheses_are_compared_with_one_error_of_the_mesh(monkeypatch: pyt
     found = one.allowing(cast("Any", 1.0), PLAIN)
     assert (found.evidence.plain, found.evidence.forced) == (400.0, 20.0)
     assert found.judged is wide
-
-
-def test_every_set_that_may_give_counts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not only those that fit best: a patch that hardly holds may be any of several."""
-    soft, about = effects.effect("soft_anchor"), frozenset("1")
-    ways = {"12": [-1.0, -1.0], "13": [-2.0], "14": [-3.0], "15": [-9.0]}
-    loose = [
-        Loosened(frozenset(s), Term(soft, {"stiffness": 4e4}, place=s[1]), np.zeros(0), -gain, gain)
-        for s, gains in ways.items()
-        for gain in gains
-    ]
-    monkeypatch.setattr(hypothesis_search, "loosened", lambda *_: loose)
-    predictor = SimpleNamespace(scene=SimpleNamespace(patches=dict.fromkeys("12345")), thin=True)
-    state: Any = SimpleNamespace(anchors=about, predictor=predictor, model=PLAIN)
-    search = HypothesisSearch(state, PLAIN, [soft], 5, among=20)
-    search.looks[about] = Look(state, Evidence(50.0, 40.0, 1.0), Ranking(()))
-    monkeypatch.setattr(search, "_look", lambda s: search.looks.setdefault(s, None))
-    search._loosen(about)
-    expected = {less(s, "soft_anchor"): 50 + math.log(sum(map(math.exp, gains))) for s, gains in ways.items()}
-    found = search.giving()
-    assert {h: one.log for h, one in found.items()} == pytest.approx(expected)
-    assert {one.log_prior for one in found.values()} == {log_prior(1, False, 20)}
-    # They are told beside what was fitted, unless that is how anchors give.
-    monkeypatch.setattr(contest, "at_a_glance", lambda base, work: work(base))
-    monkeypatch.setattr(contest, "HypothesisSearch", lambda *_, **__: search)
-    monkeypatch.setattr(search, "run", lambda _: [])
-    gravity = Promised(less("1", "gravity"), less("1"), 1.0, 0.0)
-    for name, wanted in (("fibres", set(expected)), ("soft_anchor", set())):
-        told = Contest([rival((name,), "12", 60.0)], {gravity.hypothesis: gravity})
-        monkeypatch.setattr(contest, "refitted", lambda *_, told=told, **__: told)
-        promised = contest.contest(state, PLAIN, [soft], [], 5, 5).promised
-        assert set(promised) == wanted | {less("1", "gravity")}
 
 
 def test_something_unknown_is_told_beside_the_effects_that_it_acts_with() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -12,19 +13,32 @@ from scipy.special import expit
 from scipy.stats import t as student
 
 from bcid.inference.hypotheses import Hypothesis
-from bcid.inference.posterior import Evaluation, Fidelity, Kind, Pair, Posterior, Toggle, toggles
+from bcid.inference.posterior import Evaluation, Fidelity, FidelityStep, Kind, Pair, Posterior, Toggle, toggles
 from bcid.inference.priors import PRIORS
 
 ALONE = Hypothesis(frozenset("1"))
 OTHER = Hypothesis(frozenset("12"))
 HEAVY = Hypothesis(frozenset("1"), "gravity")
-FULL = Evaluation(0.0, 0.0, 0.0)
+FULL = Evaluation(0.0, 0.0)
 LOSING = Kind(Fidelity.TANGENT, effect=False, gains=False)
 
 
 def known(h: Hypothesis, gain: float, fidelity: Fidelity = Fidelity.TANGENT, log_prior: float = 0.0) -> Evaluation:
     """A hypothesis against the one that holds patch 1 alone."""
-    return Evaluation(0.0, gain, log_prior, toggles(fidelity, h, ALONE, gain))
+    about = ALONE if fidelity == Fidelity.TANGENT else None
+    return Evaluation(gain, log_prior, (FidelityStep(0.0, 0.0, toggles(fidelity, h, ALONE, gain)),), about)
+
+
+def _raised(one: Evaluation, by: float) -> Evaluation:
+    """The same with more evidence, and so that it is known against, and other prior odds."""
+    steps = tuple(FidelityStep(step.low + by, step.high + by, step.toggles) for step in one.steps)
+    return replace(one, start=one.start + by, log_prior=one.log_prior + 7, steps=steps)
+
+
+def differing(gain: float, error: float) -> float:
+    """A factor where it is large, some nats where it is small: half of x plus the root of x^2 + a^2, times the factor."""
+    grown = math.exp(error) * (gain + math.hypot(gain, PRIORS.error_nats))
+    return (grown - PRIORS.error_nats**2 / grown) / 2
 
 
 def pair(patches: str, low: float, high: float) -> Pair:
@@ -35,14 +49,14 @@ def test_toggles_patches_and_effects_in_which_hypotheses_differ_are_named() -> N
     one, other = Hypothesis(frozenset("12"), "gravity+fibres"), Hypothesis(frozenset("23"), "fibres")
     found = toggles(Fidelity.COARSE, one, other, 2.0)
     assert [(t.kind.effect, t.name) for t in found] == [(False, "1"), (False, "3"), (True, "gravity")]
-    assert {(t.kind.fidelity, t.kind.gains) for t in found} == {(Fidelity.COARSE, False)}
+    assert {(t.kind.fidelity, t.kind.gains) for t in found} == {(Fidelity.COARSE, True)}
     assert {t.kind.gains for t in toggles(Fidelity.TANGENT, one, other, 2.0)} == {True}
     assert {t.kind.gains for t in toggles(Fidelity.TANGENT, one, other, -2.0)} == {False}
     assert toggles(Fidelity.TANGENT, Hypothesis(frozenset("1"), "", unknown=True), ALONE, 1.0) == ()
 
 
 def test_probabilities_all_at_full_fidelity_are_evidence_times_prior() -> None:
-    found = Posterior({ALONE: Evaluation(-3.0, 0.0, 0.0), HEAVY: Evaluation(-1.0, 0.0, -1.5)}).probabilities()
+    found = Posterior({ALONE: Evaluation(-3.0, 0.0), HEAVY: Evaluation(-1.0, -1.5)}).probabilities()
     assert found == pytest.approx({HEAVY: 1 / (1 + math.exp(-0.5)), ALONE: 1 / (1 + math.exp(0.5))})
     assert list(found) == [HEAVY, ALONE]
     assert Posterior({}).probabilities() == {}
@@ -50,15 +64,20 @@ def test_probabilities_all_at_full_fidelity_are_evidence_times_prior() -> None:
 
 @pytest.mark.parametrize(
     ("fidelity", "gain"),
-    [(Fidelity.TANGENT, -4.0), (Fidelity.COARSE, -2.0), (Fidelity.TANGENT, -0.1), (Fidelity.TANGENT, 1.5)],
+    [
+        (Fidelity.TANGENT, -4.0),
+        (Fidelity.COARSE, -2.0),
+        (Fidelity.TANGENT, -0.1),
+        (Fidelity.TANGENT, 1.5),
+        (Fidelity.COARSE, 8.0),
+    ],
 )
 def test_probabilities_one_hypothesis_below_is_the_expectation_over_its_error(fidelity: Fidelity, gain: float) -> None:
-    """Bias and error of one toggle without pairs: a Student distribution with four degrees of freedom."""
-    scale, ceiling = math.sqrt(2) * PRIORS.fidelity_error[fidelity], 3.0
-    apart = math.copysign(max(abs(gain), 1.0), gain)
+    """Bias and error of one toggle without pairs: a Student distribution with four degrees of freedom; a gain may become a loss."""
+    scale, ceiling = math.sqrt(2) * PRIORS.fidelity_error[2 if fidelity == Fidelity.COARSE else 0], 3.0
 
     def share(error: float) -> float:
-        log = min(apart * math.exp(error), ceiling) - 0.5
+        log = min(differing(gain, error), ceiling) - 0.5
         return float(student.pdf(error, PRIORS.error_freedom, scale=scale) * expit(log))
 
     expected = quad(share, -40, 40, points=[-2, 0, 2], limit=400)[0]
@@ -72,7 +91,7 @@ def test_probabilities_many_unlikely_hypotheses_do_not_win_together() -> None:
     table = {h: known(h, -30.0 * len(h.anchors ^ ALONE.anchors)) for h in sets if h != ALONE}
     found = Posterior({ALONE: FULL, **table}).probabilities()
     assert sum(found.values()) == pytest.approx(1.0)
-    assert found[ALONE] > 0.95
+    assert found[ALONE] > 0.9
 
 
 def test_probabilities_tangents_that_showed_too_much_leave_others_open() -> None:
@@ -94,7 +113,7 @@ def test_probabilities_error_of_a_toggle_is_shared_by_all_hypotheses_with_it() -
     one = pair("12", -10.0, -200.0)
     two, three = (Hypothesis(frozenset(s)) for s in ("124", "134"))
     mean, _, freedom = Posterior({}, [one]).learned(LOSING, (Toggle(LOSING, "2"), Toggle(LOSING, "3")))
-    assert mean[0] > 0.5
+    assert mean[0] < -0.5
     assert mean[1] == 0.0
     assert freedom == PRIORS.error_freedom + 1
     found = Posterior({ALONE: FULL, two: known(two, -3.0), three: known(three, -3.0)}, [one]).probabilities()
@@ -106,7 +125,7 @@ def test_probabilities_order_and_offset_change_nothing() -> None:
     pairs = [pair("12", -3.0, -4.0)]
     found = Posterior(table, pairs, 0.5).probabilities()
     assert Posterior(dict(reversed(table.items())), pairs, 0.5).probabilities() == pytest.approx(found)
-    moved = {h: Evaluation(one.base + 1e3, one.gain, one.log_prior + 7, one.toggles) for h, one in table.items()}
+    moved = {h: _raised(one, 1e3) for h, one in table.items()}
     assert Posterior(moved, pairs, 1000.5).probabilities() == pytest.approx(found)
 
 
@@ -115,10 +134,16 @@ def test_pair_that_cannot_be_computed_is_left_out() -> None:
     assert Posterior({}, pairs).pairs == []
 
 
-def test_pair_with_another_sign_has_nothing_left_of_its_difference() -> None:
-    assert pair("12", -20.0, -40.0).miss == pytest.approx(math.log(2))
-    assert pair("12", -20.0, 300.0).miss == pytest.approx(-math.log(20))
-    assert pair("12", -20.0, -0.1).miss == pytest.approx(-math.log(20))
+@pytest.mark.parametrize(("low", "high"), [(-20.0, -40.0), (-20.0, 300.0), (20.0, 5.0), (20.0, 40.0), (0.0, 2.0)])
+def test_pair_misses_by_the_error_that_leads_from_one_difference_to_the_other(low: float, high: float) -> None:
+    assert differing(low, pair("12", low, high).miss) == pytest.approx(high)
+
+
+def test_pair_whose_gain_turned_into_a_loss_has_nothing_left_of_it() -> None:
+    """A fit that failed loses as much as it likes, and says nothing of others."""
+    small, large = (pair("12", 20.0, high).miss for high in (-3.0, -1e9))
+    assert small == large
+    assert differing(20.0, large) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_learned_errors_drawn_from_the_prior_lie_within_their_intervals() -> None:
@@ -128,7 +153,7 @@ def test_learned_errors_drawn_from_the_prior_lie_within_their_intervals() -> Non
         scale = PRIORS.fidelity_error[0] * math.sqrt(PRIORS.error_freedom / generator.chisquare(PRIORS.error_freedom))
         bias, own = scale * generator.normal(), scale * generator.normal(size=len(names))
         misses = bias + own[:-1] + scale * generator.normal(size=len(names) - 1)
-        pairs = [Pair((Toggle(LOSING, n),), -1e4, -1e4 * math.exp(m)) for n, m in zip(names, misses, strict=False)]
+        pairs = [Pair((Toggle(LOSING, n),), -1e4, -1e4 * math.exp(-m)) for n, m in zip(names, misses, strict=False)]
         last = Toggle(LOSING, names[-1])
         mean, root, freedom = Posterior({}, pairs).learned(LOSING, (last.bias, last))
         spread = math.sqrt(float(np.sum(np.sum(root, axis=0) ** 2)))
@@ -136,8 +161,8 @@ def test_learned_errors_drawn_from_the_prior_lie_within_their_intervals() -> Non
     assert np.mean(inside) == pytest.approx(0.8, abs=0.06)
 
 
-def test_variance_coarse_is_smaller_than_tangent_and_grows_with_the_difference() -> None:
-    posterior = Posterior({})
-    coarse, tangent, far = known(OTHER, -3.0, Fidelity.COARSE), known(OTHER, -3.0), known(OTHER, -30.0)
-    assert 0 < posterior.variance(coarse) < posterior.variance(tangent) < posterior.variance(far)
-    assert posterior.variance(FULL) == 0.0
+def test_order_few_steps_come_before_a_tangent_and_a_tangent_about_what_fits_well_before_others() -> None:
+    """Not by the gain: a tangent that shows hardly any difference from what fits badly is no more exact for that."""
+    coarse, tangent = known(OTHER, -30.0, Fidelity.COARSE), known(OTHER, -30.0)
+    worse = _raised(known(OTHER, -1.0), -25.0)
+    assert sorted([worse, tangent, coarse], key=lambda one: one.order({})) == [coarse, tangent, worse]

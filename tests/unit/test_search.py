@@ -208,7 +208,7 @@ def test_screened_sets_of_the_coarsest_level_have_the_error_of_that_fidelity() -
     """Known to be five below the best there, one is believed as far as another was right of which both levels are known."""
     evaluator = Landscape(lambda c: VALUES + 4.0 * len(c ^ TRUE))
     evaluator.evaluate(0, {TRUE: math.inf})
-    fine, rough = frozenset("3"), frozenset("13")
+    fine, rough = TRUE | {"1"}, TRUE | {"1", "3"}
     shares = []
     for log in (-5.0, -40.0):
         weighed = SetEvidence({TRUE: 0.0, fine: log}, {TRUE: 0.0, fine: -5.0, rough: -5.0})

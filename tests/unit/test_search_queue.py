@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
-from bcid.comparison.contest import Contest
+from bcid.comparison.full_search import FullSearch
 from bcid.comparison.hypothesis_table import HypothesisTable
+from bcid.comparison.ranking import Ranking
 from bcid.comparison.rivals import Rival, best_first
-from bcid.comparison.search_queue import SearchQueue
 from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.inference.hypotheses import Hypothesis
@@ -28,10 +28,10 @@ class PlainTable(HypothesisTable):
     def add(self, rivals: Iterable[Rival], begun: Model) -> None:
         known = {one.hypothesis: one for one in (*self.own, *rivals)}
         self.own = self.full = best_first(known.values())
-        self._odds = None
+        self.reconsider()
 
 
-class Simulated(SearchQueue):
+class Simulated(FullSearch):
     """A queue whose evaluations are given: log evidence in all steps by hypothesis, None where it cannot be followed."""
 
     def __init__(self, truth: Known, coarse: list[Rival], tangent: Known | None = None) -> None:
@@ -44,16 +44,16 @@ class Simulated(SearchQueue):
 
     def extend(self, base: State, sets: int) -> None:
         plain = next(one for one in self.coarse if not one.names)
-        first = self.fitted(plain.hypothesis)
+        first = self.evaluated(plain.hypothesis)
         assert first is not None
         self.table.add([first], self.model)
-        self.table.add_stage(Contest(self.coarse, {}))
+        self.table.add_stage(PlainTable(own=self.coarse, full=self.coarse))
 
-    def fit(self, hypothesis: Hypothesis) -> None:
-        self.done.append(("fit", hypothesis))
-        super().fit(hypothesis)
+    def evaluate(self, wanted: Sequence[Hypothesis]) -> None:
+        self.done += [("fit", h) for h in wanted]
+        super().evaluate(wanted)
 
-    def fitted(self, wanted: Hypothesis) -> Rival | None:
+    def evaluated(self, wanted: Hypothesis) -> Rival | None:
         log = self.truth[wanted]
         return None if log is None else rival(wanted.names, "".join(sorted(wanted.anchors)), log)
 
@@ -68,8 +68,9 @@ class Simulated(SearchQueue):
         }
         self.table.add_sets(rival, {s: Evidence(log, log - 50, 1.0) for s, log in about.items()})
 
-    def ask_effects(self, plain: Rival) -> None:
-        self.rankings[plain.anchors] = cast("Any", None)
+    def missing(self, plain: Rival) -> Ranking:
+        self.rankings[plain.hypothesis] = Ranking(())
+        return self.rankings[plain.hypothesis]
 
     def reduce(self, rival: Rival) -> None:
         self.table.reduced[rival.hypothesis] = []
@@ -90,7 +91,7 @@ def test_run_set_that_a_tangent_shows_to_be_as_likely_is_fitted() -> None:
     assert queue.run().best().hypothesis == less("2")
     kinds = [one for one in queue.done if one[0] != "reduce"]
     assert kinds == [("sets", less("1")), ("fit", less("2")), ("sets", less("2"))]
-    assert queue.table.neglected < 1e-6
+    assert queue.table.neglected < 1e-3
 
 
 def test_run_what_cannot_be_followed_is_tried_once() -> None:
@@ -108,7 +109,7 @@ def test_run_effect_is_compared_with_the_same_anchors_without_it() -> None:
 
 def test_run_what_cannot_be_followed_takes_no_fit_from_others() -> None:
     sets = [chr(ord("A") + k) for k in range(2 * SETTINGS.fits)]
-    truth: dict[Hypothesis, float | None] = {less(s): None if k % 2 else 0.0 for k, s in enumerate(sets)}
+    truth: dict[Hypothesis, float | None] = {less(s): None if k % 2 else 2.0 for k, s in enumerate(sets)}
     queue = Simulated(truth, [rival((), "A", 0)], {h: 3.0 for h in truth if h != less("A")})
     queue.run()
     fitted = [h for kind, h in queue.done if kind == "fit" and truth[h] is not None]

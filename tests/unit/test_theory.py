@@ -77,5 +77,10 @@ def test_prior_odds_are_those_of_independent_effects_and_a_discrepancy() -> None
     assert log_prior(0, True, 20) == pytest.approx(math.log(PRIORS.discrepancy / (1 - PRIORS.discrepancy)))
 
 
-def test_error_of_a_fidelity_is_the_logarithm_of_a_ratio() -> None:
-    assert Pair((), 2.0, 5.0).miss == pytest.approx(math.log(2.5))
+@pytest.mark.parametrize(("low", "high"), [(2e3, 5e3), (-2e3, -5e3)])
+def test_error_of_a_large_difference_is_the_logarithm_of_a_factor(low: float, high: float) -> None:
+    assert Pair((), low, high).miss == pytest.approx(math.copysign(math.log(2.5), low), abs=1e-5)
+
+
+def test_error_of_a_small_difference_is_one_of_some_nats() -> None:
+    assert Pair((), 0.0, 0.03).miss == pytest.approx(0.03 / PRIORS.error_nats, rel=1e-4)

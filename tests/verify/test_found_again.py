@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 import bcid
 from bcid import Scene, motions
-from bcid.comparison.contest import contest
+from bcid.comparison.coarse_search import CoarseSearch
+from bcid.comparison.few_steps import in_few_steps
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import BodyEffect, Constants, Point
 from bcid.forms.model import Model, Term, check_physics
@@ -109,8 +110,9 @@ def test_what_holds_a_piece_of_a_patch_is_found_from_that_patch() -> None:
     """With all of the patch nothing may be seen to be missing, and no score shows what holds the body without it."""
     predictor = pulled(("2", "4"), frozenset("4"), acting(2e6, potential=stopped), (0.5, 1.0))
     state, scores = State.of(predictor, Model.of(predictor.scene), frozenset("24")), TermScores(("boundary",))
-    assert not contest(state, state.model, [], [], 1, 0, 70).rivals[0].names
-    found = contest(state, state.model, [], [], 1, 0, 70, candidates=scores).rivals[0]
+    thin = in_few_steps(state)
+    assert not CoarseSearch(thin, state.model, among=70).run().full[0].names
+    found = CoarseSearch(thin, state.model, among=70, candidates=scores).run().full[0]
     assert (found.anchors, found.names) == (frozenset("4"), ("outer_stop_at_a_spot",))
     # The middle of the patch, where the fit begins, is 20 mm away.
     assert np.linalg.norm([found.term.values[f"c{axis}"] for axis in "xyz"] - HELD) < 0.015
