@@ -26,8 +26,8 @@ from bcid.base.units import uncertain
 from bcid.comparison import diagnosis_text
 from bcid.comparison.adequacy import Adequacy, judge
 from bcid.comparison.fit import Fit, fit
+from bcid.comparison.fitted_hypothesis import FittedHypothesis, fitted_beside
 from bcid.comparison.ranking import Ranking, Row, rank
-from bcid.comparison.rivals import Rival, fitted_beside
 from bcid.comparison.state import State
 from bcid.forms import effects
 from bcid.forms.model import Model, Term
@@ -72,7 +72,7 @@ class Found:
     plain: State
     verdict: Adequacy
     ranking: Ranking
-    rivals: list[Rival]
+    rivals: list[FittedHypothesis]
     weight: Fit
     young: Fit
     clamp: Fit

@@ -29,12 +29,12 @@ from bcid.comparison.state import State
 from bcid.comparison.variants import Variant
 from bcid.forms import effects
 from bcid.forms.model import Model
-from bcid.inference.criteria import SEEN
-from bcid.inference.evidence import Force, log_gains
+from bcid.inference.criteria import DETECTION_THRESHOLD
+from bcid.inference.discrepancy import Evidence
+from bcid.inference.error_covariance import ErrorCovariance
+from bcid.inference.evidence import LowRankDiscrepancy, log_gains
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
-from bcid.inference.likelihood import Errors
 from bcid.inference.priors import PRIORS
-from bcid.inference.unknown_force import Evidence
 from bcid.studies.text_table import TextTable
 from validation.golden.cases import MEASUREMENT, SCENE, prepare
 
@@ -68,7 +68,7 @@ class LinearModel:
     def of(cls, state: State, noise: float) -> LinearModel:
         """About a hypothesis, with so many times its noise; collective."""
         errors = state.errors
-        state = replace(state, errors=Errors(errors.data, noise * errors.sigma, errors.mesh, errors.nuisances))
+        state = replace(state, errors=ErrorCovariance(errors.data, noise * errors.sigma, errors.mesh, errors.nuisances))
         patches = list(state.predictor.scene.patches)
         near = [state.anchors ^ {patch} for patch in patches]
         near += [state.anchors ^ {one, other} for one, other in pairwise(patches)]
@@ -112,7 +112,7 @@ class LinearModel:
     def _disturbed(self, noise: Array, rng: np.random.Generator) -> Array:
         """Noise with a discrepancy of a few steps: a smooth force or growth, or a misfit in observation space."""
         forced = rng.random() * (PRIORS.force + PRIORS.response) < PRIORS.force
-        kinds: Sequence[Force] = self.state.forces if forced else self.state.errors.misfits
+        kinds: Sequence[LowRankDiscrepancy] = self.state.forces if forced else self.state.errors.misfits
         one = kinds[rng.integers(len(kinds))]
         k = int(rng.integers(len(one.sizes)))
         larger = 1.0 if one.inflation is None else one.inflation[k]
@@ -138,7 +138,7 @@ def _widths(variant: Variant) -> list[Array]:
     """Standard deviations of the amounts of an effect that the data could show, one row each."""
     scale = np.array([c.scale for c in variant.amounts])
     shown = float(np.sqrt(np.mean(np.sum((variant.sensitivity * scale) ** 2, axis=0))))
-    return [size * scale for size in visible(shown, SEEN)]
+    return [size * scale for size in visible(shown, DETECTION_THRESHOLD)]
 
 
 @dataclass(frozen=True)

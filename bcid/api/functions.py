@@ -28,7 +28,7 @@ from bcid.forms.forward import check_geometry
 from bcid.forms.mesh import level_mesh
 from bcid.forms.mesh.patches import divided
 from bcid.forms.model import Model, Term, check_physics
-from bcid.inference.followed import as_far_as_followed
+from bcid.inference.continuation import truncate_to_converged
 from bcid.measurement import Measurement
 from bcid.predict.predictor import Predictor
 from bcid.proposal.proposal_documents import WrittenProposal, proposal_documents, searched
@@ -74,7 +74,7 @@ def identify(
         mesh = level_mesh(done.scene, body.levels[done.found.levels[-1]], comm)
         return IdentifyResult(identify_run.documents(seen, done, mesh), "identify")
 
-    return as_far_as_followed(seen, work)
+    return truncate_to_converged(seen, work)
 
 
 def compare(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bcid.base.tails import chi2_tail, normal_tail
 from bcid.comparison.state import State
-from bcid.inference.criteria import SURPRISE
+from bcid.inference.criteria import ALPHA
 
 Array = NDArray[np.float64]
 # Share of adequate models that may be called inadequate.
@@ -164,8 +164,8 @@ def breaking(state: State) -> Finding | None:
     at = int(np.argmax(np.where(means[1] > means[0], ratio, -np.inf)))
     p = min(1.0, len(frames) * chi2_tail(ratio[at], 1))
     fits = chi2_tail(before[at], few[at]) >= FALSE_ALARMS
-    fails = chi2_tail(after[at], many[at]) < SURPRISE
-    if not (fits and fails and p < SURPRISE):
+    fails = chi2_tail(after[at], many[at]) < ALPHA
+    if not (fits and fails and p < ALPHA):
         return None
     row = int(np.flatnonzero(data.frame == frames[at + 1])[0])
     where = f"step {data.step[row]} of action {data.actions[data.action[row]]}"

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.comparison.state import State
-from bcid.forms.force_bumps import scattered
+from bcid.forms.force_bumps import farthest_point_sample
 
 Array = NDArray[np.float64]
 # Balls are tried before so many places of the surface, at these parts of the way that it comes there, and of these radii in sizes.
@@ -19,7 +19,7 @@ _RADII = (0.15, 0.6)
 _WAY = 0.01
 
 
-def balls(state: State) -> list[dict[str, float]]:
+def obstacle_candidates(state: State) -> list[dict[str, float]]:
     """Centre and radius (cx, cy, cz, radius, m) of each; collective, and the same on every rank."""
     mesh = state.predictor.forward(state.model).mesh
     corners = mesh.points[mesh.boundary]
@@ -30,7 +30,7 @@ def balls(state: State) -> list[dict[str, float]]:
     coming = np.flatnonzero(ways > _WAY * mesh.size)
     if not len(coming):
         return []
-    places = scattered(middles[coming], _PLACES)
+    places = farthest_point_sample(middles[coming], _PLACES)
     chosen = coming[[int(np.argmin(np.linalg.norm(middles[coming] - place, axis=1))) for place in places]]
     found = []
     for at, part, radius in ((a, p, r * mesh.size) for a in chosen for p in _PARTS for r in _RADII):

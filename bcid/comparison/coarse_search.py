@@ -11,16 +11,16 @@ from scipy.special import logsumexp
 from bcid.base.errors import InputError, SolveError
 from bcid.comparison.candidates import Candidates, StandIn, Start
 from bcid.comparison.fit import fit
+from bcid.comparison.fitted_hypothesis import ROUGH, FittedHypothesis, best_first, refit_term, stood_in
 from bcid.comparison.hypothesis_table import HypothesisTable
 from bcid.comparison.loosened import Loosened, loosened, loosens
 from bcid.comparison.ranking import rank
-from bcid.comparison.rivals import ROUGH, Rival, best_first, refit_term, stood_in
 from bcid.comparison.search_queue import SearchQueue, Task
 from bcid.comparison.set_tangents import neighbours
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model, Term
-from bcid.inference.criteria import SEEN
+from bcid.inference.criteria import DETECTION_THRESHOLD
 from bcid.inference.hypotheses import Hypothesis
 from bcid.search.settings import SETTINGS
 
@@ -56,7 +56,7 @@ class CoarseSearch(SearchQueue):
         fits: int = 0,
         starts: Sequence[Anchored] = (),
         candidates: Candidates | None = None,
-        least: float = SEEN,
+        least: float = DETECTION_THRESHOLD,
     ) -> None:
         super().__init__(base, HypothesisTable(alike=bool(candidates and candidates.alike)), least)
         self.model, self.sets, self.fits = model, sets, fits
@@ -69,7 +69,7 @@ class CoarseSearch(SearchQueue):
         self._asked_springs: set[Hypothesis] = set()
         self._states: dict[Anchored, State] = {}
         self._replaced = False
-        first = Rival.unfitted(base, model, self.among, least)
+        first = FittedHypothesis.unfitted(base, model, self.among, least)
         self.names = first.names
         self.table.add([first], model)
         if sets > 1:
@@ -98,7 +98,7 @@ class CoarseSearch(SearchQueue):
         sets = [h for h in likely if h.names == self.names]
         return sets[: SETTINGS.batch] if likely[0] in sets else likely[:1]
 
-    def question(self, best: Rival, likely: Sequence[Hypothesis]) -> Task | None:
+    def question(self, best: FittedHypothesis, likely: Sequence[Hypothesis]) -> Task | None:
         unasked_sets = self.sets > 1 and not self.table.sets_about(best.hypothesis)
         # Of effects each is fitted on one set first; of what fits best a tangent then tells more of others than without it.
         if unasked_sets and (not likely or best.names in (self.names, likely[0].names)):
@@ -114,7 +114,7 @@ class CoarseSearch(SearchQueue):
         start = next((name for name in self.begun if name in self.effects and not self._tried(name)), None)
         return partial(self._fit_start, start) if start else None
 
-    def last(self, best: Rival) -> Task | None:
+    def last(self, best: FittedHypothesis) -> Task | None:
         return None if self.candidates is None or self._replaced else partial(self._replace_patches, self.candidates)
 
     def _tried(self, name: str) -> bool:
@@ -123,14 +123,14 @@ class CoarseSearch(SearchQueue):
     # -- evaluations
     # ---------------------------------------------------------------------------------------------------------------
 
-    def _ask_all(self, unasked: Sequence[Rival]) -> None:
+    def _ask_all(self, unasked: Sequence[FittedHypothesis]) -> None:
         """What models lack: the likeliest by its own sensitivities, others by those, which are about the same."""
         other = {name: effect for name, effect in self.effects.items() if not loosens(effect)}
         for rival in unasked:
             like = next(iter(self.rankings.values()), None)
             self.ask_effects(rival, other, like)
 
-    def ask_springs(self, rival: Rival) -> None:
+    def ask_springs(self, rival: FittedHypothesis) -> None:
         """Which sets may give, or come off, as the tangent of one shows them."""
         self._asked_springs.add(rival.hypothesis)
         found: dict[Hypothesis, float] = {}
@@ -138,7 +138,7 @@ class CoarseSearch(SearchQueue):
             found |= self._springs(rival, effect)
         self.table.add_springs(rival, found)
 
-    def _springs(self, rival: Rival, effect: Effect) -> dict[Hypothesis, float]:
+    def _springs(self, rival: FittedHypothesis, effect: Effect) -> dict[Hypothesis, float]:
         state, measurement = rival.judged, self.predictor.measurement
         if effect.needs and effect.needs(self.predictor.scene, measurement):
             return {}
@@ -157,7 +157,7 @@ class CoarseSearch(SearchQueue):
         self.springs |= {h: some[0].term for h, some in ways.items()}
         return {h: rival.evidence.plain + float(logsumexp([one.gain for one in some])) for h, some in ways.items()}
 
-    def evaluated(self, wanted: Hypothesis) -> Rival | None:
+    def evaluated(self, wanted: Hypothesis) -> FittedHypothesis | None:
         progress, count = self.predictor.progress, len(self.table.own)
         if wanted.names == self.names:
             progress.step("anchor sets evaluated in a few steps", count, self.sets)
@@ -169,9 +169,9 @@ class CoarseSearch(SearchQueue):
         begun = self._begun(wanted)
         return self._fitted(wanted.anchors, *begun) if begun else None
 
-    def _on_set(self, anchors: Anchored) -> Rival | None:
+    def _on_set(self, anchors: Anchored) -> FittedHypothesis | None:
         try:
-            return Rival.unfitted(self._state(anchors), self.model, self.among, self.least)
+            return FittedHypothesis.unfitted(self._state(anchors), self.model, self.among, self.least)
         except SolveError:
             return None
 
@@ -184,14 +184,14 @@ class CoarseSearch(SearchQueue):
             self._states[anchors] = known or self.base.of_set(anchors)
         return self._states[anchors]
 
-    def _moved(self, like: Rival, anchors: Anchored) -> Rival | None:
+    def _moved(self, like: FittedHypothesis, anchors: Anchored) -> FittedHypothesis | None:
         """A fitted effect on another set, fitted anew from its numbers there."""
         state = like.fitted.state
         try:
             again = fit(state.of_set(anchors), state.free, most=8, ftol=ROUGH)
         except (SolveError, InputError):
             return None
-        return Rival.of(again, self.model, self.among, self.least)
+        return FittedHypothesis.of(again, self.model, self.among, self.least)
 
     def _begun(self, wanted: Hypothesis) -> tuple[Term, float] | None:
         """The term with which an effect is begun on a set, and what it is expected to gain; None where nothing is known of it."""
@@ -210,7 +210,7 @@ class CoarseSearch(SearchQueue):
             row = rows[0] if rows else None
         return None if row is None else (row.term, row.gain)
 
-    def _fitted(self, anchors: Anchored, term: Term, gain: float) -> Rival | None:
+    def _fitted(self, anchors: Anchored, term: Term, gain: float) -> FittedHypothesis | None:
         """An effect beside the model, by the errors of the set that it makes likely."""
         try:
             state = self._state(anchors).with_own_errors()
@@ -247,7 +247,7 @@ class CoarseSearch(SearchQueue):
         self._replaced = True
         plain = [r for r in self.table.full if r.names == self.names]
         begun_with = {start.anchors for start in self.begun.values()}
-        found, done = list[Rival](), set[Anchored]()
+        found, done = list[FittedHypothesis](), set[Anchored]()
         for rival in (r for r in plain if r.log > plain[0].log - SETTINGS.comparable or r.anchors in begun_with):
             state = rival.fitted.state
             for one in candidates.standing_in(state, self.model):

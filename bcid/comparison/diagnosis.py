@@ -15,12 +15,12 @@ from bcid.comparison.adequacy import judge
 from bcid.comparison.buckled_frames import leave_out
 from bcid.comparison.curvature import bent
 from bcid.comparison.explain import ExplainOptions, explain
-from bcid.comparison.explanation import Explanation, Rung
+from bcid.comparison.explanation import Explanation, ModelStep
 from bcid.comparison.fit import Fit, fit
+from bcid.comparison.fitted_hypothesis import fitted_beside, refit
 from bcid.comparison.held_out import held_out
 from bcid.comparison.next_steps import NextSteps, next_steps
 from bcid.comparison.ranking import rank
-from bcid.comparison.rivals import fitted_beside, refit
 from bcid.comparison.scene_sensitivity import AnswerAt, fitted_hypotheses, scene_sensitivity
 from bcid.comparison.second_start import fit_twice
 from bcid.comparison.separate import Pull, separating_pulls
@@ -30,7 +30,7 @@ from bcid.comparison.variants import neutral_values
 from bcid.comparison.where import MissingForce, missing_force
 from bcid.forms import effects
 from bcid.forms.model import Model, Term
-from bcid.inference.followed import as_far_as_followed
+from bcid.inference.continuation import truncate_to_converged
 from bcid.inference.outcome import label
 from bcid.measurement import Measurement
 from bcid.predict.mesh_ladder import mesh_error
@@ -55,7 +55,7 @@ class Diagnosis:
         next_steps: what would tell explanations apart; None where the answer is certain.
     """
 
-    rungs: tuple[Rung, ...]
+    rungs: tuple[ModelStep, ...]
     where: MissingForce | None
     explanation: Explanation | None = None
     pulls: tuple[Pull, ...] = ()
@@ -105,13 +105,13 @@ def on_predictor(
             for predictor in made:
                 predictor.destroy()
 
-    return as_far_as_followed(source.measurement, attempt)
+    return truncate_to_converged(source.measurement, attempt)
 
 
 def compared(predictor: Predictor, source: Source) -> Diagnosis:
     """Is the source's model adequate with its anchors, and where does it fail? Collective on the predictor's ranks."""
     fitted = _present(predictor, source)
-    rung = Rung(fitted, judge(fitted.state), held_out(fitted))
+    rung = ModelStep(fitted, judge(fitted.state), held_out(fitted))
     return Diagnosis((rung,), missing_force(fitted.state))
 
 
@@ -126,7 +126,7 @@ def diagnosed(predictor: Predictor, source: Source, only: Sequence[str] | None =
     ranking = rank(fitted.state, effects.catalogue(only, source.own))
     predictor.progress.say("fitting the most promising of them")
     rivals = fitted_beside(fitted.state, effects.catalogue(only, source.own), ExplainOptions().fitted)
-    rung = Rung(fitted, adequacy, held_out(fitted), ranking, tuple(rivals))
+    rung = ModelStep(fitted, adequacy, held_out(fitted), ranking, tuple(rivals))
     return Diagnosis((rung,), None if adequacy.adequate else missing_force(fitted.state))
 
 
@@ -145,7 +145,7 @@ def refitted(
         fixed: numbers to keep, such as "gravity.weight".
     """
     before = _present(predictor, source)
-    rungs = [Rung(before, judge(before.state), held_out(before))]
+    rungs = [ModelStep(before, judge(before.state), held_out(before))]
     state = before.state
     for one in terms:
         predictor.progress.say(f"adding {one.label}")
@@ -156,7 +156,7 @@ def refitted(
     state = State.of(predictor, again.state.model, again.state.anchors, mesh, names, again.state.prediction)
     again = bent(fit(state, names))
     again = replace(again, warnings=(*again.warnings, *([minima] if minima else [])))
-    rungs.append(Rung(again, judge(again.state), held_out(again)))
+    rungs.append(ModelStep(again, judge(again.state), held_out(again)))
     return Diagnosis(tuple(rungs), missing_force(again.state))
 
 

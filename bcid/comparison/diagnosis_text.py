@@ -24,10 +24,10 @@ from bcid.base.verdict_words import NO_EFFECTS, not_adequate_either
 from bcid.comparison import curvature
 from bcid.comparison.adequacy import BREAKING, Adequacy, groups
 from bcid.comparison.evidence_split import PARTS, EvidenceSplit, no_better_fit
-from bcid.comparison.explanation import Explanation, Rung
+from bcid.comparison.explanation import Explanation, ModelStep
 from bcid.comparison.fit import Fit
+from bcid.comparison.fitted_hypothesis import FittedHypothesis
 from bcid.comparison.ranking import Ranking, Row
-from bcid.comparison.rivals import Rival
 from bcid.comparison.separate import Pull
 from bcid.comparison.state import State
 from bcid.comparison.where import MissingForce
@@ -35,7 +35,7 @@ from bcid.forms.course import Course, course_of
 from bcid.forms.model import Term
 from bcid.forms.parameter import Parameter
 from bcid.inference import nuisance_text
-from bcid.inference.criteria import CERTAIN, FAR
+from bcid.inference.criteria import CREDIBLE_LEVEL, MAX_NORMALISED_RMS
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
 from bcid.inference.outcome import label
 
@@ -117,7 +117,7 @@ def in_time(row: dict[str, Any]) -> str:
     )
 
 
-def warning(rung: Rung) -> list[str]:
+def warning(rung: ModelStep) -> list[str]:
     """What must stand above the result: that the model leaves far more than noise, or that this cannot be told."""
     state, lines = rung.state, []
     if not state.predictor.data.stated:
@@ -125,7 +125,7 @@ def warning(rung: Rung) -> list[str]:
             f"WARNING: no noise is known: {1e3 * state.noise:.3g} mm is only estimated from the measurement itself, "
             "so that no model can be called adequate. State noise_sigma."
         )
-    if state.rms > FAR * state.noise and not rung.adequacy.adequate:
+    if state.rms > MAX_NORMALISED_RMS * state.noise and not rung.adequacy.adequate:
         lines.append(
             f"WARNING: the model misses the measurement by {state.rms / state.noise:.1f} times the noise "
             f"({1e3 * state.rms:.3g} mm where it is {1e3 * state.noise:.3g} mm)."
@@ -261,9 +261,11 @@ def force(found: MissingForce, unit: float, name: str) -> list[str]:
     return lines
 
 
-def table(ranking: Ranking, rivals: Sequence[Rival], now: float, unit: float, name: str, most: int = 12) -> list[str]:
+def table(
+    ranking: Ranking, rivals: Sequence[FittedHypothesis], now: float, unit: float, name: str, most: int = 12
+) -> list[str]:
     """The ranked effects: error now, expected, and fitted."""
-    fitted: dict[str, Rival] = {}
+    fitted: dict[str, FittedHypothesis] = {}
     for rival in rivals:
         fitted.setdefault(rival.effect, rival)
     lines = [
@@ -283,7 +285,7 @@ def table(ranking: Ranking, rivals: Sequence[Rival], now: float, unit: float, na
     return lines
 
 
-def ordered(ranking: Ranking, rivals: Sequence[Rival]) -> list[Row]:
+def ordered(ranking: Ranking, rivals: Sequence[FittedHypothesis]) -> list[Row]:
     """Rows with the refitted effects first, the best of them on top."""
     place: dict[str, int] = {}
     for i, rival in enumerate(rivals):
@@ -291,7 +293,7 @@ def ordered(ranking: Ranking, rivals: Sequence[Rival]) -> list[Row]:
     return sorted(ranking.rows, key=lambda row: place.get(row.effect, len(place)))
 
 
-def _what(row: Row, rival: Rival | None) -> str:
+def _what(row: Row, rival: FittedHypothesis | None) -> str:
     if not row.identifiable and rival is None:
         return "not identifiable from these data"
     if row.p_value > 0.01 and rival is None:
@@ -304,7 +306,7 @@ def _what(row: Row, rival: Rival | None) -> str:
     return term(one, errors, limits).split(": ", 1)[1] + (f" at {one.place}" if one.place else "") + same
 
 
-def ladder(rungs: Sequence[Rung], unit: float, name: str) -> list[str]:
+def ladder(rungs: Sequence[ModelStep], unit: float, name: str) -> list[str]:
     """The falling error."""
     lines = []
     for rung in rungs:
@@ -362,7 +364,7 @@ def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull]
     return lines + _open(found, pulls)
 
 
-def _beyond(first: Rung, last: Rung) -> str:
+def _beyond(first: ModelStep, last: ModelStep) -> str:
     """What of an error falls that hardly does: most of it is what the scene may have slightly wrong."""
     if not hardly_falls(first.state.rms, last.state.rms, last.state.noise):
         return ""
@@ -385,7 +387,7 @@ def _begins(found: Explanation) -> list[str]:
     ]
 
 
-def _breaks(rung: Rung) -> list[str]:
+def _breaks(rung: ModelStep) -> list[str]:
     """From when on the model fails, where it fits before: something came off, slipped or jumped."""
     found = [f for f in rung.adequacy.findings if f.name == BREAKING]
     return [
@@ -408,7 +410,7 @@ def _open(found: Explanation, pulls: Sequence[Pull]) -> list[str]:
         lines.append(
             f"These data cannot tell {NO_EFFECTS.get(found.verdict, found.verdict)} from: {', '.join(others)}."
         )
-    if found.held_by < CERTAIN:
+    if found.held_by < CREDIBLE_LEVEL:
         lines.append("These data do not tell for certain which patches hold the body.")
     if pulls and pulls[0].sigmas >= _SEPARATE:
         lines.append(f"The pull that would separate the two likeliest models best: {pulls[0].text}.")

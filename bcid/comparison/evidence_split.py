@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from bcid.comparison.rivals import Rival
+from bcid.comparison.fitted_hypothesis import FittedHypothesis
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
 
 # A difference of log evidence that is notable: odds of three.
@@ -44,7 +44,7 @@ class EvidenceSplit:
     prior: float
 
     @classmethod
-    def of(cls, rival: Rival, unknown: bool, odds: HypothesisOdds) -> EvidenceSplit:
+    def of(cls, rival: FittedHypothesis, unknown: bool, odds: HypothesisOdds) -> EvidenceSplit:
         """Of a hypothesis, not yet against another."""
         h = Hypothesis(rival.anchors, rival.hypothesis.effect, unknown)
         state, (log, prior) = rival.judged, rival.weights[h]
@@ -75,7 +75,7 @@ PARTS = ("misfit", "volume", "occam", "discrepancy", "prior")
 
 
 def evidence_splits(
-    rivals: Sequence[Rival], odds: HypothesisOdds, first: Hypothesis, most: int = 4
+    rivals: Sequence[FittedHypothesis], odds: HypothesisOdds, first: Hypothesis, most: int = 4
 ) -> list[EvidenceSplit]:
     """The likeliest hypotheses that were compared with all steps, as differences from one of them, which comes first.
 

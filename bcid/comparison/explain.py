@@ -10,21 +10,21 @@ from dataclasses import dataclass, replace
 from bcid.base.errors import SolveError
 from bcid.base.units import p_value, percent
 from bcid.comparison.adequacy import judge
+from bcid.comparison.anchor_marginals import anchor_marginals
 from bcid.comparison.buckled_frames import leave_out
 from bcid.comparison.candidates import Candidates, Known
-from bcid.comparison.explanation import Explanation, Rung, explains, verdict_of
+from bcid.comparison.explanation import Explanation, ModelStep, explains, verdict_of
 from bcid.comparison.first_sets import first_sets
+from bcid.comparison.fitted_hypothesis import FittedHypothesis, best_first
 from bcid.comparison.full_search import FullSearch
 from bcid.comparison.held_out import held_out
-from bcid.comparison.rivals import Rival, best_first
 from bcid.comparison.settle import settled
 from bcid.comparison.state import State
-from bcid.comparison.told_anchors import told_anchors
 from bcid.comparison.unfollowed import check_not_stood_for
 from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
-from bcid.inference.data import told_noise
+from bcid.inference.data import robust_noise
 from bcid.inference.outcome import label
 from bcid.predict.predictor import Predictor
 
@@ -68,7 +68,7 @@ def explain(
 
     Raises:
         InputError: the options name an unknown effect or level.
-        NotFollowed: no anchor set can be followed to the end with the plain model, or the answer stands for one that cannot.
+        ContinuationError: no anchor set can be followed to the end with the plain model, or the answer stands for one that cannot.
     """
     options = options or ExplainOptions()
     candidates = candidates or Known(tuple(effects.catalogue(options.only, more)))
@@ -97,7 +97,7 @@ def _base(predictor: Predictor, model: Model) -> tuple[State, list[Anchored]]:
 def _with_noise(base: State) -> State:
     """The state with the noise that its residual has where none is stated, or where that is surprisingly another."""
     predictor, data = base.predictor, base.predictor.data
-    found = told_noise(data, base.rough_values)
+    found = robust_noise(data, base.rough_values)
     if found is None or (data.stated and not found.surprising):
         return base
     if not data.stated:
@@ -112,19 +112,19 @@ def _with_noise(base: State) -> State:
 # --------------------------------------------------------------------------------------------------------------------
 
 
-def _explanation(queue: FullSearch, best: Rival, seconds: float) -> Explanation:
+def _explanation(queue: FullSearch, best: FittedHypothesis, seconds: float) -> Explanation:
     """What is reported of a search; collective."""
     table, predictor = queue.table, queue.predictor
     plain = next(r for r in table.full if not r.names)
     same = next((r for r in table.full if not r.names and r.anchors == best.anchors), plain)
-    rungs = [_rung(rival) for rival in ([plain] if same is plain else [plain, same])]
+    rungs = [_model_step(rival) for rival in ([plain] if same is plain else [plain, same])]
     single = best_first(r for r in [*table.full, *table.rough] if len(r.names) == 1)
     rungs[-1] = replace(rungs[-1], ranking=queue.missing(same), rivals=tuple(single))
     if len(best.names) > 1:
         first = next((r for r in table.full if r.names == best.names[:1]), None)
-        rungs += [_rung(first)] if first else []
+        rungs += [_model_step(first)] if first else []
     if best.names:
-        rungs.append(_rung(best))
+        rungs.append(_model_step(best))
     odds = table.odds
     nearly = bool(best.names) and explains(rungs[0].fitted, rungs[-1].fitted)
     verdict = verdict_of(best.names, odds.best.unknown, nearly, rungs[-1].adequacy.adequate)
@@ -132,7 +132,7 @@ def _explanation(queue: FullSearch, best: Rival, seconds: float) -> Explanation:
         verdict,
         odds,
         tuple(rungs),
-        told_anchors(best_first([*table.full, *table.rough]), odds, best, seconds),
+        anchor_marginals(best_first([*table.full, *table.rough]), odds, best, seconds),
         tuple(table.full),
         predictor.noise,
         dict(predictor.trajectories),
@@ -145,7 +145,7 @@ def _explanation(queue: FullSearch, best: Rival, seconds: float) -> Explanation:
     return found
 
 
-def _rung(rival: Rival) -> Rung:
+def _model_step(rival: FittedHypothesis) -> ModelStep:
     """One model of the ladder, judged; collective."""
     state, adequacy = rival.fitted.state, judge(rival.fitted.state)
     verdict = f"{adequacy.word} ({p_value(adequacy.p_value)})" if adequacy.told is False else adequacy.word
@@ -154,4 +154,4 @@ def _rung(rival: Rival) -> Rung:
         f"noise {state.noise * 1e3:.3g} mm, mesh {state.errors.mesh_rms * 1e3:.2g} mm: {verdict}"
     )
     apart = rival.held_out if rival.held_out is not None else held_out(rival.fitted)
-    return Rung(rival.fitted, adequacy, apart)
+    return ModelStep(rival.fitted, adequacy, apart)

@@ -9,17 +9,17 @@ from dataclasses import dataclass
 from bcid.comparison.adequacy import Adequacy
 from bcid.comparison.evidence_split import EvidenceSplit, evidence_splits
 from bcid.comparison.fit import Fit
+from bcid.comparison.fitted_hypothesis import FittedHypothesis
 from bcid.comparison.ranking import Ranking
-from bcid.comparison.rivals import Rival
 from bcid.comparison.state import State
-from bcid.inference.criteria import CERTAIN, LIKELIER, NEARLY_ALL
+from bcid.inference.criteria import CREDIBLE_LEVEL, MAJORITY, MIN_EXPLAINED_FRACTION
 from bcid.inference.data import Noise
 from bcid.inference.hypotheses import HypothesisOdds
 from bcid.search.identification import Identification
 
 
 @dataclass(frozen=True)
-class Rung:
+class ModelStep:
     """One model of the ladder.
 
     Attributes:
@@ -34,7 +34,7 @@ class Rung:
     adequacy: Adequacy
     held_out: float | None
     ranking: Ranking | None = None
-    rivals: tuple[Rival, ...] = ()
+    rivals: tuple[FittedHypothesis, ...] = ()
 
     @property
     def state(self) -> State:
@@ -77,9 +77,9 @@ class Explanation:
 
     verdict: str
     odds: HypothesisOdds
-    rungs: tuple[Rung, ...]
+    rungs: tuple[ModelStep, ...]
     identification: Identification
-    rivals: tuple[Rival, ...]
+    rivals: tuple[FittedHypothesis, ...]
     noise: Noise | None
     trajectories: dict[str, float]
     seconds: float
@@ -95,7 +95,7 @@ class Explanation:
         return probability_of(self.odds, self.verdict, self.refuted)
 
     @property
-    def slack(self) -> list[Rival]:
+    def slack(self) -> list[FittedHypothesis]:
         """Hypotheses with a patch whose springs may have no stiffness: they count as the set without it."""
         return [r for r in self.rivals if r.hypothesis not in self.odds.probabilities and math.isfinite(r.log)]
 
@@ -112,7 +112,7 @@ class Explanation:
     def begins(self) -> Onset | None:
         """By when what is unknown has begun; None where it more likely goes on with the motion, or is there all the time."""
         best = next((r for r in self.rivals if r.fitted.state is self.last.state), None)
-        if self.verdict != "unknown" or best is None or best.evidence.begins is None or best.evidence.sudden < LIKELIER:
+        if self.verdict != "unknown" or best is None or best.evidence.begins is None or best.evidence.sudden < MAJORITY:
             return None
         data, found = self.last.state.predictor.measurement.data, best.evidence.begins
         action, step = str(data["action"].values[found.by]), int(data["step"].values[found.by])
@@ -126,17 +126,17 @@ class Explanation:
     @property
     def open(self) -> bool:
         """Whether verdict or anchors are not certain."""
-        return min(self.probability, self.held_by) < CERTAIN
+        return min(self.probability, self.held_by) < CREDIBLE_LEVEL
 
     @property
     def ambiguous(self) -> tuple[str, ...]:
         """Other verdicts that have a part in the belief, where none has nearly all of it."""
-        if self.probability >= CERTAIN:
+        if self.probability >= CREDIBLE_LEVEL:
             return ()
-        return tuple(name for name, p in self.odds.verdicts.items() if name != self.verdict and p > 1 - CERTAIN)
+        return tuple(name for name, p in self.odds.verdicts.items() if name != self.verdict and p > 1 - CREDIBLE_LEVEL)
 
     @property
-    def last(self) -> Rung:
+    def last(self) -> ModelStep:
         """The model the loop ended with."""
         return self.rungs[-1]
 
@@ -171,4 +171,4 @@ def explained(before: Fit, after: Fit) -> float:
 
 def explains(before: Fit, after: Fit) -> bool:
     """Whether what was added to a model may be named although something is missing besides: it explains nearly all."""
-    return explained(before, after) > NEARLY_ALL
+    return explained(before, after) > MIN_EXPLAINED_FRACTION

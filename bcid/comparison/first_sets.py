@@ -13,11 +13,11 @@ from bcid.base.progress import Steps
 from bcid.comparison import anchors as anchor_search
 from bcid.comparison.coarse_search import CoarseSearch
 from bcid.comparison.few_steps import FEW_STEPS, few_steps
-from bcid.comparison.rivals import weighed
+from bcid.comparison.fitted_hypothesis import weighed
 from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
-from bcid.inference.followed import NotFollowed
+from bcid.inference.continuation import ContinuationError
 from bcid.inference.mesh_error import MeshError
 from bcid.predict.predictor import Predictor
 from bcid.search.identify import identify
@@ -33,7 +33,7 @@ def first_sets(predictor: Predictor, model: Model) -> list[Anchored]:
     """Likely sets, the first of which the working level can be followed with; collective.
 
     Raises:
-        NotFollowed: no set can be followed to the end, or one that cannot is likelier on the frames before.
+        ContinuationError: no set can be followed to the end, or one that cannot is likelier on the frames before.
     """
     sets, lost = _seen(predictor, model)
     for number, anchors in enumerate(sets):
@@ -53,7 +53,7 @@ def _recovered(predictor: Predictor, model: Model, lost: Sequence[Anchored], bes
     for anchors in lost[: SETTINGS.recovered_sets]:
         try:
             State.of(predictor, model, anchors, MeshError.unknown(predictor.data.mask.shape))
-        except NotFollowed as error:
+        except ContinuationError as error:
             if _outdone(predictor, model, error, anchors, best):
                 raise
         else:
@@ -61,7 +61,7 @@ def _recovered(predictor: Predictor, model: Model, lost: Sequence[Anchored], bes
     return found
 
 
-def _outdone(predictor: Predictor, model: Model, error: NotFollowed, anchors: Anchored, best: Anchored) -> bool:
+def _outdone(predictor: Predictor, model: Model, error: ContinuationError, anchors: Anchored, best: Anchored) -> bool:
     """Whether another set is worse than one that cannot be followed any further, on the frames that this can be followed in."""
     try:
         before = predictor.repeating(error.before(predictor.measurement))
@@ -105,8 +105,8 @@ def _climbed(predictor: Predictor, model: Model) -> list[Anchored]:
     options = IdentifyOptions(certify="no", seeds=_SEEDS, finest=0)
     try:
         found = identify(thin.whole, thin.measurement, thin.comm, options, model, thin.settings, Steps(thin.progress))
-    except NotFollowed as error:
-        raise NotFollowed(str(error), error.remark, _came_to(predictor, frames[error.frames])) from None
+    except ContinuationError as error:
+        raise ContinuationError(str(error), error.remark, _came_to(predictor, frames[error.frames])) from None
     predictor.count("coarse", sum(found.evaluations.values()))
     return [frozenset(names) for names in [found.anchored, *(a.anchored for a in found.alternatives)]][
         : SETTINGS.first_sets

@@ -17,8 +17,8 @@ from bcid.base.units import UNTOLD, WIDE
 from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.forms.parameter import Parameter
-from bcid.forms.probes import Probe, Wanted
-from bcid.inference.criteria import CERTAIN
+from bcid.forms.probes import Probe, SensitivityRequest
+from bcid.inference.criteria import CREDIBLE_LEVEL
 from bcid.inference.nuisances import fitted_instead
 from bcid.inference.priors import PRIORS
 from bcid.inference.stiffness import Stiffness
@@ -293,7 +293,7 @@ def columns(
         if wanted:
             probes.append(Probe(term, wanted))
     law = tuple(n for n in names if n in model.law.complete(model.values))
-    found = predictor.sensitivities(model, anchors, prediction, Wanted(tuple(probes), law))
+    found = predictor.sensitivities(model, anchors, prediction, SensitivityRequest(tuple(probes), law))
     table = dict(found.law)
     for probe, arrays in zip(probes, found.probes, strict=True):
         table |= {probe.term.full(name): array for name, array in arrays.items()}
@@ -438,7 +438,7 @@ def _loose(apart: Array, errors: Array) -> NDArray[np.bool_]:
 
     Both in their scales; of what is no amount `apart` is no number.
     """
-    return np.asarray((errors > _LOOSE) & ~(np.abs(apart) > normal_quantile((1 + CERTAIN) / 2) * errors))
+    return np.asarray((errors > _LOOSE) & ~(np.abs(apart) > normal_quantile((1 + CREDIBLE_LEVEL) / 2) * errors))
 
 
 def _covariance(jacobian: Array, scale: Array) -> Array:
@@ -477,7 +477,7 @@ def _limits(
         if inside or c.parameter.period is not None or error > UNTOLD:
             continue
         bound, inward = (low, 1.0) if at - low < high - at else (high, -1.0)
-        end = bound + inward * error * limit_beyond(max(inward * (bound - at - step) / error, 0.0), 1 - CERTAIN)
+        end = bound + inward * error * limit_beyond(max(inward * (bound - at - step) / error, 0.0), 1 - CREDIBLE_LEVEL)
         if low < end < high:
             found[c.name] = c.value(float(end))
     return found

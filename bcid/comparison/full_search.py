@@ -13,9 +13,9 @@ from bcid.comparison.coarse_search import CoarseSearch
 from bcid.comparison.curvature import bent
 from bcid.comparison.few_steps import FEW_STEPS, few_steps, in_few_steps
 from bcid.comparison.fit import Fit, fit
+from bcid.comparison.fitted_hypothesis import FittedHypothesis, added, best_first, promoted
 from bcid.comparison.hypothesis_table import HypothesisTable
 from bcid.comparison.ranking import Ranking
-from bcid.comparison.rivals import Rival, added, best_first, promoted
 from bcid.comparison.search_queue import SearchQueue, Task
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
@@ -76,7 +76,7 @@ class FullSearch(SearchQueue):
             return None
         return next((stage for stage in self.stages[::-1] if stage.takes(hypothesis)), None)
 
-    def question(self, best: Rival, likely: Sequence[Hypothesis]) -> Task | None:
+    def question(self, best: FittedHypothesis, likely: Sequence[Hypothesis]) -> Task | None:
         if not best.names and best.hypothesis not in self.rankings:
             # A few steps may show nothing of what remembers, and the errors of another set may hide what an effect explains.
             return partial(self.missing, best)
@@ -84,7 +84,7 @@ class FullSearch(SearchQueue):
             return partial(self.ask_sets, best)
         return None
 
-    def last(self, best: Rival) -> Task | None:
+    def last(self, best: FittedHypothesis) -> Task | None:
         if best.hypothesis not in self.table.reduced:
             return partial(self.reduce, best)
         lesser = self.table.unopposed()
@@ -117,11 +117,11 @@ class FullSearch(SearchQueue):
         for rival in (r for r in self.table.full if r.hypothesis in wanted):
             self.say_fitted(rival)
 
-    def missing(self, rival: Rival) -> Ranking:
+    def missing(self, rival: FittedHypothesis) -> Ranking:
         """What a model lacks, as all steps show it."""
         return self.ask_effects(rival, {name: e for name, e in self.effects.items() if name not in rival.names})
 
-    def reduce(self, rival: Rival) -> None:
+    def reduce(self, rival: FittedHypothesis) -> None:
         """Compare a hypothesis in a few steps with the same less one of its patches, where its tangent speaks against these."""
         shown = self.table.sets_about(rival.hypothesis)
         least = shown[rival.anchors].total - SETTINGS.comparable
@@ -161,14 +161,14 @@ class FullSearch(SearchQueue):
         plain = next((rival for rival in coarse.full if not rival.names), None) if coarse else None
         found = promoted(plain, self.base, self.model) if plain else None
         if found is None:
-            found = Rival.of(_curved(self.base), self.model, self.candidates.among)
+            found = FittedHypothesis.of(_curved(self.base), self.model, self.candidates.among)
         self.say_fitted(found)
         self.table.add([found], self.model)
 
     # -- how a hypothesis is fitted
     # ---------------------------------------------------------------------------------------------------------------
 
-    def evaluated(self, wanted: Hypothesis) -> Rival | None:
+    def evaluated(self, wanted: Hypothesis) -> FittedHypothesis | None:
         """A hypothesis fitted to all steps, begun at the nearest that is known; None where that fails."""
         names, best = wanted.names, self.table.best()
         more = [name for name in best.names if name not in names]
@@ -183,7 +183,7 @@ class FullSearch(SearchQueue):
         parent = next((r for r in self.table.full if r.names == names[:-1]), None)
         return self._added(parent, wanted) if parent and names[-1] in self.effects else None
 
-    def _added(self, parent: Rival, wanted: Hypothesis) -> Rival | None:
+    def _added(self, parent: FittedHypothesis, wanted: Hypothesis) -> FittedHypothesis | None:
         """A fitted hypothesis with one effect more; None where that fails."""
         state = parent.fitted.state
         try:
@@ -197,7 +197,7 @@ class FullSearch(SearchQueue):
         except (SolveError, InputError):
             return None
 
-    def say_fitted(self, rival: Rival) -> None:
+    def say_fitted(self, rival: FittedHypothesis) -> None:
         """What is left of the measurement by a hypothesis."""
         state = rival.fitted.state
         anchors = label(state.anchors, self.predictor.scene.patches)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError, evaluating
 from bcid.comparison.fit import Fit, fit, pulls
-from bcid.inference.likelihood import Errors
+from bcid.inference.error_covariance import ErrorCovariance
 
 Array = NDArray[np.float64]
 # A linear step stands for a fit where what it promises of the action comes true within this part of the noise (RMS).
@@ -22,9 +22,10 @@ _MOST, _ROUGH = 8, 2e-3
 def held_out(fitted: Fit) -> float | None:
     """RMS residual, m, when each action is predicted from a fit to the others; collective.
 
-    The others tell the numbers of the model, and what the scene may have slightly wrong (`Errors.expected`): an action is predicted
-    with both. The fit without it is one Gauss-Newton step from the fit to all, with its Jacobian, and where the action does not
-    move as the step promises, one in full. None with one action only, and where a fit to the others cannot be followed.
+    The others give the parameters of the model, and what the scene may have slightly wrong (`ErrorCovariance.expected`): an
+    action is predicted with both. The fit without it is one Gauss-Newton step from the fit to all, with its Jacobian, and
+    where the action does not move as the step promises, one in full. None with one action only, and where a fit to the others
+    cannot be followed.
     """
     data, count = fitted.state.predictor.data, len(fitted.state.predictor.data.actions)
     if count < 2:
@@ -44,14 +45,14 @@ def held_out(fitted: Fit) -> float | None:
 
 def _without(fitted: Fit, number: int) -> Array | None:
     """What a fit without an action misses, (n,), m; None where it cannot be followed."""
-    errors = fitted.state.errors.unseeing(fitted.state.predictor.data.action == number)
+    errors = fitted.state.errors.masked(fitted.state.predictor.data.action == number)
     residual = _stepped(fitted, errors, number) if fitted.coordinates else fitted.state.residual
     if residual is None:
         residual = _refitted(fitted, errors)
     return None if residual is None else residual - errors.expected(residual)
 
 
-def _stepped(fitted: Fit, errors: Errors, number: int) -> Array | None:
+def _stepped(fitted: Fit, errors: ErrorCovariance, number: int) -> Array | None:
     """The residual (n,), m, after a linear step, that of the action with solves; None where the step does not stand for a fit."""
     state = fitted.state
     data, predictor = state.predictor.data, state.predictor
@@ -70,7 +71,7 @@ def _stepped(fitted: Fit, errors: Errors, number: int) -> Array | None:
     return np.where(here, found, promised) if np.sqrt(np.mean(missed**2)) <= _TRUE else None
 
 
-def _step(fitted: Fit, errors: Errors, slopes: Array) -> Array:
+def _step(fitted: Fit, errors: ErrorCovariance, slopes: Array) -> Array:
     """From the fit to all to one with errors that see only some of the values, shape (p,)."""
     chosen, numbers = fitted.coordinates, fitted.state.model.constants()
     scale = np.array([c.scale for c in chosen])
@@ -96,7 +97,7 @@ def _moved(fitted: Fit, step: Array) -> dict[str, float] | None:
     return values
 
 
-def _refitted(fitted: Fit, errors: Errors) -> Array | None:
+def _refitted(fitted: Fit, errors: ErrorCovariance) -> Array | None:
     """The residual (n,), m, of a fit with these errors, with solves; None where it cannot be followed."""
     try:
         return fit(replace(fitted.state, errors=errors), fitted.state.free, most=_MOST, ftol=_ROUGH).state.residual

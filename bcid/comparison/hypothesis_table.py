@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from bcid.base.tails import chi2_limit
 from bcid.base.units import WIDE
+from bcid.comparison.fitted_hypothesis import FittedHypothesis, best_first
 from bcid.comparison.loosened import loosens
 from bcid.comparison.ranking import Row
-from bcid.comparison.rivals import Rival, best_first
 from bcid.forms.model import Model
-from bcid.inference.criteria import FAILS_FOR_THE_TRUE, SURPRISE
+from bcid.inference.criteria import ALPHA, CONTINUATION_FAILURE_RATE
+from bcid.inference.discrepancy import Evidence
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
 from bcid.inference.posterior import Evaluation, Fidelity, FidelityStep, Pair, Posterior, toggles, with_error
-from bcid.inference.unknown_force import Evidence
 from bcid.search.settings import SETTINGS
 
 Array = NDArray[np.float64]
@@ -60,22 +60,22 @@ class HypothesisTable:
         _odds, _posterior: of all that is known; None where something has come since.
     """
 
-    own: list[Rival] = field(default_factory=list)
-    full: list[Rival] = field(default_factory=list)
+    own: list[FittedHypothesis] = field(default_factory=list)
+    full: list[FittedHypothesis] = field(default_factory=list)
     coarse: list[HypothesisTable] = field(default_factory=list)
     tangents: dict[Hypothesis, TangentEvidence] = field(default_factory=dict)
     reduced: dict[Hypothesis, list[Anchored]] = field(default_factory=dict)
     refused: set[Hypothesis] = field(default_factory=set)
     alike: bool = False
     _left: Array | None = None
-    _allowing: dict[int, tuple[Rival, Rival]] = field(default_factory=dict)
+    _allowing: dict[int, tuple[FittedHypothesis, FittedHypothesis]] = field(default_factory=dict)
     _odds: HypothesisOdds | None = field(default=None, init=False)
     _posterior: Posterior | None = field(default=None, init=False)
 
     # -- what is known
     # -----------------------------------------------------------------------------------------------------------
 
-    def add(self, rivals: Iterable[Rival], begun: Model) -> None:
+    def add(self, rivals: Iterable[FittedHypothesis], begun: Model) -> None:
         """What was compared with all steps; of what comes twice the latest counts. `begun` is the model without added effects."""
         self.own = best_first({r.hypothesis: r for r in (*self.own, *rivals)}.values())
         left = _most_left([r for r in self.own if r.log > self.own[0].log - SETTINGS.unlikely])
@@ -83,25 +83,25 @@ class HypothesisTable:
         self.full, self._left = best_first(allowed for _, allowed in self._allowing.values()), left
         self.reconsider()
 
-    def _with(self, rival: Rival, left: Array, begun: Model) -> Rival:
+    def _with(self, rival: FittedHypothesis, left: Array, begun: Model) -> FittedHypothesis:
         """A hypothesis with what may be left of the error of the mesh with another; what is known is not weighed again."""
         _, known = self._allowing.get(id(rival), (rival, None))
         return known if known is not None and self._left is left else rival.allowing(left, begun)
 
-    def add_sets(self, rival: Rival, sets: Mapping[Anchored, Evidence]) -> None:
+    def add_sets(self, rival: FittedHypothesis, sets: Mapping[Anchored, Evidence]) -> None:
         """What the tangent of a hypothesis says of other sets."""
         self._note(rival, sets=dict(sets))
 
-    def add_effects(self, rival: Rival, rows: Iterable[Row]) -> None:
+    def add_effects(self, rival: FittedHypothesis, rows: Iterable[Row]) -> None:
         """What the tangent of a hypothesis says of effects."""
         plain = rival.evidence.plain
         self._note(rival, effects={row.effect: plain + row.gain for row in rows if math.isfinite(row.gain)})
 
-    def add_springs(self, rival: Rival, springs: Mapping[Hypothesis, float]) -> None:
+    def add_springs(self, rival: FittedHypothesis, springs: Mapping[Hypothesis, float]) -> None:
         """Logarithms of the evidence of sets some patches of which give or come off, as the tangent of a hypothesis shows them."""
         self._note(rival, springs=dict(springs))
 
-    def _note(self, rival: Rival, **what: Any) -> None:
+    def _note(self, rival: FittedHypothesis, **what: Any) -> None:
         before = self.tangents.get(rival.hypothesis, TangentEvidence(known=rival.known))
         self.tangents[rival.hypothesis] = replace(before, **what)
         self.reconsider()
@@ -140,7 +140,7 @@ class HypothesisTable:
                 found[same] = found.get(same, 0.0) + found.pop(h)
         return HypothesisOdds(dict(sorted(found.items(), key=lambda item: (-item[1], item[0].order))), self.alike)
 
-    def _without_slack(self, rival: Rival) -> Hypothesis | None:
+    def _without_slack(self, rival: FittedHypothesis) -> Hypothesis | None:
         """The same with a patch free whose springs may have no stiffness; None where all patches hold.
 
         Springs that may as well be infinitely stiff have a large standard error too: the likelier of both ends tells.
@@ -155,7 +155,7 @@ class HypothesisTable:
                     return free.hypothesis
         return None
 
-    def _of(self, hypothesis: Hypothesis) -> Rival | None:
+    def _of(self, hypothesis: Hypothesis) -> FittedHypothesis | None:
         """A hypothesis as it was compared with all steps."""
         return next((r for r in self.full if r.hypothesis == hypothesis), None)
 
@@ -190,7 +190,7 @@ class HypothesisTable:
         Their rate is that of this run, beside one hypothesis of which the true one's rate is known. Of the frames that it does not
         reach a hypothesis predicts what the best one does.
         """
-        rate = (FAILS_FOR_THE_TRUE + len(self.refused)) / (1 + len(self.full) + len(self.refused))
+        rate = (CONTINUATION_FAILURE_RATE + len(self.refused)) / (1 + len(self.full) + len(self.refused))
         best = max(max(r.evidence.plain, r.evidence.forced) for r in self.full)
         return replace(one.at_most(best), log_prior=one.log_prior + math.log(rate))
 
@@ -200,10 +200,10 @@ class HypothesisTable:
         data = state.predictor.data
         if not data.stated:
             return math.inf
-        noise = -0.5 * chi2_limit(1 - SURPRISE, len(data)) - state.errors.log_volume
+        noise = -0.5 * chi2_limit(1 - ALPHA, len(data)) - state.errors.log_volume
         return max(noise, *(max(r.evidence.plain, r.evidence.forced) for r in self.full))
 
-    def _below(self, full: Mapping[Hypothesis, Rival]) -> Iterator[tuple[Hypothesis, Evaluation]]:
+    def _below(self, full: Mapping[Hypothesis, FittedHypothesis]) -> Iterator[tuple[Hypothesis, Evaluation]]:
         """What is known of hypotheses below the full fidelity."""
         for stage in self.coarse:
             yield from _Stage(stage, full).evaluations()
@@ -211,7 +211,7 @@ class HypothesisTable:
             if about in full:
                 yield from self._linearised(tangent, full[about])
 
-    def _linearised(self, tangent: TangentEvidence, about: Rival) -> Iterator[tuple[Hypothesis, Evaluation]]:
+    def _linearised(self, tangent: TangentEvidence, about: FittedHypothesis) -> Iterator[tuple[Hypothesis, Evaluation]]:
         """Other sets with the same effects, further effects on the same set, and patches that give or come off."""
         here = tangent.sets.get(about.anchors)
         for anchors, there in tangent.sets.items() if here else ():
@@ -228,14 +228,14 @@ class HypothesisTable:
             yield h, self._of_effects(h, about, log, tangent.known)
 
     @staticmethod
-    def _of_effects(h: Hypothesis, about: Rival, log: float, known: int) -> Evaluation:
+    def _of_effects(h: Hypothesis, about: FittedHypothesis, log: float, known: int) -> Evaluation:
         """A hypothesis with further effects, by the tangent of one without them and without a discrepancy."""
         base = about.evidence.plain
         changed = toggles(Fidelity.TANGENT, h, about.hypothesis, log - base)
         step = FidelityStep(base, base, changed)
         return Evaluation(log, log_prior(len(h.names), False, known), (step,), about.hypothesis)
 
-    def _pairs(self, full: Mapping[Hypothesis, Rival]) -> list[Pair]:
+    def _pairs(self, full: Mapping[Hypothesis, FittedHypothesis]) -> list[Pair]:
         """Hypotheses that are known at two fidelities."""
         found = [pair for stage in self.coarse for pair in _Stage(stage, full).pairs()]
         for h, tangent in self.tangents.items():
@@ -315,13 +315,13 @@ class HypothesisTable:
         """Whether it was compared with all steps."""
         return self._of(hypothesis) is not None
 
-    def best(self) -> Rival:
+    def best(self) -> FittedHypothesis:
         """The likeliest of the hypotheses that were compared with all steps."""
         full = {h: r for r in reversed(self.full) for h in r.weights}
         chosen = HypothesisOdds({h: p for h, p in self.odds.probabilities.items() if h in full}, self.alike).best
         return full[chosen]
 
-    def roughly(self, hypothesis: Hypothesis) -> Rival | None:
+    def roughly(self, hypothesis: Hypothesis) -> FittedHypothesis | None:
         """A hypothesis as it was fitted to a few steps, in the latest stage in which it was."""
         rivals = (r for stage in self.coarse[::-1] for r in stage.full)
         return next((r for r in rivals if r.hypothesis == hypothesis), None)
@@ -344,7 +344,7 @@ class HypothesisTable:
         return sorted((s for s in logs if logs[s] > _log(best)), key=lambda s: (-logs[s], len(s), sorted(s)))
 
     @property
-    def rough(self) -> list[Rival]:
+    def rough(self) -> list[FittedHypothesis]:
         """Hypotheses that were compared with a few steps and not with all."""
         full = {r.hypothesis for r in self.full}
         found = {r.hypothesis: r for stage in self.coarse for r in stage.full if r.hypothesis not in full}
@@ -359,7 +359,7 @@ def _effect_of(h: Hypothesis) -> str:
     return h.effect
 
 
-def _log(rival: Rival) -> float:
+def _log(rival: FittedHypothesis) -> float:
     """Logarithm of the evidence with or without a discrepancy; all effects are as likely."""
     return rival.log - log_prior(len(rival.names), False, rival.known)
 
@@ -367,7 +367,7 @@ def _log(rival: Rival) -> float:
 class _Stage:
     """What a few steps say: each hypothesis keeps its distance from the nearest that was compared with all of them."""
 
-    def __init__(self, stage: HypothesisTable, full: Mapping[Hypothesis, Rival]) -> None:
+    def __init__(self, stage: HypothesisTable, full: Mapping[Hypothesis, FittedHypothesis]) -> None:
         self._known, self._full = stage.posterior(), full
         both = [(rough, full[rough.hypothesis]) for rough in stage.full if rough.hypothesis in full]
         both = [pair for pair in both if all(math.isfinite(rival.log) for rival in pair)]
@@ -401,12 +401,12 @@ class _Stage:
                 there = _log(rough) + float(with_error(np.array(gain), np.array(-error)))
                 yield Pair(one.toggles, one.start - one.steps[0].low, there - one.steps[0].low)
 
-    def _nearest(self, h: Hypothesis) -> tuple[Rival, Rival]:
+    def _nearest(self, h: Hypothesis) -> tuple[FittedHypothesis, FittedHypothesis]:
         """Of those that were compared with all steps the one that differs least from a hypothesis: in the stage, and in all."""
         return min(self._both, key=lambda pair: len(toggles(Fidelity.COARSE, h, pair[1].hypothesis, 0.0)))
 
 
-def _most_left(rivals: Sequence[Rival]) -> Array:
+def _most_left(rivals: Sequence[FittedHypothesis]) -> Array:
     """What may be left of the error of the mesh where it is largest, (frames, fiducials, 3), m.
 
     Hypotheses are compared with that: what an unknown force does on a mesh is no more exact than what a known one does, and none

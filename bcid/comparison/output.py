@@ -17,17 +17,17 @@ from bcid.base.units import unit_factor
 from bcid.comparison import answer_text, courses, curvature, diagnosis_text
 from bcid.comparison.adequacy import FALSE_ALARMS, groups, judge
 from bcid.comparison.diagnosis import Diagnosis
-from bcid.comparison.explanation import Explanation, Onset, Rung, explains
+from bcid.comparison.explanation import Explanation, ModelStep, Onset, explains
 from bcid.comparison.fit import Fit
+from bcid.comparison.fitted_hypothesis import FittedHypothesis
 from bcid.comparison.ranking import Ranking
-from bcid.comparison.rivals import Rival
 from bcid.comparison.source import Source, stored_effect
 from bcid.comparison.where import MissingForce, Place
 from bcid.forms.course import course_of
 from bcid.forms.gripper_force import ROWS
 from bcid.forms.model import Term
 from bcid.inference import nuisance_text
-from bcid.inference.criteria import CERTAIN
+from bcid.inference.criteria import CREDIBLE_LEVEL
 from bcid.inference.data import Data
 from bcid.inference.hypotheses import patches
 from bcid.measurement import AXES, WRENCH
@@ -88,7 +88,7 @@ def documents(source: Source, done: Diagnosis, content: dict[str, Any]) -> dict[
     return found | {"summary.txt": "\n".join(lines) + "\n"}
 
 
-def model_json(rung: Rung, source: Source) -> dict[str, Any]:
+def model_json(rung: ModelStep, source: Source) -> dict[str, Any]:
     """The model with its values, from which another run can start."""
     model = rung.state.model
     return {
@@ -194,7 +194,7 @@ def beliefs(found: Explanation, order: list[str]) -> dict[str, Any]:
     return {
         "verdict_probability": found.probability,
         "anchors_probability": found.held_by,
-        "anchors_certain": found.held_by >= CERTAIN,
+        "anchors_certain": found.held_by >= CREDIBLE_LEVEL,
         "probabilities": {
             "effects": odds.verdicts,
             "patches": patches(odds.probabilities, order),
@@ -248,8 +248,10 @@ def _parameters(
     }
 
 
-def _ranking(ranking: Ranking, rivals: Sequence[Rival], unit: float, order: list[str]) -> list[dict[str, Any]]:
-    best: dict[str, Rival] = {}
+def _ranking(
+    ranking: Ranking, rivals: Sequence[FittedHypothesis], unit: float, order: list[str]
+) -> list[dict[str, Any]]:
+    best: dict[str, FittedHypothesis] = {}
     for rival in rivals:
         best.setdefault(rival.effect, rival)
     rows = []

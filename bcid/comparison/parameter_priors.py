@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from bcid.comparison.fit import Coordinate, columns, coordinates
 from bcid.comparison.state import State
 from bcid.forms.model import Model, Term
-from bcid.inference.criteria import SEEN
-from bcid.inference.evidence import Numbers
+from bcid.inference.criteria import DETECTION_THRESHOLD
+from bcid.inference.evidence import LinearParameters
 from bcid.inference.priors import PRIORS, spaced
 
 Array = NDArray[np.float64]
 
 
-def visible(shown: float, least: float = SEEN) -> Array:
+def visible(shown: float, least: float = DETECTION_THRESHOLD) -> Array:
     """Sizes of the amounts of an effect that these data could show, in notable ones; none where they could show none.
 
     Args:
@@ -35,7 +35,9 @@ def log_share(count: int) -> float:
     return math.log(count / PRIORS.amounts[2])
 
 
-def of_state(state: State, begun: Model, jacobian: Array | None = None, least: float = SEEN) -> Numbers | None:
+def of_state(
+    state: State, begun: Model, jacobian: Array | None = None, least: float = DETECTION_THRESHOLD
+) -> LinearParameters | None:
     """Numbers of a model that were fitted; None where these data could not show the amounts. Collective.
 
     Args:
@@ -45,7 +47,7 @@ def of_state(state: State, begun: Model, jacobian: Array | None = None, least: f
         least: see `visible`.
     """
     if not state.free:
-        return replace(Numbers.none(len(state.predictor.data)), log_prior=log_ways(state, begun))
+        return replace(LinearParameters.none(len(state.predictor.data)), log_prior=log_ways(state, begun))
     chosen, numbers = coordinates(state.model, state.free), state.model.constants()
     if jacobian is None:
         found = columns(state.predictor, state.model, state.anchors, state.prediction, chosen)
@@ -66,7 +68,7 @@ def of_state(state: State, begun: Model, jacobian: Array | None = None, least: f
         share = log_share(len(sizes))
     widths = np.array([_width(c, numbers[c.name], state) for c in chosen])
     table = np.where(amount, sizes[:, None] * scale, widths)
-    return Numbers(moved, apart, table, one_sided(chosen), share + log_ways(state, begun))
+    return LinearParameters(moved, apart, table, one_sided(chosen), share + log_ways(state, begun))
 
 
 def _from_nothing(

@@ -22,7 +22,7 @@ from bcid.forms import effects
 from bcid.forms.course import constant
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Term
-from bcid.inference.criteria import SEEN
+from bcid.inference.criteria import DETECTION_THRESHOLD
 from bcid.inference.evidence import LARGER, log_gains
 
 Array = NDArray[np.float64]
@@ -94,7 +94,7 @@ def rank(
     known: Sequence[Effect] | None = None,
     strict: bool = True,
     place: str | None = None,
-    least: float = SEEN,
+    least: float = DETECTION_THRESHOLD,
     like: Ranking | None = None,
 ) -> Ranking:
     """Rank the effects that the model lacks; collective.

@@ -16,18 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.comparison.explanation import Explanation, explains, probability_of, verdict_of
+from bcid.comparison.fitted_hypothesis import FittedHypothesis
 from bcid.comparison.loosened import loosens
 from bcid.comparison.parameter_priors import of_state
-from bcid.comparison.rivals import Rival
 from bcid.comparison.state import State
 from bcid.forms.model import Model, Term
 from bcid.forms.scene_errors import Outline
-from bcid.inference.criteria import CERTAIN
-from bcid.inference.evidence import KnownNuisance, Numbers
+from bcid.inference.criteria import CREDIBLE_LEVEL
+from bcid.inference.discrepancy import conditional
+from bcid.inference.evidence import KnownNuisance, LinearParameters
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
 from bcid.inference.nuisance_text import amount
 from bcid.inference.priors import PRIORS
-from bcid.inference.unknown_force import conditional
 
 Array = NDArray[np.float64]
 # Offsets of an input, in its standard deviations.
@@ -71,7 +71,7 @@ class Answer:
     @property
     def certain(self) -> bool:
         """Whether both are."""
-        return min(self.probability, self.held_by) >= CERTAIN
+        return min(self.probability, self.held_by) >= CREDIBLE_LEVEL
 
     def like(self, other: Answer) -> bool:
         """Whether verdict and anchors are the same."""
@@ -127,13 +127,13 @@ class WeighedHypothesis:
         inputs: columns of its nuisances, by the input that they are.
     """
 
-    rival: Rival
+    rival: FittedHypothesis
     reported: Hypothesis
-    numbers: Numbers
+    numbers: LinearParameters
     inputs: Mapping[SceneInput, int]
 
     @classmethod
-    def of(cls, rival: Rival, reported: Hypothesis, begun: Model) -> WeighedHypothesis | None:
+    def of(cls, rival: FittedHypothesis, reported: Hypothesis, begun: Model) -> WeighedHypothesis | None:
         """Of a hypothesis; None where these data could not show its amounts. Collective."""
         state, own = rival.judged, rival.fitted.state.errors
         moved = [state.errors.whiten(own.unwhiten(column)) for column in rival.fitted.jacobian.T]
@@ -171,7 +171,7 @@ def fitted_hypotheses(found: Explanation) -> list[WeighedHypothesis]:
     return [one for one in made if one is not None]
 
 
-def reported_as(rival: Rival, odds: HypothesisOdds) -> Hypothesis | None:
+def reported_as(rival: FittedHypothesis, odds: HypothesisOdds) -> Hypothesis | None:
     """The hypothesis as which one counts: itself, or where its springs may have no stiffness that without them and the patch."""
     if rival.hypothesis in odds.probabilities:
         return rival.hypothesis

@@ -7,13 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 from bcid.base.errors import SolveError
+from bcid.comparison.fitted_hypothesis import FittedHypothesis
 from bcid.comparison.hypothesis_table import HypothesisTable
 from bcid.comparison.ranking import Ranking, rank
-from bcid.comparison.rivals import Rival
 from bcid.comparison.set_tangents import sets_about
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
-from bcid.inference.criteria import SEEN
+from bcid.inference.criteria import DETECTION_THRESHOLD
 from bcid.inference.hypotheses import Hypothesis
 from bcid.search.settings import SETTINGS
 
@@ -36,7 +36,7 @@ class SearchQueue(ABC):
         rankings: what models lack, by hypothesis.
     """
 
-    def __init__(self, base: State, table: HypothesisTable, least: float = SEEN) -> None:
+    def __init__(self, base: State, table: HypothesisTable, least: float = DETECTION_THRESHOLD) -> None:
         self.base, self.predictor, self.table = base, base.predictor, table
         self.least, self.model = least, base.model
         self.effects: dict[str, Effect] = {}
@@ -78,15 +78,15 @@ class SearchQueue(ABC):
         return likely[:1]
 
     @abstractmethod
-    def question(self, best: Rival, likely: Sequence[Hypothesis]) -> Task | None:
+    def question(self, best: FittedHypothesis, likely: Sequence[Hypothesis]) -> Task | None:
         """What tangents are asked next, where the most probable hypothesis is known and others are worth an evaluation."""
 
     @abstractmethod
-    def last(self, best: Rival) -> Task | None:
+    def last(self, best: FittedHypothesis) -> Task | None:
         """What comes once no hypothesis waits."""
 
     @abstractmethod
-    def evaluated(self, wanted: Hypothesis) -> Rival | None:
+    def evaluated(self, wanted: Hypothesis) -> FittedHypothesis | None:
         """A hypothesis at the fidelity of the queue; None where it cannot be followed."""
 
     # -- evaluations
@@ -103,13 +103,15 @@ class SearchQueue(ABC):
                 found.append(one)
         self.table.add(found, self.model)
 
-    def ask_sets(self, rival: Rival) -> None:
+    def ask_sets(self, rival: FittedHypothesis) -> None:
         """What the tangent of an evaluated hypothesis says of its effects on other sets."""
         state = rival.judged
         found = sets_about(state, self.model, rival.jacobian(state.errors), self.least)
         self.table.add_sets(rival, found or {rival.anchors: rival.evidence})
 
-    def ask_effects(self, rival: Rival, effects: Mapping[str, Effect], like: Ranking | None = None) -> Ranking:
+    def ask_effects(
+        self, rival: FittedHypothesis, effects: Mapping[str, Effect], like: Ranking | None = None
+    ) -> Ranking:
         """What a model lacks, by its own sensitivities or those of another ranking; asked once for each hypothesis."""
         if rival.hypothesis not in self.rankings:
             wanted = list(effects.values())

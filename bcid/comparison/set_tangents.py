@@ -12,10 +12,10 @@ from bcid.base.errors import SolveError
 from bcid.comparison.parameter_priors import of_state
 from bcid.comparison.state import State
 from bcid.forms.model import Model
-from bcid.inference.criteria import SEEN
-from bcid.inference.evidence import Numbers
+from bcid.inference.criteria import DETECTION_THRESHOLD
+from bcid.inference.discrepancy import Evidence
+from bcid.inference.evidence import LinearParameters
 from bcid.inference.priors import PRIORS
-from bcid.inference.unknown_force import Evidence
 from bcid.search.settings import SETTINGS
 
 Array = NDArray[np.float64]
@@ -40,7 +40,7 @@ def neighbours(state: State, begun: Model, every: bool) -> list[Anchored]:
 
 
 def sets_about(
-    state: State, begun: Model, jacobian: Array | None = None, least: float = SEEN
+    state: State, begun: Model, jacobian: Array | None = None, least: float = DETECTION_THRESHOLD
 ) -> dict[Anchored, Evidence]:
     """Evidence of the model of a state on other sets, and on its own, as its tangent shows them; collective.
 
@@ -64,7 +64,7 @@ def sets_about(
     return dict(zip(sets, _evidences(state, numbers, moves), strict=True))
 
 
-def _evidences(state: State, known: Numbers, moves: Sequence[Array]) -> list[Evidence]:
+def _evidences(state: State, known: LinearParameters, moves: Sequence[Array]) -> list[Evidence]:
     """Of sets that move the markers elsewhere by (frames, markers, 3), m, than the one of a state.
 
     How far they move them in each action is known to first order only; and the `known` numbers of the model may be others then.
@@ -80,6 +80,6 @@ def _evidences(state: State, known: Numbers, moves: Sequence[Array]) -> list[Evi
     apart, positive = np.concatenate([nowhere, known.apart]), np.concatenate([nowhere > 0, known.positive])
     for shift, own, size in zip(shifts.T, np.moveaxis(columns, 1, 0), sizes.T, strict=True):
         error = np.broadcast_to(small + large * np.minimum(size, 1.0) ** 2, (len(known.widths), len(size)))
-        numbers = Numbers(np.hstack([own, known.columns]), apart, np.hstack([error, known.widths]), positive)
+        numbers = LinearParameters(np.hstack([own, known.columns]), apart, np.hstack([error, known.widths]), positive)
         found.append(Evidence.of(state.errors, state.residual - shift, state.forces, numbers))
     return found

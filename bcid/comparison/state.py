@@ -12,13 +12,13 @@ from bcid.base.errors import SolveError
 from bcid.forms.force_bumps import force_unit
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
-from bcid.inference.evidence import Force, Numbers
-from bcid.inference.followed import NotFollowed
-from bcid.inference.likelihood import Errors, NuisanceEstimate
+from bcid.inference.change_point import ChangePointForce
+from bcid.inference.continuation import ContinuationError
+from bcid.inference.discrepancy import Evidence, SmoothDiscrepancy
+from bcid.inference.error_covariance import ErrorCovariance, NuisanceEstimate
+from bcid.inference.evidence import LinearParameters, LowRankDiscrepancy
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes, fitted_instead, placed, replaced, stood_for
-from bcid.inference.sudden_force import SuddenForce
-from bcid.inference.unknown_force import Evidence, Smooth
 from bcid.predict.kept_predictions import MeasurementPrediction
 from bcid.predict.mesh_ladder import mesh_error
 from bcid.predict.predictor import Predictor
@@ -44,8 +44,8 @@ class State:
     model: Model
     anchors: frozenset[str]
     prediction: MeasurementPrediction
-    errors: Errors
-    unknown: Smooth
+    errors: ErrorCovariance
+    unknown: SmoothDiscrepancy
     spots: Array
     free: tuple[str, ...] = ()
     modes: NuisanceModes | None = None
@@ -67,7 +67,7 @@ class State:
         may be taken.
 
         Raises:
-            NotFollowed: the model cannot be followed to the end; `SolveError` where only some steps are.
+            ContinuationError: the model cannot be followed to the end; `SolveError` where only some steps are.
         """
         prediction = prediction or predictor.predict(model, anchors, keep=True)
         if prediction.failure:
@@ -76,11 +76,11 @@ class State:
             if predictor.thin:
                 raise SolveError(message)
             came = np.asarray(np.isfinite(prediction.positions).all(axis=(1, 2)))
-            raise NotFollowed(message, f"{who} cannot be followed", came)
+            raise ContinuationError(message, f"{who} cannot be followed", came)
         mesh = mesh_error(predictor, model, anchors, prediction) if mesh is None else mesh
         residual = predictor.data.values - predictor.data.vector(prediction.positions + mesh.correction)
         modes, unknown, spots = predictor.disturbances(model, anchors, prediction, nuisances)
-        errors = Errors(predictor.data, predictor.data.noise(residual), mesh, modes)
+        errors = ErrorCovariance(predictor.data, predictor.data.noise(residual), mesh, modes)
         errors = _beside(errors, model, free)
         return cls(predictor, model, anchors, prediction, errors, unknown, spots, free, modes)
 
@@ -113,7 +113,7 @@ class State:
     def with_errors(self, mesh: MeshError, nuisances: NuisanceModes | None = None) -> State:
         """The same with another error of the mesh, and what else is slightly wrong."""
         modes = nuisances or self.whole_modes
-        errors = Errors(self.predictor.data, self.errors.sigma, mesh, modes)
+        errors = ErrorCovariance(self.predictor.data, self.errors.sigma, mesh, modes)
         return replace(self, errors=_beside(errors, self.model, self.free), modes=modes)
 
     @property
@@ -169,19 +169,19 @@ class State:
         """What a hypothesis pays for the errors that it allows for besides the noise, in units of chi-square."""
         return 2 * (self.errors.log_volume - float(np.sum(np.log(self.errors.sigma))))
 
-    def evidence(self, numbers: Numbers | None = None) -> Evidence:
+    def evidence(self, numbers: LinearParameters | None = None) -> Evidence:
         """How likely the data are, with and without an unknown force; `numbers` are what was unknown of the model."""
         return Evidence.of(self.errors, self.residual, self.forces, numbers, self.sudden)
 
     @cached_property
-    def forces(self) -> list[Force]:
+    def forces(self) -> list[LowRankDiscrepancy]:
         """An unknown force of each kind, in units of the errors."""
         return self.unknown.forces(self.errors, force_unit(self.predictor.forward(self.model)))
 
     @cached_property
-    def sudden(self) -> SuddenForce | None:
+    def sudden(self) -> ChangePointForce | None:
         """An unknown force that begins at a spot; None in a few steps, of which hardly any shows what was before."""
-        return None if self.predictor.thin else SuddenForce(self.errors, self.spots)
+        return None if self.predictor.thin else ChangePointForce(self.errors, self.spots)
 
     @property
     def rms(self) -> float:
@@ -198,7 +198,7 @@ class State:
         """The part of the residual that is most likely noise whatever is missing: an unknown force is allowed for too, (n,), m."""
         errors, data = self.errors, self.predictor.data
         unknown = self.unknown.likeliest(data, self.evidence())
-        wider = Errors(data, errors.sigma, errors.mesh, errors.nuisances.beside(unknown))
+        wider = ErrorCovariance(data, errors.sigma, errors.mesh, errors.nuisances.beside(unknown))
         return wider.rough(self.residual)
 
     @cached_property
@@ -212,6 +212,6 @@ class State:
         return self.predictor.data.rms(self.errors.sigma)
 
 
-def _beside(errors: Errors, model: Model, free: tuple[str, ...]) -> Errors:
+def _beside(errors: ErrorCovariance, model: Model, free: tuple[str, ...]) -> ErrorCovariance:
     """Errors without what a model says in their place."""
     return errors.without(stood_for(model) | fitted_instead(model, free), placed(model))

@@ -9,8 +9,8 @@ import numpy as np
 
 from bcid.base.errors import SolveError
 from bcid.comparison.fit import Fit
+from bcid.comparison.fitted_hypothesis import FittedHypothesis
 from bcid.comparison.loosened import loosens
-from bcid.comparison.rivals import Rival
 from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.inference.hypotheses import Hypothesis, log_prior
@@ -20,7 +20,7 @@ from bcid.inference.mesh_error import MeshError
 _SOFTER = 100.0
 
 
-def check_not_stood_for(best: Rival, refused: Collection[Hypothesis], begun: Model) -> None:
+def check_not_stood_for(best: FittedHypothesis, refused: Collection[Hypothesis], begun: Model) -> None:
     """A patch that gives does not stand for a set without it that cannot be followed; collective.
 
     Held as softly as if it were not held it shows what that set does, in all steps: it is likelier than the answer where the answer
@@ -32,7 +32,7 @@ def check_not_stood_for(best: Rival, refused: Collection[Hypothesis], begun: Mod
         begun: the model without added effects.
 
     Raises:
-        NotFollowed: it stands for one, so that what this cannot be followed in is not to be compared.
+        ContinuationError: it stands for one, so that what this cannot be followed in is not to be compared.
     """
     state = best.fitted.state
     for term in state.model.terms:
@@ -49,13 +49,13 @@ def check_not_stood_for(best: Rival, refused: Collection[Hypothesis], begun: Mod
             State.of(state.predictor, model, without, MeshError.unknown(state.predictor.data.mask.shape))
 
 
-def _log_without(best: Rival, model: Model, begun: Model) -> float:
+def _log_without(best: FittedHypothesis, model: Model, begun: Model) -> float:
     """Logarithm of evidence and prior of a model with other numbers than those of the answer, one effect counting as none."""
     state, count = best.fitted.state, len(best.names) - 1
     try:
         there = State.of(state.predictor, model, state.anchors, best.judged.errors.mesh)
     except SolveError:
         return -math.inf
-    found = Rival.of(Fit.at(there), begun, best.known).evidence
+    found = FittedHypothesis.of(Fit.at(there), begun, best.known).evidence
     plain, forced = (log_prior(count, unknown, best.known) for unknown in (False, True))
     return float(np.logaddexp(found.plain + plain, found.forced + forced))

@@ -10,15 +10,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.comparison.ahead import balls
+from bcid.comparison.ahead import obstacle_candidates
 from bcid.comparison.fit import Coordinate
 from bcid.comparison.parameter_priors import visible
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
-from bcid.forms.force_bumps import scattered
+from bcid.forms.force_bumps import farthest_point_sample
 from bcid.forms.model import Model, Term
 from bcid.forms.parameter import Parameter
-from bcid.forms.probes import Probe, Wanted
+from bcid.forms.probes import Probe, SensitivityRequest
 from bcid.inference.priors import PRIORS
 
 Array = NDArray[np.float64]
@@ -76,7 +76,7 @@ def all_variants(state: State, candidates: Sequence[tuple[Effect, str]]) -> dict
             label = f"{base}@{k}" if effect.memory else base
             probes.append(Probe(Term(effect, numbers, label, place), names))
     found = state.predictor.sensitivities(
-        state.model, state.anchors, state.prediction, Wanted(tuple(probes), (), bool(stiff))
+        state.model, state.anchors, state.prediction, SensitivityRequest(tuple(probes), (), bool(stiff))
     )
     result: dict[str, list[Variant]] = {effect.name: [] for effect, _ in candidates}
     for (name, _), group in itertools.groupby(
@@ -160,7 +160,7 @@ def _without(state: State, others: frozenset[str]) -> Array:
 def _tried(state: State, effect: Effect) -> list[dict[str, float]]:
     """Values of the shapes of an effect that are tried."""
     if effect.ahead:
-        return balls(state)
+        return obstacle_candidates(state)
     scans = [p for p in effect.shapes if p.scan]
     return [
         {p.name: float(v) for p, v in zip(scans, chosen, strict=True)}
@@ -275,7 +275,7 @@ def _inclusions(state: State, effect: Effect, stiffness: NDArray[np.float32]) ->
     values = neutral_values(state.model, effect)
     amount = effect.amounts[0].name
     terms = []
-    for centre in scattered(middles, _PLACES):
+    for centre in farthest_point_sample(middles, _PLACES):
         for part in _RADII:
             place = dict(zip(("cx", "cy", "cz"), map(float, centre), strict=True)) | {"radius": part * size}
             terms.append(Term(effect, values | place))

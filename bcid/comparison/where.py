@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.comparison.state import State
-from bcid.forms.force_bumps import SPOTS, bumps, scattered
-from bcid.forms.probes import Wanted
+from bcid.forms.force_bumps import SPOTS, bumps, farthest_point_sample
+from bcid.forms.probes import SensitivityRequest
 
 Array = NDArray[np.float64]
 # The force is told by so many regions: neighbouring bumps stand in for each other, and only their sums are known well.
@@ -72,7 +72,7 @@ def missing_force(state: State) -> MissingForce:
     predictor, data = state.predictor, state.predictor.data
     forward = predictor.forward(state.model)
     centres, weights = bumps(forward, SPOTS)
-    shown = predictor.sensitivities(state.model, state.anchors, state.prediction, Wanted(forces=weights))
+    shown = predictor.sensitivities(state.model, state.anchors, state.prediction, SensitivityRequest(forces=weights))
     assert shown.forces is not None
     raw = data.vector(shown.forces).astype(float).reshape(len(data), -1)
     names = [name for a, name in enumerate(data.actions) if data.progress[data.action == a].any()]
@@ -100,7 +100,7 @@ def missing_force(state: State) -> MissingForce:
 
 def _regions(centres: Array, volumes: Array) -> tuple[Array, Array]:
     """Middles of the regions and of the body, shape (regions + 1, 3), and the volume of each bump in them, (regions + 1, bumps)."""
-    seeds = scattered(centres, _REGIONS)
+    seeds = farthest_point_sample(centres, _REGIONS)
     nearest = np.linalg.norm(centres[:, None] - seeds[None], axis=2).argmin(axis=1)
     held = np.vstack([np.where(np.arange(len(seeds))[:, None] == nearest, volumes, 0.0), volumes])
     return held @ centres / held.sum(axis=1)[:, None], held

@@ -18,9 +18,9 @@ from bcid.exploration.update import BeliefUpdate, weights
 from bcid.forms.gripper_force import ROWS
 from bcid.forms.simulate import recorded, with_wrenches
 from bcid.inference.data import LEAST_NOISE, Data
+from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.hypotheses import Hypothesis, entropy
 from bcid.inference.information import Expected, information, noise_free
-from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
 from bcid.measurement import Action
 
@@ -84,7 +84,7 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class Shown:
+class Predictive:
     """What the hypotheses predict for a pull, in units of its errors.
 
     Attributes:
@@ -95,10 +95,10 @@ class Shown:
     means: Array
     loose: tuple[Array, ...]
 
-    def __add__(self, other: Shown) -> Shown:
+    def __add__(self, other: Predictive) -> Predictive:
         """Two pulls as one: the unknown numbers are the same in both."""
         loose = (np.concatenate(pair, axis=1) for pair in zip(self.loose, other.loose, strict=True))
-        return Shown(np.concatenate([self.means, other.means], axis=1), tuple(loose))
+        return Predictive(np.concatenate([self.means, other.means], axis=1), tuple(loose))
 
 
 @dataclass(frozen=True)
@@ -138,14 +138,14 @@ class Chooser:
 
     def _settled(self, choice: Choice, view: PosteriorSummary) -> Choice:
         """The choice; where the body may buckle in it is known of every live set, for the belief that follows from it."""
-        sets = live(view)
+        sets = credible_set(view)
         if choice.move and len(sets) <= _MOST:
             self.inference.predict(view, sets, self._action(choice.move), detailed=True)
         return choice
 
     def _choose(self, view: PosteriorSummary, last: Move | None, barred: Mapping[Move, str]) -> Choice:
         limits = limits_of(self.inference.scene)
-        sets = live(view)
+        sets = credible_set(view)
         options = [
             Option(move, Expected(0.0), cost(move, last, limits), forbidden=barred.get(move, "")) for move in self.moves
         ]
@@ -171,7 +171,7 @@ class Chooser:
     def _best(self, options: list[Option], view: PosteriorSummary, sets: list[Hypothesis]) -> Choice:
         """By full predictions, those that promise most first, until one of them is worth it."""
         seen: list[Option] = []
-        shown: dict[Move, Shown] = {}
+        shown: dict[Move, Predictive] = {}
         for i in range(0, len(options), _SCREENED):
             for option in options[i : i + _SCREENED]:
                 predicted, forbidden = self._asked(option, view, sets, weights(view.probabilities, sets))
@@ -191,7 +191,7 @@ class Chooser:
         return Choice(first.move, first.expected, every, ahead)
 
     def _pair(
-        self, allowed: list[Option], shown: dict[Move, Shown], p: Array, view: PosteriorSummary
+        self, allowed: list[Option], shown: dict[Move, Predictive], p: Array, view: PosteriorSummary
     ) -> tuple[Option, Move | None]:
         """The first pull of the best pair, where one pull alone cannot decide and the pair tells more than any with the best.
 
@@ -289,7 +289,7 @@ class Chooser:
                 return f"{reason} (probability {least}{risk:.2g})"
         return ""
 
-    def _in_errors(self, move: Move, predicted: Sequence[PullPrediction], view: PosteriorSummary) -> Shown:
+    def _in_errors(self, move: Move, predicted: Sequence[PullPrediction], view: PosteriorSummary) -> Predictive:
         positions = np.array([np.nan_to_num(f.positions) for f in predicted])
         return self._scaled(positions, [f.loose for f in predicted], self._action(move), view, True)
 
@@ -300,15 +300,15 @@ class Chooser:
         action: Action,
         view: PosteriorSummary,
         modes: bool,
-    ) -> Shown:
+    ) -> Predictive:
         """Predictions (hypotheses, frames, rows, 3), m, and what is loose of them, in units of their errors."""
         errors = self._errors(positions, action, view, modes)
         data = errors.data
         means = errors.whiten(np.array([data.vector(p - data.rest) for p in positions]).T).T
         columns = [[errors.whiten(data.vector(np.nan_to_num(c))) for c in own] for own in loose]
-        return Shown(means, tuple(np.array(own).reshape(-1, means.shape[1]) for own in columns))
+        return Predictive(means, tuple(np.array(own).reshape(-1, means.shape[1]) for own in columns))
 
-    def _errors(self, positions: Array, action: Action, view: PosteriorSummary, modes: bool) -> Errors:
+    def _errors(self, positions: Array, action: Action, view: PosteriorSummary, modes: bool) -> ErrorCovariance:
         """Errors of a pull to come, about predictions (hypotheses, frames, rows, 3), m.
 
         With `modes` also of what the likeliest set's scene may have slightly wrong.
@@ -319,7 +319,7 @@ class Chooser:
         moved = np.sqrt(np.mean((positions - data.rest) ** 2, axis=0))
         mesh = replace(MeshError.unknown(data.mask.shape), left=view.error * moved, known=view.error > 0)
         sigma = np.where(data.of_position, max(self.noise, LEAST_NOISE), data.sigma)
-        return Errors(data, sigma, mesh, inference.modes(view, action, data, expected) if modes else None)
+        return ErrorCovariance(data, sigma, mesh, inference.modes(view, action, data, expected) if modes else None)
 
     def _with_forces(self, data: Data, expected: Array) -> Data:
         """The same with forces of the gripper of the size that is expected, (frames, rows, 3), m, where they are measured."""
@@ -345,7 +345,7 @@ class Chooser:
 
     def _linear(self, options: list[Option], view: PosteriorSummary) -> list[Option]:
         """The options with what the linear response of every hypothesis with a part in the belief promises."""
-        sets = live(view)
+        sets = credible_set(view)
         p = weights(view.probabilities, sets)
         size = _SMALL * limits_of(self.inference.scene).displacement
         responses: dict[str, list[PullPrediction]] = {}
@@ -362,7 +362,7 @@ class Chooser:
             )
         return result
 
-    def _expected(self, shown: Shown, p: Array) -> Expected:
+    def _expected(self, shown: Predictive, p: Array) -> Expected:
         if self.criterion == "entropy":
             return noise_free(shown.means, p)
         return information(shown.means, p, self.samples, self.random_state, shown.loose)
@@ -387,7 +387,7 @@ def _decisive(p: Array) -> int:
     return min(int(np.searchsorted(np.cumsum(p), _SAFE)) + 1, len(p))
 
 
-def live(view: PosteriorSummary) -> list[Hypothesis]:
+def credible_set(view: PosteriorSummary) -> list[Hypothesis]:
     """The likeliest hypotheses, which hold 99.9 % of the probability."""
     found: list[Hypothesis] = []
     mass = 0.0

@@ -38,7 +38,7 @@ from bcid.forms.mesh.check import measures
 from bcid.forms.mesh.patches import divided
 from bcid.forms.model import check_physics
 from bcid.forms.written_effects import with_effects
-from bcid.inference.criteria import CERTAIN
+from bcid.inference.criteria import CREDIBLE_LEVEL
 from bcid.inference.hypotheses import Hypothesis, entropy
 from bcid.measurement import Measurement
 from bcid.scene import Scene
@@ -343,7 +343,7 @@ def summary(scene: Scene, options: ExploreOptions, found: Exploration) -> str:
     lines += stiffness_in_words(view.stiffness)
     if options.effects:
         lines += ["", *_about_effects(options, found)]
-    if view.missing >= CERTAIN:
+    if view.missing >= CREDIBLE_LEVEL:
         lines += [
             "",
             f"WARNING: something is missing in the model, or it is wrong: probability {percent(view.missing)}. The likeliest "

@@ -22,7 +22,7 @@ from bcid.exploration.robots import Robot
 from bcid.exploration.update import BeliefUpdate
 from bcid.forms import effects
 from bcid.forms.gripper_force import ForceScale
-from bcid.inference.criteria import CERTAIN
+from bcid.inference.criteria import CREDIBLE_LEVEL
 from bcid.inference.hypotheses import Hypothesis
 from bcid.measurement import Measurement
 from bcid.predict.levels import affordable, pair
@@ -235,7 +235,7 @@ class _Loop:
         limits = limits_of(self.scene)
         while True:
             if self.steps and view.certainty >= self.options.confidence:
-                return Exploration(DECIDED if view.missing < CERTAIN else UNEXPLAINED, view, tuple(self.steps))
+                return Exploration(DECIDED if view.missing < CREDIBLE_LEVEL else UNEXPLAINED, view, tuple(self.steps))
             began, count = time.perf_counter(), self._predicted()
             last = self.steps[-1].move if self.steps else None
             choice = self._choose(view, last)
@@ -342,6 +342,6 @@ class _Loop:
             if p > 1e-3
         )
         doubt = ""
-        if step.view.missing >= CERTAIN:
+        if step.view.missing >= CREDIBLE_LEVEL:
             doubt = f"; SOMETHING IS MISSING ({percent(step.view.missing)})"
         self.progress.say(f"  {step.gained:.2f} bits gained; {shown}{doubt}; {step.seconds:.1f} s of computing")

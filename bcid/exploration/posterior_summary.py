@@ -20,7 +20,7 @@ class PosteriorSummary:
         entropy: bits.
         rms: RMS residual of the likeliest hypothesis, m; NaN before anything was seen.
         missed: the same in units of what noise, mesh, and what the scene may have slightly wrong explain.
-        missing: probability that something is missing in the model besides (see `bcid.inference.unknown_force`).
+        missing: probability that something is missing in the model besides (see `bcid.inference.discrepancy`).
         error: RMS error of the mesh at the end of a pull, as part of its motion.
         fitted: the hypotheses with an effect, with their numbers.
         stiffness: how stiff the body is with the likeliest set, where forces are measured.

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from bcid.exploration.joined import joined
 from bcid.forms.gripper_force import ForceScale
 from bcid.forms.model import Model
-from bcid.inference.criteria import FAR
+from bcid.inference.criteria import MAX_NORMALISED_RMS
 from bcid.inference.data import Data
-from bcid.inference.likelihood import Errors
+from bcid.inference.discrepancy import Evidence, SmoothDiscrepancy
+from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes
 from bcid.inference.relative import relative
 from bcid.inference.stiffness import Stiffness
-from bcid.inference.unknown_force import Evidence, Smooth
 from bcid.measurement import Measurement
 from bcid.scene import Scene
 
@@ -32,7 +32,7 @@ _ANYWHERE, _ROUGH = 0.5, 0.5
 
 
 @dataclass(frozen=True)
-class Allowance:
+class ErrorModel:
     """What is known of the errors about a set's prediction, in all frames of all pulls; it serves for sets like it too.
 
     Attributes:
@@ -44,14 +44,14 @@ class Allowance:
 
     mesh: MeshError
     modes: NuisanceModes
-    unknown: Smooth
+    unknown: SmoothDiscrepancy
     adrift: frozenset[int] = frozenset()
 
     @classmethod
-    def nothing(cls, data: Data) -> Allowance:
+    def nothing(cls, data: Data) -> ErrorModel:
         """Before anything is known."""
         count = len(data)
-        return cls(MeshError.unknown(data.mask.shape), NuisanceModes.none(count), Smooth.nothing(count))
+        return cls(MeshError.unknown(data.mask.shape), NuisanceModes.none(count), SmoothDiscrepancy.nothing(count))
 
 
 @dataclass(frozen=True)
@@ -99,9 +99,9 @@ class PullErrors:
         self._positions: dict[Anchored, Array] = {}
         self._failed: set[Anchored] = set()
         self._adrift: dict[Anchored, frozenset[int]] = {}
-        self._allowed: dict[Anchored, Allowance] = {}
+        self._allowed: dict[Anchored, ErrorModel] = {}
         self._weighed: dict[Anchored, Weighed] = {}
-        self._errors: dict[tuple[object, ...], Errors] = {}
+        self._errors: dict[tuple[object, ...], ErrorCovariance] = {}
         self._likelihoods: dict[tuple[object, ...], float] = {}
 
     # -- what is known
@@ -116,7 +116,7 @@ class PullErrors:
             self._adrift[anchors] = self._adrift.get(anchors, frozenset()) | {pull}
         self._forget(anchors)
 
-    def allow(self, anchors: Anchored, allowed: Allowance) -> None:
+    def allow(self, anchors: Anchored, allowed: ErrorModel) -> None:
         """Take what is known of the errors about a set, whose predictions of all pulls are known."""
         self._allowed[anchors] = allowed
         # Other sets may have had its errors, or have them from now on.
@@ -134,7 +134,7 @@ class PullErrors:
         """The sets about which errors are known."""
         return tuple(self._allowed)
 
-    def allowance(self, anchors: Anchored) -> Allowance:
+    def allowance(self, anchors: Anchored) -> ErrorModel:
         """What is known of the errors about one of these."""
         return self._allowed[anchors]
 
@@ -161,7 +161,7 @@ class PullErrors:
         """
         like = self.like(anchors)
         if like is None or not self._allowed[like].unknown.known:
-            return float(self.missed(anchors) > FAR)
+            return float(self.missed(anchors) > MAX_NORMALISED_RMS)
         return self._weigh(like).evidence.missing
 
     def missed(self, anchors: Anchored) -> float:
@@ -261,7 +261,7 @@ class PullErrors:
 
     def _errors_of(
         self, like: Anchored | None, drifting: frozenset[int], frames: Frames, missing: Evidence | None
-    ) -> Errors:
+    ) -> ErrorCovariance:
         key = like, drifting, frames.tobytes(), missing
         if key not in self._errors:
             allowed = self._nothing if like is None else self._allowed[like]
@@ -273,12 +273,12 @@ class PullErrors:
                 modes = modes.beside(_anywhere(data, pull, _ANYWHERE * self.motions[pull]))
                 rough = np.where(data.action == pull, _ROUGH * _ANYWHERE * self.motions[pull] * data.way, 0.0)
                 sigma = np.hypot(sigma, rough)
-            self._errors[key] = Errors(data, sigma, allowed.mesh, modes)
+            self._errors[key] = ErrorCovariance(data, sigma, allowed.mesh, modes)
         return self._errors[key]
 
     @cached_property
-    def _nothing(self) -> Allowance:
-        return Allowance.nothing(self.data)
+    def _nothing(self) -> ErrorModel:
+        return ErrorModel.nothing(self.data)
 
     @cached_property
     def _sigma(self) -> Array:
@@ -312,12 +312,16 @@ def _anywhere(data: Data, pull: int, size: float) -> Array:
 
 
 def allowance(
-    data: Data, meshes: Mapping[int, MeshError | None], places: Sequence[slice], modes: NuisanceModes, unknown: Smooth
-) -> Allowance:
+    data: Data,
+    meshes: Mapping[int, MeshError | None],
+    places: Sequence[slice],
+    modes: NuisanceModes,
+    unknown: SmoothDiscrepancy,
+) -> ErrorModel:
     """From the error of the mesh in each pull; None where the fine level cannot be followed, none where there is no such level."""
     shape, count = data.mask.shape, len(data.scene.fiducials)
     whole = MeshError(np.zeros(shape), np.zeros(shape), bool(meshes), fiducials=count)
     for pull, mesh in meshes.items():
         if mesh is not None:
             whole.correction[places[pull]], whole.left[places[pull]] = mesh.correction, mesh.left
-    return Allowance(whole, modes, unknown, frozenset(pull for pull, mesh in meshes.items() if mesh is None))
+    return ErrorModel(whole, modes, unknown, frozenset(pull for pull, mesh in meshes.items() if mesh is None))

@@ -14,12 +14,12 @@ from bcid.exploration.motion import back, there
 from bcid.forms.force_bumps import BUMPS, bumps, growth_bumps
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model
-from bcid.forms.probes import Sensitivities, Wanted
+from bcid.forms.probes import Sensitivities, SensitivityRequest
 from bcid.forms.sensitivity import Sensitivity
 from bcid.inference.data import Data
+from bcid.inference.discrepancy import SmoothDiscrepancy
 from bcid.inference.knots import knots_of, known_frames
 from bcid.inference.nuisances import NuisanceModes, Nuisances
-from bcid.inference.unknown_force import Smooth
 from bcid.measurement import Action
 
 Array = NDArray[np.float64]
@@ -31,7 +31,7 @@ class PullTangent:
     """Sensitivities of a set in a pull, and what was asked for; frames as in the pull."""
 
     found: Sensitivities
-    wanted: Wanted
+    wanted: SensitivityRequest
 
 
 class Differentiator:
@@ -124,12 +124,12 @@ def modes(
     return nuisances.modes(data, _together([t.found for t in tangents]), tangents[0].wanted, model, predicted)
 
 
-def unknown(data: Data, tangents: Sequence[PullTangent], unit: float) -> Smooth:
+def unknown(data: Data, tangents: Sequence[PullTangent], unit: float) -> SmoothDiscrepancy:
     """What something unknown and smooth does to the values of pulls."""
     found = _together([t.found for t in tangents])
     if found.forces is None:
-        return Smooth.nothing(len(data))
-    return Smooth.of(data, found.forces, found.growths, unit)
+        return SmoothDiscrepancy.nothing(len(data))
+    return SmoothDiscrepancy.of(data, found.forces, found.growths, unit)
 
 
 def nothing(shape: tuple[int, ...], like: PullTangent) -> PullTangent:

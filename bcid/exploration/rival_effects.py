@@ -19,14 +19,14 @@ from bcid.base.errors import SolveError
 from bcid.comparison.coarse_search import CoarseSearch
 from bcid.comparison.few_steps import in_few_steps
 from bcid.comparison.fit import Fit
+from bcid.comparison.fitted_hypothesis import FittedHypothesis, best_first, promoted
 from bcid.comparison.parameter_priors import expected
-from bcid.comparison.rivals import Rival, best_first, promoted
 from bcid.comparison.state import State
 from bcid.exploration.joined import joined
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
+from bcid.inference.discrepancy import Evidence
 from bcid.inference.hypotheses import Anchored, Hypothesis
-from bcid.inference.unknown_force import Evidence
 from bcid.measurement import Measurement
 from bcid.predict.predictor import Predictor
 from bcid.scene import Scene
@@ -53,7 +53,7 @@ class Fitted:
     """
 
     hypothesis: Hypothesis
-    rival: Rival
+    rival: FittedHypothesis
     begun: Model
 
     @property
@@ -161,7 +161,7 @@ class RivalEffects:
         if not alone:
             return []
         acting = [e for e in self.effects if not (e.needs and e.needs(self.scene, measurement))]
-        plain = best_first(Rival.of(Fit.at(s), begun, len(acting)) for s in alone)
+        plain = best_first(FittedHypothesis.of(Fit.at(s), begun, len(acting)) for s in alone)
         base, others = plain[0].fitted.state, [rival.anchors for rival in plain[1:]]
         coarse = _fitted_coarsely(base, begun, acting, others)
         found = [Fitted(Hypothesis(r.anchors), r, begun) for r in plain]
@@ -188,7 +188,7 @@ def _followed(predictor: Predictor, model: Model, anchors: Anchored) -> State | 
 
 def _fitted_coarsely(
     base: State, begun: Model, effects: Sequence[Effect], others: Sequence[Anchored]
-) -> dict[str, list[Rival]]:
+) -> dict[str, list[FittedHypothesis]]:
     """Effects fitted to a few steps of each pull, each with the sets that may go with it, the best first."""
     count = len(effects)
     search = CoarseSearch(in_few_steps(base), begun, effects, count, _SETS, _FITS * count, others, least=_UNSEEN)

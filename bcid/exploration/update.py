@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from bcid.exploration import pull_tangent
 from bcid.exploration.posterior_summary import PosteriorSummary
 from bcid.exploration.predictions import Anchored, PullPredictor, small_action
-from bcid.exploration.pull_errors import Allowance, PullErrors, allowance
+from bcid.exploration.pull_errors import ErrorModel, PullErrors, allowance
 from bcid.exploration.pull_prediction import PullPrediction
 from bcid.exploration.pull_tangent import PullTangent
 from bcid.exploration.rival_effects import Fitted, RivalEffects
-from bcid.inference.criteria import CERTAIN
+from bcid.inference.criteria import CREDIBLE_LEVEL
 from bcid.inference.data import Data
 from bcid.inference.hypotheses import Hypothesis, effects, entropy, normalised, patches
 from bcid.inference.mesh_error import MeshError, gains
@@ -182,7 +182,7 @@ class BeliefUpdate:
 
     def _wake(self) -> bool:
         """Predict what is not known of sets that hold a part in the belief; whether there was anything."""
-        return self._learn(awake(self._relative()))
+        return self._learn(active_sets(self._relative()))
 
     def _learn(self, sets: Iterable[Anchored]) -> bool:
         """Predict all pulls with sets, as far as that is not known; whether there was anything."""
@@ -231,13 +231,13 @@ class BeliefUpdate:
         self._tell(dict(zip(soft, found, strict=True)))
         return bool(soft)
 
-    def _allowance(self, anchors: Anchored, tangents: Sequence[PullTangent | None]) -> Allowance:
+    def _allowance(self, anchors: Anchored, tangents: Sequence[PullTangent | None]) -> ErrorModel:
         """What is known of the errors about a set; where the tangent says nothing, neither nuisances nor an unknown force do."""
         data, places = self.errors.data, self.errors.places
         meshes = {i: known[anchors] for i, known in enumerate(self._meshes) if anchors in known}
         told = next((t for t in tangents if t is not None), None)
         if told is None:
-            nothing = Allowance.nothing(data)
+            nothing = ErrorModel.nothing(data)
             return allowance(data, meshes, places, nothing.modes, nothing.unknown)
         shapes = [self.errors.data.measured[place].shape for place in places]
         whole = [t or pull_tangent.nothing(shape, told) for t, shape in zip(tangents, shapes, strict=True)]
@@ -278,7 +278,7 @@ class BeliefUpdate:
         relative = self._relative()
         if self._learn(a for a in self.sets if relative[a] > -_ASLEEP):
             return True
-        return missing >= CERTAIN and self._detail([(i, a) for i in range(len(self.pulls)) for a in self.sets])
+        return missing >= CREDIBLE_LEVEL and self._detail([(i, a) for i in range(len(self.pulls)) for a in self.sets])
 
     # -- what they say
     # --------------------------------------------------------------------------------------------------------------
@@ -360,7 +360,7 @@ class BeliefUpdate:
         return _FIRST_ERROR if left is None else left
 
 
-def awake(relative: Mapping[Anchored, float]) -> list[Anchored]:
+def active_sets(relative: Mapping[Anchored, float]) -> list[Anchored]:
     """All sets but the least likely, which hold a negligible part together; from logarithms of their odds."""
     order = sorted(relative, key=lambda a: (relative[a], -len(a), sorted(a)))
     odds = np.exp([relative[a] for a in order])

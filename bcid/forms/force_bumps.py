@@ -39,7 +39,7 @@ def growth_bumps(forward: Forward) -> Array:
 
 def _spread(nodes: Array, count: int) -> tuple[Array, float]:
     """Middles of bumps (bumps, 3), and their width, m."""
-    centres = scattered(nodes, count)
+    centres = farthest_point_sample(nodes, count)
     apart = np.linalg.norm(centres[:, None] - centres[None], axis=2) + np.diag(np.full(len(centres), np.inf))
     return centres, float(np.median(apart.min(axis=1)))
 
@@ -49,7 +49,7 @@ def _values(points: Array, centres: Array, width: float) -> Array:
     return np.exp(-0.5 * (np.linalg.norm(points[:, None] - centres[None], axis=2) / width) ** 2)
 
 
-def scattered(points: Array, count: int) -> Array:
+def farthest_point_sample(points: Array, count: int) -> Array:
     """Points far from each other: each the farthest from those before it."""
     chosen = [int(np.argmin(np.linalg.norm(points - points.mean(axis=0), axis=1)))]
     distance = np.linalg.norm(points - points[chosen[0]], axis=1)

@@ -65,7 +65,7 @@ class Works(Protocol):
 
 
 @dataclass(frozen=True)
-class Wanted:
+class SensitivityRequest:
     """What a `Sensitivity` is asked for.
 
     Attributes:

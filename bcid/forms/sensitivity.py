@@ -28,7 +28,7 @@ from bcid.forms.effects.effect import STEP, Effect
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.model import Model, Term
 from bcid.forms.parameter import Parameter
-from bcid.forms.probes import Probe, Sensitivities, Wanted
+from bcid.forms.probes import Probe, Sensitivities, SensitivityRequest
 from bcid.forms.responses import Responses
 from bcid.forms.solver.supports import Pose
 from bcid.forms.solver.trajectory import poses
@@ -178,7 +178,7 @@ class Sensitivity:
         anchors: Iterable[str],
         actions: Sequence[Action],
         prediction: Prediction,
-        wanted: Wanted,
+        wanted: SensitivityRequest,
         model: Model | None = None,
         seen: NDArray[np.bool_] | None = None,
     ) -> Sensitivities:
@@ -219,7 +219,7 @@ class Sensitivity:
         anchors: frozenset[str],
         commanded: Action,
         states: Mapping[int, Array],
-        wanted: Wanted,
+        wanted: SensitivityRequest,
         result: Sensitivities,
         seen: NDArray[np.bool_],
     ) -> None:
@@ -234,7 +234,7 @@ class Sensitivity:
         action: Action,
         steps: tuple[int, int],
         states: Mapping[int, Array],
-        wanted: Wanted,
+        wanted: SensitivityRequest,
         result: Sensitivities,
         seen: NDArray[np.bool_],
         moves: list[list[tuple[Pose, Pose]] | None],
@@ -293,7 +293,7 @@ class Sensitivity:
         frame: int,
         before: Array,
         moves: list[list[tuple[Pose, Pose]] | None],
-        wanted: Wanted,
+        wanted: SensitivityRequest,
         result: Sensitivities,
     ) -> None:
         """All sensitivities in one frame; `before` is the state of the last one."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bcid.base.tails import normal_tail
 from bcid.forms.gripper_force import ROWS, ForceScale
-from bcid.inference.criteria import SURPRISE
+from bcid.inference.criteria import ALPHA
 from bcid.inference.force_noise import force_noise
 from bcid.inference.seen import Seen, normals_of
 from bcid.measurement import Action, Measurement
@@ -44,7 +44,7 @@ class Noise:
     @property
     def surprising(self) -> bool:
         """Whether chance lets expect no such difference from what is stated."""
-        return bool(2 * normal_tail(abs(math.log(self.factor)) / self.error) < SURPRISE)
+        return bool(2 * normal_tail(abs(math.log(self.factor)) / self.error) < ALPHA)
 
 
 class Data:
@@ -96,7 +96,7 @@ class Data:
             self._take_forces(forces)
         self.about = np.where(np.isfinite(self.measured), self.measured, self.rest)
         self._ways, self._alike = np.full(shape[0], np.nan), np.zeros(shape[0], dtype=np.int64)
-        self._late = lateness(measurement)
+        self._late = normalised_time(measurement)
         moved = measurement.actions
         for action in moved:
             if action.grasp:
@@ -233,7 +233,7 @@ def frame_times(actions: Iterable[Action], count: int) -> Array:
     return times
 
 
-def lateness(measurement: Measurement) -> Array:
+def normalised_time(measurement: Measurement) -> Array:
     """When each frame was seen, as part of the whole time; 0 where all actions begin at the same, shape (frames,)."""
     moved = measurement.actions
     times = frame_times(moved, measurement.data.sizes["frame"])
@@ -255,7 +255,7 @@ def same_motion(one: Action, other: Action) -> bool:
     return all(np.allclose(a, b, rtol=0.0, atol=1e-9) for a, b in pairs)
 
 
-def told_noise(data: Data, rough: Array) -> Noise | None:
+def robust_noise(data: Data, rough: Array) -> Noise | None:
     """The noise that the part of a residual has that is like noise, (n,), m; None without three steps in a row.
 
     From the median of the sizes of second differences along each trajectory: what is smooth drops out, and what jumps counts once.

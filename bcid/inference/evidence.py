@@ -28,7 +28,7 @@ LARGER: Array = spaced(PRIORS.noise)
 
 
 @dataclass(frozen=True)
-class Numbers:
+class LinearParameters:
     """Unknown numbers of a hypothesis.
 
     Attributes:
@@ -46,13 +46,13 @@ class Numbers:
     log_prior: float = 0.0
 
     @classmethod
-    def none(cls, count: int) -> Numbers:
+    def none(cls, count: int) -> LinearParameters:
         """Nothing is unknown."""
         return cls(np.zeros((count, 0)), np.zeros(0), np.zeros((1, 0)), np.zeros(0, bool))
 
 
 @dataclass(frozen=True)
-class Force:
+class LowRankDiscrepancy:
     """An unknown force, in the basis in which what it does to the values is independent.
 
     Attributes:
@@ -68,7 +68,7 @@ class Force:
     inflation: Array | None = None
 
     @classmethod
-    def of(cls, columns: Array, sizes: Array, left_out: float = 0.0) -> Force:
+    def of(cls, columns: Array, sizes: Array, left_out: float = 0.0) -> LowRankDiscrepancy:
         """Of columns (n, forces), in units of the errors per unit of force.
 
         `left_out` is the variance per value of a process that the columns leave out, in the square of these units. It makes all
@@ -131,7 +131,7 @@ class _Products:
 
 
 @dataclass(frozen=True)
-class Integrated:
+class MarginalLikelihood:
     """What is left of a residual once the unknown numbers are integrated over, for each size of a force and each row of widths.
 
     Attributes:
@@ -140,7 +140,7 @@ class Integrated:
         inside: logarithm of the share within bounds, likewise.
         forced: logarithm of the density for each size while no number is unknown, shape (sizes,).
         count: values of the residual.
-        log_prior: see `Numbers`.
+        log_prior: see `LinearParameters`.
         values: how many values of a nuisance that is known the sizes are of, one after the other.
     """
 
@@ -154,8 +154,12 @@ class Integrated:
 
     @classmethod
     def of(
-        cls, scaled: Array, numbers: Numbers, force: Force | None = None, known: KnownNuisance | None = None
-    ) -> Integrated:
+        cls,
+        scaled: Array,
+        numbers: LinearParameters,
+        force: LowRankDiscrepancy | None = None,
+        known: KnownNuisance | None = None,
+    ) -> MarginalLikelihood:
         """Of a residual at the numbers, in units of its errors, shape (n,), and a force that may act besides.
 
         With a nuisance that is `known`, for each of its values.
@@ -195,7 +199,7 @@ def log_gains(
         columns: what the amounts of each variant do, shape (n, variants, amounts).
         widths: standard deviations of the amounts that are equally likely, shape (rows, amounts).
         positive: which amounts cannot be negative, shape (amounts,).
-        factors: as of `Integrated.log`.
+        factors: as of `MarginalLikelihood.log`.
     """
     rr, rj = float(scaled @ scaled), np.einsum("n,nva->va", scaled, columns)
     jj = np.einsum("nva,nvb->vab", columns, columns, optimize=True)
@@ -231,7 +235,7 @@ def _alone(scaled: Array, columns: Array) -> _Products:
     return _Products(np.array([scaled @ scaled]), (columns.T @ scaled)[None], (columns.T @ columns)[None], np.zeros(1))
 
 
-def _forced(scaled: Array, columns: Array, force: Force) -> _Products:
+def _forced(scaled: Array, columns: Array, force: LowRankDiscrepancy) -> _Products:
     """For each size of the force."""
     plain = _alone(scaled, columns)
     r, j = force.basis.T @ scaled, force.basis.T @ columns
@@ -244,7 +248,7 @@ def _forced(scaled: Array, columns: Array, force: Force) -> _Products:
     return _Products(rr, rj, jj, 0.5 * np.sum(np.log(widths), axis=1))
 
 
-def _integrated(p: _Products, numbers: Numbers) -> tuple[Array, Array, Array]:
+def _integrated(p: _Products, numbers: LinearParameters) -> tuple[Array, Array, Array]:
     """Squares, volumes and logarithm of the share within bounds, for each size and each row of widths, each (sizes, rows)."""
     apart, widths = numbers.apart, numbers.widths
     there = p.rj + p.jj @ apart

@@ -7,7 +7,7 @@ from typing import Any
 
 from bcid.base.units import for_people
 from bcid.base.verdict_words import used_up
-from bcid.inference.likelihood import NuisanceEstimate
+from bcid.inference.error_covariance import NuisanceEstimate
 from bcid.scene.uncertainty import ANGLES, FORCES, LENGTHS
 
 # What is off.

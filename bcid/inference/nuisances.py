@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bcid.forms.mesh import BodyMesh
 from bcid.forms.model import Model, Term
-from bcid.forms.probes import Probe, Sensitivities, Wanted
+from bcid.forms.probes import Probe, Sensitivities, SensitivityRequest
 from bcid.forms.scene_errors import Outline, dimensions, grip_term, law_form_term, moved_with
 from bcid.inference.data import Data
 from bcid.inference.force_nuisances import force_modes, largest_force
@@ -153,7 +153,7 @@ class Nuisances:
         """Standard deviations where the largest force that was measured is `force`, N."""
         return self.scene.uncertainty.of(self._size, self._poisson, force)
 
-    def wanted(self, model: Model, anchors: Iterable[str]) -> Wanted:
+    def wanted(self, model: Model, anchors: Iterable[str]) -> SensitivityRequest:
         """The sensitivities that are needed with a set of anchors."""
         probes = [Probe(term, ("part",)) for term in dimensions()] if self.sizes.dimensions else []
         if self.sizes.borders:
@@ -167,13 +167,13 @@ class Nuisances:
         probes += [Probe(grip, tuple(names)) for name, names in wanted if getattr(self.sizes, name)]
         law = ["poisson"] if self.sizes.poisson and "poisson" in model.law.complete(model.values) else []
         law += model.stiffnesses if self._forces and self.sizes.stiffness else []
-        return Wanted(tuple(probes), tuple(law), places=bool(self.sizes.markers or self.sizes.borders))
+        return SensitivityRequest(tuple(probes), tuple(law), places=bool(self.sizes.markers or self.sizes.borders))
 
     def modes(
         self,
         data: Data,
         found: Sensitivities,
-        wanted: Wanted,
+        wanted: SensitivityRequest,
         model: Model | None = None,
         predicted: Array | None = None,
     ) -> NuisanceModes:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.inference.criteria import FAILS_FOR_THE_TRUE
+from bcid.inference.criteria import CONTINUATION_FAILURE_RATE
 
 Anchored = frozenset[str]
 Frames = NDArray[np.bool_]
@@ -39,6 +39,6 @@ def relative(
         if c not in found:
             both = frames & furthest
             apart = evidence(c, both) - evidence(best, both) if both.any() else 0.0
-            found[c] = apart + (math.log(FAILS_FOR_THE_TRUE) if c in failed else 0.0)
+            found[c] = apart + (math.log(CONTINUATION_FAILURE_RATE) if c in failed else 0.0)
     most = max(found.values())
     return {c: found[c] - most for c in known}

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.inference.data import Data
-from bcid.inference.evidence import Force
+from bcid.inference.evidence import LowRankDiscrepancy
 from bcid.inference.priors import PRIORS
 from bcid.scene import Scene
 from bcid.scene.rotation import as_rotation
@@ -41,7 +41,7 @@ def columns(data: Data) -> list[Array]:
     return found
 
 
-def processes(data: Data, sigma: Array, whiten: Callable[[Array], Array]) -> list[Force]:
+def processes(data: Data, sigma: Array, whiten: Callable[[Array], Array]) -> list[LowRankDiscrepancy]:
     """The process of each length, in units of errors.
 
     Args:
@@ -53,7 +53,7 @@ def processes(data: Data, sigma: Array, whiten: Callable[[Array], Array]) -> lis
     found = []
     for each in columns(data):
         left_out = float(np.mean((variance - np.sum(each**2, axis=1)) / sigma**2))
-        found.append(Force.of(whiten(each), scales(data, sigma), max(left_out, 0.0)))
+        found.append(LowRankDiscrepancy.of(whiten(each), scales(data, sigma), max(left_out, 0.0)))
     return found
 
 

@@ -21,7 +21,7 @@ from scipy.optimize import brentq
 
 from bcid.base.units import WIDE
 from bcid.forms.model import Model
-from bcid.inference.likelihood import Errors
+from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.nuisances import STIFFNESS
 from bcid.scene import Scene
 
@@ -46,7 +46,7 @@ class Stiffness:
 
     @classmethod
     def of(
-        cls, errors: Errors, residual: Array, model: Model, scene: Scene, fitted: Array | None = None
+        cls, errors: ErrorCovariance, residual: Array, model: Model, scene: Scene, fitted: Array | None = None
     ) -> Stiffness | None:
         """From a residual (n,), m; None where no force is measured, or the scene takes its stiffness for exact.
 

@@ -18,14 +18,14 @@ from bcid.forms.force_bumps import BUMPS, SPOTS, bumps, force_unit, growth_bumps
 from bcid.forms.forward import Forward, Look, Prediction
 from bcid.forms.gripper_force import ForceScale
 from bcid.forms.model import Model
-from bcid.forms.probes import Sensitivities, Wanted
+from bcid.forms.probes import Sensitivities, SensitivityRequest
 from bcid.forms.set_tangent import SetTangent, SetTangents, StepTangent
 from bcid.forms.solver.equilibrium import Settings
 from bcid.forms.solver.supports import Pose
 from bcid.inference.data import Data, Noise, frame_times
+from bcid.inference.discrepancy import SmoothDiscrepancy
 from bcid.inference.knots import Knots, knots_of, known_frames, spread
 from bcid.inference.nuisances import NuisanceModes, Nuisances
-from bcid.inference.unknown_force import Smooth
 from bcid.measurement import Action, Measurement
 from bcid.predict import questions
 from bcid.predict.acting import by_the_clock, steady
@@ -312,7 +312,7 @@ class Predictor:
         return seen
 
     def sensitivities(
-        self, model: Model, anchors: Iterable[str], prediction: MeasurementPrediction, wanted: Wanted
+        self, model: Model, anchors: Iterable[str], prediction: MeasurementPrediction, wanted: SensitivityRequest
     ) -> Sensitivities:
         """Sensitivities along all actions of a prediction that kept its states, the same on every rank.
 
@@ -329,7 +329,10 @@ class Predictor:
         found = self._sensitivities_in(model, anchors, prediction, few, known)
         for array, one in product(found.arrays, known):
             one.fill(array)
-        smooth, rest = iter(found.probes), Wanted(tuple(probe for probe in asked if not probe.effect.smooth))
+        smooth, rest = (
+            iter(found.probes),
+            SensitivityRequest(tuple(probe for probe in asked if not probe.effect.smooth)),
+        )
         others = iter(self._sensitivities_in(model, anchors, prediction, rest, None).probes if rest.probes else ())
         probes = [next(smooth) if probe.effect.smooth else next(others) for probe in asked]
         told = zip(wanted.probes, steadily, probes, strict=True)
@@ -345,7 +348,7 @@ class Predictor:
         model: Model,
         anchors: Iterable[str],
         prediction: MeasurementPrediction,
-        wanted: Wanted,
+        wanted: SensitivityRequest,
         known: Sequence[Knots] | None,
     ) -> Sensitivities:
         """Sensitivities at rest and in those steps of each action that are `known`, or in all that were seen."""
@@ -362,7 +365,7 @@ class Predictor:
         model: Model,
         anchors: Iterable[str],
         prediction: MeasurementPrediction,
-        wanted: Wanted,
+        wanted: SensitivityRequest,
         known: Sequence[Knots] | None,
     ) -> Sensitivities:
         """The same, computed."""
@@ -387,7 +390,7 @@ class Predictor:
         anchors: Iterable[str],
         prediction: MeasurementPrediction,
         nuisances: NuisanceModes | None = None,
-    ) -> tuple[NuisanceModes, Smooth, Array]:
+    ) -> tuple[NuisanceModes, SmoothDiscrepancy, Array]:
         """What nuisances do to the measured values, what is unknown and smooth, and what a force at each of many spots does.
 
         The latter per unit of force, shape (n, spots, 3), m. The prediction must have kept its states. All
@@ -400,18 +403,18 @@ class Predictor:
                 np.hstack([bumps(forward, count)[1] for count in (BUMPS, SPOTS)]),
                 growth_bumps(forward),
             )
-        wanted = self._nuisances.wanted(model, anchors) if nuisances is None else Wanted()
+        wanted = self._nuisances.wanted(model, anchors) if nuisances is None else SensitivityRequest()
         wanted = replace(wanted, forces=self._weights, growths=self._growths)
         try:
             found = self.sensitivities(model, anchors, prediction, wanted)
         except EvaluationError:
             # Without sensitivities neither input uncertainties nor a discrepancy may explain anything for this hypothesis.
             count = len(self.data)
-            return nuisances or NuisanceModes.none(count), Smooth.nothing(count), np.zeros((count, SPOTS, 3))
+            return nuisances or NuisanceModes.none(count), SmoothDiscrepancy.nothing(count), np.zeros((count, SPOTS, 3))
         assert found.forces is not None
         modes = nuisances or self._nuisances.modes(self.data, found, wanted, model, prediction.positions)
         smooth, spots = found.forces[:, :, :, :BUMPS], self.data.vector(found.forces[:, :, :, BUMPS:]).astype(float)
-        unknown = Smooth.of(self.data, smooth, found.growths, force_unit(forward))
+        unknown = SmoothDiscrepancy.of(self.data, smooth, found.growths, force_unit(forward))
         return modes, unknown, np.nan_to_num(spots)
 
     def set_tangent(self, model: Model, anchors: Iterable[str], prediction: MeasurementPrediction) -> SetTangent:

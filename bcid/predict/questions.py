@@ -13,7 +13,7 @@ from bcid.base.fingerprint import fingerprint
 from bcid.forms.course import course_of
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model, Term
-from bcid.forms.probes import Wanted
+from bcid.forms.probes import SensitivityRequest
 from bcid.measurement import Measurement
 
 
@@ -42,7 +42,7 @@ def _effect(effect: Effect) -> str:
     return f"{effect.name} {[(p.name, p.scale) for p in effect.parameters]} {bool(effect.acting)} {timed}"
 
 
-def of_wanted(wanted: Wanted) -> str:
+def of_wanted(wanted: SensitivityRequest) -> str:
     """Of what a sensitivity is asked for."""
     probes = [(of_term(probe.term), probe.wanted) for probe in wanted.probes]
     many = {name: value for name in ("forces", "growths") if (value := getattr(wanted, name)) is not None}

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.forms.effects.effect import Effect
-from bcid.forms.force_bumps import scattered
+from bcid.forms.force_bumps import farthest_point_sample
 from bcid.forms.forward import Forward
 from bcid.forms.model import Term
 from bcid.forms.quadrature import QuadraturePoints
@@ -104,7 +104,7 @@ class Grammar:
         places = self.outside.places if where == SPOT else self.inside.places
         return [
             dict(zip(("cx", "cy", "cz"), map(float, c), strict=True)) | {"radius": r * self.size}
-            for c in scattered(places, _PLACES[where])
+            for c in farthest_point_sample(places, _PLACES[where])
             for r in radii
         ]
 

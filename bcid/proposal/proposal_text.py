@@ -8,7 +8,7 @@ import numpy as np
 
 from bcid.base.units import WIDE, falls, for_people, percent, uncertain
 from bcid.comparison.diagnosis_text import anchors
-from bcid.comparison.explanation import Rung
+from bcid.comparison.explanation import ModelStep
 from bcid.comparison.law_form import LawForm
 from bcid.forms.model import Model, Term
 from bcid.proposal.effect_file import wrapped
@@ -59,7 +59,7 @@ def _interval_lines(proposal: Proposal, term: Term) -> list[str]:
     return [line.replace("−", "-") for line in lines]
 
 
-def _falls(proposal: Proposal, first: Rung, last: Rung) -> str:
+def _falls(proposal: Proposal, first: ModelStep, last: ModelStep) -> str:
     apart = "" if last.held_out is None else f"; actions predicted from the others {1e3 * last.held_out:.3g} mm"
     how = falls(1e3 * first.state.rms, 1e3 * last.state.rms, 1e3 * last.state.noise, "mm")
     return (

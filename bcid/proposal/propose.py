@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from bcid.base.errors import InputError, nearest
 from bcid.comparison.adequacy import judge
 from bcid.comparison.explain import ExplainOptions, explain
-from bcid.comparison.explanation import Explanation, Rung, explained
+from bcid.comparison.explanation import Explanation, ModelStep, explained
 from bcid.comparison.fit import Fit, fit
 from bcid.comparison.ranking import Ranking
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model, Term
-from bcid.inference.criteria import CERTAIN
+from bcid.inference.criteria import CREDIBLE_LEVEL
 from bcid.predict.predictor import Predictor
 from bcid.proposal.family import Family
 from bcid.proposal.grammar import KINDS
@@ -107,7 +107,7 @@ class Proposal:
     @property
     def complete(self) -> bool:
         """Whether hardly anything else can be missing."""
-        return bool(self.path) and self.missing <= 1 - CERTAIN
+        return bool(self.path) and self.missing <= 1 - CREDIBLE_LEVEL
 
     @property
     def explained(self) -> float:
@@ -157,7 +157,7 @@ def _path(found: Explanation, scores: TermScores) -> tuple[Entry, ...]:
     return tuple(entries)
 
 
-def ladder(proposal: Proposal, effects: Sequence[Effect]) -> tuple[Rung, ...]:
+def ladder(proposal: Proposal, effects: Sequence[Effect]) -> tuple[ModelStep, ...]:
     """The models in turn, the last with the effects that were written; families are ranked beside the first; collective."""
     rungs = list(proposal.explanation.rungs)
     if proposal.ranked:
@@ -169,7 +169,7 @@ def ladder(proposal: Proposal, effects: Sequence[Effect]) -> tuple[Rung, ...]:
     return tuple(rungs)
 
 
-def as_written(proposal: Proposal, effects: Sequence[Effect]) -> Rung:
+def as_written(proposal: Proposal, effects: Sequence[Effect]) -> ModelStep:
     """The last model with the effects that were written for its terms, fitted again: what a user of their files gets; collective.
 
     Args:
@@ -186,4 +186,4 @@ def as_written(proposal: Proposal, effects: Sequence[Effect]) -> Rung:
     free = tuple(names.get(name, name) for name in state.free)
     again: Fit = fit(State.of(state.predictor, model, state.anchors, state.errors.mesh, free), free, most=4)
     # The files hold the same terms: what one action tells of another is as the search had it.
-    return Rung(again, judge(again.state), last.held_out)
+    return ModelStep(again, judge(again.state), last.held_out)

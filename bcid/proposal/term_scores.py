@@ -20,8 +20,8 @@ from bcid.comparison.variants import Variant, amounts
 from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model, Term
-from bcid.forms.probes import Sensitivities, Wanted
-from bcid.inference.criteria import SEEN
+from bcid.forms.probes import Sensitivities, SensitivityRequest
+from bcid.inference.criteria import DETECTION_THRESHOLD
 from bcid.inference.priors import PRIORS
 from bcid.proposal.effect_file import made, source
 from bcid.proposal.family import OBSERVATION, Family
@@ -148,7 +148,7 @@ class TermScores:
         grammar = self._of(state)
         predictor, data = state.predictor, state.predictor.data
         predictor.progress.say(f"scoring {len(grammar.variants)} terms beside {state.model.name}")
-        found = predictor.sensitivities(state.model, state.anchors, state.prediction, Wanted(terms=grammar))
+        found = predictor.sensitivities(state.model, state.anchors, state.prediction, SensitivityRequest(terms=grammar))
         assert found.terms is not None
         columns = state.errors.whiten(np.nan_to_num(data.vector(found.terms).astype(float)))
         parts: list[Any] = np.split(columns, grammar.ends[:-1], axis=1)
@@ -176,7 +176,7 @@ class TermScores:
             if family.name in GRIPS:
                 own += self._held(state, grammar, family, found)
             if own:
-                row = best_row(state, family.name, own, basis, self.scored, SEEN)
+                row = best_row(state, family.name, own, basis, self.scored, DETECTION_THRESHOLD)
                 result.append(ScoredFamily(family, row, state.anchors, plain + row.gain))
         return result
 

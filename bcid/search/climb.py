@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from bcid.inference.outcome import Candidate, Outcome
 from bcid.search.evaluator import Evaluator
-from bcid.search.screening import lost_beyond
+from bcid.search.screening import rejection_bound
 
 # A set this many times less likely than one that is known is of no interest.
 ODDS = 1e6
@@ -59,7 +59,7 @@ def climb(evaluator: Evaluator, level: int, seeds: Iterable[Candidate]) -> list[
         for i in active:
             here = evaluator.outcomes[level, paths[i][-1]]
             for candidate in neighbours(here.candidate, evaluator.patches):
-                bounds[candidate] = max(bounds.get(candidate, 0.0), lost_beyond(here, evaluator.misfit, ODDS))
+                bounds[candidate] = max(bounds.get(candidate, 0.0), rejection_bound(here, evaluator.misfit, ODDS))
         found = evaluator.evaluate(level, bounds)
         moved = []
         for i in active:

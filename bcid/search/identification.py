@@ -7,8 +7,8 @@ from typing import Any
 
 from bcid.forms.forward import Prediction
 from bcid.inference import nuisance_text
-from bcid.inference.criteria import CERTAIN, FAR, MAY_BE
-from bcid.inference.likelihood import NuisanceEstimate
+from bcid.inference.criteria import CREDIBLE_LEVEL, MAX_NORMALISED_RMS, MIN_REPORTED_PROBABILITY
+from bcid.inference.error_covariance import NuisanceEstimate
 from bcid.inference.stiffness import Stiffness
 
 
@@ -35,7 +35,7 @@ class Identification:
         failures: sets for which the forward model found no acceptable equilibrium, with the reason.
         seconds: time spent.
         remarks: what is odd about the measurement.
-        missing: probability that something is missing in the model with these anchors (see `bcid.inference.unknown_force`); None
+        missing: probability that something is missing in the model with these anchors (see `bcid.inference.discrepancy`); None
             where the mesh is too large for that to be asked.
         astray: fiducials that do not go with the body, and were left out.
         nuisances: what the data say of each thing that the scene may have slightly wrong.
@@ -67,14 +67,14 @@ class Identification:
     @property
     def unfollowed(self) -> list[Alternative]:
         """The sets that could not be followed to the end and may be the one all the same."""
-        return [other for other in self.alternatives if other.failure and other.probability > MAY_BE]
+        return [other for other in self.alternatives if other.failure and other.probability > MIN_REPORTED_PROBABILITY]
 
     @property
     def explains(self) -> bool:
         """Whether the reported set may be all there is: nothing more is certainly missing."""
         if self.missing is not None:
-            return self.missing < CERTAIN
-        return self.noise is None or self.rms <= FAR * self.noise
+            return self.missing < CREDIBLE_LEVEL
+        return self.noise is None or self.rms <= MAX_NORMALISED_RMS * self.noise
 
     def to_json(self, length: float = 1e-3) -> dict[str, Any]:
         """The content of `identification.json`; lengths are given in units of `length` (m)."""

@@ -17,7 +17,7 @@ from bcid.base.progress import Progress, Silent
 from bcid.forms.mesh.patches import divided, first_level
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
-from bcid.inference.followed import NotFollowed
+from bcid.inference.continuation import ContinuationError
 from bcid.inference.hypotheses import HypothesisOdds, patches
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.outcome import Candidate, Outcome, label
@@ -25,13 +25,13 @@ from bcid.measurement import Measurement
 from bcid.scene import Scene
 from bcid.search.climb import ODDS, climb, neighbours, rank
 from bcid.search.evaluator import Evaluator
+from bcid.search.evidence_evaluator import EvidenceEvaluator, Weight
 from bcid.search.identification import Alternative, Identification
 from bcid.search.identify_options import GROUP, IdentifyOptions
-from bcid.search.screening import classes, finest, level_errors, log_odds, lost_beyond, screened
+from bcid.search.screening import classes, finest, level_errors, log_odds, rejection_bound, screened
 from bcid.search.seeds import above, all_candidates, maxima, perturbed, random_seeds
 from bcid.search.set_evidence import SetEvidence
 from bcid.search.termination import SETTLED
-from bcid.search.weighing import Weighing, Weight
 
 # A set this much less likely than the best on a coarser level is not carried to the next.
 _LEAST = math.log(1e-4)
@@ -69,7 +69,7 @@ def identify(
 
     Raises:
         InputError: scene, measurement or options do not fit each other.
-        NotFollowed: the forward model failed for every set.
+        ContinuationError: the forward model failed for every set.
     """
     from mpi4py import MPI
 
@@ -82,7 +82,7 @@ def identify(
         # A level that is passed over counts as climbed on: climbing on a finer one instead would cost many times as much.
         climbed = max(1, options.coarsest + options.climbed - level)
         chosen = replace(options, coarsest=level, climbed=climbed)
-        search = _Search(evaluator, chosen, progress or Silent(), start, partial(Weighing, mesh=mesh))
+        search = _Search(evaluator, chosen, progress or Silent(), start, partial(EvidenceEvaluator, mesh=mesh))
         for reason in passed:
             search.say(f"not used: {reason}")
         found = replace(search.run(), remarks=evaluator.measurement.remarks)
@@ -106,7 +106,7 @@ class _Search:
         options: IdentifyOptions,
         progress: Progress,
         start: Sequence[Candidate] = (),
-        weighing: Callable[[Evaluator, Sequence[int], Candidate], Weighing] | None = None,
+        weighing: Callable[[Evaluator, Sequence[int], Candidate], EvidenceEvaluator] | None = None,
     ) -> None:
         self.evaluator, self.options, self.progress, self.start = evaluator, options, progress, start
         self.weighing = weighing
@@ -164,7 +164,7 @@ class _Search:
             message = (
                 f"level {level}: the forward model failed for every anchor set tried; the first: {failed[0].reason}"
             )
-            raise NotFollowed(message, "no anchor set can be followed", _furthest(failed))
+            raise ContinuationError(message, "no anchor set can be followed", _furthest(failed))
         return min(found, key=rank)
 
     def note(self, level: int, best: Outcome) -> None:
@@ -214,7 +214,7 @@ class _Search:
             winner = best or winner
             self.complete(winner)
             error = level_errors(evaluator, winner.candidate, self.levels)[level]
-            bound = lost_beyond(winner, evaluator.misfit, ODDS * len(everything), error)
+            bound = rejection_bound(winner, evaluator.misfit, ODDS * len(everything), error)
             rivals = sorted(everything, key=lambda c: (len(c ^ winner.candidate), sorted(c)))
             evaluator.evaluate(level, dict.fromkeys(rivals, bound), rival=winner.candidate, last=True)
             best = self.best(level)
@@ -236,7 +236,7 @@ class _Search:
             for below in range(options.coarsest, level):
                 evaluator.evaluate(below, {best.candidate: math.inf})
             climbed = min(level, options.coarsest + options.climbed - 1)
-            around = lost_beyond(evaluator.outcomes[climbed, best.candidate], evaluator.misfit, ODDS)
+            around = rejection_bound(evaluator.outcomes[climbed, best.candidate], evaluator.misfit, ODDS)
             evaluator.evaluate(climbed, dict.fromkeys(neighbours(best.candidate, evaluator.patches), around))
             errors = level_errors(evaluator, best.candidate, self.levels)
             waiting: dict[int, list[Candidate]] = {}
@@ -249,7 +249,7 @@ class _Search:
             if not waiting and self.best(level).candidate == best.candidate:
                 return
             for target, candidates in sorted(waiting.items()):
-                around = lost_beyond(
+                around = rejection_bound(
                     evaluator.outcomes[target, best.candidate], evaluator.misfit, ODDS, errors.get(target, 0.0)
                 )
                 evaluator.evaluate(target, dict.fromkeys(candidates, around))
@@ -327,7 +327,9 @@ class _Search:
             astray=astray,
         )
 
-    def likeliest(self, weighed: dict[Candidate, float], nearest: Outcome, scales: Weighing | None) -> Candidate:
+    def likeliest(
+        self, weighed: dict[Candidate, float], nearest: Outcome, scales: EvidenceEvaluator | None
+    ) -> Candidate:
         """The set that is reported: of those that can be followed to the end."""
         for candidate in sorted(weighed, key=lambda c: (-weighed[c], len(c), sorted(c))):
             complete = self.evaluator.evaluate(nearest.level, {candidate: math.inf})[candidate].complete
@@ -335,7 +337,7 @@ class _Search:
                 return candidate
         return nearest.candidate
 
-    def weigh(self, scales: Weighing, nearest: Outcome, errors: dict[int, float]) -> SetEvidence:
+    def weigh(self, scales: EvidenceEvaluator, nearest: Outcome, errors: dict[int, float]) -> SetEvidence:
         """Logarithms of the evidence of the sets that may be the one."""
         evaluator = self.evaluator
 

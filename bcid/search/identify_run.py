@@ -21,7 +21,7 @@ from bcid.forms.mesh.check import measures
 from bcid.forms.mesh.patches import divided, first_level
 from bcid.forms.model import Model, check_physics
 from bcid.inference import nuisance_text
-from bcid.inference.followed import as_far_as_followed
+from bcid.inference.continuation import truncate_to_converged
 from bcid.inference.outcome import Outcome, label
 from bcid.inference.stiffness import Stiffness
 from bcid.measurement import AXES, WRENCH, Measurement
@@ -72,7 +72,7 @@ def run_identification(
             mesh = level_mesh(done.scene, scene.levels[done.found.levels[-1]], comm)
             on_root(comm, lambda: _write(run, seen, done, mesh, names, comm.size))
 
-        as_far_as_followed(measurement, work)
+        truncate_to_converged(measurement, work)
     return folder
 
 

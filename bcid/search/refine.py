@@ -189,7 +189,9 @@ def resolved(candidate: Iterable[str], patches: Iterable[str]) -> list[Candidate
     return list(dict.fromkeys([sure | partly, sure]))
 
 
-def kept_cuts(refined: Mapping[str, tuple[str, str]], probability: Mapping[str, float], alike: float = _ALIKE) -> Cuts:
+def significant_splits(
+    refined: Mapping[str, tuple[str, str]], probability: Mapping[str, float], alike: float = _ALIKE
+) -> Cuts:
     """The cuts whose two sides are alike with a probability of at most `alike`.
 
     Args:
@@ -361,11 +363,11 @@ class _Rounds:
         What only the climbed levels were asked about is judged by all levels, once the halves that seem alike are merged.
         """
         if fresh.levels[-1] < self.options.last(self.tree.base):
-            cuts = kept_cuts(cuts, fresh.patches, _SEEM_ALIKE)
+            cuts = significant_splits(cuts, fresh.patches, _SEEM_ALIKE)
             if self.nothing_found(cuts, fresh):
                 return
             fresh = self.again(cuts, fresh)
-        kept = kept_cuts(cuts, fresh.patches)
+        kept = significant_splits(cuts, fresh.patches)
         if self.nothing_found(kept, fresh):
             return
         if kept != cuts:

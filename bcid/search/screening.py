@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from bcid.inference.criteria import FAILS_FOR_THE_TRUE
+from bcid.inference.criteria import CONTINUATION_FAILURE_RATE
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
 from bcid.inference.mesh_error import gain
 from bcid.inference.misfit import Misfit
@@ -89,7 +89,7 @@ def log_odds(outcome: Outcome, best: Outcome, misfit: Misfit, error: float) -> f
     """Logarithm of the odds of a set against the `best` one, both on the same level (see `spread`).
 
     They are compared on the frames that both could be followed to. That a set cannot be followed further speaks against it by how
-    seldom that happens with the true one (`FAILS_FOR_THE_TRUE`), however many frames are missing.
+    seldom that happens with the true one (`CONTINUATION_FAILURE_RATE`), however many frames are missing.
     """
     if best.failed:
         # How wrong such a level is, is not known.
@@ -97,7 +97,7 @@ def log_odds(outcome: Outcome, best: Outcome, misfit: Misfit, error: float) -> f
     difference, variance = outcome.beyond(best), spread(best, misfit, error)
     if variance <= 0.0:
         return 0.0 if difference <= 0.0 else -math.inf
-    return -difference / (2 * variance) + (math.log(FAILS_FOR_THE_TRUE) if outcome.failed else 0.0)
+    return -difference / (2 * variance) + (math.log(CONTINUATION_FAILURE_RATE) if outcome.failed else 0.0)
 
 
 def classes(evaluated: Evaluated, level: int, error: float, least: float) -> list[list[Candidate]]:
@@ -132,7 +132,7 @@ def beyond_noise(outcome: Outcome, misfit: Misfit) -> float:
     return math.sqrt(max(outcome.rms**2 - (misfit.noise or math.inf) ** 2, 0.0))
 
 
-def lost_beyond(best: Outcome, misfit: Misfit, odds: float, error: float = 0.0) -> float:
+def rejection_bound(best: Outcome, misfit: Misfit, odds: float, error: float = 0.0) -> float:
     """Chi-square beyond which a rival is `odds` times less likely than the `best` set on its level: there it may stop.
 
     `error` (m) is the error of the level's model; at least what the best set's residual has beyond the noise is taken.

@@ -32,7 +32,7 @@ from bcid.forms.mesh import level_mesh
 from bcid.forms.mesh.body import Body
 from bcid.forms.mesh.patches import halves
 from bcid.forms.model import Anchors, Held, Model, Term, check_physics
-from bcid.forms.probes import Probe, Wanted
+from bcid.forms.probes import Probe, SensitivityRequest
 from bcid.forms.simulate import simulate
 from bcid.forms.solver.equilibrium import Equilibrium, Settings
 from bcid.forms.solver.factor import Factor
@@ -142,7 +142,10 @@ def test_a_twin_predicts_and_differentiates_alike_on_any_number_of_ranks(slab: S
     scene = replace(slab, levels=(Level(2, 0.050), Level(2, 0.025)), noise_sigma=1e-6)
     measurement = simulate(scene, {"1", "4"}, twisted(), level=0)
     gravity = Term("gravity", {"weight": 500.0})
-    model, wanted = Model.of(scene) + gravity, Wanted((Probe(gravity, ("weight",)),), {"young": 1.5}, stiffness=True)
+    model, wanted = (
+        Model.of(scene) + gravity,
+        SensitivityRequest((Probe(gravity, ("weight",)),), {"young": 1.5}, stiffness=True),
+    )
     answers = []
     for comm in (MPI.COMM_SELF, WORLD):
         predictor = Predictor(scene, measurement, comm, 1, EXACT)
@@ -163,7 +166,7 @@ def test_what_some_ranks_have_kept_is_known_to_others(slab: Scene, tmp_path: Pat
     """Every rank has its own actions' states again, and one rank alone has all."""
     scene = replace(slab, levels=(Level(2, 0.050),))
     measurement = simulate(scene, {"1", "4"}, twisted(), level=0)
-    model, wanted, anchors = Model.of(scene), Wanted(law=("young",)), frozenset({"1", "4"})
+    model, wanted, anchors = Model.of(scene), SensitivityRequest(law=("young",)), frozenset({"1", "4"})
     folder = WORLD.bcast(tmp_path)
     found = []
     for comm in (WORLD, WORLD, MPI.COMM_SELF) if WORLD.rank == 0 else (WORLD, WORLD):

@@ -11,7 +11,7 @@ from mpi4py import MPI
 from bcid.comparison.variants import neutral_values
 from bcid.forms import effects
 from bcid.forms.model import Model, Term, check_physics
-from bcid.forms.probes import Probe, Wanted
+from bcid.forms.probes import Probe, SensitivityRequest
 from bcid.forms.sensitivity import Sensitivity
 from bcid.forms.simulate import simulate
 from bcid.predict.acting import by_the_clock, steady
@@ -61,7 +61,7 @@ def test_a_predictor_tells_what_every_step_does(slab: Scene) -> None:
     measurement = simulate(slab, {"1", "2"}, motion("semicircle", "II"), level=0, noise=1e-4, random_state=1)
     predictor, model, anchors = Predictor(slab, measurement, MPI.COMM_SELF, level=0), Model.of(slab), {"1", "2"}
     prediction = predictor.predict(model, anchors, keep=True)
-    wanted = Wanted((probe(slab, "gravity"), probe(slab, "swelling"), probe(slab, "camera_offset")))
+    wanted = SensitivityRequest((probe(slab, "gravity"), probe(slab, "swelling"), probe(slab, "camera_offset")))
     found = predictor.sensitivities(model, anchors, prediction, wanted)
     forward = predictor.forward(model)
     (part,) = prediction.parts.values()

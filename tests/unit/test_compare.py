@@ -17,7 +17,7 @@ from bcid.base.progress import Progress, Silent
 from bcid.comparison import diagnosis_text
 from bcid.comparison.adequacy import breaking, judge
 from bcid.comparison.diagnosis_text import conclusion
-from bcid.comparison.explanation import Explanation, Rung, explains
+from bcid.comparison.explanation import Explanation, ModelStep, explains
 from bcid.comparison.fit import Coordinate, Fit, _covariance, _loose, fit
 from bcid.comparison.held_out import held_out
 from bcid.comparison.law_form import LawForm
@@ -29,12 +29,12 @@ from bcid.forms import effect_trial as trial
 from bcid.forms import effects
 from bcid.forms.effects.effect import BodyEffect
 from bcid.forms.model import Model, Term
-from bcid.forms.probes import Sensitivities, Wanted
+from bcid.forms.probes import Sensitivities, SensitivityRequest
 from bcid.forms.scene_errors import law_form_term
 from bcid.forms.simulate import recorded
 from bcid.inference.data import Data, estimate_noise, frame_times
+from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
-from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes, Nuisances, placed, replaced
 from bcid.inference.priors import PRIORS
@@ -79,7 +79,7 @@ def mesh_error(made: list[Action], at_rest: float = 0.0) -> MeshError:
     return MeshError(np.zeros_like(left), 0.5e-3 * left + at_rest * rng.normal(size=(4, 3)), True)
 
 
-def explicit(errors: Errors) -> Array:
+def explicit(errors: ErrorCovariance) -> Array:
     """The covariance of a residual, as a full matrix."""
     left = errors.mesh.left
     before = errors.data.vector(np.broadcast_to(left[0], left.shape))
@@ -110,7 +110,7 @@ def test_whitening_is_a_root_of_the_inverse_covariance(at_rest: float) -> None:
     data = data_of(rest(made), made)
     data.measurement = replace(data.measurement, frame_error=FrameError(SCENE.rest.mean(axis=0), 1e-6 * np.eye(7)))
     sigma = np.random.default_rng(1).uniform(0.5, 2.0, len(data)) * SIGMA
-    errors = Errors(data, sigma, mesh_error(made, at_rest), modes(data))
+    errors = ErrorCovariance(data, sigma, mesh_error(made, at_rest), modes(data))
     covariance = explicit(errors) / np.outer(sigma, sigma)
     root = errors.whiten(np.diag(sigma))
     assert root.T @ root == pytest.approx(np.linalg.inv(covariance), abs=1e-8)
@@ -127,7 +127,7 @@ def test_nuisances_are_told_from_what_they_do() -> None:
     made = actions()
     data = data_of(rest(made), made)
     found = modes(data)
-    errors = Errors(data, data.sigma, MeshError.unknown(data.mask.shape), found)
+    errors = ErrorCovariance(data, data.sigma, MeshError.unknown(data.mask.shape), found)
     noise = np.random.default_rng(9).normal(0, SIGMA, len(data))
     residual = noise + 5.0 * found.common[:, 2]
     means = found.common.T @ np.linalg.solve(explicit(errors), residual)
@@ -143,7 +143,7 @@ def test_nuisances_are_told_from_what_they_do() -> None:
 def test_what_is_fitted_is_not_integrated_over() -> None:
     made = actions()
     data = data_of(rest(made), made)
-    errors = Errors(data, data.sigma, MeshError.unknown(data.mask.shape), modes(data))
+    errors = ErrorCovariance(data, data.sigma, MeshError.unknown(data.mask.shape), modes(data))
     less = errors.without(("poisson", "gravity.weight"))
     assert less.nuisances.names == ("grip", "grip")
     assert set(less.nuisances.sizes) == {"markers", "grip"}
@@ -158,7 +158,7 @@ def test_a_camera_may_be_turned_where_only_one_axis_is_seen() -> None:
     positions[:, :, 1:] = np.nan
     data = data_of(positions, made)
     assert data.about[..., 1:] == pytest.approx(np.broadcast_to(SCENE.rest, positions.shape)[..., 1:])
-    turned = Errors(data, data.sigma, MeshError.unknown(data.mask.shape), camera_modes(data))
+    turned = ErrorCovariance(data, data.sigma, MeshError.unknown(data.mask.shape), camera_modes(data))
     assert turned.nuisances.names == ("camera",) * turned.nuisances.common.shape[1]
     away = SCENE.rest - data.about.reshape(-1, 3).mean(axis=0)
     # To first order x changes by z times the turn about y, and by y times the one about z.
@@ -169,7 +169,7 @@ def test_a_camera_may_be_turned_where_only_one_axis_is_seen() -> None:
 def camera_modes(data: Data) -> NuisanceModes:
     """Those of a scene in which only the camera's directions are not known."""
     nuisances = Nuisances(replace(SCENE, uncertainty=replace(Uncertainty.none(), camera=None)), trial.box())
-    return nuisances.modes(data, Sensitivities([], {}), Wanted())
+    return nuisances.modes(data, Sensitivities([], {}), SensitivityRequest())
 
 
 def test_where_a_fiducial_sits_is_known_where_an_effect_says_it() -> None:
@@ -182,7 +182,9 @@ def test_where_a_fiducial_sits_is_known_where_an_effect_says_it() -> None:
     later = Model.of(SCENE) + Term("marker_fault", offset | {"onset": 5.0}, place=name)
     assert placed(always) == {name}
     assert not placed(later)
-    errors = Errors(data, data.sigma, MeshError.unknown(data.mask.shape), modes(data)).without((), placed(always))
+    errors = ErrorCovariance(data, data.sigma, MeshError.unknown(data.mask.shape), modes(data)).without(
+        (), placed(always)
+    )
     known = data.fiducial == 1
     assert not errors.nuisances.markers[known].any()
     assert errors.nuisances.markers[~known].all()
@@ -191,7 +193,7 @@ def test_where_a_fiducial_sits_is_known_where_an_effect_says_it() -> None:
 def test_without_an_error_of_the_mesh_only_the_noise_scales() -> None:
     made = actions()
     data = data_of(rest(made), made)
-    errors = Errors(data, np.full(len(data), SIGMA), MeshError.unknown(data.mask.shape))
+    errors = ErrorCovariance(data, np.full(len(data), SIGMA), MeshError.unknown(data.mask.shape))
     assert errors.whiten(np.full(len(data), SIGMA)) == pytest.approx(np.ones(len(data)))
 
 
@@ -200,7 +202,7 @@ def test_at_rest_the_mesh_has_the_same_wrong_in_all_actions() -> None:
     made = actions(2)
     data = data_of(rest(made), made)
     left = np.broadcast_to(1e-3 * np.ones(3), data.mask.shape)
-    errors = Errors(data, data.sigma, MeshError(np.zeros(data.mask.shape), left, True))
+    errors = ErrorCovariance(data, data.sigma, MeshError(np.zeros(data.mask.shape), left, True))
     same = np.where((data.fiducial == 1) & (data.axis == 0), 1e-3, 0.0)
     other = np.where(data.action == 0, same, -same)
     assert np.sum(errors.whiten(same) ** 2) < 1
@@ -217,7 +219,7 @@ def test_of_the_error_of_the_mesh_counts_what_is_compared() -> None:
     left = mesh.left.copy()
     left[5:8] = 1.0
     sigma = np.full(len(data), SIGMA)
-    known, apart = (Errors(data, sigma, replace(mesh, left=some)) for some in (mesh.left, left))
+    known, apart = (ErrorCovariance(data, sigma, replace(mesh, left=some)) for some in (mesh.left, left))
     assert apart.mesh_rms == known.mesh_rms < 1e-3
 
 
@@ -229,7 +231,7 @@ def test_an_error_of_the_measured_frame_is_shared_by_all_positions() -> None:
     error = FrameError(SCENE.rest.mean(axis=0), spread)
     measurement = replace(recorded(SCENE, made, rest(made), 0.0, np.random.default_rng(0)), noise_sigma=SIGMA)
     data = Data(SCENE, replace(measurement, frame_error=error))
-    errors = Errors(data, data.sigma, MeshError.unknown(data.mask.shape))
+    errors = ErrorCovariance(data, data.sigma, MeshError.unknown(data.mask.shape))
     turn = error.modes(rest(made))[..., 0][data.mask]
     assert np.abs(turn).max() > 3 * SIGMA
     assert np.sum(errors.whiten(turn) ** 2) == pytest.approx(1.0, abs=0.02)
@@ -315,7 +317,7 @@ class Toy:
         return MeasurementPrediction(seen, {}, "it buckles" if failed else "")
 
     def sensitivities(
-        self, model: Model, _anchors: object, _reply: MeasurementPrediction, wanted: Wanted
+        self, model: Model, _anchors: object, _reply: MeasurementPrediction, wanted: SensitivityRequest
     ) -> Sensitivities:
         slopes = {**self.shapes}
         if self.power != 1.0:
@@ -324,7 +326,7 @@ class Toy:
 
 
 def state_of(toy: Toy, model: Model, mesh: MeshError | None = None) -> State:
-    errors = Errors(toy.data, toy.data.sigma, mesh or MeshError.unknown(toy.data.mask.shape))
+    errors = ErrorCovariance(toy.data, toy.data.sigma, mesh or MeshError.unknown(toy.data.mask.shape))
     whole: Any = toy
     return State(
         whole,
@@ -824,7 +826,7 @@ def test_an_effect_may_be_named_when_it_explains_nearly_all(unexplained: float, 
     assert judge(full.state).adequate == (unexplained == 0.0)
     assert explains(light, full) == named
     assert not explains(light, light)
-    rungs = tuple(Rung(one, judge(one.state), None) for one in (light, full))
+    rungs = tuple(ModelStep(one, judge(one.state), None) for one in (light, full))
     odds = HypothesisOdds.of({Hypothesis(full.state.anchors, "gravity"): 0.0})
     told = Explanation("gravity", odds, rungs, cast(Any, None), (), None, {}, 0.0)
     doubted = "With that the model is not adequate either (p " in "\n".join(conclusion(told, 1e-3, "mm"))

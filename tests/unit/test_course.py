@@ -32,7 +32,7 @@ from bcid.forms.course import Course, course_of, in_time
 from bcid.forms.effect_trial import EffectTrial
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model, Term, check_physics
-from bcid.forms.probes import Probe, Wanted
+from bcid.forms.probes import Probe, SensitivityRequest
 from bcid.forms.sensitivity import Sensitivity
 from bcid.forms.simulate import simulate
 from bcid.forms.solver.equilibrium import Settings
@@ -159,7 +159,7 @@ def test_sensitivities_are_difference_quotients(name: str, values: dict[str, flo
         prediction = trial.predicted(forward)
         found = (
             Sensitivity(forward)
-            .of(["left"], trial.actions, prediction, Wanted((Probe(term, tuple(numbers)),)))
+            .of(["left"], trial.actions, prediction, SensitivityRequest((Probe(term, tuple(numbers)),)))
             .probes[0]
         )
         for p in effect.parameters:

@@ -13,15 +13,22 @@ from scipy.integrate import quad
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
-from bcid.inference.data import Data, Noise, told_noise
-from bcid.inference.evidence import LARGER, Force, Integrated, KnownNuisance, Numbers, log_gains
+from bcid.inference.data import Data, Noise, robust_noise
+from bcid.inference.error_covariance import ErrorCovariance
+from bcid.inference.evidence import (
+    LARGER,
+    KnownNuisance,
+    LinearParameters,
+    LowRankDiscrepancy,
+    MarginalLikelihood,
+    log_gains,
+)
 from bcid.inference.hypotheses import (
     Hypothesis,
     HypothesisOdds,
     log_prior,
     patches,
 )
-from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.priors import PRIORS
 
@@ -35,8 +42,8 @@ WIDTHS = np.array([[0.5, 1.0], [3.0, 6.0]])
 CONSTANT = COUNT / 2 * math.log(2 * math.pi)
 
 
-def numbers(apart: Array | None = None, positive: bool = False) -> Numbers:
-    return Numbers(
+def numbers(apart: Array | None = None, positive: bool = False) -> LinearParameters:
+    return LinearParameters(
         COLUMNS, np.zeros(2) if apart is None else apart, WIDTHS, np.array([positive, False]), math.log(0.25)
     )
 
@@ -50,25 +57,25 @@ def written_out(residual: Array, widths: Array, pushes: Array | None = None) -> 
 
 def test_numbers_are_integrated_over() -> None:
     expected = logsumexp([written_out(RESIDUAL, row) for row in WIDTHS]) - math.log(2) + math.log(0.25)
-    assert Integrated.of(RESIDUAL, numbers()).log() == pytest.approx(expected)
+    assert MarginalLikelihood.of(RESIDUAL, numbers()).log() == pytest.approx(expected)
 
 
 def test_about_a_fit_the_same_is_found() -> None:
     """The model is linear: whether the residual is that of the fit or that without the effect does not matter."""
     best = np.linalg.lstsq(COLUMNS, RESIDUAL, rcond=None)[0]
-    assert Integrated.of(RESIDUAL - COLUMNS @ best, numbers(best)).log() == pytest.approx(
-        Integrated.of(RESIDUAL, numbers()).log()
+    assert MarginalLikelihood.of(RESIDUAL - COLUMNS @ best, numbers(best)).log() == pytest.approx(
+        MarginalLikelihood.of(RESIDUAL, numbers()).log()
     )
 
 
 def test_a_force_is_integrated_over_with_the_numbers() -> None:
     sizes = np.array([0.1, 0.7])
-    force = Force.of(PUSHES, sizes)
+    force = LowRankDiscrepancy.of(PUSHES, sizes)
     each = [written_out(RESIDUAL, row, size * PUSHES) for size in sizes for row in WIDTHS]
-    found = Integrated.of(RESIDUAL, numbers(), force).log()
+    found = MarginalLikelihood.of(RESIDUAL, numbers(), force).log()
     assert found == pytest.approx(logsumexp(each) - math.log(4) + math.log(0.25))
     pushed = RNG.normal(size=COUNT) + 0.7 * PUSHES @ RNG.normal(size=9)
-    assert force.sizes[np.argmax(Integrated.of(pushed, Numbers.none(COUNT), force).forced)] == 0.7
+    assert force.sizes[np.argmax(MarginalLikelihood.of(pushed, LinearParameters.none(COUNT), force).forced)] == 0.7
 
 
 def test_an_amount_that_cannot_be_negative() -> None:
@@ -76,15 +83,15 @@ def test_an_amount_that_cannot_be_negative() -> None:
     column, width = COLUMNS[:, :1], np.array([[1.5]])
     for sign in (1.0, -1.0):
         residual = sign * RESIDUAL
-        one = Numbers(column, np.zeros(1), width, np.array([True]))
+        one = LinearParameters(column, np.zeros(1), width, np.array([True]))
 
         def density(amount: float, residual: Array = residual) -> float:
             squares = float(np.sum((residual - amount * column[:, 0]) ** 2) - np.sum(residual**2))
             return 2 * float(norm.pdf(amount, scale=1.5)) * math.exp(-0.5 * squares)
 
         integral = math.log(quad(density, 0, 30, points=[0.5, 1, 2, 4])[0])
-        nothing = Integrated.of(residual, Numbers.none(COUNT)).log()
-        assert Integrated.of(residual, one).log() - nothing == pytest.approx(integral, abs=1e-6)
+        nothing = MarginalLikelihood.of(residual, LinearParameters.none(COUNT)).log()
+        assert MarginalLikelihood.of(residual, one).log() - nothing == pytest.approx(integral, abs=1e-6)
 
 
 def test_many_variants_at_once() -> None:
@@ -93,27 +100,29 @@ def test_many_variants_at_once() -> None:
     positive = np.array([False, True])
     gains = log_gains(RESIDUAL, stacked, WIDTHS, positive)
     for gain, columns in zip(gains, np.moveaxis(stacked, 1, 0), strict=True):
-        alone = Numbers(columns, np.zeros(2), WIDTHS, positive)
-        nothing = Integrated.of(RESIDUAL, Numbers.none(COUNT)).log()
-        assert gain == pytest.approx(Integrated.of(RESIDUAL, alone).log() - nothing)
+        alone = LinearParameters(columns, np.zeros(2), WIDTHS, positive)
+        nothing = MarginalLikelihood.of(RESIDUAL, LinearParameters.none(COUNT)).log()
+        assert gain == pytest.approx(MarginalLikelihood.of(RESIDUAL, alone).log() - nothing)
 
 
 def test_errors_that_are_known_but_for_a_factor() -> None:
-    none = Numbers.none(COUNT)
+    none = LinearParameters.none(COUNT)
     for factor in (1.0, 5.0):
         values = [
             multivariate_normal(cov=one**2 * np.eye(COUNT)).logpdf(factor * RESIDUAL) + CONSTANT for one in LARGER
         ]
-        found = Integrated.of(factor * RESIDUAL, none).log(LARGER)
+        found = MarginalLikelihood.of(factor * RESIDUAL, none).log(LARGER)
         assert found == pytest.approx(logsumexp(values) - math.log(len(values)))
     # Errors five times as large as stated are no surprise then, and a great one else.
-    assert Integrated.of(5 * RESIDUAL, none).log(LARGER) > Integrated.of(5 * RESIDUAL, none).log() + 100
+    assert MarginalLikelihood.of(5 * RESIDUAL, none).log(LARGER) > MarginalLikelihood.of(5 * RESIDUAL, none).log() + 100
 
 
 @pytest.mark.parametrize("larger", [1 / 3, 3.0])
 def test_a_prior_that_is_three_times_as_wide_changes_little(larger: float) -> None:
-    plain, wider = numbers(), Numbers(COLUMNS, np.zeros(2), larger * WIDTHS, np.zeros(2, bool), math.log(0.25))
-    assert Integrated.of(RESIDUAL, wider).log() == pytest.approx(Integrated.of(RESIDUAL, plain).log(), abs=3.0)
+    plain, wider = numbers(), LinearParameters(COLUMNS, np.zeros(2), larger * WIDTHS, np.zeros(2, bool), math.log(0.25))
+    assert MarginalLikelihood.of(RESIDUAL, wider).log() == pytest.approx(
+        MarginalLikelihood.of(RESIDUAL, plain).log(), abs=3.0
+    )
 
 
 @pytest.mark.parametrize("forced", [False, True])
@@ -125,19 +134,19 @@ def test_evidence_of_a_known_nuisance_is_that_without_its_column(forced: bool) -
     root = np.linalg.cholesky(np.eye(COUNT) + np.outer(column, column))
     # All is in units of errors that hold the column.
     known = KnownNuisance(np.linalg.solve(root, column), np.array([-2.0, 0.0, 2.0]))
-    scaled = Numbers(np.linalg.solve(root, COLUMNS), np.zeros(2), WIDTHS, np.zeros(2, bool), math.log(0.25))
-    force = Force.of(np.linalg.solve(root, PUSHES), np.array([size])) if forced else None
+    scaled = LinearParameters(np.linalg.solve(root, COLUMNS), np.zeros(2), WIDTHS, np.zeros(2, bool), math.log(0.25))
+    force = LowRankDiscrepancy.of(np.linalg.solve(root, PUSHES), np.array([size])) if forced else None
     residual = np.linalg.solve(root, RESIDUAL)
     volume = float(np.sum(np.log(np.diag(root))))
     wanted = [
         logsumexp([written_out(RESIDUAL - value * column, row, pushes) for row in WIDTHS]) - math.log(8)
         for value in known.values
     ]
-    assert Integrated.of(residual, scaled, force, known).logs() - volume == pytest.approx(wanted)
+    assert MarginalLikelihood.of(residual, scaled, force, known).logs() - volume == pytest.approx(wanted)
     nodes, weights = np.polynomial.hermite_e.hermegauss(120)
-    each = Integrated.of(residual, scaled, force, replace(known, values=nodes)).logs()
+    each = MarginalLikelihood.of(residual, scaled, force, replace(known, values=nodes)).logs()
     mean = logsumexp(each, b=weights / weights.sum())
-    assert mean == pytest.approx(Integrated.of(residual, scaled, force).log(), abs=1e-6)
+    assert mean == pytest.approx(MarginalLikelihood.of(residual, scaled, force).log(), abs=1e-6)
 
 
 # -- hypotheses
@@ -192,7 +201,7 @@ def test_a_noise_that_is_stated_wrongly_is_seen(factor: float, surprising: bool)
     residual = factor * SIGMA * np.random.default_rng(2).normal(size=len(data))
     # One fiducial that jumps is no noise.
     residual[(data.fiducial == 0) & (data.frame > 30)] += 5e-3
-    found = told_noise(data, residual + 1e-3 * data.progress**2)
+    found = robust_noise(data, residual + 1e-3 * data.progress**2)
     assert found is not None
     assert found.surprising == surprising
     assert found.sigma == pytest.approx(factor * SIGMA, rel=0.15)
@@ -215,12 +224,14 @@ def test_an_error_that_persists_is_expected_where_more_was_stated_than_is_noise(
     rng = np.random.default_rng(3)
     offset = SIGMA * rng.normal(size=data.trajectory.max() + 1)
     residual = offset[data.trajectory] * np.minimum(1.0, 4 * data.progress) + 0.05 * SIGMA * rng.normal(size=len(data))
-    found = told_noise(data, residual)
+    found = robust_noise(data, residual)
     assert found is not None
     assert found.factor == pytest.approx(0.05, rel=0.2)
     believed = data.with_noise(found)
     mesh = MeshError.unknown(data.mask.shape)
-    chi2 = [float(np.mean(Errors(d, d.sigma, mesh).whiten(residual) ** 2)) for d in (believed, within(believed))]
+    chi2 = [
+        float(np.mean(ErrorCovariance(d, d.sigma, mesh).whiten(residual) ** 2)) for d in (believed, within(believed))
+    ]
     assert chi2[0] == pytest.approx(1.0, abs=0.3)
     assert chi2[1] > 100
 

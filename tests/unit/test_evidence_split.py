@@ -9,17 +9,17 @@ import pytest
 
 from bcid.comparison.diagnosis_text import _split
 from bcid.comparison.evidence_split import evidence_splits, no_better_fit
-from bcid.comparison.rivals import Rival
+from bcid.comparison.fitted_hypothesis import FittedHypothesis
+from bcid.inference.discrepancy import Evidence
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
-from bcid.inference.unknown_force import Evidence
 
 
-def rival(names: tuple[str, ...], anchors: str, chi2: float, occam: float, forced: float = -9.0) -> Rival:
+def rival(names: tuple[str, ...], anchors: str, chi2: float, occam: float, forced: float = -9.0) -> FittedHypothesis:
     """With a volume of 7 for each patch."""
     volume = 7.0 * len(anchors)
     state = SimpleNamespace(anchors=frozenset(anchors), chi2=chi2, errors=SimpleNamespace(log_volume=volume))
     plain = -0.5 * chi2 - volume + occam
-    return Rival(names, cast("Any", SimpleNamespace(state=state)), Evidence(plain, plain + forced, 1.0), 20)
+    return FittedHypothesis(names, cast("Any", SimpleNamespace(state=state)), Evidence(plain, plain + forced, 1.0), 20)
 
 
 RIVALS = [rival((), "1", 100.0, 0.0), rival(("gravity",), "1", 99.0, -2.5), rival((), "12", 160.0, 0.0)]

@@ -17,24 +17,24 @@ from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm
 
 from bcid.base.errors import InputError, MachineError
-from bcid.exploration.choice import Chooser, live
+from bcid.exploration.choice import Chooser, credible_set
 from bcid.exploration.loop import BUDGET, DECIDED, INSEPARABLE, UNEXPLAINED, ExploreOptions, explore
 from bcid.exploration.moves import Move, cost, limits_of, moves
 from bcid.exploration.predictions import _entries, key_of, small_action
-from bcid.exploration.pull_errors import Allowance, allowance
+from bcid.exploration.pull_errors import ErrorModel, allowance
 from bcid.exploration.pull_prediction import PullPrediction
 from bcid.exploration.pull_tangent import PullTangent
 from bcid.exploration.robots import Folder
 from bcid.exploration.update import BeliefUpdate
-from bcid.forms.probes import Sensitivities, Wanted
+from bcid.forms.probes import Sensitivities, SensitivityRequest
 from bcid.forms.simulate import recorded
-from bcid.inference.criteria import CERTAIN
+from bcid.inference.criteria import CREDIBLE_LEVEL
 from bcid.inference.data import Data
+from bcid.inference.discrepancy import SmoothDiscrepancy, courses
 from bcid.inference.hypotheses import Hypothesis, effects, entropy, patches
 from bcid.inference.information import coordinates, information, noise_free
 from bcid.inference.nuisances import NuisanceModes
 from bcid.inference.relative import relative
-from bcid.inference.unknown_force import Smooth, courses
 from bcid.measurement import Action, Measurement
 from bcid.measurement.cloud import Cloud
 from bcid.scene import Grasp, Level, Limits, Material, Region, Scene
@@ -106,7 +106,7 @@ class MadeUp:
         for _, action in tasks:
             moved = np.zeros((len(action), len(self.scene.fiducials), 3, 1, 3), np.float32)
             moved[..., 0, :] = BENT[:, None, None] * np.eye(3)
-            found.append(PullTangent(Sensitivities([], {}, None, moved if forces else None), Wanted()))
+            found.append(PullTangent(Sensitivities([], {}, None, moved if forces else None), SensitivityRequest()))
         return found
 
     def _one(self, anchors: Anchored, action: Action, detailed: bool) -> PullPrediction:
@@ -213,7 +213,7 @@ def test_the_pulls_are_one_measurement() -> None:
     modes = NuisanceModes(np.zeros((len(common), 3)), common, ("dimensions",) * 2, {"dimensions": 0.02})
     sets = [frozenset("12"), frozenset("2")]
     for anchors in sets:
-        errors.allow(anchors, allowance(errors.data, {}, errors.places, modes, Smooth.nothing(len(common))))
+        errors.allow(anchors, allowance(errors.data, {}, errors.places, modes, SmoothDiscrepancy.nothing(len(common))))
     every = np.ones(len(errors.data.mask), bool)
     found = {anchors: errors._likelihood(anchors, anchors, every) for anchors in sets}
     gauss = multivariate_normal(cov=np.diag(errors.data.sigma**2) + common @ common.T)
@@ -396,9 +396,9 @@ def test_looking_ahead_finds_the_pair() -> None:
 
 def test_the_live_sets_hold_nearly_all_probability() -> None:
     view = BeliefUpdate(scene(), MadeUp(scene(), by_count), None).view()  # type: ignore[arg-type]
-    assert len(live(view)) == 4
+    assert len(credible_set(view)) == 4
     sure = replace(view, probabilities={Hypothesis(frozenset("1")): 0.9995, Hypothesis(frozenset("2")): 0.0005})
-    assert live(sure) == [Hypothesis(frozenset("1"))]
+    assert credible_set(sure) == [Hypothesis(frozenset("1"))]
 
 
 # -- the loop
@@ -460,7 +460,7 @@ def test_a_set_that_the_fine_level_cannot_follow_is_not_taken_for_a_perfect_one(
     inference.view()
     wrong, errors = frozenset("1"), inference.errors
     before = errors.relative(list(inference.sets))[wrong]
-    nothing = Allowance.nothing(errors.data)
+    nothing = ErrorModel.nothing(errors.data)
     errors.allow(wrong, allowance(errors.data, {0: None}, errors.places, nothing.modes, nothing.unknown))
     after = errors.relative(list(inference.sets))
     # Its prediction is worth next to nothing, which is less than that of a set that is right.
@@ -490,7 +490,7 @@ def test_what_no_set_explains_is_never_decided() -> None:
     robot = MadeUpRobot(other, "12", 1e-4)
     found = explore(body.scene, robot, ExploreOptions(noise=1e-4, budget=4), body)  # type: ignore[arg-type]
     assert found.reason == UNEXPLAINED
-    assert found.view.missing > CERTAIN
+    assert found.view.missing > CREDIBLE_LEVEL
     assert found.view.best.anchors == frozenset("12")
 
 

@@ -13,7 +13,7 @@ from bcid import Measurement, Scene
 from bcid.comparison import diagnosis_text as words
 from bcid.forms.mesh import level_mesh
 from bcid.inference import nuisance_text
-from bcid.inference.likelihood import NuisanceEstimate
+from bcid.inference.error_covariance import NuisanceEstimate
 from bcid.measurement import Units
 from bcid.report import verdict
 from bcid.search.identification import Identification

@@ -11,16 +11,16 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from bcid.comparison import rivals
+from bcid.comparison import fitted_hypothesis
 from bcid.comparison.diagnosis_text import _alone, _begins, _called, _look
 from bcid.comparison.explanation import Explanation
+from bcid.comparison.fitted_hypothesis import FittedHypothesis
 from bcid.comparison.hypothesis_table import HypothesisTable, TangentEvidence
-from bcid.comparison.rivals import Rival
 from bcid.forms.model import Term
-from bcid.inference.criteria import FAILS_FOR_THE_TRUE
+from bcid.inference.change_point import ChangePoint
+from bcid.inference.criteria import CONTINUATION_FAILURE_RATE
+from bcid.inference.discrepancy import Evidence
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
-from bcid.inference.sudden_force import Beginning
-from bcid.inference.unknown_force import Evidence
 
 
 def rival(
@@ -30,7 +30,7 @@ def rival(
     terms: tuple[Term, ...] = (),
     mesh: float = 0.0,
     stderr: float = 0.0,
-) -> Rival:
+) -> FittedHypothesis:
     """A hypothesis that was compared with all steps, with so much evidence and error of the mesh."""
     errors = SimpleNamespace(mesh_rms=mesh)
     model = SimpleNamespace(terms=terms)
@@ -38,10 +38,10 @@ def rival(
     state = SimpleNamespace(anchors=frozenset(anchors), noise=1.0, errors=errors, model=model, predictor=predictor)
     errors_of = {term.full(name): stderr for term in terms for name in term.values}
     fitted = SimpleNamespace(state=state, coordinates=names, stderr=errors_of)
-    return Rival(names, cast("Any", fitted), Evidence(evidence, evidence - 50, 1.0), 20)
+    return FittedHypothesis(names, cast("Any", fitted), Evidence(evidence, evidence - 50, 1.0), 20)
 
 
-def stage(rough: list[Rival], tangents: dict[Hypothesis, TangentEvidence] | None = None) -> HypothesisTable:
+def stage(rough: list[FittedHypothesis], tangents: dict[Hypothesis, TangentEvidence] | None = None) -> HypothesisTable:
     """What was evaluated in a few steps."""
     return HypothesisTable(own=rough, full=rough, tangents=tangents or {})
 
@@ -66,7 +66,9 @@ def less(anchors: str, effect: str = "") -> Hypothesis:
         ([rival(("soft_anchor",), "12", 100, SOFT), rival((), "12", 80), rival((), "2", 80)], None),
     ],
 )
-def test_an_effect_is_weighed_against_the_same_anchors_without_it(full: list[Rival], wanted: Hypothesis | None) -> None:
+def test_an_effect_is_weighed_against_the_same_anchors_without_it(
+    full: list[FittedHypothesis], wanted: Hypothesis | None
+) -> None:
     assert HypothesisTable(own=full, full=full).unopposed() == wanted
 
 
@@ -110,11 +112,11 @@ def test_a_set_that_cannot_be_followed_in_a_few_steps_has_not_lost(monkeypatch: 
     state: Any = best.fitted.state
     state.predictor, state.predicted, state.prediction = predictor, at, SimpleNamespace(positions=at)
 
-    def odds(_: Rival, moves: dict[frozenset[str], Any], *__: Any) -> dict[frozenset[str], float]:
+    def odds(_: FittedHypothesis, moves: dict[frozenset[str], Any], *__: Any) -> dict[frozenset[str], float]:
         shown.update({s: float(moved.max()) for s, moved in moves.items()})
         return dict.fromkeys(moves, 0.0)
 
-    monkeypatch.setattr(Rival, "_shown", odds)
+    monkeypatch.setattr(FittedHypothesis, "_shown", odds)
     nothing: Any = None
     sets = [frozenset("1"), frozenset("2"), frozenset("3")]
     assert best.without_a_patch(sets, 2, nothing, nothing) == [frozenset("1"), frozenset("2")]
@@ -173,7 +175,7 @@ def test_hypotheses_of_a_few_steps_keep_their_distance_from_the_nearest_of_all_s
     table.refuse(less("12"))
     refused = table.posterior().evaluations[less("12")]
     assert refused.log == before.log
-    assert refused.log_prior == pytest.approx(before.log_prior + math.log((FAILS_FOR_THE_TRUE + 1) / 3))
+    assert refused.log_prior == pytest.approx(before.log_prior + math.log((CONTINUATION_FAILURE_RATE + 1) / 3))
     assert less("12") not in table.changes()
     likely = {less("12"): TangentEvidence(effects={"gravity": 400.0}, known=20)}
     table = HypothesisTable(own=[base], full=[base], coarse=[stage(rough, likely)])
@@ -251,7 +253,7 @@ def test_by_when_something_unknown_has_begun_is_told_where_that_is_the_likeliest
     verdict: str, by: int, sudden: float, words: str
 ) -> None:
     best = rival((), "1", 100)
-    evidence = Evidence(100.0, 150.0, 1.0, begins=Beginning(by, 60.0), sudden=sudden)
+    evidence = Evidence(100.0, 150.0, 1.0, begins=ChangePoint(by, 60.0), sudden=sudden)
     state: Any = best.fitted.state
     frames = {"action": list("aaabbb"), "step": [0, 1, 2] * 2}
     data = {name: SimpleNamespace(values=np.array(values)) for name, values in frames.items()}
@@ -273,11 +275,11 @@ def test_what_is_weighed_once_is_not_weighed_again(monkeypatch: pytest.MonkeyPat
     """Unless another error of the mesh is the largest: then all are."""
     asked = []
 
-    def allowing(self: Rival, left: Any, begun: Any) -> Rival:
+    def allowing(self: FittedHypothesis, left: Any, begun: Any) -> FittedHypothesis:
         asked.append("".join(self.anchors))
         return self
 
-    monkeypatch.setattr(Rival, "allowing", allowing)
+    monkeypatch.setattr(FittedHypothesis, "allowing", allowing)
     compared, begun = HypothesisTable(), cast("Any", None)
     first, second, third = (rival((), name, 100.0, mesh=mesh) for name, mesh in (("1", 1.0), ("2", 0.5), ("3", 2.0)))
     for one in (first, second, third):
@@ -317,7 +319,9 @@ def test_all_hypotheses_are_compared_with_one_error_of_the_mesh(monkeypatch: pyt
     state.errors, state.predictor = errors, SimpleNamespace(data=data)
     state.with_errors = lambda mesh: wide if mesh.left == 1.0 else None
     cast("Any", one.fitted).jacobian = np.ones((4, 1))
-    monkeypatch.setattr(rivals, "weighed", lambda found, *_: Evidence(400.0, 20.0, 1.0) if found is wide else None)
+    monkeypatch.setattr(
+        fitted_hypothesis, "weighed", lambda found, *_: Evidence(400.0, 20.0, 1.0) if found is wide else None
+    )
     found = one.allowing(cast("Any", 1.0), PLAIN)
     assert (found.evidence.plain, found.evidence.forced) == (400.0, 20.0)
     assert found.judged is wide

@@ -24,9 +24,9 @@ from bcid.comparison.next_steps import (
     repeated,
     uncovered,
 )
-from bcid.inference.likelihood import Errors
+from bcid.inference.discrepancy import Evidence
+from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.mesh_error import MeshError
-from bcid.inference.unknown_force import Evidence
 
 RNG = np.random.default_rng(2)
 
@@ -36,7 +36,7 @@ def test_number_information_is_that_of_draws() -> None:
     sets = Sets.of(off=1.2)
     fitted, p = leading(sets.fitted)
     nodes = np.linspace(-5, 5, 101)
-    errors = Errors(sets.data, sets.data.sigma, MeshError.unknown(sets.data.mask.shape))
+    errors = ErrorCovariance(sets.data, sets.data.sigma, MeshError.unknown(sets.data.mask.shape))
     densities = []
     for one in fitted:
         state, (_, plain), (_, forced) = one.rival.judged, *one.rival.weights.values()

@@ -25,7 +25,7 @@ from bcid.forms import effects
 from bcid.forms.mesh import level_mesh
 from bcid.forms.model import Term, check_physics
 from bcid.forms.simulate import simulate
-from bcid.inference.followed import NotFollowed
+from bcid.inference.continuation import ContinuationError
 from bcid.measurement import Measurement
 from bcid.predict.predictor import Predictor
 from bcid.proposal import proposal_text
@@ -325,7 +325,7 @@ def test_a_case_is_compared_as_far_as_it_can_be_followed(
         if len(seen) == 1:
             came = np.ones(len(measurement.positions), dtype=bool)
             came[measurement.actions[-1].frames[-1]] = False
-            raise NotFollowed("it buckles", "no set can be followed", came)
+            raise ContinuationError("it buckles", "no set can be followed", came)
         return dict(known)
 
     monkeypatch.setattr(beyond_case, "_proposed", proposed)

@@ -34,8 +34,8 @@ from bcid.search.refine import (
     expanded,
     identify_refined,
     is_part,
-    kept_cuts,
     resolved,
+    significant_splits,
 )
 from bcid.search.termination import Termination
 
@@ -115,7 +115,7 @@ def test_outcomes_are_taken_over_where_the_sets_hold_the_same_facets() -> None:
 )
 def test_cuts_stay_whose_sides_differ(probability: dict[str, float], kept: list[str]) -> None:
     refined = {"7": ("7.1", "7.2")} | ({} if "7.2" in probability else {"7.2": ("7.2.1", "7.2.2")})
-    assert kept_cuts(refined, probability) == {name: refined[name] for name in kept}
+    assert significant_splits(refined, probability) == {name: refined[name] for name in kept}
 
 
 class Searches:

@@ -13,11 +13,11 @@ from unit.test_compare import SIGMA, actions, data_of, rest
 
 from bcid.inference import response
 from bcid.inference.data import Data
-from bcid.inference.evidence import Force
-from bcid.inference.likelihood import Errors
+from bcid.inference.discrepancy import Evidence
+from bcid.inference.error_covariance import ErrorCovariance
+from bcid.inference.evidence import LowRankDiscrepancy
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.priors import PRIORS
-from bcid.inference.unknown_force import Evidence
 
 Array = NDArray[np.float64]
 
@@ -33,13 +33,13 @@ def data() -> Data:
 
 
 @pytest.fixture(scope="module")
-def errors(data: Data) -> Errors:
-    return Errors(data, data.sigma, MeshError.unknown(data.mask.shape))
+def errors(data: Data) -> ErrorCovariance:
+    return ErrorCovariance(data, data.sigma, MeshError.unknown(data.mask.shape))
 
 
-def no_force(data: Data) -> list[Force]:
+def no_force(data: Data) -> list[LowRankDiscrepancy]:
     """A force that moves nothing: the discrepancy in observation space stands alone."""
-    return [Force.of(np.zeros((len(data), 1)), np.array([1.0]))]
+    return [LowRankDiscrepancy.of(np.zeros((len(data), 1)), np.array([1.0]))]
 
 
 def smooth_misfit(data: Data, size: float) -> Array:
@@ -71,7 +71,7 @@ def test_columns_reproduce_the_kernel_of_few_poses(data: Data) -> None:
     assert np.linalg.norm(columns @ columns.T - expected) < 0.05 * np.linalg.norm(expected)
 
 
-def test_evidence_with_a_misfit_is_the_gaussian_written_out(data: Data, errors: Errors) -> None:
+def test_evidence_with_a_misfit_is_the_gaussian_written_out(data: Data, errors: ErrorCovariance) -> None:
     residual = smooth_misfit(data, 5 * SIGMA) + SIGMA * np.random.default_rng(1).normal(size=len(data))
     variance = np.sum(response.poses(data)[data.frame] ** 2, axis=1) + PRIORS.misfit_smooth[0]
     logs = []
@@ -88,7 +88,9 @@ def test_evidence_with_a_misfit_is_the_gaussian_written_out(data: Data, errors: 
     )
 
 
-def test_smooth_misfit_is_a_discrepancy_and_no_certain_choice_between_hypotheses(data: Data, errors: Errors) -> None:
+def test_smooth_misfit_is_a_discrepancy_and_no_certain_choice_between_hypotheses(
+    data: Data, errors: ErrorCovariance
+) -> None:
     """Two hypotheses that both miss by far differ by many noises, and yet the data decide little between them."""
     noise = SIGMA * np.random.default_rng(2).normal(size=len(data))
     one, other = (smooth_misfit(data, size * SIGMA) + noise for size in (40.0, 44.0))
@@ -99,6 +101,6 @@ def test_smooth_misfit_is_a_discrepancy_and_no_certain_choice_between_hypotheses
     assert abs(first.total - second.total) < white / 500
 
 
-def test_noise_alone_is_no_discrepancy(data: Data, errors: Errors) -> None:
+def test_noise_alone_is_no_discrepancy(data: Data, errors: ErrorCovariance) -> None:
     residual = SIGMA * np.random.default_rng(3).normal(size=len(data))
     assert Evidence.of(errors, residual, no_force(data)).missing < 0.5

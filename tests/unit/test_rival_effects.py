@@ -13,8 +13,8 @@ from scipy.stats import norm
 
 from bcid.base.errors import InputError
 from bcid.comparison.fit import fit
+from bcid.comparison.fitted_hypothesis import FittedHypothesis
 from bcid.comparison.parameter_priors import of_state, visible
-from bcid.comparison.rivals import Rival
 from bcid.comparison.state import State
 from bcid.exploration.explore_run import run_exploration
 from bcid.exploration.joined import joined
@@ -68,7 +68,9 @@ def test_evidence_is_the_likelihood_averaged_over_what_was_believed(heavy: tuple
     predictor = Predictor(scene, seen, MPI.COMM_SELF)
     anchors, plain = frozenset("34"), Model.of(scene)
     start = State.of(predictor, plain + Term("gravity", {"weight": 1000.0}), anchors)
-    one = Fitted(Hypothesis(anchors, "gravity"), Rival.of(fit(start, ["gravity.weight"]), plain, 1, 0.0), plain)
+    one = Fitted(
+        Hypothesis(anchors, "gravity"), FittedHypothesis.of(fit(start, ["gravity.weight"]), plain, 1, 0.0), plain
+    )
     value, error = one.amounts["gravity.weight"]
     assert value == pytest.approx(WEIGHT, abs=4 * error)
     numbers = of_state(one.fitted.state, plain, one.fitted.jacobian, 0.0)
@@ -119,15 +121,15 @@ def test_what_the_pulls_do_not_tell_stays_as_it_was_expected(heavy: tuple[Scene,
     predictor = Predictor(scene, seen, MPI.COMM_SELF)
     anchors, plain = frozenset("34"), Model.of(scene)
     nothing = MeshError.unknown(predictor.data.mask.shape)
-    alone = Rival.of(fit(State.of(predictor, plain, anchors, nothing), ()), plain, 1)
+    alone = FittedHypothesis.of(fit(State.of(predictor, plain, anchors, nothing), ()), plain, 1)
     loose = plain + Term("soft_anchor", {"stiffness": 3e4}, place="2")
     one = fit(State.of(predictor, loose, anchors, nothing), ["soft_anchor(2).stiffness"])
-    dormant = Fitted(Hypothesis(anchors, "soft_anchor"), Rival.of(one, plain, 1, 0.0), plain)
+    dormant = Fitted(Hypothesis(anchors, "soft_anchor"), FittedHypothesis.of(one, plain, 1, 0.0), plain)
     # It may be at either patch or at both.
     ways = math.log(len(("", *anchors)))
     assert dormant.evidence.plain + ways == pytest.approx(alone.evidence.plain, abs=1e-6)
     # Where nothing is to come, what cannot be seen is no explanation.
-    assert Rival.of(one, plain, 1).evidence.plain == -math.inf
+    assert FittedHypothesis.of(one, plain, 1).evidence.plain == -math.inf
     assert dormant.model.constants()["soft_anchor(2).stiffness"] > 1e9
     predictor.destroy()
 

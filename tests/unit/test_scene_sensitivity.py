@@ -11,15 +11,15 @@ import pytest
 from weighed_sets import POISSON, Sets, force
 
 from bcid.comparison.answer_text import sensitivity
+from bcid.comparison.fitted_hypothesis import FittedHypothesis
 from bcid.comparison.next_steps import leading
-from bcid.comparison.rivals import Rival
 from bcid.comparison.scene_sensitivity import noise_error, reported_as, scene_sensitivity
 from bcid.forms.model import Term
+from bcid.inference.discrepancy import Evidence
+from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
-from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.priors import PRIORS
-from bcid.inference.unknown_force import Evidence
 
 
 def test_fitted_without_a_known_input_has_the_evidence_that_was_reported() -> None:
@@ -33,7 +33,7 @@ def test_fitted_without_a_known_input_has_the_evidence_that_was_reported() -> No
 def test_fitted_with_a_known_input_is_that_of_errors_without_it() -> None:
     """With errors made anew, in which the column is not, and forces in their units."""
     sets = Sets.of()
-    errors = Errors(sets.data, sets.data.sigma, MeshError.unknown(sets.data.mask.shape))
+    errors = ErrorCovariance(sets.data, sets.data.sigma, MeshError.unknown(sets.data.mask.shape))
     for one in sets.fitted:
         state = one.rival.judged
         found = one.logs(POISSON, np.array([-2.0, 2.0]))
@@ -73,7 +73,7 @@ def test_springs_without_stiffness_count_as_the_set_without_the_patch() -> None:
     assert leading([free, soft])[1] == pytest.approx([1.0])
     spring = Term("soft_anchor", {"stiffness": 5e4}, place="2")
     state = SimpleNamespace(anchors=frozenset("12"), model=SimpleNamespace(terms=(spring,)))
-    rival = Rival(("soft_anchor",), cast("Any", SimpleNamespace(state=state)), Evidence(0.0, -1.0, 1.0), 20)
+    rival = FittedHypothesis(("soft_anchor",), cast("Any", SimpleNamespace(state=state)), Evidence(0.0, -1.0, 1.0), 20)
     odds = HypothesisOdds({Hypothesis(frozenset("1")): 1.0})
     assert reported_as(rival, odds) == Hypothesis(frozenset("1"))
     assert reported_as(rival, HypothesisOdds({rival.hypothesis: 1.0})) == rival.hypothesis

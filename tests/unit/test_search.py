@@ -12,8 +12,8 @@ from bcid.base.progress import Silent
 from bcid.forms import effect_trial as trial
 from bcid.forms.simulate import recorded
 from bcid.forms.solver.status import Status
-from bcid.inference.criteria import FAILS_FOR_THE_TRUE
-from bcid.inference.followed import NotFollowed, as_far_as_followed
+from bcid.inference.continuation import ContinuationError, truncate_to_converged
+from bcid.inference.criteria import CONTINUATION_FAILURE_RATE
 from bcid.inference.hypotheses import patches
 from bcid.inference.outcome import Candidate, Outcome, label
 from bcid.measurement import Action, Measurement
@@ -21,7 +21,7 @@ from bcid.search.climb import ODDS, climb, neighbours
 from bcid.search.evaluator import Evaluator
 from bcid.search.identify import _Search
 from bcid.search.identify_options import IdentifyOptions
-from bcid.search.screening import classes, finest, level_errors, log_odds, lost_beyond, screened
+from bcid.search.screening import classes, finest, level_errors, log_odds, rejection_bound, screened
 from bcid.search.seeds import above, all_candidates, maxima, perturbed, random_seeds
 from bcid.search.set_evidence import SetEvidence
 from bcid.search.termination import Stop, Termination
@@ -197,7 +197,7 @@ def test_belief_is_a_distribution() -> None:
     belief = screened(evaluator, TRUE, {0: 0.0})  # type: ignore[arg-type]
     assert math.fsum(belief.probabilities.values()) == pytest.approx(1.0)
     whole = belief.held_by(frozenset(PATCHES)) / belief.held_by(TRUE)
-    assert whole == pytest.approx(FAILS_FOR_THE_TRUE), "nothing is known of it"
+    assert whole == pytest.approx(CONTINUATION_FAILURE_RATE), "nothing is known of it"
     one = belief.held_by(frozenset("2")) / belief.held_by(TRUE)
     assert one == pytest.approx(math.exp(-2.0)), "chi-square 4 above is a likelihood ratio of exp(-2)"
     with_two = [c for c in all_candidates(PATCHES) if "2" in c]
@@ -365,8 +365,8 @@ def test_sets_that_predict_the_same_are_one_class() -> None:
 def test_where_a_rival_may_stop() -> None:
     evaluator = Landscape(distance)
     best = evaluator.evaluate(0, {TRUE: math.inf})[TRUE]
-    assert lost_beyond(best, evaluator.misfit, ODDS) == pytest.approx(VALUES + 2 * math.log(1e6))  # type: ignore[arg-type]
-    coarse = lost_beyond(best, evaluator.misfit, ODDS, error=3.0)  # type: ignore[arg-type]
+    assert rejection_bound(best, evaluator.misfit, ODDS) == pytest.approx(VALUES + 2 * math.log(1e6))  # type: ignore[arg-type]
+    coarse = rejection_bound(best, evaluator.misfit, ODDS, error=3.0)  # type: ignore[arg-type]
     assert coarse == pytest.approx(VALUES + 2 * math.log(1e6) * (1 + 9 * VALUES / 60))
 
 
@@ -397,7 +397,7 @@ def test_a_set_that_fails_late_is_judged_by_the_frames_before() -> None:
     """One that explains them better than the best of the others may be the one, and one that does not is out."""
     true, rival, lost = TRUE, frozenset("256"), frozenset("25134")
     whole = lambda c: math.inf if c in (rival, lost) else distance(c)  # noqa: E731
-    early = lambda c: {lost: 500.0, rival: 50.0 + 2 * math.log(FAILS_FOR_THE_TRUE)}.get(c, 50.0)  # noqa: E731
+    early = lambda c: {lost: 500.0, rival: 50.0 + 2 * math.log(CONTINUATION_FAILURE_RATE)}.get(c, 50.0)  # noqa: E731
     found = search(Landscape(whole, early=early), IdentifyOptions(certify="yes", finest=0))
     assert frozenset(found.anchored) == true
     assert found.probability == pytest.approx(0.5, abs=0.01)
@@ -520,21 +520,21 @@ def test_a_measurement_is_looked_at_as_far_as_it_can_be_followed() -> None:
         tried.append(len(seen.positions))
         came = np.array([True] * 6 + [False] * 2)[: tried[-1]]
         if tried[-1] > 6:
-            raise NotFollowed("it buckles", "no anchor set can be followed", came)
+            raise ContinuationError("it buckles", "no anchor set can be followed", came)
         return seen
 
-    found = as_far_as_followed(whole, work)
+    found = truncate_to_converged(whole, work)
     assert tried == [8, 6]
     assert [len(action) for action in found.actions] == [4, 2]
     assert found.remarks[-1] == "action 2 is compared up to step 1 only: no anchor set can be followed any further"
-    error = NotFollowed("it buckles", "nothing can be followed", np.array([True, *[False] * 3, *[True] * 4]))
+    error = ContinuationError("it buckles", "nothing can be followed", np.array([True, *[False] * 3, *[True] * 4]))
     assert [action.name for action in error.before(whole).actions] == ["2"]
-    with pytest.raises(NotFollowed, match="it buckles"):
-        NotFollowed("it buckles", "", np.array([True, *[False] * 7])).before(whole)
+    with pytest.raises(ContinuationError, match="it buckles"):
+        ContinuationError("it buckles", "", np.array([True, *[False] * 7])).before(whole)
 
 
 def test_where_every_set_fails_it_is_told_how_far_they_came() -> None:
     evaluator = Landscape(lambda _: math.inf)
-    with pytest.raises(NotFollowed) as caught:
+    with pytest.raises(ContinuationError) as caught:
         search(evaluator)
     assert caught.value.frames.tolist() == [True, False]

@@ -8,14 +8,14 @@ from typing import Any
 
 import pytest
 
+from bcid.comparison.fitted_hypothesis import FittedHypothesis, best_first
 from bcid.comparison.full_search import FullSearch
 from bcid.comparison.hypothesis_table import HypothesisTable
 from bcid.comparison.ranking import Ranking
-from bcid.comparison.rivals import Rival, best_first
 from bcid.comparison.state import State
 from bcid.forms.model import Model
+from bcid.inference.discrepancy import Evidence
 from bcid.inference.hypotheses import Hypothesis
-from bcid.inference.unknown_force import Evidence
 from bcid.search.settings import SETTINGS
 from tests.unit.test_hypothesis_table import less, rival
 
@@ -25,7 +25,7 @@ Known = Mapping[Hypothesis, float | None]
 class PlainTable(HypothesisTable):
     """Of hypotheses whose evidence is given: no error of the mesh is common to them."""
 
-    def add(self, rivals: Iterable[Rival], begun: Model) -> None:
+    def add(self, rivals: Iterable[FittedHypothesis], begun: Model) -> None:
         known = {one.hypothesis: one for one in (*self.own, *rivals)}
         self.own = self.full = best_first(known.values())
         self.reconsider()
@@ -34,7 +34,7 @@ class PlainTable(HypothesisTable):
 class Simulated(FullSearch):
     """A queue whose evaluations are given: log evidence in all steps by hypothesis, None where it cannot be followed."""
 
-    def __init__(self, truth: Known, coarse: list[Rival], tangent: Known | None = None) -> None:
+    def __init__(self, truth: Known, coarse: list[FittedHypothesis], tangent: Known | None = None) -> None:
         quiet = SimpleNamespace(step=lambda *_: None, say=lambda *_: None)
         base: Any = SimpleNamespace(model=None, predictor=SimpleNamespace(progress=quiet))
         candidates: Any = SimpleNamespace(alike=False)
@@ -53,14 +53,14 @@ class Simulated(FullSearch):
         self.done += [("fit", h) for h in wanted]
         super().evaluate(wanted)
 
-    def evaluated(self, wanted: Hypothesis) -> Rival | None:
+    def evaluated(self, wanted: Hypothesis) -> FittedHypothesis | None:
         log = self.truth[wanted]
         return None if log is None else rival(wanted.names, "".join(sorted(wanted.anchors)), log)
 
-    def say_fitted(self, rival: Rival) -> None:
+    def say_fitted(self, rival: FittedHypothesis) -> None:
         """Nothing: these have no residual."""
 
-    def ask_sets(self, rival: Rival) -> None:
+    def ask_sets(self, rival: FittedHypothesis) -> None:
         self.done.append(("sets", rival.hypothesis))
         about = {rival.anchors: rival.evidence.plain}
         about |= {
@@ -68,11 +68,11 @@ class Simulated(FullSearch):
         }
         self.table.add_sets(rival, {s: Evidence(log, log - 50, 1.0) for s, log in about.items()})
 
-    def missing(self, plain: Rival) -> Ranking:
+    def missing(self, plain: FittedHypothesis) -> Ranking:
         self.rankings[plain.hypothesis] = Ranking(())
         return self.rankings[plain.hypothesis]
 
-    def reduce(self, rival: Rival) -> None:
+    def reduce(self, rival: FittedHypothesis) -> None:
         self.table.reduced[rival.hypothesis] = []
         self.done.append(("reduce", rival.hypothesis))
 

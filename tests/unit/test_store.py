@@ -17,7 +17,7 @@ from bcid.forms import effect_trial as trial
 from bcid.forms import effects
 from bcid.forms.course import in_time
 from bcid.forms.model import Anchors, Model, Term
-from bcid.forms.probes import Probe, Sensitivities, Wanted
+from bcid.forms.probes import Probe, Sensitivities, SensitivityRequest
 from bcid.forms.set_tangent import StepTangent
 from bcid.forms.simulate import recorded
 from bcid.forms.solver.equilibrium import Settings
@@ -200,12 +200,17 @@ def test_other_models_are_other_questions() -> None:
 
 def test_other_wishes_are_other_questions() -> None:
     gravity = Term("gravity", {"weight": 0.0})
-    asked = [Wanted(), Wanted((Probe(gravity, ("weight",)),)), Wanted((Probe(gravity, ()),)), Wanted(law=("young",))]
+    asked = [
+        SensitivityRequest(),
+        SensitivityRequest((Probe(gravity, ("weight",)),)),
+        SensitivityRequest((Probe(gravity, ()),)),
+        SensitivityRequest(law=("young",)),
+    ]
     asked += [
-        Wanted(stiffness=True),
-        Wanted(places=True),
-        Wanted(forces=np.ones((2, 1))),
-        Wanted(forces=np.zeros((2, 1))),
+        SensitivityRequest(stiffness=True),
+        SensitivityRequest(places=True),
+        SensitivityRequest(forces=np.ones((2, 1))),
+        SensitivityRequest(forces=np.zeros((2, 1))),
     ]
     assert len({questions.of_wanted(wanted) for wanted in asked}) == len(asked)
 

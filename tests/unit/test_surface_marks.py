@@ -16,7 +16,7 @@ from bcid.forms import effects
 from bcid.forms.forward import Forward
 from bcid.forms.mesh import level_mesh
 from bcid.forms.model import Model, Term, check_physics
-from bcid.forms.probes import Probe, Wanted
+from bcid.forms.probes import Probe, SensitivityRequest
 from bcid.forms.sensitivity import Sensitivity
 from bcid.forms.simulate import simulate
 from bcid.forms.simulated_cloud import simulated_cloud
@@ -157,7 +157,7 @@ def test_sensitivities_along_normals_agree_with_differences(along: tuple) -> Non
     forward = Forward(scene, 0, settings=Settings(rtol=1e-11))
     prediction = forward.predict(HELD, measurement.actions, keep=True)
     sensitivity = Sensitivity(forward)
-    wanted = Wanted((Probe(Term(gravity, {"weight": 0.0}), ("weight",)),))
+    wanted = SensitivityRequest((Probe(Term(gravity, {"weight": 0.0}), ("weight",)),))
     found = sensitivity.of(HELD, measurement.actions, prediction, wanted)
     by_tangent = Data(scene, measurement).vector(found.probes[0]["weight"])
     sensitivity.destroy()

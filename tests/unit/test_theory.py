@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from bcid.inference.evidence import Integrated, Numbers, log_gains
+from bcid.inference.evidence import LinearParameters, MarginalLikelihood, log_gains
 from bcid.inference.hypotheses import log_prior
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.posterior import Pair
@@ -54,7 +54,7 @@ def test_evidence_of_a_linear_model_is_its_gaussian_density() -> None:
     jacobian, width, apart = rng.normal(size=(6, 2)), np.array([0.5, 2.0]), np.array([0.3, -1.0])
     residual = rng.normal(size=6)
     free = np.zeros(2, dtype=bool)
-    found = Integrated.of(residual, Numbers(jacobian, apart, width[None], free)).log()
+    found = MarginalLikelihood.of(residual, LinearParameters(jacobian, apart, width[None], free)).log()
     covariance = np.eye(6) + (jacobian * width**2) @ jacobian.T
     expected = multivariate_normal(cov=covariance).logpdf(residual + jacobian @ apart)
     assert found == pytest.approx(expected + 3 * math.log(2 * math.pi), abs=1e-9)

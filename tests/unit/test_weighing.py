@@ -17,17 +17,17 @@ from scipy.stats import multivariate_normal
 from bcid.forms import effect_trial as trial
 from bcid.forms.simulate import recorded
 from bcid.inference import response
-from bcid.inference.criteria import FAILS_FOR_THE_TRUE, NOTABLE
+from bcid.inference.criteria import CONTINUATION_FAILURE_RATE, MIN_EFFECT_SIZE
 from bcid.inference.data import Data
-from bcid.inference.likelihood import Errors
+from bcid.inference.discrepancy import Evidence, SmoothDiscrepancy, courses, low_rank_discrepancy
+from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes
 from bcid.inference.outcome import Candidate
 from bcid.inference.priors import PRIORS, spaced
-from bcid.inference.unknown_force import Evidence, Smooth, courses, unknown_force
 from bcid.measurement import Action, Measurement
 from bcid.search.climb import ODDS
-from bcid.search.weighing import _BATCH, _MOST, Pan, Weighing
+from bcid.search.evidence_evaluator import _BATCH, _MOST, EvidenceEvaluator, LinearisedPrediction
 
 Array = NDArray[np.float64]
 SCENE = trial.scene()
@@ -52,10 +52,10 @@ def slopes(data: Data) -> Array:
     return 1e-6 * data.progress[:, None] * np.random.default_rng(4).normal(size=(12, 3))[data.fiducial * 3 + data.axis]
 
 
-def errors(data: Data) -> Errors:
+def errors(data: Data) -> ErrorCovariance:
     common = 0.3e-3 * np.random.default_rng(6).normal(size=(len(data), 2))
     modes = NuisanceModes(np.zeros((len(data), 3)), common, ("grip", "grip"), {"grip": 0.3e-3})
-    return Errors(data, data.sigma, MeshError.unknown(data.mask.shape), modes)
+    return ErrorCovariance(data, data.sigma, MeshError.unknown(data.mask.shape), modes)
 
 
 # -- the evidence
@@ -68,7 +68,7 @@ def test_the_evidence_is_that_of_a_gaussian_averaged_over_sizes() -> None:
     # Both pulls are alike.
     assert moved.shape == (len(data), 3 * 2)
     residual = data.values - data.vector(np.tile(SCENE.rest, (2 * STEPS, 1, 1)))
-    force = unknown_force(known, moved, UNIT)
+    force = low_rank_discrepancy(known, moved, UNIT)
     found = Evidence.of(known, residual, [force])
     base = np.diag(data.sigma**2) + known.nuisances.common @ known.nuisances.common.T
     constant = len(data) / 2 * math.log(2 * math.pi)
@@ -76,7 +76,7 @@ def test_the_evidence_is_that_of_a_gaussian_averaged_over_sizes() -> None:
     # A force that hardly moves a marker is none.
     shown = np.sqrt(np.mean(np.sum(moved**2, axis=1) / data.sigma**2))
     assert force.sizes == pytest.approx(
-        [UNIT * size for size in spaced(PRIORS.force_sizes) if UNIT * size * shown >= NOTABLE]
+        [UNIT * size for size in spaced(PRIORS.force_sizes) if UNIT * size * shown >= MIN_EFFECT_SIZE]
     )
     assert 0 < len(force.sizes) < len(spaced(PRIORS.force_sizes))
     covariances = [base + size**2 * moved @ moved.T for size in force.sizes]
@@ -103,7 +103,7 @@ def test_what_a_force_does_is_missed_and_noise_is_not(pushed: float, missing: bo
     data = Data(SCENE, measurement())
     residual = data.values - data.vector(np.tile(SCENE.rest, (2 * STEPS, 1, 1)))
     known = errors(data)
-    forces = Smooth((slopes(data),)).forces(known, UNIT)
+    forces = SmoothDiscrepancy((slopes(data),)).forces(known, UNIT)
     found = Evidence.of(known, residual + pushed * slopes(data)[:, 1], forces)
     assert (found.missing > 0.95) == missing
     assert missing or found.missing < 0.5
@@ -113,10 +113,10 @@ def test_a_force_and_a_growth_count_alike_and_the_likelier_is_told() -> None:
     data = Data(SCENE, measurement())
     known, one = errors(data), slopes(data)
     other = one[np.random.default_rng(8).permutation(len(data))]
-    both = Smooth((one, other))
+    both = SmoothDiscrepancy((one, other))
     residual = data.values - data.vector(np.tile(SCENE.rest, (2 * STEPS, 1, 1))) + 3e3 * other[:, 1]
     found = Evidence.of(known, residual, both.forces(known, UNIT))
-    alone = [Evidence.of(known, residual, Smooth((kind,)).forces(known, UNIT)) for kind in both.kinds]
+    alone = [Evidence.of(known, residual, SmoothDiscrepancy((kind,)).forces(known, UNIT)) for kind in both.kinds]
     assert found.forced == pytest.approx(np.logaddexp(*(each.forced for each in alone)) - math.log(2), abs=1e-6)
     assert (found.kind, found.size) == (1, alone[1].size)
     assert both.likeliest(data, found) == pytest.approx(found.size * courses(data, other))
@@ -187,24 +187,26 @@ class Bench:
         found[self.fails.get(candidate, len(found)) :] = np.nan
         return found
 
-    def each(self, level: int, candidates: Sequence[Candidate], _work: object) -> dict[Candidate, Pan]:
+    def each(self, level: int, candidates: Sequence[Candidate], _work: object) -> dict[Candidate, LinearisedPrediction]:
         self.weighed += candidates
         found = {}
         for candidate in candidates:
             positions = self.positions(level, candidate)
             data = Data(SCENE, self.measurement).within(np.isfinite(positions).all(axis=(1, 2)))
             none = NuisanceModes.none(len(data))
-            found[candidate] = Pan(positions, none, Smooth.nothing(len(data)), candidate in self.fails)
+            found[candidate] = LinearisedPrediction(
+                positions, none, SmoothDiscrepancy.nothing(len(data)), candidate in self.fails
+            )
         return found
 
 
-def scales(bench: Bench, best: Candidate = TRUE) -> Weighing:
+def scales(bench: Bench, best: Candidate = TRUE) -> EvidenceEvaluator:
     exact = MeshError.unknown((2 * STEPS, len(SCENE.fiducials), 3))
-    return Weighing(bench, [0], best, exact)  # type: ignore[arg-type]
+    return EvidenceEvaluator(bench, [0], best, exact)  # type: ignore[arg-type]
 
 
 def test_on_a_mesh_of_which_nothing_is_known_nothing_is_weighed() -> None:
-    weighing = Weighing(Bench({TRUE: 0.0}), [0], TRUE)  # type: ignore[arg-type]
+    weighing = EvidenceEvaluator(Bench({TRUE: 0.0}), [0], TRUE)  # type: ignore[arg-type]
     assert weighing.run([TRUE], lambda _: ()).logs == {}
 
 
@@ -214,7 +216,7 @@ def test_a_set_that_fails_late_is_weighed_in_the_frames_before() -> None:
     for first in (4, 10):
         bench = Bench({TRUE: 0.0, other: 0.0}, {other: first})
         found = scales(bench).relative(0, [TRUE, other])
-        assert found == {TRUE: 0.0, other: pytest.approx(math.log(FAILS_FOR_THE_TRUE))}
+        assert found == {TRUE: 0.0, other: pytest.approx(math.log(CONTINUATION_FAILURE_RATE))}
     bench = Bench({TRUE: 3e-3, other: 0.0}, {other: 4})
     found = scales(bench).relative(0, [TRUE, other])
     assert found[other] == 0.0 > found[TRUE], "what fits far better before it fails may be the one"

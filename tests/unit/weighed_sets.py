@@ -9,17 +9,17 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.comparison.rivals import Rival
+from bcid.comparison.fitted_hypothesis import FittedHypothesis
 from bcid.comparison.scene_sensitivity import SceneInput, WeighedHypothesis
 from bcid.forms import effect_trial as trial
 from bcid.forms.simulate import recorded
 from bcid.inference.data import Data
-from bcid.inference.evidence import Force, Numbers
+from bcid.inference.discrepancy import Evidence
+from bcid.inference.error_covariance import ErrorCovariance
+from bcid.inference.evidence import LinearParameters, LowRankDiscrepancy
 from bcid.inference.hypotheses import HypothesisOdds
-from bcid.inference.likelihood import Errors
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes
-from bcid.inference.unknown_force import Evidence
 from bcid.measurement import Action
 
 Array = NDArray[np.float64]
@@ -39,10 +39,10 @@ def data() -> Data:
     return Data(scene, measurement.__class__(**{**vars(measurement), "noise_sigma": SIGMA}))
 
 
-def force(errors: Errors) -> Force:
+def force(errors: ErrorCovariance) -> LowRankDiscrepancy:
     """That may act besides, in units of errors."""
     columns = SIGMA * np.random.default_rng(3).normal(size=(len(errors.data), 2))
-    return Force.of(errors.whiten(columns), np.array([0.5, 2.0]))
+    return LowRankDiscrepancy.of(errors.whiten(columns), np.array([0.5, 2.0]))
 
 
 @dataclass(frozen=True)
@@ -87,11 +87,11 @@ class Sets:
 
 def _fitted(seen: Data, column: Array, residual: Array, anchors: str) -> WeighedHypothesis:
     modes = NuisanceModes(np.zeros((len(seen), 3)), column[:, None], ("poisson",), {"poisson": 0.03})
-    errors = Errors(seen, seen.sigma, MeshError.unknown(seen.mask.shape), modes)
+    errors = ErrorCovariance(seen, seen.sigma, MeshError.unknown(seen.mask.shape), modes)
     state = SimpleNamespace(
         errors=errors, residual=residual, scaled=errors.whiten(residual), forces=[force(errors)], anchors=frozenset(anchors),
         predictor=SimpleNamespace(data=seen), predicted=seen.measured,
     )  # fmt: skip
     evidence = Evidence.of(errors, residual, [force(errors)])
-    rival = Rival((), cast("Any", SimpleNamespace(state=state)), evidence, 20)
-    return WeighedHypothesis(rival, rival.hypothesis, Numbers.none(len(seen)), {POISSON: 0})
+    rival = FittedHypothesis((), cast("Any", SimpleNamespace(state=state)), evidence, 20)
+    return WeighedHypothesis(rival, rival.hypothesis, LinearParameters.none(len(seen)), {POISSON: 0})

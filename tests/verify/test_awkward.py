@@ -14,7 +14,7 @@ from bcid import Measurement, Scene
 from bcid.forms.model import check_physics
 from bcid.forms.scene_errors import grip_term
 from bcid.forms.simulate import simulate
-from bcid.inference.criteria import CERTAIN
+from bcid.inference.criteria import CREDIBLE_LEVEL
 from bcid.measurement import Action
 from bcid.scene import Level
 from bcid.search.identification import Identification
@@ -93,7 +93,7 @@ def found(scene: Scene, measurement: Measurement) -> Identification:
 def test_nothing_is_wrong(slab: Scene) -> None:
     identified = found(slab, seen(slab))
     assert identified.anchored == ANCHORED
-    assert identified.probability > CERTAIN
+    assert identified.probability > CREDIBLE_LEVEL
     assert identified.explains
 
 
@@ -139,9 +139,9 @@ INCONSISTENT: dict[str, Callable[[Array], None]] = {
 def test_identify_inconsistent_data_no_set_is_certain(slab: Scene, case: str) -> None:
     identified = found(slab, changed(seen(slab), INCONSISTENT[case]))
 
-    assert identified.probability < CERTAIN
+    assert identified.probability < CREDIBLE_LEVEL
     assert identified.missing is not None
-    assert identified.missing > CERTAIN
+    assert identified.missing > CREDIBLE_LEVEL
 
 
 def softer(slab: Scene) -> Scene:
@@ -152,4 +152,4 @@ def softer(slab: Scene) -> Scene:
 def test_it_is_right_or_open(slab: Scene, case: str) -> None:
     identified = found(*AWKWARD[case](slab))
 
-    assert identified.anchored == ANCHORED or identified.probability < CERTAIN
+    assert identified.anchored == ANCHORED or identified.probability < CREDIBLE_LEVEL

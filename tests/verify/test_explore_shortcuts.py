@@ -52,7 +52,7 @@ def everything(patch: pytest.MonkeyPatch) -> None:
         return predicted, option.forbidden or self._forbidden(predicted, p)
 
     patch.setattr(choice.Chooser, "_asked", asked)
-    patch.setattr(update, "awake", list)
+    patch.setattr(update, "active_sets", list)
 
 
 @pytest.mark.parametrize(("anchors", "noise"), [(("1", "2"), 5e-3), (("3", "4"), 1e-3)], ids=["doubtful", "clear"])
@@ -76,7 +76,7 @@ def test_an_exploration_ends_as_if_everything_had_been_asked(
 
 def test_a_set_sleeps_only_with_a_negligible_part() -> None:
     odds = {frozenset("1"): 0.0, frozenset("2"): -9.0, frozenset("3"): -11.0, frozenset("4"): -12.5}
-    assert update.awake(odds) == [frozenset("1"), frozenset("2"), frozenset("3")]
-    assert update.awake(dict.fromkeys(odds, 0.0)) == list(odds)
+    assert update.active_sets(odds) == [frozenset("1"), frozenset("2"), frozenset("3")]
+    assert update.active_sets(dict.fromkeys(odds, 0.0)) == list(odds)
     total = sum(np.exp(value) for value in odds.values())
     assert np.exp(-12.5) < 1e-5 * total < np.exp(-12.5) + np.exp(-11.0)

@@ -14,7 +14,7 @@ from bcid.forms import effect_trial as trial
 from bcid.forms.forward import Forward
 from bcid.forms.gripper_force import ForceScale
 from bcid.forms.model import Model, Term
-from bcid.forms.probes import Probe, Wanted
+from bcid.forms.probes import Probe, SensitivityRequest
 from bcid.forms.quadrature import QuadraturePoints
 from bcid.forms.sensitivity import Sensitivity
 from bcid.forms.solver.equilibrium import Settings
@@ -103,7 +103,7 @@ def test_scores_are_the_sensitivities_of_the_same_terms_in_ufl(forward: Forward,
         term = grammar.term(grammar.variants[k])
         probes.append(Probe(term, tuple(p.name for p in grammar.variants[k].family.amounts)))
     sensitivity = Sensitivity(forward)
-    found = sensitivity.of(ANCHORS, action, prediction, Wanted(tuple(probes), terms=grammar))
+    found = sensitivity.of(ANCHORS, action, prediction, SensitivityRequest(tuple(probes), terms=grammar))
     assert found.terms is not None
     for (name, k), probe, arrays in zip(chosen.items(), probes, found.probes, strict=True):
         expected = np.stack([arrays[one] for one in probe.wanted], axis=-1)
@@ -159,7 +159,9 @@ def test_springs_hold_a_spot_however_stiff_they_are(
     push = made(source(next(f for f in grammar.families if f.name == "traction_at_a_spot"), "push", spot, "", ()))
     pushed = Term(push, {"tx": 0.0, "ty": 0.0, "tz": 0.0, **spot})
     sensitivity = Sensitivity(forward)
-    found = sensitivity.of(ANCHORS, action, free, Wanted((Probe(pushed, ("tx", "ty", "tz")),), terms=_Only(near)))
+    found = sensitivity.of(
+        ANCHORS, action, free, SensitivityRequest((Probe(pushed, ("tx", "ty", "tz")),), terms=_Only(near))
+    )
     sensitivity.destroy()
     assert found.held is not None
     forces = held_by(stiffness, float(near.areas[0]), found.held[:, 0], near.normals[0], GRIPS[f"{name}_at_a_spot"])
@@ -212,7 +214,7 @@ def test_what_grows_with_the_pull_does_what_is_steady_in_proportion(forward: For
         probes = tuple(
             Probe(term, tuple(p.name for p in term.effect.amounts)) for term in (steady, grammar.like(family)(steady))
         )
-        found = sensitivity.of(ANCHORS, action, prediction, Wanted(probes))
+        found = sensitivity.of(ANCHORS, action, prediction, SensitivityRequest(probes))
         for name, of_steady in found.probes[0].items():
             grown = found.probes[1][name]
             assert np.abs(grown).max() > 0, family.name

@@ -19,7 +19,7 @@ from verify.problems import move
 
 from bcid.base.errors import InputError
 from bcid.comparison import diagnosis_text as words
-from bcid.comparison import rivals
+from bcid.comparison import fitted_hypothesis
 from bcid.comparison.adequacy import judge
 from bcid.comparison.buckled_frames import buckled, leave_out
 from bcid.comparison.coarse_search import CoarseSearch
@@ -27,10 +27,10 @@ from bcid.comparison.explain import ExplainOptions, explain
 from bcid.comparison.explanation import Explanation, explained, explains
 from bcid.comparison.few_steps import FEW_STEPS, in_few_steps
 from bcid.comparison.fit import Fit, columns, coordinates, fit
+from bcid.comparison.fitted_hypothesis import FittedHypothesis, fitted_beside, promoted, refit
 from bcid.comparison.hypothesis_table import HypothesisTable, TangentEvidence
 from bcid.comparison.parameter_priors import of_state
 from bcid.comparison.ranking import rank
-from bcid.comparison.rivals import Rival, fitted_beside, promoted, refit
 from bcid.comparison.separate import separating_pulls
 from bcid.comparison.state import State
 from bcid.comparison.variants import _meanwhile
@@ -41,8 +41,8 @@ from bcid.forms.responses import Responses
 from bcid.forms.simulate import recorded, simulate
 from bcid.forms.solver.equilibrium import Settings
 from bcid.forms.solver.status import Status
-from bcid.inference.criteria import SEEN
-from bcid.inference.followed import as_far_as_followed
+from bcid.inference.continuation import truncate_to_converged
+from bcid.inference.criteria import DETECTION_THRESHOLD
 from bcid.inference.mesh_error import MeshError
 from bcid.measurement import Action, Measurement
 from bcid.predict.levels import pair
@@ -118,7 +118,7 @@ def test_no_effect_makes_up_for_a_wrong_anchor_set(predictor: Predictor) -> None
     assert not judge(wrong).adequate
     ranking = rank(wrong, effects.catalogue(FEW))
     assert ranking.rows[0].p_value < 1e-6
-    right = Rival.of(Fit.at(at(predictor)), wrong.model, len(FEW))
+    right = FittedHypothesis.of(Fit.at(at(predictor)), wrong.model, len(FEW))
     stayed = fitted_beside(wrong, effects.catalogue(FEW), 3)
     assert stayed
     for rival in stayed:
@@ -133,7 +133,7 @@ def test_the_loop_finds_the_anchors_and_no_effect(predictor: Predictor) -> None:
     assert found.last.state.anchors == ANCHORED
 
 
-def coarsely(state: State, names: Sequence[str] = (), sets: int = 1, fits: int = 10) -> list[Rival]:
+def coarsely(state: State, names: Sequence[str] = (), sets: int = 1, fits: int = 10) -> list[FittedHypothesis]:
     """Sets and effects beside a model as a few steps show them, the likeliest first."""
     return CoarseSearch(in_few_steps(state), state.model, effects.catalogue(names), sets=sets, fits=fits).run().full
 
@@ -208,7 +208,7 @@ def test_anchors_and_effects_are_rivals(slab: Scene) -> None:
     rival = promoted(best, seeming, seeming.model)
     assert rival is not None
     assert rival.complete
-    assert Rival.of(Fit.at(seeming), seeming.model, len(FEW)).log < rival.log - math.log(20.0)
+    assert FittedHypothesis.of(Fit.at(seeming), seeming.model, len(FEW)).log < rival.log - math.log(20.0)
     assert rival.term.values["lag"] == pytest.approx(0.6, abs=0.05)
     predictor.destroy()
 
@@ -228,7 +228,7 @@ def test_the_error_of_the_mesh_is_that_of_the_numbers_that_fit(heavy: Measuremen
     predictor = Predictor(slab, heavy, MPI.COMM_SELF, level=1)
     base = at(predictor, HEAVY)
     far = base.model + Term(effects.effect("gravity"), {"weight": 2200.0})
-    begun = Rival.of(fit(State.of(predictor, far, HEAVY), ("gravity.weight",), most=1), base.model, 1)
+    begun = FittedHypothesis.of(fit(State.of(predictor, far, HEAVY), ("gravity.weight",), most=1), base.model, 1)
     found = promoted(begun, base, base.model)
     assert found is not None
     own = mesh_error(predictor, found.fitted.state.model, HEAVY, found.fitted.state.prediction)
@@ -244,7 +244,7 @@ def test_what_has_saturated_is_seen_by_all_that_it_does(heavy: Measurement, slab
     model = Model.of(slab) + Term(effects.effect("inclusion"), ball)
     state = State.of(predictor, model, HEAVY, free=("inclusion.ratio",))
     moved = columns(predictor, model, HEAVY, state.prediction, coordinates(model, state.free))
-    assert np.linalg.norm(state.errors.whiten(moved)) * 10 < SEEN
+    assert np.linalg.norm(state.errors.whiten(moved)) * 10 < DETECTION_THRESHOLD
     assert of_state(state, Model.of(slab)) is not None
     predictor.destroy()
 
@@ -429,7 +429,7 @@ def test_an_effect_that_still_looks_for_its_place_goes_on(
         calls.append(start.model.name)
         return replace(fit(start, names, most=1, **rest), settled=False)
 
-    monkeypatch.setattr(rivals, "fit", unsettled)
+    monkeypatch.setattr(fitted_hypothesis, "fit", unsettled)
     state = at(predictor)
     for name in ("inclusion", "gravity"):
         row = rank(state, [effects.effect(name)], strict=False).rows[0]
@@ -502,7 +502,7 @@ def test_that_solves_fail_is_no_evidence(slab: Scene, plain: Measurement, monkey
         compared.append(measurement)
         return explain(Predictor(slab, measurement, MPI.COMM_SELF, level=1), ExplainOptions(level=1, only=FEW))
 
-    found = as_far_as_followed(plain, work)
+    found = truncate_to_converged(plain, work)
     assert found.verdict == "none"
     # A smooth misfit may stand for what the sets that can be followed miss: then these are likely, and none is certain.
     right = found.last.state.anchors == ANCHORED
@@ -523,7 +523,7 @@ def test_that_solves_fail_is_no_evidence_on_the_meshes_that_are_chosen(
     def work(measurement: Measurement) -> Explanation:
         return explain(Predictor(slab, measurement, MPI.COMM_SELF, level=1), ExplainOptions(level=1, only=FEW))
 
-    found = as_far_as_followed(seen, work)
+    found = truncate_to_converged(seen, work)
     assert (found.verdict, found.last.state.anchors) == ("none", ANCHORED)
 
 

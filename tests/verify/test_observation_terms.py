@@ -18,7 +18,7 @@ from bcid.forms.model import Model, Term
 from bcid.forms.simulate import recorded
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.data import Data
-from bcid.inference.likelihood import Errors
+from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.mesh_error import MeshError
 from bcid.predict.kept_predictions import MeasurementPrediction
 from bcid.proposal.effect_file import made, source
@@ -66,7 +66,7 @@ def compared(forward: Forward, seen: np.ndarray, predicted: np.ndarray) -> State
         scene=scene, data=data, measurement=measurement, actions=made_of, forward=lambda model: forward,
         sensitivities=lambda *args: SimpleNamespace(probes=()), times=made_of[0].clock,
     )  # fmt: skip
-    errors = Errors(data, data.sigma, MeshError.unknown(data.mask.shape))
+    errors = ErrorCovariance(data, data.sigma, MeshError.unknown(data.mask.shape))
     prediction = MeasurementPrediction(predicted, {})
     return State(
         predictor, Model.of(scene), ANCHORS, prediction, errors, np.zeros((len(data), 1)), np.zeros((len(data), 0, 3))

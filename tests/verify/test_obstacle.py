@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from bcid.comparison.ahead import balls
+from bcid.comparison.ahead import obstacle_candidates
 from bcid.comparison.ranking import rank
 from bcid.comparison.state import State
 from bcid.forms import effects
@@ -40,7 +40,7 @@ def test_a_ball_above_a_slab_that_is_lifted_is_found(project: Path) -> None:
     predictor = Predictor(scene, seen, MPI.COMM_SELF, settings=Settings(rtol=1e-8))
     state = State.of(predictor, plain, ANCHORS, MeshError.unknown(predictor.data.mask.shape))
     points = predictor.forward(plain).mesh.points
-    tried = balls(state)
+    tried = obstacle_candidates(state)
     assert len(tried) > 10
     for ball in tried:
         centre = np.array([ball["cx"], ball["cy"], ball["cz"]])

@@ -13,13 +13,13 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from bcid.comparison.fit import fit
+from bcid.comparison.fitted_hypothesis import FittedHypothesis, promoted
 from bcid.comparison.loosened import loosened
-from bcid.comparison.rivals import Rival, promoted
 from bcid.comparison.state import State
 from bcid.comparison.variants import all_variants
 from bcid.forms import effects
 from bcid.forms.model import Model, Term, check_physics
-from bcid.forms.probes import Probe, Wanted
+from bcid.forms.probes import Probe, SensitivityRequest
 from bcid.forms.simulate import simulate
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.mesh_error import MeshError
@@ -64,7 +64,7 @@ def test_what_is_seen_is_pieced_together(predictor: Predictor) -> None:
     np.testing.assert_allclose(found.positions, pieced(both.positions, left.positions), atol=1e-9)
     weight = Probe(Term("gravity", {"weight": 0.0}), ("weight",))
     slopes = [
-        predictor.sensitivities(m, s, p, Wanted((weight,))).probes[0]["weight"]
+        predictor.sensitivities(m, s, p, SensitivityRequest((weight,))).probes[0]["weight"]
         for m, s, p in ((plain, BOTH, both), (plain, LEFT, left), (loose, BOTH, found))
     ]
     expected = pieced(*slopes[:2])
@@ -121,7 +121,7 @@ def test_what_acts_besides_is_fitted_with_it(predictor: Predictor) -> None:
     plain, nothing = Model.of(predictor.scene), MeshError.unknown(predictor.data.mask.shape)
     heavy = plain + Term("gravity", {"weight": 10.0})
     loose = State.of(predictor, heavy + model(predictor.scene).terms[-1], BOTH, nothing)
-    rival = Rival.of(fit(loose, ("gravity.weight",)), plain, 2)
+    rival = FittedHypothesis.of(fit(loose, ("gravity.weight",)), plain, 2)
     found = promoted(rival, State.of(predictor, plain, BOTH, nothing), plain)
     assert found is not None
     assert found.names == ("gravity", "release")

@@ -20,7 +20,7 @@ from bcid.forms import effects
 from bcid.forms.forward import Forward
 from bcid.forms.mesh import BodyMesh
 from bcid.forms.model import Model, Term
-from bcid.forms.probes import Probe, Sensitivities, Wanted
+from bcid.forms.probes import Probe, Sensitivities, SensitivityRequest
 from bcid.forms.scene_errors import Outline, dimensions, grip_term, moved_with
 from bcid.forms.sensitivity import Sensitivity
 from bcid.forms.simulate import recorded, simulate
@@ -116,7 +116,7 @@ def displacements(
     return prediction.positions - here.rest
 
 
-def told(wanted: Wanted, action: Action, model: Callable[[Scene], Model] = plain) -> Sensitivities:
+def told(wanted: SensitivityRequest, action: Action, model: Callable[[Scene], Model] = plain) -> Sensitivities:
     """The same by the tangent, of the scene's own body."""
     here = scene()
     forward = Forward(here, 0, MPI.COMM_SELF, model(here), EXACT, MESH)
@@ -138,7 +138,7 @@ def assert_near(found: Array, expected: Array, tolerance: float) -> None:
 @pytest.mark.parametrize(("axis", "model"), [(0, plain), (1, plain), (2, plain), (0, stiffened)])
 def test_a_larger_body_moves_as_told(axis: int, model: Callable[[Scene], Model]) -> None:
     action, direction = pulled(), np.eye(3)[axis]
-    found = told(Wanted((Probe(dimensions()[axis], ("part",)),)), action, model).probes[0]["part"]
+    found = told(SensitivityRequest((Probe(dimensions()[axis], ("part",)),)), action, model).probes[0]["part"]
     expected = central(
         lambda part: displacements(action, lambda x: x * (1 + part * direction), model=model),
         1e-3,
@@ -151,7 +151,7 @@ def test_a_patch_that_ends_elsewhere_moves_the_body_as_told(number: int, model: 
     """The corners of the mesh itself are moved; its markers between them, by which both differ a little."""
     assert FOOT is not None
     action, values = pulled(), FOOT.terms()[number].values
-    found = told(Wanted((Probe(FOOT.terms()[number], ("distance",)),)), action, model).probes[0]["distance"]
+    found = told(SensitivityRequest((Probe(FOOT.terms()[number], ("distance",)),)), action, model).probes[0]["distance"]
     direction = np.array([values[f"d{axis}"] for axis in "xyz"])
 
     def moved(x: Array, distance: float) -> Array:
@@ -207,7 +207,7 @@ def test_a_larger_body_may_have_its_markers_further_out() -> None:
 def test_a_gripper_elsewhere_moves_the_body_as_told() -> None:
     action, names = pulled(turned=True), ("x", "z", "ry")
     term = grip_term()
-    found = told(Wanted((Probe(term, names),)), action).probes[0]
+    found = told(SensitivityRequest((Probe(term, names),)), action).probes[0]
     for name in names:
 
         def at(value: float, name: str = name) -> Array:
@@ -234,7 +234,7 @@ def test_a_marker_elsewhere_is_seen_as_told() -> None:
             forward.destroy()
         forward = Forward(replace(here, fiducials=inside), 0, MPI.COMM_SELF, Model.of(here), EXACT, MESH)  # type: ignore[arg-type]
         prediction = forward.predict(ANCHORS, [action], keep=True)
-        slopes = Sensitivity(forward).of(ANCHORS, [action], prediction, Wanted(places=True)).places
+        slopes = Sensitivity(forward).of(ANCHORS, [action], prediction, SensitivityRequest(places=True)).places
         forward.destroy()
         assert slopes is not None
         assert slopes[..., axis] == pytest.approx((both[0] - both[1]) / 2e-6, abs=1e-5)

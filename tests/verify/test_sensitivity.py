@@ -22,7 +22,7 @@ from bcid.forms import effects
 from bcid.forms.forward import Forward
 from bcid.forms.gripper_force import ForceScale
 from bcid.forms.model import Model, Term
-from bcid.forms.probes import Probe, Sensitivities, Wanted
+from bcid.forms.probes import Probe, Sensitivities, SensitivityRequest
 from bcid.forms.responses import Responses
 from bcid.forms.sensitivity import Sensitivity
 from bcid.forms.solver.equilibrium import Settings
@@ -57,7 +57,9 @@ def positions(model: Model) -> Array:
     return prediction.positions
 
 
-def sensitivities(model: Model, wanted: Wanted, scene: object = SCENE, mesh: object = MESH) -> Sensitivities:
+def sensitivities(
+    model: Model, wanted: SensitivityRequest, scene: object = SCENE, mesh: object = MESH
+) -> Sensitivities:
     """By the tangent, as a predictor asks for them."""
     forward = Forward(scene, 0, MPI.COMM_SELF, mechanical(model), Settings(rtol=1e-12), mesh, FORCES)  # type: ignore[arg-type]
     prediction = forward.predict(ANCHORS, ACTIONS, keep=True)
@@ -117,7 +119,7 @@ def test_an_effect_that_acts(others: tuple[Term, ...], asked: Term, name: str) -
     value = 1 / asked.values[name] if parameter.reciprocal else asked.values[name]
     size = abs(value) if parameter.reciprocal else parameter.scale
     expected = differences(at, value, size, -math.inf if parameter.reciprocal else parameter.lower)
-    found = sensitivities(model, Wanted((Probe(asked, (name,)),))).probes[0][name]
+    found = sensitivities(model, SensitivityRequest((Probe(asked, (name,)),))).probes[0][name]
     assert_same(found, expected)
 
 
@@ -150,7 +152,7 @@ def test_a_dormant_effect(others: tuple[Term, ...], asked: Term, name: str) -> N
         return positions(model + asked.with_values({name: number}))
 
     expected = differences(at, asked.values[name], parameter.scale, parameter.lower)
-    found = sensitivities(model, Wanted((Probe(asked, (name,)),))).probes[0][name]
+    found = sensitivities(model, SensitivityRequest((Probe(asked, (name,)),))).probes[0][name]
     assert_same(found, expected)
 
 
@@ -165,7 +167,7 @@ def test_a_rigid_hold_that_may_yield(name: str, place: str) -> None:
         return stiffness * (positions(rigid + asked.with_values({"stiffness": stiffness})) - unmoved)
 
     expected = 2 * yielding(1e9) - yielding(5e8)
-    found = sensitivities(rigid, Wanted((Probe(asked, ("stiffness",)),))).probes[0]["stiffness"]
+    found = sensitivities(rigid, SensitivityRequest((Probe(asked, ("stiffness",)),))).probes[0]["stiffness"]
     assert_same(found, expected)
 
 
@@ -187,11 +189,11 @@ def test_products_tell_what_solves_tell(
     prediction = forward.predict(ANCHORS, ACTIONS, keep=True)
     told = Sensitivity(forward)
     monkeypatch.setattr(Responses, "_serve", lambda *_: False)
-    expected = told.of(ANCHORS, ACTIONS, prediction, Wanted(tuple(asked))).probes
+    expected = told.of(ANCHORS, ACTIONS, prediction, SensitivityRequest(tuple(asked))).probes
     monkeypatch.setattr(Responses, "_serve", lambda *_: True)
-    told.of(ANCHORS, ACTIONS, prediction, Wanted(tuple(asked)))
+    told.of(ANCHORS, ACTIONS, prediction, SensitivityRequest(tuple(asked)))
     monkeypatch.setattr(forward.equilibrium.tangent, "assemble", None)
-    found = told.of(ANCHORS, ACTIONS, prediction, Wanted(tuple(asked))).probes
+    found = told.of(ANCHORS, ACTIONS, prediction, SensitivityRequest(tuple(asked))).probes
     for probe, one, other in zip(asked, found, expected, strict=True):
         assert_same(one[probe.wanted[0]], other[probe.wanted[0]], 1e-8)
     forward.destroy()
@@ -200,12 +202,12 @@ def test_products_tell_what_solves_tell(
 def test_a_constant_of_the_law_under_known_loads() -> None:
     model = PLAIN + HEAVY
     expected = differences(lambda young: positions(model.with_values({"young": young})), 15e3, 15e3, 0.0)
-    assert_same(sensitivities(model, Wanted(law=("young",))).law["young"], expected)
+    assert_same(sensitivities(model, SensitivityRequest(law=("young",))).law["young"], expected)
 
 
 def test_the_stiffness_of_all_cells_is_that_of_the_body() -> None:
     model = PLAIN + HEAVY
-    found = sensitivities(model, Wanted(law=("young",), stiffness=True))
+    found = sensitivities(model, SensitivityRequest(law=("young",), stiffness=True))
     assert found.stiffness is not None
     assert_same(found.stiffness.sum(axis=-1), 15e3 * found.law["young"])
 
@@ -213,7 +215,9 @@ def test_the_stiffness_of_all_cells_is_that_of_the_body() -> None:
 def test_a_body_force_everywhere_is_gravity() -> None:
     space = fem.functionspace(Forward(SCENE, 0, MPI.COMM_SELF, PLAIN, mesh=MESH).body.domain, ("Lagrange", 1))
     volume = fem.assemble_vector(fem.form(ufl.TestFunction(space) * ufl.dx)).array
-    found = sensitivities(PLAIN, Wanted((Probe(term("gravity", weight=0.0), ("weight",)),), forces=volume[:, None]))
+    found = sensitivities(
+        PLAIN, SensitivityRequest((Probe(term("gravity", weight=0.0), ("weight",)),), forces=volume[:, None])
+    )
     assert found.forces is not None
     along = found.forces[:, :, :, 0] @ np.array(SCENE.down)
     assert_same(along, found.probes[0]["weight"])
@@ -224,7 +228,9 @@ def test_what_grows_everywhere_swells(formulation: str) -> None:
     material = Material("neo_hooke", {"young": "15 kPa", "poisson": 0.4}, formulation)
     scene = replace(SCENE, material=material, levels=(Level(2),) if formulation == "mixed" else SCENE.levels)
     swelling = Probe(term("swelling", rate=0.0), ("rate",))
-    found = sensitivities(Model.of(scene), Wanted((swelling,), growths=np.ones((len(MESH.cells), 1))), scene)
+    found = sensitivities(
+        Model.of(scene), SensitivityRequest((swelling,), growths=np.ones((len(MESH.cells), 1))), scene
+    )
     assert found.growths is not None
     time = np.concatenate([action.clock for action in ACTIONS])
     assert_same(time[:, None, None] * found.growths[..., 0], found.probes[0]["rate"])
@@ -235,7 +241,7 @@ def test_with_a_pressure_as_unknown() -> None:
     material = Material("neo_hooke", {"young": "15 kPa", "poisson": 0.499}, "mixed")
     scene = replace(SCENE, material=material, levels=(Level(2),))
     model = Model.of(scene)
-    wanted = Wanted((Probe(term("gravity", weight=0.0), ("weight",)),), {"young": 1.5})
+    wanted = SensitivityRequest((Probe(term("gravity", weight=0.0), ("weight",)),), {"young": 1.5})
     found = sensitivities(model, wanted, scene)
 
     def at(one: Model) -> Array:
@@ -255,6 +261,6 @@ def test_an_inclusion_far_outside_of_the_body_moves_nothing() -> None:
     """Its edge is sharp beside the distance, and its slope there underflows."""
     ball = {"ratio": 3.0, "cx": 0.5, "cy": 0.2, "cz": 0.0, "radius": 1e-3}
     added = Term(effects.effect("inclusion"), ball)
-    found = sensitivities(PLAIN + added, Wanted((Probe(added, tuple(ball)),)))
+    found = sensitivities(PLAIN + added, SensitivityRequest((Probe(added, tuple(ball)),)))
     for name, moved in found.probes[0].items():
         assert np.abs(moved).max() < 1e-12, name

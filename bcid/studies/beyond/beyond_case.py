@@ -20,7 +20,7 @@ from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.mesh.closest import closest_on_triangles
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.simulate import recorded
-from bcid.inference.followed import as_far_as_followed
+from bcid.inference.continuation import truncate_to_converged
 from bcid.measurement import Measurement
 from bcid.scene import Scene
 from bcid.studies.beyond.compared_energy import energy_apart
@@ -209,7 +209,7 @@ def proposed(folder: Path) -> dict[str, Any]:
     scene = Scene.read(folder / FILE, physics=check_physics)
     measurement = Measurement.read(folder / "measurement")
     known = read_json(folder / "truth.json")
-    return as_far_as_followed(measurement, lambda seen: _proposed(scene, seen, known))
+    return truncate_to_converged(measurement, lambda seen: _proposed(scene, seen, known))
 
 
 def _proposed(scene: Scene, measurement: Measurement, known: Mapping[str, Any]) -> dict[str, Any]:

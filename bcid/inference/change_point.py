@@ -1,6 +1,6 @@
 """Something begins: a force at one place, from some frame of an action on.
 
-An unknown force that is smooth (`bcid.inference.unknown_force`) stands for what is spread over the body and goes on with the
+An unknown force that is smooth (`bcid.inference.discrepancy`) stands for what is spread over the body and goes on with the
 motion. What tears, sticks or lets go at a spot does neither: it begins, and moves what is near. It has three numbers, and a place
 and a frame that nobody knows: all are as likely, so that what chance shows in one of so many is paid for. Only the jump counts: a
 force at the same place that is there all the time, and changes as a parabola of the gripper's way, may act besides with any size.
@@ -15,28 +15,28 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp, softmax
 
-from bcid.inference.criteria import CERTAIN, SEEN
+from bcid.inference.criteria import CREDIBLE_LEVEL, DETECTION_THRESHOLD
 from bcid.inference.data import Data
-from bcid.inference.evidence import LARGER, Numbers, gains_of
-from bcid.inference.likelihood import Errors
+from bcid.inference.error_covariance import ErrorCovariance
+from bcid.inference.evidence import LARGER, LinearParameters, gains_of
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 # Standard deviations of the force that are equally likely, in those that the data leave of it: from what is just seen on.
-_SIZES: Array = SEEN * np.logspace(0, 3, 7)
+_SIZES: Array = DETECTION_THRESHOLD * np.logspace(0, 3, 7)
 # What differs from a smooth force by less than this part of its square does not begin.
 _LIKE_SMOOTH = 1e-6
 
 
 @dataclass(frozen=True)
-class Beginning:
+class ChangePoint:
     """By when something has begun.
 
     What tears while little pulls on it shows later, when more does, and a force at one place stands for what it does anywhere near:
     neither from when on nor where it acts is told.
 
     Attributes:
-        by: the frame in which it acts, with `CERTAIN`.
+        by: the frame in which it acts, with `CREDIBLE_LEVEL`.
         log: logarithm of how much likelier it makes the data than nothing, with all that it may be counted.
     """
 
@@ -44,7 +44,7 @@ class Beginning:
     log: float
 
 
-class SuddenForce:
+class ChangePointForce:
     """A force at one of many places that acts from one of many frames on.
 
     It stays as it is or grows with the gripper's way, to the end of its action or of the measurement. Before it begins its action
@@ -55,7 +55,7 @@ class SuddenForce:
         slopes: movement per unit of the force at each place in each frame, shape (n, places, 3), m.
     """
 
-    def __init__(self, errors: Errors, slopes: Array) -> None:
+    def __init__(self, errors: ErrorCovariance, slopes: Array) -> None:
         data = errors.data
         self._errors = errors
         self._scaled = slopes / errors.sigma[:, None, None]
@@ -71,17 +71,17 @@ class SuddenForce:
         self._unit = np.sqrt(np.where(self._told, size, 1.0))[:, :, None, None]
         self._jumps = jumps / self._unit**2
 
-    def beginning(self, residual: Array, numbers: Numbers) -> Beginning | None:
+    def beginning(self, residual: Array, numbers: LinearParameters) -> ChangePoint | None:
         """By when, by a residual (n,), m, at numbers that are unknown besides; None where no frame could show it."""
         if not self._told.any():
             return None
         gains = self._gains(residual, numbers)
         begins = np.broadcast_to(self._begins[:, None], self._told.shape)[self._told]
         until = np.cumsum(np.bincount(begins, softmax(gains)))
-        by = self._frames[min(int(np.searchsorted(until, CERTAIN)), len(until) - 1)]
-        return Beginning(int(by), float(logsumexp(gains) - np.log(len(gains))))
+        by = self._frames[min(int(np.searchsorted(until, CREDIBLE_LEVEL)), len(until) - 1)]
+        return ChangePoint(int(by), float(logsumexp(gains) - np.log(len(gains))))
 
-    def _gains(self, residual: Array, numbers: Numbers) -> Array:
+    def _gains(self, residual: Array, numbers: LinearParameters) -> Array:
         """How much likelier each that is told from a smooth one makes the data, as logarithms.
 
         The unknown numbers have the middle one of the widths that they may have.

@@ -22,11 +22,11 @@ from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model, Term
 from bcid.forms.solver.equilibrium import Settings
-from bcid.inference.criteria import SEEN
-from bcid.inference.evidence import Numbers
+from bcid.inference.criteria import DETECTION_THRESHOLD
+from bcid.inference.discrepancy import Evidence
+from bcid.inference.error_covariance import ErrorCovariance
+from bcid.inference.evidence import LinearParameters
 from bcid.inference.hypotheses import Hypothesis, log_prior
-from bcid.inference.likelihood import Errors
-from bcid.inference.unknown_force import Evidence
 from bcid.search.settings import SETTINGS
 
 Array = NDArray[np.float64]
@@ -43,7 +43,7 @@ _NOTHING = Evidence(-math.inf, -math.inf, 0.0)
 
 
 @dataclass(frozen=True)
-class Rival:
+class FittedHypothesis:
     """A hypothesis that was fitted: a set of anchors, and the effects added to the model that was begun with.
 
     Attributes:
@@ -96,7 +96,7 @@ class Rival:
             Hypothesis(self.anchors, name, True): (self.evidence.forced, log_prior(count, True, self.known)),
         }
 
-    def without(self, name: str) -> Rival:
+    def without(self, name: str) -> FittedHypothesis:
         """Where to begin with the same without one of its effects: nothing was computed with that yet."""
         state = self.fitted.state
         term = next(term for term in state.model.terms[::-1] if term.effect.name == name)
@@ -106,7 +106,7 @@ class Rival:
             self, names=names, fitted=Fit.at(replace(state, model=state.model.without(term.label), free=free))
         )
 
-    def allowing(self, left: Array, begun: Model) -> Rival:
+    def allowing(self, left: Array, begun: Model) -> FittedHypothesis:
         """The same with what may be left of the error of the mesh as it is with another hypothesis, (frames, fiducials, 3), m."""
         old = self.fitted.state
         if old.errors.mesh.left is left:
@@ -114,7 +114,7 @@ class Rival:
         state = old.with_errors(replace(old.errors.mesh, left=left))
         return replace(self, evidence=weighed(state, begun, self.jacobian(state.errors)), allowed=state)
 
-    def jacobian(self, errors: Errors) -> Array:
+    def jacobian(self, errors: ErrorCovariance) -> Array:
         """Change of the residual with each fitted number in units of other errors than its own, shape (n, p)."""
         state = self.fitted.state
         moved = [errors.whiten(state.errors.unwhiten(column)) for column in self.fitted.jacobian.T]
@@ -146,9 +146,9 @@ class Rival:
     def _shown(self, moves: Mapping[Anchored, Array], seen: NDArray[np.bool_], begun: Model) -> dict[Anchored, float]:
         """Logarithms of the odds of sets against this one that move the fiducials elsewhere, by the frames that are seen alone."""
         state = self.fitted.state
-        errors = state.errors.unseeing(~seen[state.predictor.data.frame])
+        errors = state.errors.masked(~seen[state.predictor.data.frame])
         only = replace(state, errors=errors)
-        numbers = of_state(only, begun, self.jacobian(errors)) or Numbers.none(len(state.predictor.data))
+        numbers = of_state(only, begun, self.jacobian(errors)) or LinearParameters.none(len(state.predictor.data))
         shifts = [state.predictor.data.vector(moved) for moved in (np.zeros_like(state.predicted), *moves.values())]
         here, *logs = (Evidence.of(errors, only.residual - shift, only.forces, numbers).total for shift in shifts)
         return {anchors: log - here for anchors, log in zip(moves, logs, strict=True)}
@@ -171,13 +171,13 @@ class Rival:
         return float(np.logaddexp(plain, forced))
 
     @classmethod
-    def of(cls, fitted: Fit, begun: Model, known: int, least: float = SEEN) -> Rival:
+    def of(cls, fitted: Fit, begun: Model, known: int, least: float = DETECTION_THRESHOLD) -> FittedHypothesis:
         """Of a fit of a model that was begun from another; `least` as in `bcid.comparison.parameter_priors.visible`."""
         names = tuple(term.effect.name for term in fitted.state.model.added(begun))
         return cls(names, fitted, weighed(fitted.state, begun, fitted.jacobian, least), known)
 
     @classmethod
-    def unfitted(cls, state: State, begun: Model, known: int, least: float = SEEN) -> Rival:
+    def unfitted(cls, state: State, begun: Model, known: int, least: float = DETECTION_THRESHOLD) -> FittedHypothesis:
         """A model with numbers that were fitted elsewhere, or none: what they would do here its tangent shows; collective."""
         names = tuple(term.effect.name for term in state.model.added(begun))
         chosen = coordinates(state.model, state.free)
@@ -186,7 +186,7 @@ class Rival:
         return cls(names, fitted, weighed(state, begun, jacobian, least), known)
 
 
-def weighed(state: State, begun: Model, jacobian: Array | None = None, least: float = SEEN) -> Evidence:
+def weighed(state: State, begun: Model, jacobian: Array | None = None, least: float = DETECTION_THRESHOLD) -> Evidence:
     """Evidence of a model whose free numbers were unknown, beside the model that it was begun from; collective.
 
     Where their `jacobian` is not known (see `Fit`), it is computed.
@@ -195,14 +195,18 @@ def weighed(state: State, begun: Model, jacobian: Array | None = None, least: fl
     return _NOTHING if numbers is None else state.evidence(numbers)
 
 
-def best_first(rivals: Iterable[Rival]) -> list[Rival]:
+def best_first(rivals: Iterable[FittedHypothesis]) -> list[FittedHypothesis]:
     """The likeliest first."""
     return sorted(rivals, key=lambda r: (-r.log, len(r.names), len(r.anchors), sorted(r.anchors), r.names))
 
 
 def promoted(
-    rival: Rival, full: State, begun: Model, least: float = SEEN, anchors: Anchored | None = None
-) -> Rival | None:
+    rival: FittedHypothesis,
+    full: State,
+    begun: Model,
+    least: float = DETECTION_THRESHOLD,
+    anchors: Anchored | None = None,
+) -> FittedHypothesis | None:
     """A rival that was fitted to a part of the steps, with all of them and the error of the mesh of its own; None if it fails.
 
     An effect may stand for what the mesh has wrong with another model: its own tells. With `anchors`, on another set.
@@ -223,7 +227,7 @@ def promoted(
             mesh = rival.fitted.state.errors.mesh
         found = fit(State.of(full.predictor, model, anchors, mesh), free, most=8)
         if anchors != rival.anchors:
-            there = Rival.of(found, begun, rival.known, least)
+            there = FittedHypothesis.of(found, begun, rival.known, least)
             if there.log < rival.log - SETTINGS.hopeless:
                 # It has lost whatever the error of the mesh is with it.
                 return there
@@ -234,7 +238,7 @@ def promoted(
         found = bent(found)
     except (SolveError, InputError):
         return None
-    return Rival.of(found, begun, rival.known, least)
+    return FittedHypothesis.of(found, begun, rival.known, least)
 
 
 def _remeshed(found: Fit, model: Model | None, ftol: float = FTOL) -> Fit:
@@ -253,7 +257,9 @@ def _elsewhere(found: Fit, model: Model) -> bool:
     return any(abs(c.of(after[c.name]) - c.of(before[c.name])) > _FAR_OFF * c.scale for c in found.coordinates)
 
 
-def added(base: State, effect: Effect, begun: Model, known: int, least: float = SEEN) -> Rival | None:
+def added(
+    base: State, effect: Effect, begun: Model, known: int, least: float = DETECTION_THRESHOLD
+) -> FittedHypothesis | None:
     """An effect beside a model that was compared with all steps, where they show that it promises most; None if it fails."""
     rows = rank(base, [effect], strict=False).rows
     found = refit(base, rows[0], begun, known, least) if rows else []
@@ -263,27 +269,31 @@ def added(base: State, effect: Effect, begun: Model, known: int, least: float = 
     if effect.sudden and effect.moves:
         # From a frame on the body moves otherwise, and so the error of the mesh is another.
         fitted = fit(fitted.state.with_own_errors(anew=True), fitted.state.free, most=4)
-    return Rival.of(bent(fitted), begun, known, least)
+    return FittedHypothesis.of(bent(fitted), begun, known, least)
 
 
-def refit(state: State, row: Row, begun: Model, known: int, least: float = SEEN) -> list[Rival]:
+def refit(
+    state: State, row: Row, begun: Model, known: int, least: float = DETECTION_THRESHOLD
+) -> list[FittedHypothesis]:
     """Add an effect, begin at what is expected of it, and fit everything together; nothing if that cannot be followed."""
     return refit_term(state, row.term, row.gain, begun, known, least)
 
 
-def refit_term(state: State, term: Term, gain: float, begun: Model, known: int, least: float = SEEN) -> list[Rival]:
+def refit_term(
+    state: State, term: Term, gain: float, begun: Model, known: int, least: float = DETECTION_THRESHOLD
+) -> list[FittedHypothesis]:
     """The same of a term with the values that it is begun with, which is expected to gain so much.
 
     One whose shape is fitted too may end in a minimum that is not the least: where it explains less than was expected, it is begun
     elsewhere as well.
     """
-    found: list[Rival] = []
+    found: list[FittedHypothesis] = []
     for part in _CAUTION:
         try:
             again = _begun_with(state, state.anchors, _careful(term, state.model, part))
         except (SolveError, InputError):
             continue
-        found.append(Rival.of(again, begun, known, least))
+        found.append(FittedHypothesis.of(again, begun, known, least))
         if (
             not term.effect.shapes
             or found[-1].evidence.plain > weighed(state, begun, None, least).plain + gain - SETTINGS.comparable
@@ -292,7 +302,7 @@ def refit_term(state: State, term: Term, gain: float, begun: Model, known: int, 
     return best_first(found)[:1]
 
 
-def fitted_beside(state: State, known: Sequence[Effect], most: int) -> list[Rival]:
+def fitted_beside(state: State, known: Sequence[Effect], most: int) -> list[FittedHypothesis]:
     """The most promising effects beside a model with its set, `most` of them, fitted to all steps; collective."""
     thin = in_few_steps(state)
     try:
@@ -304,10 +314,12 @@ def fitted_beside(state: State, known: Sequence[Effect], most: int) -> list[Riva
     return best_first(replace(rival, held_out=held_out(rival.fitted)) for rival in fitted)
 
 
-def stood_in(state: State, stand_in: StandIn, begun: Model, known: int, least: float = SEEN) -> list[Rival]:
+def stood_in(
+    state: State, stand_in: StandIn, begun: Model, known: int, least: float = DETECTION_THRESHOLD
+) -> list[FittedHypothesis]:
     """What may hold the body in the place of a patch of a set, fitted with all else; nothing if that cannot be followed."""
     try:
-        return [Rival.of(_begun_with(state, stand_in.anchors, stand_in.term), begun, known, least)]
+        return [FittedHypothesis.of(_begun_with(state, stand_in.anchors, stand_in.term), begun, known, least)]
     except (SolveError, InputError):
         return []
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bcid.comparison.rivals import Rival
+from bcid.comparison.fitted_hypothesis import FittedHypothesis
 from bcid.forms.forward import Prediction
 from bcid.inference.hypotheses import HypothesisOdds, patches
 from bcid.search.identification import Alternative, Identification
@@ -13,7 +13,9 @@ from bcid.search.identification import Alternative, Identification
 _TOLD = 8
 
 
-def told_anchors(rivals: Sequence[Rival], odds: HypothesisOdds, best: Rival, seconds: float) -> Identification:
+def anchor_marginals(
+    rivals: Sequence[FittedHypothesis], odds: HypothesisOdds, best: FittedHypothesis, seconds: float
+) -> Identification:
     """The anchors of the best hypothesis, with probabilities over all effects.
 
     Args:
@@ -28,7 +30,7 @@ def told_anchors(rivals: Sequence[Rival], odds: HypothesisOdds, best: Rival, sec
     def ordered(anchors: frozenset[str]) -> tuple[str, ...]:
         return tuple(name for name in names if name in anchors)
 
-    likeliest: dict[frozenset[str], Rival] = {}
+    likeliest: dict[frozenset[str], FittedHypothesis] = {}
     for rival in rivals:
         likeliest.setdefault(rival.anchors, rival)
     others = [rival for anchors, rival in likeliest.items() if anchors != state.anchors]

@@ -18,14 +18,14 @@ from bcid.forms.gripper_force import ForceScale
 from bcid.forms.model import Model
 from bcid.forms.sensitivity import Sensitivity
 from bcid.inference.data import Data
+from bcid.inference.discrepancy import Evidence, SmoothDiscrepancy
+from bcid.inference.error_covariance import ErrorCovariance, NuisanceEstimate
 from bcid.inference.knots import knots_of, known_frames
-from bcid.inference.likelihood import Errors, NuisanceEstimate
 from bcid.inference.mesh_error import ORDER, MeshError, gains
 from bcid.inference.nuisances import NuisanceModes, Nuisances
 from bcid.inference.outcome import Candidate
 from bcid.inference.relative import relative
 from bcid.inference.stiffness import Stiffness
-from bcid.inference.unknown_force import Evidence, Smooth
 from bcid.search.climb import ODDS
 from bcid.search.evaluator import Evaluator
 from bcid.search.set_evidence import SetEvidence
@@ -40,7 +40,7 @@ _TELLING = 20.0
 
 
 @dataclass(frozen=True)
-class Pan:
+class LinearisedPrediction:
     """What weighing a set on a level takes.
 
     Attributes:
@@ -52,7 +52,7 @@ class Pan:
 
     positions: Array
     modes: NuisanceModes
-    unknown: Smooth
+    unknown: SmoothDiscrepancy
     failed: bool
 
     @property
@@ -72,7 +72,7 @@ class Weight:
     """
 
     evidence: Evidence
-    errors: Errors
+    errors: ErrorCovariance
     residual: Array
 
     @property
@@ -85,7 +85,7 @@ class Weight:
         return Stiffness.of(self.errors, self.residual, model, self.errors.data.scene)
 
 
-class Weighing:
+class EvidenceEvaluator:
     """Weighs sets on the levels that a search used. Methods are collective.
 
     Args:
@@ -108,7 +108,7 @@ class Weighing:
         if len(self.solved) == 1 and mesh is None:
             self.levels = []
         self._seen = np.asarray(self.data.mask.any(axis=(1, 2)))
-        self._pans: dict[tuple[int, Candidate], Pan] = {}
+        self._pans: dict[tuple[int, Candidate], LinearisedPrediction] = {}
         self._evidence: dict[tuple[int, Candidate, bytes], float] = {}
         self._sensitivities: dict[int, Sensitivity] = {}
         self._nuisances: dict[int, Nuisances] = {}
@@ -173,11 +173,13 @@ class Weighing:
         rows = np.ones(len(followed), bool) if frames is None else frames[followed.frame]
         mesh = self._mesh(level)
         residual = data.values - data.vector(pan.positions + mesh.correction)
-        errors = Errors(data, self._sigma[data.mask], mesh, pan.modes.at(rows))
+        errors = ErrorCovariance(data, self._sigma[data.mask], mesh, pan.modes.at(rows))
         unknown = pan.unknown.at(rows)
         evidence = Evidence.of(errors, residual, unknown.forces(errors, force_unit(self.evaluator.forward(level))))
         if evidence.forced > evidence.plain:
-            errors = Errors(data, errors.sigma, mesh, errors.nuisances.beside(unknown.likeliest(data, evidence)))
+            errors = ErrorCovariance(
+                data, errors.sigma, mesh, errors.nuisances.beside(unknown.likeliest(data, evidence))
+            )
         return Weight(evidence, errors, residual)
 
     def followed(self, candidate: Candidate) -> bool:
@@ -270,7 +272,7 @@ class Weighing:
         if todo:
             self._pans |= {(level, c): pan for c, pan in self.evaluator.each(level, todo, self._pan).items()}
 
-    def _pan(self, forward: Forward, candidate: Candidate, prediction: Prediction) -> Pan:
+    def _pan(self, forward: Forward, candidate: Candidate, prediction: Prediction) -> LinearisedPrediction:
         level = forward.level
         if level not in self._sensitivities:
             self._sensitivities[level] = Sensitivity(forward)
@@ -288,10 +290,12 @@ class Weighing:
                 found = self._sensitivities[level].of(candidate, actions, prediction, wanted, None, seen)
         except SolveError:
             # Where the tangent says nothing, neither nuisances nor an unknown force do.
-            return Pan(prediction.positions, NuisanceModes.none(len(data)), Smooth.nothing(len(data)), failed)
+            return LinearisedPrediction(
+                prediction.positions, NuisanceModes.none(len(data)), SmoothDiscrepancy.nothing(len(data)), failed
+            )
         for array, one in product(found.arrays, known or ()):
             one.fill(array)
         assert found.forces is not None
-        unknown = Smooth.of(data, found.forces, found.growths, force_unit(forward))
+        unknown = SmoothDiscrepancy.of(data, found.forces, found.growths, force_unit(forward))
         modes = nuisances.modes(data, found, wanted, forward.model, prediction.positions)
-        return Pan(prediction.positions, modes, unknown, failed)
+        return LinearisedPrediction(prediction.positions, modes, unknown, failed)

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from bcid.base.tails import normal_tail
 from bcid.inference import response
-from bcid.inference.criteria import SURPRISE
+from bcid.inference.criteria import ALPHA
 from bcid.inference.data import Data
-from bcid.inference.evidence import Force
+from bcid.inference.evidence import LowRankDiscrepancy
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import MARKERS, STIFFNESS, NuisanceModes
 
@@ -96,10 +96,10 @@ class NuisanceEstimate:
     @property
     def used_up(self) -> bool:
         """Whether a value is larger than chance lets expect of so many: the scene is wrong by more than it says."""
-        return bool(2 * self.count * normal_tail(self.most) < SURPRISE)
+        return bool(2 * self.count * normal_tail(self.most) < ALPHA)
 
 
-class Errors:
+class ErrorCovariance:
     """Covariance of the residual: noise, nuisances, the error of the mesh as far as the ladder tells, and that of the frame.
 
     The error of the mesh that is left after extrapolation has the shape of the extrapolation with an uncertain factor per
@@ -129,20 +129,20 @@ class Errors:
             part.apply(scaled)
         self._common = _LowRank.of(np.arange(len(data)), scaled)
 
-    def without(self, names: Collection[str], fiducials: Collection[str] = ()) -> Errors:
+    def without(self, names: Collection[str], fiducials: Collection[str] = ()) -> ErrorCovariance:
         """The same where some nuisances, and the places of some fiducials, are not integrated over, because they are fitted."""
         kept = self.nuisances.without(names)
         if fiducials:
             apart = np.isin(self.data.fiducial, [self.data.names.index(name) for name in fiducials])
             kept = replace(kept, markers=np.where(apart[:, None], 0.0, kept.markers))
-        return self if kept is self.nuisances else Errors(self.data, self.sigma, self.mesh, kept)
+        return self if kept is self.nuisances else ErrorCovariance(self.data, self.sigma, self.mesh, kept)
 
-    def unseeing(self, rows: NDArray[np.bool_]) -> Errors:
+    def masked(self, rows: NDArray[np.bool_]) -> ErrorCovariance:
         """The same as if some of the values (n,) had not been measured: whatever they are, they tell nothing."""
-        return Errors(self.data, np.where(rows, _UNSEEN, 1.0) * self.sigma, self.mesh, self.nuisances)
+        return ErrorCovariance(self.data, np.where(rows, _UNSEEN, 1.0) * self.sigma, self.mesh, self.nuisances)
 
     @cached_property
-    def misfits(self) -> list[Force]:
+    def misfits(self) -> list[LowRankDiscrepancy]:
         """A misfit in observation space beside these errors, for each of its lengths, see `bcid.inference.response`."""
         return response.processes(self.data, self.sigma, self.whiten)
 

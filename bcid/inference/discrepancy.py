@@ -16,12 +16,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp, softmax
 
 from bcid.inference import response
-from bcid.inference.criteria import NOTABLE
+from bcid.inference.change_point import ChangePoint, ChangePointForce
+from bcid.inference.criteria import MIN_EFFECT_SIZE
 from bcid.inference.data import Data
-from bcid.inference.evidence import LARGER, Force, Integrated, KnownNuisance, Numbers
-from bcid.inference.likelihood import Errors
+from bcid.inference.error_covariance import ErrorCovariance
+from bcid.inference.evidence import LARGER, KnownNuisance, LinearParameters, LowRankDiscrepancy, MarginalLikelihood
 from bcid.inference.priors import PRIORS, spaced
-from bcid.inference.sudden_force import Beginning, SuddenForce
 
 Array = NDArray[np.float64]
 # Where the way back does not mirror the way there, what grows with time differs from what grows with the way by this part.
@@ -29,7 +29,7 @@ _APART = 0.2
 
 
 @dataclass(frozen=True)
-class Smooth:
+class SmoothDiscrepancy:
     """What something unknown and smooth does to the values in each frame: a force, or a growth.
 
     Either is the whole of it: both at once explain more than any of what they stand for.
@@ -41,7 +41,9 @@ class Smooth:
     kinds: tuple[Array, ...]
 
     @classmethod
-    def of(cls, data: Data, forces: NDArray[np.float32], growths: NDArray[np.float32] | None, unit: float) -> Smooth:
+    def of(
+        cls, data: Data, forces: NDArray[np.float32], growths: NDArray[np.float32] | None, unit: float
+    ) -> SmoothDiscrepancy:
         """Of what forces and growths do.
 
         Args:
@@ -56,7 +58,7 @@ class Smooth:
         return cls((pushed, np.nan_to_num(data.vector(growths).astype(float)) / unit))
 
     @classmethod
-    def nothing(cls, count: int) -> Smooth:
+    def nothing(cls, count: int) -> SmoothDiscrepancy:
         """Nothing is known of what it does to so many values."""
         return cls((np.zeros((count, 0)),))
 
@@ -65,13 +67,13 @@ class Smooth:
         """Whether it moves anything."""
         return any(kind.any() for kind in self.kinds)
 
-    def at(self, rows: NDArray[np.bool_]) -> Smooth:
+    def at(self, rows: NDArray[np.bool_]) -> SmoothDiscrepancy:
         """In some of the rows, shape (n,)."""
-        return Smooth(tuple(kind[rows] for kind in self.kinds))
+        return SmoothDiscrepancy(tuple(kind[rows] for kind in self.kinds))
 
-    def forces(self, errors: Errors, unit: float) -> list[Force]:
-        """Of each kind, see `unknown_force`."""
-        return [unknown_force(errors, courses(errors.data, kind), unit) for kind in self.kinds]
+    def forces(self, errors: ErrorCovariance, unit: float) -> list[LowRankDiscrepancy]:
+        """Of each kind, see `low_rank_discrepancy`."""
+        return [low_rank_discrepancy(errors, courses(errors.data, kind), unit) for kind in self.kinds]
 
     def likeliest(self, data: Data, evidence: Evidence) -> Array:
         """What one of the likeliest kind and size does, a standard deviation of each of its courses, shape (n, m), m."""
@@ -95,7 +97,7 @@ def courses(data: Data, slopes: Array) -> Array:
     return np.hstack([slopes * part[:, None] for part in parts])
 
 
-def unknown_force(errors: Errors, moved: Array, unit: float) -> Force:
+def low_rank_discrepancy(errors: ErrorCovariance, moved: Array, unit: float) -> LowRankDiscrepancy:
     """A force of any size that moves the markers by a notable part of the noise: of a smaller one nothing is said.
 
     Args:
@@ -105,7 +107,9 @@ def unknown_force(errors: Errors, moved: Array, unit: float) -> Force:
     """
     most = math.sqrt(float(np.mean(np.sum(moved**2, axis=1) / errors.sigma**2)))
     sizes = spaced(PRIORS.force_sizes) * unit
-    return Force.of(errors.whiten(moved), sizes[sizes * most >= min(NOTABLE, float(sizes[-1]) * most)])
+    return LowRankDiscrepancy.of(
+        errors.whiten(moved), sizes[sizes * most >= min(MIN_EFFECT_SIZE, float(sizes[-1]) * most)]
+    )
 
 
 @dataclass(frozen=True)
@@ -118,7 +122,7 @@ class Evidence:
         size: the likeliest standard deviation of its density, or of a misfit in observation space, m.
         kind: the likeliest of those that it may be.
         length: the likeliest of the lengths of a misfit in observation space, where that is likelier than a force.
-        begins: something that begins at a place, see `bcid.inference.sudden_force`, where that was asked.
+        begins: something that begins at a place, see `bcid.inference.change_point`, where that was asked.
         sudden: probability that it begins somewhere, if something is missing.
     """
 
@@ -127,17 +131,17 @@ class Evidence:
     size: float
     kind: int = 0
     length: int | None = None
-    begins: Beginning | None = None
+    begins: ChangePoint | None = None
     sudden: float = 0.0
 
     @classmethod
     def of(
         cls,
-        errors: Errors,
+        errors: ErrorCovariance,
         residual: Array,
-        forces: Sequence[Force],
-        numbers: Numbers | None = None,
-        sudden: SuddenForce | None = None,
+        forces: Sequence[LowRankDiscrepancy],
+        numbers: LinearParameters | None = None,
+        sudden: ChangePointForce | None = None,
     ) -> Evidence:
         """Of a residual (n,), m.
 
@@ -152,11 +156,11 @@ class Evidence:
             numbers: what is unknown of the hypothesis; nothing by default.
             sudden: what may begin; nothing by default.
         """
-        scaled, known = errors.whiten(residual), numbers or Numbers.none(len(residual))
+        scaled, known = errors.whiten(residual), numbers or LinearParameters.none(len(residual))
         factors, volume = None if errors.data.stated else LARGER, errors.log_volume
-        plain = Integrated.of(scaled, known).log(factors)
-        pushed = [Integrated.of(scaled, known, force) for force in forces]
-        misfits = [Integrated.of(scaled, known, process) for process in errors.misfits]
+        plain = MarginalLikelihood.of(scaled, known).log(factors)
+        pushed = [MarginalLikelihood.of(scaled, known, force) for force in forces]
+        misfits = [MarginalLikelihood.of(scaled, known, process) for process in errors.misfits]
         begins = sudden.beginning(residual, known) if sudden else None
         kinds = [[found.log(factors) for found in some] for some in (pushed, misfits)]
         ways = _ways(plain, kinds[0], kinds[1], begins)
@@ -180,11 +184,11 @@ class Evidence:
 
 
 def conditional(
-    errors: Errors,
+    errors: ErrorCovariance,
     residual: Array,
-    forces: Sequence[Force],
-    numbers: Numbers,
-    begins: Beginning | None,
+    forces: Sequence[LowRankDiscrepancy],
+    numbers: LinearParameters,
+    begins: ChangePoint | None,
     known: KnownNuisance | None = None,
     larger: float = 1.0,
 ) -> tuple[Array, Array]:
@@ -201,8 +205,8 @@ def conditional(
     scaled, volume = errors.whiten(residual), errors.log_volume
     factors = np.array([larger]) if errors.data.stated else larger * LARGER
 
-    def logs(force: Force | None = None) -> Array:
-        return Integrated.of(scaled, numbers, force, known).logs(factors) - volume
+    def logs(force: LowRankDiscrepancy | None = None) -> Array:
+        return MarginalLikelihood.of(scaled, numbers, force, known).logs(factors) - volume
 
     plain = logs()
     pushed, misfits = ([logs(one) for one in some] for some in (forces, errors.misfits))
@@ -210,7 +214,7 @@ def conditional(
 
 
 def _ways(
-    plain: ArrayLike, pushed: Sequence[ArrayLike], misfits: Sequence[ArrayLike], begins: Beginning | None
+    plain: ArrayLike, pushed: Sequence[ArrayLike], misfits: Sequence[ArrayLike], begins: ChangePoint | None
 ) -> Array:
     """Logarithms of the density with each kind of discrepancy and its prior, given that there is one: shape (3, ...)."""
     asked = math.log(PRIORS.force + PRIORS.response + (PRIORS.change_point if begins else 0.0))
@@ -223,7 +227,7 @@ def _ways(
     return np.array(found) - asked
 
 
-def _likeliest(found: Sequence[Integrated], forces: Sequence[Force]) -> tuple[int, float]:
+def _likeliest(found: Sequence[MarginalLikelihood], forces: Sequence[LowRankDiscrepancy]) -> tuple[int, float]:
     """Which of some forces is the likeliest, and with which standard deviation."""
     kind = int(np.argmax([one.forced.max() for one in found]))
     return kind, float(forces[kind].sizes[int(np.argmax(found[kind].forced))])

@@ -15,7 +15,7 @@ from bcid.measurement import Measurement
 T = TypeVar("T")
 
 
-class NotFollowed(SolveError):
+class ContinuationError(SolveError):
     """No hypothesis that was tried could be followed to the end.
 
     Args:
@@ -32,7 +32,7 @@ class NotFollowed(SolveError):
         """The measurement up to there, with a remark; actions of which only the rest is left are left out.
 
         Raises:
-            NotFollowed: nothing is left, or nothing is gained.
+            ContinuationError: nothing is left, or nothing is gained.
         """
         kept, remarks = np.zeros(len(measurement.positions), dtype=bool), []
         for action in measurement.actions:
@@ -53,14 +53,14 @@ class NotFollowed(SolveError):
         return replace(measurement, data=data, remarks=(*measurement.remarks, *remarks))
 
 
-def as_far_as_followed(measurement: Measurement, work: Callable[[Measurement], T]) -> T:
+def truncate_to_converged(measurement: Measurement, work: Callable[[Measurement], T]) -> T:
     """What work makes of a measurement, or of as much of it as can be followed.
 
     Raises:
-        NotFollowed: nothing can be.
+        ContinuationError: nothing can be.
     """
     while True:
         try:
             return work(measurement)
-        except NotFollowed as error:
+        except ContinuationError as error:
             measurement = error.before(measurement)

@@ -7,13 +7,13 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
+from bcid.inference.change_point import _SIZES, ChangePointForce
 from bcid.inference.data import Data
-from bcid.inference.evidence import Numbers
-from bcid.inference.likelihood import Errors
+from bcid.inference.discrepancy import Evidence, SmoothDiscrepancy
+from bcid.inference.error_covariance import ErrorCovariance
+from bcid.inference.evidence import LinearParameters
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.priors import PRIORS
-from bcid.inference.sudden_force import _SIZES, SuddenForce
-from bcid.inference.unknown_force import Evidence, Smooth
 from tests.unit.test_weighing import SCENE, STEPS, UNIT, errors, measurement, slopes
 
 PLACES = 3
@@ -30,7 +30,7 @@ def residual(data: Data) -> np.ndarray:
     return data.values - data.vector(np.tile(SCENE.rest, (2 * STEPS, 1, 1)))
 
 
-def everything(known: Errors, data: Data) -> list[tuple[int, int, np.ndarray]]:
+def everything(known: ErrorCovariance, data: Data) -> list[tuple[int, int, np.ndarray]]:
     """First frame, place and columns of all that may begin."""
     slopes, found = spots(data), []
     for course in (np.ones(len(data)), data.way):
@@ -49,11 +49,11 @@ def test_its_evidence_is_that_of_a_gaussian_averaged_over_all_that_may_begin() -
     data = Data(SCENE, measurement())
     rng = np.random.default_rng(3)
     mesh = MeshError(np.zeros(data.mask.shape), 2e-4 * rng.normal(size=data.mask.shape), True)
-    known = Errors(data, data.sigma, mesh, errors(data).nuisances)
+    known = ErrorCovariance(data, data.sigma, mesh, errors(data).nuisances)
     columns = 3e-4 * rng.normal(size=(len(data), 2))
     widths = np.array([[0.5, 1.0], [1.0, 2.0], [3.0, 5.0]])
-    numbers = Numbers(known.whiten(columns), np.array([0.3, -0.2]), widths, np.zeros(2, bool))
-    found = SuddenForce(known, spots(data)).beginning(residual(data), numbers)
+    numbers = LinearParameters(known.whiten(columns), np.array([0.3, -0.2]), widths, np.zeros(2, bool))
+    found = ChangePointForce(known, spots(data)).beginning(residual(data), numbers)
     unit = np.column_stack([known.unwhiten(one) for one in np.eye(len(data))])
     base = unit @ unit.T + (columns * widths[1]) @ (columns * widths[1]).T
     seen = residual(data) + columns @ numbers.apart
@@ -83,7 +83,7 @@ def test_when_it_begins_is_told(until: str) -> None:
     known, begins = errors(data), 3
     acts = (data.frame >= begins) & ((data.action == 0) | (until == "measurement"))
     pushed = residual(data) + MOST * acts * spots(data)[:, 1, 2]
-    found = SuddenForce(known, spots(data)).beginning(pushed, Numbers.none(len(data)))
+    found = ChangePointForce(known, spots(data)).beginning(pushed, LinearParameters.none(len(data)))
     assert found is not None
     assert found.by == begins
     assert found.log > 10
@@ -93,7 +93,7 @@ def test_noise_does_not_begin() -> None:
     logs = []
     for seed in range(5):
         data = Data(SCENE, measurement(seed=seed))
-        found = SuddenForce(errors(data), spots(data)).beginning(residual(data), Numbers.none(len(data)))
+        found = ChangePointForce(errors(data), spots(data)).beginning(residual(data), LinearParameters.none(len(data)))
         assert found is not None
         logs.append(found.log)
     assert max(logs) < 0
@@ -103,16 +103,18 @@ def test_nothing_begins_where_no_motion_was_seen_before() -> None:
     seen = np.full((2 * STEPS, len(SCENE.rest), 3), np.nan)
     seen[::STEPS], seen[1::STEPS] = SCENE.rest, SCENE.rest
     data = Data(SCENE, measurement(seen))
-    assert SuddenForce(errors(data), spots(data)).beginning(0 * data.values, Numbers.none(len(data))) is None
+    assert (
+        ChangePointForce(errors(data), spots(data)).beginning(0 * data.values, LinearParameters.none(len(data))) is None
+    )
 
 
 def test_evidence_smooth_or_sudden_discrepancy_each_has_its_prior() -> None:
     data = Data(SCENE, measurement())
     known, acts = errors(data), data.frame >= 3
     pushed = residual(data) + 0.05 * MOST * acts * spots(data)[:, 1, 2]
-    forces = Smooth((slopes(data),)).forces(known, UNIT)
+    forces = SmoothDiscrepancy((slopes(data),)).forces(known, UNIT)
     without = Evidence.of(known, pushed, forces)
-    found = Evidence.of(known, pushed, forces, sudden=SuddenForce(known, spots(data)))
+    found = Evidence.of(known, pushed, forces, sudden=ChangePointForce(known, spots(data)))
     assert found.begins is not None
     # Each kind of discrepancy has its prior.
     others = (PRIORS.force + PRIORS.response) / PRIORS.discrepancy * np.exp(without.forced - found.plain)
