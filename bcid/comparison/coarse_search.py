@@ -87,9 +87,12 @@ class CoarseSearch(SearchQueue):
         return count < (self.sets if plain else self.fits) and known
 
     def takes(self, hypothesis: Hypothesis) -> bool:
-        """Whether it is a set without further effects that was not evaluated here."""
+        """Whether it was not evaluated here and can be: with the effects of the base, and perhaps one further."""
+        own, further = hypothesis.names[: len(self.names)], hypothesis.names[len(self.names) :]
         known = {r.hypothesis for r in self.table.own} | self.table.refused
-        return hypothesis.names == self.names and hypothesis not in known
+        return (
+            own == self.names and len(further) <= 1 and self.effects.keys() >= set(further) and hypothesis not in known
+        )
 
     def cost(self, hypothesis: Hypothesis) -> float:
         return SETTINGS.cost_of_set if hypothesis.names == self.names else SETTINGS.cost_of_coarse_fit

@@ -170,6 +170,11 @@ class FittedHypothesis:
         plain, forced = self.logs.values()
         return float(np.logaddexp(plain, forced))
 
+    @property
+    def log_evidence(self) -> float:
+        """Logarithm of the evidence with or without a discrepancy, all effects being as likely."""
+        return self.log - log_prior(len(self.names), False, self.known)
+
     @classmethod
     def of(cls, fitted: Fit, begun: Model, known: int, least: float = DETECTION_THRESHOLD) -> FittedHypothesis:
         """Of a fit of a model that was begun from another; `least` as in `bcid.comparison.parameter_priors.visible`."""

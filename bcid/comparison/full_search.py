@@ -70,7 +70,7 @@ class FullSearch(SearchQueue):
         return stage.batch([h for h in likely if self._stage(h) is stage]) if stage else likely[:1]
 
     def _stage(self, hypothesis: Hypothesis) -> CoarseSearch | None:
-        """Where a set that is known by a tangent can be evaluated in a few steps, which costs less than all."""
+        """Where what is known by a tangent can be evaluated in a few steps, which costs less than all."""
         known = self.table.posterior().evaluations.get(hypothesis)
         if known is None or known.about is None:
             return None
@@ -102,7 +102,7 @@ class FullSearch(SearchQueue):
     # ---------------------------------------------------------------------------------------------------------------
 
     def evaluate(self, wanted: Sequence[Hypothesis]) -> None:
-        """Evaluate sets that only a tangent tells of in a few steps, and fit all else to all steps."""
+        """Evaluate what only a tangent tells of in a few steps, and fit all else to all steps."""
         stage = self._stage(wanted[0])
         if stage is not None:
             self.fits += math.fsum(map(stage.cost, wanted))

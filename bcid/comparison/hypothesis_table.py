@@ -15,11 +15,12 @@ from bcid.base.units import WIDE
 from bcid.comparison.fitted_hypothesis import FittedHypothesis, best_first
 from bcid.comparison.loosened import loosens
 from bcid.comparison.ranking import Row
+from bcid.comparison.stage_evidence import StageEvidence
 from bcid.forms.model import Model
 from bcid.inference.criteria import ALPHA, CONTINUATION_FAILURE_RATE
 from bcid.inference.discrepancy import Evidence
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
-from bcid.inference.posterior import Evaluation, Fidelity, FidelityStep, Pair, Posterior, toggles, with_error
+from bcid.inference.posterior import Evaluation, Fidelity, FidelityStep, Pair, Posterior, toggles
 from bcid.search.settings import SETTINGS
 
 Array = NDArray[np.float64]
@@ -173,13 +174,14 @@ class HypothesisTable:
 
     def _by_best(self) -> Posterior:
         full = {r.hypothesis: r for r in self.full}
-        known = Posterior({}, self._pairs(full), self._ceiling())
+        ceiling = self._ceiling()
+        known = Posterior({}, self._pairs(full, ceiling), ceiling)
         found = {h: Evaluation(log, prior) for r in self.full for h, (log, prior) in r.weights.items()}
         lower: dict[Hypothesis, list[Evaluation]] = {}
-        for h, one in self._below(full):
+        for h, one in self._below(full, ceiling):
             if h.known not in full and math.isfinite(one.log):
                 lower.setdefault(h, []).append(self._unfollowed(one) if h.known in self.refused else one)
-        logs = {h: _log(r) for h, r in full.items()}
+        logs = {h: r.log_evidence for h, r in full.items()}
         found |= {h: min(some, key=lambda one: one.order(logs)) for h, some in lower.items()}
         finite = {h: one for h, one in found.items() if math.isfinite(one.log)}
         return Posterior(finite, known.pairs, known.ceiling)
@@ -203,15 +205,19 @@ class HypothesisTable:
         noise = -0.5 * chi2_limit(1 - ALPHA, len(data)) - state.errors.log_volume
         return max(noise, *(max(r.evidence.plain, r.evidence.forced) for r in self.full))
 
-    def _below(self, full: Mapping[Hypothesis, FittedHypothesis]) -> Iterator[tuple[Hypothesis, Evaluation]]:
+    def _below(
+        self, full: Mapping[Hypothesis, FittedHypothesis], ceiling: float
+    ) -> Iterator[tuple[Hypothesis, Evaluation]]:
         """What is known of hypotheses below the full fidelity."""
         for stage in self.coarse:
-            yield from _Stage(stage, full).evaluations()
+            yield from StageEvidence(stage.posterior(), stage.full, full).evaluations()
         for about, tangent in self.tangents.items():
             if about in full:
-                yield from self._linearised(tangent, full[about])
+                yield from self._linearised(tangent, full[about], ceiling)
 
-    def _linearised(self, tangent: TangentEvidence, about: FittedHypothesis) -> Iterator[tuple[Hypothesis, Evaluation]]:
+    def _linearised(
+        self, tangent: TangentEvidence, about: FittedHypothesis, ceiling: float
+    ) -> Iterator[tuple[Hypothesis, Evaluation]]:
         """Other sets with the same effects, further effects on the same set, and patches that give or come off."""
         here = tangent.sets.get(about.anchors)
         for anchors, there in tangent.sets.items() if here else ():
@@ -220,24 +226,25 @@ class HypothesisTable:
             for h, (log, prior) in about.weights.items() if anchors != about.anchors else ():
                 other = Hypothesis(anchors, h.effect, h.unknown)
                 changed = toggles(Fidelity.TANGENT, other, h, apart[h.unknown])
-                yield other, Evaluation(log + apart[h.unknown], prior, (FidelityStep(log, log, changed),), h.known)
+                step = FidelityStep(log, log, changed, ceiling - log)
+                yield other, Evaluation(log + apart[h.unknown], prior, (step,), h.known)
         for effect, log in tangent.effects.items():
             h = Hypothesis(about.anchors, "+".join([*about.names, effect]))
-            yield h, self._of_effects(h, about, log, tangent.known)
+            yield h, self._of_effects(h, about, log, tangent.known, ceiling)
         for h, log in tangent.springs.items():
-            yield h, self._of_effects(h, about, log, tangent.known)
+            yield h, self._of_effects(h, about, log, tangent.known, ceiling)
 
     @staticmethod
-    def _of_effects(h: Hypothesis, about: FittedHypothesis, log: float, known: int) -> Evaluation:
+    def _of_effects(h: Hypothesis, about: FittedHypothesis, log: float, known: int, ceiling: float) -> Evaluation:
         """A hypothesis with further effects, by the tangent of one without them and without a discrepancy."""
         base = about.evidence.plain
         changed = toggles(Fidelity.TANGENT, h, about.hypothesis, log - base)
-        step = FidelityStep(base, base, changed)
+        step = FidelityStep(base, base, changed, ceiling - base)
         return Evaluation(log, log_prior(len(h.names), False, known), (step,), about.hypothesis)
 
-    def _pairs(self, full: Mapping[Hypothesis, FittedHypothesis]) -> list[Pair]:
+    def _pairs(self, full: Mapping[Hypothesis, FittedHypothesis], ceiling: float) -> list[Pair]:
         """Hypotheses that are known at two fidelities."""
-        found = [pair for stage in self.coarse for pair in _Stage(stage, full).pairs()]
+        found = [pair for stage in self.coarse for pair in StageEvidence(stage.posterior(), stage.full, full).pairs()]
         for h, tangent in self.tangents.items():
             about = full.get(h)
             here = None if about is None else tangent.sets.get(about.anchors)
@@ -245,14 +252,16 @@ class HypothesisTable:
                 assert about is not None
                 there = tangent.sets.get(r.anchors)
                 if here and there and r.names == about.names:
-                    low, high = there.total - here.total, _log(r) - _log(about)
-                    found.append(Pair(toggles(Fidelity.TANGENT, r.hypothesis, h, low), low, high))
+                    low, base = there.total - here.total, about.log_evidence
+                    changed = toggles(Fidelity.TANGENT, r.hypothesis, h, low)
+                    found.append(Pair(changed, low, r.log_evidence - base, ceiling - base))
                 logs = [tangent.springs.get(r.hypothesis)]
                 if r.anchors == about.anchors and r.names[:-1] == about.names and r.names:
                     logs.append(tangent.effects.get(r.effect))
-                for low in (log - about.evidence.plain for log in logs if log is not None):
+                base = about.evidence.plain
+                for low in (log - base for log in logs if log is not None):
                     changed = toggles(Fidelity.TANGENT, r.hypothesis, h, low)
-                    found.append(Pair(changed, low, r.evidence.plain - about.evidence.plain))
+                    found.append(Pair(changed, low, r.evidence.plain - base, ceiling - base))
         return found
 
     # -- what to compare next
@@ -340,8 +349,10 @@ class HypothesisTable:
             for h in self.refused if here else ():
                 if h.effect == about.effect and h.anchors in tangent.sets:
                     assert here is not None
-                    logs[h.anchors] = tangent.sets[h.anchors].total - here.total + _log(self._of(about) or best)
-        return sorted((s for s in logs if logs[s] > _log(best)), key=lambda s: (-logs[s], len(s), sorted(s)))
+                    logs[h.anchors] = (
+                        tangent.sets[h.anchors].total - here.total + (self._of(about) or best).log_evidence
+                    )
+        return sorted((s for s in logs if logs[s] > best.log_evidence), key=lambda s: (-logs[s], len(s), sorted(s)))
 
     @property
     def rough(self) -> list[FittedHypothesis]:
@@ -357,53 +368,6 @@ def _set_of(h: Hypothesis) -> Anchored:
 
 def _effect_of(h: Hypothesis) -> str:
     return h.effect
-
-
-def _log(rival: FittedHypothesis) -> float:
-    """Logarithm of the evidence with or without a discrepancy; all effects are as likely."""
-    return rival.log - log_prior(len(rival.names), False, rival.known)
-
-
-class _Stage:
-    """What a few steps say: each hypothesis keeps its distance from the nearest that was compared with all of them."""
-
-    def __init__(self, stage: HypothesisTable, full: Mapping[Hypothesis, FittedHypothesis]) -> None:
-        self._known, self._full = stage.posterior(), full
-        both = [(rough, full[rough.hypothesis]) for rough in stage.full if rough.hypothesis in full]
-        both = [pair for pair in both if all(math.isfinite(rival.log) for rival in pair)]
-        # The likeliest first.
-        self._both = sorted(both, key=lambda pair: (-pair[1].log, pair[1].hypothesis.order))
-
-    def evaluations(self) -> Iterator[tuple[Hypothesis, Evaluation]]:
-        """What the stage knows of hypotheses, from a few steps or from their tangents."""
-        for h, one in self._known.evaluations.items() if self._both else ():
-            rough, fine = self._nearest(h)
-            low, high = _log(rough), _log(fine)
-            changed = toggles(Fidelity.COARSE, h, fine.hypothesis, one.log - low)
-            yield h, replace(one, steps=(*one.steps, FidelityStep(low, high, changed)))
-
-    def pairs(self) -> Iterator[Pair]:
-        """What it was off, against the likeliest hypothesis that was compared with all steps; and what its tangents were."""
-        own = list[Pair]()
-        for rough, fine in self._both[1:]:
-            base_rough, base = self._both[0]
-            low, high = _log(rough) - _log(base_rough), _log(fine) - _log(base)
-            own.append(Pair(toggles(Fidelity.COARSE, fine.hypothesis, base.hypothesis, low), low, high))
-        yield from own
-        yield from self._known.pairs
-        errors = Posterior({}, own)
-        for h, one in self._known.evaluations.items() if self._both else ():
-            if h in self._full and one.about:
-                # What a few steps would show of it, by what they were off with others.
-                rough, fine = self._nearest(h)
-                gain = self._full[h].evidence.plain - _log(fine)
-                error = errors.expected(toggles(Fidelity.COARSE, h, fine.hypothesis, gain))
-                there = _log(rough) + float(with_error(np.array(gain), np.array(-error)))
-                yield Pair(one.toggles, one.start - one.steps[0].low, there - one.steps[0].low)
-
-    def _nearest(self, h: Hypothesis) -> tuple[FittedHypothesis, FittedHypothesis]:
-        """Of those that were compared with all steps the one that differs least from a hypothesis: in the stage, and in all."""
-        return min(self._both, key=lambda pair: len(toggles(Fidelity.COARSE, h, pair[1].hypothesis, 0.0)))
 
 
 def _most_left(rivals: Sequence[FittedHypothesis]) -> Array:

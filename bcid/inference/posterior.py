@@ -5,13 +5,16 @@ in their difference: by a factor where that is large, by a few nats where it is 
 effects in which the two differ, with one term for each, shared by all hypotheses with that toggle:
 
     P(h | d) = E_u [Z_h(u) p(h) / sum_j Z_j(u) p(j)],
-    log Z_h(u) = min(C, l_k + a sinh(arsinh((l_h - l_k) / a) + b + s sum_t u_t / sqrt(T))),                               (2)
+    log Z_h(u) = min(C, l_k + F(a sinh(arsinh(G(l_h - l_k) / a) + b + s sum_t u_t / sqrt(T)))),                           (2)
+    F(x) = R (1 - exp(-x / R)) for x > 0, else x,     G the inverse of F,     R = C - l_k + a,
 
-where C is the evidence of a hypothesis that explains all. Of a tangent in a few steps l_h is in turn such a sum. With errors of
-their own some of thousands of unlikely hypotheses would always be drawn as likely. Bias and scale are learned from the pairs of
-fidelities that a run has, apart for patches and effects and for gains and losses: with a normal-inverse-gamma prior b and s u_t
-have a multivariate Student distribution with four degrees of freedom, and one more for each pair (Gelman et al., Bayesian Data
-Analysis, 3rd ed. 2013, section 14.8). A pair that misses by more counts less (Lange et al., J. Am. Stat. Assoc. 84, 1989, 881).
+where C is the evidence of a hypothesis that explains all: the more of a misfit is explained, the more it takes to explain what
+is left. That is so of tangents; of fits to a few steps F is the identity. Of a tangent in a few steps l_h is in turn such a
+sum. With errors of their own some of thousands of unlikely hypotheses would always be drawn as likely. Bias and scale are
+learned from the pairs of fidelities that a run has, apart for patches and effects and for gains and losses: with a normal-
+inverse-gamma prior b and s u_t have a multivariate Student distribution with four degrees of freedom, and one more for each
+pair (Gelman et al., Bayesian Data Analysis, 3rd ed. 2013, section 14.8). A pair that misses by more counts less (Lange et al.,
+J. Am. Stat. Assoc. 84, 1989, 881).
 """
 
 from __future__ import annotations
@@ -103,11 +106,13 @@ class FidelityStep(NamedTuple):
     Attributes:
         low, high: logarithm of the evidence of that one, at either.
         toggles: in which it differs from the one that is known at the lower only.
+        room: by how much more evidence one has that explains all than the one that is known at both, where a tangent tells.
     """
 
     low: float
     high: float
     toggles: Toggles
+    room: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -163,11 +168,13 @@ class Pair:
     Attributes:
         toggles: in which it differs from the one that the lower fidelity knows it against.
         low, high: by how much the logarithm of its evidence exceeds that one's, at either.
+        room: by how much more evidence one has that explains all than that one, where a tangent tells.
     """
 
     toggles: Toggles
     low: float
     high: float
+    room: float = math.inf
 
     @property
     def kind(self) -> Kind:
@@ -181,7 +188,8 @@ class Pair:
         Of a gain that turned into a loss nothing was left: that fit may have failed.
         """
         high = max(self.high, 0.0) if self.low > 0 else self.high
-        return float(np.arcsinh(high / PRIORS.error_nats) - np.arcsinh(self.low / PRIORS.error_nats))
+        low, high = unlimited(np.array([self.low, high]), np.array(self.room)) / PRIORS.error_nats
+        return float(np.arcsinh(high) - np.arcsinh(low))
 
 
 class Posterior:
@@ -213,8 +221,8 @@ class Posterior:
         exact = np.array([not one.steps for one in known])
         for part in np.array_split(errors, math.ceil(len(errors) * len(known) / _AT_A_TIME)):
             logs: Array = np.repeat(start[None], len(part), axis=0)
-            for low, high, weights in steps:
-                missed = with_error(logs - low, part @ weights.T)
+            for low, high, room, weights in steps:
+                missed = with_error(logs - low, part @ weights.T, room)
                 logs = high + np.where(weights.any(axis=1), missed, logs - low)
             logs = np.where(exact, start, np.minimum(logs, self.ceiling))
             shares += np.sum(softmax(logs + prior, axis=1), axis=0)
@@ -293,18 +301,34 @@ def _scale(kind: Kind) -> float:
     return coarse if kind.fidelity == Fidelity.COARSE else effects if kind.effect else patches
 
 
-def with_error(gains: Array, errors: Array) -> Array:
-    """Differences of log evidences with errors, see equation (2); elementwise."""
-    sizes = np.arcsinh(gains / PRIORS.error_nats) + np.clip(errors, -_LARGEST, _LARGEST)
-    return np.asarray(PRIORS.error_nats * np.sinh(np.clip(sizes, -_LARGEST, _LARGEST)))
+def with_error(gains: Array, errors: Array, room: Array | float = math.inf) -> Array:
+    """Differences of log evidences with errors, see equation (2); elementwise. `room` is C - l_k."""
+    sizes = np.arcsinh(unlimited(gains, room) / PRIORS.error_nats) + np.clip(errors, -_LARGEST, _LARGEST)
+    return _limited(PRIORS.error_nats * np.sinh(np.clip(sizes, -_LARGEST, _LARGEST)), room)
 
 
-def _step(known: Sequence[Evaluation], number: int, every: Sequence[Toggle]) -> tuple[Array, Array, Array]:
-    """Of each evaluation the step of a number, or none: low and high, (k,), and weights of the errors of toggles, (k, toggles)."""
+def unlimited(gains: Array, room: Array | float) -> Array:
+    """G of equation (2): what gains would be if what there is to explain had no end; elementwise."""
+    whole = np.asarray(room) + PRIORS.error_nats
+    with np.errstate(invalid="ignore"):
+        free = np.where(np.isfinite(whole), -whole * np.log1p(-np.minimum(gains, room) / whole), gains)
+    return np.where(gains > 0, free, gains)
+
+
+def _limited(free: Array, room: Array | float) -> Array:
+    """F of equation (2), elementwise."""
+    whole = np.asarray(room) + PRIORS.error_nats
+    with np.errstate(invalid="ignore", over="ignore"):
+        gains = np.where(np.isfinite(whole), -whole * np.expm1(-free / whole), free)
+    return np.where(free > 0, gains, free)
+
+
+def _step(known: Sequence[Evaluation], number: int, every: Sequence[Toggle]) -> tuple[Array, Array, Array, Array]:
+    """Of each evaluation the step of a number, or none: low, high and room, (k,), and weights of the errors, (k, toggles)."""
     nothing = FidelityStep(0.0, 0.0, ())
     steps = [one.steps[number] if number < len(one.steps) else nothing for one in known]
-    low, high = np.array([step.low for step in steps]), np.array([step.high for step in steps])
-    return low, high, _weights([step.toggles for step in steps], every)
+    low, high, room = (np.array([getattr(step, name) for step in steps]) for name in ("low", "high", "room"))
+    return low, high, np.maximum(room, 0.0), _weights([step.toggles for step in steps], every)
 
 
 def _with_biases(some: Iterable[Toggle]) -> list[Toggle]:

@@ -8,12 +8,24 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis.strategies import floats
 from scipy.integrate import quad
 from scipy.special import expit
 from scipy.stats import t as student
 
 from bcid.inference.hypotheses import Hypothesis
-from bcid.inference.posterior import Evaluation, Fidelity, FidelityStep, Kind, Pair, Posterior, Toggle, toggles
+from bcid.inference.posterior import (
+    Evaluation,
+    Fidelity,
+    FidelityStep,
+    Kind,
+    Pair,
+    Posterior,
+    Toggle,
+    toggles,
+    with_error,
+)
 from bcid.inference.priors import PRIORS
 
 ALONE = Hypothesis(frozenset("1"))
@@ -144,6 +156,31 @@ def test_pair_whose_gain_turned_into_a_loss_has_nothing_left_of_it() -> None:
     small, large = (pair("12", 20.0, high).miss for high in (-3.0, -1e9))
     assert small == large
     assert differing(20.0, large) == pytest.approx(0.0, abs=1e-9)
+
+
+@given(gain=floats(-1e4, 1e4), error=floats(-3, 3), room=floats(0, 1e4))
+def test_with_error_gains_end_where_all_is_explained(gain: float, error: float, room: float) -> None:
+    found = float(with_error(np.array(gain), np.array(error), room))
+    assert found <= (room + PRIORS.error_nats) * (1 + 1e-12)
+    assert float(with_error(np.array(gain), np.array(0.0), room)) == pytest.approx(min(gain, room), rel=1e-6, abs=1e-6)
+    if gain <= 0:
+        assert (error > 0) == (found > gain) or abs(error) < 1e-9
+
+
+def test_with_error_what_is_left_falls_exponentially() -> None:
+    """With half of it explained three times as much leaves an eighth; a small gain is as if there were no end."""
+    whole = 1e4 + PRIORS.error_nats
+    half = with_error(np.array(whole / 2), np.array(math.log(3)), 1e4)
+    assert float(half) == pytest.approx(whole * 7 / 8, rel=1e-3)
+    few = with_error(np.array(-1.0), np.array(1.0), 1e4)
+    assert float(few) == pytest.approx(differing(-1.0, 1.0), rel=1e-2)
+
+
+def test_pair_that_explains_all_missed_by_more_than_the_factor() -> None:
+    """Of a misfit of 100 nats a tangent shows half, and all steps nearly all."""
+    end = Pair((), 50.0, 99.0, 100.0)
+    assert end.miss > 1.5 > Pair((), 50.0, 99.0).miss
+    assert float(with_error(np.array(50.0), np.array(end.miss), 100.0)) == pytest.approx(99.0)
 
 
 def test_learned_errors_drawn_from_the_prior_lie_within_their_intervals() -> None:
