@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 from bcid.base.units import percent
 from bcid.base.verdict_words import NO_EFFECTS
-from bcid.comparison.next_steps import LEAST_BITS, NextSteps
+from bcid.comparison.next_steps import NextSteps
 from bcid.comparison.scene_sensitivity import AnswerAt
 from bcid.inference.outcome import label
+from bcid.search.settings import SETTINGS
 
 # Steps that are named.
 _STEPS = 6
@@ -36,7 +37,7 @@ def next_steps(found: NextSteps | None) -> list[str]:
     """What would tell most; nothing where the answer is certain."""
     if found is None:
         return []
-    if found.open < LEAST_BITS:
+    if found.open < SETTINGS.helping:
         return [
             "What to do next: anchors and effects are decided among the hypotheses that were fitted to all steps. Open is only "
             "what was not fitted to them, or whether something unknown acts besides.",
@@ -44,7 +45,7 @@ def next_steps(found: NextSteps | None) -> list[str]:
         ]
     if not found.steps:
         return [
-            f"What to do next: nothing that is computed here gives {LEAST_BITS:g} bits of the {found.open:.2g} that are open "
+            f"What to do next: nothing that is computed here gives {SETTINGS.helping:g} bits of the {found.open:.2g} that are open "
             "about anchors and effects, among the hypotheses that were fitted to all steps.",
             "",
         ]

@@ -25,10 +25,9 @@ from bcid.inference.hypotheses import Hypothesis, entropy
 from bcid.inference.information import information
 from bcid.inference.nuisance_text import amount
 from bcid.inference.priors import PRIORS
+from bcid.search.settings import SETTINGS
 
 Array = NDArray[np.float64]
-# A hypothesis with less probability does not count; what gives fewer bits does not help.
-LEAST_PROBABILITY, LEAST_BITS = 1e-3, 0.01
 # Draws of a measurement, and their seed.
 _SAMPLES, _SEED = 2000, 1
 # Nodes of a coarse grid over a number of the scene, and about its mean under each hypothesis, in standard deviations.
@@ -103,7 +102,7 @@ def next_steps(found: Explanation, fitted: Sequence[WeighedHypothesis], pulls: S
         steps += [_number(one, kept, p) for one in inputs]
         steps.append(NextStep("repeat", "make the same pulls once more", repeated(kept, p)))
         steps += predicted(found, kept, p, pulls)
-    useful = [replace(s, bits=min(s.bits, left)) for s in steps if s.bits >= LEAST_BITS]
+    useful = [replace(s, bits=min(s.bits, left)) for s in steps if s.bits >= SETTINGS.helping]
     return NextSteps(left, tuple(sorted(useful, key=lambda step: -step.bits)))
 
 
@@ -119,7 +118,7 @@ def leading(fitted: Sequence[WeighedHypothesis]) -> tuple[list[WeighedHypothesis
     for k in np.argsort(-shares, kind="stable"):
         best.setdefault(fitted[k].reported, int(k))
         total[fitted[k].reported] = total.get(fitted[k].reported, 0.0) + float(shares[k])
-    kept = [h for h in best if total[h] > LEAST_PROBABILITY]
+    kept = [h for h in best if total[h] > SETTINGS.counting]
     p = np.array([total[h] for h in kept])
     return [fitted[best[h]] for h in kept], np.asarray(p / p.sum())
 

@@ -1,4 +1,4 @@
-"""The numbers of the search: how far it looks, and what it leaves out. No evidence depends on them."""
+"""The numbers of the search and of its report: how far it looks, and what it leaves out. No evidence depends on them."""
 
 from __future__ import annotations
 
@@ -25,6 +25,8 @@ class SearchSettings:
         recovered_sets: of those that cannot be followed in a few steps so many are tried in all.
         few_patches: with no more than these all sets are compared by a cheap tangent, and those that differ by three by any.
         loosened_patches: with no more than these all sets are compared whose anchors give or come off.
+        counting: a hypothesis with less probability does not count for what to do next.
+        helping: what is expected to give fewer bits is no advice.
         settling: predictions for which a fit that has not come to an end goes on.
     """
 
@@ -42,6 +44,8 @@ class SearchSettings:
     recovered_sets: int = 2
     few_patches: int = 10
     loosened_patches: int = 8
+    counting: float = 1e-3
+    helping: float = 0.01
     settling: int = 16
 
 
