@@ -182,10 +182,16 @@ class Pair:
         return min((toggle.kind for toggle in self.toggles), key=lambda kind: (kind.fidelity, not kind.effect))
 
     @property
+    def failed(self) -> bool:
+        """Whether the fit of an added effect failed: as small as one likes, it costs no more than its Occam factor."""
+        kind = self.kind
+        return kind.effect and kind.fidelity == Fidelity.TANGENT and self.high < -PRIORS.failed_fit
+
+    @property
     def miss(self) -> float:
         """The error of the difference, see equation (2).
 
-        Of a gain that turned into a loss nothing was left: that fit may have failed.
+        Of a gain that turned into a loss nothing was left.
         """
         high = max(self.high, 0.0) if self.low > 0 else self.high
         low, high = unlimited(np.array([self.low, high]), np.array(self.room)) / PRIORS.error_nats
@@ -197,7 +203,7 @@ class Posterior:
 
     Args:
         evaluations: of each hypothesis.
-        pairs: from which the errors of the fidelities are learned.
+        pairs: from which the errors of the fidelities are learned, but for fits that failed.
         ceiling: logarithm of the evidence of a hypothesis that explains all.
     """
 
@@ -205,7 +211,9 @@ class Posterior:
         self, evaluations: Mapping[Hypothesis, Evaluation], pairs: Iterable[Pair] = (), ceiling: float = math.inf
     ) -> None:
         self.evaluations = dict(evaluations)
-        self.pairs = [pair for pair in pairs if pair.toggles and math.isfinite(pair.low + pair.high)]
+        self.pairs = [
+            pair for pair in pairs if pair.toggles and math.isfinite(pair.low + pair.high) and not pair.failed
+        ]
         self.ceiling = ceiling
         self._learned: dict[Kind, _Learned] = {}
 

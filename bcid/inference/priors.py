@@ -26,6 +26,7 @@ class Priors:
             of fidelities: of a toggled patch by a tangent, of an effect by a tangent, and of either in a few steps.
         error_nats: the difference below which that error is one of so many nats, no factor.
         error_freedom: degrees of freedom of the Student distribution of these errors, before any pair.
+        failed_fit: a fit that loses more log evidence by an added effect has failed: no prior of an effect is so wide.
         draws: of them.
         tangent_error: standard deviation of the error of a movement that the tangent of another set predicts, as a part of it: of a
             small one, and what it has more where it is as large as that of the pull.
@@ -55,6 +56,7 @@ class Priors:
     fidelity_error: tuple[float, float, float] = (0.5, 0.2, 0.3)
     error_nats: float = 3.0
     error_freedom: float = 4.0
+    failed_fit: float = 12.0
     draws: int = 4096
     tangent_error: tuple[float, float] = (0.1, 0.5)
     amounts: tuple[float, float, int] = (0.1, 10.0, 7)

@@ -152,10 +152,18 @@ def test_pair_misses_by_the_error_that_leads_from_one_difference_to_the_other(lo
 
 
 def test_pair_whose_gain_turned_into_a_loss_has_nothing_left_of_it() -> None:
-    """A fit that failed loses as much as it likes, and says nothing of others."""
     small, large = (pair("12", 20.0, high).miss for high in (-3.0, -1e9))
     assert small == large
     assert differing(20.0, large) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(("low", "high", "fails"), [(90.0, -5e3, True), (-2.0, -200.0, True), (90.0, -5.0, False)])
+def test_fit_that_loses_more_by_an_effect_than_that_costs_tells_nothing_of_others(
+    low: float, high: float, fails: bool
+) -> None:
+    acting = Hypothesis(ALONE.anchors, "gravity")
+    found = Posterior({}, [Pair(toggles(Fidelity.TANGENT, acting, ALONE, low), low, high)])
+    assert len(found.pairs) == (not fails)
 
 
 @given(gain=floats(-1e4, 1e4), error=floats(-3, 3), room=floats(0, 1e4))
