@@ -25,6 +25,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from importlib import metadata
 from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any, TextIO
 
 from bcid.base.body_arrays import refuse_unsound
@@ -373,6 +374,14 @@ def writing(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise unwritable(path, error) from None
+
+
+def prove_writable(folder: Path) -> None:
+    """Make a folder, and refuse one that nothing can be written to, before the work is done; `MachineError`."""
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=folder):
+            pass
 
 
 def versions() -> dict[str, str]:

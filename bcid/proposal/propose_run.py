@@ -11,7 +11,7 @@ from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError
 from bcid.base.fingerprint import file_fingerprint
 from bcid.base.progress import Progress
-from bcid.base.run_folder import RunFolder, running, write_whole
+from bcid.base.run_folder import RunFolder, prove_writable, running, write_whole
 from bcid.comparison.compare_runs import MAKES, finish
 from bcid.comparison.diagnosis import Diagnosis, on_predictor
 from bcid.comparison.output import collect
@@ -52,12 +52,16 @@ def run_propose(
 
     Raises:
         InputError: the run, the name of the file or an option cannot be used.
+        MachineError: nothing can be written where the file is to be.
     """
     options = options or ProposeOptions()
     options.check()
     names = effect_names(Path(FILE) if output is None else output, options.terms)
     if output is not None and not overwrite:
         _refuse_existing([output.with_name(f"{name}.py") for name in names])
+    if output is not None:
+        parent = output.parent
+        on_root(comm, lambda: prove_writable(parent))
     given = from_run(run, files, comm)
     begun = on_root(comm, lambda: _begun(run, given))
     told: list[WrittenProposal] = []

@@ -159,6 +159,16 @@ def test_a_file_that_is_there_is_not_overwritten(tmp_path: Path, capsys: pytest.
     assert "cannot be the name of an effect" in capsys.readouterr().err
 
 
+def test_where_nothing_can_be_written_is_said_before_the_search(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "taken").write_text("a file")
+    (tmp_path / "run").mkdir()
+    output = tmp_path / "taken/spot.py"
+    assert main(["propose", str(tmp_path / "run"), "-o", str(output)]) == 3
+    assert str(output.parent) in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(("last", "warned"), [(0.0626, True), (0.0560, True), (0.0200, False), (0.0079, False)])
 def test_a_term_that_lowers_no_error_is_told_as_such(last: float, warned: bool) -> None:
     def rung(rms: float) -> Any:
