@@ -5,51 +5,38 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from typing import Any
 
 from bcid.base.errors import BcidError
 from bcid.base.progress import progress_on
 from validation.golden.cases import CASES
 from validation.outside.worlds import CASES as CASES_OF_KIND
 from validation.outside.worlds import KINDS
+from validation.stored_results import cut, keep
 
 
 def main(words: list[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m validation", description=__doc__)
     parts = parser.add_subparsers(dest="part", required=True)
-    golden = parts.add_parser("golden", help="explain the golden cases, and compare the answers with the frozen ones")
-    golden.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="folder; a run in it goes on")
+    golden = _part(parts, "golden", "explain the golden cases, and compare the answers with the frozen ones")
     golden.add_argument("--only", nargs="+", choices=list(CASES), metavar="CASE", help="some cases (all)")
-    golden.add_argument("--jobs", type=int, default=2, metavar="N", help="processes at a time (2)")
-    golden.add_argument("--store", type=Path, metavar="FOLDER", help="keep predictions here, for other runs")
     golden.add_argument("--freeze", action="store_true", help="make these answers the frozen ones")
-    ablation = parts.add_parser(
-        "ablation", help="explain golden cases without one term of the posterior after the other"
-    )
-    ablation.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="folder; a run in it goes on")
+    ablation = _part(parts, "ablation", "explain golden cases without one term of the posterior after the other")
     ablation.add_argument("--only", nargs="+", choices=list(CASES), metavar="CASE", help="some cases (all)")
-    ablation.add_argument("--jobs", type=int, default=2, metavar="N", help="processes at a time (2)")
-    ablation.add_argument("--store", type=Path, metavar="FOLDER", help="predictions that all runs share (RUN/store)")
-    calibration = parts.add_parser(
-        "calibration", help="draw data from the linearised model, and compare answers with the truth"
-    )
-    calibration.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="RUN", help="folder; a run in it goes on"
-    )
-    calibration.add_argument(
-        "--draws", type=_count, default=1000, metavar="N", help="with each level of the noise (1000)"
-    )
-    outside = parts.add_parser(
-        "outside", help="explain worlds of an independent code that are outside the family of models"
-    )
-    outside.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="folder; a run in it goes on")
+    outside = _part(parts, "outside", "explain worlds of an independent code that are outside the family of models")
     outside.add_argument("--kinds", nargs="+", choices=list(KINDS), metavar="KIND", help=f"of {', '.join(KINDS)} (all)")
     outside.add_argument(
         "--cases", type=_count, default=CASES_OF_KIND, metavar="N", help=f"of each kind ({CASES_OF_KIND})"
     )
-    outside.add_argument("--jobs", type=_count, default=2, metavar="N", help="processes at a time (2)")
-    outside.add_argument("--store", type=Path, metavar="FOLDER", help="keep predictions here, for other runs")
     outside.add_argument("--freeze", action="store_true", help="keep these inputs in the repository")
+    for one in (golden, ablation, outside):
+        one.add_argument("--jobs", type=_count, default=2, metavar="N", help="processes at a time (2)")
+        one.add_argument("--store", type=Path, metavar="FOLDER", help="keep predictions here, for other runs")
+    calibration = _part(parts, "calibration", "draw data from the linearised model, and compare answers with the truth")
+    calibration.add_argument(
+        "--draws", type=_count, default=1000, metavar="N", help="with each level of the noise (1000)"
+    )
     chosen = parser.parse_args(words)
     work = {"golden": _golden, "ablation": _ablation, "calibration": _calibration, "outside": _outside}
     try:
@@ -59,14 +46,30 @@ def main(words: list[str] | None = None) -> int:
         return 2
 
 
+def _part(parts: Any, name: str, about: str) -> argparse.ArgumentParser:
+    """The parser of an experiment, with what all of them take."""
+    parser: argparse.ArgumentParser = parts.add_parser(name, help=about)
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="folder; a run in it goes on")
+    parser.add_argument("--keep", action="store_true", help="keep the result in the repository, for the documentation")
+    return parser
+
+
+def _keep(chosen: argparse.Namespace, result: Any) -> None:
+    """Keep the result of an experiment where that is wanted."""
+    if chosen.keep:
+        print(f"kept in {keep(chosen.part, result)}")
+
+
 def _golden(chosen: argparse.Namespace) -> int:
     from validation.golden import run
-    from validation.golden.score import table
+    from validation.golden.score import text
 
     run.run(chosen.output, chosen.only or list(CASES), chosen.jobs, progress_on(), chosen.store)
     if chosen.freeze:
         print(f"{run.freeze(chosen.output)} answers are frozen in {run.ANSWERS}")
-    print(table(run.frozen(), run.read(chosen.output)))
+    found = run.read(chosen.output)
+    print(text(run.frozen(), found))
+    _keep(chosen, {name: cut(answer) for name, answer in found.items()})
     return 0
 
 
@@ -75,7 +78,9 @@ def _ablation(chosen: argparse.Namespace) -> int:
 
     store = chosen.store or chosen.output / "store"
     ablation.run(chosen.output, chosen.only or list(CASES), chosen.jobs, store, progress_on())
-    print(ablation.table(ablation.read(chosen.output)))
+    found = ablation.read(chosen.output)
+    print(ablation.table(found).text())
+    _keep(chosen, {term: {name: cut(one) for name, one in answers.items()} for term, answers in found.items()})
     return 0
 
 
@@ -84,19 +89,22 @@ def _calibration(chosen: argparse.Namespace) -> int:
 
     calibration.run(chosen.output, chosen.draws, progress_on())
     found = calibration.read(chosen.output)
-    print(calibration.table(found))
+    print(calibration.table(found).text())
     print(calibration.picture(found, chosen.output / "calibration.png"))
+    _keep(chosen, found)
     return 0
 
 
 def _outside(chosen: argparse.Namespace) -> int:
     from validation.outside import run
-    from validation.outside.score import table
+    from validation.outside.score import text
 
     run.run(chosen.output, chosen.kinds or list(KINDS), chosen.cases, chosen.jobs, progress_on(), chosen.store)
     if chosen.freeze:
         print(f"{run.freeze(chosen.output)} inputs are kept in {run.INPUTS}")
-    print(table(run.read(chosen.output)))
+    found = run.read(chosen.output)
+    print(text(found))
+    _keep(chosen, {name: cut(answer) for name, answer in found.items()})
     return 0
 
 

@@ -43,13 +43,13 @@ def read(folder: Path) -> dict[str, dict[str, dict[str, Any]]]:
     return {term: golden.read(_folder(folder, term)) for term in TERMS if _folder(folder, term).is_dir()}
 
 
-def table(found: Answers) -> str:
+def table(found: Answers) -> TextTable:
     """Scores by term, over the cases that all of them have."""
     common = set.intersection(*(set(answers) for answers in found.values())) if found else set()
     names = sorted(common)
     rows = tuple(_row(term, [answers[name] for name in names]) for term, answers in found.items())
     head = ("posterior", "verdict bits", "anchor bits", "certain and wrong", "solves")
-    return TextTable(f"Ablation: mean log2 probability of the truth, {len(names)} golden cases", head, rows).text()
+    return TextTable(f"Ablation: mean log2 probability of the truth, {len(names)} golden cases", head, rows)
 
 
 def _row(term: str, answers: list[dict[str, Any]]) -> tuple[str, ...]:

@@ -230,7 +230,7 @@ def calibration_error(pairs: Sequence[tuple[float, bool]]) -> float:
     return sum(count * abs(p - right) for p, right, count in reliability(pairs)) / len(pairs)
 
 
-def table(found: Mapping[float, Sequence[Json]]) -> str:
+def table(found: Mapping[float, Sequence[Json]]) -> TextTable:
     """Calibration errors of verdict and anchors, and the test of the ranks, for each noise."""
     from scipy.stats import kstest
 
@@ -242,7 +242,7 @@ def table(found: Mapping[float, Sequence[Json]]) -> str:
             row += [f"{np.mean([right for _, right in pairs]):.0%}", f"{calibration_error(pairs):.3f}"]
         rows.append((*row, f"{kstest([one['rank'] for one in draws], 'uniform').pvalue:.2g}"))
     head = ("noise", "draws", "verdict right", "error", "anchors right", "error", "p of the ranks")
-    return TextTable("Simulation-based calibration of the linearised model", head, tuple(rows)).text()
+    return TextTable("Simulation-based calibration of the linearised model", head, tuple(rows))
 
 
 def picture(found: Mapping[float, Sequence[Json]], target: Path) -> Path:

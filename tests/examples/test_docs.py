@@ -27,6 +27,7 @@ def test_the_site_is_built_without_warnings(tmp_path: Path, monkeypatch: pytest.
     assert "with strain_stiffening" in re.sub("<[^>]+>", "", pages["04_tension"])
     for command_name in ("identify", "explain", "explore", "study", "report"):
         assert f"bcid {command_name}" in pages["commands"]
+    assert "mean log2 probability of the truth" in pages["validation"]
     results = (tmp_path / "site/results.html").read_text(encoding="utf-8")
     assert "Identification" in results
     assert "What it does not do" in results

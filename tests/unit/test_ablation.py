@@ -30,7 +30,7 @@ def answer(p: float, solves: float, verdict: str = "gravity") -> dict[str, Any]:
 def test_table_scores_the_cases_that_all_have() -> None:
     whole = {"a": answer(0.5, 10), "b": answer(0.25, 4)}
     less = {"a": answer(0.125, 12, "none")}
-    text = ablation.table({ablation.WHOLE: whole, "no change point": less})
+    text = ablation.table({ablation.WHOLE: whole, "no change point": less}).text()
     rows = {line.split("  ")[0]: line.split()[-4:] for line in text.splitlines() if line.startswith(("all", "no"))}
     assert rows[ablation.WHOLE] == ["-1.000", "-1.000", "0", "10"]
     assert rows["no change point"] == ["-3.000", "-3.000", "1", "12"]

@@ -28,7 +28,7 @@ def test_calibration_error_is_the_distance_of_stated_and_right() -> None:
 
 @pytest.mark.parametrize("right", [0.8, 0.5])
 def test_table_shows_answers_that_are_stated_as_too_probable(right: float) -> None:
-    text = calibration.table({10.0: draws(0.8, right)})
+    text = calibration.table({10.0: draws(0.8, right)}).text()
     cells = text.splitlines()[-1].split()
     assert cells[:2] == ["10", "400"]
     assert (float(cells[3]) < 0.05) == (right == 0.8)

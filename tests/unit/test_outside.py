@@ -128,17 +128,17 @@ def test_anchors_of_another_body_are_wrong_whatever_they_are():
 def test_table_two_certain_and_wrong_of_a_kind_miss_the_goal():
     right = answer("control", "none", draw("control", 0)["anchored"])
     wrong = answer("pressure", "gravity", draw("pressure", 0)["anchored"])
-    text = score.table({"control-0": right, "pressure-0": wrong})
+    text = score.text({"control-0": right, "pressure-0": wrong})
     assert "goal, at most one certain and wrong in each kind: met" in text
     assert "pressure-0: verdict gravity with 0.9700" in text
-    text = score.table({"control-0": right, "pressure-0": wrong, "pressure-1": wrong})
+    text = score.text({"control-0": right, "pressure-0": wrong, "pressure-1": wrong})
     assert "goal, at most one certain and wrong in each kind: missed (pressure)" in text
     assert "goal, at least half sure where it can be decided: missed (pressure)" in text
 
 
 def test_table_without_an_answer_counts_it_as_such():
     lost = answer("control", "none", []) | {"diagnosis": None}
-    assert "missed (control)" in score.table({"control-0": lost})
+    assert "missed (control)" in score.text({"control-0": lost})
 
 
 @pytest.mark.parametrize("count", ["0", "-1", "two"])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from statistics import median
 from typing import Any
 
 from bcid.studies.hidden.judge import verdict_right
@@ -56,9 +57,11 @@ def _right_verdicts(truth: Json, diagnosis: Json) -> Iterable[float]:
 
 
 def _right_anchors(truth: Json, diagnosis: Json) -> Iterable[float]:
-    apart, anchored = set(truth["not_asked"]), set(truth["anchored"])
-    found = diagnosis["probabilities"]["hypotheses"]
-    return (one["probability"] for one in found if not (set(one["anchored"]) ^ anchored) - apart)
+    """Of the reported set its whole probability; of others that of the hypotheses that are listed."""
+    apart, anchored, reported = set(truth["not_asked"]), set(truth["anchored"]), set(diagnosis["anchored"])
+    listed = [(set(one["anchored"]), one["probability"]) for one in diagnosis["probabilities"]["hypotheses"]]
+    sets = [(reported, diagnosis["anchors_probability"]), *((s, p) for s, p in listed if s != reported)]
+    return (p for s, p in sets if not (s ^ anchored) - apart)
 
 
 def certain_and_wrong(answer: Json) -> list[str]:
@@ -75,12 +78,16 @@ def certain_and_wrong(answer: Json) -> list[str]:
     return wrong
 
 
-def table(before: Mapping[str, Json], after: Mapping[str, Json]) -> str:
+def text(before: Mapping[str, Json], after: Mapping[str, Json]) -> str:
     """Frozen and other answers side by side, case by case, with the means over the cases that both have."""
+    return "\n".join([table(before, after).text(), "", *summary(before, after)])
+
+
+def table(before: Mapping[str, Json], after: Mapping[str, Json]) -> TextTable:
+    """Frozen and other answers, case by case."""
     rows = [_row(name, before[name], after[name]) for name in after if name in before]
-    head = ("case", "verdict", "probability", "anchors", "probability", "bits", "", "bits", "", "solves", "CPU s")
-    cases = TextTable("Golden cases: frozen -> now (verdict bits, anchor bits)", head, tuple(rows))
-    return "\n".join([cases.text(), "", *_summary(before, after)])
+    head = ("case", "verdict", "probability", "anchors", "probability", "verdict bits", "now", "anchor bits", "now")
+    return TextTable("Golden cases: frozen -> now", (*head, "solves", "CPU s"), tuple(rows))
 
 
 def _row(name: str, old: Json, new: Json) -> tuple[str, ...]:
@@ -94,7 +101,8 @@ def _row(name: str, old: Json, new: Json) -> tuple[str, ...]:
     return (name, *about, *bits, *cost)
 
 
-def _summary(before: Mapping[str, Json], after: Mapping[str, Json]) -> list[str]:
+def summary(before: Mapping[str, Json], after: Mapping[str, Json]) -> list[str]:
+    """Means over the cases that both have, and which answers are certain and wrong, or missing."""
     names = [name for name in after if name in before]
     lines = [f"{len(names)} of {len(before)} frozen cases compared"]
     for title, score in (("verdict", verdict_bits), ("anchors", anchor_bits)):
@@ -106,11 +114,22 @@ def _summary(before: Mapping[str, Json], after: Mapping[str, Json]) -> list[str]
             lines.append(
                 f"{title}: mean log2 probability of the truth {old:.3f} -> {new:.3f}; worst change {worst:.2f}"
             )
+    lines.append(
+        _cost(before, after, [name for name in names if before[name]["trajectories"] and after[name]["trajectories"]])
+    )
     for title, answers in (("frozen", before), ("now", after)):
         wrong = [f"{name} ({what})" for name in names for what in certain_and_wrong(answers[name])]
         lines.append(f"certain (95 %) and wrong, {title}: {', '.join(wrong) or 'none'}")
     failed = [name for name in names if after[name]["diagnosis"] is None]
     return [*lines, f"without an answer now: {', '.join(failed) or 'none'}"]
+
+
+def _cost(before: Mapping[str, Json], after: Mapping[str, Json], names: list[str]) -> str:
+    """Forward trajectories of the cases that have some, and CPU seconds."""
+    old, new = ([sum(answers[name]["trajectories"].values()) for name in names] for answers in (before, after))
+    cpu = [sum(answers[name]["cpu_seconds"] for name in names) for answers in (before, after)]
+    middle = f"{median(old):.0f} -> {median(new):.0f}" if names else "none"
+    return f"forward trajectories: median {middle}, sum {sum(old):.0f} -> {sum(new):.0f}; CPU s {cpu[0]:.0f} -> {cpu[1]:.0f}"
 
 
 def _bits(probability: float) -> float:

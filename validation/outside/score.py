@@ -66,13 +66,26 @@ def sure_and_right(answer: Json, question: str) -> bool:
     return answer["diagnosis"][probability] > SURE and right(answer["truth"], answer["diagnosis"])
 
 
-def table(answers: Mapping[str, Json]) -> str:
+def text(answers: Mapping[str, Json]) -> str:
     """One row for each kind, whether the goal is met, and each answer that is certain and wrong."""
-    kinds = [kind for kind in KINDS if any(answer["kind"] == kind for answer in answers.values())]
-    groups = {kind: [answer for answer in answers.values() if answer["kind"] == kind] for kind in kinds}
+    return "\n".join([table(answers).text(), "", *summary(answers)])
+
+
+def table(answers: Mapping[str, Json]) -> TextTable:
+    """One row for each kind."""
     title = "Worlds outside the family: certain above 95 %, sure above 90 % and right where it can be decided"
-    rows = tuple(_row(kind, group) for kind, group in groups.items())
-    return "\n".join([TextTable(title, _HEAD, rows).text(), "", *_goal(groups), *_wrong(answers)])
+    return TextTable(title, _HEAD, tuple(_row(kind, group) for kind, group in _groups(answers).items()))
+
+
+def summary(answers: Mapping[str, Json]) -> list[str]:
+    """Whether the goal is met, and each answer that is certain and wrong."""
+    return [*_goal(_groups(answers)), *_wrong(answers)]
+
+
+def _groups(answers: Mapping[str, Json]) -> dict[str, list[Json]]:
+    """Answers by the kinds that have some."""
+    found = {kind: [answer for answer in answers.values() if answer["kind"] == kind] for kind in KINDS}
+    return {kind: group for kind, group in found.items() if group}
 
 
 def _row(kind: str, group: list[Json]) -> tuple[str, ...]:
