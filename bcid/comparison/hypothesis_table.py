@@ -174,17 +174,18 @@ class HypothesisTable:
 
     def _by_best(self) -> Posterior:
         full = {r.hypothesis: r for r in self.full}
-        ceiling = self._ceiling()
-        known = Posterior({}, self._pairs(full, ceiling), ceiling)
+        ceiling, stages = self._ceiling(), [StageEvidence(s.posterior(), s.full, full) for s in self.coarse]
+        pairs = [*(pair for stage in stages for pair in stage.pairs()), *self._pairs(full, ceiling)]
         found = {h: Evaluation(log, prior) for r in self.full for h, (log, prior) in r.weights.items()}
         lower: dict[Hypothesis, list[Evaluation]] = {}
-        for h, one in self._below(full, ceiling):
+        below = [one for stage in stages for one in stage.evaluations()]
+        for h, one in [*below, *self._by_tangents(full, ceiling)]:
             if h.known not in full and math.isfinite(one.log):
                 lower.setdefault(h, []).append(self._unfollowed(one) if h.known in self.refused else one)
         logs = {h: r.log_evidence for h, r in full.items()}
         found |= {h: min(some, key=lambda one: one.order(logs)) for h, some in lower.items()}
         finite = {h: one for h, one in found.items() if math.isfinite(one.log)}
-        return Posterior(finite, known.pairs, known.ceiling)
+        return Posterior(finite, pairs, ceiling)
 
     def _unfollowed(self, one: Evaluation) -> Evaluation:
         """A hypothesis that cannot be followed to the end: that solves fail says no more than how often they do.
@@ -205,12 +206,10 @@ class HypothesisTable:
         noise = -0.5 * chi2_limit(1 - ALPHA, len(data)) - state.errors.log_volume
         return max(noise, *(max(r.evidence.plain, r.evidence.forced) for r in self.full))
 
-    def _below(
+    def _by_tangents(
         self, full: Mapping[Hypothesis, FittedHypothesis], ceiling: float
     ) -> Iterator[tuple[Hypothesis, Evaluation]]:
-        """What is known of hypotheses below the full fidelity."""
-        for stage in self.coarse:
-            yield from StageEvidence(stage.posterior(), stage.full, full).evaluations()
+        """What tangents of hypotheses that were compared with all steps say of others."""
         for about, tangent in self.tangents.items():
             if about in full:
                 yield from self._linearised(tangent, full[about], ceiling)
@@ -243,8 +242,8 @@ class HypothesisTable:
         return Evaluation(log, log_prior(len(h.names), False, known), (step,), about.hypothesis)
 
     def _pairs(self, full: Mapping[Hypothesis, FittedHypothesis], ceiling: float) -> list[Pair]:
-        """Hypotheses that are known at two fidelities."""
-        found = [pair for stage in self.coarse for pair in StageEvidence(stage.posterior(), stage.full, full).pairs()]
+        """Hypotheses that were compared with all steps, and of which a tangent in all steps had told."""
+        found = list[Pair]()
         for h, tangent in self.tangents.items():
             about = full.get(h)
             here = None if about is None else tangent.sets.get(about.anchors)

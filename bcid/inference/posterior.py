@@ -42,11 +42,10 @@ _ROUNDS = 10
 
 
 class Fidelity(IntEnum):
-    """How an evidence is known: from a linearisation, in a few steps, in all steps."""
+    """How an evidence below the full fidelity is known: from a linearisation, or in a few steps."""
 
     TANGENT = 0
     COARSE = 1
-    FULL = 2
 
 
 class Kind(NamedTuple):
@@ -270,10 +269,7 @@ class Posterior:
             self._learned[kind] = self._learn(kind)
         known, means, covariances, surprise, freedom = self._learned[kind]
         # What no pair tells has the prior, but for the scale that all of its kind have.
-        mean, covariance = (
-            np.zeros(len(wanted)),
-            surprise * _scale(kind) ** 2 * np.eye(len(wanted)),
-        )
+        mean, covariance = np.zeros(len(wanted)), surprise * _scale(kind) ** 2 * np.eye(len(wanted))
         here = [k for k, toggle in enumerate(wanted) if toggle in known]
         there = [known[wanted[k]] for k in here]
         mean[here], covariance[np.ix_(here, here)] = means[there], covariances[np.ix_(there, there)]

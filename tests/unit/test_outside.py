@@ -129,11 +129,17 @@ def test_table_two_certain_and_wrong_of_a_kind_miss_the_goal():
     right = answer("control", "none", draw("control", 0)["anchored"])
     wrong = answer("pressure", "gravity", draw("pressure", 0)["anchored"])
     text = score.text({"control-0": right, "pressure-0": wrong})
-    assert "goal, at most one certain and wrong in each kind: met" in text
+    assert "goal, at most one certain and wrong in each kind: not missed, by fewer than 20 measurements" in text
     assert "pressure-0: verdict gravity with 0.9700" in text
     text = score.text({"control-0": right, "pressure-0": wrong, "pressure-1": wrong})
     assert "goal, at most one certain and wrong in each kind: missed (pressure)" in text
     assert "goal, at least half sure where it can be decided: missed (pressure)" in text
+
+
+def test_table_goal_is_met_by_all_measurements_of_a_kind():
+    right = answer("control", "none", draw("control", 0)["anchored"])
+    text = score.text({f"control-{index}": right for index in range(20)})
+    assert "goal, at most one certain and wrong in each kind: met" in text
 
 
 def test_table_without_an_answer_counts_it_as_such():

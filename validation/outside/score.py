@@ -9,7 +9,7 @@ from typing import Any
 from bcid.studies.hidden.judge import named, verdict_right
 from bcid.studies.text_table import TextTable
 from validation.golden.score import CERTAIN
-from validation.outside.worlds import KINDS
+from validation.outside.worlds import CASES, KINDS
 
 Json = Mapping[str, Any]
 # An answer with more than this is sure.
@@ -112,7 +112,10 @@ def _goal(groups: Mapping[str, list[Json]]) -> Iterable[str]:
         ("at most one certain and wrong in each kind", bold),
         ("at least half sure where it can be decided", silent),
     ):
-        yield f"goal, {goal}: " + (f"missed ({', '.join(missed)})" if missed else "met")
+        # One measurement of a kind cannot miss a goal that allows one.
+        few = any(len(group) < CASES for group in groups.values())
+        met = f"not missed, by fewer than {CASES} measurements of a kind" if few else "met"
+        yield f"goal, {goal}: " + (f"missed ({', '.join(missed)})" if missed else met)
 
 
 def _wrong(answers: Mapping[str, Json]) -> Iterable[str]:
