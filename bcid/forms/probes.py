@@ -130,6 +130,17 @@ class Sensitivities:
         }
         return cls(probes, law, **fields)
 
+    def padded(self, count: int) -> Sensitivities:
+        """The same in a measurement of so many frames, of which these are the first."""
+        named = self.named
+        if all(len(array) == count for array in named.values()):
+            return self
+        more = {
+            name: np.concatenate([array, np.full((count - len(array), *array.shape[1:]), np.nan, array.dtype)])
+            for name, array in named.items()
+        }
+        return Sensitivities.of_named(more, len(self.probes))
+
     @property
     def arrays(self) -> list[Any]:
         """All of them, each (frames, ...)."""

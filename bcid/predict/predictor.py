@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from typing import TypeVar
 
@@ -30,6 +31,7 @@ from bcid.measurement import Action, Measurement
 from bcid.predict import questions
 from bcid.predict.acting import by_the_clock, steady
 from bcid.predict.forward_models import ForwardModels
+from bcid.predict.kept_actions import KeptActions
 from bcid.predict.kept_predictions import KeptPredictions, MeasurementPrediction, PredictionKey
 from bcid.predict.levels import affordable, pair
 from bcid.predict.result_formats import PredictionFormat, SensitivitiesFormat, TangentsFormat
@@ -65,6 +67,7 @@ class Predictor:
         left_out: what of the measurement is not compared, and why, in words.
         thin: whether only some steps of each action are followed.
         trajectories: forward trajectories by level ("working", "fine"), in whole-trajectory equivalents.
+        repeated: what single actions gave, where measurements share them; shared with all that `repeating` makes.
         skipped: evaluations that failed otherwise than by a solve, each once, in words.
     """
 
@@ -96,6 +99,7 @@ class Predictor:
         self.actions = measurement.actions
         self.numbers: NDArray[np.int64] = np.arange(len(self.data.mask))
         self.trajectories: dict[str, float] = {}
+        self.repeated: KeptActions | None = None
         self.skipped: list[str] = []
         self._lengths = {action.name: len(action) for action in self.actions}
         self._kept = KeptPredictions(self.thin)
@@ -260,7 +264,10 @@ class Predictor:
         parts, failure, error = {}, "", None
         for action in self.mine(actions):
             try:
-                part = forward.predict(key.anchors, [action], keep=keep, known=near.get(action.name, begun), look=look)
+                work = partial(
+                    forward.predict, key.anchors, [action], keep=keep, known=near.get(action.name, begun), look=look
+                )
+                part = self._of_action(action, [key.level, key.model, key.anchors, keep], work)
             except Exception as caught:
                 error = caught
                 break
@@ -278,6 +285,12 @@ class Predictor:
         if self.store is None:
             return work()
         return self.store.result(lambda: f"{self._identity} {question()}", form, work)
+
+    def _of_action(self, action: Action, about: Sequence[object], work: Callable[[], T]) -> T:
+        """What `work` gives of an action on this rank, as it is known from a measurement with the same one or else computed."""
+        if self.repeated is None:
+            return work()
+        return self.repeated.result(f"{self.settings} {questions.of_action(action)} {questions.of_all(about)}", work)
 
     @property
     def _identity(self) -> str:
@@ -377,7 +390,9 @@ class Predictor:
                 self.progress.step("sensitivities to effects, by action", number, len(mine))
             whole = self._whole(prediction.parts[action.name])
             try:
-                parts.append(sensitivity.of(anchors, [action], whole, wanted, model, seen))
+                work = partial(sensitivity.of, anchors, [action], whole, wanted, model, seen)
+                about = [model, frozenset(anchors), wanted, seen[action.frames].tolist()]
+                parts.append(self._of_action(action, about, work).padded(len(seen)))
             except Exception as caught:
                 error = caught
                 break

@@ -5,22 +5,44 @@ Numbers are told with so many digits that rounding does not tell them apart, and
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from typing import Any
+
+import numpy as np
 
 from bcid.base.fingerprint import fingerprint
 from bcid.forms.course import course_of
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model, Term
 from bcid.forms.probes import SensitivityRequest
-from bcid.measurement import Measurement
+from bcid.measurement import Action, Measurement
 
 
 def of_measurement(measurement: Measurement) -> str:
     """Of the motions, and of which markers are seen when."""
     data = measurement.data
     return fingerprint({str(name): data[name].values for name in data.variables})
+
+
+def of_action(action: Action) -> str:
+    """Of the motion of one action, and which frames of the measurement it has."""
+    loads = {place: np.asarray(load) for place, load in action.loads.items()}
+    motion = {"frames": action.frames, "translation": action.translation, "rotation": action.rotation}
+    return fingerprint({"grasp": action.grasp, "clock": action.clock, "loads": loads} | motion)
+
+
+def of_all(parts: Iterable[object]) -> str:
+    """Of models, requests, sets and plain values, one after the other."""
+    found = []
+    for part in parts:
+        if isinstance(part, Model):
+            found.append(of_model(part))
+        elif isinstance(part, SensitivityRequest):
+            found.append(of_wanted(part))
+        else:
+            found.append(str(sorted(part)) if isinstance(part, frozenset) else str(part))
+    return " ".join(found)
 
 
 def of_model(model: Model) -> str:
