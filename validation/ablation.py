@@ -23,7 +23,7 @@ TERMS: Mapping[str, Mapping[str, Any]] = {
     "no misfit in observation space": {"response": _NEVER},
     "no change point": {"change_point": _NEVER},
     "no smooth force or growth": {"force": _NEVER},
-    "no errors of the fidelities": {"fidelity_error": [1e-6, 1e-6, 1e-6], "error_freedom": 1e20},
+    "no errors of the fidelities": {"fidelity_error": [1e-6, 1e-6, 1e-6, 1e-6], "error_freedom": 1e20},
     "one scale of amounts instead of a half-Cauchy": {"amounts": [2.0, 2.0, 1]},
 }
 

@@ -4,27 +4,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
-from bcid.base.errors import SolveError
 from bcid.base.units import p_value, percent
 from bcid.comparison.adequacy import judge
 from bcid.comparison.anchor_marginals import anchor_marginals
-from bcid.comparison.buckled_frames import leave_out
 from bcid.comparison.candidates import Candidates, Known
 from bcid.comparison.explanation import Explanation, ModelStep, explains, verdict_of
-from bcid.comparison.first_sets import first_sets
+from bcid.comparison.first_state import first_state
 from bcid.comparison.fitted_hypothesis import FittedHypothesis, best_first
 from bcid.comparison.full_search import FullSearch
 from bcid.comparison.held_out import held_out
-from bcid.comparison.settle import settled
-from bcid.comparison.state import State
 from bcid.comparison.unfollowed import check_not_stood_for
 from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
-from bcid.inference.data import robust_noise
 from bcid.inference.outcome import label
 from bcid.predict.predictor import Predictor
 
@@ -73,39 +67,11 @@ def explain(
     options = options or ExplainOptions()
     candidates = candidates or Known(tuple(effects.catalogue(options.only, more)))
     start = time.perf_counter()
-    base, sets = _base(predictor, model or Model.of(predictor.scene))
+    base, sets = first_state(predictor, model or Model.of(predictor.scene))
     queue = FullSearch(base, candidates, sets, options.effects, options.fitted, options.sets)
     best = queue.run().best()
     check_not_stood_for(best, queue.table.refused, queue.model)
     return _explanation(queue, best, time.perf_counter() - start)
-
-
-def _base(predictor: Predictor, model: Model) -> tuple[State, list[Anchored]]:
-    """The model with a likely set, on what was seen before the body buckles with it; and all likely sets."""
-    predictor.progress.step("looking for the likely anchors in a few steps")
-    sets = first_sets(predictor, model)
-    for one in leave_out(predictor, model, sets[0]):
-        predictor.progress.say(str(one))
-    if predictor.left_out:
-        sets = first_sets(predictor, model)
-    base = State.of(predictor, model, sets[0])
-    with suppress(SolveError):
-        base = settled(base)
-    return _with_noise(base), sets
-
-
-def _with_noise(base: State) -> State:
-    """The state with the noise that its residual has where none is stated, or where that is surprisingly another."""
-    predictor, data = base.predictor, base.predictor.data
-    found = robust_noise(data, base.rough_values)
-    if found is None or (data.stated and not found.surprising):
-        return base
-    if not data.stated:
-        # What the mesh leaves is no more known than so: of smooth data without noise nothing would ever be doubted.
-        found = replace(found, sigma=max(found.sigma, base.errors.mesh_rms))
-    predictor.believe(found)
-    predictor.progress.say(f"the measurement has a noise of {found.sigma * 1e3:.3g} mm")
-    return State.of(predictor, base.model, base.anchors, base.errors.mesh, base.free, base.prediction)
 
 
 # -- the answer

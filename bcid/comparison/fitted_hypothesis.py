@@ -53,6 +53,7 @@ class FittedHypothesis:
         known: how many effects may act.
         held_out: RMS residual when each action is predicted from the others, m, where that was asked.
         allowed: the fitted model with the errors by which the evidence was weighed, where these are not its own.
+        least: how well its effects must be seen, see `bcid.comparison.parameter_priors.visible`.
     """
 
     names: tuple[str, ...]
@@ -61,6 +62,7 @@ class FittedHypothesis:
     known: int
     held_out: float | None = None
     allowed: State | None = None
+    least: float = DETECTION_THRESHOLD
 
     @property
     def anchors(self) -> Anchored:
@@ -112,7 +114,7 @@ class FittedHypothesis:
         if old.errors.mesh.left is left:
             return self
         state = old.with_errors(replace(old.errors.mesh, left=left))
-        return replace(self, evidence=weighed(state, begun, self.jacobian(state.errors)), allowed=state)
+        return replace(self, evidence=weighed(state, begun, self.jacobian(state.errors), self.least), allowed=state)
 
     def jacobian(self, errors: ErrorCovariance) -> Array:
         """Change of the residual with each fitted number in units of other errors than its own, shape (n, p)."""
@@ -148,7 +150,9 @@ class FittedHypothesis:
         state = self.fitted.state
         errors = state.errors.masked(~seen[state.predictor.data.frame])
         only = replace(state, errors=errors)
-        numbers = of_state(only, begun, self.jacobian(errors)) or LinearParameters.none(len(state.predictor.data))
+        numbers = of_state(only, begun, self.jacobian(errors), self.least) or LinearParameters.none(
+            len(state.predictor.data)
+        )
         shifts = [state.predictor.data.vector(moved) for moved in (np.zeros_like(state.predicted), *moves.values())]
         here, *logs = (Evidence.of(errors, only.residual - shift, only.forces, numbers).total for shift in shifts)
         return {anchors: log - here for anchors, log in zip(moves, logs, strict=True)}
@@ -179,7 +183,7 @@ class FittedHypothesis:
     def of(cls, fitted: Fit, begun: Model, known: int, least: float = DETECTION_THRESHOLD) -> FittedHypothesis:
         """Of a fit of a model that was begun from another; `least` as in `bcid.comparison.parameter_priors.visible`."""
         names = tuple(term.effect.name for term in fitted.state.model.added(begun))
-        return cls(names, fitted, weighed(fitted.state, begun, fitted.jacobian, least), known)
+        return cls(names, fitted, weighed(fitted.state, begun, fitted.jacobian, least), known, least=least)
 
     @classmethod
     def unfitted(cls, state: State, begun: Model, known: int, least: float = DETECTION_THRESHOLD) -> FittedHypothesis:
@@ -188,7 +192,7 @@ class FittedHypothesis:
         chosen = coordinates(state.model, state.free)
         jacobian = -state.errors.whiten(columns(state.predictor, state.model, state.anchors, state.prediction, chosen))
         fitted = replace(Fit.at(state), jacobian=jacobian)
-        return cls(names, fitted, weighed(state, begun, jacobian, least), known)
+        return cls(names, fitted, weighed(state, begun, jacobian, least), known, least=least)
 
 
 def weighed(state: State, begun: Model, jacobian: Array | None = None, least: float = DETECTION_THRESHOLD) -> Evidence:
@@ -209,7 +213,6 @@ def promoted(
     rival: FittedHypothesis,
     full: State,
     begun: Model,
-    least: float = DETECTION_THRESHOLD,
     anchors: Anchored | None = None,
 ) -> FittedHypothesis | None:
     """A rival that was fitted to a part of the steps, with all of them and the error of the mesh of its own; None if it fails.
@@ -226,13 +229,13 @@ def promoted(
             own = full.errors.mesh if anchors == full.anchors else None
             others = tuple(name for name in free if name not in rival.term.free)
             base = State.of(full.predictor, model.without(rival.term.label), anchors, own, others)
-            return added(base, rival.term.effect, begun, rival.known, least)
+            return added(base, rival.term.effect, begun, rival.known, rival.least)
         if anchors != rival.anchors:
             # Its numbers will be others, and the error of the mesh with them.
             mesh = rival.fitted.state.errors.mesh
         found = fit(State.of(full.predictor, model, anchors, mesh), free, most=8)
         if anchors != rival.anchors:
-            there = FittedHypothesis.of(found, begun, rival.known, least)
+            there = FittedHypothesis.of(found, begun, rival.known, rival.least)
             if there.log < rival.log - SETTINGS.hopeless:
                 # It has lost whatever the error of the mesh is with it.
                 return there
@@ -243,7 +246,7 @@ def promoted(
         found = bent(found)
     except (SolveError, InputError):
         return None
-    return FittedHypothesis.of(found, begun, rival.known, least)
+    return FittedHypothesis.of(found, begun, rival.known, rival.least)
 
 
 def _remeshed(found: Fit, model: Model | None, ftol: float = FTOL) -> Fit:
@@ -266,7 +269,7 @@ def added(
     base: State, effect: Effect, begun: Model, known: int, least: float = DETECTION_THRESHOLD
 ) -> FittedHypothesis | None:
     """An effect beside a model that was compared with all steps, where they show that it promises most; None if it fails."""
-    rows = rank(base, [effect], strict=False).rows
+    rows = rank(base, [effect], strict=False, least=least).rows
     found = refit(base, rows[0], begun, known, least) if rows else []
     if not found:
         return None

@@ -17,10 +17,13 @@ from bcid.comparison.fitted_hypothesis import FittedHypothesis, added, best_firs
 from bcid.comparison.hypothesis_table import HypothesisTable
 from bcid.comparison.ranking import Ranking
 from bcid.comparison.search_queue import SearchQueue, Task
+from bcid.comparison.set_tangents import SetPredictions, sets_predicted
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
+from bcid.inference.criteria import DETECTION_THRESHOLD
 from bcid.inference.hypotheses import Hypothesis
 from bcid.inference.outcome import label
+from bcid.inference.posterior import Fidelity
 from bcid.search.settings import SETTINGS
 
 Anchored = frozenset[str]
@@ -36,12 +39,23 @@ class FullSearch(SearchQueue):
         effects: that may act together, at most.
         fitted: effects that are fitted in a few steps beside each model, each time on one set.
         sets: anchor sets that are compared in a few steps.
+        least: how well an effect must be seen, see `bcid.comparison.parameter_priors.visible`.
+        predicted: what sets predict without added effects, where that is known otherwise.
     """
 
     def __init__(
-        self, base: State, candidates: Candidates, starts: Sequence[Anchored], effects: int, fitted: int, sets: int
+        self,
+        base: State,
+        candidates: Candidates,
+        starts: Sequence[Anchored],
+        effects: int,
+        fitted: int,
+        sets: int,
+        least: float = DETECTION_THRESHOLD,
+        predicted: SetPredictions | None = None,
     ) -> None:
-        super().__init__(base, HypothesisTable(alike=candidates.alike))
+        super().__init__(base, HypothesisTable(alike=candidates.alike), least)
+        self.predicted = predicted
         self.candidates, self.starts, self.most, self.few, self.sets = candidates, tuple(starts), effects, fitted, sets
         # Effects beside which further ones were sought.
         self.extended: set[tuple[str, ...]] = set()
@@ -72,7 +86,7 @@ class FullSearch(SearchQueue):
     def _stage(self, hypothesis: Hypothesis) -> CoarseSearch | None:
         """Where what is known by a tangent can be evaluated in a few steps, which costs less than all."""
         known = self.table.posterior().evaluations.get(hypothesis)
-        if known is None or known.about is None:
+        if known is None or known.fidelity != Fidelity.TANGENT:
             return None
         return next((stage for stage in self.stages[::-1] if stage.takes(hypothesis)), None)
 
@@ -117,6 +131,15 @@ class FullSearch(SearchQueue):
         for rival in (r for r in self.table.full if r.hypothesis in wanted):
             self.say_fitted(rival)
 
+    def ask_sets(self, rival: FittedHypothesis) -> None:
+        found = (
+            {} if rival.names or self.predicted is None else sets_predicted(rival.judged, self.model, self.predicted)
+        )
+        if found:
+            self.table.add_sets(rival, found, Fidelity.SHARED)
+        else:
+            super().ask_sets(rival)
+
     def missing(self, rival: FittedHypothesis) -> Ranking:
         """What a model lacks, as all steps show it."""
         return self.ask_effects(rival, {name: e for name, e in self.effects.items() if name not in rival.names})
@@ -131,29 +154,43 @@ class FullSearch(SearchQueue):
 
     def extend(self, base: State, sets: int) -> None:
         """Compare sets and effects beside a model in a few steps."""
-        self.predictor.progress.say(f"comparing anchor sets and effects beside {base.model.name} in a few steps")
         self.extended.add(tuple(term.effect.name for term in base.model.added(self.model)))
         self.fits, self.failures = 0.0, 0
         missing = self.candidates.beside(base, self.model, self.starts if sets > 1 else ())
         # What the plain model lacks is known by the effects of the first extension.
         self.effects = {effect.name: effect for effect in missing} | self.effects
-        try:
-            stage = self._coarse(base, missing, sets)
-            coarse = stage.run()
-            self.stages.append(stage)
-        except SolveError as error:
-            self.predictor.skip(f"sets and effects beside {base.model.name}: {error}")
-            coarse = None
+        # Where sets are predicted in all steps, a few of them say nothing more of these.
+        coarse = self._compared(base, missing, sets) if missing or self.predicted is None else None
         if not self.table.full:
             self.begin(coarse)
         if coarse is not None:
             self.table.add_stage(coarse)
         self.predictor.drop([self.model, *(rival.fitted.state.model for rival in self.table.full)])
 
+    def _compared(self, base: State, missing: Sequence[Effect], sets: int) -> HypothesisTable | None:
+        """What a few steps say; None where they cannot be followed."""
+        self.predictor.progress.say(f"comparing anchor sets and effects beside {base.model.name} in a few steps")
+        try:
+            stage = self._coarse(base, missing, sets)
+            found = stage.run()
+        except SolveError as error:
+            self.predictor.skip(f"sets and effects beside {base.model.name}: {error}")
+            return None
+        self.stages.append(stage)
+        return found
+
     def _coarse(self, base: State, missing: Sequence[Effect], sets: int) -> CoarseSearch:
         """The search over sets and effects beside a model in a few steps."""
         return CoarseSearch(
-            in_few_steps(base), self.model, missing, self.candidates.among, sets, self.few, self.starts, self.candidates
+            in_few_steps(base),
+            self.model,
+            missing,
+            self.candidates.among,
+            sets,
+            self.few,
+            self.starts,
+            self.candidates,
+            self.least,
         )
 
     def begin(self, coarse: HypothesisTable | None) -> None:
@@ -161,7 +198,7 @@ class FullSearch(SearchQueue):
         plain = next((rival for rival in coarse.full if not rival.names), None) if coarse else None
         found = promoted(plain, self.base, self.model) if plain else None
         if found is None:
-            found = FittedHypothesis.of(_curved(self.base), self.model, self.candidates.among)
+            found = FittedHypothesis.of(_curved(self.base), self.model, self.candidates.among, self.least)
         self.say_fitted(found)
         self.table.add([found], self.model)
 
@@ -188,7 +225,7 @@ class FullSearch(SearchQueue):
         state = parent.fitted.state
         try:
             beside = State.of(self.predictor, state.model, wanted.anchors, None, state.free)
-            found = added(beside, self.effects[wanted.names[-1]], self.model, self.candidates.among)
+            found = added(beside, self.effects[wanted.names[-1]], self.model, self.candidates.among, self.least)
             if found is None or found.term.effect.sudden:
                 return found
             # By the error of the mesh that the model without it has, a further effect may seem to act.

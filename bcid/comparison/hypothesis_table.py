@@ -33,12 +33,14 @@ class TangentEvidence:
 
     Attributes:
         sets: evidence of its effects on other sets, and on its own.
+        fidelity: of these.
         effects: logarithms of the evidence of further effects on its set.
         springs: the same of sets some patches of which give or come off.
         known: how many effects may act.
     """
 
     sets: Mapping[Anchored, Evidence] = field(default_factory=dict)
+    fidelity: Fidelity = Fidelity.TANGENT
     effects: Mapping[str, float] = field(default_factory=dict)
     springs: Mapping[Hypothesis, float] = field(default_factory=dict)
     known: int = 1
@@ -89,9 +91,11 @@ class HypothesisTable:
         _, known = self._allowing.get(id(rival), (rival, None))
         return known if known is not None and self._left is left else rival.allowing(left, begun)
 
-    def add_sets(self, rival: FittedHypothesis, sets: Mapping[Anchored, Evidence]) -> None:
-        """What the tangent of a hypothesis says of other sets."""
-        self._note(rival, sets=dict(sets))
+    def add_sets(
+        self, rival: FittedHypothesis, sets: Mapping[Anchored, Evidence], fidelity: Fidelity = Fidelity.TANGENT
+    ) -> None:
+        """What the tangent of a hypothesis says of other sets, or what these predict with its errors."""
+        self._note(rival, sets=dict(sets), fidelity=fidelity)
 
     def add_effects(self, rival: FittedHypothesis, rows: Iterable[Row]) -> None:
         """What the tangent of a hypothesis says of effects."""
@@ -164,7 +168,7 @@ class HypothesisTable:
     def neglected(self) -> float:
         """Probability of the hypotheses that were not compared with all steps."""
         found = self.odds.probabilities.items()
-        return min(1.0, math.fsum(p for h, p in found if not self._fitted(h.known)))
+        return min(1.0, math.fsum(p for h, p in found if not self._compared(h)))
 
     def posterior(self) -> Posterior:
         """Of all hypotheses, each by the best that is known of it."""
@@ -224,8 +228,8 @@ class HypothesisTable:
             apart = {False: there.plain - here.plain, True: there.forced - here.forced}
             for h, (log, prior) in about.weights.items() if anchors != about.anchors else ():
                 other = Hypothesis(anchors, h.effect, h.unknown)
-                changed = toggles(Fidelity.TANGENT, other, h, apart[h.unknown])
-                step = FidelityStep(log, log, changed, ceiling - log)
+                changed = toggles(tangent.fidelity, other, h, apart[h.unknown])
+                step = FidelityStep(log, log, changed, _room(tangent, ceiling - log))
                 yield other, Evaluation(log + apart[h.unknown], prior, (step,), h.known)
         for effect, log in tangent.effects.items():
             h = Hypothesis(about.anchors, "+".join([*about.names, effect]))
@@ -252,8 +256,8 @@ class HypothesisTable:
                 there = tangent.sets.get(r.anchors)
                 if here and there and r.names == about.names:
                     low, base = there.total - here.total, about.log_evidence
-                    changed = toggles(Fidelity.TANGENT, r.hypothesis, h, low)
-                    found.append(Pair(changed, low, r.log_evidence - base, ceiling - base))
+                    changed = toggles(tangent.fidelity, r.hypothesis, h, low)
+                    found.append(Pair(changed, low, r.log_evidence - base, _room(tangent, ceiling - base)))
                 logs = [tangent.springs.get(r.hypothesis)]
                 if r.anchors == about.anchors and r.names[:-1] == about.names and r.names:
                     logs.append(tangent.effects.get(r.effect))
@@ -280,7 +284,7 @@ class HypothesisTable:
         likeliest = min(shares, key=lambda h: (-shares[h], h.order))
         found = self.posterior().evaluations
         logs = {h: one.log + one.log_prior for h, one in found.items() if not h.unknown}
-        waiting = [h for h in shares if not self._fitted(h) and h not in self.refused]
+        waiting = [h for h in shares if h not in self.refused and not self._fitted(h)]
         waiting.sort(key=lambda h: (-logs.get(h, -math.inf), h.order))
         shares |= self._open(shares, waiting)
         return {h: 1.0 if h == likeliest else shares[h] * (1 - shares[h]) for h in waiting}
@@ -317,11 +321,16 @@ class HypothesisTable:
                 Hypothesis(best.anchors - {place}, others) for place in ("", *([held[name]] if name in held else []))
             ]
         lesser += [Hypothesis(anchors, best.hypothesis.effect) for anchors in self.reduced.get(best.hypothesis, ())]
-        return next((h for h in lesser if not self._fitted(h) and h not in self.refused), None)
+        return next((h for h in lesser if not self._compared(h) and h not in self.refused), None)
 
     def _fitted(self, hypothesis: Hypothesis) -> bool:
         """Whether it was compared with all steps."""
         return self._of(hypothesis) is not None
+
+    def _compared(self, hypothesis: Hypothesis) -> bool:
+        """Whether it was compared with all steps, be it with the errors of another set."""
+        known = self.posterior().evaluations.get(hypothesis)
+        return self._fitted(hypothesis.known) or (known is not None and known.fidelity == Fidelity.SHARED)
 
     def best(self) -> FittedHypothesis:
         """The likeliest of the hypotheses that were compared with all steps."""
@@ -359,6 +368,11 @@ class HypothesisTable:
         full = {r.hypothesis for r in self.full}
         found = {r.hypothesis: r for stage in self.coarse for r in stage.full if r.hypothesis not in full}
         return best_first(found.values())
+
+
+def _room(tangent: TangentEvidence, room: float) -> float:
+    """By how much more evidence a set may have; without a tangent nothing is left to be explained."""
+    return room if tangent.fidelity == Fidelity.TANGENT else math.inf
 
 
 def _set_of(h: Hypothesis) -> Anchored:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -20,6 +20,8 @@ from bcid.search.settings import SETTINGS
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
+# Where the markers go with sets, each (frames, markers, 3), m, as far as that is known and they can be followed.
+SetPredictions = Callable[[Sequence[Anchored]], Mapping[Anchored, Array]]
 
 
 def neighbours(state: State, begun: Model, every: bool) -> list[Anchored]:
@@ -61,13 +63,26 @@ def sets_about(
         moves = state.predictor.moves(state.model, state.anchors, state.prediction, sets)
     except SolveError:
         return {}
-    return dict(zip(sets, _evidences(state, numbers, moves), strict=True))
+    return dict(zip(sets, _evidences(state, numbers, moves, PRIORS.tangent_error), strict=True))
 
 
-def _evidences(state: State, known: LinearParameters, moves: Sequence[Array]) -> list[Evidence]:
+def sets_predicted(state: State, begun: Model, predicted: SetPredictions) -> dict[Anchored, Evidence]:
+    """Evidence of other sets without added effects, and of its own, with the errors of a state; `predicted` is collective."""
+    numbers, sets = of_state(state, begun), neighbours(state, begun, True)
+    found = predicted(sets) if numbers else {}
+    if numbers is None or state.anchors not in found:
+        return {}
+    moves = [positions - found[state.anchors] for positions in found.values()]
+    return dict(zip(found, _evidences(state, numbers, moves, (0.0, 0.0)), strict=True))
+
+
+def _evidences(
+    state: State, known: LinearParameters, moves: Sequence[Array], unsure: tuple[float, float]
+) -> list[Evidence]:
     """Of sets that move the markers elsewhere by (frames, markers, 3), m, than the one of a state.
 
-    How far they move them in each action is known to first order only; and the `known` numbers of the model may be others then.
+    How far they move them in each action is `unsure`, see `Priors.tangent_error`; and the `known` numbers of the model may be
+    others then.
     """
     data = state.predictor.data
     shifts = np.column_stack([data.vector(moved) for moved in moves])
@@ -76,7 +91,7 @@ def _evidences(state: State, known: LinearParameters, moves: Sequence[Array]) ->
     sizes = np.sqrt((inside.T @ shifts**2) / np.maximum(inside.T @ pulled, 1e-300)[:, None])
     parts = shifts[:, :, None] * inside[:, None, :]
     columns = state.errors.whiten(parts.reshape(len(data), -1)).reshape(parts.shape)
-    nowhere, found, (small, large) = np.zeros(len(data.actions)), [], PRIORS.tangent_error
+    nowhere, found, (small, large) = np.zeros(len(data.actions)), [], unsure
     apart, positive = np.concatenate([nowhere, known.apart]), np.concatenate([nowhere > 0, known.positive])
     for shift, own, size in zip(shifts.T, np.moveaxis(columns, 1, 0), sizes.T, strict=True):
         error = np.broadcast_to(small + large * np.minimum(size, 1.0) ** 2, (len(known.widths), len(size)))

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.exploration.hypothesis_predictions import HypothesisPredictor
 from bcid.exploration.moves import Move, cost, limits_of
 from bcid.exploration.posterior_summary import PosteriorSummary
 from bcid.exploration.predictions import key_of
 from bcid.exploration.pull_prediction import PullPrediction
-from bcid.exploration.update import BeliefUpdate, weights
 from bcid.forms.gripper_force import ROWS
 from bcid.forms.simulate import recorded, with_wrenches
 from bcid.inference.data import LEAST_NOISE, Data
@@ -23,10 +23,13 @@ from bcid.inference.hypotheses import Hypothesis, entropy
 from bcid.inference.information import Expected, information, noise_free
 from bcid.inference.mesh_error import MeshError
 from bcid.measurement import Action
+from bcid.scene import Scene
+from bcid.search.settings import SETTINGS
 
 Array = NDArray[np.float64]
 CRITERIA = ("information", "entropy", "random")
-# Sets that hold this much of the probability are asked what a pull would show, so many at most; more by their linear response only.
+# Hypotheses that hold this much of the probability are asked what a pull would show, so many at most; more by their linear
+# response only.
 _MASS, _MOST = 0.999, 32
 # Where there are more, so many drawn from them are asked whether a pull is allowed.
 _SAMPLED = 12
@@ -106,7 +109,8 @@ class Chooser:
     """Chooses pulls; collective on the ranks of the predictor, with the same choice on all.
 
     Attributes:
-        inference: predictions and errors.
+        scene: with limits.
+        predictor: predicts pulls.
         moves: what may be done.
         criterion: "information", "entropy" (as in the paper, without noise), or "random".
         look_ahead: whether pairs of pulls are looked at.
@@ -116,7 +120,8 @@ class Chooser:
         random_state: of the estimate, and of random choice.
     """
 
-    inference: BeliefUpdate
+    scene: Scene
+    predictor: HypothesisPredictor
     moves: tuple[Move, ...]
     criterion: str
     look_ahead: bool
@@ -133,18 +138,11 @@ class Chooser:
             choice = self._choose(view, last, barred)
             reason = self._barred(choice.move, view) if choice.move else ""
             if not (choice.move and reason):
-                return self._settled(choice, view)
+                return choice
             barred[choice.move] = reason
 
-    def _settled(self, choice: Choice, view: PosteriorSummary) -> Choice:
-        """The choice; where the body may buckle in it is known of every live set, for the belief that follows from it."""
-        sets = credible_set(view)
-        if choice.move and len(sets) <= _MOST:
-            self.inference.predict(view, sets, self._action(choice.move), detailed=True)
-        return choice
-
     def _choose(self, view: PosteriorSummary, last: Move | None, barred: Mapping[Move, str]) -> Choice:
-        limits = limits_of(self.inference.scene)
+        limits = limits_of(self.scene)
         sets = credible_set(view)
         options = [
             Option(move, Expected(0.0), cost(move, last, limits), forbidden=barred.get(move, "")) for move in self.moves
@@ -160,9 +158,9 @@ class Chooser:
     def _barred(self, move: Move, view: PosteriorSummary) -> str:
         """Why a pull that the working level allows is not: a finer mesh buckles earlier. "" if it can be followed there too."""
         likely = [h for h, p in view.probabilities.items() if p > 1 - _SAFE]
-        if self.inference.fine is None or not likely:
+        if self.predictor.fine is None or not likely:
             return ""
-        predicted = self.inference.predict(view, likely, self._action(move), detailed=False, fine=True)
+        predicted = self.predictor.predict_finely(likely, view.fitted, self._action(move), detailed=False)
         return self._forbidden(predicted, np.array([view.probabilities[h] for h in likely]))
 
     # -- ways to choose
@@ -216,7 +214,7 @@ class Chooser:
 
     def _first_allowed(self, options: list[Option], view: PosteriorSummary, sets: list[Hypothesis]) -> Choice:
         """By the linear response of many sets: the best one that a sample of them allows."""
-        rng = np.random.default_rng([self.random_state, len(self.inference.pulls)])
+        rng = np.random.default_rng([self.random_state, len(view.seen)])
         p = weights(view.probabilities, sets)
         drawn = [sets[k] for k in sorted(rng.choice(len(sets), _SAMPLED, replace=False, p=p))]
         seen: list[Option] = []
@@ -232,7 +230,7 @@ class Chooser:
 
     def _random(self, options: list[Option], view: PosteriorSummary, sets: list[Hypothesis]) -> Choice:
         """Any allowed pull."""
-        rng = np.random.default_rng([self.random_state, len(self.inference.pulls)])
+        rng = np.random.default_rng([self.random_state, len(view.seen)])
         if len(sets) > _SAMPLED:
             p = weights(view.probabilities, sets)
             sets = [sets[k] for k in sorted(rng.choice(len(sets), _SAMPLED, replace=False, p=p))]
@@ -246,7 +244,7 @@ class Chooser:
     # --------------------------------------------------------------------------------------------------------------
 
     def _action(self, move: Move) -> Action:
-        return move.action(limits_of(self.inference.scene))
+        return move.action(limits_of(self.scene))
 
     def _asked(
         self, option: Option, view: PosteriorSummary, sets: Sequence[Hypothesis], p: Array
@@ -260,17 +258,17 @@ class Chooser:
             return [], option.forbidden
         action, likely = self._action(option.move), _decisive(p)
         for count in dict.fromkeys((1, likely, len(sets))):
-            predicted = self.inference.predict(view, sets[:count], action, detailed=True)
+            predicted = self.predictor.predict(sets[:count], view.fitted, action, detailed=True)
             forbidden = self._forbidden(predicted, p[:count])
             if forbidden:
                 return predicted, forbidden
             if count == likely and self._forbidden(predicted, p[:count], float(p[count:].sum())) == "":
-                return predicted + self.inference.predict(view, sets[count:], action, detailed=False), ""
+                return predicted + self.predictor.predict(sets[count:], view.fitted, action, detailed=False), ""
         return predicted, ""
 
     def _forbidden(self, predicted: Sequence[PullPrediction], p: Array, more: float = 0.0) -> str:
         """Why a pull is not allowed, or ""; if `more` of the probability spoke against it as well."""
-        limits = limits_of(self.inference.scene)
+        limits = limits_of(self.scene)
         checks: list[tuple[str, Callable[[PullPrediction], bool]]] = [
             ("the body may buckle", lambda f: f.buckles),
             (
@@ -313,17 +311,19 @@ class Chooser:
 
         With `modes` also of what the likeliest set's scene may have slightly wrong.
         """
-        inference, expected = self.inference, positions.mean(axis=0)
-        data = self._with_forces(self._data(action), expected)
+        expected = positions.mean(axis=0)
+        data = self._with_forces(self._data(action, view), expected)
         # Along the motion, as large as the mesh has left in other pulls, whatever its shape.
         moved = np.sqrt(np.mean((positions - data.rest) ** 2, axis=0))
         mesh = replace(MeshError.unknown(data.mask.shape), left=view.error * moved, known=view.error > 0)
         sigma = np.where(data.of_position, max(self.noise, LEAST_NOISE), data.sigma)
-        return ErrorCovariance(data, sigma, mesh, inference.modes(view, action, data, expected) if modes else None)
+        return ErrorCovariance(
+            data, sigma, mesh, self.predictor.modes(view.best, action, data, expected) if modes else None
+        )
 
     def _with_forces(self, data: Data, expected: Array) -> Data:
         """The same with forces of the gripper of the size that is expected, (frames, rows, 3), m, where they are measured."""
-        gripper = self.inference.predictor.gripper
+        gripper = self.predictor.working.gripper
         if gripper is None:
             return data
         wrenches = gripper.wrenches(expected[:, -ROWS:])
@@ -331,9 +331,9 @@ class Chooser:
         felt = with_wrenches(data.measurement, wrenches, self.wrench_noise, np.random.default_rng(0))
         return Data(data.scene, felt, gripper)
 
-    def _data(self, action: Action) -> Data:
+    def _data(self, action: Action, view: PosteriorSummary) -> Data:
         """The positions of a pull to come, all of which are seen; about where the body is at rest."""
-        scene, seen, key = self.inference.scene, self.inference.seen, key_of(action)
+        scene, seen, key = self.scene, view.seen, key_of(action)
         # The frame of the first pull is that of the others.
         if key not in self._expected_values or not seen:
             rest = np.tile(scene.rest, (len(action), 1, 1))
@@ -347,10 +347,10 @@ class Chooser:
         """The options with what the linear response of every hypothesis with a part in the belief promises."""
         sets = credible_set(view)
         p = weights(view.probabilities, sets)
-        size = _SMALL * limits_of(self.inference.scene).displacement
+        size = _SMALL * limits_of(self.scene).displacement
         responses: dict[str, list[PullPrediction]] = {}
         for grasp in dict.fromkeys(o.move.grasp for o in options):
-            responses[grasp] = self.inference.small_steps(view, sets, grasp, size)
+            responses[grasp] = self.predictor.small_steps(sets, view.fitted, grasp, size)
         result = []
         for option in options:
             action = self._action(option.move)
@@ -388,12 +388,19 @@ def _decisive(p: Array) -> int:
 
 
 def credible_set(view: PosteriorSummary) -> list[Hypothesis]:
-    """The likeliest hypotheses, which hold 99.9 % of the probability."""
+    """The likeliest hypotheses, which hold 99.9 % of the probability, of those that count and can be predicted."""
     found: list[Hypothesis] = []
     mass = 0.0
     for hypothesis, p in view.probabilities.items():
-        if mass >= _MASS or p <= 0:
+        if found and (mass >= _MASS or p < SETTINGS.counting):
             break
-        found.append(hypothesis)
+        if not hypothesis.names or hypothesis in view.fitted:
+            found.append(hypothesis)
         mass += p
     return found
+
+
+def weights(probabilities: Mapping[Hypothesis, float], hypotheses: Iterable[Hypothesis]) -> Array:
+    """Probabilities of some hypotheses, summing to one."""
+    found = np.array([probabilities[h] for h in hypotheses])
+    return np.asarray(found / found.sum())

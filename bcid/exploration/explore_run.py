@@ -26,12 +26,12 @@ from bcid.exploration.loop import (
     Step,
     explore,
     paired,
+    posterior_before,
 )
 from bcid.exploration.moves import Move
-from bcid.exploration.posterior_summary import PosteriorSummary
+from bcid.exploration.posterior_summary import PosteriorSummary, prior_effects
 from bcid.exploration.predictions import PullPredictor
 from bcid.exploration.robots import Folder, Robot, Simulated
-from bcid.exploration.update import believed
 from bcid.forms.forward import check_geometry
 from bcid.forms.mesh import level_mesh
 from bcid.forms.mesh.check import measures
@@ -41,10 +41,13 @@ from bcid.forms.written_effects import with_effects
 from bcid.inference.criteria import CREDIBLE_LEVEL
 from bcid.inference.hypotheses import Hypothesis, entropy
 from bcid.measurement import Measurement
+from bcid.predict.store import PredictionStore
 from bcid.scene import Scene
 from bcid.search.identify_run import odd, stiffness_in_words
 
 SIMULATED, FOLDER = "simulated", "folder"
+# Where what the search over hypotheses predicts is kept, beside the predictions of pulls.
+HYPOTHESES = "hypotheses"
 # So many sets are named in a sentence.
 _NAMED = 6
 MAKES = ("steps/", "predictions/", "exploration.json", "summary.txt", "belief.png")
@@ -94,6 +97,7 @@ def run_exploration(
     predictors = [
         PullPredictor(ladder, n, comm, store, progress=progress, gripper=gripper) for n in range(len(ladder.levels))
     ]
+    hypotheses = posterior_before(scene, options, predictors[0], PredictionStore(store / HYPOTHESES, comm, shared=True))
     mover = None
     try:
         with running(comm, folder, "explore", inputs, MAKES, overwrite) as run:
@@ -111,9 +115,11 @@ def run_exploration(
                 progress,
                 made,
                 (lambda move, seen: _keep(folder, move, seen)),
+                posterior=hypotheses,
             )
             on_root(comm, lambda: _write(run, scene, options, found, predictors, str(scene_file), comm.size))
     finally:
+        hypotheses.destroy()
         for predictor in predictors:
             predictor.destroy()
         if isinstance(mover, Simulated):
@@ -307,7 +313,7 @@ def _about_effects(options: ExploreOptions, found: Exploration) -> list[str]:
 def effect_bits(options: ExploreOptions, found: Exploration) -> list[float]:
     """By how much each pull lowered the entropy of the effects, bits."""
     before = [
-        entropy(believed(options.effects).values()),
+        entropy(prior_effects(options.effects).values()),
         *(entropy(step.view.effects.values()) for step in found.steps),
     ]
     return [a - b for a, b in itertools.pairwise(before)]

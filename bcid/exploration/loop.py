@@ -14,18 +14,19 @@ from bcid.base.errors import InputError, nearest
 from bcid.base.progress import Progress, Silent
 from bcid.base.units import percent
 from bcid.exploration.choice import CRITERIA, Choice, Chooser, Option
+from bcid.exploration.hypothesis_predictions import HypothesisPredictor
 from bcid.exploration.moves import Move, cost, limits_of, moves
 from bcid.exploration.posterior_summary import PosteriorSummary
 from bcid.exploration.predictions import PullPredictor
-from bcid.exploration.rival_effects import RivalEffects
+from bcid.exploration.pull_posterior import PullPosterior
 from bcid.exploration.robots import Robot
-from bcid.exploration.update import BeliefUpdate
 from bcid.forms import effects
 from bcid.forms.gripper_force import ForceScale
 from bcid.inference.criteria import CREDIBLE_LEVEL
 from bcid.inference.hypotheses import Hypothesis
 from bcid.measurement import Measurement
 from bcid.predict.levels import affordable, pair
+from bcid.predict.store import PredictionStore
 from bcid.scene import Scene
 
 _UNCOUNTED = "holds forces of the gripper, which do not count: state their noise with --wrench-noise"
@@ -168,6 +169,7 @@ def explore(
     made: Iterable[tuple[Move, Measurement]] = (),
     keep: Callable[[Move, Measurement], None] | None = None,
     first: Choice | None = None,
+    posterior: PullPosterior | None = None,
 ) -> Exploration:
     """Explore until the anchors are decided, or cannot be; collective on the ranks of the predictor.
 
@@ -176,23 +178,33 @@ def explore(
         robot: makes the pulls; needed on rank 0 only.
         options: how to go on.
         predictor: of the level on which sets are compared.
-        fine: of a finer level, which tells the error of that one.
+        fine: of a finer level, on which a pull must be possible too.
         progress: told what goes on (give it on rank 0 only).
         made: pulls that were made before, by an exploration that was interrupted.
         keep: called on rank 0 with each pull that was made.
         first: the first choice, where it is known: it depends on nothing that is seen.
+        posterior: before any pull, whose meshes are shared with other explorations; by default one of its own.
 
     Raises:
         InputError: options or measurement do not fit the scene.
         BcidError: whatever the robot raises.
     """
     options.check(scene)
-    loop = _Loop(scene, robot, options, predictor, fine, progress or Silent(), list(made), keep, first)
+    own = posterior or posterior_before(scene, options, predictor)
+    loop = _Loop(scene, robot, options, predictor, fine, progress or Silent(), list(made), keep, first, own)
     try:
         return replace(loop.run(), remarks=tuple(loop.remarks))
     finally:
-        if loop.rivals is not None:
-            loop.rivals.destroy()
+        if posterior is None:
+            own.destroy()
+
+
+def posterior_before(
+    scene: Scene, options: ExploreOptions, working: PullPredictor, store: PredictionStore | None = None
+) -> PullPosterior:
+    """The posterior of an exploration before any pull, with a store of predictions."""
+    known = effects.catalogue(options.effects) if options.effects else []
+    return PullPosterior(scene, working, options.level, known, options.random_state, store)
 
 
 class _Loop:
@@ -207,18 +219,18 @@ class _Loop:
         made: list[tuple[Move, Measurement]],
         keep: Callable[[Move, Measurement], None] | None,
         first: Choice | None,
+        posterior: PullPosterior,
     ) -> None:
-        self.first = first
+        self.first, self.posterior = first, posterior
+        posterior.progress = progress
         self.remarks: list[str] = []
         self.scene, self.robot, self.options, self.progress = scene, robot, options, progress
         self.predictors = [p for p in (predictor, fine) if p is not None]
         self.comm, self.made, self.keep = predictor.comm, made, keep
-        known = effects.catalogue(options.effects)
-        self.rivals = RivalEffects(scene, predictor.comm, options.level, known) if known else None
-        self.inference = BeliefUpdate(scene, predictor, fine, options.random_state, self.rivals)
         noise = options.noise if options.noise is not None else scene.noise_sigma or 0.0
         self.chooser = Chooser(
-            self.inference,
+            scene,
+            HypothesisPredictor(predictor, fine),
             options.moves(scene),
             options.criterion,
             options.look_ahead,
@@ -231,7 +243,7 @@ class _Loop:
         self.spent = 0.0
 
     def run(self) -> Exploration:
-        view = self.inference.view()
+        view = self.posterior.before(len(self.predictors) > 1)
         limits = limits_of(self.scene)
         while True:
             if self.steps and view.certainty >= self.options.confidence:
@@ -250,8 +262,7 @@ class _Loop:
             measurement = self._pull(number, choice.move)
             waiting = time.perf_counter() - waiting
             self._examine(number, measurement)
-            self.inference.add(measurement)
-            before, view = view, self.inference.view()
+            before, view = view, self._after(number, measurement, view)
             self.spent += price
             self.steps.append(
                 Step(
@@ -269,6 +280,16 @@ class _Loop:
             )
             self._report(self.steps[-1])
 
+    def _after(self, number: int, measurement: Measurement, view: PosteriorSummary) -> PosteriorSummary:
+        """What is believed after a pull; what was before where no set can be followed in it."""
+        felt = self.predictors[0].gripper is not None
+        found = self.posterior.after(measurement if felt else measurement.without_forces())
+        if found is None:
+            self.remarks.append(f"pull {number}: cannot be compared: {self.posterior.failure}")
+            self.progress.say(self.remarks[-1])
+            return replace(view, seen=tuple(self.posterior.seen))
+        return found
+
     def _examine(self, number: int, measurement: Measurement) -> None:
         """Note what is odd about what was seen."""
         for text in (*measurement.check(self.scene), *self._about_forces(measurement)):
@@ -277,7 +298,7 @@ class _Loop:
 
     def _about_forces(self, measurement: Measurement) -> list[str]:
         """Whether forces are measured that do not count, or not where they should."""
-        felt, wanted = bool(np.isfinite(measurement.wrenches).any()), self.inference.predictor.gripper is not None
+        felt, wanted = bool(np.isfinite(measurement.wrenches).any()), self.predictors[0].gripper is not None
         if felt == wanted:
             return []
         return ["holds no force of the gripper, which --wrench-noise announces" if wanted else _UNCOUNTED]

@@ -1,29 +1,36 @@
-"""What is believed after some pulls, in numbers."""
+"""What is reported of the posterior after some pulls."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-from bcid.exploration.rival_effects import Fitted
-from bcid.inference.hypotheses import Hypothesis
+from bcid.exploration.fitted_numbers import FittedNumbers
+from bcid.inference.hypotheses import Hypothesis, effects, entropy, log_prior, normalised, patches
 from bcid.inference.stiffness import Stiffness
+from bcid.measurement import Measurement
+
+# Before anything was seen the error of the mesh is taken as this part of the motion.
+_FIRST_ERROR = 0.03
 
 
 @dataclass(frozen=True)
 class PosteriorSummary:
-    """What is believed after some pulls.
+    """The posterior after some pulls.
 
     Attributes:
-        probabilities: of every hypothesis looked at, the likeliest first.
+        probabilities: of every hypothesis, with or without a discrepancy, the most probable first.
         patches: probability that each patch is anchored.
-        effects: probability of each rival effect, and of none ("").
+        effects: probability of each effect, and of none ("").
         entropy: bits.
-        rms: RMS residual of the likeliest hypothesis, m; NaN before anything was seen.
+        rms: RMS residual of the likeliest hypothesis that was fitted, m; NaN before anything was seen.
         missed: the same in units of what noise, mesh, and what the scene may have slightly wrong explain.
-        missing: probability that something is missing in the model besides (see `bcid.inference.discrepancy`).
-        error: RMS error of the mesh at the end of a pull, as part of its motion.
-        fitted: the hypotheses with an effect, with their numbers.
-        stiffness: how stiff the body is with the likeliest set, where forces are measured.
+        missing: probability that something unknown acts besides (see `bcid.inference.discrepancy`).
+        error: RMS error of the mesh, as part of the motion.
+        fitted: the hypotheses with an effect that were fitted, with their numbers.
+        stiffness: how stiff the body is with the likeliest hypothesis, where forces are measured.
+        seen: the pulls.
     """
 
     probabilities: dict[Hypothesis, float]
@@ -34,15 +41,33 @@ class PosteriorSummary:
     missed: float
     missing: float
     error: float
-    fitted: dict[Hypothesis, Fitted] = field(default_factory=dict)
+    fitted: dict[Hypothesis, FittedNumbers] = field(default_factory=dict)
     stiffness: Stiffness | None = None
+    seen: tuple[Measurement, ...] = ()
+
+    @classmethod
+    def before(
+        cls, sets: Sequence[frozenset[str]], names: Iterable[str], effects: Sequence[str], fine: bool
+    ) -> PosteriorSummary:
+        """Before any pull: all sets are as probable; `names` are those of the patches, `fine` whether there is a finer level."""
+        even = {Hypothesis(anchors): 1.0 / len(sets) for anchors in sets}
+        prior = prior_effects(effects)
+        bits = math.log2(len(sets)) + entropy(prior.values())
+        return cls(even, patches(even, names), prior, bits, math.nan, 0, 0, _FIRST_ERROR if fine else 0.0)
 
     @property
     def best(self) -> Hypothesis:
-        """The likeliest hypothesis."""
+        """The most probable hypothesis."""
         return next(iter(self.probabilities))
 
     @property
     def certainty(self) -> float:
         """Its probability."""
         return self.probabilities[self.best]
+
+
+def prior_effects(names: Sequence[str]) -> dict[str, float]:
+    """Prior probability of each effect, and of none ("")."""
+    nothing = frozenset[str]()
+    prior = {Hypothesis(nothing, name): log_prior(bool(name), False, len(names)) for name in ("", *names)}
+    return effects(normalised(prior), names)

@@ -30,7 +30,6 @@ from bcid.base.unpacked import stored_arrays
 from bcid.exploration.pull_prediction import PullPrediction, predicted
 from bcid.exploration.pull_tangent import Differentiator, PullTangent
 from bcid.forms.anchor_compliance import AnchorCompliance, affordable, undeformed
-from bcid.forms.force_bumps import force_unit
 from bcid.forms.forward import Forward
 from bcid.forms.gripper_force import ForceScale
 from bcid.forms.model import Model
@@ -90,8 +89,7 @@ class PullPredictor:
         self.evaluations = 0
         self.asked: set[tuple[str, Anchored]] = set()
         self._known: dict[tuple[str, Anchored], PullPrediction] = {}
-        # With whether forces were asked for.
-        self._tangents: dict[tuple[str, Anchored], tuple[bool, PullTangent | None]] = {}
+        self._tangents: dict[tuple[str, Anchored], PullTangent | None] = {}
         # Movements of the fiducials by unit steps of the gripper, by grasp and set.
         self._linear: dict[tuple[str, Anchored], Array] = {}
         settings = Settings(rtol=_ACCURACY, halvings=3, max_iterations=_ITERATIONS)
@@ -179,25 +177,25 @@ class PullPredictor:
             found for _, found in sorted((p for part in self.comm.allgather(mine) for p in part), key=itemgetter(0))
         ]
 
-    def differentiate(self, tasks: Iterable[Task], forces: bool = True) -> list[PullTangent | None]:
-        """What small changes of the own model do to pulls, in order, with or without an unknown force; collective.
+    def differentiate(self, tasks: Iterable[Task]) -> list[PullTangent | None]:
+        """What the scene may have slightly wrong does to pulls, in order; collective.
 
         None where a pull cannot be followed. Each is computed once.
         """
         tasks = list(tasks)
         keys = self._keys(tasks, [self.model] * len(tasks))
-        missing = {k: task for k, task in zip(keys, tasks, strict=True) if not self._told(k, forces)}
+        missing = {k: task for k, task in zip(keys, tasks, strict=True) if k not in self._tangents}
         todo = list(missing.items())
         differentiator = self._differentiator
 
         def one(i: int) -> PullTangent | None:
             self.forward()
-            return differentiator.of(*todo[i][1], forces)
+            return differentiator.of(*todo[i][1])
 
         if todo:
             found = self._shared(len(todo), one)
-            self._tangents |= {key: (forces, tangent) for (key, _), tangent in zip(todo, found, strict=True)}
-        return [self._tangents[k][1] for k in keys]
+            self._tangents |= {key: tangent for (key, _), tangent in zip(todo, found, strict=True)}
+        return [self._tangents[k] for k in keys]
 
     def small_steps(self, sets: Sequence[Anchored], grasp: str, size: float) -> list[PullPrediction]:
         """Predictions of `small_action`, in order: to first order where that costs less than to follow them; collective."""
@@ -220,9 +218,6 @@ class PullPredictor:
         """How many pulls were differentiated, on all ranks."""
         return len(self._tangents)
 
-    def _told(self, key: tuple[str, Anchored], forces: bool) -> bool:
-        return key in self._tangents and self._tangents[key][0] >= forces
-
     @cached_property
     def _differentiator(self) -> Differentiator:
         return Differentiator(self.forward())
@@ -231,11 +226,6 @@ class PullPredictor:
     def nuisances(self) -> Nuisances:
         """What the scene may have slightly wrong; collective where it is built."""
         return self._differentiator.nuisances
-
-    @property
-    def force_unit(self) -> float:
-        """Unit of the density of an unknown force, N/m^3; collective where the forward model is built."""
-        return force_unit(self.forward())
 
     def forward(self, model: Model | None = None) -> Forward:
         """The forward model of these parts, with their values, private to the process; collective where it is built."""

@@ -42,10 +42,11 @@ _ROUNDS = 10
 
 
 class Fidelity(IntEnum):
-    """How an evidence below the full fidelity is known: from a linearisation, or in a few steps."""
+    """How an evidence below the full fidelity is known: linearised, in a few steps, or in all with the errors of another."""
 
     TANGENT = 0
     COARSE = 1
+    SHARED = 2
 
 
 class Kind(NamedTuple):
@@ -122,7 +123,7 @@ class Evaluation:
         start: logarithm of its evidence at the fidelity at which it is known.
         log_prior: logarithm of its prior odds.
         steps: from that fidelity to the full one; none where it is known there.
-        about: the hypothesis whose tangent tells of it, if one does.
+        about: the hypothesis whose tangent tells of it, or whose errors it has, if one does.
     """
 
     start: float
@@ -144,7 +145,12 @@ class Evaluation:
         """Whose errors it has."""
         return tuple(toggle for step in self.steps for toggle in step.toggles)
 
-    def order(self, known: Mapping[Hypothesis, float]) -> tuple[bool, float, int]:
+    @property
+    def fidelity(self) -> Fidelity:
+        """The lowest on the way; the highest below the full one where nothing is toggled."""
+        return min((toggle.kind.fidelity for toggle in self.toggles), default=Fidelity.SHARED)
+
+    def order(self, known: Mapping[Hypothesis, float]) -> tuple[int, float, int]:
         """The better of two that are known of a hypothesis comes first: without a tangent, or else about what fits best.
 
         What a tangent says is the more exact the less it leaves to be explained. `known` are logarithms of evidences.
@@ -152,7 +158,7 @@ class Evaluation:
         about = self.log
         if self.about:
             about = known.get(self.about, self._raised(self.steps[0].high, self.steps[1:]))
-        return self.about is not None, -about, len(self.toggles)
+        return -self.fidelity, -about, len(self.toggles)
 
     def at_most(self, log: float) -> Evaluation:
         """The same with no more evidence."""
@@ -301,8 +307,9 @@ class Posterior:
 
 def _scale(kind: Kind) -> float:
     """Of errors of a kind before any pair."""
-    patches, effects, coarse = PRIORS.fidelity_error
-    return coarse if kind.fidelity == Fidelity.COARSE else effects if kind.effect else patches
+    patches, effects, coarse, shared = PRIORS.fidelity_error
+    tangent = effects if kind.effect else patches
+    return {Fidelity.TANGENT: tangent, Fidelity.COARSE: coarse, Fidelity.SHARED: shared}[kind.fidelity]
 
 
 def with_error(gains: Array, errors: Array, room: Array | float = math.inf) -> Array:

@@ -23,7 +23,8 @@ class Priors:
             from one frame on, and a misfit in observation space. They also stand for effects that no search came upon.
         missing: probability of a discrepancy of a model whose anchors alone are asked for: as likely as not.
         fidelity_error: scale of the error of a difference of log evidences, as a logarithm of a factor, before a run has any pair
-            of fidelities: of a toggled patch by a tangent, of an effect by a tangent, and of either in a few steps.
+            of fidelities: of a toggled patch by a tangent, of an effect by a tangent, of either in a few steps, and of a patch with
+            the errors of another set.
         error_nats: the difference below which that error is one of so many nats, no factor.
         error_freedom: degrees of freedom of the Student distribution of these errors, before any pair.
         failed_fit: a fit that loses more log evidence by an added effect has failed: no prior of an effect is so wide.
@@ -53,7 +54,7 @@ class Priors:
     change_point: float = 0.05
     response: float = 0.05
     missing: float = 0.5
-    fidelity_error: tuple[float, float, float] = (0.5, 0.2, 0.3)
+    fidelity_error: tuple[float, float, float, float] = (0.5, 0.2, 0.3, 0.1)
     error_nats: float = 3.0
     error_freedom: float = 4.0
     failed_fit: float = 12.0

@@ -82,11 +82,15 @@ def test_probabilities_all_at_full_fidelity_are_evidence_times_prior() -> None:
         (Fidelity.TANGENT, -0.1),
         (Fidelity.TANGENT, 1.5),
         (Fidelity.COARSE, 8.0),
+        (Fidelity.SHARED, -2.0),
     ],
 )
 def test_probabilities_one_hypothesis_below_is_the_expectation_over_its_error(fidelity: Fidelity, gain: float) -> None:
     """Bias and error of one toggle without pairs: a Student distribution with four degrees of freedom; a gain may become a loss."""
-    scale, ceiling = math.sqrt(2) * PRIORS.fidelity_error[2 if fidelity == Fidelity.COARSE else 0], 3.0
+    scale, ceiling = (
+        math.sqrt(2) * PRIORS.fidelity_error[{Fidelity.TANGENT: 0, Fidelity.COARSE: 2, Fidelity.SHARED: 3}[fidelity]],
+        3.0,
+    )
 
     def share(error: float) -> float:
         log = min(differing(gain, error), ceiling) - 0.5

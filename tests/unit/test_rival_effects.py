@@ -17,14 +17,13 @@ from bcid.comparison.fitted_hypothesis import FittedHypothesis
 from bcid.comparison.parameter_priors import of_state, visible
 from bcid.comparison.state import State
 from bcid.exploration.explore_run import run_exploration
+from bcid.exploration.fitted_numbers import FittedNumbers
 from bcid.exploration.joined import joined
-from bcid.exploration.loop import ExploreOptions
+from bcid.exploration.loop import ExploreOptions, posterior_before
 from bcid.exploration.moves import Move, limits_of
-from bcid.exploration.rival_effects import Fitted, RivalEffects
-from bcid.forms import effects
+from bcid.exploration.predictions import PullPredictor
 from bcid.forms.model import Model, Term
 from bcid.forms.simulate import simulate
-from bcid.inference.hypotheses import Hypothesis
 from bcid.inference.information import information
 from bcid.inference.mesh_error import MeshError
 from bcid.measurement import Measurement
@@ -68,10 +67,8 @@ def test_evidence_is_the_likelihood_averaged_over_what_was_believed(heavy: tuple
     predictor = Predictor(scene, seen, MPI.COMM_SELF)
     anchors, plain = frozenset("34"), Model.of(scene)
     start = State.of(predictor, plain + Term("gravity", {"weight": 1000.0}), anchors)
-    one = Fitted(
-        Hypothesis(anchors, "gravity"), FittedHypothesis.of(fit(start, ["gravity.weight"]), plain, 1, 0.0), plain
-    )
-    value, error = one.amounts["gravity.weight"]
+    one = FittedHypothesis.of(fit(start, ["gravity.weight"]), plain, 1, 0.0)
+    value, error = FittedNumbers(one, plain).amounts["gravity.weight"]
     assert value == pytest.approx(WEIGHT, abs=4 * error)
     numbers = of_state(one.fitted.state, plain, one.fitted.jacobian, 0.0)
     assert numbers is not None
@@ -124,13 +121,13 @@ def test_what_the_pulls_do_not_tell_stays_as_it_was_expected(heavy: tuple[Scene,
     alone = FittedHypothesis.of(fit(State.of(predictor, plain, anchors, nothing), ()), plain, 1)
     loose = plain + Term("soft_anchor", {"stiffness": 3e4}, place="2")
     one = fit(State.of(predictor, loose, anchors, nothing), ["soft_anchor(2).stiffness"])
-    dormant = Fitted(Hypothesis(anchors, "soft_anchor"), FittedHypothesis.of(one, plain, 1, 0.0), plain)
+    dormant = FittedHypothesis.of(one, plain, 1, 0.0)
     # It may be at either patch or at both.
     ways = math.log(len(("", *anchors)))
     assert dormant.evidence.plain + ways == pytest.approx(alone.evidence.plain, abs=1e-6)
     # Where nothing is to come, what cannot be seen is no explanation.
     assert FittedHypothesis.of(one, plain, 1).evidence.plain == -math.inf
-    assert dormant.model.constants()["soft_anchor(2).stiffness"] > 1e9
+    assert FittedNumbers(dormant, plain).model.constants()["soft_anchor(2).stiffness"] > 1e9
     predictor.destroy()
 
 
@@ -168,15 +165,20 @@ def test_a_hidden_weight_is_told_from_soft_anchors(coarse_scene: Path, tmp_path:
     assert found["missing"] > 0.95
 
 
-def test_an_effect_is_not_fitted_at_a_place_that_it_has_not(heavy: tuple[Scene, Measurement]) -> None:
-    scene, seen = heavy
-    rivals = RivalEffects(scene, MPI.COMM_SELF, None, [effects.effect("soft_anchor")])
-    found = rivals.look([seen], [frozenset("34"), frozenset("234")])
-    acting = [f for f in found if f.hypothesis.effect]
-    assert acting
-    for one in acting:
-        assert one.model.terms[-1].place in ("", *one.hypothesis.anchors)
-    rivals.destroy()
+def test_an_effect_is_not_fitted_at_a_place_that_it_has_not(coarse_scene: Path) -> None:
+    scene = Scene.read(coarse_scene)
+    model = Model.of(scene) + Term("soft_anchor", {"stiffness": 3e5}, place="3")
+    action = Move("II", "out", limits_of(scene).displacement).action(limits_of(scene))
+    seen = simulate(scene, ["3", "4"], [action], 0, NOISE, 3, model=model)
+    working = PullPredictor(scene, 0, MPI.COMM_SELF)
+    posterior = posterior_before(scene, ExploreOptions(effects=("soft_anchor",)), working)
+    found = posterior.after(seen)
+    assert found is not None
+    assert found.fitted
+    for h, numbers in found.fitted.items():
+        assert numbers.model.terms[-1].place in ("", *h.anchors)
+    posterior.destroy()
+    working.destroy()
 
 
 @pytest.mark.parametrize(

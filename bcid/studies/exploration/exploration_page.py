@@ -19,7 +19,7 @@ Trial = Mapping[str, Any]
 LABORATORY, PAPER = 0.3e-3, "entropy"
 # Noise with which one pull does not decide, m.
 _MORE = 1e-3
-_CODE = ("bcid/exploration/choice.py", "bcid/exploration/update.py", "bcid/studies/exploration")
+_CODE = ("bcid/exploration/choice.py", "bcid/exploration/pull_posterior.py", "bcid/studies/exploration")
 
 _TOLD = {
     "In the paper": """

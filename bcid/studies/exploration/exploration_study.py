@@ -31,18 +31,20 @@ from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import RunFolder, running
 from bcid.base.shipped import shipped
 from bcid.exploration.choice import Choice, Chooser
-from bcid.exploration.explore_run import telling_pull
-from bcid.exploration.loop import ExploreOptions, explore, paired
+from bcid.exploration.explore_run import HYPOTHESES, telling_pull
+from bcid.exploration.hypothesis_predictions import HypothesisPredictor
+from bcid.exploration.loop import ExploreOptions, explore, paired, posterior_before
 from bcid.exploration.moves import limits_of, moves
 from bcid.exploration.posterior_summary import PosteriorSummary
 from bcid.exploration.predictions import PullPredictor
+from bcid.exploration.pull_posterior import PullPosterior
 from bcid.exploration.robots import Simulated
-from bcid.exploration.update import BeliefUpdate
 from bcid.forms.gripper_force import ForceScale
 from bcid.forms.model import check_physics
 from bcid.forms.written_effects import with_effects
 from bcid.inference.hypotheses import Hypothesis
 from bcid.measurement import Action
+from bcid.predict.store import PredictionStore
 from bcid.scene import Level, Scene
 from bcid.scene.uncertainty import FORCED, Uncertainty
 from bcid.search.seeds import all_candidates
@@ -240,6 +242,8 @@ class Bench:
         # With what the predictor was asked for it.
         self._first: dict[tuple[str, tuple[str, ...], float], tuple[Choice, set[Any]]] = {}
         self._bodies: dict[str, Any] = {}
+        # By the effects that may act.
+        self._posteriors: dict[tuple[str, ...], PullPosterior] = {}
 
     @classmethod
     def of(cls, scene: Scene, store: Path, seed: int) -> Bench:
@@ -282,7 +286,7 @@ class Bench:
         state = self.seed + 1000 * trial.number
         robot = _Watched(self.predictor, self.body(trial.hidden), trial.anchors, trial.noise, state, trial.felt)
         first = self.first(plan, trial) if trial.strategy in ("information", "entropy") else None
-        found = explore(scene, robot, plan, self.predictor, self.fine, first=first)
+        found = explore(scene, robot, plan, self.predictor, self.fine, first=first, posterior=self.posterior(plan))
         told = telling_pull(plan, found)
         return asdict(trial) | {
             "reason": found.reason,
@@ -319,6 +323,14 @@ class Bench:
         fine = None if self.fine is None else alike(self.fine, scene)
         return Bench(scene, alike(self.predictor, scene), fine, alike(self.truth, stiffer), self.seed)
 
+    def posterior(self, plan: ExploreOptions) -> PullPosterior:
+        """Before any pull; trials share its meshes and what it predicts."""
+        if plan.effects not in self._posteriors:
+            place, comm = self.predictor.store, self.predictor.comm
+            store = PredictionStore(place / HYPOTHESES, comm, shared=True) if place else None
+            self._posteriors[plan.effects] = posterior_before(self.scene, plan, self.predictor, store)
+        return self._posteriors[plan.effects].anew()
+
     def body(self, hidden: str) -> Any:
         """PullPredictor of what the body is really made of."""
         if not HIDDEN.get(hidden):
@@ -334,18 +346,20 @@ class Bench:
         asked = self.predictor.asked
         if key not in self._first:
             self.predictor.asked = set()
-            inference = BeliefUpdate(self.scene, self.predictor, self.fine)
             options = plan.moves(self.scene)
             about = plan.criterion, plan.look_ahead, plan.samples, trial.noise, 0, trial.felt
-            chooser = Chooser(inference, options, *about)
-            self._first[key] = chooser.choose(inference.view(), None), self.predictor.asked
+            chooser = Chooser(self.scene, HypothesisPredictor(self.predictor, self.fine), options, *about)
+            self._first[key] = (
+                chooser.choose(self.posterior(plan).before(self.fine is not None), None),
+                self.predictor.asked,
+            )
         choice, more = self._first[key]
         self.predictor.asked = asked | more
         return choice
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
-        for predictor in (self.predictor, self.fine, self.truth, *self._bodies.values()):
+        for predictor in (self.predictor, self.fine, self.truth, *self._bodies.values(), *self._posteriors.values()):
             if predictor is not None:
                 predictor.destroy()
         if "feeling" in self.__dict__:

@@ -1,0 +1,125 @@
+"""Explorations of a coarse slab: how they end, and that the posterior after a pull is that of every set evaluated by itself."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from bcid.base.errors import InputError, SolveError
+from bcid.comparison.fitted_hypothesis import FittedHypothesis
+from bcid.comparison.state import State
+from bcid.exploration import pull_posterior
+from bcid.exploration.explore_run import exploration_json, summary
+from bcid.exploration.joined import joined
+from bcid.exploration.loop import BUDGET, DECIDED, INSEPARABLE, Exploration, ExploreOptions, explore, posterior_before
+from bcid.exploration.moves import Move, limits_of
+from bcid.exploration.predictions import PullPredictor
+from bcid.exploration.robots import Simulated
+from bcid.forms.model import Model
+from bcid.inference.hypotheses import Hypothesis, normalised
+from bcid.measurement import Measurement
+from bcid.measurement.cloud import Cloud
+from bcid.predict.predictor import Predictor
+from bcid.scene import Scene
+
+NOISE = 5e-4
+TRUTH = frozenset("34")
+
+
+@pytest.fixture
+def scene(coarse_scene: Path) -> Scene:
+    whole = Scene.read(coarse_scene)
+    return replace(whole, patches={name: whole.patches[name] for name in "34"})
+
+
+@pytest.fixture
+def working(scene: Scene) -> Iterator[PullPredictor]:
+    predictor = PullPredictor(scene, 0, MPI.COMM_SELF)
+    yield predictor
+    predictor.destroy()
+
+
+def explored(scene: Scene, working: PullPredictor, noise: float, budget: float = 2.0) -> Exploration:
+    plan = ExploreOptions(noise=noise, budget=budget, samples=200, grasps=("II",))
+    return explore(scene, Simulated(working, list(TRUTH), noise, 1), plan, working)
+
+
+def test_anchors_are_decided_and_drawn(scene: Scene, working: PullPredictor, tmp_path: Path) -> None:
+    from bcid.base.run_folder import RunFolder
+    from bcid.report.exploration_picture import draw
+
+    found = explored(scene, working, NOISE)
+    assert (found.reason, found.view.best) == (DECIDED, Hypothesis(TRUTH))
+    assert len(found.steps) == 1
+    assert found.steps[0].gained == pytest.approx(2.0, abs=0.3)
+    run = RunFolder.start(tmp_path / "run", "explore", {})
+    run.write_json("exploration.json", exploration_json(scene, found))
+    run.finish({})
+    assert draw(tmp_path / "run") == [tmp_path / "run/belief.png"]
+    assert json.loads((tmp_path / "run/exploration.json").read_text())["steps"][0]["expected_bits"] > 0
+    assert "Pulls:" in summary(scene, ExploreOptions(), found)
+
+
+def test_the_budget_ends_it(scene: Scene, working: PullPredictor) -> None:
+    dear = replace(scene, limits=replace(limits_of(scene), cost=2.0))
+    found = explored(dear, working, 2e-2, 4.0)
+    assert found.reason == BUDGET
+    assert [step.spent for step in found.steps] == [2.0, 4.0]
+
+
+def test_what_no_pull_tells_apart_is_named(scene: Scene, working: PullPredictor) -> None:
+    found = explored(scene, working, 1.0)
+    assert (found.reason, found.steps) == (INSEPARABLE, ())
+    assert {h.anchors for h in found.rivals} == {frozenset(s) for s in ("", "3", "4", "34")}
+
+
+def test_the_posterior_is_that_of_every_set_evaluated_by_itself(scene: Scene, working: PullPredictor) -> None:
+    """With so much noise that several sets remain, of which most have the errors of another."""
+    noise = 6e-3
+    robot = Simulated(working, list(TRUTH), noise, 2)
+    pulls = []
+    posterior = posterior_before(scene, ExploreOptions(noise=noise), working)
+    for number, direction in enumerate(("out", "lift"), start=1):
+        robot.move(Move("II", direction, 8e-3).action(limits_of(scene), str(number)))
+        pulls.append(robot.observe())
+        found = posterior.after(pulls[-1])
+    assert found is not None
+    predictor, plain = Predictor(scene, joined(pulls, scene), MPI.COMM_SELF), Model.of(scene)
+    logs: dict[Hypothesis, float] = {}
+    for anchors in (h.anchors for h in found.probabilities):
+        logs |= FittedHypothesis.unfitted(State.of(predictor, plain, anchors), plain, 0).logs
+    exact: dict[Hypothesis, float] = {}
+    for h, p in normalised(logs).items():
+        exact[h.known] = exact.get(h.known, 0.0) + p
+    assert max(exact.values()) < 0.95
+    assert found.probabilities == pytest.approx(exact, abs=0.03)
+    predictor.destroy()
+    posterior.destroy()
+
+
+def test_a_pull_that_no_set_can_follow_changes_nothing(
+    scene: Scene, working: PullPredictor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lost(*_: object) -> None:
+        raise SolveError("no set can be followed")
+
+    monkeypatch.setattr(pull_posterior, "first_state", lost)
+    found = explored(scene, working, NOISE, 1.0)
+    assert found.reason == BUDGET
+    assert found.view.probabilities == {Hypothesis(frozenset(s)): 0.25 for s in ("", "3", "4", "34")}
+    assert found.remarks == ("pull 1: cannot be compared: no set can be followed",)
+
+
+def test_points_of_a_surface_are_refused_in_words(scene: Scene, working: PullPredictor) -> None:
+    class DepthCamera(Simulated):
+        def observe(self) -> Measurement:
+            seen = super().observe()
+            cloud = Cloud(np.zeros((1, 3)), np.ones(1), ((seen.action_names[0], 0),), np.zeros(1, np.int64))
+            return replace(seen, cloud=cloud)
+
+    with pytest.raises(InputError, match="points of the surface, which explore cannot use"):
+        explore(scene, DepthCamera(working, ["3"], NOISE, 1), ExploreOptions(noise=NOISE, samples=50), working)
