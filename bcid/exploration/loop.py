@@ -287,7 +287,7 @@ class _Loop:
         if found is None:
             self.remarks.append(f"pull {number}: cannot be compared: {self.posterior.failure}")
             self.progress.say(self.remarks[-1])
-            return replace(view, seen=tuple(self.posterior.seen))
+            return view
         return found
 
     def _examine(self, number: int, measurement: Measurement) -> None:

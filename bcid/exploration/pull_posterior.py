@@ -58,7 +58,7 @@ class PullPosterior:
         progress: told what goes on (give it on rank 0 only).
 
     Attributes:
-        seen: the pulls.
+        seen: the pulls that could be compared.
         failure: why the latest of them could not be compared with any set; "" where they could.
     """
 
@@ -120,6 +120,8 @@ class PullPosterior:
                 self._excluded = set()
                 table = self._searched(predictor, model, whole)
         except SolveError as error:
+            # With it no later pull could be compared either.
+            self.seen.pop()
             self.failure = str(error)
             return None
         self.failure, self._likely = "", table.sets[: SETTINGS.first_sets]

@@ -251,7 +251,7 @@ def test_motions_are_the_same_whatever_their_name() -> None:
 
 def chooser(body: MadeUp, noise: float = 1e-4, **more: Any) -> Chooser:
     options = {"criterion": "information", "look_ahead": True, "samples": 2000, "random_state": 0} | more
-    predictor = HypothesisPredictor(body, more.pop("fine", None))  # type: ignore[arg-type]
+    predictor = HypothesisPredictor(body)  # type: ignore[arg-type]
     return Chooser(body.scene, predictor, tuple(moves(body.scene)), noise=noise, **options)
 
 

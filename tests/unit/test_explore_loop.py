@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -104,13 +105,20 @@ def test_the_posterior_is_that_of_every_set_evaluated_by_itself(scene: Scene, wo
 def test_a_pull_that_no_set_can_follow_changes_nothing(
     scene: Scene, working: PullPredictor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def lost(*_: object) -> None:
-        raise SolveError("no set can be followed")
+    whole, calls = pull_posterior.first_state, list[object]()
 
-    monkeypatch.setattr(pull_posterior, "first_state", lost)
-    found = explored(scene, working, NOISE, 1.0)
-    assert found.reason == BUDGET
-    assert found.view.probabilities == {Hypothesis(frozenset(s)): 0.25 for s in ("", "3", "4", "34")}
+    def lost_at_first(*about: Any) -> Any:
+        calls.append(about)
+        if len(calls) == 1:
+            raise SolveError("no set can be followed")
+        return whole(*about)
+
+    monkeypatch.setattr(pull_posterior, "first_state", lost_at_first)
+    found = explored(scene, working, NOISE)
+    first, second = found.steps
+    assert first.view.probabilities == {Hypothesis(frozenset(s)): 0.25 for s in ("", "3", "4", "34")}
+    # The next pull is compared without it.
+    assert (found.reason, second.view.best, len(second.view.seen)) == (DECIDED, Hypothesis(TRUTH), 1)
     assert found.remarks == ("pull 1: cannot be compared: no set can be followed",)
 
 
