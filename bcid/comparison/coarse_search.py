@@ -20,7 +20,6 @@ from bcid.comparison.set_tangents import neighbours
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model, Term
-from bcid.inference.criteria import DETECTION_THRESHOLD
 from bcid.inference.hypotheses import Hypothesis
 from bcid.search.settings import SETTINGS
 
@@ -43,7 +42,6 @@ class CoarseSearch(SearchQueue):
         fits: effects that are fitted, each time on one set, at most.
         starts: sets to begin with besides.
         candidates: how effects are begun, and what may hold the body in the place of a patch.
-        least: how well an effect must be seen, see `bcid.comparison.parameter_priors.visible`.
     """
 
     def __init__(
@@ -56,9 +54,8 @@ class CoarseSearch(SearchQueue):
         fits: int = 0,
         starts: Sequence[Anchored] = (),
         candidates: Candidates | None = None,
-        least: float = DETECTION_THRESHOLD,
     ) -> None:
-        super().__init__(base, HypothesisTable(alike=bool(candidates and candidates.alike)), least)
+        super().__init__(base, HypothesisTable(alike=bool(candidates and candidates.alike)))
         self.model, self.sets, self.fits = model, sets, fits
         self.effects = {effect.name: effect for effect in effects}
         self.among = len(self.effects) if among is None else among
@@ -69,7 +66,7 @@ class CoarseSearch(SearchQueue):
         self._asked_springs: set[Hypothesis] = set()
         self._states: dict[Anchored, State] = {}
         self._replaced = False
-        first = FittedHypothesis.unfitted(base, model, self.among, least)
+        first = FittedHypothesis.unfitted(base, model, self.among)
         self.names = first.names
         self.table.add([first], model)
         if sets > 1:
@@ -174,7 +171,7 @@ class CoarseSearch(SearchQueue):
 
     def _on_set(self, anchors: Anchored) -> FittedHypothesis | None:
         try:
-            return FittedHypothesis.unfitted(self._state(anchors), self.model, self.among, self.least)
+            return FittedHypothesis.unfitted(self._state(anchors), self.model, self.among)
         except SolveError:
             return None
 
@@ -194,7 +191,7 @@ class CoarseSearch(SearchQueue):
             again = fit(state.of_set(anchors), state.free, most=8, ftol=ROUGH)
         except (SolveError, InputError):
             return None
-        return FittedHypothesis.of(again, self.model, self.among, self.least)
+        return FittedHypothesis.of(again, self.model, self.among)
 
     def _begun(self, wanted: Hypothesis) -> tuple[Term, float] | None:
         """The term with which an effect is begun on a set, and what it is expected to gain; None where nothing is known of it."""
@@ -207,7 +204,7 @@ class CoarseSearch(SearchQueue):
         row = next((r for r in rows if r.effect == effect.name), None)
         if row is None:
             try:
-                rows = rank(self._state(wanted.anchors), [effect], strict=False, least=self.least).rows
+                rows = rank(self._state(wanted.anchors), [effect], strict=False).rows
             except SolveError:
                 return None
             row = rows[0] if rows else None
@@ -219,7 +216,7 @@ class CoarseSearch(SearchQueue):
             state = self._state(anchors).with_own_errors()
         except SolveError:
             return None
-        found = refit_term(state, term, gain, self.model, self.among, self.least)
+        found = refit_term(state, term, gain, self.model, self.among)
         return found[0] if found else None
 
     def fit_effect(self, name: str) -> None:
@@ -258,9 +255,9 @@ class CoarseSearch(SearchQueue):
                 if patch not in done:
                     done.add(patch)
                     self.predictor.progress.step("patches replaced", len(done) - 1)
-                    found += stood_in(state, one, self.model, self.among, self.least)
+                    found += stood_in(state, one, self.model, self.among)
         if found and (top := best_first(found)[0]).log > plain[0].log:
             without = top.without(top.effect).fitted.state
             for term in candidates.holding_alike(top.term):
-                found += stood_in(without, StandIn(top.anchors, term), self.model, self.among, self.least)
+                found += stood_in(without, StandIn(top.anchors, term), self.model, self.among)
         self.table.add(found, self.model)

@@ -22,7 +22,6 @@ from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model, Term
 from bcid.forms.solver.equilibrium import Settings
-from bcid.inference.criteria import DETECTION_THRESHOLD
 from bcid.inference.discrepancy import Evidence
 from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.evidence import LinearParameters
@@ -53,7 +52,6 @@ class FittedHypothesis:
         known: how many effects may act.
         held_out: RMS residual when each action is predicted from the others, m, where that was asked.
         allowed: the fitted model with the errors by which the evidence was weighed, where these are not its own.
-        least: how well its effects must be seen, see `bcid.comparison.parameter_priors.visible`.
     """
 
     names: tuple[str, ...]
@@ -62,7 +60,6 @@ class FittedHypothesis:
     known: int
     held_out: float | None = None
     allowed: State | None = None
-    least: float = DETECTION_THRESHOLD
 
     @property
     def anchors(self) -> Anchored:
@@ -114,7 +111,7 @@ class FittedHypothesis:
         if old.errors.mesh.left is left:
             return self
         state = old.with_errors(replace(old.errors.mesh, left=left))
-        return replace(self, evidence=weighed(state, begun, self.jacobian(state.errors), self.least), allowed=state)
+        return replace(self, evidence=weighed(state, begun, self.jacobian(state.errors)), allowed=state)
 
     def jacobian(self, errors: ErrorCovariance) -> Array:
         """Change of the residual with each fitted number in units of other errors than its own, shape (n, p)."""
@@ -150,9 +147,7 @@ class FittedHypothesis:
         state = self.fitted.state
         errors = state.errors.masked(~seen[state.predictor.data.frame])
         only = replace(state, errors=errors)
-        numbers = of_state(only, begun, self.jacobian(errors), self.least) or LinearParameters.none(
-            len(state.predictor.data)
-        )
+        numbers = of_state(only, begun, self.jacobian(errors)) or LinearParameters.none(len(state.predictor.data))
         shifts = [state.predictor.data.vector(moved) for moved in (np.zeros_like(state.predicted), *moves.values())]
         here, *logs = (Evidence.of(errors, only.residual - shift, only.forces, numbers).total for shift in shifts)
         return {anchors: log - here for anchors, log in zip(moves, logs, strict=True)}
@@ -180,27 +175,27 @@ class FittedHypothesis:
         return self.log - log_prior(len(self.names), False, self.known)
 
     @classmethod
-    def of(cls, fitted: Fit, begun: Model, known: int, least: float = DETECTION_THRESHOLD) -> FittedHypothesis:
-        """Of a fit of a model that was begun from another; `least` as in `bcid.comparison.parameter_priors.visible`."""
+    def of(cls, fitted: Fit, begun: Model, known: int) -> FittedHypothesis:
+        """Of a fit of a model that was begun from another."""
         names = tuple(term.effect.name for term in fitted.state.model.added(begun))
-        return cls(names, fitted, weighed(fitted.state, begun, fitted.jacobian, least), known, least=least)
+        return cls(names, fitted, weighed(fitted.state, begun, fitted.jacobian), known)
 
     @classmethod
-    def unfitted(cls, state: State, begun: Model, known: int, least: float = DETECTION_THRESHOLD) -> FittedHypothesis:
+    def unfitted(cls, state: State, begun: Model, known: int) -> FittedHypothesis:
         """A model with numbers that were fitted elsewhere, or none: what they would do here its tangent shows; collective."""
         names = tuple(term.effect.name for term in state.model.added(begun))
         chosen = coordinates(state.model, state.free)
         jacobian = -state.errors.whiten(columns(state.predictor, state.model, state.anchors, state.prediction, chosen))
         fitted = replace(Fit.at(state), jacobian=jacobian)
-        return cls(names, fitted, weighed(state, begun, jacobian, least), known, least=least)
+        return cls(names, fitted, weighed(state, begun, jacobian), known)
 
 
-def weighed(state: State, begun: Model, jacobian: Array | None = None, least: float = DETECTION_THRESHOLD) -> Evidence:
+def weighed(state: State, begun: Model, jacobian: Array | None = None) -> Evidence:
     """Evidence of a model whose free numbers were unknown, beside the model that it was begun from; collective.
 
     Where their `jacobian` is not known (see `Fit`), it is computed.
     """
-    numbers = of_state(state, begun, jacobian, least)
+    numbers = of_state(state, begun, jacobian)
     return _NOTHING if numbers is None else state.evidence(numbers)
 
 
@@ -229,13 +224,13 @@ def promoted(
             own = full.errors.mesh if anchors == full.anchors else None
             others = tuple(name for name in free if name not in rival.term.free)
             base = State.of(full.predictor, model.without(rival.term.label), anchors, own, others)
-            return added(base, rival.term.effect, begun, rival.known, rival.least)
+            return added(base, rival.term.effect, begun, rival.known)
         if anchors != rival.anchors:
             # Its numbers will be others, and the error of the mesh with them.
             mesh = rival.fitted.state.errors.mesh
         found = fit(State.of(full.predictor, model, anchors, mesh), free, most=8)
         if anchors != rival.anchors:
-            there = FittedHypothesis.of(found, begun, rival.known, rival.least)
+            there = FittedHypothesis.of(found, begun, rival.known)
             if there.log < rival.log - SETTINGS.hopeless:
                 # It has lost whatever the error of the mesh is with it.
                 return there
@@ -246,7 +241,7 @@ def promoted(
         found = bent(found)
     except (SolveError, InputError):
         return None
-    return FittedHypothesis.of(found, begun, rival.known, rival.least)
+    return FittedHypothesis.of(found, begun, rival.known)
 
 
 def _remeshed(found: Fit, model: Model | None, ftol: float = FTOL) -> Fit:
@@ -265,31 +260,25 @@ def _elsewhere(found: Fit, model: Model) -> bool:
     return any(abs(c.of(after[c.name]) - c.of(before[c.name])) > _FAR_OFF * c.scale for c in found.coordinates)
 
 
-def added(
-    base: State, effect: Effect, begun: Model, known: int, least: float = DETECTION_THRESHOLD
-) -> FittedHypothesis | None:
+def added(base: State, effect: Effect, begun: Model, known: int) -> FittedHypothesis | None:
     """An effect beside a model that was compared with all steps, where they show that it promises most; None if it fails."""
-    rows = rank(base, [effect], strict=False, least=least).rows
-    found = refit(base, rows[0], begun, known, least) if rows else []
+    rows = rank(base, [effect], strict=False).rows
+    found = refit(base, rows[0], begun, known) if rows else []
     if not found:
         return None
     fitted = found[0].fitted
     if effect.sudden and effect.moves:
         # From a frame on the body moves otherwise, and so the error of the mesh is another.
         fitted = fit(fitted.state.with_own_errors(anew=True), fitted.state.free, most=4)
-    return FittedHypothesis.of(bent(fitted), begun, known, least)
+    return FittedHypothesis.of(bent(fitted), begun, known)
 
 
-def refit(
-    state: State, row: Row, begun: Model, known: int, least: float = DETECTION_THRESHOLD
-) -> list[FittedHypothesis]:
+def refit(state: State, row: Row, begun: Model, known: int) -> list[FittedHypothesis]:
     """Add an effect, begin at what is expected of it, and fit everything together; nothing if that cannot be followed."""
-    return refit_term(state, row.term, row.gain, begun, known, least)
+    return refit_term(state, row.term, row.gain, begun, known)
 
 
-def refit_term(
-    state: State, term: Term, gain: float, begun: Model, known: int, least: float = DETECTION_THRESHOLD
-) -> list[FittedHypothesis]:
+def refit_term(state: State, term: Term, gain: float, begun: Model, known: int) -> list[FittedHypothesis]:
     """The same of a term with the values that it is begun with, which is expected to gain so much.
 
     One whose shape is fitted too may end in a minimum that is not the least: where it explains less than was expected, it is begun
@@ -301,10 +290,10 @@ def refit_term(
             again = _begun_with(state, state.anchors, _careful(term, state.model, part))
         except (SolveError, InputError):
             continue
-        found.append(FittedHypothesis.of(again, begun, known, least))
+        found.append(FittedHypothesis.of(again, begun, known))
         if (
             not term.effect.shapes
-            or found[-1].evidence.plain > weighed(state, begun, None, least).plain + gain - SETTINGS.comparable
+            or found[-1].evidence.plain > weighed(state, begun).plain + gain - SETTINGS.comparable
         ):
             break
     return best_first(found)[:1]
@@ -322,12 +311,10 @@ def fitted_beside(state: State, known: Sequence[Effect], most: int) -> list[Fitt
     return best_first(replace(rival, held_out=held_out(rival.fitted)) for rival in fitted)
 
 
-def stood_in(
-    state: State, stand_in: StandIn, begun: Model, known: int, least: float = DETECTION_THRESHOLD
-) -> list[FittedHypothesis]:
+def stood_in(state: State, stand_in: StandIn, begun: Model, known: int) -> list[FittedHypothesis]:
     """What may hold the body in the place of a patch of a set, fitted with all else; nothing if that cannot be followed."""
     try:
-        return [FittedHypothesis.of(_begun_with(state, stand_in.anchors, stand_in.term), begun, known, least)]
+        return [FittedHypothesis.of(_begun_with(state, stand_in.anchors, stand_in.term), begun, known)]
     except (SolveError, InputError):
         return []
 

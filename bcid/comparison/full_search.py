@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 
@@ -17,10 +17,10 @@ from bcid.comparison.fitted_hypothesis import FittedHypothesis, added, best_firs
 from bcid.comparison.hypothesis_table import HypothesisTable
 from bcid.comparison.ranking import Ranking
 from bcid.comparison.search_queue import SearchQueue, Task
-from bcid.comparison.set_tangents import SetPredictions, sets_predicted
+from bcid.comparison.set_tangents import SetPredictor, sets_predicted
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
-from bcid.inference.criteria import DETECTION_THRESHOLD
+from bcid.inference.discrepancy import Evidence
 from bcid.inference.hypotheses import Hypothesis
 from bcid.inference.outcome import label
 from bcid.inference.posterior import Fidelity
@@ -39,8 +39,7 @@ class FullSearch(SearchQueue):
         effects: that may act together, at most.
         fitted: effects that are fitted in a few steps beside each model, each time on one set.
         sets: anchor sets that are compared in a few steps.
-        least: how well an effect must be seen, see `bcid.comparison.parameter_priors.visible`.
-        predicted: what sets predict without added effects, where that is known otherwise.
+        others: predicts other sets in all steps, where that costs less than to fit them.
     """
 
     def __init__(
@@ -51,11 +50,11 @@ class FullSearch(SearchQueue):
         effects: int,
         fitted: int,
         sets: int,
-        least: float = DETECTION_THRESHOLD,
-        predicted: SetPredictions | None = None,
+        others: SetPredictor | None = None,
     ) -> None:
-        super().__init__(base, HypothesisTable(alike=candidates.alike), least)
-        self.predicted = predicted
+        table = HypothesisTable(alike=candidates.alike, excluded=others.excluded if others else frozenset())
+        super().__init__(base, table)
+        self.others = others
         self.candidates, self.starts, self.most, self.few, self.sets = candidates, tuple(starts), effects, fitted, sets
         # Effects beside which further ones were sought.
         self.extended: set[tuple[str, ...]] = set()
@@ -132,9 +131,10 @@ class FullSearch(SearchQueue):
             self.say_fitted(rival)
 
     def ask_sets(self, rival: FittedHypothesis) -> None:
-        found = (
-            {} if rival.names or self.predicted is None else sets_predicted(rival.judged, self.model, self.predicted)
-        )
+        found: Mapping[Anchored, Evidence] = {}
+        if self.others:
+            jacobian = rival.jacobian(rival.judged.errors)
+            found = sets_predicted(rival.judged, self.model, self.others, jacobian)
         if found:
             self.table.add_sets(rival, found, Fidelity.SHARED)
         else:
@@ -160,7 +160,7 @@ class FullSearch(SearchQueue):
         # What the plain model lacks is known by the effects of the first extension.
         self.effects = {effect.name: effect for effect in missing} | self.effects
         # Where sets are predicted in all steps, a few of them say nothing more of these.
-        coarse = self._compared(base, missing, sets) if missing or self.predicted is None else None
+        coarse = self._compared(base, missing, sets) if missing or self.others is None else None
         if not self.table.full:
             self.begin(coarse)
         if coarse is not None:
@@ -181,7 +181,7 @@ class FullSearch(SearchQueue):
 
     def _coarse(self, base: State, missing: Sequence[Effect], sets: int) -> CoarseSearch:
         """The search over sets and effects beside a model in a few steps."""
-        return CoarseSearch(
+        found = CoarseSearch(
             in_few_steps(base),
             self.model,
             missing,
@@ -190,15 +190,16 @@ class FullSearch(SearchQueue):
             self.few,
             self.starts,
             self.candidates,
-            self.least,
         )
+        found.table.excluded = self.table.excluded
+        return found
 
     def begin(self, coarse: HypothesisTable | None) -> None:
         """Fit the model without effects to all steps, with its likeliest set, or that of the base where this fails."""
         plain = next((rival for rival in coarse.full if not rival.names), None) if coarse else None
         found = promoted(plain, self.base, self.model) if plain else None
         if found is None:
-            found = FittedHypothesis.of(_curved(self.base), self.model, self.candidates.among, self.least)
+            found = FittedHypothesis.of(_curved(self.base), self.model, self.candidates.among)
         self.say_fitted(found)
         self.table.add([found], self.model)
 
@@ -225,7 +226,7 @@ class FullSearch(SearchQueue):
         state = parent.fitted.state
         try:
             beside = State.of(self.predictor, state.model, wanted.anchors, None, state.free)
-            found = added(beside, self.effects[wanted.names[-1]], self.model, self.candidates.among, self.least)
+            found = added(beside, self.effects[wanted.names[-1]], self.model, self.candidates.among)
             if found is None or found.term.effect.sudden:
                 return found
             # By the error of the mesh that the model without it has, a further effect may seem to act.

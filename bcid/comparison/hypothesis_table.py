@@ -58,6 +58,7 @@ class HypothesisTable:
         reduced: by hypothesis, sets that lack one of its patches and may be as likely although its tangent shows them less so.
         refused: hypotheses that cannot be followed to the end.
         alike: whether effects are ways to write the same, see `HypothesisOdds`.
+        excluded: sets of which nothing but a fit tells.
         _left: what may be left of the error of the mesh that `full` was compared with.
         _allowing: each of `own`, by its identity, and the same in `full`: none is weighed twice with the same.
         _odds, _posterior: of all that is known; None where something has come since.
@@ -70,6 +71,7 @@ class HypothesisTable:
     reduced: dict[Hypothesis, list[Anchored]] = field(default_factory=dict)
     refused: set[Hypothesis] = field(default_factory=set)
     alike: bool = False
+    excluded: frozenset[Anchored] = frozenset()
     _left: Array | None = None
     _allowing: dict[int, tuple[FittedHypothesis, FittedHypothesis]] = field(default_factory=dict)
     _odds: HypothesisOdds | None = field(default=None, init=False)
@@ -184,7 +186,7 @@ class HypothesisTable:
         lower: dict[Hypothesis, list[Evaluation]] = {}
         below = [one for stage in stages for one in stage.evaluations()]
         for h, one in [*below, *self._by_tangents(full, ceiling)]:
-            if h.known not in full and math.isfinite(one.log):
+            if h.known not in full and h.anchors not in self.excluded and math.isfinite(one.log):
                 lower.setdefault(h, []).append(self._unfollowed(one) if h.known in self.refused else one)
         logs = {h: r.log_evidence for h, r in full.items()}
         found |= {h: min(some, key=lambda one: one.order(logs)) for h, some in lower.items()}

@@ -19,15 +19,13 @@ from bcid.inference.priors import PRIORS, spaced
 Array = NDArray[np.float64]
 
 
-def visible(shown: float, least: float = DETECTION_THRESHOLD) -> Array:
+def visible(shown: float) -> Array:
     """Sizes of the amounts of an effect that these data could show, in notable ones; none where they could show none.
 
-    Args:
-        shown: by how many standard deviations a notable amount moves the data.
-        least: an amount is seen where it moves the data by so many; a smaller one is told as nothing. With 0 it keeps its chance.
+    An amount that cannot be seen is told as nothing. A notable amount moves the data by `shown` standard deviations.
     """
     sizes = spaced(PRIORS.amounts)
-    return sizes[sizes * shown >= least]
+    return sizes[sizes * shown >= DETECTION_THRESHOLD]
 
 
 def log_share(count: int) -> float:
@@ -35,16 +33,13 @@ def log_share(count: int) -> float:
     return math.log(count / PRIORS.amounts[2])
 
 
-def of_state(
-    state: State, begun: Model, jacobian: Array | None = None, least: float = DETECTION_THRESHOLD
-) -> LinearParameters | None:
+def of_state(state: State, begun: Model, jacobian: Array | None = None) -> LinearParameters | None:
     """Numbers of a model that were fitted; None where these data could not show the amounts. Collective.
 
     Args:
         state: the model with these numbers.
         begun: the model that has none of them.
         jacobian: change of the scaled residual with each number, shape (n, p), where it is known.
-        least: see `visible`.
     """
     if not state.free:
         return replace(LinearParameters.none(len(state.predictor.data)), log_prior=log_ways(state, begun))
@@ -60,9 +55,9 @@ def of_state(
     sizes: Array = np.ones(1)
     apart = np.array([_apart(c, numbers[c.name], begun) for c in chosen])
     if amount.any():
-        shown = _from_nothing(moved * scale, apart / scale, amount, state, begun, least)
+        shown = _from_nothing(moved * scale, apart / scale, amount, state, begun)
         moved = shown / scale
-        sizes = visible(_least_shown(shown, amount, state, begun), least)
+        sizes = visible(_least_shown(shown, amount, state, begun))
         if not len(sizes):
             return None
         share = log_share(len(sizes))
@@ -71,9 +66,7 @@ def of_state(
     return LinearParameters(moved, apart, table, one_sided(chosen), share + log_ways(state, begun))
 
 
-def _from_nothing(
-    moved: Array, apart: Array, amount: NDArray[np.bool_], state: State, begun: Model, least: float
-) -> Array:
+def _from_nothing(moved: Array, apart: Array, amount: NDArray[np.bool_], state: State, begun: Model) -> Array:
     """What notable amounts do, (n, p), where a further one shows nothing: what all of the effect does by its amount.
 
     As of a clock that is later than the gripper moves. Of what does the same from some amount on the tangent knows nothing of
@@ -83,7 +76,7 @@ def _from_nothing(
     found = moved.copy()
     for term, own in _own_amounts(amount, state, begun):
         size, far = math.sqrt(float(np.mean(np.sum(moved[:, own] ** 2, axis=0)))), apart[own]
-        if not len(visible(size, least)) and np.abs(far).max() > 1 and (done := _done(state, term)) is not None:
+        if not len(visible(size)) and np.abs(far).max() > 1 and (done := _done(state, term)) is not None:
             found[:, own] += np.outer(done - moved[:, own] @ far, far) / (far @ far)
     return found
 

@@ -22,7 +22,6 @@ from bcid.forms import effects
 from bcid.forms.course import constant
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Term
-from bcid.inference.criteria import DETECTION_THRESHOLD
 from bcid.inference.evidence import LARGER, log_gains
 
 Array = NDArray[np.float64]
@@ -94,7 +93,6 @@ def rank(
     known: Sequence[Effect] | None = None,
     strict: bool = True,
     place: str | None = None,
-    least: float = DETECTION_THRESHOLD,
     like: Ranking | None = None,
 ) -> Ranking:
     """Rank the effects that the model lacks; collective.
@@ -102,7 +100,6 @@ def rank(
     Args:
         state: the model at its optimum.
         known: the effects to look at; the whole catalogue by default.
-        least: how well an effect must be seen, see `bcid.comparison.parameter_priors.visible`.
         place: where the effects act; everywhere they can by default.
         strict: refuse a model that is not at its optimum (what a refit of it could explain is projected out anyway).
         like: of a set near by with the same errors, whose sensitivities serve.
@@ -118,7 +115,7 @@ def rank(
     variants = _evaluated(state, candidates, excluded) if like is None else _of_candidates(like, candidates)
     basis = orthonormal(present)
     tried = max(sum(_effective(v) for v in variants.values()), 1)
-    rows = [best_row(state, name, found, basis, tried, least) for name, found in variants.items() if found]
+    rows = [best_row(state, name, found, basis, tried) for name, found in variants.items() if found]
     rows.sort(key=lambda row: (-row.gain, -row.score, row.effect))
     return Ranking(tuple(_confusions(rows)), excluded, tried, variants)
 
@@ -217,7 +214,7 @@ def _effective(variants: Sequence[Variant]) -> int:
     return max(1, int((sizes > 0.05 * sizes[0]).sum() / variants[0].sensitivity.shape[1])) if sizes[0] > 0 else 1
 
 
-def best_row(state: State, name: str, variants: Sequence[Variant], basis: Array, tried: int, least: float) -> Row:
+def best_row(state: State, name: str, variants: Sequence[Variant], basis: Array, tried: int) -> Row:
     """An effect with its best variant, of those that are given.
 
     Args:
@@ -226,12 +223,11 @@ def best_row(state: State, name: str, variants: Sequence[Variant], basis: Array,
         variants: ways in which it may act.
         basis: of what the model has fitted already, orthonormal, shape (n, p).
         tried: how many tries all effects together are worth.
-        least: see `rank`.
     """
     residual = state.scaled
     residual = residual - basis @ (basis.T @ residual)
     stacked = _projected(np.hstack([v.sensitivity for v in variants]), basis)
-    gains = _gains(state, variants, stacked, residual, least)
+    gains = _gains(state, variants, stacked, residual)
     evidence = float(logsumexp(gains)) + log_variants(len(variants))
     at = int(np.argmax(gains)) if np.isfinite(gains).any() else 0
     width = len(variants[0].amounts)
@@ -275,7 +271,7 @@ def best_row(state: State, name: str, variants: Sequence[Variant], basis: Array,
     )
 
 
-def _gains(state: State, variants: Sequence[Variant], stacked: Array, residual: Array, least: float) -> Array:
+def _gains(state: State, variants: Sequence[Variant], stacked: Array, residual: Array) -> Array:
     """How much likelier each variant makes the data, as logarithms; `stacked` are their sensitivities, one after the other."""
     amounts = variants[0].amounts
     columns = stacked.reshape(len(stacked), len(variants), len(amounts))
@@ -284,10 +280,10 @@ def _gains(state: State, variants: Sequence[Variant], stacked: Array, residual: 
     factors = None if state.predictor.data.stated else LARGER
     found = np.full(len(variants), -np.inf)
     # Variants that show as much of their amounts are judged together.
-    counts = np.array([len(visible(float(one), least)) for one in shown])
+    counts = np.array([len(visible(float(one))) for one in shown])
     for count in np.unique(counts[counts > 0]):
         some = np.flatnonzero(counts == count)
-        widths = visible(float(shown[some].min()), least)[:, None] * scale
+        widths = visible(float(shown[some].min()))[:, None] * scale
         logs = log_gains(residual, columns[:, some], widths, one_sided(amounts), factors)
         found[some] = logs + log_share(len(widths))
     return found

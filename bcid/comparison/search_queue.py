@@ -13,7 +13,6 @@ from bcid.comparison.ranking import Ranking, rank
 from bcid.comparison.set_tangents import sets_about
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
-from bcid.inference.criteria import DETECTION_THRESHOLD
 from bcid.inference.hypotheses import Hypothesis
 from bcid.search.settings import SETTINGS
 
@@ -29,16 +28,15 @@ class SearchQueue(ABC):
     Args:
         base: a model on a likely set, at that fidelity.
         table: takes what becomes known.
-        least: how well an effect must be seen, see `bcid.comparison.parameter_priors.visible`.
 
     Attributes:
         effects: that may be missing, by name.
         rankings: what models lack, by hypothesis.
     """
 
-    def __init__(self, base: State, table: HypothesisTable, least: float = DETECTION_THRESHOLD) -> None:
+    def __init__(self, base: State, table: HypothesisTable) -> None:
         self.base, self.predictor, self.table = base, base.predictor, table
-        self.least, self.model = least, base.model
+        self.model = base.model
         self.effects: dict[str, Effect] = {}
         self.rankings: dict[Hypothesis, Ranking] = {}
 
@@ -106,7 +104,7 @@ class SearchQueue(ABC):
     def ask_sets(self, rival: FittedHypothesis) -> None:
         """What the tangent of an evaluated hypothesis says of its effects on other sets."""
         state = rival.judged
-        found = sets_about(state, self.model, rival.jacobian(state.errors), self.least)
+        found = sets_about(state, self.model, rival.jacobian(state.errors))
         self.table.add_sets(rival, found or {rival.anchors: rival.evidence})
 
     def ask_effects(
@@ -116,7 +114,7 @@ class SearchQueue(ABC):
         if rival.hypothesis not in self.rankings:
             wanted = list(effects.values())
             try:
-                found = rank(rival.judged, wanted, strict=False, least=self.least, like=like)
+                found = rank(rival.judged, wanted, strict=False, like=like)
             except SolveError as error:
                 found = Ranking((), {name: str(error) for name in effects})
             self.rankings[rival.hypothesis] = found

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,6 @@ from bcid.base.errors import SolveError
 from bcid.comparison.parameter_priors import of_state
 from bcid.comparison.state import State
 from bcid.forms.model import Model
-from bcid.inference.criteria import DETECTION_THRESHOLD
 from bcid.inference.discrepancy import Evidence
 from bcid.inference.evidence import LinearParameters
 from bcid.inference.priors import PRIORS
@@ -20,8 +20,19 @@ from bcid.search.settings import SETTINGS
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
-# Where the markers go with sets, each (frames, markers, 3), m, as far as that is known and they can be followed.
-SetPredictions = Callable[[Sequence[Anchored]], Mapping[Anchored, Array]]
+
+
+class SetPredictor(Protocol):
+    """Predicts sets in all steps where a run predicts them anyway."""
+
+    @property
+    def excluded(self) -> frozenset[Anchored]:
+        """Sets that are no hypotheses."""
+        ...
+
+    def predict(self, sets: Sequence[Anchored], model: Model) -> Mapping[Anchored, Array]:
+        """Where the markers go with sets and a model, each (frames, markers, 3), m, of those that can be followed; collective."""
+        ...
 
 
 def neighbours(state: State, begun: Model, every: bool) -> list[Anchored]:
@@ -41,21 +52,18 @@ def neighbours(state: State, begun: Model, every: bool) -> list[Anchored]:
     return [s for s in found if (s or held) and all(place in acting(scene, s) for place, acting in places)]
 
 
-def sets_about(
-    state: State, begun: Model, jacobian: Array | None = None, least: float = DETECTION_THRESHOLD
-) -> dict[Anchored, Evidence]:
+def sets_about(state: State, begun: Model, jacobian: Array | None = None) -> dict[Anchored, Evidence]:
     """Evidence of the model of a state on other sets, and on its own, as its tangent shows them; collective.
 
     Args:
         state: the model, in a few steps or all.
         begun: the model without added effects.
         jacobian: change of the scaled residual with each fitted number, shape (n, p), where it is known.
-        least: how well an effect must be seen, see `bcid.comparison.parameter_priors.visible`.
 
     Returns:
         By set; nothing where the numbers are not visible, or the tangent cannot be computed.
     """
-    numbers = of_state(state, begun, jacobian, least)
+    numbers = of_state(state, begun, jacobian)
     if numbers is None:
         return {}
     sets = neighbours(state, begun, state.predictor.thin)
@@ -66,10 +74,16 @@ def sets_about(
     return dict(zip(sets, _evidences(state, numbers, moves, PRIORS.tangent_error), strict=True))
 
 
-def sets_predicted(state: State, begun: Model, predicted: SetPredictions) -> dict[Anchored, Evidence]:
-    """Evidence of other sets without added effects, and of its own, with the errors of a state; `predicted` is collective."""
-    numbers, sets = of_state(state, begun), neighbours(state, begun, True)
-    found = predicted(sets) if numbers else {}
+def sets_predicted(
+    state: State, begun: Model, others: SetPredictor, jacobian: Array | None = None
+) -> dict[Anchored, Evidence]:
+    """Evidence of other sets and of its own, as they are predicted with the numbers of a state, by its errors; collective.
+
+    Arguments are as of `sets_about`.
+    """
+    numbers = of_state(state, begun, jacobian)
+    sets = [anchors for anchors in neighbours(state, begun, True) if anchors not in others.excluded]
+    found = others.predict(sets, state.model) if numbers else {}
     if numbers is None or state.anchors not in found:
         return {}
     moves = [positions - found[state.anchors] for positions in found.values()]

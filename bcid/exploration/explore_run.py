@@ -119,7 +119,7 @@ def run_exploration(
             )
             on_root(comm, lambda: _write(run, scene, options, found, predictors, str(scene_file), comm.size))
     finally:
-        hypotheses.destroy()
+        hypotheses.predictors.destroy()
         for predictor in predictors:
             predictor.destroy()
         if isinstance(mover, Simulated):

@@ -8,7 +8,12 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 
+from bcid.base.collective import Comm
+from bcid.forms.gripper_force import ForceScale
 from bcid.measurement import Measurement
+from bcid.predict.kept_actions import KeptActions
+from bcid.predict.predictor import Predictor
+from bcid.predict.store import PredictionStore
 from bcid.scene import Scene
 
 
@@ -23,3 +28,35 @@ def joined(pulls: Sequence[Measurement], scene: Scene) -> Measurement:
         parts.append(data)
     whole = xr.concat(parts, dim="frame", join="outer")
     return replace(pulls[0], data=whole)
+
+
+class JoinedPredictors:
+    """Predictors of pulls as one measurement. They share meshes, forward models, and what pulls before gave.
+
+    Args:
+        scene: the scene.
+        comm: an MPI communicator.
+        level: fine level, see `Predictor`.
+        store: keeps predictions.
+    """
+
+    def __init__(
+        self, scene: Scene, comm: Comm, level: int | None = None, store: PredictionStore | None = None
+    ) -> None:
+        self.scene, self.comm, self.level, self.store = scene, comm, level, store
+        self._first: Predictor | None = None
+
+    def of(self, pulls: Sequence[Measurement]) -> Predictor:
+        """The predictor of all pulls; collective."""
+        whole = joined(pulls, self.scene)
+        if self._first is None or self._first.forces != ForceScale.of(self.scene, whole):
+            self.destroy()
+            self._first = Predictor(self.scene, whole, self.comm, self.level, store=self.store)
+            self._first.repeated = KeptActions()
+        return self._first.repeating(whole)
+
+    def destroy(self) -> None:
+        """Free the PETSc objects."""
+        if self._first is not None:
+            self._first.destroy()
+        self._first = None

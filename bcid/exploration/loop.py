@@ -15,6 +15,7 @@ from bcid.base.progress import Progress, Silent
 from bcid.base.units import percent
 from bcid.exploration.choice import CRITERIA, Choice, Chooser, Option
 from bcid.exploration.hypothesis_predictions import HypothesisPredictor
+from bcid.exploration.joined import JoinedPredictors
 from bcid.exploration.moves import Move, cost, limits_of, moves
 from bcid.exploration.posterior_summary import PosteriorSummary
 from bcid.exploration.predictions import PullPredictor
@@ -196,7 +197,7 @@ def explore(
         return replace(loop.run(), remarks=tuple(loop.remarks))
     finally:
         if posterior is None:
-            own.destroy()
+            own.predictors.destroy()
 
 
 def posterior_before(
@@ -204,7 +205,8 @@ def posterior_before(
 ) -> PullPosterior:
     """The posterior of an exploration before any pull, with a store of predictions."""
     known = effects.catalogue(options.effects) if options.effects else []
-    return PullPosterior(scene, working, options.level, known, options.random_state, store)
+    predictors = JoinedPredictors(scene, working.comm, options.level, store)
+    return PullPosterior(scene, working, predictors, known, options.random_state)
 
 
 class _Loop:

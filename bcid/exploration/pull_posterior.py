@@ -17,32 +17,25 @@ from bcid.comparison.full_search import FullSearch
 from bcid.comparison.hypothesis_table import HypothesisTable
 from bcid.comparison.loosened import loosens
 from bcid.exploration.fitted_numbers import FittedNumbers
-from bcid.exploration.joined import joined
+from bcid.exploration.joined import JoinedPredictors
+from bcid.exploration.possible_sets import PossibleSets, negligible
 from bcid.exploration.posterior_summary import PosteriorSummary
 from bcid.exploration.predictions import PullPredictor
 from bcid.forms.effects.effect import Effect
-from bcid.forms.gripper_force import ForceScale
 from bcid.forms.model import Model
 from bcid.inference.hypotheses import Hypothesis, effects, entropy, patches
 from bcid.measurement import Measurement
-from bcid.predict.kept_actions import KeptActions
 from bcid.predict.predictor import Predictor
-from bcid.predict.store import PredictionStore
 from bcid.scene import Scene
 from bcid.search.seeds import all_candidates, random_seeds
 from bcid.search.settings import SETTINGS
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
-# All sets of so many patches are hypotheses before the first pull; of more patches so many random ones.
-_ENUMERATED, _RANDOM = 10, 64
-# Sets that are evaluated in a few steps, at most, and effects that are fitted to them, each on so many sets.
-_SETS, _ON_SETS = 8, 3
-# The least probable sets, which hold no more than this of the probability together, are not predicted for further pulls, unless
-# something is rather missing than not. By Markov's inequality they would come to hold 5 % with no more than 20 times this.
-_NEGLIGIBLE, _DOUBTED = 1e-3, 0.5
-# What these pulls do not show may show in those to come: it keeps its chance.
-_UNSEEN = 0.0
+# Of more patches than can be enumerated so many random sets are hypotheses before the first pull.
+_RANDOM = 64
+# Effects are fitted in a few steps, each on so many sets.
+_ON_SETS = 3
 
 
 class PullPosterior:
@@ -51,10 +44,9 @@ class PullPosterior:
     Args:
         scene: the scene.
         working: predicts pulls on the working level.
-        level: fine level (see `Predictor`).
+        predictors: of all pulls.
         known: effects that may act, one at a time.
         random_state: of the sets to begin with, where there are too many to look at all.
-        store: keeps predictions.
         progress: told what goes on (give it on rank 0 only).
 
     Attributes:
@@ -66,93 +58,63 @@ class PullPosterior:
         self,
         scene: Scene,
         working: PullPredictor,
-        level: int | None = None,
+        predictors: JoinedPredictors,
         known: Sequence[Effect] = (),
         random_state: int = 0,
-        store: PredictionStore | None = None,
         progress: Progress | None = None,
     ) -> None:
-        self.scene, self.working, self.level, self.known, self.store = scene, working, level, tuple(known), store
-        self.progress = progress or Silent()
+        self.scene, self.working, self.predictors, self.known = scene, working, predictors, tuple(known)
+        self.random_state, self.progress = random_state, progress or Silent()
         self.names = tuple(effect.name for effect in known)
         self.seen: list[Measurement] = []
         self.failure = ""
-        self._random_state = random_state
-        # At most one, which those that were made anew share.
-        self._predictors: list[Predictor] = []
-        # Likely sets after the pulls before.
+        # Likely sets after the pulls before, and those that are no hypotheses any more.
         self._likely: list[Anchored] = []
-        self._excluded: set[Anchored] = set()
+        self._excluded: frozenset[Anchored] = frozenset()
 
     def anew(self) -> PullPosterior:
         """The same before any pull; meshes and forward models are shared."""
-        other = PullPosterior(
-            self.scene, self.working, self.level, self.known, self._random_state, self.store, self.progress
-        )
-        other._predictors = self._predictors
-        return other
+        return PullPosterior(self.scene, self.working, self.predictors, self.known, self.random_state, self.progress)
 
     def before(self, fine: bool) -> PosteriorSummary:
         """What is believed before any pull; `fine`: whether a finer level tells the error of the mesh."""
         names = list(self.scene.patches)
-        if len(names) <= _ENUMERATED:
+        if len(names) <= SETTINGS.few_patches:
             sets = all_candidates(names)
         else:
-            sets = random_seeds(names, _RANDOM, np.random.default_rng(self._random_state))
+            sets = random_seeds(names, _RANDOM, np.random.default_rng(self.random_state))
         return PosteriorSummary.before([frozenset(s) for s in dict.fromkeys(sets)], names, self.names, fine)
 
     def after(self, pull: Measurement) -> PosteriorSummary | None:
         """What is believed after one pull more; None where no set can be followed in it; collective."""
         self.seen.append(pull)
-        whole = joined(self.seen, self.scene)
-        if self._predictors and self._predictors[0].forces != ForceScale.of(self.scene, whole):
-            self._predictors.pop().destroy()
-        if not self._predictors:
-            self._predictors.append(Predictor(self.scene, whole, self.working.comm, self.level, store=self.store))
-            self._predictors[0].repeated = KeptActions()
-        predictor = self._predictors[0].repeating(whole)
+        predictor, model = self.predictors.of(self.seen), Model.of(self.scene)
         predictor.progress = self.progress
-        model = Model.of(self.scene)
         try:
-            table = self._searched(predictor, model, whole)
-            if self._excluded and _missing(table) > _DOUBTED:
-                # Where something is missing odds are not worth as much.
-                self._excluded = set()
-                table = self._searched(predictor, model, whole)
+            table = self._searched(predictor, model)
+            if self._excluded and _missing(table) > 0.5:
+                # Where something is rather missing than not odds are not worth as much.
+                self._excluded = frozenset()
+                table = self._searched(predictor, model)
         except SolveError as error:
             # With it no later pull could be compared either.
             self.seen.pop()
             self.failure = str(error)
             return None
         self.failure, self._likely = "", table.sets[: SETTINGS.first_sets]
-        self._exclude(table)
+        self._excluded |= negligible(table.odds)
         found = self._summary(table, model)
         predictor.drop([model])
         return found
 
-    def _searched(self, predictor: Predictor, model: Model, whole: Measurement) -> HypothesisTable:
+    def _searched(self, predictor: Predictor, model: Model) -> HypothesisTable:
         """What is known of hypotheses after all pulls."""
-        acting = [e for e in self.known if not (e.needs and e.needs(self.scene, whole))]
-        base, sets = first_state(predictor, model, self._likely)
-        fits = _ON_SETS * len(acting)
-        return FullSearch(base, Known(tuple(acting)), sets, 1, fits, _SETS, _UNSEEN, self._predicted).run()
-
-    def _exclude(self, table: HypothesisTable) -> None:
-        """Note the least probable sets, which hold a negligible part of the probability together."""
-        shares: dict[Anchored, float] = {}
-        for h, p in table.odds.probabilities.items():
-            shares[h.anchors] = shares.get(h.anchors, 0.0) + p
-        order = sorted(shares, key=lambda s: (shares[s], -len(s), sorted(s)))
-        count = int(np.searchsorted(np.cumsum([shares[s] for s in order]), _NEGLIGIBLE))
-        self._excluded = (self._excluded - shares.keys()) | set(order[:count])
-
-    def _predicted(self, sets: Sequence[Anchored]) -> dict[Anchored, Array]:
-        """Where the markers go with sets in all pulls, each (frames, rows, 3), m, but for those that the pulls before exclude."""
-        actions, wanted = [pull.actions[0] for pull in self.seen], [s for s in sets if s not in self._excluded]
-        found = iter(self.working.predict([(anchors, action) for anchors in wanted for action in actions]))
-        rows = self._predictors[0].data.mask.shape[1]
-        whole = {anchors: np.concatenate([next(found).positions[:, :rows] for _ in actions]) for anchors in wanted}
-        return {anchors: positions for anchors, positions in whole.items() if np.isfinite(positions).all()}
+        acting = [e for e in self.known if not (e.needs and e.needs(self.scene, predictor.measurement))]
+        base, likely = first_state(predictor, model, self._likely)
+        actions, rows = tuple(pull.actions[0] for pull in self.seen), predictor.data.mask.shape[1]
+        sets = PossibleSets(self.working, actions, rows, self._excluded - {base.anchors, *likely})
+        fits, count = _ON_SETS * len(acting), SETTINGS.first_sets
+        return FullSearch(base, Known(tuple(acting)), likely, 1, fits, count, sets).run()
 
     def _summary(self, table: HypothesisTable, model: Model) -> PosteriorSummary:
         probabilities: dict[Hypothesis, float] = {}
@@ -175,11 +137,6 @@ class PullPosterior:
             best.fitted.stiffness,
             tuple(self.seen),
         )
-
-    def destroy(self) -> None:
-        """Free the PETSc objects."""
-        for predictor in self._predictors:
-            predictor.destroy()
 
 
 def _numbers(

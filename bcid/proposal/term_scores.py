@@ -21,7 +21,6 @@ from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model, Term
 from bcid.forms.probes import Sensitivities, SensitivityRequest
-from bcid.inference.criteria import DETECTION_THRESHOLD
 from bcid.inference.priors import PRIORS
 from bcid.proposal.effect_file import made, source
 from bcid.proposal.family import OBSERVATION, Family
@@ -176,7 +175,7 @@ class TermScores:
             if family.name in GRIPS:
                 own += self._held(state, grammar, family, found)
             if own:
-                row = best_row(state, family.name, own, basis, self.scored, DETECTION_THRESHOLD)
+                row = best_row(state, family.name, own, basis, self.scored)
                 result.append(ScoredFamily(family, row, state.anchors, plain + row.gain))
         return result
 

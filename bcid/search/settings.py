@@ -25,6 +25,7 @@ class SearchSettings:
         recovered_sets: of those that cannot be followed in a few steps so many are tried in all.
         few_patches: with no more than these all sets are compared by a cheap tangent, and those that differ by three by any.
         loosened_patches: with no more than these all sets are compared whose anchors give or come off.
+        excluded: anchor sets that hold no more than this together are no hypotheses for further pulls.
         counting: a hypothesis with less probability does not count for what to do next.
         helping: what is expected to give fewer bits is no advice.
         settling: predictions for which a fit that has not come to an end goes on.
@@ -44,6 +45,7 @@ class SearchSettings:
     recovered_sets: int = 2
     few_patches: int = 10
     loosened_patches: int = 8
+    excluded: float = 1e-3
     counting: float = 1e-3
     helping: float = 0.01
     settling: int = 16

@@ -99,7 +99,7 @@ def test_the_posterior_is_that_of_every_set_evaluated_by_itself(scene: Scene, wo
     assert max(exact.values()) < 0.95
     assert found.probabilities == pytest.approx(exact, abs=0.03)
     predictor.destroy()
-    posterior.destroy()
+    posterior.predictors.destroy()
 
 
 def test_a_pull_that_no_set_can_follow_changes_nothing(

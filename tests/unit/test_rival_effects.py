@@ -14,7 +14,7 @@ from scipy.stats import norm
 from bcid.base.errors import InputError
 from bcid.comparison.fit import fit
 from bcid.comparison.fitted_hypothesis import FittedHypothesis
-from bcid.comparison.parameter_priors import of_state, visible
+from bcid.comparison.parameter_priors import of_state
 from bcid.comparison.state import State
 from bcid.exploration.explore_run import run_exploration
 from bcid.exploration.fitted_numbers import FittedNumbers
@@ -26,6 +26,7 @@ from bcid.forms.model import Model, Term
 from bcid.forms.simulate import simulate
 from bcid.inference.information import information
 from bcid.inference.mesh_error import MeshError
+from bcid.inference.priors import PRIORS
 from bcid.measurement import Measurement
 from bcid.predict.predictor import Predictor
 from bcid.scene import Scene
@@ -67,13 +68,14 @@ def test_evidence_is_the_likelihood_averaged_over_what_was_believed(heavy: tuple
     predictor = Predictor(scene, seen, MPI.COMM_SELF)
     anchors, plain = frozenset("34"), Model.of(scene)
     start = State.of(predictor, plain + Term("gravity", {"weight": 1000.0}), anchors)
-    one = FittedHypothesis.of(fit(start, ["gravity.weight"]), plain, 1, 0.0)
+    one = FittedHypothesis.of(fit(start, ["gravity.weight"]), plain, 1)
     value, error = FittedNumbers(one, plain).amounts["gravity.weight"]
     assert value == pytest.approx(WEIGHT, abs=4 * error)
-    numbers = of_state(one.fitted.state, plain, one.fitted.jacobian, 0.0)
+    numbers = of_state(one.fitted.state, plain, one.fitted.jacobian)
     assert numbers is not None
-    assert len(numbers.widths) == len(visible(1.0, 0.0))
-    assert numbers.log_prior == 0.0
+    # The smallest amounts cannot be seen.
+    assert 0 < len(numbers.widths) < PRIORS.amounts[2]
+    assert numbers.log_prior == pytest.approx(math.log(len(numbers.widths) / PRIORS.amounts[2]))
     at = value + error * np.linspace(max(-5.0, -value / error), 5, 21)
     chi2 = [
         State.of(predictor, start.model.with_values({"gravity.weight": w}), anchors, start.errors.mesh).chi2 for w in at
@@ -83,7 +85,8 @@ def test_evidence_is_the_likelihood_averaged_over_what_was_believed(heavy: tuple
     best = one.fitted.state.chi2
     averaged = simpson(np.exp(-0.5 * (np.array(chi2) - best)) * believed, x=at)
     volume = start.errors.log_volume
-    assert one.evidence.plain == pytest.approx(-0.5 * best - volume + math.log(averaged), abs=0.1)
+    exact = -0.5 * best - volume + math.log(averaged) + numbers.log_prior
+    assert one.evidence.plain == pytest.approx(exact, abs=0.1)
     predictor.destroy()
 
 
@@ -113,20 +116,16 @@ def test_an_amount_of_which_more_does_the_same_had_to_be_expected(coarse_scene: 
 
 
 def test_what_the_pulls_do_not_tell_stays_as_it_was_expected(heavy: tuple[Scene, Measurement]) -> None:
-    """Springs at a patch that is not anchored do nothing: any stiffness fits, and none is likelier for it."""
+    """Springs at a patch that is not anchored do nothing: any stiffness fits, and they explain nothing."""
     scene, seen = heavy
     predictor = Predictor(scene, seen, MPI.COMM_SELF)
     anchors, plain = frozenset("34"), Model.of(scene)
-    nothing = MeshError.unknown(predictor.data.mask.shape)
-    alone = FittedHypothesis.of(fit(State.of(predictor, plain, anchors, nothing), ()), plain, 1)
     loose = plain + Term("soft_anchor", {"stiffness": 3e4}, place="2")
-    one = fit(State.of(predictor, loose, anchors, nothing), ["soft_anchor(2).stiffness"])
-    dormant = FittedHypothesis.of(one, plain, 1, 0.0)
-    # It may be at either patch or at both.
-    ways = math.log(len(("", *anchors)))
-    assert dormant.evidence.plain + ways == pytest.approx(alone.evidence.plain, abs=1e-6)
-    # Where nothing is to come, what cannot be seen is no explanation.
-    assert FittedHypothesis.of(one, plain, 1).evidence.plain == -math.inf
+    one = fit(
+        State.of(predictor, loose, anchors, MeshError.unknown(predictor.data.mask.shape)), ["soft_anchor(2).stiffness"]
+    )
+    dormant = FittedHypothesis.of(one, plain, 1)
+    assert dormant.evidence.plain == -math.inf
     assert FittedNumbers(dormant, plain).model.constants()["soft_anchor(2).stiffness"] > 1e9
     predictor.destroy()
 
@@ -177,7 +176,7 @@ def test_an_effect_is_not_fitted_at_a_place_that_it_has_not(coarse_scene: Path) 
     assert found.fitted
     for h, numbers in found.fitted.items():
         assert numbers.model.terms[-1].place in ("", *h.anchors)
-    posterior.destroy()
+    posterior.predictors.destroy()
     working.destroy()
 
 

@@ -51,7 +51,7 @@ def everything(patch: pytest.MonkeyPatch) -> None:
         return predicted, option.forbidden or self._forbidden(predicted, p)
 
     patch.setattr(choice.Chooser, "_asked", asked)
-    patch.setattr(pull_posterior.PullPosterior, "_exclude", lambda *_: None)
+    patch.setattr(pull_posterior, "negligible", lambda _: frozenset())
 
 
 @pytest.mark.parametrize(("anchors", "noise"), [(("1", "2"), 5e-3), (("3", "4"), 1e-3)], ids=["doubtful", "clear"])

@@ -359,7 +359,8 @@ class Bench:
 
     def destroy(self) -> None:
         """Free the PETSc objects."""
-        for predictor in (self.predictor, self.fine, self.truth, *self._bodies.values(), *self._posteriors.values()):
+        joined = [posterior.predictors for posterior in self._posteriors.values()]
+        for predictor in (self.predictor, self.fine, self.truth, *self._bodies.values(), *joined):
             if predictor is not None:
                 predictor.destroy()
         if "feeling" in self.__dict__:
