@@ -110,17 +110,6 @@ def _done(state: State, term: Term) -> Array | None:
     return state.errors.whiten(predictor.data.vector(state.prediction.positions - plain.positions))
 
 
-def expected(state: State, begun: Model) -> tuple[Array, Array]:
-    """How far fitted coordinates are from what was expected of them, and a typical standard deviation of that, each (p,)."""
-    numbers, chosen = state.model.constants(), coordinates(state.model, state.free)
-    apart = np.array([_apart(c, numbers[c.name], begun) for c in chosen])
-    widths = [
-        PRIORS.typical_amount * c.scale if c.parameter.neutral is not None else _width(c, numbers[c.name], state)
-        for c in chosen
-    ]
-    return apart, np.array(widths)
-
-
 def log_ways(state: State, begun: Model) -> float:
     """Of how the added effects act where that is no number of a fit: at a place, from a frame on, with a period or without."""
     found = 0.0

@@ -7,10 +7,12 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import softmax
 
 from bcid.comparison.fitted_hypothesis import FittedHypothesis
-from bcid.comparison.parameter_priors import expected
+from bcid.comparison.parameter_priors import of_state
 from bcid.forms.model import Model
+from bcid.inference.evidence import LinearParameters
 
 Array = NDArray[np.float64]
 
@@ -21,19 +23,24 @@ class FittedNumbers:
 
     Attributes:
         hypothesis: with its fit.
-        begun: the model without added effects.
+        numbers: what was believed of them, about the fit.
     """
 
     hypothesis: FittedHypothesis
-    begun: Model
+    numbers: LinearParameters
+
+    @classmethod
+    def of(cls, hypothesis: FittedHypothesis, begun: Model) -> FittedNumbers | None:
+        """Of a fit of a model that was begun from another; None where the pulls could not show its amounts. Collective."""
+        fitted = hypothesis.fitted
+        numbers = of_state(fitted.state, begun, fitted.jacobian)
+        return cls(hypothesis, numbers) if numbers else None
 
     @cached_property
     def model(self) -> Model:
-        """The model with the most probable numbers: what the pulls do not determine is as it was expected."""
-        apart, size = self._before
+        """The model with the mean of its numbers: what the pulls do not determine is as it was expected."""
         fitted = self.hypothesis.fitted
-        numbers = fitted.state.model.constants()
-        back = size * np.linalg.solve(self._precision, apart / size) if len(size) else apart
+        numbers, (back, _) = fitted.state.model.constants(), self._posterior
         at = {c.name: c.of(numbers[c.name]) - b for c, b in zip(fitted.coordinates, back, strict=True)}
         return fitted.state.model.with_values({c.name: c.allowed(at[c.name]) for c in fitted.coordinates})
 
@@ -44,8 +51,7 @@ class FittedNumbers:
         coordinates = self.hypothesis.fitted.coordinates
         if not coordinates:
             return []
-        _, size = self._before
-        covariance = size[:, None] * np.linalg.inv(self._precision) * size
+        _, covariance = self._posterior
         found = []
         for column in np.linalg.cholesky(covariance).T:
             # Where the limit of a number is near it deviates to the other side.
@@ -67,13 +73,22 @@ class FittedNumbers:
         return next(c.parameter.unit for c in self.hypothesis.fitted.coordinates if c.name == name)
 
     @cached_property
-    def _before(self) -> tuple[Array, Array]:
-        """How far the fitted coordinates are from what was expected, and its standard deviation."""
-        return expected(self.hypothesis.fitted.state, self.begun)
+    def _posterior(self) -> tuple[Array, Array]:
+        """By how much the mean of the coordinates lies below the fit, (p,), and their covariance: moments over all widths.
 
-    @cached_property
-    def _precision(self) -> Array:
-        """Of the numbers, in units of their prior standard deviations, (p, p)."""
-        _, size = self._before
-        jacobian = self.hypothesis.fitted.jacobian * size
-        return np.asarray(np.eye(len(size)) + jacobian.T @ jacobian)
+        About a fit, where the residual does not change with the numbers to first order (Rasmussen & Williams, Gaussian Processes
+        for Machine Learning, 2006, equation 2.8).
+        """
+        known, count = self.numbers, len(self.numbers.apart)
+        gram = known.columns.T @ known.columns
+        logs, backs, covariances = [], [], []
+        for width in known.widths:
+            inside = np.linalg.inv(np.eye(count) + width[:, None] * gram * width)
+            apart = known.apart / width
+            logs.append(0.5 * np.linalg.slogdet(inside)[1] - 0.5 * apart @ (apart - inside @ apart))
+            backs.append(width * (inside @ apart))
+            covariances.append(width[:, None] * inside * width)
+        shares = softmax(logs)
+        mean = shares @ np.array(backs)
+        spread = [c + np.outer(b - mean, b - mean) for c, b in zip(covariances, backs, strict=True)]
+        return mean, np.einsum("k,kij->ij", shares, np.array(spread))

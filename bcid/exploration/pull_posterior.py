@@ -147,8 +147,9 @@ def _numbers(
     for h in (h for h in probabilities if h.names):
         same = [r for r in rivals if r.names == h.names and _acts_on(r, h.anchors)]
         rival = next((r for r in same if r.anchors == h.anchors), next(iter(same), None))
-        if rival is not None:
-            found[h] = FittedNumbers(rival, begun)
+        numbers = FittedNumbers.of(rival, begun) if rival else None
+        if numbers is not None:
+            found[h] = numbers
     return found
 
 

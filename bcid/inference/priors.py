@@ -33,7 +33,6 @@ class Priors:
             small one, and what it has more where it is as large as that of the pull.
         amounts: standard deviations of the amount of an effect, in notable changes: smallest, largest and how many. A mixture of
             normal distributions has the heavy tails of a half-Cauchy distribution (Gelman, Bayesian Anal. 1, 2006, 515).
-        typical_amount: where a single one is needed, in notable changes.
         scanned: a time constant or radius lies within so many times the values that are tried, in either direction.
         cycles: a period is one of so many cycles per measurement, from and to.
         other: any other number lies within so many notable changes of where it was found.
@@ -61,7 +60,6 @@ class Priors:
     draws: int = 4096
     tangent_error: tuple[float, float] = (0.1, 0.5)
     amounts: tuple[float, float, int] = (0.1, 10.0, 7)
-    typical_amount: float = 2.0
     scanned: float = 2.0
     cycles: tuple[float, float] = (1.0, 8.0)
     other: float = 3.0
