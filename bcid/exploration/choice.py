@@ -118,6 +118,7 @@ class Chooser:
         noise: standard deviation of a coordinate, m, in pulls to come.
         wrench_noise: of a force, N, where the predictor predicts them.
         random_state: of the estimate, and of random choice.
+        barred: pulls that cannot be made, and why.
     """
 
     scene: Scene
@@ -129,11 +130,12 @@ class Chooser:
     noise: float
     random_state: int
     wrench_noise: float = 0.0
+    barred: dict[Move, str] = field(default_factory=dict)
     _expected_values: dict[str, Data] = field(default_factory=dict, init=False, repr=False)
 
     def choose(self, view: PosteriorSummary, last: Move | None) -> Choice:
         """The next pull after `last`."""
-        barred: dict[Move, str] = {}
+        barred = dict(self.barred)
         while True:
             choice = self._choose(view, last, barred)
             reason = self._barred(choice.move, view) if choice.move else ""

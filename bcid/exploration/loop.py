@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bcid.base.collective import Comm, on_root
-from bcid.base.errors import InputError, nearest
+from bcid.base.errors import InputError, SolveError, nearest
 from bcid.base.progress import Progress, Silent
 from bcid.base.units import percent
 from bcid.exploration.choice import CRITERIA, Choice, Chooser, Option
@@ -261,7 +261,11 @@ class _Loop:
             number = len(self.steps) + 1
             self._announce(number, choice)
             waiting = time.perf_counter()
-            measurement = self._pull(number, choice.move)
+            try:
+                measurement = self._pull(number, choice.move)
+            except SolveError as error:
+                self._give_up(choice.move, str(error))
+                continue
             waiting = time.perf_counter() - waiting
             self._examine(number, measurement)
             before, view = view, self._after(number, measurement, view)
@@ -281,6 +285,12 @@ class _Loop:
                 )
             )
             self._report(self.steps[-1])
+
+    def _give_up(self, move: Move, why: str) -> None:
+        """Note that a pull cannot be made; it is not chosen again."""
+        self.chooser.barred[move] = "it cannot be made"
+        self.remarks.append(f"{move}: {why}")
+        self.progress.say(self.remarks[-1])
 
     def _after(self, number: int, measurement: Measurement, view: PosteriorSummary) -> PosteriorSummary:
         """What is believed after a pull; what was before where no set can be followed in it."""
@@ -308,7 +318,8 @@ class _Loop:
     def _choose(self, view: PosteriorSummary, last: Move | None) -> Choice:
         """The next pull; what was made before by an exploration that was interrupted comes again."""
         number = len(self.steps)
-        choice = self.first if self.first and number == 0 else self.chooser.choose(view, last)
+        known_first = self.first if number == 0 and not self.chooser.barred else None
+        choice = known_first or self.chooser.choose(view, last)
         if number < len(self.made):
             move = self.made[number][0]
             known = next((o for o in choice.options if o.move == move), None)

@@ -14,7 +14,7 @@ from bcid.base.errors import SolveError
 from bcid.base.run_folder import sealed
 from bcid.exploration.moves import limits_of
 from bcid.exploration.predictions import PullPredictor
-from bcid.exploration.robots import Simulated
+from bcid.exploration.pull_posterior import PullPosterior
 from bcid.forms.model import check_physics
 from bcid.scene import Level, Scene
 from bcid.scene.uncertainty import Uncertainty
@@ -75,11 +75,11 @@ def test_a_trial_finds_the_anchors(bench: Bench, strategy: str) -> None:
 
 def test_a_trial_that_fails_is_recorded(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     def lost(*_: object) -> None:
-        raise SolveError("the simulated robot cannot make pull 1: lost")
+        raise SolveError("the fine level cannot be followed")
 
-    monkeypatch.setattr(Simulated, "observe", lost)
+    monkeypatch.setattr(PullPosterior, "after", lost)
     found = attempted(bench, ExplorationTrial(("1", "2"), 1e-3, ("II",), "information", 0))
-    assert found["reason"].startswith("failed: the simulated robot cannot make pull 1")
+    assert found["reason"].startswith("failed: the fine level cannot be followed")
     assert scores([found])["rows"][0]["decided"] == 0
 
 

@@ -14,6 +14,7 @@ from bcid.base.errors import InputError, SolveError
 from bcid.comparison.fitted_hypothesis import FittedHypothesis
 from bcid.comparison.state import State
 from bcid.exploration import pull_posterior
+from bcid.exploration.choice import Choice
 from bcid.exploration.explore_run import exploration_json, summary
 from bcid.exploration.joined import joined
 from bcid.exploration.loop import BUDGET, DECIDED, INSEPARABLE, Exploration, ExploreOptions, explore, posterior_before
@@ -22,6 +23,7 @@ from bcid.exploration.predictions import PullPredictor
 from bcid.exploration.robots import Simulated
 from bcid.forms.model import Model
 from bcid.inference.hypotheses import Hypothesis, normalised
+from bcid.inference.information import Expected
 from bcid.measurement import Measurement
 from bcid.measurement.cloud import Cloud
 from bcid.predict.predictor import Predictor
@@ -120,6 +122,29 @@ def test_a_pull_that_no_set_can_follow_changes_nothing(
     # The next pull is compared without it.
     assert (found.reason, second.view.best, len(second.view.seen)) == (DECIDED, Hypothesis(TRUTH), 1)
     assert found.remarks == ("pull 1: cannot be compared: no set can be followed",)
+
+
+def test_a_pull_that_the_robot_cannot_make_is_not_chosen_again(scene: Scene, working: PullPredictor) -> None:
+    asked = list[tuple[float, ...]]()
+
+    class Weak(Simulated):
+        def observe(self) -> Measurement:
+            assert self._action is not None
+            asked.append(tuple(self._action.translation[1]))
+            if len(asked) == 1:
+                raise SolveError("too weak")
+            return super().observe()
+
+    plan = ExploreOptions(noise=NOISE, budget=2.0, samples=200, grasps=("II",))
+    first = explored(scene, working, NOISE)
+    chosen = Choice(first.steps[0].move, Expected(*first.steps[0].expected), first.steps[0].options)
+    robot = Weak(working, list(TRUTH), NOISE, 1)
+    found = explore(scene, robot, plan, working, first=chosen)
+    assert (found.reason, found.view.best, len(found.steps)) == (DECIDED, Hypothesis(TRUTH), 1)
+    assert asked[0] != asked[1]
+    assert found.steps[0].spent == 1.0
+    assert found.remarks == (f"{chosen.move}: too weak",)
+    assert next(o for o in found.steps[0].options if o.move == chosen.move).forbidden == "it cannot be made"
 
 
 def test_points_of_a_surface_are_refused_in_words(scene: Scene, working: PullPredictor) -> None:
