@@ -123,6 +123,8 @@ def test_anchors_of_another_body_are_wrong_whatever_they_are():
     assert score.certain_and_wrong(given, "anchors")
     assert not score.decidable(given, "anchors")
     assert not score.certain_and_wrong(answer("other-body", "unknown", [], 0.9), "anchors")
+    measured = " ".join(draw("other-body", 0)["other"]["anchored"])
+    assert f"no set is right (of the other body: {measured})" in "\n".join(score.summary({"other-body-0": given}))
 
 
 def test_table_two_certain_and_wrong_of_a_kind_miss_the_goal():

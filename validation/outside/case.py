@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.base.errors import MachineError
+from bcid.base.errors import MachineError, SolveError
 from bcid.studies.hidden.truth import rms
 from validation import stored_input
 from validation.golden.cases import MEASUREMENT, SCENE
@@ -91,7 +91,8 @@ def prepare(kind: str, index: int, folder: Path, python: str | None) -> Truth:
         python: a Python that has the independent code.
 
     Raises:
-        MachineError: the independent code is not there or failed.
+        MachineError: the independent code is not there.
+        SolveError: it cannot follow the world.
     """
 
     def make() -> None:
@@ -119,7 +120,7 @@ def computed(spec: Spec, folder: Path, python: str | None) -> dict[str, Array]:
     )
     if done.returncode != 0:
         said = done.stderr.strip().splitlines()
-        raise MachineError(f"{WORLD.name} failed: {said[-1] if said else f'code {done.returncode}'}")
+        raise SolveError(f"{WORLD.name} failed: {said[-1] if said else f'code {done.returncode}'}")
     with np.load(output) as arrays:
         return dict(arrays)
 

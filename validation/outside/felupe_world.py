@@ -25,6 +25,8 @@ GRID = (8, 2, 4)
 TOLERANCE = 1e-6
 # Share of a pull at which the first order is taken.
 TANGENT = 0.01
+# A load that cannot be followed in steps of this share of a pull's step is given up.
+SMALLEST = 1 / 64
 
 
 class Springs:
@@ -164,11 +166,13 @@ def _pull(spec: Spec, body: Body, anchored: list[str], pull: Spec, steps: int) -
             items.append(Springs(field, body.nodes(box), body.areas(box), cohesive(law["stiffness"], law["length"])))
         else:
             held.append(body.nodes(box))
+    pressure = None
     if world.get("pressure"):
         mask = np.isin(np.arange(len(body.rest)), body.nodes(world["pressure"]["box"]))
         boundary = felupe.RegionTriQuadraticHexahedronBoundary(body.mesh, mask=mask)
         surface = felupe.FieldContainer([felupe.Field(boundary, dim=3)])
-        items.append(felupe.SolidBodyPressure(surface, pressure=world["pressure"]["kPa"]))
+        pressure = felupe.SolidBodyPressure(surface, pressure=0.0)
+        items.append(pressure)
     grip = spec["grasps"][pull["grasp"]]
     gripped, pad = body.nodes(grip), None
     if world.get("pad"):
@@ -178,17 +182,41 @@ def _pull(spec: Spec, body: Body, anchored: list[str], pull: Spec, steps: int) -
     fixed = np.setdiff1d(np.unique(np.concatenate(held)), gripped)
     dof0 = (3 * np.concatenate([fixed, gripped])[:, None] + np.arange(3)).ravel()
     dof1 = np.setdiff1d(np.arange(field[0].values.size), dof0)
-    found = []
-    for step in range(steps + 1):
-        place = np.array(pull["to"]) * step / steps
+
+    def load(share: float, inside: float) -> None:
+        """Equilibrium with the gripper at a share of its way, and a share of the pressure."""
+        place = np.array(pull["to"]) * share
         if pad is not None:
             pad.rest[:] = place
+        if pressure is not None:
+            pressure.update(world["pressure"]["kPa"] * inside)
         values = np.concatenate([np.zeros((len(fixed), 3)), np.broadcast_to(place, (len(gripped), 3))])
         felupe.newtonraphson(
             items=items, dof0=dof0, dof1=dof1, ext0=values.ravel(), solver=spsolve, maxiter=40, tol=TOLERANCE, verbose=0
         )
+
+    # The pressure acts before the gripper moves.
+    _followed(field, lambda part: load(0.0, part))
+    found = [np.array(field[0].values)]
+    for step in range(steps):
+        _followed(field, lambda part, begun=step: load((begun + part) / steps, 1.0))
         found.append(np.array(field[0].values))
     return np.array(found)
+
+
+def _followed(field: Any, load: Callable[[float], None]) -> None:
+    """Bring a load from nothing to the whole, in smaller steps where Newton's method does not converge."""
+    at, step = 0.0, 1.0
+    while at < 1:
+        before = np.array(field[0].values)
+        try:
+            load(at + step)
+            at += step
+        except felupe.tools.NewtonConvergenceError:
+            field[0].values[:] = before
+            step /= 2
+            if step < SMALLEST:
+                raise
 
 
 def _toggled(spec: Spec, anchored: list[str]) -> list[Array]:

@@ -9,7 +9,7 @@ from typing import Any
 from bcid.studies.hidden.judge import named, verdict_right
 from bcid.studies.text_table import TextTable
 from validation.golden.score import CERTAIN
-from validation.outside.worlds import CASES, KINDS
+from validation.outside.worlds import CASES, KINDS, draw
 
 Json = Mapping[str, Any]
 # An answer with more than this is sure.
@@ -124,5 +124,12 @@ def _wrong(answers: Mapping[str, Json]) -> Iterable[str]:
             if certain_and_wrong(answer, question):
                 found, truth = answer["diagnosis"], answer["truth"]
                 value = found["verdict"] if question == "verdict" else " ".join(found["anchored"]) or "none"
-                true = " ".join(truth["anchored"]) if truth["anchored"] is not None else "no set is right"
-                yield f"{name}: {question} {value} with {found[_QUESTIONS[question][0]]:.4f}; true anchors: {true}"
+                yield f"{name}: {question} {value} with {found[_QUESTIONS[question][0]]:.4f}; {_true_anchors(name, truth)}"
+
+
+def _true_anchors(name: str, truth: Json) -> str:
+    """Those of the scene's body, or of the body whose markers were measured, for which the scene has no right ones."""
+    if truth["anchored"] is not None:
+        return f"true anchors: {' '.join(truth['anchored'])}"
+    kind, _, index = name.rpartition("-")
+    return f"no set is right (of the other body: {' '.join(draw(kind, int(index))['other']['anchored'])})"
