@@ -32,10 +32,6 @@ from bcid.search.settings import SETTINGS
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
-# Of more patches than can be enumerated so many random sets are hypotheses before the first pull.
-_RANDOM = 64
-# Effects are fitted in a few steps, each on so many sets.
-_ON_SETS = 3
 
 
 class PullPosterior:
@@ -82,7 +78,7 @@ class PullPosterior:
         if len(names) <= SETTINGS.few_patches:
             sets = all_candidates(names)
         else:
-            sets = random_seeds(names, _RANDOM, np.random.default_rng(self.random_state))
+            sets = random_seeds(names, SETTINGS.random_sets, np.random.default_rng(self.random_state))
         return PosteriorSummary.before([frozenset(s) for s in dict.fromkeys(sets)], names, self.names, fine)
 
     def after(self, pull: Measurement) -> PosteriorSummary | None:
@@ -113,7 +109,7 @@ class PullPosterior:
         base, likely = first_state(predictor, model, self._likely)
         actions, rows = tuple(pull.actions[0] for pull in self.seen), predictor.data.mask.shape[1]
         sets = PossibleSets(self.working, actions, rows, self._excluded - {base.anchors, *likely})
-        fits, count = _ON_SETS * len(acting), SETTINGS.first_sets
+        fits, count = SETTINGS.sets_of_effect * len(acting), SETTINGS.first_sets
         return FullSearch(base, Known(tuple(acting)), likely, 1, fits, count, sets).run()
 
     def _summary(self, table: HypothesisTable, model: Model) -> PosteriorSummary:
@@ -121,7 +117,8 @@ class PullPosterior:
         for h, p in table.odds.probabilities.items():
             probabilities[h.known] = probabilities.get(h.known, 0.0) + p
         probabilities = dict(sorted(probabilities.items(), key=lambda item: (-item[1], item[0].order)))
-        rivals = best_first([*table.full, *table.rough])
+        # Evidences of all steps and of a few are of other data.
+        rivals = [*table.full, *best_first(table.rough)]
         best = table.best()
         state = best.fitted.state
         return PosteriorSummary(
@@ -144,11 +141,16 @@ def _numbers(
 ) -> dict[Hypothesis, FittedNumbers]:
     """Numbers of hypotheses with an effect: as they were fitted, or with another set where that is the best that is known."""
     found: dict[Hypothesis, FittedNumbers] = {}
+    # Many sets share the fit of one of them.
+    known: dict[int, FittedNumbers | None] = {}
     for h in (h for h in probabilities if h.names):
         same = [r for r in rivals if r.names == h.names and _acts_on(r, h.anchors)]
         rival = next((r for r in same if r.anchors == h.anchors), next(iter(same), None))
-        numbers = FittedNumbers.of(rival, begun) if rival else None
-        if numbers is not None:
+        if rival is None:
+            continue
+        if id(rival) not in known:
+            known[id(rival)] = FittedNumbers.of(rival, begun)
+        if (numbers := known[id(rival)]) is not None:
             found[h] = numbers
     return found
 

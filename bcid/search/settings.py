@@ -26,6 +26,8 @@ class SearchSettings:
         few_patches: with no more than these all sets are compared by a cheap tangent, and those that differ by three by any.
         loosened_patches: with no more than these all sets are compared whose anchors give or come off.
         excluded: anchor sets that hold no more than this together are no hypotheses for further pulls.
+        random_sets: of more patches than can be enumerated so many random sets are hypotheses before the first pull.
+        sets_of_effect: an exploration fits each effect in a few steps, on so many sets.
         counting: a hypothesis with less probability does not count for what to do next.
         helping: what is expected to give fewer bits is no advice.
         settling: predictions for which a fit that has not come to an end goes on.
@@ -46,6 +48,8 @@ class SearchSettings:
     few_patches: int = 10
     loosened_patches: int = 8
     excluded: float = 1e-3
+    random_sets: int = 64
+    sets_of_effect: int = 3
     counting: float = 1e-3
     helping: float = 0.01
     settling: int = 16
