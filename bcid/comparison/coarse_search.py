@@ -163,7 +163,8 @@ class CoarseSearch(SearchQueue):
             progress.step("anchor sets evaluated in a few steps", count, self.sets)
             return self._on_set(wanted.anchors)
         progress.step("effects fitted in a few steps", count, note=f"now {wanted.names[-1]}")
-        like = next((r for r in best_first(self.table.own) if r.names == wanted.names), None)
+        same = (r for r in best_first(self.table.own) if r.names == wanted.names)
+        like = next((r for r in same if r.acts_on(wanted.anchors)), None)
         if like is not None:
             return self._moved(like, wanted.anchors)
         begun = self._begun(wanted)

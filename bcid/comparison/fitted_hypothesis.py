@@ -95,6 +95,10 @@ class FittedHypothesis:
             Hypothesis(self.anchors, name, True): (self.evidence.forced, log_prior(count, True, self.known)),
         }
 
+    def acts_on(self, anchors: Anchored) -> bool:
+        """Whether the patches that its effects hold by springs, or let go, are among some."""
+        return {t.place for t in self.fitted.state.model.terms if t.place and loosens(t.effect)} <= anchors
+
     def without(self, name: str) -> FittedHypothesis:
         """Where to begin with the same without one of its effects: nothing was computed with that yet."""
         state = self.fitted.state

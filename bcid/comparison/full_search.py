@@ -215,7 +215,7 @@ class FullSearch(SearchQueue):
         rough = self.table.roughly(wanted)
         if rough is not None:
             return promoted(rough, self.base, self.model)
-        like = next((r for r in self.table.full if r.names == names), None)
+        like = next((r for r in self.table.full if r.names == names and r.acts_on(wanted.anchors)), None)
         if like is not None:
             return promoted(like, self.base, self.model, anchors=wanted.anchors)
         parent = next((r for r in self.table.full if r.names == names[:-1]), None)

@@ -15,7 +15,6 @@ from bcid.comparison.first_state import first_state
 from bcid.comparison.fitted_hypothesis import FittedHypothesis, best_first
 from bcid.comparison.full_search import FullSearch
 from bcid.comparison.hypothesis_table import HypothesisTable
-from bcid.comparison.loosened import loosens
 from bcid.exploration.fitted_numbers import FittedNumbers
 from bcid.exploration.joined import JoinedPredictors
 from bcid.exploration.possible_sets import PossibleSets, negligible
@@ -144,7 +143,7 @@ def _numbers(
     # Many sets share the fit of one of them.
     known: dict[int, FittedNumbers | None] = {}
     for h in (h for h in probabilities if h.names):
-        same = [r for r in rivals if r.names == h.names and _acts_on(r, h.anchors)]
+        same = [r for r in rivals if r.names == h.names and r.acts_on(h.anchors)]
         rival = next((r for r in same if r.anchors == h.anchors), next(iter(same), None))
         if rival is None:
             continue
@@ -153,11 +152,6 @@ def _numbers(
         if (numbers := known[id(rival)]) is not None:
             found[h] = numbers
     return found
-
-
-def _acts_on(rival: FittedHypothesis, anchors: Anchored) -> bool:
-    """Whether the patches that its effect holds by springs, or lets go, are among some."""
-    return {term.place for term in rival.fitted.state.model.terms if term.place and loosens(term.effect)} <= anchors
 
 
 def _missing(table: HypothesisTable) -> float:
