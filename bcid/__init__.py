@@ -10,7 +10,7 @@
     simulate                a measurement of a body whose anchors are known
     load                    the result that a finished run folder holds
     motions                 motions of the gripper
-    IdentifyOptions, ExplainOptions, ExploreOptions, Model, Term    what the functions can be told
+    IdentifyOptions, StageOptions, ExplainOptions, ExploreOptions, Model, Term    what the functions can be told
 
 Importing the package is light: no DOLFINx, VTK or OpenCV is loaded before something needs it.
 """
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from bcid.proposal.propose import ProposeOptions
     from bcid.scene import Scene, motions
     from bcid.search.identify_options import IdentifyOptions
+    from bcid.search.stage_options import StageOptions
 
 _MODULES = {
     "bcid.scene": ("Scene",),
@@ -41,6 +42,7 @@ _MODULES = {
     "bcid.forms.simulate": ("simulate",),
     "bcid.api.results": ("load",),
     "bcid.search.identify_options": ("IdentifyOptions",),
+    "bcid.search.stage_options": ("StageOptions",),
     "bcid.comparison.explain": ("ExplainOptions",),
     "bcid.exploration.loop": ("ExploreOptions",),
     "bcid.proposal.propose": ("ProposeOptions",),
@@ -56,6 +58,7 @@ __all__ = [
     "Model",
     "ProposeOptions",
     "Scene",
+    "StageOptions",
     "Term",
     "__version__",
     "compare",

@@ -33,7 +33,7 @@ def main() -> tuple[float, float]:
     body = replace(scene, levels=(Level(3, 0.016),), material=stiffer)
     pulls = motions.motion("pull", "III", 1, 0.012, 5, (0.6, 0.8, 0.0))
     measured = simulate(body, ["3", "4"], pulls, noise=0.2e-3, wrench=True, wrench_noise=0.02)
-    found = identify(scene, measured, options=IdentifyOptions(certify="no", coarsest=1, finest=2))
+    found = identify(scene, measured, options=IdentifyOptions(level=2))
     assert found.stiffness is not None
     value, error = found.stiffness["young"]
     print(f"{found.headline}\nyoung = {uncertain(value, error, 'Pa')}; the body that was pulled has {TRUE:.0f} Pa")

@@ -12,6 +12,7 @@ from bcid.api.results import DiagnosisResult, ExploreResult, IdentifyResult, Pro
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError, nearest
 from bcid.base.progress import Progress
+from bcid.comparison import identify_run
 from bcid.comparison.diagnosis import Diagnosis, check_terms, compared, diagnosed, explained, on_predictor, refitted
 from bcid.comparison.explain import ExplainOptions
 from bcid.comparison.output import collect
@@ -25,7 +26,6 @@ from bcid.exploration.predictions import PullPredictor
 from bcid.exploration.robots import Robot
 from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import check_geometry
-from bcid.forms.mesh import level_mesh
 from bcid.forms.mesh.patches import divided
 from bcid.forms.model import Model, Term, check_physics
 from bcid.inference.continuation import truncate_to_converged
@@ -35,7 +35,6 @@ from bcid.proposal.proposal_documents import WrittenProposal, proposal_documents
 from bcid.proposal.propose import ProposeOptions
 from bcid.proposal.propose_run import effect_names
 from bcid.scene import Scene
-from bcid.search import identify_run
 from bcid.search.identify_options import IdentifyOptions
 
 SceneLike = Scene | str | Path
@@ -71,7 +70,7 @@ def identify(
 
     def work(seen: Measurement) -> IdentifyResult:
         done, seen = identify_run.identified(body, seen, comm, options, refine, model, progress)
-        mesh = level_mesh(done.scene, body.levels[done.found.levels[-1]], comm)
+        mesh = identify_run.working_mesh(done, comm)
         return IdentifyResult(identify_run.documents(seen, done, mesh), "identify")
 
     return truncate_to_converged(seen, work)

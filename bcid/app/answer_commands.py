@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ from bcid.base.shipped import shipped
 
 if TYPE_CHECKING:
     from bcid.comparison.explain import ExplainOptions
+    from bcid.search.stage_options import StageOptions
 
 DEMO_SCENE = "examples/scenes/slab_explain.toml"
 DEMO_MEASUREMENT = "examples/measurements/slab-34-heavy"
@@ -56,29 +57,34 @@ def _demo_report(folder: Path) -> None:
 
 def identify(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid identify`."""
+    from bcid.comparison.identify_run import run_identification
     from bcid.search.identify_options import IdentifyOptions
-    from bcid.search.identify_run import run_identification
-    from bcid.search.termination import Stop, Termination
 
-    options = IdentifyOptions(
-        certify=arguments.certify,
-        seeds=arguments.seeds,
-        random_state=arguments.random_state,
-        coarsest=arguments.coarsest,
-        finest=arguments.finest,
-        climbed=arguments.climbed,
-        start=arguments.start,
-        threshold=arguments.threshold,
-        toggles=arguments.toggles,
-        stop=Stop.parse(arguments.stop),
-        termination=Termination(arguments.fit, arguments.patience, arguments.budget),
-    )
+    options = IdentifyOptions(arguments.certify, arguments.level, _stages(arguments))
     scene, measurement, output = arguments.scene, arguments.measurement, arguments.output
     progress = progress_of(arguments, comm.rank)
     folder = run_identification(
         scene, measurement, output, options, comm, progress, arguments.overwrite, arguments.refine
     )
     finish(folder, arguments, comm, progress)
+
+
+def _stages(arguments: argparse.Namespace) -> StageOptions | None:
+    """Options of the search in stages; None where it is not asked for."""
+    from bcid.search.stage_options import StageOptions
+    from bcid.search.termination import Stop, Termination
+
+    rules = ("fit", "patience", "budget")
+    names = [field.name for field in fields(StageOptions) if field.name != "termination"]
+    given = {name: getattr(arguments, name) for name in (*names, *rules) if getattr(arguments, name) is not None}
+    if not arguments.stages:
+        if given:
+            name = next(iter(given)).replace("_", "-")
+            raise InputError(f"--{name}: is of the search in stages; add --stages")
+        return None
+    ends = Termination(**{name: given.pop(name) for name in rules if name in given})
+    stop = Stop.parse(given.pop("stop")) if "stop" in given else Stop()
+    return StageOptions(**given, stop=stop, termination=ends)
 
 
 def compare(arguments: argparse.Namespace, comm: Comm) -> None:

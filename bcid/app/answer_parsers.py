@@ -50,37 +50,37 @@ def add_identify(commands: Any) -> None:
     add_output(parser)
     search = parser.add_argument_group("search")
     search.add_argument(
-        "--certify", default="auto", help="look at every set of patches in the end: yes, no, or auto (up to 10 patches)"
+        "--certify",
+        default="auto",
+        help="follow every set of patches until it has lost: yes, no, or auto (up to 10 patches; else those near the likely ones)",
     )
-    search.add_argument("--seeds", type=int, metavar="N", help="random seeds of the first stage (24; 4 if certified)")
-    search.add_argument("--random-state", type=seed, default=0, metavar="N", help="of the seeds (0)")
-    search.add_argument("--coarsest", type=int, default=0, metavar="LEVEL", help="first mesh level (0)")
-    search.add_argument(
-        "--finest", type=int, metavar="LEVEL", help="last mesh level (default: when the residual has settled)"
-    )
-    search.add_argument(
-        "--stop",
-        default="settled",
-        metavar="RULE",
-        help='when no finer level is needed: settled (default), same, "similarity 0.95", "refinement 0.5 mm"',
-    )
+    add_level(search)
     search.add_argument(
         "--refine", type=int, default=0, metavar="ROUNDS", help="halve patches that leave a doubt, so many times (0)"
     )
-    search.add_argument("--climbed", type=int, default=2, metavar="N", help="levels that are climbed on (2)")
-    search.add_argument("--start", default="maxima", help="seeds of later stages: maxima (default), or threshold")
-    search.add_argument(
-        "--threshold", type=float, default=0.95, metavar="X", help="similarity for threshold, part of the best's"
+    stages = parser.add_argument_group(
+        "stages", "Climb to the sets to begin with in stages over the mesh ladder (Algorithms 1 and 2 of the paper)."
     )
-    search.add_argument(
-        "--toggles", type=int, default=0, metavar="N", help="random toggles of the seeds of later stages (0)"
+    stages.add_argument("--stages", action="store_true", help="search in stages; the options below are of it")
+    stages.add_argument("--seeds", type=int, metavar="N", help="random seeds of the first stage (24)")
+    stages.add_argument("--random-state", type=seed, metavar="N", help="of the seeds (0)")
+    stages.add_argument("--coarsest", type=int, metavar="LEVEL", help="first mesh level (0)")
+    stages.add_argument("--finest", type=int, metavar="LEVEL", help="last mesh level (when the residual has settled)")
+    stages.add_argument(
+        "--stop",
+        metavar="RULE",
+        help='when no finer level is needed: settled (default), same, "similarity 0.95", "refinement 0.5 mm"',
     )
-    search.add_argument(
-        "--fit", type=float, default=1.05, help="end a stage when the residual is this many times the noise"
+    stages.add_argument("--climbed", type=int, metavar="N", help="levels that are climbed on (2)")
+    stages.add_argument("--start", help="seeds of later stages: maxima (default), or threshold")
+    stages.add_argument(
+        "--threshold", type=float, metavar="X", help="similarity for threshold, part of the best's (0.95)"
     )
-    search.add_argument("--patience", type=int, default=12, help="... or when so many seeds led to nothing better (12)")
-    search.add_argument(
-        "--budget", type=float, default=10_000, help="... or when so many trajectories were computed on a level"
+    stages.add_argument("--toggles", type=int, metavar="N", help="random toggles of the seeds of later stages (0)")
+    stages.add_argument("--fit", type=float, help="end a stage when the residual is this many times the noise (1.05)")
+    stages.add_argument("--patience", type=int, help="... or when so many seeds led to nothing better (12)")
+    stages.add_argument(
+        "--budget", type=float, help="... or when so many trajectories were computed on a level (10000)"
     )
 
 

@@ -66,7 +66,7 @@ def add_source(parser: argparse.ArgumentParser) -> None:
     add_output(parser)
 
 
-def add_level(parser: argparse.ArgumentParser) -> None:
+def add_level(parser: argparse._ActionsContainer) -> None:
     """The mesh level."""
     parser.add_argument(
         "--level",

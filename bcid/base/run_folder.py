@@ -1,12 +1,11 @@
 """A run folder: everything a command computed, readable by machines, resumable after a kill, never silently overwritten.
 
     run.json      command, versions, fingerprints, timings, state ("running", "finished", "failed"), what the command makes
-    outcomes/     what was computed so far, one small file per batch: a killed run goes on from here
 
 What else it holds is the business of the command, which names it when the run begins: --overwrite removes that and no more.
 
 Every file is written whole under another name and then renamed: a reader never sees half of one. What a disk or a hand
-changes later is noticed: `run.json` holds checksums of the files and of itself, and the name of a batch ends with its own.
+changes later is noticed: `run.json` holds checksums of the files and of itself.
 """
 
 from __future__ import annotations
@@ -41,7 +40,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 FORMAT = "bcid-run/1"
-_BATCHES = "outcomes"
 # A name of what a command makes: a file, or with a slash at its end a folder.
 _NAME = re.compile(r"[A-Za-z0-9][\w.-]*/?", re.ASCII)
 _KEYS = ("command", "state", "inputs", "versions", "attempts", "seconds", "checksum")
@@ -113,7 +111,7 @@ class RunFolder:
     ) -> RunFolder:
         if overwrite:
             _empty(path)
-        for name in (f"{_BATCHES}/", *makes):
+        for name in makes:
             if name.endswith("/") and (path / name.rstrip("/")).is_symlink():
                 raise InputError(f"{path / name.rstrip('/')}: is a link, which leads out of the run; remove it")
         if (path / "run.json").exists():
@@ -304,26 +302,6 @@ class RunFolder:
         """Content of a text file; `InputError` when it is missing or damaged."""
         return as_text(self.read_bytes(name), self.path / name)
 
-    def add_batch(self, batch: list[dict[str, Any]]) -> None:
-        """Keep a batch of results, so that a killed run need not compute them again."""
-        numbers = [int(file.name[:6]) for file in self._batch_files()]
-        text = _json(batch)
-        write_whole(self.path / f"{_BATCHES}/{max(numbers, default=-1) + 1:06d}-{_checksum(text.encode())}.json", text)
-
-    def batches(self, dropped: Callable[[str], None] = lambda _: None) -> Iterator[list[dict[str, Any]]]:
-        """What `add_batch` kept, in order; one that is damaged is removed, and `dropped` is told so in words."""
-        for file in self._batch_files():
-            with suppress(InputError):
-                content = read_inside(self.path, f"{_BATCHES}/{file.name}")
-                if file.name[7:] == f"{_checksum(content)}.json":
-                    yield _parsed(content, file)
-                    continue
-            _removed(file)
-            dropped(f"{file}: is damaged; what it held is computed again")
-
-    def _batch_files(self) -> list[Path]:
-        return sorted((self.path / _BATCHES).glob("[0-9]" * 6 + "-*.json"))
-
 
 @contextmanager
 def running(
@@ -436,7 +414,7 @@ def _empty(path: Path) -> None:
         return
     record = _read_record(path)
     made = [name for name in (*record.get("makes", ()), *record.get("files", {})) if _NAME.fullmatch(str(name))]
-    for name in (*made, f"{_BATCHES}/", *(entry.name for entry in path.glob(".*.partial*"))):
+    for name in (*made, *(entry.name for entry in path.glob(".*.partial*"))):
         target = path / name.rstrip("/")
         if name.endswith("/") and not target.is_symlink():
             shutil.rmtree(target, ignore_errors=True)

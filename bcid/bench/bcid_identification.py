@@ -1,6 +1,6 @@
 """bcid identifies a measurement with its default options: ``mpirun -n 2 python -m bcid.bench.bcid_identification MEASUREMENT``.
 
-``SEEDS FINEST`` behind it make it smaller, without a certificate.
+``LEVEL`` behind it makes it smaller, without a certificate.
 """
 
 from __future__ import annotations
@@ -14,10 +14,12 @@ import sys
 from mpi4py import MPI
 
 import bcid
+from bcid.base.progress import Silent
 from bcid.bench.bench_slab import encoded, measurement, scene
-from bcid.search import evaluator as evaluator
-from bcid.search.identify import identify
-from bcid.search.identify_options import IdentifyOptions
+from bcid.comparison.followed_sets import FollowedSets
+from bcid.comparison.identify import posterior
+from bcid.forms.model import Model
+from bcid.predict.predictor import Predictor
 
 
 def main() -> None:
@@ -25,16 +27,12 @@ def main() -> None:
     name, *smaller = sys.argv[1:]
     comm = MPI.COMM_WORLD
     clock = Clock("bcid", f"bcid {bcid.__version__}")
-    options = (
-        IdentifyOptions(certify="no", seeds=int(smaller[0]), finest=int(smaller[1])) if smaller else IdentifyOptions()
-    )
     slab, seen = scene(), measurement(name)
     comm.barrier()
     clock.start()
-    # Every batch whole, for the replay: of what is kept in between nothing is needed.
-    evaluator._BATCH = 10**6
-    batches: list[list[float]] = []
-    found = identify(slab, seen, comm, options, keep=lambda outcomes: batches.append([o.seconds for o in outcomes]))
+    predictor = Predictor(slab, seen, comm, int(smaller[0]) if smaller else None, progress=Silent())
+    followed = FollowedSets(predictor, not smaller)
+    table = posterior(predictor, Model.of(slab), (), followed)
     comm.barrier()
     clock.stop()
     processor = comm.allgather(clock.record["cpu_s"])
@@ -42,9 +40,12 @@ def main() -> None:
     if comm.rank > 0:
         return
     record = clock.record | {"cpu_s": sum(processor), "rss_mb": max(resident), "ranks": comm.size}
-    record |= {"answer": encoded(found.anchored), "certified": found.certified, "probability": found.probability}
-    record |= {"evaluations": {str(k): v for k, v in found.evaluations.items()}, "finest": found.levels[-1]}
-    record["batches"] = batches
+    best = table.best()
+    record |= {"answer": encoded(best.anchors), "probability": table.odds.held_by(best.anchors)}
+    whole = len(followed.found) == 2 ** len(slab.patches) and not followed.failed
+    spent = {str(predictor.fine_level): sum(predictor.trajectories.values())}
+    record |= {"certified": whole, "evaluations": spent, "finest": predictor.fine_level}
+    record["batches"] = [[found.seconds for found in followed.found.values()]]
     print(json.dumps(record), flush=True)
 
 

@@ -1,7 +1,7 @@
 """bcid with the slab's eight patches halved HALVINGS times: ``mpirun -n 2 python -m bcid.bench.bcid_patches HALVINGS SIZE_MM``.
 
-Climbs on one level of linear elements: with the eight patches from one random seed, with halves from the answer for the
-wholes. The last climb is timed; the true set is all pieces of patches 1 and 2.
+Identifies on one level of linear elements, with halves from the answer for the wholes. The last identification is timed; the true
+set is all pieces of patches 1 and 2.
 """
 
 from __future__ import annotations
@@ -16,11 +16,9 @@ from mpi4py import MPI
 
 import bcid
 from bcid.bench.bench_slab import encoded, measurement, with_level
+from bcid.comparison.identify import identify
 from bcid.forms.mesh.patches import half_names, halves
-from bcid.search.identify import identify
 from bcid.search.identify_options import IdentifyOptions
-
-SEEDS = 1
 
 
 def main() -> None:
@@ -30,7 +28,7 @@ def main() -> None:
     clock = Clock("bcid", f"bcid {bcid.__version__}")
     scene = with_level(size, 1)
     seen = measurement("slab-12-semicircle")
-    options = IdentifyOptions(seeds=SEEDS, certify="no")
+    options = IdentifyOptions()
     start: list[frozenset[str]] = []
     for _ in range(halvings):
         found = identify(scene, seen, comm, options, start=start)

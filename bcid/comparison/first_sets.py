@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError
 from bcid.base.progress import Steps
-from bcid.comparison import anchors as anchor_search
 from bcid.comparison.coarse_search import CoarseSearch
 from bcid.comparison.few_steps import FEW_STEPS, few_steps
 from bcid.comparison.fitted_hypothesis import weighed
@@ -20,13 +19,16 @@ from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.continuation import ContinuationError
 from bcid.inference.mesh_error import MeshError
 from bcid.predict.predictor import Predictor
-from bcid.search.identify import identify
-from bcid.search.identify_options import IdentifyOptions
+from bcid.scene import Scene
 from bcid.search.settings import SETTINGS
+from bcid.search.stage_options import StageOptions
+from bcid.search.staged_search import staged_search
 
 Anchored = frozenset[str]
 # Where none of them can be followed the coarsest level is climbed from so many seeds, with steps halved so often.
 _SEEDS, _HALVINGS = 2, 3
+# A set with which the body would buckle again and again is given up early.
+_LARGE_STEPS = Settings(rtol=1e-7, halvings=0)
 
 
 def first_sets(predictor: Predictor, model: Model) -> list[Anchored]:
@@ -39,8 +41,9 @@ def first_sets(predictor: Predictor, model: Model) -> list[Anchored]:
     for number, anchors in enumerate(sets):
         if not predictor.predict(model, anchors, keep=True).failure:
             return [*_recovered(predictor, model, lost, anchors), *sets[number:]]
-    nothing = MeshError.unknown(predictor.data.mask.shape)
-    return [frozenset(anchor_search.search(predictor, model, nothing, sets, "no").anchored)]
+    level = predictor.level
+    options = StageOptions(coarsest=level, finest=level)
+    return _climbed(predictor, predictor.scene, options, model, _LARGE_STEPS, sets)[:1]
 
 
 def _recovered(predictor: Predictor, model: Model, lost: Sequence[Anchored], best: Anchored) -> list[Anchored]:
@@ -80,7 +83,7 @@ def _seen(predictor: Predictor, model: Model) -> tuple[list[Anchored], list[Anch
             state = State.of(thin, model, anchors, MeshError.unknown(thin.data.mask.shape))
             table = CoarseSearch(state, model, sets=SETTINGS.first_sets).run()
             return table.sets, table.lost
-    return _climbed(predictor, model), []
+    return _climbed_coarsely(predictor, model), []
 
 
 def _openings(predictor: Predictor, model: Model) -> list[Anchored]:
@@ -99,18 +102,29 @@ def _openings(predictor: Predictor, model: Model) -> list[Anchored]:
     return [frozenset(far[:count]) for count in counts]
 
 
-def _climbed(predictor: Predictor, model: Model) -> list[Anchored]:
+def _climbed_coarsely(predictor: Predictor, model: Model) -> list[Anchored]:
     """The likely sets on the coarsest level, with a few steps of each action that may be halved more often."""
     thin, frames = predictor.thinned(few_steps(predictor), Settings(rtol=1e-6, halvings=_HALVINGS))
-    options = IdentifyOptions(certify="no", seeds=_SEEDS, finest=0)
+    options = StageOptions(seeds=_SEEDS, finest=0)
     try:
-        found = identify(thin.whole, thin.measurement, thin.comm, options, model, thin.settings, Steps(thin.progress))
+        return _climbed(thin, thin.whole, options, model, thin.settings)[: SETTINGS.first_sets]
     except ContinuationError as error:
         raise ContinuationError(str(error), error.remark, _came_to(predictor, frames[error.frames])) from None
+
+
+def _climbed(
+    predictor: Predictor,
+    scene: Scene,
+    options: StageOptions,
+    model: Model,
+    settings: Settings,
+    start: Sequence[Anchored] = (),
+) -> list[Anchored]:
+    """The sets that climbing on levels of a scene finds likely, the likeliest first."""
+    measurement, comm, steps = predictor.measurement, predictor.comm, Steps(predictor.progress)
+    found = staged_search(scene, measurement, comm, options, model, settings, steps, start)
     predictor.count("coarse", sum(found.evaluations.values()))
-    return [frozenset(names) for names in [found.anchored, *(a.anchored for a in found.alternatives)]][
-        : SETTINGS.first_sets
-    ]
+    return list(found.shares)
 
 
 def _came_to(predictor: Predictor, frames: NDArray[np.int64]) -> NDArray[np.bool_]:

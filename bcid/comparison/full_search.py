@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
+from typing import Protocol
 
 from bcid.base.errors import InputError, SolveError
 from bcid.comparison.candidates import Candidates
@@ -17,9 +18,9 @@ from bcid.comparison.fitted_hypothesis import FittedHypothesis, added, best_firs
 from bcid.comparison.hypothesis_table import HypothesisTable
 from bcid.comparison.ranking import Ranking
 from bcid.comparison.search_queue import SearchQueue, Task
-from bcid.comparison.set_tangents import SetPredictor, sets_predicted
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
+from bcid.forms.model import Model
 from bcid.inference.discrepancy import Evidence
 from bcid.inference.hypotheses import Hypothesis
 from bcid.inference.outcome import label
@@ -27,6 +28,24 @@ from bcid.inference.posterior import Fidelity
 from bcid.search.settings import SETTINGS
 
 Anchored = frozenset[str]
+
+
+class SetEvaluator(Protocol):
+    """Evaluates sets in all steps where that costs less than to fit them."""
+
+    @property
+    def failed(self) -> Collection[Anchored]:
+        """Those that could not be followed to the end."""
+        ...
+
+    def evidences(
+        self, rival: FittedHypothesis, begun: Model, excluded: frozenset[Anchored]
+    ) -> Mapping[Anchored, Evidence]:
+        """Of the effects of a fitted hypothesis on sets, its own among them, with its numbers and errors; collective.
+
+        `begun` is the model without added effects; `excluded` sets are not asked about. Nothing where none can be evaluated.
+        """
+        ...
 
 
 class FullSearch(SearchQueue):
@@ -39,7 +58,8 @@ class FullSearch(SearchQueue):
         effects: that may act together, at most.
         fitted: effects that are fitted in a few steps beside each model, each time on one set.
         sets: anchor sets that are compared in a few steps.
-        others: predicts other sets in all steps, where that costs less than to fit them.
+        others: evaluates other sets in all steps, where that costs less than to fit them.
+        excluded: sets that have lost, as is known from elsewhere: they are no hypotheses.
     """
 
     def __init__(
@@ -50,10 +70,10 @@ class FullSearch(SearchQueue):
         effects: int,
         fitted: int,
         sets: int,
-        others: SetPredictor | None = None,
+        others: SetEvaluator | None = None,
+        excluded: frozenset[Anchored] = frozenset(),
     ) -> None:
-        table = HypothesisTable(alike=candidates.alike, excluded=others.excluded if others else frozenset())
-        super().__init__(base, table)
+        super().__init__(base, HypothesisTable(alike=candidates.alike, excluded=excluded))
         self.others = others
         self.candidates, self.starts, self.most, self.few, self.sets = candidates, tuple(starts), effects, fitted, sets
         # Effects beside which further ones were sought.
@@ -131,14 +151,17 @@ class FullSearch(SearchQueue):
             self.say_fitted(rival)
 
     def ask_sets(self, rival: FittedHypothesis) -> None:
-        found: Mapping[Anchored, Evidence] = {}
-        if self.others:
-            jacobian = rival.jacobian(rival.judged.errors)
-            found = sets_predicted(rival.judged, self.model, self.others, jacobian)
-        if found:
-            self.table.add_sets(rival, found, Fidelity.SHARED)
-        else:
+        """What other sets are worth with the effects of a fitted hypothesis: predicted where that is cheap, else by its tangent."""
+        if self.others is None:
             super().ask_sets(rival)
+            return
+        found = self.others.evidences(rival, self.model, self.table.excluded)
+        if not found:
+            super().ask_sets(rival)
+            return
+        for anchors in self.others.failed:
+            self.table.refuse(Hypothesis(anchors, rival.hypothesis.effect))
+        self.table.add_sets(rival, found, Fidelity.SHARED)
 
     def missing(self, rival: FittedHypothesis) -> Ranking:
         """What a model lacks, as all steps show it."""

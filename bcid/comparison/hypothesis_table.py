@@ -199,9 +199,16 @@ class HypothesisTable:
         Their rate is that of this run, beside one hypothesis of which the true one's rate is known. Of the frames that it does not
         reach a hypothesis predicts what the best one does.
         """
-        rate = (CONTINUATION_FAILURE_RATE + len(self.refused)) / (1 + len(self.full) + len(self.refused))
+        failed = len(self.refused)
+        rate = (CONTINUATION_FAILURE_RATE + failed) / (1 + self._followed_count() + failed)
         best = max(max(r.evidence.plain, r.evidence.forced) for r in self.full)
         return replace(one.at_most(best), log_prior=one.log_prior + math.log(rate))
+
+    def _followed_count(self) -> int:
+        """How many hypotheses could be followed in all steps."""
+        shared = (t.sets for t in self.tangents.values() if t.fidelity == Fidelity.SHARED)
+        sets = {anchors for some in shared for anchors in some}
+        return len(self.full) + len(sets - {h.anchors for h in self.refused} - {r.anchors for r in self.full})
 
     def _ceiling(self) -> float:
         """Logarithm of the evidence of a hypothesis that leaves noise alone, or of the best; none where no noise is stated."""

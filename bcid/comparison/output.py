@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from bcid.base.collective import overlaid
-from bcid.base.errors import SolveError, evaluating
 from bcid.base.units import unit_factor
 from bcid.comparison import answer_text, courses, curvature, diagnosis_text
 from bcid.comparison.adequacy import FALSE_ALARMS, groups, judge
@@ -20,8 +17,10 @@ from bcid.comparison.diagnosis import Diagnosis
 from bcid.comparison.explanation import Explanation, ModelStep, Onset, explains
 from bcid.comparison.fit import Fit
 from bcid.comparison.fitted_hypothesis import FittedHypothesis
+from bcid.comparison.identify_run import body_parts, inputs_in_words, odd, stiffness_in_words
 from bcid.comparison.ranking import Ranking
 from bcid.comparison.source import Source, stored_effect
+from bcid.comparison.state_fields import detailed
 from bcid.comparison.where import MissingForce, Place
 from bcid.forms.course import course_of
 from bcid.forms.gripper_force import ROWS
@@ -32,7 +31,6 @@ from bcid.inference.data import Data
 from bcid.inference.hypotheses import patches
 from bcid.measurement import AXES, WRENCH
 from bcid.predict.predictor import Predictor
-from bcid.search.identify_run import body_parts, inputs_in_words, odd, stiffness_in_words
 
 MODEL_FORMAT = "bcid-model/1"
 Array = NDArray[np.float64]
@@ -49,21 +47,8 @@ def collect(predictor: Predictor, done: Diagnosis) -> dict[str, Any]:
     for one in state.model.terms:
         without = predictor.predict(state.model.without(one.label), state.anchors)
         parts[one.label] = (state.prediction.positions - without.positions)[:, : len(predictor.scene.fiducials)]
-    forward = predictor.forward(state.model)
-    displacement = np.full((len(predictor.data.mask), len(forward.mesh.points), 3), np.nan)
-    energy = displacement[..., 0].copy()
-    for action in predictor.actions:
-        part = state.prediction.parts.get(action.name)
-        if part is not None and part.states is not None:
-            with suppress(SolveError), evaluating("fields of the answer", predictor.skip):
-                detailed = forward.detail(state.anchors, [action], part)
-                assert detailed.displacement is not None
-                assert detailed.energy is not None
-                displacement[action.frames] = detailed.displacement[action.frames]
-                energy[action.frames] = detailed.energy[action.frames]
-    fields = {"displacement": displacement, "energy": energy}
-    fields = {name: overlaid(predictor.comm.allgather(values)) for name, values in fields.items()}
-    return {"parts": parts, "mesh": forward.mesh} | fields
+    found, mesh = detailed(state), predictor.forward(state.model).mesh
+    return {"parts": parts, "mesh": mesh, "displacement": found.displacement, "energy": found.energy}
 
 
 def documents(source: Source, done: Diagnosis, content: dict[str, Any]) -> dict[str, Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,26 +21,23 @@ Array = NDArray[np.float64]
 Anchored = frozenset[str]
 
 
-class SetPredictor(Protocol):
-    """Predicts sets in all steps where a run predicts them anyway."""
-
-    @property
-    def excluded(self) -> frozenset[Anchored]:
-        """Sets that are no hypotheses."""
-        ...
-
-    def predict(self, sets: Sequence[Anchored], model: Model) -> Mapping[Anchored, Array]:
-        """Where the markers go with sets and a model, each (frames, markers, 3), m, of those that can be followed; collective."""
-        ...
-
-
 def neighbours(state: State, begun: Model, every: bool) -> list[Anchored]:
-    """Sets on which the added effects of a state can act: all of few patches if wanted, else those that differ by two or three.
+    """Sets on which the added effects of a state can act: all of few patches if wanted, else those that differ by two or three."""
+    count, few = len(state.predictor.scene.patches), len(state.predictor.scene.patches) <= SETTINGS.few_patches
+    return _acting_on(state, begun, count if every and few else 3 if few else 2)
+
+
+def every_set(state: State, begun: Model) -> list[Anchored]:
+    """All sets on which the added effects of a state can act."""
+    return _acting_on(state, begun, len(state.predictor.scene.patches))
+
+
+def _acting_on(state: State, begun: Model, most: int) -> list[Anchored]:
+    """Sets that differ from that of a state by so many patches at most, and on which its added effects can act.
 
     Without anchors a body that is gripped in no action, or not in all, has no equilibrium unless something else holds it.
     """
-    patches, few = list(state.predictor.scene.patches), len(state.predictor.scene.patches) <= SETTINGS.few_patches
-    most = len(patches) if every and few else 3 if few else 2
+    patches = list(state.predictor.scene.patches)
     found = [state.anchors ^ frozenset(s) for count in range(most + 1) for s in combinations(patches, count)]
     added, scene = state.model.added(begun), state.predictor.scene
     places = [(term.place, term.effect.places) for term in added if term.effect.places]
@@ -75,19 +71,18 @@ def sets_about(state: State, begun: Model, jacobian: Array | None = None) -> dic
 
 
 def sets_predicted(
-    state: State, begun: Model, others: SetPredictor, jacobian: Array | None = None
+    state: State, begun: Model, predicted: Mapping[Anchored, Array], jacobian: Array | None = None
 ) -> dict[Anchored, Evidence]:
     """Evidence of other sets and of its own, as they are predicted with the numbers of a state, by its errors; collective.
 
-    Arguments are as of `sets_about`.
+    Arguments are as of `sets_about`; `predicted` are the positions with each set, (frames, rows, 3), m. Nothing where the own set
+    is not among them.
     """
     numbers = of_state(state, begun, jacobian)
-    sets = [anchors for anchors in neighbours(state, begun, True) if anchors not in others.excluded]
-    found = others.predict(sets, state.model) if numbers else {}
-    if numbers is None or state.anchors not in found:
+    if numbers is None or state.anchors not in predicted:
         return {}
-    moves = [positions - found[state.anchors] for positions in found.values()]
-    return dict(zip(found, _evidences(state, numbers, moves, (0.0, 0.0)), strict=True))
+    moves = [positions - predicted[state.anchors] for positions in predicted.values()]
+    return dict(zip(predicted, _evidences(state, numbers, moves, (0.0, 0.0)), strict=True))
 
 
 def _evidences(

@@ -11,6 +11,7 @@ from bcid.base.collective import Comm, agree, on_root
 from bcid.base.errors import BcidError, InputError, nearest
 from bcid.base.fingerprint import file_fingerprint
 from bcid.base.run_folder import RunFolder
+from bcid.comparison.identify_run import fingerprints, read_inputs
 from bcid.forms import effects
 from bcid.forms.course import course_of, in_time
 from bcid.forms.effects.effect import Effect
@@ -18,7 +19,6 @@ from bcid.forms.forward import check_geometry
 from bcid.forms.model import Model, Term
 from bcid.measurement import Measurement
 from bcid.scene import Scene
-from bcid.search.identify_run import fingerprints, read_inputs
 
 
 @dataclass(frozen=True)

@@ -196,10 +196,19 @@ class State:
     @property
     def rough_values(self) -> Array:
         """The part of the residual that is most likely noise whatever is missing: an unknown force is allowed for too, (n,), m."""
+        return self._beside_unknown(self.evidence()).rough(self.residual)
+
+    @property
+    def likeliest_errors(self) -> ErrorCovariance:
+        """The errors, with an unknown force or misfit where that makes the measurement likelier."""
+        evidence = self.evidence()
+        return self._beside_unknown(evidence) if evidence.forced > evidence.plain else self.errors
+
+    def _beside_unknown(self, evidence: Evidence) -> ErrorCovariance:
+        """The errors with something unknown besides, as it is likeliest."""
         errors, data = self.errors, self.predictor.data
-        unknown = self.unknown.likeliest(data, self.evidence())
-        wider = ErrorCovariance(data, errors.sigma, errors.mesh, errors.nuisances.beside(unknown))
-        return wider.rough(self.residual)
+        unknown = self.unknown.likeliest(data, evidence)
+        return ErrorCovariance(data, errors.sigma, errors.mesh, errors.nuisances.beside(unknown))
 
     @cached_property
     def told(self) -> list[NuisanceEstimate]:

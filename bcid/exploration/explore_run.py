@@ -16,6 +16,7 @@ from bcid.base.inside_folder import refuse_links
 from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import RunFolder, running, sealed, unsealed
 from bcid.base.units import for_people, percent
+from bcid.comparison.identify_run import odd, stiffness_in_words
 from bcid.exploration.loop import (
     BUDGET,
     DECIDED,
@@ -43,7 +44,6 @@ from bcid.inference.hypotheses import Hypothesis, entropy
 from bcid.measurement import Measurement
 from bcid.predict.store import PredictionStore
 from bcid.scene import Scene
-from bcid.search.identify_run import odd, stiffness_in_words
 
 SIMULATED, FOLDER = "simulated", "folder"
 # Where what the search over hypotheses predicts is kept, beside the predictions of pulls.

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.comparison.fitted_hypothesis import FittedHypothesis
+from bcid.comparison.set_tangents import neighbours, sets_predicted
 from bcid.exploration.predictions import PullPredictor
 from bcid.forms.model import Model
+from bcid.inference.discrepancy import Evidence
 from bcid.inference.hypotheses import HypothesisOdds
 from bcid.measurement import Action
 from bcid.search.settings import SETTINGS
@@ -20,21 +23,33 @@ Anchored = frozenset[str]
 
 @dataclass(frozen=True)
 class PossibleSets:
-    """All sets but those that pulls before exclude, for `bcid.comparison.full_search`.
+    """What sets predict for all pulls, for `bcid.comparison.full_search`.
 
     Attributes:
         working: predicts pulls.
         actions: of all pulls.
         rows: of the measurement: fiducials, and the gripper where its force is measured.
-        excluded: sets that are no hypotheses.
     """
 
     working: PullPredictor
     actions: tuple[Action, ...]
     rows: int
-    excluded: frozenset[Anchored] = frozenset()
 
-    def predict(self, sets: Sequence[Anchored], model: Model) -> dict[Anchored, Array]:
+    def evidences(
+        self, rival: FittedHypothesis, begun: Model, excluded: frozenset[Anchored]
+    ) -> dict[Anchored, Evidence]:
+        """See `bcid.comparison.full_search.SetEvaluator`."""
+        state = rival.judged
+        sets = [anchors for anchors in neighbours(state, begun, True) if anchors not in excluded]
+        predicted = self._predicted(sets, state.model)
+        return sets_predicted(state, begun, predicted, rival.jacobian(state.errors))
+
+    @property
+    def failed(self) -> Collection[Anchored]:
+        """None is known: a set that cannot be followed in a pull may be so in others."""
+        return ()
+
+    def _predicted(self, sets: Sequence[Anchored], model: Model) -> dict[Anchored, Array]:
         """Where the markers go in all pulls, each (frames, rows, 3), m, of the sets that can be followed; collective."""
         tasks = [(anchors, action) for anchors in sets for action in self.actions]
         own = model.constants() == self.working.model.constants()

@@ -107,9 +107,9 @@ class PullPosterior:
         acting = [e for e in self.known if not (e.needs and e.needs(self.scene, predictor.measurement))]
         base, likely = first_state(predictor, model, self._likely)
         actions, rows = tuple(pull.actions[0] for pull in self.seen), predictor.data.mask.shape[1]
-        sets = PossibleSets(self.working, actions, rows, self._excluded - {base.anchors, *likely})
+        sets, excluded = PossibleSets(self.working, actions, rows), self._excluded - {base.anchors, *likely}
         fits, count = SETTINGS.sets_of_effect * len(acting), SETTINGS.first_sets
-        return FullSearch(base, Known(tuple(acting)), likely, 1, fits, count, sets).run()
+        return FullSearch(base, Known(tuple(acting)), likely, 1, fits, count, sets, excluded).run()
 
     def _summary(self, table: HypothesisTable, model: Model) -> PosteriorSummary:
         probabilities: dict[Hypothesis, float] = {}

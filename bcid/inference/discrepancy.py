@@ -183,6 +183,55 @@ class Evidence:
         return math.exp(self.forced + math.log(PRIORS.missing) - self.total)
 
 
+@dataclass(frozen=True)
+class EvidenceCells:
+    """Logarithms of the evidence for each size of a discrepancy, each width of unknown numbers and each factor of the noise.
+
+    They are of the residual in units of its errors: the volume of these is left out.
+
+    Attributes:
+        plain: nothing is missing, shape (cells,).
+        pushed, misfits: of each unknown force, and of each length of a misfit in observation space; likewise.
+    """
+
+    plain: Array
+    pushed: tuple[Array, ...]
+    misfits: tuple[Array, ...]
+
+    @classmethod
+    def of(
+        cls,
+        errors: ErrorCovariance,
+        residual: Array,
+        forces: Sequence[LowRankDiscrepancy],
+        misfits: Sequence[LowRankDiscrepancy],
+        numbers: LinearParameters,
+    ) -> EvidenceCells:
+        """Of a residual (n,), m; the other arguments are as of `Evidence.of`, `misfits` are in units of the errors as well."""
+        scaled, factors = errors.whiten(residual), None if errors.data.stated else LARGER
+        plain = MarginalLikelihood.of(scaled, numbers).cells(factors)
+        pushed, observed = (
+            tuple(MarginalLikelihood.of(scaled, numbers, one).cells(factors) for one in some)
+            for some in (forces, misfits)
+        )
+        return cls(plain, pushed, observed)
+
+    def beside(self, here: EvidenceCells, there: EvidenceCells) -> EvidenceCells:
+        """These cells with each changed as from `there` to `here`, of what tells of some of the values alone."""
+        plain = self.plain + here.plain - there.plain
+        pushed, misfits = (
+            tuple(own + a - b for own, a, b in zip(*some, strict=True))
+            for some in ((self.pushed, here.pushed, there.pushed), (self.misfits, here.misfits, there.misfits))
+        )
+        return EvidenceCells(plain, pushed, misfits)
+
+    def evidence(self, volume: float) -> Evidence:
+        """Integrated over the cells; `volume` is that of the errors."""
+        plain = float(logsumexp(self.plain))
+        pushed, misfits = ([float(logsumexp(one)) for one in some] for some in (self.pushed, self.misfits))
+        return Evidence(plain - volume, float(logsumexp(_ways(plain, pushed, misfits, None))) - volume, 0.0)
+
+
 def conditional(
     errors: ErrorCovariance,
     residual: Array,

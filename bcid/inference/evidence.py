@@ -182,6 +182,15 @@ class MarginalLikelihood:
         """
         return float(self.logs(factors)[0])
 
+    def cells(self, factors: Array | None = None) -> Array:
+        """The same of each size, row of widths and factor: logarithms of what adds up to the density, shape (cells,)."""
+        squares, volumes = self.squares.ravel(), self.volumes.ravel()
+        if factors is None:
+            found = _density(squares, volumes, self.count, None) + self.inside.ravel()
+        else:
+            found = (_each(squares, volumes, self.count, factors) + self.inside.reshape(-1, 1)).ravel()
+        return np.asarray(found - math.log(len(found)) + self.log_prior)
+
     def logs(self, factors: Array | None = None) -> Array:
         """The same for each value of a nuisance that is known, shape (values,)."""
         found = _density(self.squares.ravel(), self.volumes.ravel(), self.count, factors) + self.inside.ravel()

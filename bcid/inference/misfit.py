@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -61,11 +59,6 @@ class Misfit:
     def rms(self, squares: float) -> float:
         """RMS residual per coordinate, m, from the sum of squares over all frames."""
         return float(np.sqrt(squares / self.values))
-
-    def rms_of(self, by_frame: Sequence[float], frames: NDArray[np.bool_]) -> float:
-        """RMS residual per coordinate, m, in some of the frames, from their chi-squares."""
-        values = int(self._counts[frames].sum())
-        return (self.noise or 1.0) * float(np.sqrt(np.sum(np.array(by_frame)[frames]) / values)) if values else 0.0
 
     def distance(self, a: Array, b: Array) -> float:
         """RMS difference of two predictions (frames, fiducials or more rows, 3) over the visible coordinates, m."""

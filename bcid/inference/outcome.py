@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
-from typing import Any, Protocol
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.base.errors import InputError
 from bcid.forms.solver.status import Status
 from bcid.inference.misfit import Misfit
 
@@ -50,33 +48,6 @@ class Outcome:
     reason: str = ""
     seconds: float = 0.0
     by_frame: tuple[float, ...] = ()
-
-    def to_json(self) -> dict[str, Any]:
-        """As JSON: infinite numbers become null."""
-        frames = [value if math.isfinite(value) else None for value in self.by_frame]
-        plain = asdict(self) | {"candidate": sorted(self.candidate), "by_frame": frames}
-        return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in plain.items()}
-
-    @classmethod
-    def from_json(cls, content: Mapping[str, Any]) -> Outcome:
-        """What `to_json` gave; numbers survive exactly. `InputError` when it is damaged."""
-        try:
-            numbers = {
-                k: math.inf if content[k] is None else float(content[k]) for k in ("chi2", "rms", "share", "seconds")
-            }
-            status = Status(content["status"])
-            complete, reason = bool(content["complete"]), str(content["reason"])
-            candidate = frozenset(str(name) for name in content["candidate"])
-            frames = tuple(math.nan if value is None else float(value) for value in content["by_frame"])
-            level = int(content["level"])
-            outcome = cls(candidate, level, complete=complete, status=status, reason=reason, by_frame=frames, **numbers)
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(
-                f"a stored outcome of the run is damaged ({error!r}); start it anew with --overwrite"
-            ) from None
-        if any(not value >= 0 for value in numbers.values()):
-            raise InputError(f"a stored outcome of the run is damaged ({numbers}); start it anew with --overwrite")
-        return outcome
 
     def beyond(self, other: Outcome) -> float:
         """By how much its chi-square exceeds another's, over the frames that both have."""

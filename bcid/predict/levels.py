@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from bcid.base.collective import Comm
 from bcid.forms.mesh import level_mesh
+from bcid.forms.mesh.patches import first_level
 from bcid.scene import Level, Scene
 
 # So many unknowns of a level of the ladder are affordable.
@@ -43,9 +44,17 @@ def pair(scene: Scene, number: int, comm: Comm) -> tuple[Level, ...]:
         fine = finer if fits else level
         working = replace(level, refinements=max(level.refinements - 1, 0))
         return (working, fine) if working != fine else (level,)
-    few = (one for one in _larger(level)[::-1] if _unknowns(scene, one, comm) >= _WORKING)
-    many = (one for one in _larger(finer) if _unknowns(scene, one, comm) <= _FINE)
-    return next(few, level), next(many, _larger(finer)[-1])
+    few = (one for one in _showing(scene, level, comm)[::-1] if _unknowns(scene, one, comm) >= _WORKING)
+    finest = _showing(scene, finer, comm)
+    many = (one for one in finest if _unknowns(scene, one, comm) <= _FINE)
+    return next(few, level), next(many, finest[-1])
+
+
+def _showing(scene: Scene, level: Level, comm: Comm) -> list[Level]:
+    """A level and those with larger elements on which every piece of a patch has a facet; collective."""
+    larger = _larger(level)[::-1]
+    first, _ = first_level(replace(scene, levels=tuple(larger)), 0, len(larger) - 1, comm)
+    return larger[first:][::-1]
 
 
 def _larger(level: Level) -> list[Level]:

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,6 @@ from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
 from bcid.forms.solver.status import Status
-from bcid.forms.solver.trajectory import Trajectory
 from bcid.inference.misfit import Misfit
 from bcid.inference.outcome import Candidate, Outcome, label
 from bcid.measurement import Measurement
@@ -33,7 +32,6 @@ from bcid.scene import Scene
 from bcid.search.scheduler import counter, share
 
 Array = NDArray[np.float64]
-T = TypeVar("T")
 # What was computed is shared, and can be stored, at the latest after so many candidates per team.
 _BATCH = 64
 # Relative accuracy of a rough solution, and by how much more a set must lose for it to be told from that.
@@ -51,8 +49,6 @@ class Evaluator:
         model: the model, by default the scene's.
         settings: accuracy and patience of the solver.
         progress: told how far a batch is (rank 0).
-        keep: called with what was computed in each batch, on every rank, so that it can be stored.
-        known: what `keep` was given by an interrupted search: it is taken when it is asked for, and not computed again.
         per_rank: a mesh with more unknowns than this is shared by a team of ranks, as far as there are any.
 
     Attributes:
@@ -68,8 +64,6 @@ class Evaluator:
         model: Model | None = None,
         settings: Settings | None = None,
         progress: Progress | None = None,
-        keep: Callable[[list[Outcome]], None] | None = None,
-        known: Iterable[Outcome] = (),
         per_rank: int = 150_000,
     ) -> None:
         measurement = replace(measurement, remarks=tuple(measurement.check(scene)))
@@ -79,11 +73,6 @@ class Evaluator:
         self.progress = progress or Silent()
         for text in measurement.remarks:
             self.progress.say(f"look at this first: {text}")
-        self.keep = keep
-        self._stored: dict[tuple[int, Candidate], list[Outcome]] = {}
-        # Of a measurement that was compared up to another step they say nothing.
-        for outcome in (one for one in known if len(one.by_frame) == len(measurement.positions)):
-            self._stored.setdefault((outcome.level, outcome.candidate), []).append(outcome)
         self.misfit = Misfit(scene, measurement)
         self._forces = ForceScale.of(scene, measurement)
         self.actions = measurement.actions
@@ -98,7 +87,6 @@ class Evaluator:
         self._leaders: dict[int, Any] = {}
         self._positions: dict[tuple[int, Candidate], Array] = {}
         self._kept: dict[int, tuple[float, Candidate, Prediction]] = {}
-        self._again: dict[int, int] = {}
 
     @property
     def patches(self) -> list[str]:
@@ -131,41 +119,23 @@ class Evaluator:
             first.Free()
         return team
 
-    def evaluate(
-        self, level: int, bounds: Mapping[Candidate, float], rival: Candidate | None = None, last: bool = False
-    ) -> dict[Candidate, Outcome]:
+    def evaluate(self, level: int, bounds: Mapping[Candidate, float]) -> dict[Candidate, Outcome]:
         """Outcomes of candidates on a level; collective, the same on every rank.
 
         Args:
             level: the mesh level.
             bounds: each candidate with the chi-square above which its exact value is of no interest: its evaluation
                 stops there. Those that are likely to take long should come first.
-            rival: a set that is known in full on this level: of the frames that a candidate has not come to, it is taken
-                to do as well there as the rival. Without one, it is taken to miss nothing there: the bound is then
-                exact. With one it is a sequential likelihood ratio test (Wald 1945): if the candidate were the true
-                set, the probability that it is stopped at odds of 1 to R is at most 1/R (Ville's inequality).
-            last: whether no others follow on this level, so that it can be told how much is left.
         """
         forward = self.forward(level)
-        rest = self._rest(level, rival)
-        for c, bound in bounds.items():
-            if not self._enough(self.outcomes.get((level, c)), bound):
-                self._add(next((o for o in self._stored.get((level, c), []) if self._enough(o, bound)), None))
         todo = [c for c, bound in bounds.items() if not self._enough(self.outcomes.get((level, c)), bound)]
         size = _BATCH * (self.comm.size // forward.comm.size)
         for i in range(0, len(todo), size):
-            self._work(level, {c: bounds[c] for c in todo[i : i + size]}, rest, len(bounds) if last else 0)
+            self._work(level, {c: bounds[c] for c in todo[i : i + size]})
         return {c: self.outcomes[level, c] for c in bounds}
 
-    def _rest(self, level: int, rival: Candidate | None) -> Array:
-        """Chi-square and squares (m^2) that a set is taken to add in each frame at least, shape (2, frames); collective."""
-        if rival is None:
-            return np.zeros((2, self.misfit.frames))
-        predicted = self.positions(level, rival)
-        return np.array([self.misfit.frame(i, p) for i, p in enumerate(predicted)]).T
-
-    def _work(self, level: int, bounds: Mapping[Candidate, float], rest: Array, total: int) -> None:
-        """Evaluate a batch of `total` candidates: every team takes the next when it is free. Collective."""
+    def _work(self, level: int, bounds: Mapping[Candidate, float]) -> None:
+        """Evaluate a batch of candidates: every team takes the next when it is free. Collective."""
         forward, leaders = self.forward(level), self._leaders[level]
         team = forward.comm
         mine: list[Outcome] = []
@@ -176,7 +146,7 @@ class Evaluator:
         while (candidate := team.bcast(next(turns, None)) if team.size > 1 else next(turns, None)) is not None:
             try:
                 with evaluating("anchors " + label(candidate, self.patches)):
-                    outcome, predicted = self._evaluate(forward, candidate, bounds[candidate], rest)
+                    outcome, predicted = self._evaluate(forward, candidate, bounds[candidate])
             except SolveError as caught:
                 # It costs this candidate alone.
                 outcome, predicted = _failed(candidate, level, str(caught), self.misfit.frames), np.zeros(0)
@@ -186,7 +156,7 @@ class Evaluator:
             mine.append(outcome)
             if outcome.complete:
                 positions[candidate] = predicted
-            self._report(level, mine, total)
+            self._report(level, mine)
         if tickets is not None:
             tickets.close()
         agree(self.comm, error)
@@ -201,14 +171,12 @@ class Evaluator:
         best = self._best(level)
         if best is None or self._kept.get(level, (0.0, None))[1] != best.candidate:
             self._kept.pop(level, None)
-        if self.keep is not None and found:
-            self.keep(found)
 
-    def _report(self, level: int, mine: list[Outcome], total: int) -> None:
+    def _report(self, level: int, mine: list[Outcome]) -> None:
         """How far this level is, as far as this rank can tell before the batch is shared."""
         done, best = sum(at == level for at, _ in self.outcomes) + len(mine), self._best(level, mine)
         note = f"best so far {label(best.candidate, self.patches)} with {best.rms * 1e3:.3g} mm" if best else ""
-        self.progress.step(f"level {level}: anchor sets", done, total, note)
+        self.progress.step(f"level {level}: anchor sets", done, 0, note)
 
     def _best(self, level: int, also: Sequence[Outcome] = ()) -> Outcome | None:
         """What fits best of all that was compared in full on a level, and of others."""
@@ -220,10 +188,8 @@ class Evaluator:
         """Whether an outcome answers a question with this bound."""
         return outcome is not None and (outcome.complete or outcome.failed or outcome.chi2 > bound)
 
-    def _add(self, outcome: Outcome | None) -> None:
+    def _add(self, outcome: Outcome) -> None:
         """Take an outcome as evaluated; the work of an earlier evaluation, with a smaller bound, adds up."""
-        if outcome is None:
-            return
         key = outcome.level, outcome.candidate
         earlier = self.outcomes.get(key)
         if earlier is not None:
@@ -231,11 +197,11 @@ class Evaluator:
             outcome = replace(outcome, share=share, seconds=seconds)
         self.outcomes[key] = outcome
 
-    def _evaluate(self, forward: Forward, candidate: Candidate, bound: float, rest: Array) -> tuple[Outcome, Array]:
+    def _evaluate(self, forward: Forward, candidate: Candidate, bound: float) -> tuple[Outcome, Array]:
         """Outcome and predicted positions of one candidate; collective on the team."""
         start = time.perf_counter()
         # Chi-square and squares by frame: one that comes again replaces what was seen before.
-        sums = rest.copy()
+        sums = np.zeros((2, self.misfit.frames))
 
         def watch(frame: int, predicted: Array) -> bool:
             sums[:, frame] = self.misfit.frame(frame, predicted)
@@ -245,11 +211,11 @@ class Evaluator:
         for prediction in self._passes(forward, candidate, watch):
             reached = np.asarray(np.isfinite(prediction.positions).all(axis=(1, 2)))
             share = max(share, float(reached[self._costly].mean()))
-            chi2, squares = (float(value) for value in np.where(reached, sums, rest).sum(axis=1))
+            chi2, squares = (float(value) for value in np.where(reached, sums, 0.0).sum(axis=1))
             by_frame = tuple(map(float, np.where(reached, sums[0], np.nan)))
             if prediction.stopped:
                 break
-            sums[:], limit = rest, bound
+            sums[:], limit = 0.0, bound
         failure = prediction.failure
         if failure and failure.status is Status.OUT_OF_MEMORY:
             # This says nothing of the candidate: it must not pass for one that cannot be.
@@ -303,46 +269,6 @@ class Evaluator:
             known = prediction.states
             yield prediction
 
-    def _predicted(self, forward: Forward, candidate: Candidate) -> Prediction:
-        """The same, of no frame where it fails otherwise than by a solve."""
-        try:
-            with evaluating("anchors " + label(candidate, self.patches)):
-                *_, prediction = self._passes(forward, candidate)
-        except SolveError as error:
-            nowhere = np.full((self.misfit.frames, forward.rows, 3), np.nan)
-            return Prediction(nowhere, (Trajectory(Status.FAILED, reason=str(error)),), {})
-        return prediction
-
-    def together(self, level: int) -> bool:
-        """Whether a level's mesh is so large that ranks would share it, if there were several; collective."""
-        return bool(self.forward(level).body.unknowns > self.per_rank)
-
-    def each(
-        self, level: int, candidates: Sequence[Candidate], work: Callable[[Forward, Candidate, Prediction], T]
-    ) -> dict[Candidate, T]:
-        """What `work` makes of the predictions of candidates, with states; collective, the same on every rank.
-
-        Ranks must not share the level's mesh (see `together`).
-        """
-        forward, holders = self.forward(level), self._holders(level)
-        kept = [c for c in candidates if holders.get(c) == self.comm.rank]
-        others = [c for c in candidates if c not in holders]
-        mine: dict[Candidate, T] = {}
-        error: BcidError | None = None
-        tickets = counter(self.comm)
-        try:
-            for candidate in kept:
-                mine[candidate] = work(forward, candidate, self._kept[level][2])
-            for candidate in share(others, tickets):
-                mine[candidate] = work(forward, candidate, self._predicted(forward, candidate))
-        except (BcidError, MemoryError) as caught:
-            error = caught if isinstance(caught, BcidError) else MachineError(SHORT_OF_MEMORY)
-        tickets.close()
-        agree(self.comm, error)
-        found = {candidate: made for part in self.comm.allgather(mine) for candidate, made in part.items()}
-        self._again[level] = self._again.get(level, 0) + len(others)
-        return {candidate: found[candidate] for candidate in candidates}
-
     def positions(self, level: int, candidate: Candidate) -> Array:
         """Predicted values of one candidate, shape (frames, rows, 3), m; collective."""
         key = level, candidate
@@ -357,7 +283,7 @@ class Evaluator:
 
     def evaluations(self) -> dict[int, float]:
         """Forward trajectories computed per level, in whole-trajectory equivalents."""
-        counts: dict[int, float] = {level: float(count) for level, count in self._again.items()}
+        counts: dict[int, float] = {}
         for (level, _), outcome in sorted(self.outcomes.items(), key=lambda item: (item[0][0], sorted(item[0][1]))):
             counts[level] = counts.get(level, 0.0) + outcome.share
         return counts

@@ -20,23 +20,23 @@ class Identification:
         anchored: names of the anchored patches, in the scene's order.
         probability: of this set among all visited ones.
         patches: probability that each patch is anchored.
-        rms, noise: RMS residual of the set on the finest level used, and the stated noise (None if unknown).
-        discretisation: RMS error of the model on that level, as far as the ladder and the residual tell; None with one level.
-        certified: whether every set of patches was looked at on the finest level used, and the model could be solved for each.
+        rms, noise: RMS residual of the set, with what a finer mesh says taken out of the prediction, and the stated noise (None if
+            unknown).
+        discretisation: RMS of what may be left of the error of the mesh; None where nothing is known of it.
+        certified: whether every set was followed to the end or until it had lost, and the model could be solved for each.
         evaluations: forward trajectories per level, in whole-trajectory equivalents.
-        looked_at: on the finest level used, how many sets were evaluated in full, stopped when they had lost, failed, or
-            were not looked at.
+        looked_at: how many sets were followed to the end, stopped when they had lost, failed, or were not followed.
         alternatives: the next best sets, best first.
-        classes: the likely sets on the finest level used, in classes that these data cannot tell apart (see
-            `bcid.search.screening.classes`); the first holds the reported set.
-        levels: the levels used.
+        classes: the likely sets, in classes that these data cannot tell apart; the first holds the
+            reported set.
+        levels: of the ladder, that were used; the working mesh goes by the last.
         stages: what happened on each level, in words.
-        prediction: of the reported set on the finest level used.
+        prediction: of the reported set on the working mesh, positions with what a finer mesh says of its error taken out.
         failures: sets for which the forward model found no acceptable equilibrium, with the reason.
         seconds: time spent.
         remarks: what is odd about the measurement.
-        missing: probability that something is missing in the model with these anchors (see `bcid.inference.discrepancy`); None
-            where the mesh is too large for that to be asked.
+        missing: probability that something is missing in the model (see `bcid.inference.discrepancy`); None where that was not
+            asked.
         astray: fiducials that do not go with the body, and were left out.
         nuisances: what the data say of each thing that the scene may have slightly wrong.
         stiffness: how stiff the body is, where forces are measured.

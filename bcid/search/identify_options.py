@@ -1,95 +1,48 @@
-"""How a search for the anchors is done."""
+"""How the anchored patches are identified."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from bcid.base.errors import InputError, nearest
 from bcid.scene import Scene
-from bcid.search.termination import Stop, Termination
+from bcid.search.settings import SETTINGS
+from bcid.search.stage_options import StageOptions
 
 CERTIFY = ("auto", "yes", "no")
-GROUP = 4
-"""Seeds that are climbed from before it is asked whether these are enough."""
-# With more patches every set is looked at only when that is asked for, and with many more not at all.
-_AUTO_PATCHES = 10
+# With more patches not every set is followed.
 _MOST_PATCHES = 16
 
 
 @dataclass(frozen=True)
 class IdentifyOptions:
-    """How the search is done.
+    """How the anchored patches are identified.
 
     Attributes:
-        certify: whether, in the end, every set of patches is looked at on the finest level used: "yes", "no", or "auto":
-            with up to 10 patches.
-        seeds: random seeds of the first stage; None for 24, or for 4 when every set is looked at in the end anyway.
-        random_state: of the seeds; the same number gives the same search.
-        coarsest, climbed: first level, and how many levels are climbed on; on finer ones only the likely sets are
-            looked at.
-        finest: last level that may be used; with `stop` "settled", the level that is used.
-        stop: when the stages end, as `Stop.parse("refinement 0.5 mm")`.
-        start: what seeds the second and later stages: "maxima", or "threshold" for every state above `threshold`.
-        threshold: similarity, a fraction of the best on the level.
-        toggles: random toggles that perturb the seeds of later stages.
-        termination: when enough seeds have been climbed from.
+        certify: which sets are followed until they have lost: "yes", every one; "auto", every one of up to 10 patches, and else
+            those that differ from a likely one by two; "no", none: tangents and a few steps tell of them.
+        level: of the ladder, that both meshes go by; by default the last with at most 40,000 unknowns.
+        stages: climb to the sets to begin with in stages, as the paper does; by default a few steps show them.
     """
 
     certify: str = "auto"
-    seeds: int | None = None
-    random_state: int = 0
-    coarsest: int = 0
-    climbed: int = 2
-    finest: int | None = None
-    start: str = "maxima"
-    threshold: float = 0.95
-    toggles: int = 0
-    stop: Stop = field(default_factory=Stop)
-    termination: Termination = field(default_factory=Termination)
-
-    def last(self, scene: Scene) -> int:
-        """The last level that may be used."""
-        return len(scene.levels) - 1 if self.finest is None else self.finest
+    level: int | None = None
+    stages: StageOptions | None = None
 
     def check(self, scene: Scene) -> None:
         """Raise `InputError` for options that the scene cannot serve."""
-        levels = len(scene.levels)
+        levels, count = len(scene.levels), len(scene.patches)
         if self.certify not in CERTIFY:
             raise InputError(f"certify '{self.certify}': {nearest(self.certify, CERTIFY)}")
-        if self.start not in ("maxima", "threshold"):
-            raise InputError(f"start '{self.start}': {nearest(self.start, ('maxima', 'threshold'))}")
-        self.stop.check()
-        rules = self.termination
-        for name, number, least in (
-            ("seeds", self.count(scene), 1),
-            ("random_state", self.random_state, 0),
-            ("climbed", self.climbed, 1),
-            ("toggles", self.toggles, 0),
-            ("patience", rules.patience, 1),
-            ("budget", rules.budget, 1),
-            ("fit", rules.fit, 0),
-            ("threshold", self.threshold, 0),
-        ):
-            if not (number >= least and math.isfinite(number)):
-                raise InputError(f"{name} = {number}: must be at least {least}")
-        if self.threshold >= 1:
-            raise InputError(f"threshold = {self.threshold}: a part of the best similarity, so it must be below 1")
-        for name, level in (("coarsest", self.coarsest), ("finest", self.finest)):
-            if level is not None and not 0 <= level < levels:
-                raise InputError(f"{name} level {level}: the scene has levels 0 to {levels - 1}")
-        if self.finest is not None and self.finest < self.coarsest:
-            raise InputError(f"finest level {self.finest} is coarser than the coarsest level {self.coarsest}")
-        if self.certify == "yes" and len(scene.patches) > _MOST_PATCHES:
-            count = len(scene.patches)
+        if self.level is not None and not 0 <= self.level < levels:
+            raise InputError(f"level {self.level}: the scene has levels 0 to {levels - 1}")
+        if self.certify == "yes" and count > _MOST_PATCHES:
             raise InputError(
                 f"certify: {count} patches have {2**count} sets; up to {_MOST_PATCHES} patches can be certified: use certify no"
             )
-
-    def count(self, scene: Scene) -> int:
-        """How many random seeds there are."""
-        return self.seeds if self.seeds is not None else (GROUP if self.certifies(scene) else 24)
+        if self.stages is not None:
+            self.stages.check(scene)
 
     def certifies(self, scene: Scene) -> bool:
-        """Whether every set is looked at."""
-        return self.certify == "yes" or (self.certify == "auto" and len(scene.patches) <= _AUTO_PATCHES)
+        """Whether every set is followed."""
+        return self.certify == "yes" or (self.certify == "auto" and len(scene.patches) <= SETTINGS.few_patches)

@@ -1,8 +1,8 @@
-"""Screening: which sets have lost before they are weighed, judged as they are followed, frame by frame.
+"""Screening: which sets have lost, judged as they are followed, frame by frame.
 
 What a set misses more than the best one is held against a variance in which the error of the level's mesh counts as often as a
-trajectory has frames. That takes no sensitivities, and is careful: it keeps sets that weighing then refuses. Section 4.1 of the
-paper.
+trajectory has frames. That takes no sensitivities, and is careful: it keeps sets that the posterior then refuses. Section 4.1 of
+the paper.
 """
 
 from __future__ import annotations
@@ -11,51 +11,27 @@ import math
 from collections.abc import Mapping, Sequence
 
 from bcid.inference.criteria import CONTINUATION_FAILURE_RATE
-from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
 from bcid.inference.mesh_error import gain
 from bcid.inference.misfit import Misfit
 from bcid.inference.outcome import Candidate, Evaluated, Outcome
-from bcid.inference.posterior import Evaluation, Fidelity, FidelityStep, Pair, Posterior, toggles
-from bcid.search.set_evidence import SetEvidence
-
-# Odds from which on two sets count as told apart.
-_TELLING = 20.0
 
 
-def screened(
-    evaluated: Evaluated,
-    best: Candidate,
-    errors: Mapping[int, float],
-    weighed: SetEvidence | None = None,
-) -> HypothesisOdds:
-    """What is believed of everything that was evaluated, all sets being as likely before the measurement.
+def screened(evaluated: Evaluated, best: Candidate, errors: Mapping[int, float]) -> dict[Candidate, float]:
+    """Logarithms of the odds of everything that was evaluated against the `best` set, the likeliest first.
 
-    What was weighed has its evidence, with the error of that fidelity where it is known on the coarsest level only. Other sets are
-    at most as likely as the least likely of those, and compared with the `best`, on the finest level on which each was evaluated
-    (see `log_odds`). A set whose evaluation stopped early has an upper bound.
+    Each set is compared on the finest level on which it was evaluated (see `log_odds`). One whose evaluation stopped early has an
+    upper bound.
 
     Args:
         evaluated: holds the outcomes.
         best: that fits best; it must be known on every level used.
         errors: of the model, m, on each of the levels used (see `level_errors`).
-        weighed: logarithms of the evidence of the sets that were weighed.
     """
-    weighed = weighed or SetEvidence()
-    least = min(weighed.logs.values(), default=0.0)
-    bounds = {
-        c: min(log_odds(o, evaluated.outcomes[o.level, best], evaluated.misfit, errors[o.level]), least)
+    logs = {
+        c: log_odds(o, evaluated.outcomes[o.level, best], evaluated.misfit, errors[o.level])
         for c, o in finest(evaluated, max(errors)).items()
     }
-    known = {Hypothesis(c): Evaluation(log, 0.0) for c, log in (bounds | dict(weighed.finely)).items()}
-    pairs = []
-    for c, log in weighed.coarsely.items():
-        changed = toggles(Fidelity.COARSE, Hypothesis(c), Hypothesis(weighed.top), log)
-        base = weighed.finely[weighed.top]
-        if c not in weighed.finely:
-            known[Hypothesis(c)] = Evaluation(log, 0.0, (FidelityStep(0.0, base, changed),))
-        else:
-            pairs.append(Pair(changed, log, weighed.finely[c] - base))
-    return HypothesisOdds(Posterior(known, pairs).probabilities())
+    return dict(sorted(logs.items(), key=lambda item: (-item[1], item[0] != best, len(item[0]), sorted(item[0]))))
 
 
 def finest(evaluated: Evaluated, last: int) -> dict[Candidate, Outcome]:
@@ -98,33 +74,6 @@ def log_odds(outcome: Outcome, best: Outcome, misfit: Misfit, error: float) -> f
     if variance <= 0.0:
         return 0.0 if difference <= 0.0 else -math.inf
     return -difference / (2 * variance) + (math.log(CONTINUATION_FAILURE_RATE) if outcome.failed else 0.0)
-
-
-def classes(evaluated: Evaluated, level: int, error: float, least: float) -> list[list[Candidate]]:
-    """Sets that the measured motions cannot tell apart, on a level; collective.
-
-    Looked at are the sets that were evaluated in full there and are at most `least` times less likely than the best. Two
-    belong together when, if one of them were the true set, the data would be expected to favour it by less than
-    `_TELLING` to one: half the squared distance of their predictions, in units of the `spread`, is the expected
-    logarithm of that ratio. Each class is built around its likeliest set, which comes first; so do the likelier classes.
-    """
-    known = sorted((o for (at, _), o in evaluated.outcomes.items() if at == level and o.complete), key=lambda o: o.chi2)
-    found: list[list[Candidate]] = []
-    for outcome in known:
-        if log_odds(outcome, known[0], evaluated.misfit, error) < -math.log(least):
-            continue
-        variance = spread(known[0], evaluated.misfit, error) * (evaluated.misfit.noise or 1.0) ** 2
-        here = evaluated.positions(level, outcome.candidate)
-        for others in found:
-            apart = (
-                evaluated.misfit.distance(here, evaluated.positions(level, others[0])) ** 2 * evaluated.misfit.values
-            )
-            if apart <= 2 * variance * math.log(_TELLING):
-                others.append(outcome.candidate)
-                break
-        else:
-            found.append([outcome.candidate])
-    return found
 
 
 def beyond_noise(outcome: Outcome, misfit: Misfit) -> float:

@@ -18,6 +18,7 @@ from typing import Any
 import xarray as xr
 
 from bcid.app import cli
+from bcid.base.errors import BcidError
 from bcid.base.run_folder import RunFolder
 from benchmarks.reliability import Reached
 from benchmarks.reliability.writers import Writer, calibrating, others, solving
@@ -93,16 +94,17 @@ def sound(folder: Path) -> str:
     """What is wrong with what a failed command has left in a run folder; "" if nothing is."""
     if not (folder / "run.json").exists():
         return ""
-    told: list[str] = []
-    run = RunFolder.open(folder)
-    list(run.batches(told.append))
-    # A run that has not ended lists no files yet, but what is there must be whole.
-    for file in folder.glob("*.json"):
-        json.loads(file.read_bytes())
-    for file in folder.glob("*.nc"):
-        with xr.open_dataset(file, engine="scipy") as data:
-            data.load()
-    return "; ".join(told)
+    try:
+        RunFolder.open(folder)
+        # A run that has not ended lists no files yet, but what is there must be whole.
+        for file in folder.glob("*.json"):
+            json.loads(file.read_bytes())
+        for file in folder.glob("*.nc"):
+            with xr.open_dataset(file, engine="scipy") as data:
+                data.load()
+    except (BcidError, OSError, ValueError) as error:
+        return str(error)
+    return ""
 
 
 def wrong(code: int, said: str) -> str:

@@ -1,4 +1,4 @@
-"""B3: bit flips and truncations of the files of a finished run folder, and of the batches of an interrupted one."""
+"""B3: bit flips and truncations of the files of a finished run folder."""
 
 from __future__ import annotations
 
@@ -18,15 +18,12 @@ from bcid.base.run_folder import RunFolder
 from benchmarks.reliability import Reached
 
 _INPUTS = {"scene": "a", "measurement": "b", "options": {"seeds": 4}}
-_BATCHES = 6
 
 
 def finished(folder: Path, seed: int = 0) -> Path:
     """A run folder with files of every kind that a command reads again, and with numbers in all of them."""
     rng = np.random.default_rng(seed)
     run = RunFolder.start(folder, "identify", _INPUTS)
-    for _ in range(_BATCHES):
-        run.add_batch([{"candidate": ["1", "2"], "chi2": float(x), "rms": float(x) / 7} for x in rng.random(5)])
     run.write_json("identification.json", {"anchored": ["1", "2"], "probability": 0.98, "rms": rng.random()})
     data = xr.Dataset(
         {"measured": (("frame", "axis"), rng.random((20, 3)))},
@@ -39,14 +36,11 @@ def finished(folder: Path, seed: int = 0) -> Path:
 
 
 def content(folder: Path) -> dict[str, Any]:
-    """All that commands read of the folder; what is damaged is an `InputError`, and of the batches left out."""
-    run, told = RunFolder.open(folder), list[str]()
+    """All that commands read of the folder; what is damaged is an `InputError`."""
+    run = RunFolder.open(folder)
     found: dict[str, Any] = {"record": run.record, "identification": run.read_json("identification.json")}
     for name in ("prediction.nc", "body.nc"):
         found[name] = run.read_dataset(name).to_dict()
-    found["batches"] = list(run.batches(told.append))
-    if told:
-        raise InputError(told[0])
     return found
 
 

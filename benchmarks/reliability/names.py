@@ -88,13 +88,13 @@ def _links(folder: Path) -> list[str]:
     precious, misses = folder / "precious", []
     precious.mkdir()
     (precious / "kept.txt").write_text("kept", encoding="utf-8")
-    run = RunFolder.start(folder / "linked", "identify", {})
+    makes = ("identification.json", "paraview/")
+    run = RunFolder.start(folder / "linked", "identify", {}, makes=makes)
     run.finish({})
-    (folder / "linked/outcomes").symlink_to(precious)
+    (folder / "linked/paraview").symlink_to(precious)
     (folder / "linked/identification.json").symlink_to(precious / "kept.txt")
-    again = RunFolder.start(folder / "linked", "identify", {}, overwrite=True)
+    again = RunFolder.start(folder / "linked", "identify", {}, overwrite=True, makes=makes)
     again.write_json("identification.json", {"a": 1})
-    again.add_batch([{"a": 1}])
     again.finish({})
     if [p.name for p in precious.iterdir()] != ["kept.txt"] or (precious / "kept.txt").read_text() != "kept":
         misses.append(f"through a link: {[p.name for p in precious.iterdir()]}")

@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
-from bcid.base.run_folder import RunFolder
+from bcid.predict.store import CHECKPOINT
 from benchmarks.reliability import ROOT, Reached
 from benchmarks.reliability.inputs import small_scene
 
@@ -65,7 +65,7 @@ def members(output: Path) -> list[int]:
 
 
 def stopped(words: list[str], output: Path, ranks: int, after: int, number: int, rank: bool) -> tuple[str, bool]:
-    """Send a signal when so many batches are kept, to the job or to one rank; what is wrong with its end, and if it was in time."""
+    """Send a signal when so many predictions are kept, to the job or a rank; what is wrong with its end, and if it was in time."""
     job = started([*words, str(output)], ranks)
     while job.poll() is None and not _reached(output, after):
         time.sleep(0.02)
@@ -92,9 +92,13 @@ def stopped(words: list[str], output: Path, ranks: int, after: int, number: int,
     return ("" if job.returncode != 0 else "exit code 0"), True
 
 
-def _reached(output: Path, batches: int) -> bool:
-    kept = list((output / "outcomes").glob("*.json")) if (output / "outcomes").is_dir() else []
-    return (output / "run.json").exists() and len(kept) >= batches
+def _kept(output: Path) -> int:
+    """How many predictions a run has kept."""
+    return len(list((output / CHECKPOINT).glob("*"))) if (output / CHECKPOINT).is_dir() else 0
+
+
+def _reached(output: Path, predictions: int) -> bool:
+    return (output / "run.json").exists() and _kept(output) >= predictions
 
 
 def answer(output: Path) -> dict[str, object]:
@@ -123,19 +127,20 @@ def signals(count: int = 12, seed: int = 0, ranks: Iterable[int] = (1, 2)) -> Re
                 fault, in_time = stopped(words, output, size, after, kind, kind == signal.SIGKILL)
                 ended += in_time
                 if fault:
-                    misses.append(f"{size} ranks, {kind.name} after {after} batches: {fault}")
+                    misses.append(f"{size} ranks, {kind.name} after {after} predictions: {fault}")
                 if in_time and (output / "run.json").exists():
-                    kept += len(list(RunFolder.open(output).batches()))
+                    kept += _kept(output)
                     job = started([*words, str(output)], size)
                     _, said = job.communicate(timeout=_LONG)
                     if job.returncode != 0:
                         misses.append(
-                            f"{size} ranks, {kind.name} after {after} batches: does not go on: {said[-300:]!r}"
+                            f"{size} ranks, {kind.name} after {after} predictions: does not go on: {said[-300:]!r}"
                         )
                     elif answer(output) != answer(right_folder):
-                        misses.append(f"{size} ranks, {kind.name} after {after} batches: goes on to another answer")
+                        misses.append(f"{size} ranks, {kind.name} after {after} predictions: goes on to another answer")
                 shutil.rmtree(output, ignore_errors=True)
-    text = f"{ended} jobs on {', '.join(map(str, ranks))} ranks stopped by SIGINT, SIGTERM, SIGKILL of a rank; {kept} batches kept"
+    where = ", ".join(map(str, ranks))
+    text = f"{ended} jobs on {where} ranks stopped by SIGINT, SIGTERM, SIGKILL of a rank; {kept} predictions kept"
     goal = "ends within 10 s, no orphan, resumable: the same answer to the last bit"
     return Reached(goal, text, not misses and ended > 0, tuple(misses))
 

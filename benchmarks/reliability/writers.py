@@ -53,7 +53,7 @@ def solving(folder: Path) -> tuple[Writer, Writer]:
         "identify",
         scene,
         folder / "seen",
-        "--finest",
+        "--level",
         "0",
         "--certify",
         "yes",

@@ -266,7 +266,7 @@ def test_the_lab_measurements_are_identified(name: str, anchored: str) -> None:
     scene = Scene.read(EXAMPLES / "scenes/slab.toml")
     scene = replace(scene, levels=(*scene.levels[:2], Level(2, 0.012)))
     measurement = Measurement.read(EXAMPLES / "measurements" / name)
-    found = identify(scene, measurement, options=IdentifyOptions(certify="no", seeds=4))
+    found = identify(scene, measurement, options=IdentifyOptions())
     assert found.anchored == tuple(anchored)
     # 99.3 % on the finest mesh of the scene.
     assert found.probability > 0.9

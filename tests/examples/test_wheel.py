@@ -99,7 +99,7 @@ def test_the_installed_package_identifies(installed: Installed) -> None:
     arguments = ["all/examples/scenes/slab.toml", "--anchors", "3,4", "--motion", "pull", "--level", "0", "-o", "made"]
     installed.run("-m", "bcid", "simulate", *arguments)
     found = installed.run(
-        "-m", "bcid", "identify", "all/examples/scenes/slab.toml", "made", "-o", "run", "--finest", "0", "--no-picture"
+        "-m", "bcid", "identify", "all/examples/scenes/slab.toml", "made", "-o", "run", "--level", "0", "--no-picture"
     )
     assert "Anchored patches of slab: {3 4}" in found
     (installed.folder / "load.py").write_text("import bcid\nprint(repr(bcid.load('run')))\n", encoding="utf-8")

@@ -21,6 +21,8 @@ from verify.problems import box, move, pull_and_lift, scene_of, straight
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import BcidError, InputError
 from bcid.comparison.curvature import curvature
+from bcid.comparison.identify import identify
+from bcid.comparison.refine import identify_refined
 from bcid.comparison.source import from_files
 from bcid.comparison.state import State
 from bcid.exploration.loop import Exploration, ExploreOptions, explore
@@ -43,9 +45,7 @@ from bcid.predict.store import PredictionStore
 from bcid.scene import Level, Limits, Region, Scene
 from bcid.scene.motions import about_x, motion
 from bcid.search.evaluator import Evaluator
-from bcid.search.identify import identify
 from bcid.search.identify_options import IdentifyOptions
-from bcid.search.refine import identify_refined
 from bcid.search.scheduler import counter, share
 
 pytestmark = pytest.mark.parallel
@@ -255,7 +255,7 @@ def test_a_simulated_measurement_is_the_same_everywhere(slab: Scene, measured: A
 
 @pytest.mark.parametrize("certify", ["no", "yes"])
 def test_candidates_spread_over_ranks_give_the_same_ranking(slab: Scene, measured: Any, certify: str) -> None:
-    options = IdentifyOptions(certify=certify, seeds=4, climbed=1, finest=0)
+    options = IdentifyOptions(certify=certify, level=0)
     # Each rank reads the measurement as rank 0 has it: the input of one search is the same on all ranks.
     measurement = WORLD.bcast(measured, root=0)
     alone = identify(slab, measurement, MPI.COMM_SELF, options)
@@ -282,10 +282,10 @@ def test_refined_patches_are_the_same_on_every_number_of_ranks(slab: Scene) -> N
             rotation=path.rotation[:4],
         )
     ]
-    truth = halves(scene, "7", WORLD)
-    made = simulate(truth, {"7.1"}, pull, level=1, noise=0.0003, random_state=1, comm=WORLD)
+    truth = replace(halves(scene, "7", WORLD), levels=(Level(2, 0.020),))
+    made = simulate(truth, {"7.1"}, pull, level=0, noise=0.0003, random_state=1, comm=WORLD)
     measurement = WORLD.bcast(made, root=0)
-    options = IdentifyOptions(seeds=4, coarsest=1, finest=1)
+    options = IdentifyOptions(level=1)
     alone, together = alone_and_together(lambda comm: identify_refined(scene, measurement, comm, options, 1))
     assert together.found.anchored == alone.found.anchored == ("7.1",)
     assert together.refined == alone.refined == {"7": ("7.1", "7.2")}
@@ -312,24 +312,6 @@ def test_teams_share_a_mesh_and_the_candidates(slab: Scene, measured: Any) -> No
     assert [o[0] for o in together] == [o[0] for o in alone]
     assert [o[1] for o in together] == pytest.approx([o[1] for o in alone], rel=1e-6)
     assert same_everywhere(together)
-
-
-def test_the_best_prediction_is_kept_by_one_rank_and_not_made_again(
-    slab: Scene, measured: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    best, other = frozenset("34"), frozenset("3")
-    evaluator = Evaluator(slab, WORLD.bcast(measured, root=0), WORLD)
-    evaluator.evaluate(0, dict.fromkeys([best, other, frozenset("1"), frozenset("347")], math.inf))
-    followed: list[Any] = []
-    passes = evaluator._passes
-    monkeypatch.setattr(evaluator, "_passes", lambda forward, *of: followed.append(of[0]) or passes(forward, *of))
-    seen = evaluator.each(0, [best, other], lambda _, candidate, prediction: prediction.positions)
-    made = [candidate for part in WORLD.allgather(followed) for candidate in part]
-    assert made == [other]
-    assert evaluator.evaluations()[0] == pytest.approx(5)
-    for candidate in (best, other):
-        close(seen[candidate], evaluator.positions(0, candidate))
-    evaluator.destroy()
 
 
 def test_every_task_is_taken_once() -> None:

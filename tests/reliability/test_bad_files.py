@@ -43,21 +43,6 @@ def test_damaged_run_folders() -> None:
     met(folders.damage(300))
 
 
-def test_a_damaged_batch_is_dropped_and_named_and_the_rest_kept(tmp_path: Path) -> None:
-    run = RunFolder.start(tmp_path / "run", "identify", {})
-    for number in range(4):
-        run.add_batch([{"number": number}])
-    files = sorted((tmp_path / "run/outcomes").iterdir())
-    files[1].write_bytes(files[1].read_bytes()[:-9])
-    told: list[str] = []
-    assert [batch[0]["number"] for batch in run.batches(told.append)] == [0, 2, 3]
-    assert len(told) == 1
-    assert files[1].name in told[0]
-    run.add_batch([{"number": 4}])
-    assert [batch[0]["number"] for batch in run.batches()] == [0, 2, 3, 4]
-    run.release()
-
-
 def test_another_number_in_a_result_is_noticed(tmp_path: Path) -> None:
     folder = folders.finished(tmp_path / "run")
     file = folder / "identification.json"

@@ -14,7 +14,7 @@ from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.evidence import LinearParameters
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.priors import PRIORS
-from tests.unit.test_weighing import SCENE, STEPS, UNIT, errors, measurement, slopes
+from tests.unit.test_missing_force_evidence import SCENE, STEPS, UNIT, errors, measurement, slopes
 
 PLACES = 3
 MOST = 2e-3

@@ -31,7 +31,6 @@ from bcid.inference.data import Data
 from bcid.inference.hypotheses import Hypothesis, effects, entropy, patches
 from bcid.inference.information import coordinates, information, noise_free
 from bcid.inference.nuisances import NuisanceModes
-from bcid.inference.relative import relative
 from bcid.measurement import Action, Measurement
 from bcid.scene import Grasp, Level, Limits, Material, Region, Scene
 from bcid.search.seeds import all_candidates
@@ -167,18 +166,6 @@ def test_few_coordinates_keep_all_distances() -> None:
 
 # -- belief
 # ------------------------------------------------------------------------------------------------------------------
-
-
-def test_sets_are_compared_on_what_is_known_of_both() -> None:
-    a, b, c, d = (frozenset(name) for name in "1234")
-    known = {a: [1, 1, 1], b: [1, 1, 1], c: [1, 0, 0], d: [0, 1, 0]}
-    each = {a: [-1.0, -40.0, 0.0], b: [-2.0, -10.0, 0.0], c: [-31.0, math.nan, 9.0], d: [0.0, -7.0, 0.0]}
-    frames = {s: np.array(k, bool) for s, k in known.items()}
-    found = relative(frames, {d}, lambda s, f: float(np.sum(np.array(each[s])[f])))
-    assert found[a] - found[b] == pytest.approx(-29.0)
-    # What could not be followed is behind by how seldom that happens with the true one; what was not asked for is not.
-    assert found[c] - found[b] == pytest.approx(-29.0)
-    assert found[d] - found[b] == pytest.approx(3 + math.log(0.01))
 
 
 def test_the_choice_knows_what_may_be_off() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import pytest
@@ -65,24 +64,6 @@ def test_load_changed_file_is_refused(tmp_path: Path) -> None:
     (folder / "identification.json").unlink()
     with pytest.raises(InputError, match=r"identification\.json: is missing"):
         bcid.load(folder)
-
-
-def test_batches_link_or_pipe_is_removed(tmp_path: Path) -> None:
-    run = runs.started(tmp_path / "run", "identify")
-    run.add_batch([{"a": 1}])
-    batch = next((run.path / "outcomes").iterdir())
-    for replace in (
-        lambda place: os.mkfifo(place),
-        lambda place: place.symlink_to(tmp_path),
-        lambda place: place.mkdir(),
-    ):
-        batch.unlink()
-        replace(batch)
-        told: list[str] = []
-        assert list(run.batches(told.append)) == []
-        assert str(batch) in told[0]
-        assert not os.path.lexists(batch)
-        batch.touch()
 
 
 def test_read_inside_link_on_the_way_is_refused(tmp_path: Path) -> None:

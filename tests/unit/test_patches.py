@@ -151,7 +151,7 @@ def test_levels_that_do_not_show_every_piece_are_passed_over() -> None:
     with pytest.raises(InputError, match="no facet has its middle in this piece") as error:
         level_mesh(pieces, pieces.levels[0])
     assert "level 0 (elements of 50 mm): 14 problems" in str(error.value)
-    assert "larger pieces, or start at a finer level (--coarsest)" in str(error.value)
+    assert "larger pieces, or take a finer level (--level)" in str(error.value)
 
 
 def test_pieces_of_a_mesh_file_are_looked_for_on_the_refined_mesh(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from bcid.comparison.identify_run import fitting
 from bcid.comparison.ranking import rank
 from bcid.comparison.state import State
 from bcid.forms import effects
@@ -18,7 +19,6 @@ from bcid.measurement import Measurement
 from bcid.measurement.pooling import pooled
 from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Scene, motions
-from bcid.search.identify_run import fitting
 
 NOISE = 0.2e-3
 

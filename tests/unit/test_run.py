@@ -33,12 +33,9 @@ def test_a_finished_run_is_kept(tmp_path: Path) -> None:
 
 def test_an_interrupted_run_goes_on(tmp_path: Path) -> None:
     run = RunFolder.start(tmp_path / "run", "identify", INPUTS)
-    run.add_batch([{"a": 1}])
-    run.add_batch([{"a": 2}])
     run.fail("killed")
     again = RunFolder.start(tmp_path / "run", "identify", INPUTS)
     assert again.resumed
-    assert list(again.batches()) == [[{"a": 1}], [{"a": 2}]]
     again.fail("killed again")
     with pytest.raises(InputError, match="other inputs or options"):
         RunFolder.start(tmp_path / "run", "identify", INPUTS | {"scene": "other"})
@@ -65,13 +62,11 @@ def test_overwriting_spares_what_is_not_the_runs(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="not a run"):
             RunFolder.start(tmp_path / "home", "identify", INPUTS, overwrite)
     run = RunFolder.start(tmp_path / "run", "identify", INPUTS)
-    run.add_batch([])
     run.finish({})
     (tmp_path / "run/notes.txt").write_text("mine", encoding="utf-8")
     RunFolder.start(tmp_path / "run", "identify", INPUTS, overwrite=True).release()
     assert (tmp_path / "home/.precious").exists()
     assert (tmp_path / "run/notes.txt").exists()
-    assert not (tmp_path / "run/outcomes").exists()
 
 
 def test_one_writer(tmp_path: Path) -> None:

@@ -14,16 +14,15 @@ from bcid.forms.simulate import recorded
 from bcid.forms.solver.status import Status
 from bcid.inference.continuation import ContinuationError, truncate_to_converged
 from bcid.inference.criteria import CONTINUATION_FAILURE_RATE
-from bcid.inference.hypotheses import patches
 from bcid.inference.outcome import Candidate, Outcome, label
 from bcid.measurement import Action, Measurement
 from bcid.search.climb import ODDS, climb, neighbours
 from bcid.search.evaluator import Evaluator
-from bcid.search.identify import _Search
 from bcid.search.identify_options import IdentifyOptions
-from bcid.search.screening import classes, finest, level_errors, log_odds, rejection_bound, screened
+from bcid.search.screening import finest, level_errors, log_odds, rejection_bound, screened
 from bcid.search.seeds import above, all_candidates, maxima, perturbed, random_seeds
-from bcid.search.set_evidence import SetEvidence
+from bcid.search.stage_options import StageOptions
+from bcid.search.staged_search import StagedSearch, StagedSets
 from bcid.search.termination import Stop, Termination
 
 PATCHES = ["1", "2", "3", "4", "5", "6"]
@@ -52,7 +51,6 @@ class Landscape:
             common=0.0,
             distance=lambda a, b: abs(a - b),
             similarity=lambda rms: 1 - rms / 100,
-            rms_of=lambda by_frame, frames: math.sqrt(np.sum(np.array(by_frame)[frames]) / VALUES),
         )
         self.scene = SimpleNamespace(levels=levels, patches=PATCHES)
         self.outcomes: dict[tuple[int, Candidate], Outcome] = {}
@@ -112,8 +110,8 @@ def distance(candidate: Candidate, truth: Candidate = TRUE) -> float:
     return VALUES * (1.0 + 3.0 * len(candidate ^ truth))
 
 
-def search(evaluator: Landscape, options: IdentifyOptions | None = None):  # type: ignore[no-untyped-def]
-    return _Search(evaluator, options or IdentifyOptions(certify="no"), Silent()).run()  # type: ignore[arg-type]
+def search(evaluator: Landscape, options: StageOptions | None = None) -> StagedSets:
+    return StagedSearch(evaluator, options or StageOptions(), Silent()).run()  # type: ignore[arg-type]
 
 
 def test_climbs_end_on_the_hill_by_single_toggles() -> None:
@@ -191,34 +189,14 @@ def test_termination(rules: Termination, since: int, said: str | None) -> None:
     assert (said in reached) if said and reached else reached is said
 
 
-def test_belief_is_a_distribution() -> None:
+def test_screening_compares_sets_by_their_likelihood() -> None:
     evaluator = Landscape(lambda c: VALUES + 4.0 * len(c ^ TRUE) if len(c) < 5 else math.inf)
     evaluator.evaluate(0, dict.fromkeys(all_candidates(PATCHES), math.inf))
-    belief = screened(evaluator, TRUE, {0: 0.0})  # type: ignore[arg-type]
-    assert math.fsum(belief.probabilities.values()) == pytest.approx(1.0)
-    whole = belief.held_by(frozenset(PATCHES)) / belief.held_by(TRUE)
-    assert whole == pytest.approx(CONTINUATION_FAILURE_RATE), "nothing is known of it"
-    one = belief.held_by(frozenset("2")) / belief.held_by(TRUE)
-    assert one == pytest.approx(math.exp(-2.0)), "chi-square 4 above is a likelihood ratio of exp(-2)"
-    with_two = [c for c in all_candidates(PATCHES) if "2" in c]
-    assert patches(belief.probabilities, "2")["2"] == pytest.approx(sum(map(belief.held_by, with_two)))
-
-
-def test_screened_sets_of_the_coarsest_level_have_the_error_of_that_fidelity() -> None:
-    """Known to be five below the best there, one is believed as far as another was right of which both levels are known."""
-    evaluator = Landscape(lambda c: VALUES + 4.0 * len(c ^ TRUE))
-    evaluator.evaluate(0, {TRUE: math.inf})
-    fine, rough = TRUE | {"1"}, TRUE | {"1", "3"}
-    shares = []
-    for log in (-5.0, -40.0):
-        weighed = SetEvidence({TRUE: 0.0, fine: log}, {TRUE: 0.0, fine: -5.0, rough: -5.0})
-        belief = screened(evaluator, TRUE, {0: 0.0}, weighed)  # type: ignore[arg-type]
-        assert math.fsum(belief.probabilities.values()) == pytest.approx(1.0)
-        assert belief.held_by(fine) / belief.held_by(TRUE) == pytest.approx(math.exp(log))
-        shares.append(belief.held_by(rough))
-    # Where few steps showed too little of one set, they do of the other.
-    assert math.exp(-5) < shares[0] < 0.05
-    assert shares[1] < shares[0]
+    logs = screened(evaluator, TRUE, {0: 0.0})  # type: ignore[arg-type]
+    assert next(iter(logs)) == TRUE
+    assert list(logs.values()) == sorted(logs.values(), reverse=True)
+    assert logs[frozenset(PATCHES)] == pytest.approx(math.log(CONTINUATION_FAILURE_RATE)), "nothing is known of it"
+    assert logs[frozenset("2")] == pytest.approx(-2.0), "chi-square 4 above is a likelihood ratio of exp(-2)"
 
 
 def test_a_coarse_level_is_not_believed_beyond_its_error() -> None:
@@ -256,8 +234,8 @@ def test_an_error_of_the_measured_frame_counts_on_every_level() -> None:
 def test_a_best_set_that_failed_on_a_coarse_level() -> None:
     evaluator = Landscape(lambda c: math.inf if c == TRUE else distance(c), distance, distance, apart=3.0)
     found = search(evaluator)
-    assert found.anchored == ("2", "5")
-    assert found.probability > 0.9
+    assert found.best.candidate == TRUE
+    assert found.shares[TRUE] > 0.9
     evaluator.evaluate(2, {TRUE: math.inf})
     assert level_errors(evaluator, TRUE, [0, 1, 2]) == {0: 0.0, 1: 3.0, 2: 1.0}  # type: ignore[arg-type]
 
@@ -267,22 +245,22 @@ def test_a_fit_on_one_level_is_not_enough() -> None:
     wrong = frozenset("25") ^ {"1"}
     found = search(Landscape(lambda c: distance(c, wrong), distance, distance, apart=2.0))
     assert found.levels[:2] == (0, 1)
-    assert found.anchored == ("2", "5")
+    assert found.best.candidate == TRUE
 
 
 def test_the_search_finds_and_counts() -> None:
     evaluator = Landscape(distance)
     found = search(evaluator)
-    assert found.anchored == ("2", "5")
-    assert found.probability > 0.999
-    assert not found.certified
+    assert found.best.candidate == TRUE
+    assert found.shares[TRUE] > 0.999
     assert found.evaluations == evaluator.evaluations()
+    assert found.lost == {c for c in found.shares if c != TRUE}
 
 
 def test_given_sets_are_climbed_from_instead_of_random_ones() -> None:
     evaluator = Landscape(distance)
-    found = _Search(evaluator, IdentifyOptions(certify="no"), Silent(), [TRUE, frozenset("2")]).run()  # type: ignore[arg-type]
-    assert found.anchored == ("2", "5")
+    found = StagedSearch(evaluator, StageOptions(), Silent(), [TRUE, frozenset("2")]).run()  # type: ignore[arg-type]
+    assert found.best.candidate == TRUE
     assert found.stages[0].startswith("level 0: 2 climbs ended on 1 maxima")
     assert len(evaluator.outcomes) == 12, "the two sets, the neighbours of each, one of them shared"
 
@@ -290,11 +268,9 @@ def test_given_sets_are_climbed_from_instead_of_random_ones() -> None:
 def test_patience_ends_a_stage() -> None:
     """The hill has one top: every group of four seeds after the first finds nothing better."""
     rules = Termination(fit=0.0, patience=8)
-    found = search(Landscape(distance), IdentifyOptions(certify="no", termination=rules))
+    found = search(Landscape(distance), StageOptions(termination=rules))
     assert found.stages[0] == "level 0: 12 climbs ended on 1 maxima; 8 seeds in a row led to nothing better"
-    everything = search(
-        Landscape(distance), IdentifyOptions(certify="no", termination=Termination(fit=0.0, patience=99))
-    )
+    everything = search(Landscape(distance), StageOptions(termination=Termination(fit=0.0, patience=99)))
     assert everything.stages[0] == "level 0: 24 climbs ended on 1 maxima; all seeds are used"
 
 
@@ -309,57 +285,17 @@ def test_a_misleading_coarse_level_is_corrected(climbed: int) -> None:
     def coarse(c: Candidate) -> float:
         return 20 * VALUES * (1 + 0.3 * len(c ^ TRUE)) if c != wrong else 19.5 * VALUES
 
-    found = search(Landscape(coarse, distance), IdentifyOptions(certify="no", climbed=climbed))
-    assert found.anchored == ("2", "5")
-    assert found.probability > 0.999
+    found = search(Landscape(coarse, distance), StageOptions(climbed=climbed))
+    assert found.best.candidate == TRUE
+    assert found.shares[TRUE] > 0.999
     assert found.levels == (0, 1)
 
 
 def test_rivals_that_cannot_be_told_apart_share_the_belief() -> None:
     rival = frozenset("256")
     found = search(Landscape(lambda c: distance(c) if c != rival else VALUES))
-    assert found.probability == pytest.approx(0.5, abs=1e-3)
-    assert found.alternatives[0].anchored == ("2", "5", "6")
-    assert found.patches["6"] == pytest.approx(0.5, abs=1e-3)
-
-
-def test_certifying_looks_at_every_set() -> None:
-    evaluator = Landscape(distance)
-    found = search(evaluator, IdentifyOptions())
-    assert found.certified
-    assert found.anchored == ("2", "5")
-    assert len(evaluator.outcomes) == 64
-    assert found.evaluations[0] < 64
-    assert found.looked_at["not"] == 0
-    assert found.looked_at["stopped"] > 30
-    assert sum(found.looked_at.values()) == 64
-    broken = Landscape(lambda c: math.inf if c == frozenset("1") else distance(c))
-    found = search(broken, IdentifyOptions())
-    assert not found.certified, "nothing is known of a set that cannot be solved"
-    assert found.looked_at["failed"] == 1
-
-
-def test_certifying_finds_what_no_climb_came_near() -> None:
-    """A hole far from the hill: every climb ends on the hill, and the last stage moves the answer into the hole."""
-    hole = frozenset("1346")
-    found = search(Landscape(lambda c: 0.9 * VALUES if c == hole else distance(c)), IdentifyOptions(random_state=3))
-    assert found.anchored == ("1", "3", "4", "6")
-    assert found.certified
-    assert found.probability > 0.999
-
-
-def test_sets_that_predict_the_same_are_one_class() -> None:
-    predictor, near = frozenset("256"), frozenset("2")
-    evaluator = Landscape(lambda c: VALUES + 1.0 if c in (predictor, near) else distance(c))
-    where = {TRUE: 0.0, predictor: 0.01, near: 2.0}
-    evaluator.positions = lambda _level, c: where.get(c, 9.0)  # type: ignore[method-assign]
-    evaluator.evaluate(0, dict.fromkeys(all_candidates(PATCHES), math.inf))
-    assert classes(evaluator, 0, 0.0, ODDS) == [[TRUE, predictor], [near]]  # type: ignore[arg-type]
-    # Half of VALUES * d^2 against the logarithm of 20.
-    where[near] = math.sqrt(2 * math.log(20.0) / VALUES) * 1.001
-    assert len(classes(evaluator, 0, 0.0, ODDS)) == 2  # type: ignore[arg-type]
-    where[near] *= 0.998
-    assert len(classes(evaluator, 0, 0.0, ODDS)) == 1  # type: ignore[arg-type]
+    assert found.shares[TRUE] == pytest.approx(0.5, abs=1e-3)
+    assert found.likely == [TRUE, rival]
 
 
 def test_where_a_rival_may_stop() -> None:
@@ -370,51 +306,15 @@ def test_where_a_rival_may_stop() -> None:
     assert coarse == pytest.approx(VALUES + 2 * math.log(1e6) * (1 + 9 * VALUES / 60))
 
 
-def test_a_resumed_search_takes_what_is_stored() -> None:
-    """An outcome answers a question exactly when its evaluation did not stop below the bound."""
-    stopped = Outcome(TRUE, 0, 500.0, 0.7, False, 0.4)
-    assert Evaluator._enough(stopped, 499.0)
-    assert not Evaluator._enough(stopped, 501.0)
-    whole = Outcome(TRUE, 0, 500.0, 0.7, True, 1.0)
-    assert Evaluator._enough(whole, math.inf)
-    assert Outcome.from_json(whole.to_json()) == whole
-    failed = Outcome(TRUE, 0, math.inf, math.inf, False, 0.1, Status.UNSTABLE, "buckles", 0.1)
-    assert Outcome.from_json(failed.to_json()) == failed
-
-
 def test_a_set_that_fails_on_the_finer_level_is_not_ruled_out_by_that() -> None:
     """It keeps what the coarser level says of it; nobody becomes certain because a rival could not be computed."""
     rival = frozenset("256")
     coarse = lambda c: VALUES if c in (TRUE, rival) else distance(c)  # noqa: E731
     fine = lambda c: math.inf if c == rival else distance(c)  # noqa: E731
-    found = search(Landscape(coarse, fine), IdentifyOptions(certify="no", finest=1))
-    assert found.anchored == ("2", "5")
-    assert found.probability == pytest.approx(0.5, abs=0.01)
-    assert "{2 5 6}" in found.failures
-
-
-def test_a_set_that_fails_late_is_judged_by_the_frames_before() -> None:
-    """One that explains them better than the best of the others may be the one, and one that does not is out."""
-    true, rival, lost = TRUE, frozenset("256"), frozenset("25134")
-    whole = lambda c: math.inf if c in (rival, lost) else distance(c)  # noqa: E731
-    early = lambda c: {lost: 500.0, rival: 50.0 + 2 * math.log(CONTINUATION_FAILURE_RATE)}.get(c, 50.0)  # noqa: E731
-    found = search(Landscape(whole, early=early), IdentifyOptions(certify="yes", finest=0))
-    assert frozenset(found.anchored) == true
-    assert found.probability == pytest.approx(0.5, abs=0.01)
-    assert [(a.anchored, a.frames) for a in found.unfollowed] == [(("2", "5", "6"), 1)]
-    assert found.unfollowed[0].failure == "buckles"
-    assert not found.certified
-
-
-@pytest.mark.parametrize(
-    "change", [{"chi2": -5}, {"chi2": "x"}, {"status": "fine"}, {"rms": math.nan}, {"candidate": 3}]
-)
-def test_damaged_outcomes_are_refused(change: dict[str, object]) -> None:
-    whole = Outcome(TRUE, 0, 500.0, 0.7, True, 1.0).to_json()
-    with pytest.raises(InputError, match="stored outcome of the run is damaged"):
-        Outcome.from_json(whole | change)
-    with pytest.raises(InputError, match="damaged"):
-        Outcome.from_json({k: v for k, v in whole.items() if k != "level"})
+    found = search(Landscape(coarse, fine), StageOptions(finest=1))
+    assert found.best.candidate == TRUE
+    assert found.shares[TRUE] == pytest.approx(0.5, abs=0.01)
+    assert rival in found.likely
 
 
 def test_when_nothing_can_be_solved() -> None:
@@ -424,24 +324,22 @@ def test_when_nothing_can_be_solved() -> None:
 
 def test_a_level_that_cannot_be_solved_leaves_the_answer_of_the_one_before() -> None:
     found = search(Landscape(lambda c: 2 * distance(c), lambda c: math.inf))
-    assert found.anchored == ("2", "5")
+    assert found.best.candidate == TRUE
     assert found.levels == (0,)
-    assert found.discretisation is None
-    assert found.probability > 0.99
+    assert tuple(found.errors) == (0,)
+    assert found.shares[TRUE] > 0.99
     assert found.stages[-1].startswith("not used: level 1: the forward model failed")
 
 
 def test_no_noise_is_needed() -> None:
     found = search(Landscape(distance, noise=None))
-    assert found.anchored == ("2", "5")
-    assert found.noise is None
-    assert found.probability > 0.99
+    assert found.best.candidate == TRUE
+    assert found.shares[TRUE] > 0.99
 
 
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"certify": "x"},
         {"random_state": -1},
         {"climbed": 0},
         {"toggles": -1},
@@ -455,9 +353,16 @@ def test_no_noise_is_needed() -> None:
 )
 def test_options_are_checked(wrong: dict[str, object]) -> None:
     scene = SimpleNamespace(levels=(1, 2), patches=PATCHES)
-    IdentifyOptions().check(scene)  # type: ignore[arg-type]
+    IdentifyOptions(stages=StageOptions()).check(scene)  # type: ignore[arg-type]
     with pytest.raises(InputError):
-        IdentifyOptions(**wrong).check(scene)  # type: ignore[arg-type]
+        IdentifyOptions(stages=StageOptions(**wrong)).check(scene)  # type: ignore[arg-type]
+
+
+def test_what_is_certified_is_checked() -> None:
+    scene = SimpleNamespace(levels=(1, 2), patches=PATCHES)
+    for wrong in ({"certify": "x"}, {"level": 2}, {"level": -1}):
+        with pytest.raises(InputError):
+            IdentifyOptions(**wrong).check(scene)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="use certify no"):
         IdentifyOptions(certify="yes").check(SimpleNamespace(levels=(1,), patches=range(17)))  # type: ignore[arg-type]
 
@@ -482,10 +387,10 @@ def test_finest_outcomes() -> None:
 )
 def test_the_stages_end_as_the_paper_has_it(stop: str, apart: float, levels: tuple[int, ...], said: str) -> None:
     """Section 3.5; with noise of one the best set has a residual of 1, and so a similarity of 0.99."""
-    options = IdentifyOptions(certify="no", stop=Stop.parse(stop))
+    options = StageOptions(stop=Stop.parse(stop))
     found = search(Landscape(distance, distance, distance, apart=apart), options)
     assert found.levels == levels
-    assert found.anchored == ("2", "5")
+    assert found.best.candidate == TRUE
     assert any(text.endswith(said) and "is the last" in text for text in found.stages) == bool(said)
 
 

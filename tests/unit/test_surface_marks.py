@@ -211,7 +211,7 @@ def test_marks_lie_where_the_cloud_at_rest_is(slab: Scene, filmed: Measurement) 
 
 
 def test_a_body_without_markers_is_identified(slab: Scene, filmed: Measurement) -> None:
-    found = bcid.identify(slab, filmed, options=IdentifyOptions(certify="no", seeds=2))
+    found = bcid.identify(slab, filmed, options=IdentifyOptions())
     assert found.anchored == tuple(HELD)
     assert found.probability > 0.99
     assert "Surface: " in found.summary

@@ -143,7 +143,7 @@ class BodyMesh:
         """What to say, and do, when a region has no facet."""
         others = replace(region, within=None)
         if region.within and self._chosen(self._candidates(others, ""), others, "").any():
-            return "no facet has its middle in this piece of it; make larger pieces, or start at a finer level (--coarsest)"
+            return "no facet has its middle in this piece of it; make larger pieces, or take a finer level (--level)"
         low, high = self.points.min(axis=0) * 1e3, self.points.max(axis=0) * 1e3
         return (
             f"no facet of the boundary {missed(region)}; the body spans {triple(low)} to {triple(high)} mm; {ENLARGE}"

@@ -120,12 +120,12 @@ def _why(
 
 def identified(store: Store, condition: Condition, number: int, measurement: Measurement) -> dict[str, Any]:
     """What `bcid identify` finds, with its own calls of the model; certified, so that it is the best of all sets."""
-    from bcid.search.identify import identify
+    from bcid.comparison.identify import identify
     from bcid.search.identify_options import IdentifyOptions
 
     scene = store.read()
     began = time.process_time()
-    found = identify(scene, measurement, options=IdentifyOptions(random_state=number, finest=condition.finest))
+    found = identify(scene, measurement, options=IdentifyOptions(level=condition.finest))
     seconds = time.process_time() - began
     right = frozenset(found.anchored) == condition.held(number)
     return {

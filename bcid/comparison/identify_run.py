@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from bcid.base.collective import Comm, on_root
 from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import RunFolder, running
 from bcid.base.units import percent, unit_factor
+from bcid.comparison.refine import Refinement, check_rounds, identify_refined
 from bcid.forms.forward import check_geometry
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.mesh.body_mesh import among
@@ -22,18 +23,19 @@ from bcid.forms.mesh.patches import divided, first_level
 from bcid.forms.model import Model, check_physics
 from bcid.inference import nuisance_text
 from bcid.inference.continuation import truncate_to_converged
-from bcid.inference.outcome import Outcome, label
+from bcid.inference.outcome import label
 from bcid.inference.stiffness import Stiffness
 from bcid.measurement import AXES, WRENCH, Measurement
 from bcid.measurement.pooling import pooled
+from bcid.predict.levels import pair
+from bcid.predict.store import CHECKPOINT, PredictionStore
 from bcid.scene import Scene
 from bcid.search.association import MARK
 from bcid.search.identification import Identification
 from bcid.search.identify_options import IdentifyOptions
-from bcid.search.refine import Refinement, check_rounds, identify_refined
 from bcid.search.surface_rounds import settled
 
-MAKES = ("identification.json", "prediction.nc", "body.nc", "summary.txt", "picture.png", "paraview/")
+MAKES = ("identification.json", "prediction.nc", "body.nc", "summary.txt", "picture.png", "paraview/", f"{CHECKPOINT}/")
 
 
 def run_identification(
@@ -49,30 +51,28 @@ def run_identification(
     """Identify the anchored patches and write the run folder; collective on `comm`. Returns the folder.
 
     Everything is validated before the folder is touched. A run that was interrupted goes on where it was. `refine` is how
-    many times patches that leave a doubt are halved (see `bcid.search.refine`).
+    many times patches that leave a doubt are halved (see `bcid.comparison.refine`).
 
     Raises:
-        BcidError: see `bcid.search.identify.identify`, `Scene.read`, `Measurement.read` and `RunFolder.start`.
+        BcidError: see `bcid.comparison.identify.identify`, `Scene.read`, `Measurement.read` and `RunFolder.start`.
     """
     progress = progress or Silent()
     scene, measurement = read_inputs(scene_file, measurement_file, comm)
     options.check(scene)
     check_rounds(scene, refine)
-    check_geometry(scene, first_level(scene, options.coarsest, options.last(scene), comm)[0], comm)
+    check_geometry(scene, first_level(scene, 0, len(scene.levels) - 1, comm)[0], comm)
     inputs = fingerprints(scene, measurement) | {"options": asdict(options), "refine": refine}
     names = {"scene": str(scene_file), "measurement": str(measurement_file)}
     with running(comm, folder, "identify", inputs, MAKES, overwrite) as run:
-        known = on_root(comm, lambda: _known(run, progress))
-        if known:
-            progress.say(f"going on with an interrupted run: {len(known)} evaluations are there already")
-        keep = _keeper(run, comm)
+        store = PredictionStore.of_run(folder, comm, inputs, progress)
 
         def work(seen: Measurement) -> None:
-            done, seen = identified(scene, seen, comm, options, refine, None, progress, known, keep)
-            mesh = level_mesh(done.scene, scene.levels[done.found.levels[-1]], comm)
+            done, seen = identified(scene, seen, comm, options, refine, None, progress, store)
+            mesh = working_mesh(done, comm)
             on_root(comm, lambda: _write(run, seen, done, mesh, names, comm.size))
 
         truncate_to_converged(measurement, work)
+        store.clear()
     return folder
 
 
@@ -84,19 +84,15 @@ def identified(
     refine: int = 0,
     model: Model | None = None,
     progress: Progress | None = None,
-    known: Iterable[Outcome] = (),
-    keep: Callable[[list[Outcome]], None] | None = None,
+    store: PredictionStore | None = None,
 ) -> tuple[Refinement, Measurement]:
     """The anchored patches, and the measurement with surface marks where points of the surface were seen; collective on `comm`.
 
-    See `bcid.search.refine.identify_refined`. With such points nothing of an interrupted search is taken: it depends on how they
-    were associated then.
+    See `bcid.comparison.refine.identify_refined`.
     """
-    if measurement.cloud is not None:
-        known, keep = (), None
 
     def search(body: Scene, seen: Measurement) -> Refinement:
-        return identify_refined(body, seen, comm, options, refine, model, progress=progress, known=known, keep=keep)
+        return identify_refined(body, seen, comm, options, refine, model, progress=progress, store=store)
 
     begun = model or Model.of(scene)
     return settled(
@@ -111,10 +107,9 @@ def identified(
     )
 
 
-def _known(run: RunFolder | None, progress: Progress) -> list[Outcome]:
-    """What an interrupted search has left in the run."""
-    assert run is not None
-    return [Outcome.from_json(entry) for batch in run.batches(progress.say) for entry in batch]
+def working_mesh(done: Refinement, comm: Comm) -> BodyMesh:
+    """The mesh that an identification was made on; collective."""
+    return level_mesh(done.scene, pair(done.scene, done.found.levels[-1], comm)[0], comm)
 
 
 def read_inputs(scene_file: Path, measurement_file: Path, comm: Comm) -> tuple[Scene, Measurement]:
@@ -146,15 +141,6 @@ def fingerprints(scene: Scene, measurement: Measurement) -> dict[str, Any]:
     return {"scene": scene.fingerprint(), "measurement": measurement.fingerprint()}
 
 
-def _keeper(run: RunFolder | None, comm: Comm) -> Callable[[list[Outcome]], None]:
-    """Stores what was computed in the run, which only rank 0 has."""
-
-    def keep(outcomes: list[Outcome]) -> None:
-        on_root(comm, lambda: run.add_batch([outcome.to_json() for outcome in outcomes]) if run else None)
-
-    return keep
-
-
 def documents(measurement: Measurement, done: Refinement, mesh: BodyMesh) -> dict[str, Any]:
     """What a run folder holds of an identification, by file name: JSON objects, datasets and texts."""
     length = unit_factor(measurement.units.length, "m")
@@ -176,7 +162,8 @@ def _write(
     found = documents(measurement, done, mesh)
     run.write_documents(found)
     result = found["identification.json"]
-    run.record |= {"names": names, "ranks": ranks, "random_state": run.record["inputs"]["options"]["random_state"]}
+    stages = run.record["inputs"]["options"]["stages"] or {}
+    run.record |= {"names": names, "ranks": ranks, "random_state": stages.get("random_state")}
     run.record |= {
         "evaluations": result["evaluations"],
         "search_seconds": round(done.seconds, 3),
@@ -235,9 +222,9 @@ def summary(scene: Scene, measurement: Measurement, found: Identification, round
     points = sum(len(members) for members in scene.members.values())
     pooling = f" (means of {points} points)" if points else ""
     noise = f"the stated noise is {found.noise / unit:.3g} {length}" if found.noise else "no noise is stated"
-    mesh = "Only one mesh level was used: nothing is known of the error of the mesh."
+    mesh = "Nothing is known of the error of the mesh."
     if found.discretisation is not None:
-        mesh = f"The error of the model on the last mesh level is taken as {found.discretisation / unit:.2g} {length}."
+        mesh = f"What may be left of the error of the mesh is {found.discretisation / unit:.2g} {length}."
     lines = [
         *odd(measurement.remarks),
         *_warning(found),
@@ -260,16 +247,16 @@ def summary(scene: Scene, measurement: Measurement, found: Identification, round
     ]
     for other in found.alternatives[:3]:
         misses = f"misses by {other.rms / unit:.3g} {length} where {names} misses by {other.best_rms / unit:.3g}"
-        where = f"level {other.level}" + (f", in {other.frames} of {frames} frames" if other.frames < frames else "")
-        text = f"{label(other.anchored, scene.patches)} {misses} ({where}), probability {percent(other.probability)}"
+        where = f" (in {other.frames} of {frames} frames)" if other.frames < frames else ""
+        text = f"{label(other.anchored, scene.patches)} {misses}{where}, probability {percent(other.probability)}"
         lines.append(f"  {text}{'; it could not be followed further' if other.failure else ''}")
     if not found.alternatives:
         lines.append("  none was evaluated")
     lines += ["", "How it was found:", *(f"  {stage}" for stage in found.stages)]
     counts = found.looked_at
     proof = (
-        f"of all {2 ** len(scene.patches)} sets, on level {found.levels[-1]}, {counts['in full']} were evaluated in full, "
-        f"{counts['stopped']} until they had lost, {counts['failed']} failed, {counts['not']} were not looked at"
+        f"of all {2 ** len(scene.patches)} sets {counts['in full']} were followed to the end, "
+        f"{counts['stopped']} until they had lost, {counts['failed']} failed, {counts['not']} were not followed"
     )
     lines.append(f"  {'Certified' if found.certified else 'Not certified'}: {proof}.")
     lines += _confused(scene, found)

@@ -12,34 +12,32 @@ from typing import Any
 from bcid.base.collective import Comm
 from bcid.base.errors import InputError
 from bcid.base.progress import Progress, Silent
-from bcid.forms.mesh.patches import divided, element_size, extents, first_level, half_names, halves, replaced, touching
+from bcid.comparison.identify import identify
+from bcid.forms.mesh.patches import divided, element_size, extents, half_names, halves, replaced, touching
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
-from bcid.inference.mesh_error import gain
 from bcid.inference.misfit import Misfit
-from bcid.inference.outcome import Candidate, Outcome, label
+from bcid.inference.outcome import label
 from bcid.measurement import Measurement
+from bcid.predict.store import PredictionStore
 from bcid.scene import Region, Scene
-from bcid.search.evaluator import Evaluator
 from bcid.search.identification import Identification
-from bcid.search.identify import identify
 from bcid.search.identify_options import IdentifyOptions
 
 # A patch is undecided when its probability is further than this from both 0 and 1.
 _UNDECIDED = 0.02
 # Halves stay apart when it is less likely than this that they are alike: what is less likely is not carried up the ladder either.
 _ALIKE = 1e-4
-# Halves that seem alike with more than this on the levels that are climbed on are not looked at on finer ones.
-_SEEM_ALIKE = 0.5
 # A result with a residual larger than the present one's by more than this factor is not taken.
 _NO_WORSE = 1.001
 # Chi-square this many of its standard deviations above what noise and mesh account for is not explained.
 _ABOVE = 3.0
-# How many of the next best sets are climbed from beside the best.
+# How many of the next best sets a search begins with beside the best.
 _OTHERS = 8
 # Splitting ends at this many patches: every step of a climb looks at all of them.
 _MOST_PATCHES = 64
 
+Anchored = frozenset[str]
 Cuts = dict[str, tuple[str, str]]
 
 
@@ -91,72 +89,30 @@ def identify_refined(
     model: Model | None = None,
     settings: Settings | None = None,
     progress: Progress | None = None,
-    known: Iterable[Outcome] = (),
-    keep: Callable[[list[Outcome]], None] | None = None,
+    store: PredictionStore | None = None,
 ) -> Refinement:
     """Find the anchored patches, then halve those that leave a doubt, up to `rounds` times; collective on `comm`.
 
-    The rules are in docs/method.md; the other arguments and errors are those of `bcid.search.identify.identify`.
+    The rules are in docs/method.md; the other arguments and errors are those of `bcid.comparison.identify.identify`.
     """
     from mpi4py import MPI
 
     comm, begin = comm or MPI.COMM_SELF, time.perf_counter()
     scene = divided(scene, comm)
     check_rounds(scene, rounds)
-    pool = _Pool(known, keep)
+    spent: dict[int, float] = {}
 
-    def search(scene: Scene, options: IdentifyOptions, start: Sequence[Candidate]) -> Identification:
-        earlier = pool.known(scene)
-        return identify(scene, measurement, comm, options, model, settings, progress, earlier, pool.keep, start)
+    def search(body: Scene, chosen: IdentifyOptions, start: Sequence[Anchored]) -> Identification:
+        found = identify(body, measurement, comm, chosen, model, settings, progress, start, store)
+        for level, count in found.evaluations.items():
+            spent[level] = spent.get(level, 0.0) + count
+        return found
 
-    def mesh_error(scene: Scene, found: Identification) -> float:
-        return _mesh_error(Evaluator(scene, measurement, comm, model, settings), found)
-
-    tree, values = Tree(scene, comm), Misfit(scene, measurement).values
-    done = _Rounds(tree, options or IdentifyOptions(), progress or Silent(), search, mesh_error, values)
+    values = Misfit(scene, measurement).values
+    done = _Rounds(Tree(scene, comm), options or IdentifyOptions(), progress or Silent(), search, values)
     done.run(rounds)
-    spent = time.perf_counter() - begin
-    return Refinement(done.found, done.scene, done.refined, tuple(done.log), pool.evaluations(), spent)
-
-
-def _mesh_error(evaluator: Evaluator, found: Identification) -> float:
-    """Error of the mesh on the finest level used, m, extrapolated from the distance to the level before; collective.
-
-    Unlike `Identification.discretisation` it does not count what the residual has beyond the noise: that is asked about.
-    """
-    try:
-        if len(found.levels) < 2:
-            return 0.0
-        before = evaluator.predict(found.levels[-2], frozenset(found.anchored))
-        if not before.complete:
-            return 0.0
-        distance = evaluator.misfit.distance(before.positions, found.prediction.positions)
-        return distance / gain(evaluator.refinement(found.levels[-2], found.levels[-1]))
-    finally:
-        evaluator.destroy()
-
-
-class _Pool:
-    """Every outcome of all rounds."""
-
-    def __init__(self, known: Iterable[Outcome], keep: Callable[[list[Outcome]], None] | None) -> None:
-        self.outcomes = list(known)
-        self._keep = keep
-
-    def keep(self, outcomes: list[Outcome]) -> None:
-        self.outcomes += outcomes
-        if self._keep is not None:
-            self._keep(outcomes)
-
-    def known(self, scene: Scene) -> list[Outcome]:
-        """The outcomes of sets that the patches of a scene can make, in its names: they hold the same facets."""
-        pairs = [(outcome, expanded(outcome.candidate, scene.patches)) for outcome in self.outcomes]
-        return [replace(outcome, candidate=candidate) for outcome, candidate in pairs if candidate is not None]
-
-    def evaluations(self) -> dict[int, float]:
-        """Forward trajectories per level, in whole-trajectory equivalents."""
-        levels = sorted({outcome.level for outcome in self.outcomes})
-        return {level: math.fsum(o.share for o in self.outcomes if o.level == level) for level in levels}
+    seconds = time.perf_counter() - begin
+    return Refinement(done.found, done.scene, done.refined, tuple(done.log), spent, seconds)
 
 
 def is_part(name: str, whole: str) -> bool:
@@ -175,13 +131,13 @@ def anchors(candidate: Iterable[str], patch: str) -> bool | None:
     return parts.pop() if len(parts) == 1 else None
 
 
-def expanded(candidate: Iterable[str], patches: Iterable[str]) -> Candidate | None:
+def expanded(candidate: Iterable[str], patches: Iterable[str]) -> Anchored | None:
     """A set in terms of other patches; None when it anchors a part of one."""
     states = {patch: anchors(candidate, patch) for patch in patches}
     return None if None in states.values() else frozenset(patch for patch, on in states.items() if on)
 
 
-def resolved(candidate: Iterable[str], patches: Iterable[str]) -> list[Candidate]:
+def resolved(candidate: Iterable[str], patches: Iterable[str]) -> list[Anchored]:
     """A set in terms of other patches, those it anchors in part once with and once without."""
     states = {patch: anchors(candidate, patch) for patch in patches}
     sure = frozenset(patch for patch, on in states.items() if on)
@@ -189,10 +145,8 @@ def resolved(candidate: Iterable[str], patches: Iterable[str]) -> list[Candidate
     return list(dict.fromkeys([sure | partly, sure]))
 
 
-def significant_splits(
-    refined: Mapping[str, tuple[str, str]], probability: Mapping[str, float], alike: float = _ALIKE
-) -> Cuts:
-    """The cuts whose two sides are alike with a probability of at most `alike`.
+def significant_splits(refined: Mapping[str, tuple[str, str]], probability: Mapping[str, float]) -> Cuts:
+    """The cuts whose two sides are alike with a probability of at most `_ALIKE`.
 
     Args:
         refined: all cuts.
@@ -210,7 +164,7 @@ def significant_splits(
     for name in sorted(refined, key=len, reverse=True):
         lower, upper = refined[name]
         spread = max(abs(probability[a] - probability[b]) for a in leaves(lower) for b in leaves(upper))
-        if spread >= 1 - alike or lower in kept or upper in kept:
+        if spread >= 1 - _ALIKE or lower in kept or upper in kept:
             kept[name] = lower, upper
     return {name: refined[name] for name in refined if name in kept}
 
@@ -246,8 +200,7 @@ class _Rounds:
         tree: the scene and its cuts.
         options: of the search.
         progress: told what is going on.
-        search: identifies with the patches of a scene, climbing from given sets.
-        mesh_error: error of the mesh (m) on the finest level that an identification used.
+        search: identifies with the patches of a scene, beginning with given sets.
         values: number of measured coordinates.
     """
 
@@ -256,13 +209,13 @@ class _Rounds:
         tree: Tree,
         options: IdentifyOptions,
         progress: Progress,
-        search: Callable[[Scene, IdentifyOptions, Sequence[Candidate]], Identification],
-        mesh_error: Callable[[Scene, Identification], float],
+        search: Callable[[Scene, IdentifyOptions, Sequence[Anchored]], Identification],
         values: int,
     ) -> None:
         self.tree, self.options, self.progress = tree, options, progress
-        self.search, self.mesh_error, self.values = search, mesh_error, values
-        self.climbing = replace(options, certify="no")
+        self.search, self.values = search, values
+        # Not every set of so many halves can be followed.
+        self.of_halves = replace(options, certify="auto") if options.certify == "yes" else options
         self.refined: Cuts = {}
         self.scene = tree.base
         # How deep each patch was cut in vain.
@@ -287,7 +240,7 @@ class _Rounds:
         self.say(f"round {number}: {why}; split {' '.join(split)}")
         finer = self.tree.scene(cuts)
         toggled = [frozenset(self.found.anchored) ^ {name} for name in split if name in self.scene.patches]
-        fresh = self.search(finer, self.trial(finer), self.starts(finer, toggled))
+        fresh = self.search(finer, self.of_halves, self.starts(finer, toggled))
         self.merge(cuts, fresh)
         merged = [name for name in split if name not in self.refined]
         self.vain |= {name: depths[name] for name in merged}
@@ -299,15 +252,6 @@ class _Rounds:
         best = f"best {label(self.found.anchored, self.scene.patches)}, residual {self.found.rms * 1e3:.3g} mm"
         self.say(f"round {number}: {text}, merged those of {' '.join(merged) or 'none'}; {best}")
         return True
-
-    def trial(self, scene: Scene) -> IdentifyOptions:
-        """IdentifyOptions for finding out which halves differ: on the levels that are climbed on only.
-
-        The finer ones are for the patches that remain; with all the halves many sets would be too close to be left behind.
-        """
-        last = self.options.last(self.tree.base)
-        first = first_level(scene, self.options.coarsest, last, self.tree.comm)[0]
-        return replace(self.climbing, finest=max(first, min(last, self.options.coarsest + self.options.climbed - 1)))
 
     def say(self, text: str) -> None:
         self.log.append(text)
@@ -332,13 +276,13 @@ class _Rounds:
         noise, rms = self.found.noise, self.found.rms
         if noise is None:
             return True
-        most = max(self.options.termination.fit, math.sqrt(1 + _ABOVE * math.sqrt(2 / self.values)))
-        return rms <= most * noise or rms <= most * math.hypot(noise, self.mesh_error(self.scene, self.found))
+        most = math.sqrt(1 + _ABOVE * math.sqrt(2 / self.values))
+        return rms <= most * math.hypot(noise, self.found.discretisation or 0.0)
 
     def split(self, depths: Mapping[str, int]) -> Cuts:
         """All cuts so far and those that halve each patch as many times, as far as elements and number of patches allow."""
         cuts = dict(self.refined)
-        smallest = element_size(self.tree.base, self.options.last(self.tree.base), self.tree.comm)
+        smallest = element_size(self.tree.base, self.found.levels[-1], self.tree.comm)
         level = list(depths)
         for depth in range(max(depths.values(), default=0)):
             scene = self.tree.scene(cuts)
@@ -352,21 +296,13 @@ class _Rounds:
     def root(name: str, depths: Mapping[str, int]) -> str:
         return next(patch for patch in depths if name == patch or is_part(name, patch))
 
-    def starts(self, scene: Scene, more: Iterable[Candidate] = ()) -> list[Candidate]:
-        """Where to climb from with the patches of a scene: the best sets so far, then `more`."""
+    def starts(self, scene: Scene, more: Iterable[Anchored] = ()) -> list[Anchored]:
+        """Where to begin with the patches of a scene: the best sets so far, then `more`."""
         sets = [self.found.anchored, *(other.anchored for other in self.found.alternatives[:_OTHERS]), *more]
         return list(dict.fromkeys(c for s in sets for c in resolved(s, scene.patches)))
 
     def merge(self, cuts: Cuts, fresh: Identification) -> None:
-        """Take the result of a round, with the halves that did not prove different merged; nothing when it explains less.
-
-        What only the climbed levels were asked about is judged by all levels, once the halves that seem alike are merged.
-        """
-        if fresh.levels[-1] < self.options.last(self.tree.base):
-            cuts = significant_splits(cuts, fresh.patches, _SEEM_ALIKE)
-            if self.nothing_found(cuts, fresh):
-                return
-            fresh = self.again(cuts, fresh)
+        """Take the result of a round, with the halves that did not prove different merged; nothing when it explains less."""
         kept = significant_splits(cuts, fresh.patches)
         if self.nothing_found(kept, fresh):
             return
@@ -385,7 +321,7 @@ class _Rounds:
         return cuts == self.refined and expanded(fresh.anchored, self.scene.patches) == frozenset(self.found.anchored)
 
     def again(self, cuts: Cuts, fresh: Identification) -> Identification:
-        """Search on all levels with fewer cuts, from the best set of a search with more."""
+        """Search with fewer cuts, from the best set of a search with more."""
         scene = self.tree.scene(cuts)
         starts = dict.fromkeys([*resolved(fresh.anchored, scene.patches), *self.starts(scene)])
-        return self.search(scene, self.climbing, list(starts))
+        return self.search(scene, self.of_halves, list(starts))

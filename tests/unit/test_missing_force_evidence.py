@@ -1,12 +1,9 @@
-"""Weighing sets: the evidence of an unknown force, sets that fail on the way, and when enough was weighed."""
+"""The evidence of an unknown force, of what grows, and of a misfit in observation space."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,17 +14,15 @@ from scipy.stats import multivariate_normal
 from bcid.forms import effect_trial as trial
 from bcid.forms.simulate import recorded
 from bcid.inference import response
-from bcid.inference.criteria import CONTINUATION_FAILURE_RATE, MIN_EFFECT_SIZE
+from bcid.inference.criteria import MIN_EFFECT_SIZE
 from bcid.inference.data import Data
-from bcid.inference.discrepancy import Evidence, SmoothDiscrepancy, courses, low_rank_discrepancy
+from bcid.inference.discrepancy import Evidence, EvidenceCells, SmoothDiscrepancy, courses, low_rank_discrepancy
 from bcid.inference.error_covariance import ErrorCovariance
+from bcid.inference.evidence import LinearParameters
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes
-from bcid.inference.outcome import Candidate
 from bcid.inference.priors import PRIORS, spaced
 from bcid.measurement import Action, Measurement
-from bcid.search.climb import ODDS
-from bcid.search.evidence_evaluator import _BATCH, _MOST, EvidenceEvaluator, LinearisedPrediction
 
 Array = NDArray[np.float64]
 SCENE = trial.scene()
@@ -109,6 +104,19 @@ def test_what_a_force_does_is_missed_and_noise_is_not(pushed: float, missing: bo
     assert missing or found.missing < 0.5
 
 
+def test_cells_add_up_to_the_evidence_and_change_one_by_one() -> None:
+    data = Data(SCENE, measurement())
+    known = errors(data)
+    residual = data.values - data.vector(np.tile(SCENE.rest, (2 * STEPS, 1, 1))) + 1e3 * slopes(data)[:, 1]
+    forces, nothing = SmoothDiscrepancy((slopes(data),)).forces(known, UNIT), LinearParameters.none(len(data))
+    cells, other = (EvidenceCells.of(known, one, forces, known.misfits, nothing) for one in (residual, 1.1 * residual))
+    found, whole = cells.evidence(known.log_volume), Evidence.of(known, residual, forces)
+    assert (found.plain, found.forced) == pytest.approx((whole.plain, whole.forced))
+    changed = cells.beside(other, cells).evidence(known.log_volume)
+    expected = Evidence.of(known, 1.1 * residual, forces)
+    assert (changed.plain, changed.forced) == pytest.approx((expected.plain, expected.forced))
+
+
 def test_a_force_and_a_growth_count_alike_and_the_likelier_is_told() -> None:
     data = Data(SCENE, measurement())
     known, one = errors(data), slopes(data)
@@ -157,108 +165,3 @@ def test_some_frames_alone() -> None:
     assert (part.fiducial == data.fiducial[rows]).all()
     assert part.progress.max() == 1.0
     assert len(data) == 2 * STEPS * 12
-
-
-# -- sets
-# ------------------------------------------------------------------------------------------------------------------
-
-
-class Bench:
-    """Stands in for an `Evaluator`: every set misses by a shift of its own, and may fail from a frame on."""
-
-    def __init__(self, shifts: Mapping[Candidate, float], fails: Mapping[Candidate, int] | None = None) -> None:
-        self.scene, self.measurement = SCENE, measurement()
-        self.shifts, self.fails = shifts, fails or {}
-        self.outcomes = {(0, c): SimpleNamespace(failed=c in self.fails) for c in shifts}
-        self.weighed: list[Candidate] = []
-
-    def together(self, _level: int) -> bool:
-        return False
-
-    def forward(self, _level: int) -> Any:
-        law = SimpleNamespace(shear=lambda _: UNIT, complete=lambda values: values)
-        return SimpleNamespace(
-            mesh=SimpleNamespace(points=np.array([[0.0, 0, 0], [1.0, 0, 0]])),
-            model=SimpleNamespace(law=law, values={}),
-        )
-
-    def positions(self, _level: int, candidate: Candidate) -> Array:
-        found = np.tile(SCENE.rest, (2 * STEPS, 1, 1)) + self.shifts[candidate]
-        found[self.fails.get(candidate, len(found)) :] = np.nan
-        return found
-
-    def each(self, level: int, candidates: Sequence[Candidate], _work: object) -> dict[Candidate, LinearisedPrediction]:
-        self.weighed += candidates
-        found = {}
-        for candidate in candidates:
-            positions = self.positions(level, candidate)
-            data = Data(SCENE, self.measurement).within(np.isfinite(positions).all(axis=(1, 2)))
-            none = NuisanceModes.none(len(data))
-            found[candidate] = LinearisedPrediction(
-                positions, none, SmoothDiscrepancy.nothing(len(data)), candidate in self.fails
-            )
-        return found
-
-
-def scales(bench: Bench, best: Candidate = TRUE) -> EvidenceEvaluator:
-    exact = MeshError.unknown((2 * STEPS, len(SCENE.fiducials), 3))
-    return EvidenceEvaluator(bench, [0], best, exact)  # type: ignore[arg-type]
-
-
-def test_on_a_mesh_of_which_nothing_is_known_nothing_is_weighed() -> None:
-    weighing = EvidenceEvaluator(Bench({TRUE: 0.0}), [0], TRUE)  # type: ignore[arg-type]
-    assert weighing.run([TRUE], lambda _: ()).logs == {}
-
-
-def test_a_set_that_fails_late_is_weighed_in_the_frames_before() -> None:
-    """In these it does as well as the other; that it failed counts once, however many frames are missing."""
-    other = frozenset("3")
-    for first in (4, 10):
-        bench = Bench({TRUE: 0.0, other: 0.0}, {other: first})
-        found = scales(bench).relative(0, [TRUE, other])
-        assert found == {TRUE: 0.0, other: pytest.approx(math.log(CONTINUATION_FAILURE_RATE))}
-    bench = Bench({TRUE: 3e-3, other: 0.0}, {other: 4})
-    found = scales(bench).relative(0, [TRUE, other])
-    assert found[other] == 0.0 > found[TRUE], "what fits far better before it fails may be the one"
-    assert scales(Bench({other: 0.0}, {other: 4}), other).levels == [], "the best set failed everywhere"
-
-
-def test_weighing_ends_when_the_last_hold_nothing() -> None:
-    sets = [frozenset({str(i)}) for i in range(20)]
-    far = {c: 1e-3 * (1 + i) for i, c in enumerate(sets)} | {TRUE: 0.0}
-    bench = Bench(far)
-    order = [TRUE, *(c for c in sets if c != TRUE)]
-    found = scales(bench).run(order, lambda _: ()).logs
-    assert found[TRUE] == 0.0
-    assert all(log < -math.log(ODDS) for c, log in found.items() if c != TRUE)
-    assert len(bench.weighed) == 2 * _BATCH
-    # What is around the likeliest is weighed as well, while more than one is likely.
-    near = frozenset("9")
-    bench = Bench({c: 0.0 if c in (TRUE, near, sets[0]) else shift for c, shift in far.items()})
-    found = scales(bench).run(order[:_BATCH], lambda c: [near] if c == TRUE else []).logs
-    assert found[near] == pytest.approx(0.0, abs=1e-9)
-
-
-def test_sets_that_predict_the_same_are_one_class() -> None:
-    alike, other = frozenset("3"), frozenset("4")
-    bench = Bench({TRUE: 0.0, alike: 1e-6, other: 2e-3})
-    weighing = scales(bench)
-    logs = weighing.relative(0, [TRUE, alike, other])
-    assert [set(members) for members in weighing.classes(0, logs)] == [{TRUE, alike}, {other}]
-
-
-def test_where_all_are_likely_not_all_are_weighed() -> None:
-    sets = [frozenset({str(i)}) for i in range(60)]
-    bench = Bench(dict.fromkeys([TRUE, *sets], 0.0))
-    found = scales(bench).run([TRUE, *(c for c in sets if c != TRUE)], lambda _: ()).logs
-    assert len(bench.weighed) == len(found) == _MOST
-
-
-def test_a_fiducial_that_does_not_go_with_the_body_is_astray() -> None:
-    """One of four that jumps by 20 mm; not when two do, which is no mistake of single ones, and not for half a millimetre."""
-    for count, shift, astray in ((1, 20e-3, 1), (2, 20e-3, 0), (1, 0.5e-3, 0)):
-        bench = Bench({TRUE: 0.0})
-        positions = bench.measurement.positions.copy()
-        positions[STEPS:, :count, 2] += shift
-        bench.measurement = measurement(positions)
-        assert scales(bench).astray(0, TRUE) == tuple(SCENE.fiducial_names[:astray])
