@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.base.collective import agree
-from bcid.base.errors import BcidError, SolveError, evaluating
+from bcid.base.errors import SolveError, evaluating
 from bcid.comparison.fitted_hypothesis import FittedHypothesis
 from bcid.comparison.parameter_priors import of_state
 from bcid.comparison.set_tangents import every_set, neighbours
@@ -25,7 +22,7 @@ from bcid.inference.evidence import LinearParameters, LowRankDiscrepancy
 from bcid.inference.outcome import label
 from bcid.predict.predictor import Predictor
 from bcid.search.climb import ODDS
-from bcid.search.scheduler import counter, share
+from bcid.search.scheduler import spread
 
 Array = NDArray[np.float64]
 Frames = NDArray[np.bool_]
@@ -100,10 +97,11 @@ class FollowedSets:
         # Those that differ least take longest.
         order = sorted(sets, key=lambda s: (len(s ^ state.anchors), sorted(s)))
 
-        def one(anchors: Anchored) -> FollowedSet:
-            return self._followed(forward, test, anchors)
+        def one(number: int) -> FollowedSet:
+            predictor.progress.step("anchor sets followed until they have lost", number, len(order))
+            return self._followed(forward, test, order[number])
 
-        self.found = self._shared(order, one)
+        self.found = dict(zip(order, spread(predictor.comm, len(order), one), strict=True))
         predictor.count("working", sum(float(f.frames.mean()) for f in self.found.values()))
         return {anchors: found.evidence for anchors, found in self.found.items()}
 
@@ -127,25 +125,6 @@ class FollowedSets:
             positions[:], failure = np.nan, str(error)
         evidence, frames = test.evidence(positions), test.followed(positions)
         return FollowedSet(evidence, positions, frames, failure, time.perf_counter() - begun)
-
-    def _shared(self, sets: Sequence[Anchored], work: Callable[[Anchored], FollowedSet]) -> dict[Anchored, FollowedSet]:
-        """Each set on some rank; the results on every rank, in order."""
-        comm, progress = self.predictor.comm, self.predictor.progress
-        mine: list[tuple[int, FollowedSet]] = []
-        error: BcidError | None = None
-        tickets = counter(comm)
-        for i in share(range(len(sets)), tickets):
-            # They are handed out in order: those before this one are done, or nearly.
-            progress.step("anchor sets followed until they have lost", i, len(sets))
-            try:
-                mine.append((i, work(sets[i])))
-            except BcidError as caught:
-                error = caught
-                break
-        tickets.close()
-        agree(comm, error)
-        found = sorted((one for part in comm.allgather(mine) for one in part), key=itemgetter(0))
-        return {sets[i]: one for i, one in found}
 
 
 @dataclass(frozen=True)

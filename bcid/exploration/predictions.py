@@ -8,19 +8,18 @@ from __future__ import annotations
 import json
 import os
 import socket
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from io import BytesIO
-from operator import itemgetter
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.base.collective import Comm, agree, on_root
-from bcid.base.errors import BcidError, InputError
+from bcid.base.collective import Comm, on_root
+from bcid.base.errors import InputError
 from bcid.base.fingerprint import fingerprint
 from bcid.base.inside_folder import read_inside
 from bcid.base.progress import Progress, Silent
@@ -39,7 +38,7 @@ from bcid.measurement import Action
 from bcid.predict.forward_models import ForwardModels
 from bcid.scene import Scene
 from bcid.scene.uncertainty import Uncertainty
-from bcid.search.scheduler import counter, share
+from bcid.search.scheduler import spread
 
 T = TypeVar("T")
 Array = NDArray[np.float64]
@@ -154,28 +153,10 @@ class PullPredictor:
             (anchors, action), model = todo[i][1]
             return predicted(self.forward(model), anchors, action, detailed)
 
-        fresh = {key: found for (key, _), found in zip(todo, self._shared(len(todo), one), strict=True)}
+        fresh = {key: found for (key, _), found in zip(todo, spread(self.comm, len(todo), one), strict=True)}
         self._known |= fresh
         self.evaluations += len(fresh)
         return fresh
-
-    def _shared(self, count: int, work: Callable[[int], T]) -> list[T]:
-        """Work on so many things, each on some rank; the results on every rank, in order."""
-        mine: list[tuple[int, T]] = []
-        error = None
-        tickets = counter(self.comm)
-        # They are handed out in order: those before this one are done, or nearly.
-        for i in share(range(count), tickets):
-            try:
-                mine.append((i, work(i)))
-            except BcidError as caught:
-                error = caught
-                break
-        tickets.close()
-        agree(self.comm, error)
-        return [
-            found for _, found in sorted((p for part in self.comm.allgather(mine) for p in part), key=itemgetter(0))
-        ]
 
     def differentiate(self, tasks: Iterable[Task]) -> list[PullTangent | None]:
         """What the scene may have slightly wrong does to pulls, in order; collective.
@@ -193,7 +174,7 @@ class PullPredictor:
             return differentiator.of(*todo[i][1])
 
         if todo:
-            found = self._shared(len(todo), one)
+            found = spread(self.comm, len(todo), one)
             self._tangents |= {key: tangent for (key, _), tangent in zip(todo, found, strict=True)}
         return [self._tangents[k] for k in keys]
 

@@ -238,7 +238,7 @@ class Evaluator:
         return outcome, prediction.positions
 
     def predict(self, level: int, candidate: Candidate) -> Prediction:
-        """Full prediction of one candidate, with fields; collective. The best of each level is kept, others are computed again."""
+        """Full prediction of one candidate; collective. The best of each level is kept, others are computed again."""
         forward, holder = self.forward(level), self._holders(level).get(candidate)
         root = 0 if holder is None else holder
         mine: Prediction | None = None
@@ -247,7 +247,7 @@ class Evaluator:
                 *_, mine = self._passes(forward, candidate)
             else:
                 mine = self._kept[level][2]
-            mine = replace(forward.detail(candidate, self.actions, mine), states=None)
+            mine = replace(mine, states=None)
         result: Prediction = self.comm.bcast(mine, root=root)
         return result
 

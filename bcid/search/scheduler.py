@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator, Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Iterator, Sequence
+from operator import itemgetter
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from bcid.base.collective import Comm
+from bcid.base.collective import Comm, agree
+from bcid.base.errors import BcidError
+
+T = TypeVar("T")
 
 
 class Counter(Protocol):
@@ -72,6 +76,28 @@ def share(tasks: Sequence[Any], tickets: Counter) -> Iterator[Any]:
     """The tasks that fall to this worker, in order; tasks that take long should come first."""
     while (i := tickets.take()) < len(tasks):
         yield tasks[i]
+
+
+def spread(comm: Comm, count: int, work: Callable[[int], T]) -> list[T]:
+    """What work makes of each of so many things, each on some rank, in order and on every rank; collective.
+
+    They are handed out in order: when one is begun those before it are done, or nearly.
+
+    Raises:
+        BcidError: what the work on one of them raises, on all ranks.
+    """
+    mine: list[tuple[int, T]] = []
+    error = None
+    tickets = counter(comm)
+    for number in share(range(count), tickets):
+        try:
+            mine.append((number, work(number)))
+        except BcidError as caught:
+            error = caught
+            break
+    tickets.close()
+    agree(comm, error)
+    return [found for _, found in sorted((one for part in comm.allgather(mine) for one in part), key=itemgetter(0))]
 
 
 def replay(durations: Sequence[float], workers: int, latency: float = 0.0) -> tuple[float, float]:
