@@ -32,8 +32,8 @@ from bcid.exploration.loop import DECIDED, paired
 from bcid.exploration.moves import limits_of, moves
 from bcid.exploration.predictions import PullPredictor
 from bcid.forms.model import check_physics
-from bcid.inference.criteria import CREDIBLE_LEVEL
 from bcid.inference.outcome import label
+from bcid.inference.thresholds import THRESHOLDS
 from bcid.search.seeds import all_candidates
 from bcid.studies.engine.work import read_result
 from bcid.studies.exploration.exploration_study import SCENE
@@ -71,7 +71,7 @@ class Observer:
             pull = self.predicted[self.choose(softmax(logs), noise)]
             seen = pull[self.true] + noise * random.standard_normal(pull.shape[1])
             logs = logs - 0.5 * ((seen - pull) ** 2).sum(axis=1) / noise**2
-            if softmax(logs).max() >= CREDIBLE_LEVEL:
+            if softmax(logs).max() >= THRESHOLDS.credible:
                 return count, True, int(np.argmax(logs)) == self.true
         return int(BUDGET), False, int(np.argmax(logs)) == self.true
 

@@ -1,4 +1,4 @@
-"""`python -m validation golden | ablation | calibration | outside ...`, in a checkout."""
+"""`python -m validation golden | ablation | numbers | calibration | outside ...`, in a checkout."""
 
 from __future__ import annotations
 
@@ -14,6 +14,9 @@ from validation.outside.worlds import CASES as CASES_OF_KIND
 from validation.outside.worlds import KINDS
 from validation.stored_results import cut, keep
 
+# Golden cases of few seconds each.
+QUICK = ["awkward-six-markers", "hidden-211-4", "hidden-223-5"]
+
 
 def main(words: list[str] | None = None) -> int:
     """The command line; returns the exit code."""
@@ -24,13 +27,17 @@ def main(words: list[str] | None = None) -> int:
     golden.add_argument("--freeze", action="store_true", help="make these answers the frozen ones")
     ablation = _part(parts, "ablation", "explain golden cases without one term of the posterior after the other")
     ablation.add_argument("--only", nargs="+", choices=list(CASES), metavar="CASE", help="some cases (all)")
+    numbers = _part(parts, "numbers", "explain golden cases with half and double of each number that decides something")
+    numbers.add_argument(
+        "--only", nargs="+", choices=list(CASES), default=QUICK, metavar="CASE", help=f"some cases ({' '.join(QUICK)})"
+    )
     outside = _part(parts, "outside", "explain worlds of an independent code that are outside the family of models")
     outside.add_argument("--kinds", nargs="+", choices=list(KINDS), metavar="KIND", help=f"of {', '.join(KINDS)} (all)")
     outside.add_argument(
         "--cases", type=_count, default=CASES_OF_KIND, metavar="N", help=f"of each kind ({CASES_OF_KIND})"
     )
     outside.add_argument("--freeze", action="store_true", help="keep these inputs in the repository")
-    for one in (golden, ablation, outside):
+    for one in (golden, ablation, numbers, outside):
         one.add_argument("--jobs", type=_count, default=2, metavar="N", help="processes at a time (2)")
         one.add_argument("--store", type=Path, metavar="FOLDER", help="keep predictions here, for other runs")
     calibration = _part(parts, "calibration", "draw data from the linearised model, and compare answers with the truth")
@@ -38,7 +45,13 @@ def main(words: list[str] | None = None) -> int:
         "--draws", type=_count, default=1000, metavar="N", help="with each level of the noise (1000)"
     )
     chosen = parser.parse_args(words)
-    work = {"golden": _golden, "ablation": _ablation, "calibration": _calibration, "outside": _outside}
+    work = {
+        "golden": _golden,
+        "ablation": _ablation,
+        "numbers": _numbers,
+        "calibration": _calibration,
+        "outside": _outside,
+    }
     try:
         return work[chosen.part](chosen)
     except BcidError as error:
@@ -81,6 +94,17 @@ def _ablation(chosen: argparse.Namespace) -> int:
     found = ablation.read(chosen.output)
     print(ablation.table(found).text())
     _keep(chosen, {term: {name: cut(one) for name, one in answers.items()} for term, answers in found.items()})
+    return 0
+
+
+def _numbers(chosen: argparse.Namespace) -> int:
+    from validation import numbers
+
+    store = chosen.store or chosen.output / "store"
+    numbers.run(chosen.output, chosen.only, chosen.jobs, store, progress_on())
+    found = numbers.read(chosen.output)
+    print(numbers.table(found).text())
+    _keep(chosen, {word: {name: cut(one) for name, one in answers.items()} for word, answers in found.items()})
     return 0
 
 

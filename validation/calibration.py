@@ -29,12 +29,12 @@ from bcid.comparison.state import State
 from bcid.comparison.variants import Variant
 from bcid.forms import effects
 from bcid.forms.model import Model
-from bcid.inference.criteria import DETECTION_THRESHOLD
 from bcid.inference.discrepancy import Evidence
 from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.evidence import LowRankDiscrepancy, log_gains
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
 from bcid.inference.priors import PRIORS
+from bcid.inference.thresholds import THRESHOLDS
 from bcid.studies.text_table import TextTable
 from validation.golden.cases import MEASUREMENT, SCENE, prepare
 
@@ -138,7 +138,7 @@ def _widths(variant: Variant) -> list[Array]:
     """Standard deviations of the amounts of an effect that the data could show, one row each."""
     scale = np.array([c.scale for c in variant.amounts])
     shown = float(np.sqrt(np.mean(np.sum((variant.sensitivity * scale) ** 2, axis=0))))
-    return [size * scale for size in visible(shown, DETECTION_THRESHOLD)]
+    return [size * scale for size in visible(shown, THRESHOLDS.detection)]
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 
 from bcid.base.tails import chi2_tail, normal_tail
 from bcid.comparison.state import State
-from bcid.inference.criteria import ALPHA
+from bcid.inference.thresholds import THRESHOLDS
 
 Array = NDArray[np.float64]
-# Share of adequate models that may be called inadequate.
-FALSE_ALARMS = 0.05
 # What is said of a model that nothing speaks against where no noise is stated.
 NOT_REFUTED = "nothing against it"
 # The test that finds a frame from which on nothing fits.
@@ -44,7 +42,7 @@ class Adequacy:
 
     Attributes:
         adequate: whether the residual is what noise and mesh leave.
-        p_value: of the verdict; below `FALSE_ALARMS` the model is not adequate.
+        p_value: of the verdict; below `Thresholds.false_alarms` the model is not adequate.
         findings: the single tests.
         stated: whether the noise is stated, and not only estimated from the residual that is judged.
     """
@@ -66,14 +64,14 @@ class Adequacy:
 
 
 def judge(state: State) -> Adequacy:
-    """Test the residual of a model. Three tests decide, together with a false-alarm rate of at most `FALSE_ALARMS`:
+    """Test the residual of a model. Three tests decide, together with a false-alarm rate of at most `Thresholds.false_alarms`:
     its size, its slow part along each trajectory, and its part common to all actions of a fiducial (bias).
     """
     findings = [_size(state), _slow(state), _bias(state), *_describing(state)]
     findings += [Finding("left out", 1.0, text) for text in state.predictor.left_out]
     deciding = [f.p_value for f in findings if f.decides]
     p = min(1.0, len(deciding) * min(deciding))
-    return Adequacy(p >= FALSE_ALARMS, p, tuple(findings), state.predictor.data.stated)
+    return Adequacy(p >= THRESHOLDS.false_alarms, p, tuple(findings), state.predictor.data.stated)
 
 
 def _size(state: State) -> Finding:
@@ -163,9 +161,9 @@ def breaking(state: State) -> Finding | None:
     ratio = counts.sum() * np.log(squares.sum() / counts.sum()) - few * np.log(means[0]) - many * np.log(means[1])
     at = int(np.argmax(np.where(means[1] > means[0], ratio, -np.inf)))
     p = min(1.0, len(frames) * chi2_tail(ratio[at], 1))
-    fits = chi2_tail(before[at], few[at]) >= FALSE_ALARMS
-    fails = chi2_tail(after[at], many[at]) < ALPHA
-    if not (fits and fails and p < ALPHA):
+    fits = chi2_tail(before[at], few[at]) >= THRESHOLDS.false_alarms
+    fails = chi2_tail(after[at], many[at]) < THRESHOLDS.surprise
+    if not (fits and fails and p < THRESHOLDS.surprise):
         return None
     row = int(np.flatnonzero(data.frame == frames[at + 1])[0])
     where = f"step {data.step[row]} of action {data.actions[data.action[row]]}"

@@ -35,14 +35,12 @@ from bcid.forms.course import Course, course_of
 from bcid.forms.model import Term
 from bcid.forms.parameter import Parameter
 from bcid.inference import nuisance_text
-from bcid.inference.criteria import CREDIBLE_LEVEL, MAX_NORMALISED_RMS
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
 from bcid.inference.outcome import label
+from bcid.inference.thresholds import THRESHOLDS
 
 # A hypothesis with a smaller probability is not told.
 _LITTLE = 0.005
-# An amount in time is told to change where a constant one would do as well with a smaller probability.
-_BY_CHANCE = 0.01
 # A force that explains a smaller share of what is beyond noise is none.
 _NOTHING = 0.1
 # A pull separates two explanations when their predictions are so many times the noise apart.
@@ -107,7 +105,7 @@ def in_time(row: dict[str, Any]) -> str:
     p, who = row["p_constant"], f"{row['effect']}{at}: {row['amount']}"
     if p is None:
         return f"{who}: whether it changes with time is not told."
-    if p > _BY_CHANCE:
+    if p > THRESHOLDS.surprise:
         return f"{who} may as well be constant ({p_value(p)})."
     (low, _, unit), (high, _, _) = (
         for_people(end, None, row["unit"]) for end in (min(row["values"]), max(row["values"]))
@@ -125,7 +123,7 @@ def warning(rung: ModelStep) -> list[str]:
             f"WARNING: no noise is known: {1e3 * state.noise:.3g} mm is only estimated from the measurement itself, "
             "so that no model can be called adequate. State noise_sigma."
         )
-    if state.rms > MAX_NORMALISED_RMS * state.noise and not rung.adequacy.adequate:
+    if state.rms > THRESHOLDS.residual * state.noise and not rung.adequacy.adequate:
         lines.append(
             f"WARNING: the model misses the measurement by {state.rms / state.noise:.1f} times the noise "
             f"({1e3 * state.rms:.3g} mm where it is {1e3 * state.noise:.3g} mm)."
@@ -410,7 +408,7 @@ def _open(found: Explanation, pulls: Sequence[Pull]) -> list[str]:
         lines.append(
             f"These data cannot tell {NO_EFFECTS.get(found.verdict, found.verdict)} from: {', '.join(others)}."
         )
-    if found.held_by < CREDIBLE_LEVEL:
+    if found.held_by < THRESHOLDS.credible:
         lines.append("These data do not tell for certain which patches hold the body.")
     if pulls and pulls[0].sigmas >= _SEPARATE:
         lines.append(f"The pull that would separate the two likeliest models best: {pulls[0].text}.")

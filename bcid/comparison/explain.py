@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from bcid.base.units import p_value, percent
 from bcid.comparison.adequacy import judge
-from bcid.comparison.anchor_marginals import anchor_marginals
+from bcid.comparison.anchor_answer import AnchorAnswer
 from bcid.comparison.candidates import Candidates, Known
 from bcid.comparison.explanation import Explanation, ModelStep, explains, verdict_of
 from bcid.comparison.first_state import first_state
@@ -98,7 +98,7 @@ def _explanation(queue: FullSearch, best: FittedHypothesis, seconds: float) -> E
         verdict,
         odds,
         tuple(rungs),
-        anchor_marginals(best_first([*table.full, *table.rough]), odds, best, seconds),
+        replace(AnchorAnswer(table, best).identification(), remarks=predictor.measurement.remarks, seconds=seconds),
         tuple(table.full),
         predictor.noise,
         dict(predictor.trajectories),

@@ -12,9 +12,9 @@ from bcid.comparison.fit import Fit
 from bcid.comparison.fitted_hypothesis import FittedHypothesis
 from bcid.comparison.ranking import Ranking
 from bcid.comparison.state import State
-from bcid.inference.criteria import CREDIBLE_LEVEL, MAJORITY, MIN_EXPLAINED_FRACTION
 from bcid.inference.data import Noise
 from bcid.inference.hypotheses import HypothesisOdds
+from bcid.inference.thresholds import THRESHOLDS
 from bcid.search.identification import Identification
 
 
@@ -112,7 +112,7 @@ class Explanation:
     def begins(self) -> Onset | None:
         """By when what is unknown has begun; None where it more likely goes on with the motion, or is there all the time."""
         best = next((r for r in self.rivals if r.fitted.state is self.last.state), None)
-        if self.verdict != "unknown" or best is None or best.evidence.begins is None or best.evidence.sudden < MAJORITY:
+        if self.verdict != "unknown" or best is None or best.evidence.begins is None or best.evidence.sudden < 0.5:
             return None
         data, found = self.last.state.predictor.measurement.data, best.evidence.begins
         action, step = str(data["action"].values[found.by]), int(data["step"].values[found.by])
@@ -126,14 +126,16 @@ class Explanation:
     @property
     def open(self) -> bool:
         """Whether verdict or anchors are not certain."""
-        return min(self.probability, self.held_by) < CREDIBLE_LEVEL
+        return min(self.probability, self.held_by) < THRESHOLDS.credible
 
     @property
     def ambiguous(self) -> tuple[str, ...]:
         """Other verdicts that have a part in the belief, where none has nearly all of it."""
-        if self.probability >= CREDIBLE_LEVEL:
+        if self.probability >= THRESHOLDS.credible:
             return ()
-        return tuple(name for name, p in self.odds.verdicts.items() if name != self.verdict and p > 1 - CREDIBLE_LEVEL)
+        return tuple(
+            name for name, p in self.odds.verdicts.items() if name != self.verdict and p > 1 - THRESHOLDS.credible
+        )
 
     @property
     def last(self) -> ModelStep:
@@ -171,4 +173,4 @@ def explained(before: Fit, after: Fit) -> float:
 
 def explains(before: Fit, after: Fit) -> bool:
     """Whether what was added to a model may be named although something is missing besides: it explains nearly all."""
-    return explained(before, after) > MIN_EXPLAINED_FRACTION
+    return explained(before, after) > THRESHOLDS.explained

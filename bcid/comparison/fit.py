@@ -18,10 +18,10 @@ from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.forms.parameter import Parameter
 from bcid.forms.probes import Probe, SensitivityRequest
-from bcid.inference.criteria import CREDIBLE_LEVEL
 from bcid.inference.nuisances import fitted_instead
 from bcid.inference.priors import PRIORS
 from bcid.inference.stiffness import Stiffness
+from bcid.inference.thresholds import THRESHOLDS
 from bcid.predict.kept_predictions import MeasurementPrediction
 from bcid.predict.predictor import Predictor
 
@@ -35,8 +35,6 @@ FTOL = 1e-4
 _STEP, _STEP_FROM_PAST = 1e-2, 0.3
 # Up to so many scales further on such a difference serves as well: as far as its step reaches where that is large.
 _ALIKE = 0.1
-# A number is not identified when its standard error exceeds this many of its scales, and an amount then only where it may be none.
-_LOOSE = 3.0
 # Variance of a number of which nothing is seen.
 _UNKNOWN = 1e200
 
@@ -438,7 +436,9 @@ def _loose(apart: Array, errors: Array) -> NDArray[np.bool_]:
 
     Both in their scales; of what is no amount `apart` is no number.
     """
-    return np.asarray((errors > _LOOSE) & ~(np.abs(apart) > normal_quantile((1 + CREDIBLE_LEVEL) / 2) * errors))
+    return np.asarray(
+        (errors > THRESHOLDS.detection) & ~(np.abs(apart) > normal_quantile((1 + THRESHOLDS.credible) / 2) * errors)
+    )
 
 
 def _covariance(jacobian: Array, scale: Array) -> Array:
@@ -477,7 +477,9 @@ def _limits(
         if inside or c.parameter.period is not None or error > UNTOLD:
             continue
         bound, inward = (low, 1.0) if at - low < high - at else (high, -1.0)
-        end = bound + inward * error * limit_beyond(max(inward * (bound - at - step) / error, 0.0), 1 - CREDIBLE_LEVEL)
+        end = bound + inward * error * limit_beyond(
+            max(inward * (bound - at - step) / error, 0.0), 1 - THRESHOLDS.credible
+        )
         if low < end < high:
             found[c.name] = c.value(float(end))
     return found

@@ -21,8 +21,8 @@ from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.evidence import LinearParameters, LowRankDiscrepancy
 from bcid.inference.outcome import label
 from bcid.predict.predictor import Predictor
-from bcid.search.climb import ODDS
 from bcid.search.scheduler import spread
+from bcid.search.settings import SETTINGS
 
 Array = NDArray[np.float64]
 Frames = NDArray[np.bool_]
@@ -57,9 +57,9 @@ class FollowedSet:
 class FollowedSets:
     """Follows anchor sets in all steps on the working mesh, each until it has lost against a fitted one.
 
-    A set has lost when the frames that it was followed in are `ODDS` times less likely with it, and so many times more as there are
-    sets. This is a sequential test (Wald, Ann. Math. Stat. 16, 1945, 117): were it the true set, the probability that it is stopped
-    is below 1 / `ODDS` for all sets together, whatever the frames to come hold (Ville's inequality).
+    A set has lost when the frames that it was followed in are `SearchSettings.odds` times less likely with it, and so many times
+    more as there are sets. This is a sequential test (Wald, Ann. Math. Stat. 16, 1945, 117): were it the true set, the probability
+    that it is stopped is below 1 / `odds` for all sets together, whatever the frames to come hold (Ville's inequality).
 
     Args:
         predictor: of the measurement; sets are spread over its ranks.
@@ -92,7 +92,7 @@ class FollowedSets:
             return {}
         sets = every_set(state, begun) if self.every else neighbours(state, begun, True)
         sets = [s for s in sets if s not in excluded]
-        test, forward = _Test(state, numbers, math.log(ODDS * len(sets))), predictor.forward(state.model)
+        test, forward = _Test(state, numbers, math.log(SETTINGS.odds * len(sets))), predictor.forward(state.model)
         forward.equilibrium.settings = predictor.settings
         # Those that differ least take longest.
         order = sorted(sets, key=lambda s: (len(s ^ state.anchors), sorted(s)))

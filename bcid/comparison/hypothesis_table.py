@@ -17,10 +17,11 @@ from bcid.comparison.loosened import loosens
 from bcid.comparison.ranking import Row
 from bcid.comparison.stage_evidence import StageEvidence
 from bcid.forms.model import Model
-from bcid.inference.criteria import ALPHA, CONTINUATION_FAILURE_RATE
 from bcid.inference.discrepancy import Evidence
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
 from bcid.inference.posterior import Evaluation, Fidelity, FidelityStep, Pair, Posterior, toggles
+from bcid.inference.priors import PRIORS
+from bcid.inference.thresholds import THRESHOLDS
 from bcid.search.settings import SETTINGS
 
 Array = NDArray[np.float64]
@@ -200,7 +201,7 @@ class HypothesisTable:
         reach a hypothesis predicts what the best one does.
         """
         failed = len(self.refused)
-        rate = (CONTINUATION_FAILURE_RATE + failed) / (1 + self._followed_count() + failed)
+        rate = (PRIORS.failures + failed) / (1 + self._followed_count() + failed)
         best = max(max(r.evidence.plain, r.evidence.forced) for r in self.full)
         return replace(one.at_most(best), log_prior=one.log_prior + math.log(rate))
 
@@ -216,7 +217,7 @@ class HypothesisTable:
         data = state.predictor.data
         if not data.stated:
             return math.inf
-        noise = -0.5 * chi2_limit(1 - ALPHA, len(data)) - state.errors.log_volume
+        noise = -0.5 * chi2_limit(1 - THRESHOLDS.surprise, len(data)) - state.errors.log_volume
         return max(noise, *(max(r.evidence.plain, r.evidence.forced) for r in self.full))
 
     def _by_tangents(

@@ -10,9 +10,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from bcid.base.tails import normal_tail
 from bcid.base.units import unit_factor
 from bcid.comparison import answer_text, courses, curvature, diagnosis_text
-from bcid.comparison.adequacy import FALSE_ALARMS, groups, judge
+from bcid.comparison.adequacy import groups, judge
 from bcid.comparison.diagnosis import Diagnosis
 from bcid.comparison.explanation import Explanation, ModelStep, Onset, explains
 from bcid.comparison.fit import Fit
@@ -26,16 +27,14 @@ from bcid.forms.course import course_of
 from bcid.forms.gripper_force import ROWS
 from bcid.forms.model import Term
 from bcid.inference import nuisance_text
-from bcid.inference.criteria import CREDIBLE_LEVEL
 from bcid.inference.data import Data
 from bcid.inference.hypotheses import patches
+from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import AXES, WRENCH
 from bcid.predict.predictor import Predictor
 
 MODEL_FORMAT = "bcid-model/1"
 Array = NDArray[np.float64]
-# Chance makes an amount differ from nothing by three standard errors with this probability.
-_UNLIKELY = 0.0027
 # So many of the likeliest hypotheses are told.
 _HYPOTHESES = 12
 
@@ -112,7 +111,7 @@ def diagnosis_json(done: Diagnosis, unit: float) -> dict[str, Any]:
     return (beliefs(found, order) if found is not None else {}) | {
         "adequate": last.adequacy.told,
         "p_value": last.adequacy.p_value,
-        "false_alarm_rate": FALSE_ALARMS,
+        "false_alarm_rate": THRESHOLDS.false_alarms,
         "rms": state.rms / unit,
         "noise_rms": state.noise / unit,
         "noise_stated": state.predictor.data.stated,
@@ -179,7 +178,7 @@ def beliefs(found: Explanation, order: list[str]) -> dict[str, Any]:
     return {
         "verdict_probability": found.probability,
         "anchors_probability": found.held_by,
-        "anchors_certain": found.held_by >= CREDIBLE_LEVEL,
+        "anchors_certain": found.held_by >= THRESHOLDS.credible,
         "probabilities": {
             "effects": odds.verdicts,
             "patches": patches(odds.probabilities, order),
@@ -201,7 +200,7 @@ def _seen(fitted: Fit, one: Term) -> bool:
     """Whether an effect differs from nothing by more than its standard error lets expect; always, when it was not fitted."""
     errors, model = _own(fitted, one)[0], fitted.state.model
     if course_of(one.effect) and any(p.name in errors for p in one.effect.amounts):
-        return courses.seen(fitted, one, _UNLIKELY)
+        return courses.seen(fitted, one, 2 * normal_tail(THRESHOLDS.detection))
     for p in one.effect.amounts:
         neutral = model.neutral(p)
         if p.name not in errors or neutral is None:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from bcid.comparison.fit import Coordinate, columns, coordinates
 from bcid.comparison.state import State
 from bcid.forms.model import Model, Term
-from bcid.inference.criteria import DETECTION_THRESHOLD
 from bcid.inference.evidence import LinearParameters
 from bcid.inference.priors import PRIORS, spaced
+from bcid.inference.thresholds import THRESHOLDS
 
 Array = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ def visible(shown: float) -> Array:
     An amount that cannot be seen is told as nothing. A notable amount moves the data by `shown` standard deviations.
     """
     sizes = spaced(PRIORS.amounts)
-    return sizes[sizes * shown >= DETECTION_THRESHOLD]
+    return sizes[sizes * shown >= THRESHOLDS.detection]
 
 
 def log_share(count: int) -> float:

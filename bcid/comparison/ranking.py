@@ -23,16 +23,13 @@ from bcid.forms.course import constant
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Term
 from bcid.inference.evidence import LARGER, log_gains
+from bcid.inference.thresholds import THRESHOLDS
 
 Array = NDArray[np.float64]
-# What two explanations leave different must exceed this (chi-square) for them to be told apart.
-_TELLING = 9.0
 # A refit of what the model has already must not gain more than this (chi-square, and part of it).
 _OPTIMUM = 9.0, 0.02
 # Scans of more variants count each of them as a try.
 _MANY = 60
-# A name is believed at this probability of a chance, all tries counted.
-SIGNIFICANT = 0.01
 
 
 @dataclass(frozen=True)
@@ -251,7 +248,7 @@ def best_row(state: State, name: str, variants: Sequence[Variant], basis: Array,
         # Of numbers that cannot be told apart round-off leaves a variance that is none.
         errors[c.parameter.name] = float(np.sqrt(v)) * factor if v >= 0 else math.inf
     dof = len(best.amounts)
-    limit = chi2_limit(SIGNIFICANT / tried, dof)
+    limit = chi2_limit(THRESHOLDS.surprise / tried, dof)
     power = shifted_chi2_tail(limit, dof, max(float(np.trace(information)) / dof, 1e-12))
     explained = left @ step
     after = state.residual - state.errors.unwhiten(explained)
@@ -320,11 +317,11 @@ def _confusions(rows: Sequence[Row]) -> list[Row]:
         same = []
         for other in rows:
             size = float(other.explained @ other.explained)
-            if other.effect == row.effect or size <= 0 or row.score <= _TELLING:
+            if other.effect == row.effect or size <= 0 or row.score <= THRESHOLDS.detection**2:
                 continue
             along = float(row.explained @ other.explained) / size
             apart = row.explained - along * other.explained
-            if other.score > row.score - _TELLING and float(apart @ apart) < _TELLING:
+            if other.score > row.score - THRESHOLDS.detection**2 and float(apart @ apart) < THRESHOLDS.detection**2:
                 same.append(other.effect)
         result.append(replace(row, confounded_with=tuple(same)))
     return result

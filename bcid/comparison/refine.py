@@ -18,24 +18,18 @@ from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.misfit import Misfit
 from bcid.inference.outcome import label
+from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import Measurement
 from bcid.predict.store import PredictionStore
 from bcid.scene import Region, Scene
 from bcid.search.identification import Identification
 from bcid.search.identify_options import IdentifyOptions
+from bcid.search.settings import SETTINGS
 
-# A patch is undecided when its probability is further than this from both 0 and 1.
-_UNDECIDED = 0.02
-# Halves stay apart when it is less likely than this that they are alike: what is less likely is not carried up the ladder either.
-_ALIKE = 1e-4
+# No patch is divided further when there are so many: every step of a climb looks at all of them.
+_MOST_PIECES = 64
 # A result with a residual larger than the present one's by more than this factor is not taken.
 _NO_WORSE = 1.001
-# Chi-square this many of its standard deviations above what noise and mesh account for is not explained.
-_ABOVE = 3.0
-# How many of the next best sets a search begins with beside the best.
-_OTHERS = 8
-# Splitting ends at this many patches: every step of a climb looks at all of them.
-_MOST_PATCHES = 64
 
 Anchored = frozenset[str]
 Cuts = dict[str, tuple[str, str]]
@@ -146,7 +140,7 @@ def resolved(candidate: Iterable[str], patches: Iterable[str]) -> list[Anchored]
 
 
 def significant_splits(refined: Mapping[str, tuple[str, str]], probability: Mapping[str, float]) -> Cuts:
-    """The cuts whose two sides are alike with a probability of at most `_ALIKE`.
+    """The cuts whose two sides are alike with a probability of at most `SearchSettings.alike`.
 
     Args:
         refined: all cuts.
@@ -164,7 +158,7 @@ def significant_splits(refined: Mapping[str, tuple[str, str]], probability: Mapp
     for name in sorted(refined, key=len, reverse=True):
         lower, upper = refined[name]
         spread = max(abs(probability[a] - probability[b]) for a in leaves(lower) for b in leaves(upper))
-        if spread >= 1 - _ALIKE or lower in kept or upper in kept:
+        if spread >= 1 - SETTINGS.alike or lower in kept or upper in kept:
             kept[name] = lower, upper
     return {name: refined[name] for name in refined if name in kept}
 
@@ -262,7 +256,7 @@ class _Rounds:
         patches, anchored = list(self.scene.patches), self.found.anchored
         near = touching(self.scene, self.found.levels[-1], self.tree.comm)
         border = [p for p in patches if p in anchored or any(p in near[a] for a in anchored)] or patches
-        undecided = [p for p in patches if _UNDECIDED < self.found.patches[p] < 1 - _UNDECIDED]
+        undecided = [p for p in patches if THRESHOLDS.surprise < self.found.patches[p] < 1 - THRESHOLDS.surprise]
         why = f"undecided: {' '.join(undecided)}" if undecided else "every patch is decided"
         if self.explained():
             return why, {p: 1 for p in patches if p in {*border, *undecided} and p not in self.vain}
@@ -276,7 +270,7 @@ class _Rounds:
         noise, rms = self.found.noise, self.found.rms
         if noise is None:
             return True
-        most = math.sqrt(1 + _ABOVE * math.sqrt(2 / self.values))
+        most = math.sqrt(1 + THRESHOLDS.detection * math.sqrt(2 / self.values))
         return rms <= most * math.hypot(noise, self.found.discretisation or 0.0)
 
     def split(self, depths: Mapping[str, int]) -> Cuts:
@@ -286,7 +280,7 @@ class _Rounds:
         level = list(depths)
         for depth in range(max(depths.values(), default=0)):
             scene = self.tree.scene(cuts)
-            room = _MOST_PATCHES - len(scene.patches)
+            room = _MOST_PIECES - len(scene.patches)
             fresh = self.tree.cut(scene, level[: max(room, 0)], smallest)
             cuts |= fresh
             level = [h for n, pair in fresh.items() if depths[self.root(n, depths)] > depth + 1 for h in pair]
@@ -298,7 +292,11 @@ class _Rounds:
 
     def starts(self, scene: Scene, more: Iterable[Anchored] = ()) -> list[Anchored]:
         """Where to begin with the patches of a scene: the best sets so far, then `more`."""
-        sets = [self.found.anchored, *(other.anchored for other in self.found.alternatives[:_OTHERS]), *more]
+        sets = [
+            self.found.anchored,
+            *(other.anchored for other in self.found.alternatives[: SETTINGS.first_sets]),
+            *more,
+        ]
         return list(dict.fromkeys(c for s in sets for c in resolved(s, scene.patches)))
 
     def merge(self, cuts: Cuts, fresh: Identification) -> None:

@@ -22,12 +22,12 @@ from bcid.comparison.parameter_priors import of_state
 from bcid.comparison.state import State
 from bcid.forms.model import Model, Term
 from bcid.forms.scene_errors import Outline
-from bcid.inference.criteria import CREDIBLE_LEVEL
 from bcid.inference.discrepancy import conditional
 from bcid.inference.evidence import KnownNuisance, LinearParameters
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
 from bcid.inference.nuisance_text import amount
 from bcid.inference.priors import PRIORS
+from bcid.inference.thresholds import THRESHOLDS
 
 Array = NDArray[np.float64]
 # Offsets of an input, in its standard deviations.
@@ -71,7 +71,7 @@ class Answer:
     @property
     def certain(self) -> bool:
         """Whether both are."""
-        return min(self.probability, self.held_by) >= CREDIBLE_LEVEL
+        return min(self.probability, self.held_by) >= THRESHOLDS.credible
 
     def like(self, other: Answer) -> bool:
         """Whether verdict and anchors are the same."""

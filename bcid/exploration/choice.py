@@ -22,23 +22,13 @@ from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.hypotheses import Hypothesis, entropy
 from bcid.inference.information import Expected, information, noise_free
 from bcid.inference.mesh_error import MeshError
+from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import Action
 from bcid.scene import Scene
 from bcid.search.settings import SETTINGS
 
 Array = NDArray[np.float64]
 CRITERIA = ("information", "entropy", "random")
-# Hypotheses that hold this much of the probability are asked what a pull would show, so many at most; more by their linear
-# response only.
-_MASS, _MOST = 0.999, 32
-# Where there are more, so many drawn from them are asked whether a pull is allowed.
-_SAMPLED = 12
-# So many of the pulls that promise most by the linear response are predicted in full at a time.
-_SCREENED = 6
-# A pull is allowed when limits are kept, and the body does not buckle, with this probability at least.
-_SAFE = 0.95
-# A pull that is expected to tell less, bits, tells nothing.
-LEAST = 0.02
 # Pulls there and back promise the same by the linear response, but for round-off: so many digits tell them apart.
 _ALIKE = 9
 # Of the gripper's path: where the response is linear.
@@ -151,15 +141,15 @@ class Chooser:
         ]
         if self.criterion == "random":
             return self._random(options, view, sets)
-        if len(options) > _SCREENED or len(sets) > _MOST:
+        if len(options) > SETTINGS.batch_of_pulls or len(sets) > SETTINGS.predicted_sets:
             options = sorted(self._linear(options, view), key=lambda o: -round(o.worth, _ALIKE))
-        if len(sets) > _MOST:
+        if len(sets) > SETTINGS.predicted_sets:
             return self._first_allowed(options, view, sets)
         return self._best(options, view, sets)
 
     def _barred(self, move: Move, view: PosteriorSummary) -> str:
         """Why a pull that the working level allows is not: a finer mesh buckles earlier. "" if it can be followed there too."""
-        likely = [h for h, p in view.probabilities.items() if p > 1 - _SAFE]
+        likely = [h for h, p in view.probabilities.items() if p > 1 - THRESHOLDS.credible]
         if self.predictor.fine is None or not likely:
             return ""
         predicted = self.predictor.predict_finely(likely, view.fitted, self._action(move), detailed=False)
@@ -172,8 +162,8 @@ class Chooser:
         """By full predictions, those that promise most first, until one of them is worth it."""
         seen: list[Option] = []
         shown: dict[Move, Predictive] = {}
-        for i in range(0, len(options), _SCREENED):
-            for option in options[i : i + _SCREENED]:
+        for i in range(0, len(options), SETTINGS.batch_of_pulls):
+            for option in options[i : i + SETTINGS.batch_of_pulls]:
                 predicted, forbidden = self._asked(option, view, sets, weights(view.probabilities, sets))
                 if forbidden:
                     seen.append(replace(option, forbidden=forbidden))
@@ -218,10 +208,10 @@ class Chooser:
         """By the linear response of many sets: the best one that a sample of them allows."""
         rng = np.random.default_rng([self.random_state, len(view.seen)])
         p = weights(view.probabilities, sets)
-        drawn = [sets[k] for k in sorted(rng.choice(len(sets), _SAMPLED, replace=False, p=p))]
+        drawn = [sets[k] for k in sorted(rng.choice(len(sets), SETTINGS.drawn_sets, replace=False, p=p))]
         seen: list[Option] = []
         for i, option in enumerate(options):
-            if option.expected.bits < LEAST:
+            if option.expected.bits < SETTINGS.helping:
                 break
             even = np.full(len(drawn), 1 / len(drawn))
             forbidden = self._asked(option, view, drawn, even)[1]
@@ -233,9 +223,9 @@ class Chooser:
     def _random(self, options: list[Option], view: PosteriorSummary, sets: list[Hypothesis]) -> Choice:
         """Any allowed pull."""
         rng = np.random.default_rng([self.random_state, len(view.seen)])
-        if len(sets) > _SAMPLED:
+        if len(sets) > SETTINGS.drawn_sets:
             p = weights(view.probabilities, sets)
-            sets = [sets[k] for k in sorted(rng.choice(len(sets), _SAMPLED, replace=False, p=p))]
+            sets = [sets[k] for k in sorted(rng.choice(len(sets), SETTINGS.drawn_sets, replace=False, p=p))]
         p = weights(view.probabilities, sets)
         for k in rng.permutation(len(options)):
             if not self._asked(options[k], view, sets, p)[1]:
@@ -284,7 +274,7 @@ class Chooser:
         ]
         for reason, exceeds in checks:
             risk = more + float(sum(w for w, f in zip(p, predicted, strict=True) if exceeds(f)))
-            if risk > 1 - _SAFE:
+            if risk > 1 - THRESHOLDS.credible:
                 least = "at least " if p.sum() < 1 - 1e-9 else ""
                 return f"{reason} (probability {least}{risk:.2g})"
         return ""
@@ -380,13 +370,15 @@ def extended(small: Array, action: Action, size: float) -> Array:
 def telling(option: Option) -> bool:
     """Whether a pull is allowed and expected to tell anything."""
     return (
-        not option.forbidden and option.expected.bits - 2 * option.expected.error > 0 and option.expected.bits > LEAST
+        not option.forbidden
+        and option.expected.bits - 2 * option.expected.error > 0
+        and option.expected.bits > SETTINGS.helping
     )
 
 
 def _decisive(p: Array) -> int:
     """How many of the likeliest hypotheses hold so much of the probability that the others forbid no pull by themselves."""
-    return min(int(np.searchsorted(np.cumsum(p), _SAFE)) + 1, len(p))
+    return min(int(np.searchsorted(np.cumsum(p), THRESHOLDS.credible)) + 1, len(p))
 
 
 def credible_set(view: PosteriorSummary) -> list[Hypothesis]:
@@ -394,7 +386,7 @@ def credible_set(view: PosteriorSummary) -> list[Hypothesis]:
     found: list[Hypothesis] = []
     mass = 0.0
     for hypothesis, p in view.probabilities.items():
-        if found and (mass >= _MASS or p < SETTINGS.counting):
+        if found and (mass >= 1 - SETTINGS.counting or p < SETTINGS.counting):
             break
         if not hypothesis.names or hypothesis in view.fitted:
             found.append(hypothesis)

@@ -39,8 +39,8 @@ from bcid.forms.mesh.check import measures
 from bcid.forms.mesh.patches import divided
 from bcid.forms.model import check_physics
 from bcid.forms.written_effects import with_effects
-from bcid.inference.criteria import CREDIBLE_LEVEL
 from bcid.inference.hypotheses import Hypothesis, entropy
+from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import Measurement
 from bcid.predict.store import PredictionStore
 from bcid.scene import Scene
@@ -349,7 +349,7 @@ def summary(scene: Scene, options: ExploreOptions, found: Exploration) -> str:
     lines += stiffness_in_words(view.stiffness)
     if options.effects:
         lines += ["", *_about_effects(options, found)]
-    if view.missing >= CREDIBLE_LEVEL:
+    if view.missing >= THRESHOLDS.credible:
         lines += [
             "",
             f"WARNING: something is missing in the model, or it is wrong: probability {percent(view.missing)}. The likeliest "

@@ -23,8 +23,8 @@ from bcid.exploration.pull_posterior import PullPosterior
 from bcid.exploration.robots import Robot
 from bcid.forms import effects
 from bcid.forms.gripper_force import ForceScale
-from bcid.inference.criteria import CREDIBLE_LEVEL
 from bcid.inference.hypotheses import Hypothesis
+from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import Measurement
 from bcid.predict.levels import affordable, pair
 from bcid.predict.store import PredictionStore
@@ -249,7 +249,9 @@ class _Loop:
         limits = limits_of(self.scene)
         while True:
             if self.steps and view.certainty >= self.options.confidence:
-                return Exploration(DECIDED if view.missing < CREDIBLE_LEVEL else UNEXPLAINED, view, tuple(self.steps))
+                return Exploration(
+                    DECIDED if view.missing < THRESHOLDS.credible else UNEXPLAINED, view, tuple(self.steps)
+                )
             began, count = time.perf_counter(), self._predicted()
             last = self.steps[-1].move if self.steps else None
             choice = self._choose(view, last)
@@ -376,6 +378,6 @@ class _Loop:
             if p > 1e-3
         )
         doubt = ""
-        if step.view.missing >= CREDIBLE_LEVEL:
+        if step.view.missing >= THRESHOLDS.credible:
             doubt = f"; SOMETHING IS MISSING ({percent(step.view.missing)})"
         self.progress.say(f"  {step.gained:.2f} bits gained; {shown}{doubt}; {step.seconds:.1f} s of computing")

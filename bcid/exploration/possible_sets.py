@@ -67,5 +67,5 @@ def negligible(odds: HypothesisOdds) -> frozenset[Anchored]:
     for h, p in odds.probabilities.items():
         shares[h.anchors] = shares.get(h.anchors, 0.0) + p
     order = sorted(shares, key=lambda s: (shares[s], -len(s), sorted(s)))
-    count = int(np.searchsorted(np.cumsum([shares[s] for s in order]), SETTINGS.excluded))
+    count = int(np.searchsorted(np.cumsum([shares[s] for s in order]), SETTINGS.counting))
     return frozenset(order[:count])

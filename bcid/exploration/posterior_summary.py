@@ -8,11 +8,9 @@ from dataclasses import dataclass, field
 
 from bcid.exploration.fitted_numbers import FittedNumbers
 from bcid.inference.hypotheses import Hypothesis, effects, entropy, log_prior, normalised, patches
+from bcid.inference.priors import PRIORS
 from bcid.inference.stiffness import Stiffness
 from bcid.measurement import Measurement
-
-# Before anything was seen the error of the mesh is taken as this part of the motion.
-_FIRST_ERROR = 0.03
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,7 @@ class PosteriorSummary:
         even = {Hypothesis(anchors): 1.0 / len(sets) for anchors in sets}
         prior = prior_effects(effects)
         bits = math.log2(len(sets)) + entropy(prior.values())
-        return cls(even, patches(even, names), prior, bits, math.nan, 0, 0, _FIRST_ERROR if fine else 0.0)
+        return cls(even, patches(even, names), prior, bits, math.nan, 0, 0, PRIORS.first_mesh_error if fine else 0.0)
 
     @property
     def best(self) -> Hypothesis:

@@ -15,15 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp, softmax
 
-from bcid.inference.criteria import CREDIBLE_LEVEL, DETECTION_THRESHOLD
 from bcid.inference.data import Data
 from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.evidence import LARGER, LinearParameters, gains_of
+from bcid.inference.priors import PRIORS, spaced
+from bcid.inference.thresholds import THRESHOLDS
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
-# Standard deviations of the force that are equally likely, in those that the data leave of it: from what is just seen on.
-_SIZES: Array = DETECTION_THRESHOLD * np.logspace(0, 3, 7)
 # What differs from a smooth force by less than this part of its square does not begin.
 _LIKE_SMOOTH = 1e-6
 
@@ -36,7 +35,7 @@ class ChangePoint:
     neither from when on nor where it acts is told.
 
     Attributes:
-        by: the frame in which it acts, with `CREDIBLE_LEVEL`.
+        by: the frame in which it acts, with `Thresholds.credible`.
         log: logarithm of how much likelier it makes the data than nothing, with all that it may be counted.
     """
 
@@ -64,7 +63,7 @@ class ChangePointForce:
         squares, self._beside, smooth = self._products()
         scale = np.sqrt(np.maximum(np.diagonal(smooth, axis1=1, axis2=2), 1e-300))
         both = scale[:, :, None] * scale[:, None, :]
-        self._inverse = np.linalg.inv(smooth / both + np.eye(smooth.shape[1]) / _SIZES[-1] ** 2) / both
+        self._inverse = np.linalg.inv(smooth / both + np.eye(smooth.shape[1]) / PRIORS.sudden_sizes[1] ** 2) / both
         jumps = squares - self._beside @ self._inverse @ np.swapaxes(self._beside, 2, 3)
         size, whole = (np.trace(some, axis1=2, axis2=3) / 3 for some in (jumps, squares))
         self._told = size > _LIKE_SMOOTH * whole
@@ -78,7 +77,7 @@ class ChangePointForce:
         gains = self._gains(residual, numbers)
         begins = np.broadcast_to(self._begins[:, None], self._told.shape)[self._told]
         until = np.cumsum(np.bincount(begins, softmax(gains)))
-        by = self._frames[min(int(np.searchsorted(until, CREDIBLE_LEVEL)), len(until) - 1)]
+        by = self._frames[min(int(np.searchsorted(until, THRESHOLDS.credible)), len(until) - 1)]
         return ChangePoint(int(by), float(logsumexp(gains) - np.log(len(gains))))
 
     def _gains(self, residual: Array, numbers: LinearParameters) -> Array:
@@ -97,7 +96,7 @@ class ChangePointForce:
         left = with_known[..., 1:] @ inverse
         rj = with_known[..., :1] - left @ products[:, 1:, :1]
         jj = self._jumps - left @ np.swapaxes(with_known[..., 1:], 2, 3)
-        sizes, free = np.repeat(_SIZES[:, None], 3, axis=1), np.zeros(3, dtype=bool)
+        sizes, free = np.repeat(spaced(PRIORS.sudden_sizes)[:, None], 3, axis=1), np.zeros(3, dtype=bool)
         rr, factors = float(known[:, 0] @ known[:, 0]), None if errors.data.stated else LARGER
         return gains_of(rr, rj[self._told, :, 0], jj[self._told], len(residual), sizes, free, factors)
 

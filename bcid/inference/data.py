@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from bcid.base.tails import normal_tail
 from bcid.forms.gripper_force import ROWS, ForceScale
-from bcid.inference.criteria import ALPHA
 from bcid.inference.force_noise import force_noise
 from bcid.inference.seen import Seen, normals_of
+from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import Action, Measurement
 from bcid.scene import Scene
 from bcid.scene.rotation import as_rotation
@@ -44,7 +44,7 @@ class Noise:
     @property
     def surprising(self) -> bool:
         """Whether chance lets expect no such difference from what is stated."""
-        return bool(2 * normal_tail(abs(math.log(self.factor)) / self.error) < ALPHA)
+        return bool(2 * normal_tail(abs(math.log(self.factor)) / self.error) < THRESHOLDS.surprise)
 
 
 class Data:

@@ -17,11 +17,11 @@ from scipy.special import logsumexp, softmax
 
 from bcid.inference import response
 from bcid.inference.change_point import ChangePoint, ChangePointForce
-from bcid.inference.criteria import MIN_EFFECT_SIZE
 from bcid.inference.data import Data
 from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.evidence import LARGER, KnownNuisance, LinearParameters, LowRankDiscrepancy, MarginalLikelihood
 from bcid.inference.priors import PRIORS, spaced
+from bcid.inference.thresholds import THRESHOLDS
 
 Array = NDArray[np.float64]
 # Where the way back does not mirror the way there, what grows with time differs from what grows with the way by this part.
@@ -108,7 +108,7 @@ def low_rank_discrepancy(errors: ErrorCovariance, moved: Array, unit: float) -> 
     most = math.sqrt(float(np.mean(np.sum(moved**2, axis=1) / errors.sigma**2)))
     sizes = spaced(PRIORS.force_sizes) * unit
     return LowRankDiscrepancy.of(
-        errors.whiten(moved), sizes[sizes * most >= min(MIN_EFFECT_SIZE, float(sizes[-1]) * most)]
+        errors.whiten(moved), sizes[sizes * most >= min(THRESHOLDS.effect, float(sizes[-1]) * most)]
     )
 
 

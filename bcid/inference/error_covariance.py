@@ -17,21 +17,16 @@ from numpy.typing import NDArray
 
 from bcid.base.tails import normal_tail
 from bcid.inference import response
-from bcid.inference.criteria import ALPHA
 from bcid.inference.data import Data
 from bcid.inference.evidence import LowRankDiscrepancy
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import MARKERS, STIFFNESS, NuisanceModes
+from bcid.inference.priors import PRIORS
+from bcid.inference.thresholds import THRESHOLDS
 
 Array = NDArray[np.float64]
-# How far the error of the mesh may be from what the ladder says: of each action as a whole, and of a single trajectory.
-_OF_ACTION = 0.5
-_OF_TRAJECTORY = 0.5
-_OF_FIDUCIAL = 1.5
 # A constant and a slope of this size have a mean square of 1 along a trajectory.
 _OF_SLOW = math.sqrt(3 / 4)
-# A mesh is too stiff everywhere: of all forces and torques together.
-_OF_FORCES = 0.5
 # What was not seen has a noise so many times as large: it tells nothing.
 _UNSEEN = 1e4
 # Columns that are smaller than this part of the noise are left out.
@@ -96,7 +91,7 @@ class NuisanceEstimate:
     @property
     def used_up(self) -> bool:
         """Whether a value is larger than chance lets expect of so many: the scene is wrong by more than it says."""
-        return bool(2 * self.count * normal_tail(self.most) < ALPHA)
+        return bool(2 * self.count * normal_tail(self.most) < THRESHOLDS.surprise)
 
 
 class ErrorCovariance:
@@ -159,10 +154,11 @@ class ErrorCovariance:
     def _of_actions(self, moving: Array, rest: Array) -> Array:
         """The factor of each action's extrapolation, that of rest, and that of forces."""
         found = [
-            np.where(self.data.action == number, _OF_ACTION * moving, 0.0) for number in range(len(self.data.actions))
+            np.where(self.data.action == number, PRIORS.mesh_error[0] * moving, 0.0)
+            for number in range(len(self.data.actions))
         ]
-        found.append(_OF_ACTION * rest)
-        found.append(np.where(self.data.kind > 0, _OF_FORCES * (moving + rest), 0.0))
+        found.append(PRIORS.mesh_error[0] * rest)
+        found.append(np.where(self.data.kind > 0, PRIORS.mesh_error[3] * (moving + rest), 0.0))
         return np.column_stack([column for column in found if column.any()] or [np.zeros((len(self.data), 0))])
 
     def _of_nuisances(self) -> Array:
@@ -305,7 +301,9 @@ def _at_rest(data: Data, left: Array) -> Array:
 
 def _by_kind(data: Data, left: Array) -> dict[int, float]:
     """How much a fiducial may have of what the mesh leaves, of positions, forces and torques each, m."""
-    return {int(k): float(np.sqrt(np.mean(left[data.kind == k] ** 2))) * _OF_FIDUCIAL for k in np.unique(data.kind)}
+    return {
+        int(k): float(np.sqrt(np.mean(left[data.kind == k] ** 2))) * PRIORS.mesh_error[2] for k in np.unique(data.kind)
+    }
 
 
 def _along(data: Data, left: Array) -> Array:
@@ -313,7 +311,8 @@ def _along(data: Data, left: Array) -> Array:
     group = np.unique(np.column_stack([data.kind, data.action]), axis=0, return_inverse=True)[1].ravel()
     own, common = _mean(left**2, data.trajectory), _mean(left**2, group)
     amount = np.hypot(
-        _OF_TRAJECTORY * np.sqrt(np.maximum(own, common)), _OF_SLOW * np.sqrt(_mean(data.slow**2, data.trajectory))
+        PRIORS.mesh_error[1] * np.sqrt(np.maximum(own, common)),
+        _OF_SLOW * np.sqrt(_mean(data.slow**2, data.trajectory)),
     )
     order = np.argsort(data.trajectory, kind="stable")
     _, first, count = np.unique(data.trajectory[order], return_index=True, return_counts=True)

@@ -7,11 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.inference.priors import PRIORS
 from bcid.measurement import Measurement
 
 Array = NDArray[np.float64]
-# A sensor is not better than this part of the largest value that it shows: its linearity.
-_LEAST = 0.005
 # Standard deviation of Gaussian values per median of their sizes, and of their third differences per that of one.
 _PER_MEDIAN, _THIRD = 1.4826, math.sqrt(20)
 
@@ -35,4 +34,4 @@ def _seen(measurement: Measurement, values: Array) -> float:
     sizes = np.abs(np.concatenate([np.zeros(0), *differences]))
     sizes = sizes[np.isfinite(sizes)]
     rough = _PER_MEDIAN * float(np.median(sizes)) / _THIRD if len(sizes) else 0.0
-    return max(rough, _LEAST * float(np.nanmax(np.abs(values), initial=0.0)), 1e-12)
+    return max(rough, PRIORS.force_sensor * float(np.nanmax(np.abs(values), initial=0.0)), 1e-12)

@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.inference.priors import PRIORS
+
 Array = NDArray[np.float64]
-# Where patches end, convergence is of little more than first order: by so much the difference of two meshes with a ratio
-# of three exceeds the error of the finer one.
-_SINGULAR = 3.0
 # Between levels that hardly differ nothing can be extrapolated.
 _LEAST = 0.2
 # By this power of the size of elements errors of positions fall on a ladder of one degree.
@@ -79,14 +78,16 @@ class MeshError:
     def beyond(cls, coarse: Array, fine: Array, gain: float | Array) -> MeshError:
         """The same where the finer of the two is the working level."""
         difference = fine - coarse
-        return cls(np.asarray(difference / gain), np.asarray(difference / np.minimum(gain, _SINGULAR)), True)
+        return cls(np.asarray(difference / gain), np.asarray(difference / np.minimum(gain, PRIORS.mesh_gain)), True)
 
     @classmethod
     def between(cls, coarse: Array, fine: Array, gain: float | Array) -> MeshError:
         """From predictions on the working level and a finer one: Richardson's extrapolation.
 
         `gain` is how many times the difference exceeds the error of the finer one (3 for halved elements of second order).
-        What is left is taken to be larger than that: see `_SINGULAR`.
+        What is left is taken to be larger than that: see `Priors.mesh_gain`.
         """
         difference = fine - coarse
-        return cls(np.asarray(difference * (1 + 1 / gain)), np.asarray(difference / np.minimum(gain, _SINGULAR)), True)
+        return cls(
+            np.asarray(difference * (1 + 1 / gain)), np.asarray(difference / np.minimum(gain, PRIORS.mesh_gain)), True
+        )

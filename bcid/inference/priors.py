@@ -36,15 +36,24 @@ class Priors:
         scanned: a time constant or radius lies within so many times the values that are tried, in either direction.
         cycles: a period is one of so many cycles per measurement, from and to.
         other: any other number lies within so many notable changes of where it was found.
+        sudden_sizes: standard deviations of a force that begins in a frame, in those that the data leave of it: from what is just
+            seen on (`Thresholds.detection`); smallest, largest and how many.
         force_sizes: standard deviations of the density of an unknown force, in units of shear modulus per size of the body: from a
             strain that nobody sees to one that tears.
         noise: factors of all errors where no noise is stated.
         misfit_lengths: correlation lengths of a misfit over the markers, in their largest distance.
         misfit_sizes: how many of its standard deviations are tried, from the noise to the motion.
         misfit_smooth: variance and correlation length of its part that is smooth in the pose, where the furthest pose is 1.
+        mesh_error: how far the error of the mesh may be from what the ladder says, as a part of that: of each action, of a single
+            trajectory, of a marker at rest, and of all forces together, for a mesh is too stiff everywhere.
+        mesh_gain: by how much the difference of two meshes exceeds the error of the finer one, at most: where patches end,
+            convergence is of little more than first order, which makes it 3 for meshes with a ratio of three.
+        first_mesh_error: the error of the mesh before anything was seen, as a part of the motion.
+        failures: how often the forward model cannot follow the true set to the end: what a set that fails has for it beforehand.
         noise_error: relative standard deviation of a noise that is stated, where an answer is given for another one: a convention,
             with which two standard deviations are 20 %.
-        force_sensor: noise of a force sensor that is not there yet, in the largest force: as of six-axis sensors of a laboratory.
+        force_sensor: noise of a force sensor, in the largest force that it shows: of one that is not there yet, and at least of one
+            that is, for its linearity; as of six-axis sensors of a laboratory.
         misfit_columns: in which it is kept at most (Kennedy & O'Hagan, J. R. Stat. Soc. B 63, 2001, 425). What these leave out is
             white: of markers that move as those of another body a set has 98 % with 60 columns, 41 % with 180 and 49 % with 480.
     """
@@ -64,14 +73,19 @@ class Priors:
     scanned: float = 2.0
     cycles: tuple[float, float] = (1.0, 8.0)
     other: float = 3.0
+    sudden_sizes: tuple[float, float, int] = (3.0, 3000.0, 7)
     force_sizes: tuple[float, float, int] = (1e-4, 10.0, 21)
     noise: tuple[float, float, int] = (1.0, 20.0, 30)
     misfit_lengths: tuple[float, ...] = (0.1, 0.25, 0.6, 1.5)
     misfit_sizes: int = 8
     misfit_smooth: tuple[float, float] = (0.1, 0.3)
     misfit_columns: int = 180
+    mesh_error: tuple[float, float, float, float] = (0.5, 0.5, 1.5, 0.5)
+    mesh_gain: float = 3.0
+    first_mesh_error: float = 0.03
+    failures: float = 0.01
     noise_error: float = 0.1
-    force_sensor: float = 0.01
+    force_sensor: float = 0.005
 
     @property
     def discrepancy(self) -> float:

@@ -20,7 +20,7 @@ from bcid.comparison.ranking import Ranking
 from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model, Term
-from bcid.inference.criteria import CREDIBLE_LEVEL
+from bcid.inference.thresholds import THRESHOLDS
 from bcid.predict.predictor import Predictor
 from bcid.proposal.family import Family
 from bcid.proposal.grammar import KINDS
@@ -107,7 +107,7 @@ class Proposal:
     @property
     def complete(self) -> bool:
         """Whether hardly anything else can be missing."""
-        return bool(self.path) and self.missing <= 1 - CREDIBLE_LEVEL
+        return bool(self.path) and self.missing <= 1 - THRESHOLDS.credible
 
     @property
     def explained(self) -> float:

@@ -8,9 +8,7 @@ from dataclasses import dataclass
 from bcid.inference.outcome import Candidate, Outcome
 from bcid.search.evaluator import Evaluator
 from bcid.search.screening import rejection_bound
-
-# A set this many times less likely than one that is known is of no interest.
-ODDS = 1e6
+from bcid.search.settings import SETTINGS
 
 
 @dataclass(frozen=True)
@@ -48,8 +46,8 @@ def rank(outcome: Outcome) -> tuple[float, int, list[str]]:
 def climb(evaluator: Evaluator, level: int, seeds: Iterable[Candidate]) -> list[Climb]:
     """Climb from every seed at once, each to its best neighbour until none is better; collective.
 
-    The neighbours of all climbers are one batch for the evaluator. A neighbour that is `ODDS` times less likely than its
-    parent stops early: it cannot be where the climber goes.
+    The neighbours of all climbers are one batch for the evaluator. A neighbour that is `SearchSettings.odds` times less likely
+    than its parent stops early: it cannot be where the climber goes.
     """
     paths = [[seed] for seed in dict.fromkeys(seeds)]
     evaluator.evaluate(level, {path[0]: float("inf") for path in paths})
@@ -59,7 +57,9 @@ def climb(evaluator: Evaluator, level: int, seeds: Iterable[Candidate]) -> list[
         for i in active:
             here = evaluator.outcomes[level, paths[i][-1]]
             for candidate in neighbours(here.candidate, evaluator.patches):
-                bounds[candidate] = max(bounds.get(candidate, 0.0), rejection_bound(here, evaluator.misfit, ODDS))
+                bounds[candidate] = max(
+                    bounds.get(candidate, 0.0), rejection_bound(here, evaluator.misfit, SETTINGS.odds)
+                )
         found = evaluator.evaluate(level, bounds)
         moved = []
         for i in active:

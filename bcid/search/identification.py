@@ -7,9 +7,9 @@ from typing import Any
 
 from bcid.forms.forward import Prediction
 from bcid.inference import nuisance_text
-from bcid.inference.criteria import CREDIBLE_LEVEL, MAX_NORMALISED_RMS, MIN_REPORTED_PROBABILITY
 from bcid.inference.error_covariance import NuisanceEstimate
 from bcid.inference.stiffness import Stiffness
+from bcid.inference.thresholds import THRESHOLDS
 
 
 @dataclass(frozen=True)
@@ -67,14 +67,14 @@ class Identification:
     @property
     def unfollowed(self) -> list[Alternative]:
         """The sets that could not be followed to the end and may be the one all the same."""
-        return [other for other in self.alternatives if other.failure and other.probability > MIN_REPORTED_PROBABILITY]
+        return [other for other in self.alternatives if other.failure and other.probability > THRESHOLDS.surprise]
 
     @property
     def explains(self) -> bool:
         """Whether the reported set may be all there is: nothing more is certainly missing."""
         if self.missing is not None:
-            return self.missing < CREDIBLE_LEVEL
-        return self.noise is None or self.rms <= MAX_NORMALISED_RMS * self.noise
+            return self.missing < THRESHOLDS.credible
+        return self.noise is None or self.rms <= THRESHOLDS.residual * self.noise
 
     def to_json(self, length: float = 1e-3) -> dict[str, Any]:
         """The content of `identification.json`; lengths are given in units of `length` (m)."""

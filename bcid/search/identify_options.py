@@ -10,7 +10,7 @@ from bcid.search.settings import SETTINGS
 from bcid.search.stage_options import StageOptions
 
 CERTIFY = ("auto", "yes", "no")
-# With more patches not every set is followed.
+# With more patches not every set can be followed.
 _MOST_PATCHES = 16
 
 

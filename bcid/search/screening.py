@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from bcid.inference.criteria import CONTINUATION_FAILURE_RATE
 from bcid.inference.mesh_error import gain
 from bcid.inference.misfit import Misfit
 from bcid.inference.outcome import Candidate, Evaluated, Outcome
+from bcid.inference.priors import PRIORS
 
 
 def screened(evaluated: Evaluated, best: Candidate, errors: Mapping[int, float]) -> dict[Candidate, float]:
@@ -65,7 +65,7 @@ def log_odds(outcome: Outcome, best: Outcome, misfit: Misfit, error: float) -> f
     """Logarithm of the odds of a set against the `best` one, both on the same level (see `spread`).
 
     They are compared on the frames that both could be followed to. That a set cannot be followed further speaks against it by how
-    seldom that happens with the true one (`CONTINUATION_FAILURE_RATE`), however many frames are missing.
+    seldom that happens with the true one (`Priors.failures`), however many frames are missing.
     """
     if best.failed:
         # How wrong such a level is, is not known.
@@ -73,7 +73,7 @@ def log_odds(outcome: Outcome, best: Outcome, misfit: Misfit, error: float) -> f
     difference, variance = outcome.beyond(best), spread(best, misfit, error)
     if variance <= 0.0:
         return 0.0 if difference <= 0.0 else -math.inf
-    return -difference / (2 * variance) + (math.log(CONTINUATION_FAILURE_RATE) if outcome.failed else 0.0)
+    return -difference / (2 * variance) + (math.log(PRIORS.failures) if outcome.failed else 0.0)
 
 
 def beyond_noise(outcome: Outcome, misfit: Misfit) -> float:

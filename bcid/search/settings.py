@@ -25,11 +25,17 @@ class SearchSettings:
         recovered_sets: of those that cannot be followed in a few steps so many are tried in all.
         few_patches: with no more than these all sets are compared by a cheap tangent, and those that differ by three by any.
         loosened_patches: with no more than these all sets are compared whose anchors give or come off.
-        excluded: anchor sets that hold no more than this together are no hypotheses for further pulls.
         random_sets: of more patches than can be enumerated so many random sets are hypotheses before the first pull.
         sets_of_effect: an exploration fits each effect in a few steps, on so many sets.
-        counting: a hypothesis with less probability does not count for what to do next.
-        helping: what is expected to give fewer bits is no advice.
+        predicted_sets: hypotheses that are asked what a pull would show, at most; of more only the linear response is looked at.
+        drawn_sets: where there are more, so many drawn from them are asked whether a pull is allowed.
+        batch_of_pulls: so many of the pulls that promise most by the linear response are predicted in full at a time.
+        counting: hypotheses with less probability, and those that hold no more than this together, do not count for what to do
+            next.
+        helping: what is expected to give fewer bits is no advice, and no pull to make.
+        odds: a set that is so many times less likely than another is given up.
+        alike: halves of a patch stay apart when it is less likely than this that they are alike; of a search in stages, sets that
+            are less likely by this factor are not carried up the ladder.
         settling: predictions for which a fit that has not come to an end goes on.
     """
 
@@ -47,11 +53,15 @@ class SearchSettings:
     recovered_sets: int = 2
     few_patches: int = 10
     loosened_patches: int = 8
-    excluded: float = 1e-3
     random_sets: int = 64
     sets_of_effect: int = 3
+    predicted_sets: int = 32
+    drawn_sets: int = 12
+    batch_of_pulls: int = 6
     counting: float = 1e-3
-    helping: float = 0.01
+    helping: float = 0.02
+    odds: float = 1e6
+    alike: float = 1e-4
     settling: int = 16
 
 

@@ -22,19 +22,16 @@ from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.continuation import ContinuationError
 from bcid.inference.outcome import Candidate, Outcome, label
+from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import Measurement
 from bcid.scene import Scene
-from bcid.search.climb import ODDS, climb, neighbours, rank
+from bcid.search.climb import climb, neighbours, rank
 from bcid.search.evaluator import Evaluator
 from bcid.search.screening import finest, level_errors, log_odds, rejection_bound, screened
 from bcid.search.seeds import above, maxima, perturbed, random_seeds
+from bcid.search.settings import SETTINGS
 from bcid.search.stage_options import GROUP, StageOptions
 from bcid.search.termination import SETTLED
-
-# A set this much less likely than the best on a coarser level is not carried to the next.
-_LEAST = math.log(1e-4)
-# The ladder goes on while the best set has a smaller share than this.
-_DECIDED = 0.99
 
 
 @dataclass(frozen=True)
@@ -44,7 +41,7 @@ class StagedSets:
     Attributes:
         best: the set that fits best on the last level.
         shares: of all visited sets as screening sees them, the largest first; they sum to one.
-        lost: sets that are `ODDS` times less likely than the best on the finest level that they came to.
+        lost: sets that are `SearchSettings.odds` times less likely than the best on the finest level that they came to.
         errors: RMS error of the model on each level used, m.
         stages: what happened on each level, in words.
         evaluations: forward trajectories per level, in whole-trajectory equivalents.
@@ -160,7 +157,7 @@ class StagedSearch:
         evaluator, errors = self.evaluator, level_errors(self.evaluator, best.candidate, self.levels)
         logs = screened(evaluator, best.candidate, errors)
         shares = softmax(list(logs.values()))
-        lost = frozenset(c for c, log in logs.items() if log < -math.log(ODDS))
+        lost = frozenset(c for c, log in logs.items() if log < -math.log(SETTINGS.odds))
         return StagedSets(
             best,
             dict(zip(logs, shares.tolist(), strict=True)),
@@ -242,21 +239,23 @@ class StagedSearch:
             for below in range(options.coarsest, level):
                 evaluator.evaluate(below, {best.candidate: math.inf})
             climbed = min(level, options.coarsest + options.climbed - 1)
-            around = rejection_bound(evaluator.outcomes[climbed, best.candidate], evaluator.misfit, ODDS)
+            around = rejection_bound(evaluator.outcomes[climbed, best.candidate], evaluator.misfit, SETTINGS.odds)
             evaluator.evaluate(climbed, dict.fromkeys(neighbours(best.candidate, evaluator.patches), around))
             errors = level_errors(evaluator, best.candidate, self.levels)
             waiting: dict[int, list[Candidate]] = {}
             for candidate, outcome in finest(evaluator, level).items():
                 reference = evaluator.outcomes.get((outcome.level, best.candidate))
                 if outcome.level < level and reference and (outcome.level + 1, candidate) not in evaluator.outcomes:
-                    likely = log_odds(outcome, reference, evaluator.misfit, errors[outcome.level]) > _LEAST
+                    likely = log_odds(outcome, reference, evaluator.misfit, errors[outcome.level]) > math.log(
+                        SETTINGS.alike
+                    )
                     if likely:
                         waiting.setdefault(outcome.level + 1, []).append(candidate)
             if not waiting and self.best(level).candidate == best.candidate:
                 return
             for target, candidates in sorted(waiting.items()):
                 around = rejection_bound(
-                    evaluator.outcomes[target, best.candidate], evaluator.misfit, ODDS, errors.get(target, 0.0)
+                    evaluator.outcomes[target, best.candidate], evaluator.misfit, SETTINGS.odds, errors.get(target, 0.0)
                 )
                 evaluator.evaluate(target, dict.fromkeys(candidates, around))
 
@@ -276,7 +275,7 @@ class StagedSearch:
         near = noise is not None and best[-1].rms <= 1.1 * noise
         if not near and abs(best[-1].rms - best[-2].rms) >= 0.05 * best[-1].rms:
             return False
-        return self.left(best[-1]).shares[best[-1].candidate] >= _DECIDED
+        return self.left(best[-1]).shares[best[-1].candidate] >= 1 - THRESHOLDS.surprise
 
     def complete(self, winner: Outcome) -> None:
         """Evaluate the winner on every level used: the belief compares the others with it."""

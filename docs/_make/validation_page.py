@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from bcid.studies.text_table import TextTable
-from validation import ablation, calibration
+from validation import ablation, calibration, numbers
 from validation.golden import run as golden
 from validation.golden import score as golden_score
 from validation.outside import score as outside_score
@@ -13,7 +13,7 @@ from validation.stored_results import RESULTS, kept
 
 HEAD = """# Validation
 
-Are the probabilities that bcid reports right? Four experiments answer that with data whose truth is known. Each is one
+Are the probabilities that bcid reports right? Five experiments answer that with data whose truth is known. Each is one
 command in a checkout; `--keep` puts its result into `validation/results`, from which this page is made. The score
 of an answer is the logarithm to base 2 of the probability that it gives to the truth, 0 at best: -1 for a probability
 of one half. The truth is what an ideal observer cannot separate: patches that move the markers by less than the
@@ -53,11 +53,25 @@ ABLATION = """## Ablation
 
 Golden cases without one term of the posterior after the other: what the score loses without a term is what the term is worth.
 """
+NUMBERS = """## The numbers that decide something
+
+    ./dev python -m validation numbers -o numbers
+
+Whatever was chosen by hand and moves an answer is a field of `Priors` (what is believed before the data are seen),
+`Thresholds` (from where on something is reported) or `SearchSettings` (how far the search goes), described where it is defined.
+The table shows what half and double of each does to the mean score of a few golden cases.
+"""
 
 
 def write_validation(made: Path) -> None:
     """Write the page and its picture into a folder: a section for each experiment whose result is kept."""
-    sections = {"golden": _golden, "calibration": _calibration, "outside": _outside, "ablation": _ablation}
+    sections = {
+        "golden": _golden,
+        "calibration": _calibration,
+        "outside": _outside,
+        "ablation": _ablation,
+        "numbers": _numbers,
+    }
     parts = [HEAD]
     for experiment, section in sections.items():
         if (RESULTS / f"{experiment}.json").is_file():
@@ -85,6 +99,10 @@ def _outside(found: Any, _: Path) -> list[str]:
 
 def _ablation(found: Any, _: Path) -> list[str]:
     return [ABLATION, ablation.table(found).markdown()]
+
+
+def _numbers(found: Any, _: Path) -> list[str]:
+    return [NUMBERS, numbers.table(found).markdown()]
 
 
 def _list(lines: list[str]) -> str:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import copy
+import inspect
+import re
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +13,7 @@ import pytest
 
 from bcid.inference import priors
 from bcid.inference.priors import PRIORS
-from validation import ablation
+from validation import ablation, numbers
 from validation.golden import run as golden
 
 
@@ -43,6 +46,31 @@ def test_terms_are_numbers_of_the_prior(monkeypatch: pytest.MonkeyPatch, tmp_pat
     for changes in ablation.TERMS.values():
         assert all(hasattr(PRIORS, name) for name in changes)
     changed = ablation.TERMS["one scale of amounts instead of a half-Cauchy"]
-    golden.maker({"cases": str(tmp_path), "store": "", "priors": changed})
+    golden.maker({"cases": str(tmp_path), "store": "", "numbers": changed})
     assert own.amounts == (2.0, 2.0, 1)
     assert PRIORS.amounts != own.amounts
+
+
+def test_few_numbers_decide_and_each_is_halved_and_doubled() -> None:
+    names = [field.name for one in numbers.OBJECTS for field in fields(one)]
+    assert len(names) == len(set(names)) <= 60
+    changes = numbers.changes()
+    for name, value in numbers.numbers().items():
+        tried = [changes[f"{word} {name}"][name] for word in numbers.FACTORS if f"{word} {name}" in changes]
+        assert tried, name
+        assert all(other != value for other in tried), name
+    assert changes["half credible"]["credible"] == pytest.approx(0.9)
+    assert changes["double amounts"]["amounts"] == [0.2, 20.0, 7]
+    assert changes["half batch"]["batch"] == 2
+
+
+def test_every_number_is_described_where_it_is_defined() -> None:
+    for one in numbers.OBJECTS:
+        described = re.findall(r"^    ([a-z_][a-z_, ]*): ", inspect.getdoc(type(one)) or "", re.MULTILINE)
+        assert {name for line in described for name in line.split(", ")} == {field.name for field in fields(one)}
+
+
+def test_table_shows_what_a_change_moves() -> None:
+    found = {numbers.WHOLE: {"a": answer(0.5, 1)}, "half force": {"a": answer(0.25, 1, "none")}}
+    row = next(line.split() for line in numbers.table(found).text().splitlines() if line.startswith("force "))
+    assert row == ["force", "0.1", "half", "-1.000", "-1.000", "-1.000", "+1"]

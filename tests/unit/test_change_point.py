@@ -7,13 +7,13 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
-from bcid.inference.change_point import _SIZES, ChangePointForce
+from bcid.inference.change_point import ChangePointForce
 from bcid.inference.data import Data
 from bcid.inference.discrepancy import Evidence, SmoothDiscrepancy
 from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.evidence import LinearParameters
 from bcid.inference.mesh_error import MeshError
-from bcid.inference.priors import PRIORS
+from bcid.inference.priors import PRIORS, spaced
 from tests.unit.test_missing_force_evidence import SCENE, STEPS, UNIT, errors, measurement, slopes
 
 PLACES = 3
@@ -61,7 +61,7 @@ def test_its_evidence_is_that_of_a_gaussian_averaged_over_all_that_may_begin() -
     for place in range(PLACES):
         columns = np.hstack([data.way[:, None] ** power * spots(data)[:, place] for power in range(3)])
         columns = columns / np.linalg.norm(known.whiten(columns), axis=0)
-        smooth.append(_SIZES[-1] ** 2 * columns @ columns.T)
+        smooth.append(PRIORS.sudden_sizes[1] ** 2 * columns @ columns.T)
     gains = []
     for _, place, moved in everything(known, data):
         before = multivariate_normal(cov=base + smooth[place])
@@ -71,7 +71,7 @@ def test_its_evidence_is_that_of_a_gaussian_averaged_over_all_that_may_begin() -
         if size**2 < 1e-6 * np.sum(known.whiten(moved) ** 2) / 3:
             continue
         shown = (moved / size) @ (moved / size).T
-        each = [multivariate_normal(cov=before.cov + s**2 * shown).logpdf(seen) for s in _SIZES]
+        each = [multivariate_normal(cov=before.cov + s**2 * shown).logpdf(seen) for s in spaced(PRIORS.sudden_sizes)]
         gains.append(logsumexp(each) - np.log(len(each)) - before.logpdf(seen))
     assert found is not None
     assert found.log == pytest.approx(logsumexp(gains) - np.log(len(gains)), rel=1e-6)

@@ -18,9 +18,9 @@ from bcid.comparison.fitted_hypothesis import FittedHypothesis
 from bcid.comparison.hypothesis_table import HypothesisTable, TangentEvidence
 from bcid.forms.model import Term
 from bcid.inference.change_point import ChangePoint
-from bcid.inference.criteria import CONTINUATION_FAILURE_RATE
 from bcid.inference.discrepancy import Evidence
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
+from bcid.inference.priors import PRIORS
 
 
 def rival(
@@ -175,7 +175,7 @@ def test_hypotheses_of_a_few_steps_keep_their_distance_from_the_nearest_of_all_s
     table.refuse(less("12"))
     refused = table.posterior().evaluations[less("12")]
     assert refused.log == before.log
-    assert refused.log_prior == pytest.approx(before.log_prior + math.log((CONTINUATION_FAILURE_RATE + 1) / 3))
+    assert refused.log_prior == pytest.approx(before.log_prior + math.log((PRIORS.failures + 1) / 3))
     assert less("12") not in table.changes()
     likely = {less("12"): TangentEvidence(effects={"gravity": 400.0}, known=20)}
     table = HypothesisTable(own=[base], full=[base], coarse=[stage(rough, likely)])

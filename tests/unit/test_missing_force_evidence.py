@@ -14,7 +14,6 @@ from scipy.stats import multivariate_normal
 from bcid.forms import effect_trial as trial
 from bcid.forms.simulate import recorded
 from bcid.inference import response
-from bcid.inference.criteria import MIN_EFFECT_SIZE
 from bcid.inference.data import Data
 from bcid.inference.discrepancy import Evidence, EvidenceCells, SmoothDiscrepancy, courses, low_rank_discrepancy
 from bcid.inference.error_covariance import ErrorCovariance
@@ -22,6 +21,7 @@ from bcid.inference.evidence import LinearParameters
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes
 from bcid.inference.priors import PRIORS, spaced
+from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import Action, Measurement
 
 Array = NDArray[np.float64]
@@ -71,7 +71,7 @@ def test_the_evidence_is_that_of_a_gaussian_averaged_over_sizes() -> None:
     # A force that hardly moves a marker is none.
     shown = np.sqrt(np.mean(np.sum(moved**2, axis=1) / data.sigma**2))
     assert force.sizes == pytest.approx(
-        [UNIT * size for size in spaced(PRIORS.force_sizes) if UNIT * size * shown >= MIN_EFFECT_SIZE]
+        [UNIT * size for size in spaced(PRIORS.force_sizes) if UNIT * size * shown >= THRESHOLDS.effect]
     )
     assert 0 < len(force.sizes) < len(spaced(PRIORS.force_sizes))
     covariances = [base + size**2 * moved @ moved.T for size in force.sizes]

@@ -157,7 +157,7 @@ def test_undecided_patches_are_split_wherever_they_are() -> None:
     searches = Searches("1", 1.0, probability=0.97)
     assert len(searches.run(1)[1]) == 16
     assert searches.rounds.log[0].startswith("round 1: undecided: 1 2 3 4 5 6 7 8; split 1 2 3 4 5 6 7 8")
-    assert len(Searches("1", 1.0, probability=0.99).run(1)[1]) == 10
+    assert len(Searches("1", 1.0, probability=0.995).run(1)[1]) == 10
 
 
 def test_what_was_cut_in_vain_is_cut_deeper_together_with_the_others() -> None:

@@ -13,14 +13,15 @@ from bcid.forms import effect_trial as trial
 from bcid.forms.simulate import recorded
 from bcid.forms.solver.status import Status
 from bcid.inference.continuation import ContinuationError, truncate_to_converged
-from bcid.inference.criteria import CONTINUATION_FAILURE_RATE
 from bcid.inference.outcome import Candidate, Outcome, label
+from bcid.inference.priors import PRIORS
 from bcid.measurement import Action, Measurement
-from bcid.search.climb import ODDS, climb, neighbours
+from bcid.search.climb import climb, neighbours
 from bcid.search.evaluator import Evaluator
 from bcid.search.identify_options import IdentifyOptions
 from bcid.search.screening import finest, level_errors, log_odds, rejection_bound, screened
 from bcid.search.seeds import above, all_candidates, maxima, perturbed, random_seeds
+from bcid.search.settings import SETTINGS
 from bcid.search.stage_options import StageOptions
 from bcid.search.staged_search import StagedSearch, StagedSets
 from bcid.search.termination import Stop, Termination
@@ -195,7 +196,7 @@ def test_screening_compares_sets_by_their_likelihood() -> None:
     logs = screened(evaluator, TRUE, {0: 0.0})  # type: ignore[arg-type]
     assert next(iter(logs)) == TRUE
     assert list(logs.values()) == sorted(logs.values(), reverse=True)
-    assert logs[frozenset(PATCHES)] == pytest.approx(math.log(CONTINUATION_FAILURE_RATE)), "nothing is known of it"
+    assert logs[frozenset(PATCHES)] == pytest.approx(math.log(PRIORS.failures)), "nothing is known of it"
     assert logs[frozenset("2")] == pytest.approx(-2.0), "chi-square 4 above is a likelihood ratio of exp(-2)"
 
 
@@ -301,8 +302,8 @@ def test_rivals_that_cannot_be_told_apart_share_the_belief() -> None:
 def test_where_a_rival_may_stop() -> None:
     evaluator = Landscape(distance)
     best = evaluator.evaluate(0, {TRUE: math.inf})[TRUE]
-    assert rejection_bound(best, evaluator.misfit, ODDS) == pytest.approx(VALUES + 2 * math.log(1e6))  # type: ignore[arg-type]
-    coarse = rejection_bound(best, evaluator.misfit, ODDS, error=3.0)  # type: ignore[arg-type]
+    assert rejection_bound(best, evaluator.misfit, SETTINGS.odds) == pytest.approx(VALUES + 2 * math.log(1e6))  # type: ignore[arg-type]
+    coarse = rejection_bound(best, evaluator.misfit, SETTINGS.odds, error=3.0)  # type: ignore[arg-type]
     assert coarse == pytest.approx(VALUES + 2 * math.log(1e6) * (1 + 9 * VALUES / 60))
 
 

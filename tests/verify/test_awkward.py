@@ -15,7 +15,7 @@ from bcid.comparison.identify import identify
 from bcid.forms.model import check_physics
 from bcid.forms.scene_errors import grip_term
 from bcid.forms.simulate import simulate
-from bcid.inference.criteria import CREDIBLE_LEVEL
+from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import Action
 from bcid.scene import Level
 from bcid.search.identification import Identification
@@ -93,7 +93,7 @@ def found(scene: Scene, measurement: Measurement) -> Identification:
 def test_nothing_is_wrong(slab: Scene) -> None:
     identified = found(slab, seen(slab))
     assert identified.anchored == ANCHORED
-    assert identified.probability > CREDIBLE_LEVEL
+    assert identified.probability > THRESHOLDS.credible
     assert identified.explains
 
 
@@ -146,9 +146,11 @@ def test_identify_inconsistent_data_no_set_is_certain(slab: Scene, case: str) ->
     identified = found(slab, changed(seen(slab), INCONSISTENT[case]))
 
     # A body that nothing holds moves with all markers alike.
-    assert identified.probability < CREDIBLE_LEVEL or (not identified.anchored and case == "all markers move alike")
+    assert identified.probability < THRESHOLDS.credible or (
+        not identified.anchored and case == "all markers move alike"
+    )
     assert identified.missing is not None
-    assert identified.missing > CREDIBLE_LEVEL
+    assert identified.missing > THRESHOLDS.credible
 
 
 def softer(slab: Scene) -> Scene:
@@ -159,4 +161,4 @@ def softer(slab: Scene) -> Scene:
 def test_it_is_right_or_open(slab: Scene, case: str) -> None:
     identified = found(*AWKWARD[case](slab))
 
-    assert identified.anchored == ANCHORED or identified.probability < CREDIBLE_LEVEL
+    assert identified.anchored == ANCHORED or identified.probability < THRESHOLDS.credible

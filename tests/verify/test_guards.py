@@ -42,8 +42,8 @@ from bcid.forms.simulate import recorded, simulate
 from bcid.forms.solver.equilibrium import Settings
 from bcid.forms.solver.status import Status
 from bcid.inference.continuation import truncate_to_converged
-from bcid.inference.criteria import DETECTION_THRESHOLD
 from bcid.inference.mesh_error import MeshError
+from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import Action, Measurement
 from bcid.predict.levels import pair
 from bcid.predict.mesh_ladder import mesh_error
@@ -244,7 +244,7 @@ def test_what_has_saturated_is_seen_by_all_that_it_does(heavy: Measurement, slab
     model = Model.of(slab) + Term(effects.effect("inclusion"), ball)
     state = State.of(predictor, model, HEAVY, free=("inclusion.ratio",))
     moved = columns(predictor, model, HEAVY, state.prediction, coordinates(model, state.free))
-    assert np.linalg.norm(state.errors.whiten(moved)) * 10 < DETECTION_THRESHOLD
+    assert np.linalg.norm(state.errors.whiten(moved)) * 10 < THRESHOLDS.detection
     assert of_state(state, Model.of(slab)) is not None
     predictor.destroy()
 

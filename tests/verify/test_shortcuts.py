@@ -40,8 +40,8 @@ from bcid.predict.mesh_ladder import mesh_error
 from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Scene
 from bcid.scene.motions import motion
-from bcid.search.climb import ODDS
 from bcid.search.seeds import all_candidates
+from bcid.search.settings import SETTINGS
 
 PATCHES = ("1", "3", "4", "7")
 EXACT = Settings(rtol=1e-10)
@@ -113,8 +113,8 @@ def same(found: FollowedSets, everything: dict[Anchored, Evidence], sure: bool) 
             behind, exact = (known[best].plain - known[anchors].plain for known in (logs, everything))
             assert behind == pytest.approx(exact, abs=5e-3, rel=0.02)
         else:
-            assert one.evidence.plain < logs[best].plain - math.log(ODDS * len(everything))
-            assert everything[anchors].plain < everything[best].plain - math.log(ODDS)
+            assert one.evidence.plain < logs[best].plain - math.log(SETTINGS.odds * len(everything))
+            assert everything[anchors].plain < everything[best].plain - math.log(SETTINGS.odds)
     assert stopped >= 3
     # Where the data say little several sets are followed to the end.
     assert (len(found.found) - stopped == 1) == sure

@@ -22,8 +22,8 @@ LIMIT = 1800.0
 
 def maker(job: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
     """The function that explains a case, for `bcid.studies.engine.dispatch`; `job` holds folders and numbers, see `run`."""
-    if job["priors"]:
-        _change_priors(job["priors"])
+    if job["numbers"]:
+        _change_numbers(job["numbers"])
 
     def case(task: Mapping[str, Any]) -> dict[str, Any]:
         folder = Path(job["cases"]) / task["name"]
@@ -33,12 +33,14 @@ def maker(job: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any
     return case
 
 
-def _change_priors(changes: Mapping[str, Any]) -> None:
-    """For the whole process, which is one of a single case: all modules share the object."""
-    from bcid.inference.priors import PRIORS
+def _change_numbers(changes: Mapping[str, Any]) -> None:
+    """For the whole process, which is one of a single case: all modules share the objects."""
+    from bcid.inference import priors, thresholds
+    from bcid.search import settings
 
     for name, value in changes.items():
-        object.__setattr__(PRIORS, name, tuple(value) if isinstance(value, list) else value)
+        (one,) = (o for o in (priors.PRIORS, thresholds.THRESHOLDS, settings.SETTINGS) if hasattr(o, name))
+        object.__setattr__(one, name, tuple(value) if isinstance(value, list) else value)
 
 
 def explained(folder: Path, store: Path | None = None) -> dict[str, Any]:
@@ -69,17 +71,17 @@ def run(
     jobs: int,
     progress: Progress,
     store: Path | None = None,
-    priors: Mapping[str, Any] | None = None,
+    numbers: Mapping[str, Any] | None = None,
 ) -> None:
     """Explain cases into a folder; what is there already is kept, so that a run that was interrupted goes on.
 
-    Predictions are kept in `store`, so that a change of what weighs them is tried without computing them again. `priors` are
-    numbers of `bcid.inference.priors` that differ from those in the repository.
+    Predictions are kept in `store`, so that a change of what weighs them is tried without computing them again. `numbers`
+    are fields of `Priors`, `Thresholds` or `SearchSettings` that differ from those in the repository.
     """
     job = {
         "cases": str(folder.resolve() / "cases"),
         "store": str(store.resolve()) if store else "",
-        "priors": priors or {},
+        "numbers": numbers or {},
     }
     work = Work("validation.golden.run:maker", job, folder.resolve() / "results")
     how = Workers(None, jobs, LIMIT, tries=2, fresh=True)

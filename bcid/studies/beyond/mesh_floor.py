@@ -13,8 +13,8 @@ from bcid.comparison.fit import Fit
 from bcid.comparison.held_out import held_out
 from bcid.comparison.state import State
 from bcid.forms.model import Model, Term
-from bcid.inference.criteria import ALPHA
 from bcid.inference.error_covariance import ErrorCovariance
+from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import Measurement
 from bcid.predict.predictor import Predictor
 from bcid.scene import Scene
@@ -47,7 +47,7 @@ class MeshFloor:
         try:
             plain = Model.of(scene)
             state = State.of(predictor, plain if term is None else plain + term, anchors)
-            if (p := _by_mesh_alone(state)) < ALPHA:
+            if (p := _by_mesh_alone(state)) < THRESHOLDS.surprise:
                 raise BeyondMesh(f"the truth leaves {state.rms * 1e3:.3g} mm on the working mesh ({p_value(p)})")
             return cls(state.rms, held_out(Fit.at(state)))
         except BeyondMesh:
