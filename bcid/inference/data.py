@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -35,16 +35,24 @@ class Noise:
         sigma: standard deviation that it has, m.
         factor: how many times the stated one that is; 1 where none is stated.
         error: standard error of the logarithm of both.
+        axes: the factor of each axis, where what is stated of one differs from the others; the rest is then of that which surprises
+            most.
     """
 
     sigma: float
     factor: float
     error: float
+    axes: tuple[float, float, float] | None = None
 
     @property
     def surprising(self) -> bool:
         """Whether chance lets expect no such difference from what is stated."""
-        return bool(2 * normal_tail(abs(math.log(self.factor)) / self.error) < THRESHOLDS.surprise)
+        return bool(2 * normal_tail(self.deviation) < THRESHOLDS.surprise)
+
+    @property
+    def deviation(self) -> float:
+        """How many standard errors it differs from what is stated."""
+        return abs(math.log(self.factor)) / self.error
 
 
 class Data:
@@ -152,11 +160,13 @@ class Data:
         """
         other = copy(self)
         other._sigma, count = self._sigma.copy(), len(self.scene.fiducials)
-        sigma = self._sigma * noise.factor if self.stated else np.full_like(self._sigma, noise.sigma)
+        factors = np.array(noise.axes or (noise.factor,) * 3)
+        sigma = self._sigma * factors if self.stated else np.full_like(self._sigma, noise.sigma)
         other._sigma[:, :count] = np.where(np.isfinite(self.measured), sigma, np.nan)[:, :count]
-        if self.stated and noise.factor < 1:
+        if self.stated and factors.min() < 1:
             other._slow = np.zeros_like(self._sigma)
-            other._slow[:, :count] = np.nan_to_num(self._sigma * math.sqrt(1 - noise.factor**2))[:, :count]
+            rest = self._sigma * np.sqrt(1 - np.minimum(factors, 1.0) ** 2)
+            other._slow[:, :count] = np.nan_to_num(rest)[:, :count]
         other._take(self.seen)
         return other
 
@@ -260,21 +270,53 @@ def robust_noise(data: Data, rough: Array) -> Noise | None:
 
     From the median of the sizes of second differences along each trajectory: what is smooth drops out, and what jumps counts once.
     The standard error is that of a median of Gaussian values, half as many as there are differences, for neighbours go together.
+    Axes of which another noise is stated have a factor each. A coordinate that never changes tells of none.
     """
-    scale = np.where(np.isfinite(data.sigma), data.sigma, 1.0) if data.stated else np.ones(len(data))
-    found = [np.diff(values, 2) for values in _along_trajectories(data, rough / scale) if len(values) > 2]
+    if not data.stated:
+        return _noise_of(data, rough, 1.0)
+    found = {axes: _noise_of(data, rough, data.sigma, axes) for axes in _alike_axes(data)}
+    known = {axes: noise for axes, noise in found.items() if noise is not None}
+    if len(found) == 1 or not known:
+        return next(iter(known.values()), None)
+    factors = [1.0] * 3
+    for axes, noise in known.items():
+        for axis in axes if noise.surprising else ():
+            factors[axis] = noise.factor
+    return replace(max(known.values(), key=lambda noise: noise.deviation), axes=(factors[0], factors[1], factors[2]))
+
+
+def _alike_axes(data: Data) -> list[tuple[int, ...]]:
+    """Axes of positions that were measured, those together of which the same noise is stated."""
+    groups: dict[float, list[int]] = {}
+    for axis in np.unique(data.axis[data.of_position]):
+        sigma = data.sigma[data.of_position & (data.axis == axis)]
+        groups.setdefault(float(f"{np.sqrt(np.mean(sigma**2)):.6g}"), []).append(int(axis))
+    return [tuple(axes) for axes in groups.values()]
+
+
+def _noise_of(data: Data, rough: Array, scale: Array | float, axes: Iterable[int] = range(3)) -> Noise | None:
+    """The noise of some axes, in units of `scale`, (n,), m."""
+    some = data.of_position & np.isin(data.axis, list(axes))
+    changing = [_changes(values) for values in _along_trajectories(data, data.values, some)]
+    parts = _along_trajectories(data, np.asarray(rough / scale), some)
+    found = [np.diff(v, 2) for v, change in zip(parts, changing, strict=True) if change and len(v) > 2]
     if not found:
         return None
     differences = np.abs(np.concatenate(found)) / math.sqrt(6)
     factor = max(float(_PER_MEDIAN * np.median(differences)), 1e-12)
-    sigma = factor * (data.rms(data.sigma) if data.stated else 1.0)
-    return Noise(sigma, factor if data.stated else 1.0, 1.17 / math.sqrt(max(len(differences) / 2, 1.0)))
+    known = np.sqrt(np.mean(np.broadcast_to(scale, some.shape)[some] ** 2))
+    error = 1.17 / math.sqrt(max(len(differences) / 2, 1.0))
+    return Noise(factor * float(known), factor if data.stated else 1.0, error)
 
 
-def _along_trajectories(data: Data, values: Array) -> list[Array]:
-    """Values (n,) along each trajectory of a position."""
+def _changes(values: Array) -> bool:
+    return len(values) > 0 and bool(np.ptp(values) > 0)
+
+
+def _along_trajectories(data: Data, values: Array, some: NDArray[np.bool_] | None = None) -> list[Array]:
+    """Values (n,) along each trajectory of a position, or of some of them."""
     order = np.lexsort((data.step, data.trajectory))
-    order = order[data.of_position[order]]
+    order = order[(data.of_position if some is None else some)[order]]
     return np.split(values[order], np.flatnonzero(np.diff(data.trajectory[order])) + 1)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,14 @@ QUATERNION = ["qw", "qx", "qy", "qz"]
 SIGMAS = ("noise_sigma", "wrench_sigma", "torque_sigma")
 
 Array = NDArray[np.float64]
+
+
+def with_sigmas(data: xr.Dataset, axes: Sequence[float]) -> xr.Dataset:
+    """The same with a standard deviation of each axis, m, for coordinates of which none is stated one by one."""
+    own = data["sigma"].values if "sigma" in data else np.full(data["position"].shape, np.nan)
+    return data.assign(
+        sigma=(("frame", "fiducial", "axis"), np.where(np.isnan(own), np.asarray(axes, dtype=float), own))
+    )
 
 
 def sigma_units(length: float, force: float) -> tuple[float, float, float]:

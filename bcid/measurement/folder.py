@@ -18,7 +18,17 @@ from bcid.base.text_file import read_lines, read_toml
 from bcid.base.units import LEAST_SIGMA, measurable, unit_factor
 from bcid.measurement import surface_table
 from bcid.measurement.cloud import Cloud, Frame
-from bcid.measurement.contents import AXES, FORMAT, QUATERNION, SIGMAS, WRENCH, Contents, Units, sigma_units
+from bcid.measurement.contents import (
+    AXES,
+    FORMAT,
+    QUATERNION,
+    SIGMAS,
+    WRENCH,
+    Contents,
+    Units,
+    sigma_units,
+    with_sigmas,
+)
 from bcid.measurement.dataset import frames_dataset
 from bcid.measurement.frame_error import FrameError
 from bcid.measurement.surface_files import SurfaceFiles
@@ -48,7 +58,7 @@ class _Header:
     time: float
     force: float
     description: str
-    sigmas: tuple[float | None, ...] = ()
+    sigmas: tuple[Any, ...] = ()
     surface: SurfaceFiles | None = None
 
 
@@ -71,9 +81,11 @@ def read_folder(folder: Path) -> Contents:
     data = reader.dataset()
     problems.raise_if_any()
     assert data is not None
+    noise, force, torque = header.sigmas
+    if isinstance(noise, tuple):
+        data, noise = with_sigmas(data, noise), None
     file = folder / "frame.toml"
     error = FrameError.read(file, header.length) if file.is_file() else None
-    noise, force, torque = header.sigmas
     about = header.units, header.description, str(folder), error
     return Contents(data, noise, force, *about, torque_sigma=torque, cloud=reader.cloud)
 
@@ -116,7 +128,7 @@ def _read_header(path: Path, problems: Problems) -> _Header:
         problems.add(path, f'format: expected "{FORMAT}", found {table.get("format")!r}')
     factors = [_unit(path, table, key, like, problems) for key, like in _UNIT_KEYS.items()]
     units = sigma_units(factors[0], factors[2])
-    stated = [_sigma(path, table, key, unit, problems) for key, unit in zip(SIGMAS, units, strict=True)]
+    stated: list[Any] = [_sigma(path, table, key, unit, problems) for key, unit in zip(SIGMAS, units, strict=True)]
     description = table.get("description", "")
     if not isinstance(description, str):
         problems.add(path, f"description: expected text, found {description!r}")
@@ -144,11 +156,23 @@ def _unit(path: Path, table: dict[str, Any], key: str, like: str, problems: Prob
         return 1.0
 
 
-def _sigma(path: Path, table: dict[str, Any], key: str, unit: float, problems: Problems) -> float | None:
-    """A stated standard deviation, SI."""
+def _sigma(
+    path: Path, table: dict[str, Any], key: str, unit: float, problems: Problems
+) -> float | tuple[float | None, ...] | None:
+    """A stated standard deviation, SI, or that of each axis."""
     value = table.get(key)
     if value is None:
         return None
+    if key == "noise_sigma" and isinstance(value, list):
+        if len(value) != len(AXES):
+            problems.add(path, f"{key}: expected one number, or three for x, y and z, found {value!r}")
+            return None
+        return tuple(_number(path, {key: one}, key, unit, problems) for one in value)
+    return _number(path, table, key, unit, problems)
+
+
+def _number(path: Path, table: dict[str, Any], key: str, unit: float, problems: Problems) -> float | None:
+    value = table[key]
     if isinstance(value, bool) or not isinstance(value, int | float) or not measurable(value * unit):
         allowed = f"from {LEAST_SIGMA / unit:.3g} to 1e30 (its unit is the folder's)"
         problems.add(path, f"{key}: expected a positive number {allowed}, found {value!r}")
@@ -176,8 +200,8 @@ class _FolderReader:
         self.cloud = surface_table.read_table(self, self.folder / self.file, self.header.length)
         poses = self.grasps()
         self.surface_files()
-        wrench = self.vectors("wrench.csv", WRENCH, [])
-        loads = self.vectors("loads.csv", WRENCH[:3], ["place"])
+        wrench = self.vectors("wrench.csv", [], WRENCH, [])
+        loads = self.vectors("loads.csv", WRENCH[:3], [], ["place"])
         size = len(self.times) * max(len({name for _, name in seen}), len({name for _, name in loads}))
         if size > _MOST_POSITIONS:
             self.file = "fiducials.csv"
@@ -236,7 +260,7 @@ class _FolderReader:
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            hint = "; leave position cells empty when a fiducial was not seen" if column in AXES else ""
+            hint = "; leave a cell empty where a coordinate was not measured" if column in AXES else ""
             self.bad(line, f"{column}: expected a finite number, found '{text}'{hint}")
             return 0.0
         return value
@@ -288,22 +312,23 @@ class _FolderReader:
 
     def fiducials(self) -> dict[tuple[Frame, str], tuple[list[float], list[float]]]:
         """Positions and sigmas (m) by frame and fiducial."""
-        table = self.table("fiducials.csv", ["action", "step", "time", "fiducial", *AXES], _SIGMA)
+        table = self.table("fiducials.csv", ["action", "step", "time", "fiducial"], [*AXES, *_SIGMA])
+        axes = [axis for axis in AXES if axis in table.columns]
+        if table.columns and not axes:
+            self.bad(
+                1, "column x, y, z is missing; expected at least one of them, for the coordinates that were measured"
+            )
         result = {}
         for line, row, frame in self.frames(table, ["fiducial"]):
             name = row["fiducial"]
             if not name:
                 self.bad(line, "fiducial: its name is empty")
                 continue
-            cells = [row[axis] for axis in AXES]
-            if any(cells) and not all(cells):
-                self.bad(line, f"position of fiducial {name}: give x, y and z, or leave all three empty; found {cells}")
-                continue
-            position = [self.number(line, row, a) * self.header.length if row[a] else math.nan for a in AXES]
+            position = [self.number(line, row, a) * self.header.length if row.get(a) else math.nan for a in AXES]
             result[frame, name] = position, [self.row_sigma(line, row, column) for column in _SIGMA]
         if table.columns and not table.rows:
             self.bad(None, "is empty: expected one row for each step and fiducial")
-        elif result and not any(np.isfinite(position).all() for position, _ in result.values()):
+        elif axes and result and not any(np.isfinite(position).any() for position, _ in result.values()):
             self.bad(None, "holds no position: no fiducial was ever seen")
         return result
 
@@ -348,15 +373,24 @@ class _FolderReader:
             result[frame] = line, row["grasp"], translation, list(unit)
         return result
 
-    def vectors(self, name: str, columns: list[str], keys: list[str]) -> dict[tuple[Frame, str], list[float]]:
-        """Forces (N) and torques (N m) of an optional file, by frame and place."""
-        result = {}
-        for line, row, frame in self.frames(self.table(name, ["action", "step", "time", *keys, *columns]), keys):
+    def vectors(
+        self, name: str, required: list[str], optional: list[str], keys: list[str]
+    ) -> dict[tuple[Frame, str], list[float]]:
+        """Forces (N) and torques (N m) of a file that may be missing, by frame and place; NaN where one is not given."""
+        result, columns = {}, [*required, *optional]
+        table = self.table(name, ["action", "step", "time", *keys, *required], optional)
+        if table.columns and not set(columns) & set(table.columns):
+            self.bad(1, f"column {', '.join(columns)} is missing; expected at least one of them")
+        for line, row, frame in self.frames(table, keys):
             if any(not row[key] or not row[key].isprintable() for key in keys):
                 self.bad(line, f"{keys[0]}: expected the name of a place of the scene, found {row[keys[0]]!r}")
                 continue
             unit = [self.header.force * (self.header.length if column.startswith("t") else 1.0) for column in columns]
-            values = [self.number(line, row, column) * u for column, u in zip(columns, unit, strict=True)]
+            given = [column in required or bool(row.get(column)) for column in columns]
+            values = [
+                self.number(line, row, column) * u if there else math.nan
+                for column, u, there in zip(columns, unit, given, strict=True)
+            ]
             result[frame, row[keys[0]] if keys else ""] = values
         return result
 

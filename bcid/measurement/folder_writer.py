@@ -63,7 +63,7 @@ def _texts(measurement: Contents) -> dict[str, list[str]]:
             f"{start},{','.join(written(v) for v in row / scale)}"
             for start, row in zip(head, data["wrench"].values, strict=True)
         ]
-        rows = [row for row, values in zip(rows, data["wrench"].values, strict=True) if np.isfinite(values).all()]
+        rows = [row for row, values in zip(rows, data["wrench"].values, strict=True) if np.isfinite(values).any()]
         texts["wrench.csv"] = ["action,step,time," + ",".join(WRENCH), *rows]
     if "load" in data:
         texts["loads.csv"] = ["action,step,time,place,fx,fy,fz"] + [

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from bcid.base.errors import InputError
 from bcid.measurement.alignment import align
-from bcid.measurement.contents import AXES, SIGMAS, WRENCH, Contents, sigma_units
+from bcid.measurement.contents import AXES, SIGMAS, WRENCH, Contents, sigma_units, with_sigmas
 from bcid.measurement.dataset import frames_dataset
 from bcid.measurement.mapped_points import read_points_of
 from bcid.measurement.mapped_table import read_table
@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 # Coordinates above this, in length_unit, are taken for it, so that they can be turned.
 _FAR = 1e100
+# Cosine of the angle by which what was not measured may be off an axis of the body frame: 2.6 degrees.
+_STRAIGHT = 0.999
 
 
 def read_mapped(path: Path) -> Contents:
@@ -46,19 +48,48 @@ def _to_body_frame(recording: Tracks, mapping: Mapping) -> tuple[Array, Array]:
     if not mapping.align:
         return np.eye(3), np.zeros(3)
     names = [name for name in mapping.align if name in recording.positions]
+    unseen = _unmeasured(recording)
+    for axis in unseen:
+        # What is seen lies in a plane.
+        for values in recording.positions.values():
+            values[np.isfinite(values).any(axis=1), axis] = 0.0
     here = np.array([recording.positions[name][0] for name in names]).reshape(-1, 3)
     there = np.array([mapping.align[name] for name in names]).reshape(-1, 3)
     if len(names) < 3 or not np.isfinite(here).all():
-        raise InputError(f"{mapping.path}: align: its markers must all be seen in the first frame")
+        raise InputError(
+            f"{mapping.path}: align: its markers must all be seen in the first frame, with all three coordinates"
+        )
     try:
         fit = align(here, there, names)
     except InputError as error:
         raise InputError(f"{mapping.path}: align: {error}") from None
     recording.remarks += fit.remarks
     recording.aligned = fit.rms * mapping.length
+    gone = [_along(fit.turn[:, axis], mapping) for axis in unseen]
     for name, values in recording.positions.items():
-        recording.positions[name] = np.clip(values, -_FAR, _FAR) @ fit.turn.T + fit.shift
+        turned = np.clip(values, -_FAR, _FAR) @ fit.turn.T + fit.shift
+        turned[:, gone] = np.nan
+        recording.positions[name] = turned
     return fit.turn, fit.shift
+
+
+def _unmeasured(recording: Tracks) -> list[int]:
+    """Axes along which no marker was ever measured."""
+    values = list(recording.positions.values())
+    seen: NDArray[np.bool_] = np.array([np.isfinite(one).any(axis=0) for one in values], dtype=bool).reshape(-1, 3)
+    return [k for k in range(3) if seen.any() and not seen[:, k].any()]
+
+
+def _along(direction: Array, mapping: Mapping) -> int:
+    """The axis of the body frame along which nothing was measured."""
+    axis = int(np.abs(direction).argmax())
+    if abs(direction[axis]) < _STRAIGHT:
+        found = " ".join(f"{x:.3f}" for x in direction)
+        raise InputError(
+            f"{mapping.path}: align: along ({found}) of the body frame nothing was measured; only along one of its axes can "
+            "a coordinate be missing: turn the scene so that two of its axes lie in the image"
+        )
+    return axis
 
 
 def _relative(recording: Tracks, pose: Array, mapping: Mapping, turn: Array, shift: Array) -> None:
@@ -115,6 +146,10 @@ def _contents(recording: Tracks, mapping: Mapping) -> Contents:
         data["wrench"] = (("frame", "component"), recording.wrench * ([mapping.force] * 3 + [torque] * 3))
         data = data.assign_coords(component=WRENCH)
     units = dict(zip(SIGMAS, sigma_units(mapping.length, mapping.force), strict=True))
+    each = mapping.table.get("noise_sigma")
+    if isinstance(each, list):
+        data = with_sigmas(data, [one * mapping.length for one in each])
+        units.pop("noise_sigma")
     sigmas = {name: float(mapping.table[name]) * unit for name, unit in units.items() if name in mapping.table}
     noise_sigma, wrench_sigma, torque_sigma = map(sigmas.get, SIGMAS)
     text, source = str(mapping.table.get("description", "")), str(mapping.path)

@@ -29,8 +29,8 @@ def read_table(mapping: Mapping) -> Tracks:
         return _long(mapping, rows)
     columns = mapping.columns
     problems = Problems(f"recording {mapping.file}")
-    wanted = [c for marker in mapping.markers.values() for c in marker]
-    wanted += [c for key in COLUMNS if key in columns for c in _listed(columns[key])]
+    wanted = [c for marker in mapping.markers.values() for c in marker if c]
+    wanted += [c for key in COLUMNS if key in columns for c in _listed(columns[key]) if c]
     _require(mapping, rows, wanted, problems)
     actions = (
         [row[columns["action"]] for _, row in rows]
@@ -58,7 +58,7 @@ def _long(mapping: Mapping, rows: list[tuple[int, dict[str, str]]]) -> Tracks:
         if key not in columns:
             problems.add(mapping.path, f"columns.{key}: is needed when columns.fiducial is given")
     problems.raise_if_any()
-    _require(mapping, rows, [c for key in COLUMNS if key in columns for c in _listed(columns[key])], problems)
+    _require(mapping, rows, [c for key in COLUMNS if key in columns for c in _listed(columns[key]) if c], problems)
     action = str(mapping.table.get("action", "1"))
     actions = [row[columns["action"]] if "action" in columns else action for _, row in rows]
     steps = _steps(mapping, rows, actions, problems)
@@ -167,11 +167,13 @@ def _numbers(
     problems: Problems,
     gaps: bool = False,
 ) -> Array:
-    """Numbers of some columns, shape (rows, columns); empty cells are NaN where gaps are allowed."""
+    """Numbers of some columns, shape (rows, columns); where gaps are allowed empty cells, and columns without a name, are NaN."""
     values = np.full((len(rows), len(columns)), np.nan)
     decimal = str(mapping.table.get("decimal", "."))
     for i, (line, row) in enumerate(rows):
         for j, column in enumerate(columns):
+            if not column:
+                continue
             cell = row[column]
             if gaps and (not cell or cell.lower() == "nan"):
                 continue
@@ -182,7 +184,6 @@ def _numbers(
             if not math.isfinite(values[i, j]):
                 problems.add(mapping.file, f"{column}: expected a finite number, found '{cell}'", line)
                 values[i, j] = 0.0
-    values[np.isnan(values).any(axis=1)] = np.nan
     return values
 
 

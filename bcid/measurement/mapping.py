@@ -38,6 +38,8 @@ _KEYS += (
 COLUMNS = ("action", "step", "time", "fiducial", "position", "grasp", "translation", "rotation", "pose", "wrench")
 # How many columns of a table make a vector.
 _VECTORS = {"position": 3, "translation": 3, "rotation": 4, "pose": 7, "wrench": 6}
+# Those of which some columns may be missing: what was not measured has an empty name.
+_PARTIAL = ("position", "wrench")
 # Columns of image correlation.
 _DIC_COLUMNS = ("rest", "displacement", "point")
 _FRAMES = ("first", "last", "every", "rest")
@@ -97,12 +99,9 @@ def read_mapping(path: Path) -> Mapping:
         problems.add(path, f"delimiter: expected one character, found {table.get('delimiter')!r}")
     if table.get("decimal", ".") not in (".", ","):
         problems.add(path, f'decimal: expected "." or ",", found {table["decimal"]!r}')
-    for key in (*SIGMAS, "rate"):
-        _positive(path, key, table.get(key), problems)
+    _positive(path, "rate", table.get("rate"), problems)
     for key, unit in zip(SIGMAS, sigma_units(factors["length_unit"], factors["force_unit"]), strict=True):
-        value = table.get(key)
-        if isinstance(value, int | float) and value > 0 and not measurable(value * unit):
-            problems.add(path, f"{key}: {value!r} is no noise; at least {LEAST_SIGMA / unit:.3g} is expected")
+        _check_sigma(path, key, table.get(key), unit, problems)
     labelled = _labelled(found, table, tables)
     if labelled:
         check_points(path, found, tables, problems)
@@ -169,6 +168,17 @@ def _positive(path: Path, key: str, value: object, problems: Problems) -> None:
         problems.add(path, f"{key}: expected a positive number up to 1e30, found {value!r}")
 
 
+def _check_sigma(path: Path, key: str, stated: object, unit: float, problems: Problems) -> None:
+    """A standard deviation, or of positions that of each axis."""
+    each = key == "noise_sigma" and isinstance(stated, list)
+    if each and len(stated) != 3:  # type: ignore[arg-type]
+        problems.add(path, f"{key}: expected one number, or three for x, y and z, found {stated!r}")
+    for value in stated if each else [stated]:  # type: ignore[attr-defined]
+        _positive(path, key, value, problems)
+        if isinstance(value, int | float) and value > 0 and not measurable(value * unit):
+            problems.add(path, f"{key}: {value!r} is no noise; at least {LEAST_SIGMA / unit:.3g} is expected")
+
+
 def _check_gripper(path: Path, table: dict[str, Any], length: float, problems: Problems) -> None:
     """What concerns absolute poses of the gripper."""
     columns = table.get("columns", {})
@@ -211,12 +221,14 @@ def _check_markers(
         if labelled or long:
             if not isinstance(columns, str) and not (labelled and type(columns) is int):
                 problems.add(path, f"fiducials.{name}: expected the label of a marker, found {columns!r}")
-        elif not _texts(columns, 3):
-            problems.add(path, f'fiducials.{name}: expected three columns, as ["x", "y", "z"], found {columns!r}')
+        elif not _texts(columns, 3, partial=True):
+            text = 'expected three columns, as ["x", "y", "z"], or ["x", "y", ""] where z was not measured'
+            problems.add(path, f"fiducials.{name}: {text}, found {columns!r}")
     for key, count in () if labelled else _VECTORS.items():
-        if key in tables["columns"] and not _texts(tables["columns"][key], count):
+        if key in tables["columns"] and not _texts(tables["columns"][key], count, key in _PARTIAL):
+            gaps = ', "" for one that was not measured' if key in _PARTIAL else ""
             problems.add(
-                path, f"columns.{key}: expected the names of {count} columns, found {tables['columns'][key]!r}"
+                path, f"columns.{key}: expected the names of {count} columns{gaps}, found {tables['columns'][key]!r}"
             )
     for key in ("action", "step", "time", "fiducial", "grasp"):
         name = tables["columns"].get(key, key)
@@ -239,8 +251,11 @@ def _three_numbers(value: object, length: float) -> bool:
     return all(type(v) in (int, float) and abs(v) * length <= FURTHEST for v in value)
 
 
-def _texts(value: object, count: int) -> bool:
-    return isinstance(value, list) and len(value) == count and all(isinstance(v, str) and v for v in value)
+def _texts(value: object, count: int, partial: bool = False) -> bool:
+    """Whether it is a list of so many names, some of which may be empty where it may be partial."""
+    if not (isinstance(value, list) and len(value) == count and all(isinstance(v, str) for v in value)):
+        return False
+    return any(value) if partial else all(value)
 
 
 def _frames(path: Path, table: dict[str, Any], problems: Problems) -> tuple[int, int | None, int, int | None]:

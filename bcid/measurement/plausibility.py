@@ -132,7 +132,7 @@ class _View:
         sigma = measurement.noise_sigma or scene.noise_sigma or 0.0
         self.sigma, self.noise = sigma, min(sigma, 0.1 * self.size)
         self.floor = float(np.hypot(PLACED * self.size, self.noise))
-        self.positions = measurement.positions.copy()
+        self.positions = _with_unmeasured(measurement.positions, self.rest)
         self.unit = measurement.units.length
 
     def written(self, value: float) -> str:
@@ -194,6 +194,14 @@ class _View:
             return Doubt(min(jump.probability, REFUSED), f"{where} {between}: check that step, or leave it empty")
         mended = self.written(jump.value * jump.factor)
         return Doubt(jump.probability, f"{where} {between}: was {mended} meant? Check its decimal point")
+
+
+def _with_unmeasured(positions: Array, rest: Array) -> Array:
+    """Positions (frames, fiducials, 3); coordinates along an axis that was never measured as the scene has them."""
+    whole, seen = positions.copy(), np.isfinite(positions)
+    for axis in np.flatnonzero(~seen.any(axis=(0, 1))):
+        whole[..., axis] = np.where(seen.any(axis=2), rest[:, axis], np.nan)
+    return whole
 
 
 def _at_rest(view: _View) -> list[Doubt]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -59,8 +58,10 @@ def _finer_positions(
             noise = data.noise(data.vector(data.about - prediction.positions))
             # One number for positions, forces and torques each: of a marker that is not seen no noise is known.
             kinds = {kind: float(np.sqrt(np.mean(noise[data.kind == kind] ** 2))) for kind in np.unique(data.kind)}
-            units = np.array([kinds.get(kind, math.inf) for kind in data.kinds])[:, None]
+            units = np.array([kinds.get(kind, 1.0) for kind in data.kinds])[:, None]
             apart /= units
+            # Of forces or torques none of which was measured the distance is not asked for.
+            apart[:, ~np.isin(data.kinds, list(kinds))] = 0.0
             bent = max(k.fill(apart) for k in known)
             if bent < _BENT:
                 return np.asarray(prediction.positions + apart * units)

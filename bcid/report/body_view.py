@@ -14,6 +14,7 @@ from bcid.report.diagnosis_picture import LONGEST, diagonal, round_scale, worst_
 from bcid.report.found import Found
 from bcid.report.gallery import residuals_of
 from bcid.report.identification_picture import telling_frame
+from bcid.report.measured_points import completed
 from bcid.report.residual import Residual
 
 Array = NDArray[np.float64]
@@ -48,7 +49,7 @@ def view_data(found: Found) -> dict[str, Any] | None:
         raise ValueError("body.nc and the positions do not belong together")
     place = body["place"].values.astype(int)
     places = _places(found, body)
-    measured = positions["measured"].values * 1e3
+    measured = completed(positions["measured"].values, positions["predicted"].values) * 1e3
     start, scale = _shown_first(found, residual, body, positions)
     return {
         "unit": residual.unit,

@@ -18,6 +18,7 @@ from bcid.base.units import force_unit, percent, uncertain, unit_factor
 from bcid.report.figure import body_entries, cropped, save, styled
 from bcid.report.ladder import head, ladder_figure
 from bcid.report.lengths import in_mm, round_length
+from bcid.report.measured_points import completed
 from bcid.report.paraview import write_paraview
 from bcid.report.scene3d import COLOURS, MAP, Image, arrows_picture, map_picture
 from bcid.report.text import conclusion, model_name
@@ -63,23 +64,23 @@ def residual_figure(found: dict[str, Any], body: xr.Dataset, residuals: xr.Datas
     measured, last = residuals["measured"].values * 1e3, residuals["predicted"].values * 1e3
     first = residuals["predicted_first"].values * 1e3
     frame = worst_frame(measured - first)
-    length = np.linalg.norm((measured - first)[frame], axis=1)
+    length = np.linalg.norm((completed(measured, first) - first)[frame], axis=1)
     scale = round_scale(LONGEST * diagonal(body) / float(np.nanmax(length)))
     panels = [(found["ladder"][0], first)]
     if len(found["ladder"]) > 1:
         panels.append((found["ladder"][-1], last))
-    most = max(float(np.nanmax(np.linalg.norm((measured - predicted)[frame], axis=1))) for _, predicted in panels)
+    shown = [(completed(measured, predicted) - predicted)[frame] for _, predicted in panels]
+    most = max(float(np.nanmax(np.linalg.norm(missed, axis=1))) for missed in shown)
     dense = measured.shape[1] > _ARROWS
     images = []
-    for _, predicted in panels:
-        missed = (measured - predicted)[frame]
+    for (_, predicted), missed in zip(panels, shown, strict=True):
         seen = np.isfinite(missed).all(axis=1)
         view = body, found["anchored"], frame, str(residuals["grasp"].values[frame])
-        at, missed = predicted[frame][seen], missed[seen]
+        at = predicted[frame][seen]
         if dense:
-            images.append(map_picture(*view, at, np.linalg.norm(missed, axis=1), most, _SIZE))
+            images.append(map_picture(*view, at, np.linalg.norm(missed[seen], axis=1), most, _SIZE))
         else:
-            images.append(arrows_picture(*view, at, scale * missed, _SIZE))
+            images.append(arrows_picture(*view, at, scale * missed[seen], _SIZE))
     unit = found["length_unit"]
     titles = [f"{model_name(rung['model'])}: {rung['rms']:.3g} {unit}" for rung, _ in panels]
     figure = _panels(images, titles)
@@ -89,11 +90,11 @@ def residual_figure(found: dict[str, Any], body: xr.Dataset, residuals: xr.Datas
         f"{body.attrs.get('scene', 'body')}: {conclusion(found)}",
         f"{what}: residual per coordinate (RMS), noise {found['noise_rms']:.3g} {unit}",
     )
-    shown = f"action {residuals['action'].values[frame]}, step {int(residuals['step'].values[frame])}"
-    arrow = "" if dense else f"measured − predicted, {scale:g} × as long as it is ({shown})"
+    where = f"action {residuals['action'].values[frame]}, step {int(residuals['step'].values[frame])}"
+    arrow = "" if dense else f"measured − predicted, {scale:g} × as long as it is ({where})"
     _legend(figure, arrow, str(residuals["grasp"].values[frame]))
     if dense:
-        _colour_bar(figure, most, f"|measured − predicted|, mm\n({shown})")
+        _colour_bar(figure, most, f"|measured − predicted|, mm\n({where})")
     return figure
 
 

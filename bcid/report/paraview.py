@@ -12,6 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bcid.base.run_folder import write_whole
+from bcid.report.measured_points import completed
 
 if TYPE_CHECKING:
     import pyvista as pv
@@ -41,6 +42,7 @@ def paraview_files(body: xr.Dataset, prediction: xr.Dataset, anchored: Sequence[
         solid.frame(displacement * 1e3)
     fiducials = _Grids(_VERTEX, "residual")
     for predicted, measured in zip(prediction["predicted"].values, prediction["measured"].values, strict=True):
+        measured = completed(measured, predicted)
         seen = np.isfinite(predicted).all(axis=1) & np.isfinite(measured).all(axis=1)
         fiducials.shape(predicted[seen] * 1e3, np.arange(seen.sum())[:, None])
         fiducials.frame((measured - predicted)[seen] * 1e3)

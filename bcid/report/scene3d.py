@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from bcid.base.off_screen import off_screen
 from bcid.report.labels import LETTER, Label, Viewpoint, beside_arrows, drawn
 from bcid.report.lengths import round_length
+from bcid.report.measured_points import completed
 from bcid.report.surface_field import coloured
 
 if TYPE_CHECKING:
@@ -296,8 +297,8 @@ def _add_trajectories(plotter: pv.Plotter, prediction: xr.Dataset, frame: int) -
         path = predicted[:, i][np.isfinite(predicted[:, i]).all(axis=1)]
         if len(path) > 1:
             plotter.add_mesh(pv.lines_from_points(path).tube(radius=thick), color=COLOURS.predicted, lighting=False)
-    dots = measured.reshape(-1, 3)
-    dots = dots[np.isfinite(dots).all(axis=1)]
+    shown = completed(measured, predicted).reshape(-1, 3)
+    dots = shown[np.isfinite(shown).all(axis=1)]
     if len(dots):
         spheres = pv.PolyData(dots).glyph(geom=pv.Sphere(radius=1.7 * thick), scale=False, orient=False)
         plotter.add_mesh(spheres, color=COLOURS.measured, ambient=0.4)

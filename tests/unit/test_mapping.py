@@ -191,3 +191,41 @@ def test_a_poor_alignment_is_said(tmp_path: Path) -> None:
     assert remark.startswith("align: the rigid motion misses its markers by")
     assert found.aligned is not None
     assert f"misses its markers by {found.aligned * 1e3:.3g} (RMS distance)" in remark
+
+
+def test_coordinates_and_forces_that_were_not_measured(tmp_path: Path) -> None:
+    mapping = WIDE.replace('["ax", "ay", "az"]', '["ax", "ay", ""]').replace('["bx", "by", "bz"]', '["", "by", "bz"]')
+    mapping = mapping.replace("noise_sigma = 0.1", "noise_sigma = [0.1, 0.2, 3]")
+    mapping = mapping.replace("[fiducials]", 'wrench = ["", "", "f", "", "", ""]\n[fiducials]')
+    table = ROWS.replace("trial;t", "f;trial;t").replace("\n1;", "\n3;1;").replace("\n2;", "\n4;2;")
+    seen = Measurement.read(write(tmp_path, mapping, table))
+    assert np.isfinite(seen.positions).any(axis=0).tolist() == [[True, True, False], [False, False, False]]
+    assert np.isfinite(seen.wrenches).all(axis=0).tolist() == [False, False, True, False, False, False]
+    sigma = seen.sigma()
+    assert sigma is not None
+    np.testing.assert_allclose(sigma[3, 0], [1e-4, 2e-4, 3e-3])
+    for written, said in (
+        ('["", "", ""]', r'or \["x", "y", ""\] where z was not measured'),
+        ("[0.1, 0.2]", "expected one number, or three for x, y and z"),
+        ("[0.1, 0.2, 0]", "expected a positive number"),
+    ):
+        old = '["ax", "ay", ""]' if '"' in written else "[0.1, 0.2, 3]"
+        with pytest.raises(InputError, match=said):
+            Measurement.read(write(tmp_path, mapping.replace(old, written), table))
+
+
+def test_an_image_is_aligned_in_its_plane(tmp_path: Path) -> None:
+    """An image whose y axis is the z axis of the body."""
+    places = {"a": (10.0, 0.0, 5.0), "b": (40.0, 0.0, 5.0), "c": (10.0, 0.0, 60.0), "d": (25.0, 0.0, 20.0)}
+    mapping = HEAD + 'file = "cam.csv"\n[columns]\nfiducial = "m"\nstep = "k"\nposition = ["x", "y", ""]\n[align]\n'
+    table = "k,m,x,y\n" + "".join(f"0,{name},{x + 3},{z - 2}\n" for name, (x, _, z) in places.items())
+    mapping += "".join(f"{name} = {list(place)}\n" for name, place in places.items())
+    seen = Measurement.read(write(tmp_path, mapping, table, "cam.csv"))
+    assert np.isnan(seen.positions[..., 1]).all()
+    there = np.array([places[name] for name in seen.fiducial_names])
+    np.testing.assert_allclose(seen.positions[0][:, [0, 2]], there[:, [0, 2]] * 1e-3, atol=1e-9)
+    tilted = {name: [x, 0.4 * z, 0.9 * z] for name, (x, _, z) in places.items()}
+    for name, place in places.items():
+        mapping = mapping.replace(f"{name} = {list(place)}", f"{name} = {tilted[name]}")
+    with pytest.raises(InputError, match="turn the scene so that two of its axes lie in the image"):
+        Measurement.read(write(tmp_path, mapping, table, "cam.csv"))

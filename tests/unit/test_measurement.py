@@ -143,14 +143,18 @@ HEAD = "action,step,time,fiducial,x,y,z"
 @pytest.mark.parametrize(
     ("file", "line", "change", "said"),
     [
-        ("fiducials.csv", 1, "action,step,time,fiducial,x,y", "fiducials.csv:1: column z is missing"),
+        (
+            "fiducials.csv",
+            1,
+            "action,step,time,fiducial,sigma_x,sigma_y,sigma_z",
+            "fiducials.csv:1: column x, y, z is missing",
+        ),
         ("fiducials.csv", 1, HEAD + ",w", "fiducials.csv:1: unknown column 'w'"),
         ("fiducials.csv", 1, "action,step,time,fiducial,x,y,y", "column y stands twice"),
         ("fiducials.csv", 3, "1,0,0,2,abc,10,12", "fiducials.csv:3: x: expected a finite number, found 'abc'"),
         ("fiducials.csv", 3, "1,0,0,2,nan,10,12", "fiducials.csv:3: x: expected a finite number, found 'nan'; leave"),
         ("fiducials.csv", 3, "1,0,0,2,1_5,10,12", "found '1_5'"),
         ("fiducials.csv", 3, "1,0,0,2,inf,10,12", "found 'inf'"),
-        ("fiducials.csv", 3, "1,0,0,2,,10,12", "give x, y and z, or leave all three empty"),
         (
             "fiducials.csv",
             3,
@@ -209,7 +213,7 @@ def test_empty_measurements(folder: Path) -> None:
 
 def test_all_mistakes_at_once(folder: Path) -> None:
     edit(folder / "fiducials.csv", 3, "1,0,0,2,abc,10,12")
-    edit(folder / "fiducials.csv", 9, "1,0,0,8,15,10,")
+    edit(folder / "fiducials.csv", 9, "1,0,0,8,15,10,z")
     edit(folder / "grasps.csv", 4, "1,2,2,II,one,0,0,1,0,0,0")
     edit(folder / "measurement.toml", 3, 'time_unit = "mm"')
     with pytest.raises(InputError) as error:

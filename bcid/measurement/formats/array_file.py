@@ -100,7 +100,10 @@ class _Arrays:
         else:
             positions = self.field(self.told["positions"], "positions")
         labels, numbered = self.labels(positions.shape[1])
-        positions = np.where(np.isfinite(positions).all(axis=2, keepdims=True), positions, np.nan)
+        # Where one of the coordinates that were measured is missing the point was lost.
+        measured = np.isfinite(positions).any(axis=(0, 1))
+        lost = np.isnan(positions[:, :, measured]).any(axis=2, keepdims=True)
+        positions = np.where(lost, np.nan, positions)
         points = {label: positions[:, i] for i, label in enumerate(labels)}
         still = {} if rest is None else {label: rest[i] for i, label in enumerate(labels)}
         times = self.times(len(positions))
@@ -123,8 +126,8 @@ class _Arrays:
             raise InputError(
                 f"{self.path}: the arrays of arrays.{what} have the shapes {[p.shape for p in parts]}; expected one"
             )
-        # Plane image correlation sees no third coordinate.
-        parts += [np.zeros_like(parts[0])] * (3 - len(parts))
+        # Plane image correlation sees no third coordinate; its points lie in a plane.
+        parts += [np.full_like(parts[0], 0.0 if still else np.nan)] * (3 - len(parts))
         return np.stack(parts, axis=2)
 
     def ordered(self, array: Array, order: list[str], where: str) -> Array:
@@ -208,7 +211,7 @@ def _within(moved: Array, rest: Array) -> tuple[Array, Array]:
 
     Ncorr has exact zeros there. A frame that is zero everywhere is one before the motion.
     """
-    still = (moved == 0).all(axis=2)
+    still = (np.nan_to_num(moved) == 0).all(axis=2)
     lost = still & ~still.all(axis=1, keepdims=True) | still.all(axis=0)
     never = lost.all(axis=0)[:, None]
     return np.where(lost[:, :, None], np.nan, moved), np.where(never, np.nan, rest)
