@@ -195,6 +195,7 @@ def body_parts(scene: Scene, mesh: BodyMesh, displacement: Any, energy: Any) -> 
     boundary = mesh.boundary
     places = {f"patch {name}": region for name, region in scene.patches.items()}
     places |= {f"grasp {name}": grasp.region for name, grasp in scene.grasps.items()}
+    places |= {f"held {name}": scene.places[name] for name, axes in scene.held.items() if len(axes) == len(AXES)}
     number = np.zeros(len(boundary), dtype=np.int32)
     for i, (name, region) in enumerate(places.items(), start=1):
         number[among(boundary, mesh.select(region, name))] = i

@@ -137,7 +137,7 @@ class Model:
         grasp: name of the grasp, or "".
         down: unit vector of gravity.
         fibre_axes: unit vectors of the plane of fibres, at 0 and at 90 degrees; the horizontal plane by default.
-        rollers: places held in one axis only, as (place, axis) with axis 0, 1 or 2.
+        rollers: what holds a place along an axis, whatever is anchored, as (place, axis) with axis 0, 1 or 2.
     """
 
     law: Law
@@ -352,7 +352,9 @@ def _model(scene: Scene, problems: list[str]) -> Model | None:
     if problems:
         return None
     found = tuple(term for term in terms if term)
-    return Model(law, values, material.formulation, terms=found, down=scene.down, fibre_axes=scene.fibre_axes)
+    held = tuple((place, axis) for place, axes in scene.held.items() for axis in axes)
+    model = Model(law, values, material.formulation, terms=found, rollers=held)
+    return replace(model, down=scene.down, fibre_axes=scene.fibre_axes)
 
 
 def _term(name: str, written: Values, scene: Scene, problems: list[str]) -> Term | None:

@@ -59,12 +59,14 @@ def _rung(scene: Scene, rung: LevelSize) -> tuple[str, ...]:
 
 
 def _more(kind: str) -> tuple[str, ...]:
-    return ("centre (mm)",) if kind == "grasp" else ()
+    return {"grasp": ("centre (mm)",), "held": ("along",)}.get(kind, ())
 
 
 def _place(check: SceneCheck, place: PlaceSize) -> tuple[str, ...]:
     area = shown(place.area, 2) if place.area > 0 else "none"
     found = place.name, str(place.facets), area, _mm(place.middle)
+    if place.kind == "held":
+        return *found, " ".join("xyz"[axis] for axis in check.scene.held[place.name])
     if place.kind != "grasp":
         return found
     centre = check.scene.grasps[place.name].centre

@@ -20,7 +20,7 @@ from bcid.report.ladder import head, ladder_figure
 from bcid.report.lengths import in_mm, round_length
 from bcid.report.measured_points import completed
 from bcid.report.paraview import write_paraview
-from bcid.report.scene3d import COLOURS, MAP, Image, arrows_picture, map_picture
+from bcid.report.scene3d import COLOURS, MAP, Image, arrows_picture, holds, map_picture
 from bcid.report.text import conclusion, model_name
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def residual_figure(found: dict[str, Any], body: xr.Dataset, residuals: xr.Datas
     )
     where = f"action {residuals['action'].values[frame]}, step {int(residuals['step'].values[frame])}"
     arrow = "" if dense else f"measured − predicted, {scale:g} × as long as it is ({where})"
-    _legend(figure, arrow, str(residuals["grasp"].values[frame]))
+    _legend(figure, arrow, str(residuals["grasp"].values[frame]), body)
     if dense:
         _colour_bar(figure, most, f"|measured − predicted|, mm\n({where})")
     return figure
@@ -169,7 +169,7 @@ def where_figure(found: dict[str, Any], where: dict[str, Any], body: xr.Dataset,
     where_drawn = (
         "force on a region" if any(place in parts[a].regions for a in shown for place in shown[a]) else "force"
     )
-    _legend(figure, f"{where_drawn}, {newtons} ± standard error" if shown else "", "")
+    _legend(figure, f"{where_drawn}, {newtons} ± standard error" if shown else "", "", body)
     return figure
 
 
@@ -257,10 +257,10 @@ def _colour_bar(figure: Figure, most: float, label: str) -> None:
     axes.set_title(label, fontsize=11, loc="right", pad=12)
 
 
-def _legend(figure: Figure, arrow: str, grasp: str) -> None:
+def _legend(figure: Figure, arrow: str, grasp: str, body: xr.Dataset) -> None:
     from matplotlib.lines import Line2D
 
     arrows = [Line2D([], [], color=COLOURS.predicted, linewidth=3, label=arrow)] if arrow else []
     narrow = figure.get_figwidth() < 10
-    handles = [*arrows, *body_entries(grasp)]
+    handles = [*arrows, *body_entries(grasp, holds(body))]
     figure.legend(handles=handles, loc="lower center", frameon=False, fontsize=11, ncols=2 if narrow else 4)

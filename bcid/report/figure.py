@@ -115,14 +115,15 @@ def cropped(images: list[Image]) -> list[Image]:
     return [image[top : rows[-1] + _MARGIN, left : columns[-1] + _MARGIN] for image in images]
 
 
-def body_entries(grasp: str) -> list[Patch]:
-    """Legend entries of the patches, and of the grasp if one is named."""
+def body_entries(grasp: str, held: bool = False) -> list[Patch]:
+    """Legend entries of the patches, of the grasp if one is named, and of what is known to be `held`."""
     from matplotlib.patches import Patch
 
     return [
         Patch(color=COLOURS.anchored, label="anchored patch"),
         Patch(color=COLOURS.free, label="free candidate patch"),
         *([Patch(color=COLOURS.grasp, label=f"grasp {grasp}")] if grasp else []),
+        *([Patch(color=COLOURS.held, label="known to be held")] if held else []),
     ]
 
 

@@ -34,6 +34,7 @@ class Palette:
     anchored: str = "#0072b2"
     free: str = "#b9bec6"
     grasp: str = "#e69f00"
+    held: str = "#4d5661"
     measured: str = "#222222"
     predicted: str = "#d55e00"
     named: str = "#565c64"
@@ -265,13 +266,18 @@ def _add_body(
             continue
         part = moved.extract_cells(cells).extract_surface(algorithm="dataset_surface")
         # The tissue lets the trajectories inside and below show through; what is anchored is solid.
-        solid = colour in (COLOURS.anchored, COLOURS.grasp)
+        solid = colour in (COLOURS.anchored, COLOURS.grasp, COLOURS.held)
         plotter.add_mesh(part, color=colour or COLOURS.tissue, opacity=1.0 if solid else opacity, **light, **smooth)
         if names[number].startswith("patch "):
             middle = part.cell_centers().points.mean(axis=0)
             dark = COLOURS.anchored if colour == COLOURS.anchored else COLOURS.named
             labels.append(Label(np.asarray(middle), names[number].removeprefix("patch "), dark))
     return labels
+
+
+def holds(body: xr.Dataset) -> bool:
+    """Whether a part of the boundary is known to be held."""
+    return any(str(name).startswith("held ") for name in body["place_name"].values)
 
 
 def _place_colours(body: xr.Dataset, anchored: list[str], grasp: str) -> list[str | None]:
@@ -282,7 +288,8 @@ def _place_colours(body: xr.Dataset, anchored: list[str], grasp: str) -> list[st
         if kind == "patch":
             colours.append(COLOURS.anchored if which in anchored else COLOURS.free)
         else:
-            colours.append(COLOURS.grasp if kind == "grasp" and which == grasp else None)
+            used = {"grasp": COLOURS.grasp if which == grasp else None, "held": COLOURS.held}
+            colours.append(used.get(kind))
     return colours
 
 

@@ -28,6 +28,7 @@ _TABLES = (
     "grasps",
     "fiducials",
     "places",
+    "held",
     "effects",
     "explore",
     "uncertainty",
@@ -62,9 +63,12 @@ class SceneFile(GeometryTables, RegionTables):
         patches = self.table(table, "patches")
         grasps = self.table(table, "grasps")
         places = self.table(table, "places")
+        held = self.table(table, "held")
         fiducials = self.table(table, "fiducials")
-        for what, entries in (("patches", patches), ("grasps", grasps), ("places", places), ("fiducials", fiducials)):
-            self.names(entries, what)
+        for what in ("patches", "grasps", "places", "held", "fiducials"):
+            self.names(self.table(table, what), what)
+        for name in set(held) & set(places):
+            self.bad(f"held.{name}", "has the name of one of [places]; choose another")
         if not patches:
             self.bad("patches", "none is defined: name at least one candidate patch")
         if not fiducials:
@@ -80,7 +84,9 @@ class SceneFile(GeometryTables, RegionTables):
             "patches": {name: self.region(value, f"patches.{name}", ("divide",)) for name, value in patches.items()},
             "grasps": {name: self.grasp(value, f"grasps.{name}") for name, value in grasps.items()},
             "fiducials": {name: self.vector(value, f"fiducials.{name}") for name, value in fiducials.items()},
-            "places": {name: self.region(value, f"places.{name}") for name, value in places.items()},
+            "places": {name: self.region(value, f"places.{name}") for name, value in places.items()}
+            | {name: self.region(value, f"held.{name}", ("along",)) for name, value in held.items()},
+            "held": {name: self.along(value, f"held.{name}") for name, value in held.items()},
             "divide": self.divide(patches),
             "down": self.direction(table.get("down", [0, -1, 0]), "down"),
             "fibre_plane": self.fibre_plane(table["fibre_plane"]) if "fibre_plane" in table else None,
@@ -158,6 +164,16 @@ class SceneFile(GeometryTables, RegionTables):
             return {}
         self.values(value, f"effects.{name}.")
         return value
+
+    def along(self, value: object, key: str) -> tuple[int, ...]:
+        """Axes along which a place does not move: all, where none are named."""
+        if not isinstance(value, dict) or "along" not in value:
+            return (0, 1, 2)
+        axes = [value["along"]] if isinstance(value["along"], str) else value["along"]
+        if not isinstance(axes, list) or not axes or not all(axis in ("x", "y", "z") for axis in axes):
+            self.bad(f"{key}.along", f'expected "x", "y" or "z", or a list of them, found {value["along"]!r}')
+            return (0, 1, 2)
+        return tuple(sorted({"xyz".index(axis) for axis in axes}))
 
     def divide(self, patches: Mapping[str, Any]) -> dict[str, float]:
         """Size (m) of the pieces of every patch that is divided."""

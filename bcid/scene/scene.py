@@ -33,6 +33,7 @@ class Scene:
         members: of fiducials that are the mean of points of a dense field, the stress-free positions of those.
         surface: names of the fiducials that are no markers but places on a surface that a depth camera sees.
         places: other named parts of the boundary, for known loads and supports.
+        held: places that are known to be held, and the axes (0, 1, 2) along which they do not move.
         down: unit vector of gravity.
         fibre_plane: the plane in which fibres and active stresses lie: unit vectors at 0 and at 90 degrees. None is the
             horizontal plane, from the x axis on.
@@ -66,6 +67,7 @@ class Scene:
     label: int | None = None
     members: dict[str, tuple[Vector, ...]] = field(default_factory=dict)
     surface: tuple[str, ...] = ()
+    held: dict[str, tuple[int, ...]] = field(default_factory=dict)
     description: str = ""
     source: str = "scene"
 
@@ -89,6 +91,8 @@ class Scene:
         content = {
             key: value for key, value in asdict(self).items() if key not in ("geometry", "source", "description")
         }
+        if not self.held:
+            del content["held"]
         return fingerprint({"scene": content, "geometry": file_fingerprint(self.geometry)})
 
     @classmethod

@@ -16,6 +16,7 @@ from bcid.scene.geometry_file import PROGRAM, kind_of
 
 # A mesh of more tetrahedra is not made: solving on it takes more than 100 GB.
 MOST_CELLS = 5_000_000
+_PLURALS = {"patch": "patches", "grasp": "grasps"}
 
 
 def checked(mesh: BodyMesh, path: Path) -> BodyMesh:
@@ -135,7 +136,7 @@ def check_fineness(scene: Scene, mesh: BodyMesh) -> None:
 
 
 def check_places(scene: Scene, name: str, mesh: BodyMesh) -> None:
-    """Every place of the scene must be on the boundary of a mesh, and no facet may belong both to a patch and to a grasp.
+    """Every place of the scene must be on the boundary of a mesh, and no facet of a patch may be gripped or known to be held.
 
     Raises:
         InputError: with every problem; `name` is that of the level.
@@ -152,11 +153,12 @@ def check_places(scene: Scene, name: str, mesh: BodyMesh) -> None:
             facets[kind, place] = found
     for (kind, place), mine in facets.items():
         for (other, held), theirs in facets.items():
-            if kind == "patch" and other == "grasp" and mine.shape[1] == theirs.shape[1]:
+            apart = other == "grasp" or (other == "held" and len(scene.held[held]) == 3)
+            if kind == "patch" and apart and mine.shape[1] == theirs.shape[1]:
                 shared = _rows(mine) & _rows(theirs)
                 if shared:
                     problems.add(
-                        scene.source, f"patch {place} and grasp {held} share {len(shared)} facets: keep them apart"
+                        scene.source, f"patch {place} and {other} {held} share {len(shared)} facets: keep them apart"
                     )
     problems.raise_if_any()
 
@@ -226,7 +228,10 @@ def _edges(row: tuple[int, ...]) -> set[tuple[int, ...]]:
 def places(scene: Scene) -> dict[str, dict[str, Region]]:
     """Named parts of the boundary, by kind."""
     grasps = {name: grasp.region for name, grasp in scene.grasps.items()}
-    return {"patch": scene.patches, "grasp": grasps, "place": scene.places}
+    others: dict[str, dict[str, Region]] = {"held": {}, "place": {}}
+    for name, region in scene.places.items():
+        others["held" if name in scene.held else "place"][name] = region
+    return {"patch": scene.patches, "grasp": grasps} | {kind: named for kind, named in others.items() if named}
 
 
 def regions(scene: Scene) -> list[Region]:
@@ -246,7 +251,7 @@ def measures(scene: Scene, mesh: BodyMesh) -> list[str]:
         areas = {name: mesh.area(mesh.select(region, name)) for name, region in named.items() if kind != "place"}
         found = [f"{name} {shown(area, 2)}" for name, area in areas.items() if area > 0]
         if found:
-            lines.append(f"  {'patches' if kind == 'patch' else 'grasps'}: {', '.join(found)}")
+            lines.append(f"  {_PLURALS.get(kind, kind)}: {', '.join(found)}")
     return lines + [f"  {note}" for note in mesh.notes]
 
 
