@@ -96,6 +96,8 @@ def main(argv: list[str] | None = None) -> int:
     # Nothing above has loaded numpy yet: ranks must not fight for cores.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    # Where nobody reads what is printed, as behind "| head", PETSc would end the process with a page of its own.
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGPIPE})
     parser = build_parser()
     given = sys.argv[1:] if argv is None else argv
     known = parser.get_default("known")
@@ -117,6 +119,7 @@ def main(argv: list[str] | None = None) -> int:
         signal.signal(number, partial(_interrupted, comm))
     try:
         arguments.run(arguments, comm)
+        sys.stdout.flush()
         return 0
     except BcidError as error:
         if comm.rank == 0:
@@ -125,6 +128,8 @@ def main(argv: list[str] | None = None) -> int:
     except MemoryError:
         complain(SHORT_OF_MEMORY)
         return _end_all(comm, MachineError.exit_code)
+    except BrokenPipeError:
+        return _end_all(comm, _unread())
     except BaseException:
         traceback.print_exc()
         return _end_all(comm, 1)
@@ -136,6 +141,7 @@ def _run_without_mpi(arguments: argparse.Namespace) -> int:
         if arguments.command in _STARTING:
             require()
         arguments.run(arguments)
+        sys.stdout.flush()
         return 0
     except KeyboardInterrupt:
         complain(f"interrupted; {_WITHOUT_MPI[arguments.command]}")
@@ -143,9 +149,17 @@ def _run_without_mpi(arguments: argparse.Namespace) -> int:
     except MemoryError:
         complain(SHORT_OF_MEMORY)
         return MachineError.exit_code
+    except BrokenPipeError:
+        return _unread()
     except BcidError as error:
         complain(error)
         return error.exit_code
+
+
+def _unread() -> int:
+    """Stop printing where nobody reads it; returns the exit code."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 128 + signal.SIGPIPE
 
 
 def _of_the_machine() -> MachineError | None:

@@ -4,6 +4,7 @@ import contextlib
 import io
 import itertools
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -439,3 +440,12 @@ def test_a_slip_is_refused_before_anything_is_computed(tmp_path: Path) -> None:
     for command in ("identify", "explain"):
         refused(bcid(command, SLAB, "swapped", "-o", "run", cwd=tmp_path), "x and y look swapped", "axes of the scene")
     assert not (tmp_path / "run").exists()
+
+
+def test_output_that_nobody_reads_is_no_error() -> None:
+    reads, writes = os.pipe()
+    os.close(reads)
+    command = [sys.executable, "-m", "bcid", "scene", "check", str(SLAB)]
+    done = subprocess.run(command, stdout=writes, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(writes)
+    assert (done.returncode, done.stderr) == (128 + signal.SIGPIPE, "")
