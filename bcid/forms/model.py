@@ -16,7 +16,7 @@ from bcid.base.units import quantity
 from bcid.forms import effects, materials
 from bcid.forms.course import of_table
 from bcid.forms.effects.effect import Array, BodyEffect, Effect, Frame, Point
-from bcid.forms.materials.law import Law, Volumetric
+from bcid.forms.materials.law import VOLUMETRIC, Law, Volumetric
 from bcid.forms.parameter import Amount, Parameter
 from bcid.measurement import Action
 from bcid.scene import Scene, Values
@@ -346,6 +346,9 @@ def _model(scene: Scene, problems: list[str]) -> Model | None:
     mixed = material.formulation == "mixed"
     if not problems:
         problems += [f"material.{problem}" for problem in law.check(values, mixed)]
+    form = material.volumetric
+    if form and (wrong := law.check_volumetric(form, mixed)):
+        problems.append(f"material.volumetric: {wrong}")
     if mixed and any(level.degree < 2 for level in scene.levels):
         problems.append("material.formulation: the mixed formulation needs degree = 2 on every level")
     terms = [_term(name, written, scene, problems) for name, written in scene.effects.items()]
@@ -353,7 +356,8 @@ def _model(scene: Scene, problems: list[str]) -> Model | None:
         return None
     found = tuple(term for term in terms if term)
     held = tuple((place, axis) for place, axes in scene.held.items() for axis in axes)
-    model = Model(law, values, material.formulation, terms=found, rollers=held)
+    volumetric = next((one for one in VOLUMETRIC if one == form), None)
+    model = Model(law, values, material.formulation, volumetric, terms=found, rollers=held)
     return replace(model, down=scene.down, fibre_axes=scene.fibre_axes)
 
 

@@ -112,11 +112,14 @@ class Grasp:
 
 @dataclass(frozen=True)
 class Material:
-    """Name of a law, its constants as written (units are the law's business), and the formulation."""
+    """Name of a law, its constants as written (units are the law's business), the formulation, and the form of its volumetric
+    energy ("": the law's own).
+    """
 
     law: str
     values: Values
     formulation: str = "displacement"
+    volumetric: str = ""
 
 
 @dataclass(frozen=True)

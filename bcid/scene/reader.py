@@ -69,8 +69,10 @@ class SceneFile(GeometryTables, RegionTables):
             self.names(self.table(table, what), what)
         for name in set(held) & set(places):
             self.bad(f"held.{name}", "has the name of one of [places]; choose another")
-        if not patches:
-            self.bad("patches", "none is defined: name at least one candidate patch")
+        if not (patches or held):
+            self.bad(
+                "patches", "none is defined: name at least one candidate patch, or what is known to be held in [held]"
+            )
         if not fiducials:
             self.bad("fiducials", 'none is defined: write name = "x y z mm" for each marker')
         support = self.text(table, "support", "")
@@ -145,9 +147,10 @@ class SceneFile(GeometryTables, RegionTables):
         formulation = self.text(table, "formulation", "displacement", "material.")
         if formulation not in FORMULATIONS:
             self.bad("material.formulation", f"{formulation!r}: {nearest(formulation, FORMULATIONS)}")
-        values = {key: value for key, value in table.items() if key not in ("law", "formulation")}
+        volumetric = self.text(table, "volumetric", "", "material.")
+        values = {key: value for key, value in table.items() if key not in ("law", "formulation", "volumetric")}
         self.values(values, "material.")
-        return Material(law, values, formulation)
+        return Material(law, values, formulation, volumetric)
 
     def values(self, table: Mapping[str, Any], where: str) -> None:
         for key, value in table.items():

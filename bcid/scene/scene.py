@@ -91,8 +91,11 @@ class Scene:
         content = {
             key: value for key, value in asdict(self).items() if key not in ("geometry", "source", "description")
         }
+        # What was added to the format changes no fingerprint where it is not used.
         if not self.held:
             del content["held"]
+        if not self.material.volumetric:
+            del content["material"]["volumetric"]
         return fingerprint({"scene": content, "geometry": file_fingerprint(self.geometry)})
 
     @classmethod

@@ -123,3 +123,21 @@ def test_the_tangent_at_rest_is_that_of_the_grasp_in_use() -> None:
         found.append(forward.equilibrium.tangent.copied().toarray())
         forward.destroy()
     np.testing.assert_allclose(*found, atol=1e-12 * np.abs(found[0]).max())
+
+
+def test_a_sliding_grip_leads_along_the_normal_alone() -> None:
+    """A compressible bar that is stretched evenly: its end gets thinner in the grip, and a pull across it does nothing."""
+    parts = replace(model(poisson=0.3), rollers=(("x0", 0), ("y0", 1), ("z0", 2)))
+    sliding = parts + Term("sliding_grip", {"across": 0.0})
+    forward = Forward(scene(), model=sliding, settings=EXACT, mesh=box(BAR, (5, 2, 2)))
+    led = np.array([0.0, 0.01, 0.02])[:, None] * np.array([1.0, 0.4, -0.3])
+    found = forward.detail([], [move(led, "x1")], forward.predict([], [move(led, "x1")], keep=True))
+    moved = found.positions[-1] - np.array(list(END.values()))
+    np.testing.assert_allclose(moved[0, 0], 0.02, atol=1e-6)
+    np.testing.assert_allclose(moved[1, 0], 0.01, atol=1e-6)
+    assert moved[0, 1] < -2e-4
+    np.testing.assert_allclose(moved[:, 2] / [0.01, 0.02], moved[0, 1] / 0.01, atol=1e-9)
+    assert found.wrench is not None
+    np.testing.assert_allclose(found.wrench[-1, 1:3], 0.0, atol=1e-9)
+    assert found.wrench[-1, 0] > 0
+    forward.destroy()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from bcid.base.errors import InputError, nearest
 from bcid.forms.parameter import Parameter
@@ -21,8 +21,11 @@ Scalar = Any
 Constants = Mapping[str, Scalar]
 """Value of every parameter by name."""
 
-Volumetric = Literal["log", "ciarlet", "quadratic"]
+Volumetric = Literal["log", "simo_taylor", "quadratic"]
 """How the energy U depends on the volume ratio J, see `Law`."""
+
+VOLUMETRIC: tuple[Volumetric, ...] = get_args(Volumetric)
+"""All of them. The mixed formulation has no "simo_taylor"."""
 
 
 LARGEST_POISSON = 0.495
@@ -38,9 +41,9 @@ class Law:
 
     In the displacement form the total strain energy per rest volume is energy + U(J), with
 
-        "log":        U = bulk/2 (ln J)^2
-        "ciarlet":    U = bulk/4 (J^2 - 1 - 2 ln J)
-        "quadratic":  U = bulk/2 (J - 1)^2
+        "log":          U = bulk/2 (ln J)^2
+        "simo_taylor":  U = bulk/4 (J^2 - 1 - 2 ln J)   (Simo & Taylor, Comput. Methods Appl. Mech. Eng. 51, 1985, 177)
+        "quadratic":    U = bulk/2 (J - 1)^2
 
     Args:
         name: word used in scene files; the name of the law's file.
@@ -126,6 +129,13 @@ class Law:
             problems = self._wrong_together(numbers, mixed)
         return [f"{self.name}: {text}" for text in problems]
 
+    def check_volumetric(self, form: str, mixed: bool) -> str:
+        """What is wrong with a form of U; "" if nothing is."""
+        allowed = [one for one in VOLUMETRIC if not (mixed and one == "simo_taylor")]
+        if self.bulk is None:
+            return f"{self.name}: has no separate volumetric energy"
+        return "" if form in allowed else f"{form!r}: {nearest(form, allowed)}"
+
     def scale(self, parameter: Parameter, values: Constants) -> float:
         """Size of a notable change of a constant, in its unit: of a stiffness by the shear modulus, of others as they declare."""
         full = {name: float(value) for name, value in self.complete(values).items()}
@@ -193,11 +203,11 @@ def _volume_energy(kin: Kinematics, form: str) -> Expr:
     """U/bulk of the displacement form."""
     if form == "log":
         return kin.lnJ**2 / 2
-    if form == "ciarlet":
+    if form == "simo_taylor":
         return (kin.J**2 - 1 - 2 * kin.lnJ) / 4
     if form == "quadratic":
         return (kin.J - 1) ** 2 / 2
-    raise InputError(f"unknown volumetric energy '{form}'; allowed: log, ciarlet, quadratic")
+    raise InputError(f"unknown volumetric energy '{form}'; allowed: log, simo_taylor, quadratic")
 
 
 def _volume_gap(kin: Kinematics, form: str) -> Expr:
