@@ -313,7 +313,7 @@ def ladder(rungs: Sequence[ModelStep], unit: float, name: str) -> list[str]:
         )
         word = rung.adequacy.word
         noise = f"noise {rung.state.noise / unit:.3g}"
-        lines.append(f"  {rung.state.model.name:44s} {rung.state.rms / unit:.3g} {name} ({noise}{apart}): {word}")
+        lines.append(f"  {rung.name:44s}  {rung.state.rms / unit:.3g} {name} ({noise}{apart}): {word}")
     return lines
 
 
@@ -329,7 +329,7 @@ def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull]
             *_open(found, pulls),
         ]
     if found.verdict == "unknown":
-        best = last.state.model.name if len(found.rungs) > 1 else "none of them"
+        best = last.name if len(found.rungs) > 1 else "none of them"
         return [
             f"None of the known effects explains this measurement: {last.state.rms / unit:.3g} {name} are left where the noise is "
             f"{last.state.noise / unit:.3g} (the closest: {best}).",

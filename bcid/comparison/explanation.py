@@ -41,6 +41,12 @@ class ModelStep:
         """The model compared with the data."""
         return self.fitted.state
 
+    @property
+    def name(self) -> str:
+        """Of the model, with the constants of the law that were fitted: "neo_hooke + gravity (young fitted)"."""
+        fitted = [number for number in self.state.free if number in self.state.model.values]
+        return self.state.model.name + (f" ({' '.join(fitted)} fitted)" if fitted else "")
+
 
 @dataclass(frozen=True)
 class Onset:

@@ -25,7 +25,7 @@ from bcid.comparison.state_fields import detailed
 from bcid.comparison.where import MissingForce, Place
 from bcid.forms.course import course_of
 from bcid.forms.gripper_force import ROWS
-from bcid.forms.model import Term
+from bcid.forms.model import Model, Term
 from bcid.inference import nuisance_text
 from bcid.inference.data import Data
 from bcid.inference.hypotheses import patches
@@ -100,7 +100,8 @@ def diagnosis_json(done: Diagnosis, unit: float) -> dict[str, Any]:
     if found is not None:
         verdict = found.verdict
     else:
-        added = "+".join(dict.fromkeys(d.effect.name for d in state.model.terms if _seen(last.fitted, d)))
+        beyond = state.model.added(Model.of(state.predictor.whole))
+        added = "+".join(dict.fromkeys(d.effect.name for d in beyond if _seen(last.fitted, d)))
         adequate = last.adequacy.adequate
         named = adequate or (bool(added) and explains(done.rungs[0].fitted, last.fitted))
         verdict = (added or "none") if named else "unknown"
@@ -124,7 +125,7 @@ def diagnosis_json(done: Diagnosis, unit: float) -> dict[str, Any]:
         "held_out_rms": None if last.held_out is None else last.held_out / unit,
         "anchored": sorted(state.anchors, key=order.index),
         "verdict": verdict,
-        "model": state.model.name,
+        "model": last.name,
         "adopted": [
             {"effect": d.effect.name, "place": d.place, "parameters": _parameters(d, *_own(last.fitted, d))}
             for d in state.model.terms
@@ -151,7 +152,7 @@ def diagnosis_json(done: Diagnosis, unit: float) -> dict[str, Any]:
         "next_steps": [step.to_json(unit) for step in done.next_steps.steps] if done.next_steps else [],
         "ladder": [
             {
-                "model": rung.state.model.name,
+                "model": rung.name,
                 "anchored": sorted(rung.state.anchors, key=order.index),
                 "rms": rung.state.rms / unit,
                 "held_out_rms": None if rung.held_out is None else rung.held_out / unit,
@@ -313,7 +314,7 @@ def residual_dataset(done: Diagnosis, parts: dict[str, Any]) -> xr.Dataset:
         "step": ("frame", measurement["step"].values),
         "time": ("frame", measurement["time"].values),
     }
-    attrs = {"model_first": first.model.name, "model": last.model.name}
+    attrs = {"model_first": done.rungs[0].name, "model": done.rungs[-1].name}
     return xr.Dataset(content, coords, attrs)
 
 

@@ -20,7 +20,7 @@ from bcid.report.ladder import head, ladder_figure
 from bcid.report.lengths import in_mm, round_length
 from bcid.report.measured_points import completed
 from bcid.report.paraview import write_paraview
-from bcid.report.scene3d import COLOURS, MAP, Image, arrows_picture, holds, map_picture
+from bcid.report.scene3d import COLOURS, MAP, Image, arrows_picture, kinds, map_picture
 from bcid.report.text import conclusion, model_name
 
 if TYPE_CHECKING:
@@ -262,5 +262,5 @@ def _legend(figure: Figure, arrow: str, grasp: str, body: xr.Dataset) -> None:
 
     arrows = [Line2D([], [], color=COLOURS.predicted, linewidth=3, label=arrow)] if arrow else []
     narrow = figure.get_figwidth() < 10
-    handles = [*arrows, *body_entries(grasp, holds(body))]
+    handles = [*arrows, *body_entries(grasp, kinds(body))]
     figure.legend(handles=handles, loc="lower center", frameon=False, fontsize=11, ncols=2 if narrow else 4)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -115,16 +115,14 @@ def cropped(images: list[Image]) -> list[Image]:
     return [image[top : rows[-1] + _MARGIN, left : columns[-1] + _MARGIN] for image in images]
 
 
-def body_entries(grasp: str, held: bool = False) -> list[Patch]:
-    """Legend entries of the patches, of the grasp if one is named, and of what is known to be `held`."""
+def body_entries(grasp: str, kinds: Collection[str]) -> list[Patch]:
+    """Legend entries of what a body has of patches and what is known to be held (`kinds`), and of the grasp if one is named."""
     from matplotlib.patches import Patch
 
-    return [
-        Patch(color=COLOURS.anchored, label="anchored patch"),
-        Patch(color=COLOURS.free, label="free candidate patch"),
-        *([Patch(color=COLOURS.grasp, label=f"grasp {grasp}")] if grasp else []),
-        *([Patch(color=COLOURS.held, label="known to be held")] if held else []),
-    ]
+    patches = [(COLOURS.anchored, "anchored patch"), (COLOURS.free, "free candidate patch")] if "patch" in kinds else []
+    held = [(COLOURS.held, "known to be held")] if "held" in kinds else []
+    gripped = [(COLOURS.grasp, f"grasp {grasp}")] if grasp else []
+    return [Patch(color=colour, label=text) for colour, text in (*patches, *gripped, *held)]
 
 
 def open_frame(axes: Axes) -> None:

@@ -13,7 +13,7 @@ from bcid.base.units import percent, unit_factor
 from bcid.report.figure import body_entries, chart, cropped, name_ticks, open_frame, save, styled
 from bcid.report.lengths import in_mm
 from bcid.report.paraview import write_paraview
-from bcid.report.scene3d import COLOURS, holds, picture
+from bcid.report.scene3d import COLOURS, kinds, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -62,7 +62,7 @@ def _body(axes: Axes, found: dict[str, Any], body: xr.Dataset, prediction: xr.Da
     image = picture(body, prediction, found["anchored"], frame, (1800, 1500))
     axes.imshow(cropped([image])[0])
     axes.set_axis_off()
-    _legend(axes, prediction, frame, holds(body))
+    _legend(axes, prediction, frame, kinds(body))
 
 
 def probability_chart(found: dict[str, Any]) -> Figure:
@@ -90,11 +90,11 @@ def _title(figure: Figure, found: dict[str, Any], body: xr.Dataset) -> None:
     figure.text(0.02, 0.905, text, fontsize=12.5, color="#444444")
 
 
-def _legend(axes: Axes, prediction: xr.Dataset, frame: int, held: bool) -> None:
+def _legend(axes: Axes, prediction: xr.Dataset, frame: int, places: set[str]) -> None:
     from matplotlib.lines import Line2D
 
     entries = [
-        *body_entries(str(prediction["grasp"].values[frame]), held),
+        *body_entries(str(prediction["grasp"].values[frame]), places),
         Line2D([], [], color=COLOURS.measured, marker="o", linestyle="", markersize=5, label="measured positions"),
         Line2D([], [], color=COLOURS.predicted, linewidth=3, label="predicted paths"),
         Line2D([], [], color=COLOURS.outline, linewidth=1.5, label="rest shape"),

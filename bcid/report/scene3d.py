@@ -275,9 +275,9 @@ def _add_body(
     return labels
 
 
-def holds(body: xr.Dataset) -> bool:
-    """Whether a part of the boundary is known to be held."""
-    return any(str(name).startswith("held ") for name in body["place_name"].values)
+def kinds(body: xr.Dataset) -> set[str]:
+    """Of the places that a body has: "patch", "grasp", and "held" where one is known to be."""
+    return {str(name).partition(" ")[0] for name in body["place_name"].values if name}
 
 
 def _place_colours(body: xr.Dataset, anchored: list[str], grasp: str) -> list[str | None]:

@@ -10,7 +10,8 @@ from bcid.base.units import for_people, limited, uncertain
 
 def plain(name: str) -> str:
     """A name of a law or an effect as it is read: "neo-Hookean", "soft anchor (3)"."""
-    return {"neo_hooke": "neo-Hookean"}.get(name, name.replace("_", " ").replace("(", " ("))
+    law, bracket, rest = name.partition(" (")
+    return {"neo_hooke": "neo-Hookean"}.get(law, law.replace("_", " ").replace("(", " (")) + bracket + rest
 
 
 def model_name(model: str) -> str:
@@ -41,7 +42,10 @@ def conclusion(found: dict[str, Any]) -> str:
     if found["verdict"] == "unknown":
         return "none of the known effects explains it" if found["ranking"] else "the model is not adequate"
     if found["verdict"] == "none":
-        return "nothing is seen to be missing" if found["adequate"] is None else "the plain model is adequate"
+        if found["adequate"] is None:
+            return "nothing is seen to be missing"
+        fitted = list(found.get("law") or {})
+        return f"adequate with {listed(fitted)} fitted" if fitted else "the plain model is adequate"
     effects = " and ".join(plain(name) for name in found["verdict"].split("+"))
     return f"adequate with {effects}" if found["adequate"] else f"missing: {effects}"
 

@@ -13,7 +13,7 @@ from bcid.base.run_folder import RunFolder
 from bcid.report.diagnosis_picture import draw, residual_figure, round_scale, where_figure, worst_frame
 from bcid.report.labels import Viewpoint, beside_arrows
 from bcid.report.ladder import ladder_figure
-from bcid.report.text import conclusion, falling
+from bcid.report.text import conclusion, falling, model_name
 
 
 def rung(model: str, rms: float, adequate: bool) -> dict[str, Any]:
@@ -215,6 +215,10 @@ def test_titles() -> None:
     assert conclusion(diagnosis(verdict="gravity+time_lag", adequate=False)) == "missing: gravity and time lag"
     assert conclusion(diagnosis(verdict="unknown", adequate=False, ranking=[])) == "the model is not adequate"
     assert conclusion(diagnosis(verdict="none")) == "the plain model is adequate"
+    free = {"young": {}, "poisson": {}}
+    assert conclusion(diagnosis(verdict="none", law=free)) == "adequate with young and poisson fitted"
+    assert model_name("neo_hooke + gravity (young fitted)") == "neo-Hookean + gravity (young fitted)"
+    assert model_name("soft_anchor(3)") == "soft anchor (3)"
 
 
 def test_one_action_has_nothing_held_out() -> None:

@@ -18,7 +18,8 @@ from bcid.forms.model import Model, check_physics
 from bcid.predict.predictor import Predictor
 from bcid.scene import Material
 
-PLATES = Path(__file__).resolve().parents[1] / "data" / "plates"
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+SCENE = EXAMPLES / "scenes" / "plate.toml"
 FREE = ("c10", "c01", "poisson")
 
 
@@ -29,15 +30,15 @@ def constants(bulk: float, c10: float, c01: float) -> dict[str, float]:
 
 
 TRUE = {
-    "neo_hooke": constants(40, 10, 0),
-    "mooney_rivlin": constants(40, 10, 40),
-    "blatz_ko": constants(10, 0, 50),
+    "neo-hooke": constants(40, 10, 0),
+    "mooney-rivlin": constants(40, 10, 40),
+    "blatz-ko": constants(10, 0, 50),
 }
 
 
 def fitted(scene: Scene, name: str) -> Fit:
     """All constants of the law, with the default uncertainties of everything else."""
-    predictor = Predictor(scene, Measurement.read(PLATES / name), MPI.COMM_SELF)
+    predictor = Predictor(scene, Measurement.read(EXAMPLES / "measurements" / f"plate-{name}"), MPI.COMM_SELF)
     found = fit(State.of(predictor, Model.of(scene), frozenset()), FREE)
     found = fit(found.state.with_own_errors(anew=True), FREE, like=found)
     predictor.destroy()
@@ -50,8 +51,8 @@ def shear(values: Mapping[str, float]) -> float:
 
 @pytest.mark.parametrize("name", list(TRUE))
 def test_constants_are_those_that_the_plate_was_made_with(name: str) -> None:
-    scene = Scene.read(PLATES / "scene.toml", physics=check_physics)
-    measured = Measurement.read(PLATES / name)
+    scene = Scene.read(SCENE, physics=check_physics)
+    measured = Measurement.read(EXAMPLES / "measurements" / f"plate-{name}")
     assert np.isnan(measured.positions[..., 2]).all()
     assert np.isfinite(measured.wrenches).all(axis=0).tolist() == [True, True, False, False, False, False]
     found = fitted(scene, name)
@@ -64,15 +65,15 @@ def test_constants_are_those_that_the_plate_was_made_with(name: str) -> None:
 
 
 def test_another_volumetric_energy_explains_no_plate() -> None:
-    scene = Scene.read(PLATES / "scene.toml", physics=check_physics)
+    scene = Scene.read(SCENE, physics=check_physics)
     assert (scene.material.volumetric, Model.of(scene).volumetric) == ("quadratic", "quadratic")
     other = replace(scene, material=replace(scene.material, volumetric=""))
     assert other.fingerprint() != scene.fingerprint()
-    assert not judge(fitted(other, "mooney_rivlin").state).adequate
+    assert not judge(fitted(other, "mooney-rivlin").state).adequate
 
 
 def test_a_form_that_a_law_does_not_have_is_refused() -> None:
-    scene = Scene.read(PLATES / "scene.toml")
+    scene = Scene.read(SCENE)
 
     def said(material: Material) -> list[str]:
         return check_physics(replace(scene, material=material))
