@@ -27,6 +27,7 @@ from bcid.inference.outcome import label
 from bcid.inference.stiffness import Stiffness
 from bcid.measurement import AXES, WRENCH, Measurement
 from bcid.measurement.pooling import pooled
+from bcid.measurement.thinning import LeftOut, thinned
 from bcid.predict.levels import pair
 from bcid.predict.store import CHECKPOINT, PredictionStore
 from bcid.scene import Scene
@@ -126,14 +127,16 @@ def read_inputs(scene_file: Path, measurement_file: Path, comm: Comm) -> tuple[S
 
 
 def fitting(scene: Scene, measurement: Measurement, comm: Comm) -> tuple[Scene, Measurement]:
-    """Both as they are compared: checked against each other, dense points pooled, divided patches as their pieces; collective.
+    """Both as they are compared: checked against each other, dense points pooled, long actions thinned, divided patches as their
+    pieces; collective.
 
     Raises:
         InputError: they do not belong together; see also `bcid.forms.mesh.patches.divided`.
     """
     measurement.check_names(scene)
     scene, measurement = pooled(scene, measurement)
-    return divided(scene, comm), replace(measurement, remarks=tuple(measurement.check(scene)))
+    checked = replace(measurement, remarks=tuple(measurement.check(scene)))
+    return divided(scene, comm), thinned(checked)
 
 
 def fingerprints(scene: Scene, measurement: Measurement) -> dict[str, Any]:
@@ -146,7 +149,10 @@ def documents(measurement: Measurement, done: Refinement, mesh: BodyMesh) -> dic
     length = unit_factor(measurement.units.length, "m")
     scene, found = done.scene, done.found
     result = done.to_json(length) | {"length_unit": measurement.units.length, "remarks": list(measurement.remarks)}
-    lines = [summary(scene, measurement, found, done.log), *inputs_in_words(scene, measurement, mesh)]
+    left_out = LeftOut.of(scene, measurement.without(found.astray), found.prediction.positions)
+    result["left_out"] = left_out.to_json(length) if left_out else None
+    tested = [f"{left_out}."] if left_out else []
+    lines = [summary(scene, measurement, found, done.log), *tested, *inputs_in_words(scene, measurement, mesh)]
     return {
         "identification.json": result,
         "prediction.nc": prediction_dataset(scene, measurement, found),

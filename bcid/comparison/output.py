@@ -31,6 +31,7 @@ from bcid.inference.data import Data
 from bcid.inference.hypotheses import patches
 from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import AXES, WRENCH
+from bcid.measurement.thinning import LeftOut
 from bcid.predict.predictor import Predictor
 
 MODEL_FORMAT = "bcid-model/1"
@@ -68,7 +69,12 @@ def documents(source: Source, done: Diagnosis, content: dict[str, Any]) -> dict[
     found["body.nc"] = body_parts(source.scene, content["mesh"], content["displacement"], content["energy"])
     if done.where is not None:
         found["where.json"] = where_json(done.where, unit) | {"length_unit": name}
-    lines = [*summary(done, shares, remarks), "", *inputs_in_words(source.scene, source.measurement, content["mesh"])]
+    last = done.rungs[-1].state
+    left_out = LeftOut.of(last.predictor.whole, last.predictor.measurement, last.predicted)
+    diagnosis["left_out"] = left_out.to_json(unit) if left_out else None
+    tested = [f"{left_out}."] if left_out else []
+    inputs = inputs_in_words(source.scene, source.measurement, content["mesh"])
+    lines = [*summary(done, shares, remarks), "", *tested, *inputs]
     return found | {"summary.txt": "\n".join(lines) + "\n"}
 
 

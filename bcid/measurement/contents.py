@@ -70,6 +70,7 @@ class Contents:
         frame_error: what is not known of the frame of the positions; None when nothing is stated.
         remarks: what looks odd, to be said before any result.
         cloud: points on the surface; None where there are none.
+        left_out: frames that are not compared, as `data`; None where all are.
         aligned: RMS distance, m, by which the rigid motion of a mapping's [align] misses its markers; None without one.
     """
 
@@ -83,6 +84,7 @@ class Contents:
     remarks: tuple[str, ...] = ()
     aligned: float | None = None
     torque_sigma: float | None = None
+    left_out: xr.Dataset | None = None
     cloud: Cloud | None = None
 
     @property
