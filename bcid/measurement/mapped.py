@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from bcid.base.errors import InputError
+from bcid.base.units import percent
 from bcid.measurement.alignment import align
 from bcid.measurement.contents import AXES, SIGMAS, WRENCH, Contents, sigma_units, with_sigmas
 from bcid.measurement.dataset import frames_dataset
 from bcid.measurement.mapped_points import read_points_of
 from bcid.measurement.mapped_table import read_table
 from bcid.measurement.mapping import Mapping, read_mapping
+from bcid.measurement.slips import rigid_motion
 from bcid.measurement.tracks import Tracks, select
 
 Array = NDArray[np.float64]
@@ -24,6 +26,8 @@ Array = NDArray[np.float64]
 _FAR = 1e100
 # Cosine of the angle by which what was not measured may be off an axis of the body frame: 2.6 degrees.
 _STRAIGHT = 0.999
+# Markers that tell a rigid motion, and by which part of their span (RMS) they may miss it.
+_RIGID, _GIVES = 3, 0.1
 
 
 def read_mapped(path: Path) -> Contents:
@@ -40,6 +44,8 @@ def read_mapped(path: Path) -> Contents:
     turn, shift = _to_body_frame(recording, mapping)
     if recording.pose is not None:
         _relative(recording, recording.pose, mapping, turn, shift)
+    if mapping.table.get("gripper"):
+        _follow(recording, mapping)
     return _contents(recording, mapping)
 
 
@@ -118,6 +124,43 @@ def _relative(recording: Tracks, pose: Array, mapping: Mapping, turn: Array, shi
     first = rest == np.arange(len(rest))
     recording.translation[first], rotation[first] = 0.0, (1.0, 0.0, 0.0, 0.0)
     recording.rotation = rotation
+
+
+def _follow(recording: Tracks, mapping: Mapping) -> None:
+    """Translation and rotation of the gripper from the rigid motion of the markers on it, about the centre of the grasp.
+
+    Between rest and each frame by least squares (Arun, Huang & Blostein, IEEE Trans. Pattern Anal. Mach. Intell. 9, 1987, 698).
+    """
+    names = list(mapping.table["gripper"])
+    seen = np.stack([recording.positions[name] for name in names], axis=1)
+    lost: NDArray[np.bool_] = np.asarray(~np.isfinite(seen).all(axis=2))
+    if ((~lost).sum(axis=1) < _RIGID).any():
+        frame = int(np.flatnonzero((~lost).sum(axis=1) < _RIGID)[0])
+        raise InputError(
+            f"{mapping.file}: gripper: fewer than {_RIGID} of its markers are seen, with all three coordinates, in step "
+            f"{recording.steps[frame]} of action {recording.actions[frame]}; choose other frames by [frames]"
+        )
+    centre, misses = np.array(mapping.table["grasp_centre"], dtype=float), []
+    start = {action: i for i, action in reversed(list(enumerate(recording.actions)))}
+    recording.translation, turns = np.zeros((len(seen), 3)), []
+    for i, action in enumerate(recording.actions):
+        both = np.flatnonzero(~(lost[i] | lost[start[action]]))
+        here, there = seen[start[action]][both], seen[i][both]
+        span = float(np.linalg.norm(np.ptp(here, axis=0))) if len(both) else 0.0
+        if len(both) < _RIGID or np.linalg.svd(here - here.mean(axis=0), compute_uv=False)[1] < 1e-6 * span:
+            raise InputError(
+                f"{mapping.file}: gripper: its markers stand on one line in action {action}; choose others"
+            )
+        turn, shift = rigid_motion(here, there) if i > start[action] else (np.eye(3), np.zeros(3))
+        recording.translation[i] = turn @ centre + shift - centre
+        turns.append(turn)
+        misses.append(float(np.sqrt(np.mean(np.sum((here @ turn.T + shift - there) ** 2, axis=1)))) / span)
+    if max(misses) > _GIVES:
+        raise InputError(
+            f"{mapping.file}: gripper: its markers do not move as one rigid body: they are off by {percent(max(misses))} of "
+            f"their span in step {recording.steps[int(np.argmax(misses))]}; are all of them on the gripper?"
+        )
+    recording.rotation = Rotation.from_matrix(np.array(turns)).as_quat(scalar_first=True)
 
 
 def _contents(recording: Tracks, mapping: Mapping) -> Contents:

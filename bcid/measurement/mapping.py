@@ -25,6 +25,7 @@ _KEYS = ("format", "file", *_UNITS, "noise_sigma", "description", "delimiter", "
 _KEYS += (
     "fiducials",
     "reference",
+    "gripper",
     "align",
     "decimal",
     "rate",
@@ -85,7 +86,7 @@ def read_mapping(path: Path) -> Mapping:
     problems.add_unknown(path, table, _KEYS)
     tables = {
         key: _table(path, table, key, problems)
-        for key in ("columns", "fiducials", "reference", "align", "frames", "points", "arrays")
+        for key in ("columns", "fiducials", "reference", "gripper", "align", "frames", "points", "arrays")
     }
     allowed_keys = {"columns": (*COLUMNS, *_DIC_COLUMNS), "frames": _FRAMES, "points": POINTS, "arrays": ARRAYS}
     for key, allowed in allowed_keys.items():
@@ -111,7 +112,7 @@ def read_mapping(path: Path) -> Mapping:
     problems.raise_if_any()
     units = Units(*(str(table[key]) for key in _UNITS))
     align = {name: np.array(place, dtype=float) for name, place in tables["align"].items()}
-    markers = tables["fiducials"] | tables["reference"]
+    markers = tables["fiducials"] | tables["reference"] | tables["gripper"]
     if labelled:
         markers = {name: str(label) for name, label in markers.items()}
     names = list(tables["fiducials"])
@@ -180,7 +181,7 @@ def _check_sigma(path: Path, key: str, stated: object, unit: float, problems: Pr
 
 
 def _check_gripper(path: Path, table: dict[str, Any], length: float, problems: Problems) -> None:
-    """What concerns absolute poses of the gripper."""
+    """What concerns absolute poses of the gripper, and markers on it."""
     columns = table.get("columns", {})
     centre, given = table.get("grasp_centre"), isinstance(columns, dict) and "pose" in columns
     if centre is not None and not _three_numbers(centre, length):
@@ -189,8 +190,17 @@ def _check_gripper(path: Path, table: dict[str, Any], length: float, problems: P
         )
     if given and ("translation" in columns or "rotation" in columns):
         problems.add(path, "columns.pose: is the whole pose; leave columns.translation and columns.rotation out")
-    if given and "grasp" not in table and "grasp" not in columns:
-        problems.add(path, 'columns.pose: whose is it? Name the grasp of the scene, as grasp = "II"')
+    marked = table.get("gripper")
+    for what, there in (("columns.pose", given), ("gripper", bool(marked))):
+        if there and "grasp" not in table and "grasp" not in columns:
+            problems.add(path, f'{what}: whose is it? Name the grasp of the scene, as grasp = "II"')
+    if isinstance(marked, dict) and marked:
+        if {"translation", "rotation", "pose"} & set(columns):
+            problems.add(path, "gripper: its markers tell its motion; leave columns.translation, rotation and pose out")
+        if len(marked) < 3:
+            problems.add(path, "gripper: name at least three markers on it, not on a line")
+        if centre is None:
+            problems.add(path, "grasp_centre: is missing; write where the gripper holds at rest, as the scene has it")
 
 
 def _table(path: Path, table: dict[str, Any], key: str, problems: Problems) -> dict[str, Any]:
@@ -217,7 +227,7 @@ def _check_markers(
     long = "fiducial" in tables["columns"]
     if not tables["fiducials"] and not long and not labelled:
         problems.add(path, "fiducials: name at least one, or give columns.fiducial and columns.position")
-    for name, columns in (tables["fiducials"] | tables["reference"]).items():
+    for name, columns in (tables["fiducials"] | tables["reference"] | tables["gripper"]).items():
         if labelled or long:
             if not isinstance(columns, str) and not (labelled and type(columns) is int):
                 problems.add(path, f"fiducials.{name}: expected the label of a marker, found {columns!r}")

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from bcid import Measurement
 from bcid.base.errors import InputError
@@ -229,3 +230,62 @@ def test_an_image_is_aligned_in_its_plane(tmp_path: Path) -> None:
         mapping = mapping.replace(f"{name} = {list(place)}", f"{name} = {tilted[name]}")
     with pytest.raises(InputError, match="turn the scene so that two of its axes lie in the image"):
         Measurement.read(write(tmp_path, mapping, table, "cam.csv"))
+
+
+GRIPPER = (
+    HEAD
+    + 'file = "jaw.csv"\ngrasp = "II"\ngrasp_centre = [90, 5, 50]\n[fiducials]\na = ["ax", "ay", "az"]\n[gripper]\n'
+    + "".join(f'{n} = ["{n}x", "{n}y", "{n}z"]\n' for n in ("g1", "g2", "g3", "g4"))
+)
+ON_JAW = np.array([[95.0, 15.0, 45.0], [95.0, 15.0, 55.0], [105.0, 15.0, 50.0], [100.0, 25.0, 50.0]])
+
+
+def jaw(rotations: np.ndarray, translations: np.ndarray, noise: float = 0.0, lost: tuple[int, ...] = ()) -> str:
+    """A table of a marker on the body and of markers on a jaw that moves about (90, 5, 50) mm."""
+    rng, centre = np.random.default_rng(2), np.array([90.0, 5.0, 50.0])
+    lines = ["ax,ay,az," + ",".join(f"g{k}{x}" for k in range(1, 5) for x in "xyz")]
+    for turn, shift in zip(rotations, translations, strict=True):
+        seen = (ON_JAW - centre) @ from_vector_matrix(turn).T + centre + shift + rng.normal(0, noise, (4, 3))
+        cells = [f"{v:.12f}" for v in seen.ravel()]
+        lines.append(
+            ",".join(["10", "10", "10", *("" if i // 3 in lost and len(lines) > 1 else c for i, c in enumerate(cells))])
+        )
+    return "\n".join(lines) + "\n"
+
+
+def from_vector_matrix(degrees: np.ndarray) -> np.ndarray:
+    return np.asarray(Rotation.from_rotvec(degrees, degrees=True).as_matrix())
+
+
+def test_markers_on_the_gripper_tell_its_motion(tmp_path: Path) -> None:
+    turns = np.linspace(0, 1, 5)[:, None] * np.array([4.0, -10.0, 7.0])
+    shifts = np.linspace(0, 1, 5)[:, None] * np.array([8.0, 3.0, -2.0])
+    seen = Measurement.read(write(tmp_path, GRIPPER, jaw(turns, shifts), "jaw.csv"))
+    assert seen.fiducial_names == ["a"]
+    (action,) = seen.actions
+    assert action.grasp == "II"
+    np.testing.assert_allclose(action.translation, shifts * 1e-3, atol=1e-12)
+    expected = Rotation.from_rotvec(turns, degrees=True).as_quat(scalar_first=True)
+    np.testing.assert_allclose(action.rotation, expected, atol=1e-12)
+    # One marker may be hidden, and noise is averaged.
+    hidden = Measurement.read(write(tmp_path, GRIPPER, jaw(turns, shifts, 0.02, (3,)), "jaw.csv")).actions[0]
+    np.testing.assert_allclose(hidden.translation, shifts * 1e-3, atol=1e-4)
+
+
+def test_what_is_no_gripper_is_refused(tmp_path: Path) -> None:
+    still = np.zeros((4, 3))
+    moving = still + np.linspace(0, 5, 4)[:, None]
+    for mapping, table, said in (
+        (GRIPPER, jaw(still, moving, 3.0), "its markers do not move as one rigid body: they are off by"),
+        (GRIPPER, jaw(still, moving, lost=(1, 2)), r"fewer than 3 of its markers are seen, .* in step 1 of action 1"),
+        (GRIPPER.replace('grasp = "II"\n', ""), jaw(still, moving), "gripper: whose is it"),
+        (GRIPPER.replace("grasp_centre = [90, 5, 50]\n", ""), jaw(still, moving), "grasp_centre: is missing"),
+        (GRIPPER.split("g3 =")[0], jaw(still, moving), "name at least three markers"),
+        (
+            GRIPPER.replace("[fid", '[columns]\ntranslation = ["ax", "ay", "az"]\n[fid'),
+            jaw(still, moving),
+            "leave columns",
+        ),
+    ):
+        with pytest.raises(InputError, match=said):
+            Measurement.read(write(tmp_path, mapping, table, "jaw.csv"))
