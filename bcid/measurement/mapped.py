@@ -14,6 +14,7 @@ from bcid.base.units import percent
 from bcid.measurement.alignment import align
 from bcid.measurement.contents import AXES, SIGMAS, WRENCH, Contents, sigma_units, with_sigmas
 from bcid.measurement.dataset import frames_dataset
+from bcid.measurement.force_recording import ForceRecording
 from bcid.measurement.mapped_points import read_points_of
 from bcid.measurement.mapped_table import read_table
 from bcid.measurement.mapping import Mapping, read_mapping
@@ -46,6 +47,9 @@ def read_mapped(path: Path) -> Contents:
         _relative(recording, recording.pose, mapping, turn, shift)
     if mapping.table.get("gripper"):
         _follow(recording, mapping)
+    if mapping.table.get("force"):
+        words = str(mapping.table.get("delimiter", ",")), str(mapping.table.get("decimal", "."))
+        recording.wrench = ForceRecording.read(mapping.path.parent, mapping.table["force"], *words).at(recording)
     return _contents(recording, mapping)
 
 

@@ -16,6 +16,7 @@ from bcid.base.errors import InputError, Problems
 from bcid.base.text_file import read_toml
 from bcid.base.units import FURTHEST, LEAST_SIGMA, measurable, unit_factor, usable
 from bcid.measurement.contents import SIGMAS, Units, sigma_units
+from bcid.measurement.force_recording import check_force
 from bcid.measurement.formats.recognise import DIC, TABLE, Format, files, recognise
 from bcid.measurement.labelled_keys import ARRAYS, POINTS, check_points
 
@@ -26,6 +27,7 @@ _KEYS += (
     "fiducials",
     "reference",
     "gripper",
+    "force",
     "align",
     "decimal",
     "rate",
@@ -86,7 +88,7 @@ def read_mapping(path: Path) -> Mapping:
     problems.add_unknown(path, table, _KEYS)
     tables = {
         key: _table(path, table, key, problems)
-        for key in ("columns", "fiducials", "reference", "gripper", "align", "frames", "points", "arrays")
+        for key in ("columns", "fiducials", "reference", "gripper", "force", "align", "frames", "points", "arrays")
     }
     allowed_keys = {"columns": (*COLUMNS, *_DIC_COLUMNS), "frames": _FRAMES, "points": POINTS, "arrays": ARRAYS}
     for key, allowed in allowed_keys.items():
@@ -108,6 +110,9 @@ def read_mapping(path: Path) -> Mapping:
         check_points(path, found, tables, problems)
     _check_markers(path, tables, factors["length_unit"], labelled, problems)
     _check_gripper(path, table, factors["length_unit"], problems)
+    if tables["force"]:
+        clocked = labelled or "time" in tables["columns"] or "rate" in table
+        check_force(path, tables["force"], tables["columns"], clocked, problems)
     frames = _frames(path, tables["frames"], problems)
     problems.raise_if_any()
     units = Units(*(str(table[key]) for key in _UNITS))

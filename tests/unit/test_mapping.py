@@ -289,3 +289,59 @@ def test_what_is_no_gripper_is_refused(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=said):
             Measurement.read(write(tmp_path, mapping, table, "jaw.csv"))
+
+
+PULLED = (
+    HEAD.replace('"ms"', '"s"')
+    + 'file = "cam.csv"\ngrasp = "II"\n[columns]\ntime = "t"\ntranslation = ["gx", "gy", "gz"]\n[fiducials]\n'
+    + 'a = ["ax", "ay", "az"]\n[force]\nfile = "machine.csv"\nwrench = ["", "F", "", "", "", ""]\n'
+)
+
+
+def machine(folder: Path, mapping: str, way: np.ndarray, late: float) -> Measurement:
+    """A gripper that goes `way` (mm) along y, seen at 0, 1, ... s; the machine's clock is `late`, its force 2 way + way^2 / 10."""
+    times = np.arange(len(way), dtype=float)
+    rows = [f"{t},{10 + w / 2},10,10,0,{w},0" for t, w in zip(times, way, strict=True)]
+    (folder / "cam.csv").write_text("t,ax,ay,az,gx,gy,gz\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    clock = np.linspace(0, times[-1], 400)
+    gone = np.interp(clock, times, way)
+    lines = [f"{t + late:.9f},{5 + w:.9f},{2 * w + w**2 / 10:.9f}" for t, w in zip(clock, gone, strict=True)]
+    (folder / "machine.csv").write_text("s,x,F\n" + "\n".join(lines) + "\n", encoding="utf-8")
+    path = folder / "mapping.toml"
+    path.write_text(mapping, encoding="utf-8")
+    return Measurement.read(path)
+
+
+@pytest.mark.parametrize("keys", ['way = "x"', 'time = "s"\noffset = 37.25', 'time = "s"\nway = "x"'])
+def test_forces_of_another_clock_come_to_their_frames(tmp_path: Path, keys: str) -> None:
+    way = np.concatenate([[0.0], np.cumsum([1.0, 0.5, 2.0, 0.2, 1.0, 3.0, 0.7])])
+    seen = machine(tmp_path, PULLED + keys, way, 37.25)
+    np.testing.assert_allclose(seen.wrenches[:, 1], 2 * way + way**2 / 10, atol=2e-2)
+    assert np.isnan(seen.wrenches[:, [0, 2, 3, 4, 5]]).all()
+
+
+def test_a_gripper_that_goes_back_needs_both_clocks(tmp_path: Path) -> None:
+    way = np.array([0.0, 1.0, 2.5, 4.0, 3.0, 1.5, 2.0, 5.0, 1.0, 0.0])
+    seen = machine(tmp_path, PULLED + 'time = "s"\nway = "x"', way, -2.5)
+    np.testing.assert_allclose(seen.wrenches[:, 1], 2 * way + way**2 / 10, atol=0.2)
+    with pytest.raises(InputError, match="the gripper goes back, and comes twice to a place: give"):
+        machine(tmp_path, PULLED + 'way = "x"', way, -2.5)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('way = "x"', 'way = "y"', r"machine\.csv:1: has no column 'y'"),
+        ('way = "x"', "", "force: name its column of time, or of the way of the gripper"),
+        ('way = "x"', 'way = "x"\nshift = 1', r"force\.shift: unknown key"),
+        ('"", "F", "", "", "", ""', '"F"', "force.wrench: expected six columns"),
+        ('time = "t"\n', "", "force.time: the frames of the images have no times"),
+        ("machine.csv", "machines.csv", "machines.csv"),
+        ('translation = ["gx", "gy", "gz"]\n', "", "the gripper's motion is not known"),
+    ],
+)
+def test_what_is_wrong_with_forces_of_a_file_is_said(tmp_path: Path, old: str, new: str, said: str) -> None:
+    mapping = PULLED + 'time = "s"\nway = "x"' if old.startswith("time") else PULLED + 'way = "x"'
+    assert old in mapping
+    with pytest.raises(InputError, match=said):
+        machine(tmp_path, mapping.replace(old, new), np.arange(5.0), 1.0)

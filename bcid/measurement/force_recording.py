@@ -1,0 +1,206 @@
+"""Forces of a file of their own, with another clock than the images: brought to their frames by time, or by the gripper's way."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from bcid.base.errors import InputError, Problems, nearest
+from bcid.base.text_file import read_lines
+from bcid.measurement.contents import WRENCH
+
+if TYPE_CHECKING:
+    from bcid.measurement.tracks import Tracks
+
+Array = NDArray[np.float64]
+KEYS = ("file", "wrench", "time", "way", "offset")
+# A gripper goes back where its way falls by more than this part of the furthest; clocks agree where ways differ by less (RMS).
+_BACK, _AGREES = 0.05, 0.1
+# Offsets that are tried, over both durations, before the best is refined; and the part of the frames that must be in the record.
+_OFFSETS, _OVERLAP = 2001, 0.5
+
+
+@dataclass(frozen=True)
+class ForceRecording:
+    """What a file of forces holds, in the units of the mapping.
+
+    Attributes:
+        path: the file.
+        wrench: force and torque, shape (samples, 6), NaN where there is no column.
+        time: by its own clock, shape (samples,), or None.
+        way: how far the gripper is from rest, shape (samples,), or None.
+        offset: what has to be added to the time of the images for that of the forces; None where the ways tell.
+    """
+
+    path: Path
+    wrench: Array
+    time: Array | None
+    way: Array | None
+    offset: float | None
+
+    @classmethod
+    def read(cls, folder: Path, told: Mapping[str, Any], delimiter: str, decimal: str) -> ForceRecording:
+        """The file that [force] of a mapping names.
+
+        Args:
+            folder: of the mapping.
+            told: the table [force], checked.
+            delimiter: between the columns of the file.
+            decimal: "." or ",", of its numbers.
+
+        Raises:
+            InputError: with every problem of the file.
+        """
+        path = folder / str(told["file"])
+        columns = [*told["wrench"], *(told[key] for key in ("time", "way") if key in told)]
+        values = _columns(path, columns, delimiter, decimal)
+        wrench = np.stack(
+            [values[name] if name else np.full(_length(values), np.nan) for name in told["wrench"]], axis=1
+        )
+        time, way = (values.get(str(told.get(key, ""))) for key in ("time", "way"))
+        offset = told.get("offset", None if way is not None else 0.0)
+        if time is not None and (np.diff(time) < 0).any():
+            raise InputError(
+                f"{path}: {told['time']}: the times go back in row {int(np.argmax(np.diff(time) < 0)) + 2}"
+            )
+        return cls(path, wrench, time, way, None if offset is None else float(offset))
+
+    def at(self, recording: Tracks) -> Array:
+        """Force and torque in the frames of a recording, shape (frames, 6); NaN in frames that the file does not reach.
+
+        Raises:
+            InputError: the way of the gripper does not tell which sample belongs to a frame.
+        """
+        if self.time is None:
+            return self._between(self._rising(self._way_of(recording)), np.maximum.accumulate(self._own_way))
+        times = np.array(recording.times, dtype=float)
+        offset = self._offset(times, self._way_of(recording)) if self.offset is None else self.offset
+        return self._between(times + offset, self.time)
+
+    @property
+    def _own_way(self) -> Array:
+        assert self.way is not None
+        return np.abs(self.way - self.way[0])
+
+    def _between(self, wanted: Array, known: Array) -> Array:
+        found = [np.interp(wanted, known, column, left=np.nan, right=np.nan) for column in self.wrench.T]
+        return np.stack(found, axis=1)
+
+    def _way_of(self, recording: Tracks) -> Array:
+        """How far the gripper is from rest in each frame."""
+        if recording.translation is None:
+            raise InputError(
+                f"{self.path}: force.way: the gripper's motion is not known; give columns.translation or [gripper]"
+            )
+        return np.linalg.norm(recording.translation, axis=1)
+
+    def _rising(self, way: Array) -> Array:
+        """The way of the gripper, of one action that does not go back."""
+        most = max(float(way.max()), 1e-300)
+        if (np.maximum.accumulate(way) - way).max() > _BACK * most:
+            raise InputError(
+                f"{self.path}: force.way: the gripper goes back, and comes twice to a place: give force.time too"
+            )
+        return way
+
+    def _offset(self, times: Array, way: Array) -> float:
+        """What makes both ways agree best, at least half of the frames being in the record."""
+        assert self.time is not None
+        own, clock = self._own_way, self.time
+
+        def misses(offset: float) -> float:
+            apart = np.interp(times + offset, clock, own, left=np.nan, right=np.nan) - way
+            seen = np.isfinite(apart)
+            return float(np.sqrt(np.mean(apart[seen] ** 2))) if seen.mean() >= _OVERLAP else math.inf
+
+        tried = np.linspace(clock[0] - times[-1], clock[-1] - times[0], _OFFSETS)
+        costs = np.array([misses(float(one)) for one in tried])
+        best = float(tried[int(costs.argmin())])
+        step = float(tried[1] - tried[0])
+        found = minimize_scalar(
+            misses, bounds=(best - step, best + step), method="bounded", options={"xatol": 1e-4 * step}
+        )
+        offset = float(found.x) if found.fun <= costs.min() else best
+        if misses(offset) > _AGREES * max(float(way.max()), 1e-300):
+            raise InputError(
+                f"{self.path}: force.way: at no offset of the clocks does the gripper go there as it does in {len(times)} frames; "
+                "check length_unit and time_unit, or give force.offset"
+            )
+        return offset
+
+
+def check_force(path: Path, table: dict[str, Any], columns: dict[str, Any], clocked: bool, problems: Problems) -> None:
+    """What is wrong with [force] of a mapping; `clocked`: whether the images have times."""
+    problems.add_unknown(path, table, KEYS, "force.{}: unknown key; {}".format)
+    if not isinstance(table.get("file"), str) or not table["file"]:
+        problems.add(path, f"force.file: expected the name of a table beside the mapping, found {table.get('file')!r}")
+    wrench = table.get("wrench")
+    if not (
+        isinstance(wrench, list)
+        and len(wrench) == len(WRENCH)
+        and all(isinstance(w, str) for w in wrench)
+        and any(wrench)
+    ):
+        problems.add(path, f'force.wrench: expected six columns, "" for one that was not measured, found {wrench!r}')
+    for key in ("time", "way"):
+        if key in table and not (isinstance(table[key], str) and table[key]):
+            problems.add(path, f"force.{key}: expected the name of a column, found {table[key]!r}")
+    if not {"time", "way"} & set(table):
+        problems.add(path, 'force: name its column of time, or of the way of the gripper, as way = "crosshead"')
+    offset = table.get("offset")
+    if offset is not None and (
+        isinstance(offset, bool) or not isinstance(offset, int | float) or not math.isfinite(offset)
+    ):
+        problems.add(path, f"force.offset: expected a number in time_unit, found {offset!r}")
+    if "time" in table and not clocked:
+        problems.add(path, "force.time: the frames of the images have no times; give columns.time or rate")
+    if "wrench" in columns:
+        problems.add(path, "force: stands beside columns.wrench; leave one of them out")
+
+
+def _columns(path: Path, names: list[str], delimiter: str, decimal: str) -> dict[str, Array]:
+    """Numbers of the columns of a table, by name."""
+    problems = Problems(f"recording {path}")
+    reader = csv.reader(read_lines(path), delimiter=delimiter)
+    try:
+        header = [name.strip() for name in next(reader, [])]
+        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+    except csv.Error as error:
+        raise InputError(f"{path}: is not a table: {error}") from None
+    for name in dict.fromkeys(names):
+        if name and name not in header:
+            problems.add(path, f"has no column '{name}'; {nearest(name, header)}", 1)
+    if len(rows) < 2:
+        problems.add(path, "holds fewer than two samples; is the delimiter right?")
+    for line, row in rows:
+        if len(row) != len(header):
+            problems.add(path, f"has {len(row)} values, the header names {len(header)} columns", line)
+    problems.raise_if_any()
+    found = {}
+    for name in dict.fromkeys(name for name in names if name):
+        cells = [(line, row[header.index(name)].strip().replace(decimal, ".")) for line, row in rows]
+        found[name] = np.array([_number(path, name, line, cell, problems) for line, cell in cells])
+    problems.raise_if_any()
+    return found
+
+
+def _number(path: Path, name: str, line: int, cell: str, problems: Problems) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        problems.add(path, f"{name}: expected a finite number, found '{cell}'", line)
+    return value
+
+
+def _length(values: dict[str, Array]) -> int:
+    return len(next(iter(values.values())))
