@@ -14,10 +14,8 @@ from bcid.comparison.followed_sets import FollowedSet, FollowedSets
 from bcid.comparison.hypothesis_table import HypothesisTable
 from bcid.comparison.state import State
 from bcid.forms.forward import Prediction
-from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.hypotheses import patches
 from bcid.inference.outcome import label
-from bcid.inference.stiffness import Stiffness
 from bcid.inference.thresholds import THRESHOLDS
 from bcid.search.identification import Alternative, Identification
 from bcid.search.settings import SETTINGS
@@ -74,15 +72,8 @@ class AnchorAnswer:
             seconds=0.0,
             missing=odds.verdicts["unknown"],
             nuisances=tuple(errors.told(state.residual)),
-            stiffness=self.stiffness(errors),
+            stiffness=best.fitted.stiffness,
         )
-
-    def stiffness(self, errors: ErrorCovariance) -> Stiffness | None:
-        """How stiff the body is, beside something unknown where that makes the measurement likelier, or beside fitted numbers."""
-        fitted = self.best.fitted
-        if fitted.coordinates:
-            return fitted.stiffness
-        return Stiffness.of(errors, fitted.state.residual, fitted.state.model, fitted.state.predictor.whole)
 
     @property
     def found(self) -> Mapping[Anchored, FollowedSet]:

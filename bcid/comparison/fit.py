@@ -133,13 +133,16 @@ class Fit:
 
     @property
     def stiffness(self) -> Stiffness | None:
-        """How stiff the body is, where forces are measured and none of the law's constants was fitted."""
+        """How stiff the body is, where forces are measured and none of the law's constants was fitted.
+
+        Beside something unknown where that makes the measurement likelier: it may pull on the gripper as well.
+        """
         state = self.state
         if set(state.model.stiffnesses) & set(state.free):
             return None
         columns = [-state.errors.unwhiten(column) for column in self.jacobian.T]
         fitted = np.column_stack(columns) if columns else None
-        return Stiffness.of(state.errors, state.residual, state.model, state.predictor.whole, fitted)
+        return Stiffness.of(state.likeliest_errors, state.residual, state.model, state.predictor.whole, fitted)
 
     @property
     def values(self) -> dict[str, float]:

@@ -187,8 +187,8 @@ def _check_sigma(path: Path, key: str, stated: object, unit: float, problems: Pr
 
 def _check_gripper(path: Path, table: dict[str, Any], length: float, problems: Problems) -> None:
     """What concerns absolute poses of the gripper, and markers on it."""
-    columns = table.get("columns", {})
-    centre, given = table.get("grasp_centre"), isinstance(columns, dict) and "pose" in columns
+    columns = _table(path, table, "columns", Problems(""))
+    centre, given = table.get("grasp_centre"), "pose" in columns
     if centre is not None and not _three_numbers(centre, length):
         problems.add(
             path, f"grasp_centre: expected three numbers in length_unit, none beyond 1000 km, found {centre!r}"

@@ -142,7 +142,7 @@ CELLS: dict[str, dict[str, tuple[str, ...]]] = {
         "step": ("-1", "1.5", "nan", "", "true", "1e3", "9999999999", "١"),
         "time": ("nan", "", "inf", "x", "1_0", "0x1", "true", "-1e400"),
         "fiducial": ("", "1"),
-        "x": ("nan", "inf", "x", "1_0", "", "1;5", "true", "1e400"),
+        "x": ("nan", "inf", "x", "1_0", "1;5", "true", "1e400"),
         "action": ("", "a/b", "../1", "\x07", "a" * 65),
     },
     "seen/grasps.csv": {
@@ -151,7 +151,7 @@ CELLS: dict[str, dict[str, tuple[str, ...]]] = {
         "grasp": ("", "III"),
         "step": ("7", "-1", "0"),
     },
-    "seen/wrench.csv": {"fx": ("nan", "inf", "", "x"), "step": ("-1", "x", "0")},
+    "seen/wrench.csv": {"fx": ("nan", "inf", "x"), "step": ("-1", "x", "0")},
     "seen/loads.csv": {"fy": ("nan", "inf", "", "x"), "place": ("", "a\x07b")},
     "wide.csv": {"t": ("nan", "x", "inf", ""), "ax": ("x", "inf", "1e400"), "gx": ("nan", "", "inf", "x")},
     "long.csv": {"frame": ("-1", "1.5", "nan", "", "x", "1e400"), "x": ("x", "inf"), "label": ("A",)},
