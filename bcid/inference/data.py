@@ -297,7 +297,9 @@ def _alike_axes(data: Data) -> list[tuple[int, ...]]:
 def _noise_of(data: Data, rough: Array, scale: Array | float, axes: Iterable[int] = range(3)) -> Noise | None:
     """The noise of some axes, in units of `scale`, (n,), m."""
     some = data.of_position & np.isin(data.axis, list(axes))
-    changing = [_changes(values) for values in _along_trajectories(data, data.values, some)]
+    # Of a measurement in which nothing changes every coordinate counts.
+    moving = any(map(_changes, _along_trajectories(data, data.values)))
+    changing = [not moving or _changes(values) for values in _along_trajectories(data, data.values, some)]
     parts = _along_trajectories(data, np.asarray(rough / scale), some)
     found = [np.diff(v, 2) for v, change in zip(parts, changing, strict=True) if change and len(v) > 2]
     if not found:

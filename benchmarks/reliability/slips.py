@@ -242,12 +242,13 @@ def verdict(scene: Scene, seen: Measurement) -> tuple[str, str, float]:
 
 def sound() -> Iterator[tuple[str, Scene, Measurement]]:
     """Measurements with sags, faults, pulls and stretches that are real."""
-    slab = Scene.read(EXAMPLES / "scenes/slab.toml")
+    slab, plate = (Scene.read(EXAMPLES / f"scenes/{name}.toml") for name in ("slab", "plate"))
     folders = [p for p in sorted((EXAMPLES / "measurements").iterdir()) if p.is_dir()]
     if (OPTIONAL / "lab").is_dir():
         folders += sorted((OPTIONAL / "lab").iterdir())
     for folder in folders:
-        yield f"{folder.parent.name}/{folder.name}", slab, Measurement.read(folder)
+        scene = plate if folder.name.startswith("plate-") else slab
+        yield f"{folder.parent.name}/{folder.name}", scene, Measurement.read(folder)
     for body in bodies():
         yield body.name, body.scene, body.sound
     bar = Scene.read(EXAMPLES / "scenes/bar.toml")
