@@ -31,11 +31,6 @@ _AHEAD = np.sqrt(0.5)
 _NUGGET = 1e-8
 
 
-def spread(count: int, steps: int) -> Steps:
-    """The first of so many, and `steps` more up to the last, evenly spread."""
-    return np.unique(np.linspace(0, count - 1, steps + 1).round().astype(int))
-
-
 @dataclass(frozen=True)
 class Knots:
     """Steps of an action from which all others are interpolated.

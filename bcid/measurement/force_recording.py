@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from bcid.base.errors import InputError, Problems, nearest
-from bcid.base.text_file import read_lines
+from bcid.base.errors import InputError, Problems
 from bcid.measurement.contents import WRENCH
+from bcid.measurement.csv_rows import csv_rows, numbers, require
 
 if TYPE_CHECKING:
     from bcid.measurement.tracks import Tracks
@@ -60,17 +59,17 @@ class ForceRecording:
             InputError: with every problem of the file.
         """
         path = folder / str(told["file"])
-        columns = [*told["wrench"], *(told[key] for key in ("time", "way") if key in told)]
-        values = _columns(path, columns, delimiter, decimal)
-        wrench = np.stack(
-            [values[name] if name else np.full(_length(values), np.nan) for name in told["wrench"]], axis=1
-        )
-        time, way = (values.get(str(told.get(key, ""))) for key in ("time", "way"))
+        rows, problems = csv_rows(path, delimiter), Problems(f"recording {path}")
+        clocks = [str(told.get(key, "")) for key in ("time", "way")]
+        columns = [*told["wrench"], *clocks]
+        require(path, rows, columns, problems)
+        values = numbers(path, rows, columns, decimal, problems)
+        problems.raise_if_any()
+        wrench = values[:, : len(WRENCH)]
+        time, way = (values[:, len(WRENCH) + i] if name else None for i, name in enumerate(clocks))
         offset = told.get("offset", None if way is not None else 0.0)
-        if time is not None and (np.diff(time) < 0).any():
-            raise InputError(
-                f"{path}: {told['time']}: the times go back in row {int(np.argmax(np.diff(time) < 0)) + 2}"
-            )
+        if time is not None and (back := np.flatnonzero(np.diff(time) < 0)).size:
+            raise InputError(f"{path}: {told['time']}: the times go back in line {rows[int(back[0]) + 1][0]}")
         return cls(path, wrench, time, way, None if offset is None else float(offset))
 
     def at(self, recording: Tracks) -> Array:
@@ -160,47 +159,9 @@ def check_force(path: Path, table: dict[str, Any], columns: dict[str, Any], cloc
         isinstance(offset, bool) or not isinstance(offset, int | float) or not math.isfinite(offset)
     ):
         problems.add(path, f"force.offset: expected a number in time_unit, found {offset!r}")
+    if offset is not None and "time" not in table:
+        problems.add(path, "force.offset: is one of clocks; give force.time too")
     if "time" in table and not clocked:
         problems.add(path, "force.time: the frames of the images have no times; give columns.time or rate")
     if "wrench" in columns:
         problems.add(path, "force: stands beside columns.wrench; leave one of them out")
-
-
-def _columns(path: Path, names: list[str], delimiter: str, decimal: str) -> dict[str, Array]:
-    """Numbers of the columns of a table, by name."""
-    problems = Problems(f"recording {path}")
-    reader = csv.reader(read_lines(path), delimiter=delimiter)
-    try:
-        header = [name.strip() for name in next(reader, [])]
-        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except csv.Error as error:
-        raise InputError(f"{path}: is not a table: {error}") from None
-    for name in dict.fromkeys(names):
-        if name and name not in header:
-            problems.add(path, f"has no column '{name}'; {nearest(name, header)}", 1)
-    if len(rows) < 2:
-        problems.add(path, "holds fewer than two samples; is the delimiter right?")
-    for line, row in rows:
-        if len(row) != len(header):
-            problems.add(path, f"has {len(row)} values, the header names {len(header)} columns", line)
-    problems.raise_if_any()
-    found = {}
-    for name in dict.fromkeys(name for name in names if name):
-        cells = [(line, row[header.index(name)].strip().replace(decimal, ".")) for line, row in rows]
-        found[name] = np.array([_number(path, name, line, cell, problems) for line, cell in cells])
-    problems.raise_if_any()
-    return found
-
-
-def _number(path: Path, name: str, line: int, cell: str, problems: Problems) -> float:
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        problems.add(path, f"{name}: expected a finite number, found '{cell}'", line)
-    return value
-
-
-def _length(values: dict[str, Array]) -> int:
-    return len(next(iter(values.values())))

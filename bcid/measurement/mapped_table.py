@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import Problems, nearest
-from bcid.base.text_file import read_lines
+from bcid.measurement.csv_rows import Row, csv_rows, numbers, require
 from bcid.measurement.formats.array_file import table_rows
 from bcid.measurement.mapping import COLUMNS, Mapping
 from bcid.measurement.tracks import Tracks
@@ -29,8 +27,8 @@ def read_table(mapping: Mapping) -> Tracks:
         return _long(mapping, rows)
     columns = mapping.columns
     problems = Problems(f"recording {mapping.file}")
-    wanted = [c for marker in mapping.markers.values() for c in marker if c]
-    wanted += [c for key in COLUMNS if key in columns for c in _listed(columns[key]) if c]
+    wanted = [c for marker in mapping.markers.values() for c in marker]
+    wanted += [c for key in COLUMNS if key in columns for c in _listed(columns[key])]
     _require(mapping, rows, wanted, problems)
     actions = (
         [row[columns["action"]] for _, row in rows]
@@ -50,7 +48,7 @@ def read_table(mapping: Mapping) -> Tracks:
     return Tracks(actions, steps, list(times), positions, *moved, grasps)
 
 
-def _long(mapping: Mapping, rows: list[tuple[int, dict[str, str]]]) -> Tracks:
+def _long(mapping: Mapping, rows: list[Row]) -> Tracks:
     """One row per frame and fiducial."""
     columns = mapping.columns
     problems = Problems(f"recording {mapping.file}")
@@ -58,7 +56,7 @@ def _long(mapping: Mapping, rows: list[tuple[int, dict[str, str]]]) -> Tracks:
         if key not in columns:
             problems.add(mapping.path, f"columns.{key}: is needed when columns.fiducial is given")
     problems.raise_if_any()
-    _require(mapping, rows, [c for key in COLUMNS if key in columns for c in _listed(columns[key]) if c], problems)
+    _require(mapping, rows, [c for key in COLUMNS if key in columns for c in _listed(columns[key])], problems)
     action = str(mapping.table.get("action", "1"))
     actions = [row[columns["action"]] if "action" in columns else action for _, row in rows]
     steps = _steps(mapping, rows, actions, problems)
@@ -110,7 +108,7 @@ def _long(mapping: Mapping, rows: list[tuple[int, dict[str, str]]]) -> Tracks:
 
 
 def _gripper(
-    mapping: Mapping, rows: list[tuple[int, dict[str, str]]], problems: Problems
+    mapping: Mapping, rows: list[Row], problems: Problems
 ) -> tuple[Array | None, Array | None, Array | None, Array | None]:
     """Translation, rotation, pose and wrench of the gripper, where columns are named for them; the wrench may have gaps."""
 
@@ -121,75 +119,26 @@ def _gripper(
     return read("translation"), read("rotation"), read("pose"), read("wrench")
 
 
-def _rows(mapping: Mapping) -> list[tuple[int, dict[str, str]]]:
+def _rows(mapping: Mapping) -> list[Row]:
     if "table" in mapping.table:
         names, cells = table_rows(mapping.file, str(mapping.table["table"]))
         return [(i, dict(zip(names, row, strict=True))) for i, row in enumerate(cells, 1)]
-    reader = csv.reader(read_lines(mapping.file), delimiter=str(mapping.table.get("delimiter", ",")))
-    problems = Problems(f"recording {mapping.file}")
-    try:
-        header = [name.strip() for name in next(reader, [])]
-        rows = []
-        for row in reader:
-            if not any(cell.strip() for cell in row):
-                continue
-            if len(row) != len(header):
-                problems.add(
-                    mapping.file, f"has {len(row)} values, the header names {len(header)} columns", reader.line_num
-                )
-                continue
-            rows.append((reader.line_num, {name: cell.strip() for name, cell in zip(header, row, strict=True)}))
-    except csv.Error as error:
-        problems.add(mapping.file, f"is not a table: {error}", reader.line_num)
-        rows = []
-    if not rows:
-        problems.add(mapping.file, "holds no rows; is the delimiter right?")
-    problems.raise_if_any()
-    return rows
+    return csv_rows(mapping.file, str(mapping.table.get("delimiter", ",")))
 
 
 def _listed(value: Any) -> list[str]:
     return value if isinstance(value, list) else [str(value)]
 
 
-def _require(mapping: Mapping, rows: list[tuple[int, dict[str, str]]], columns: list[str], problems: Problems) -> None:
-    known = rows[0][1]
-    for column in dict.fromkeys(columns):
-        if column not in known:
-            problems.add(mapping.file, f"has no column '{column}'; {nearest(column, known)}", 1)
-    problems.raise_if_any()
+def _require(mapping: Mapping, rows: list[Row], columns: list[str], problems: Problems) -> None:
+    require(mapping.file, rows, columns, problems)
 
 
-def _numbers(
-    mapping: Mapping,
-    rows: list[tuple[int, dict[str, str]]],
-    columns: list[str],
-    problems: Problems,
-    gaps: bool = False,
-) -> Array:
-    """Numbers of some columns, shape (rows, columns); where gaps are allowed empty cells, and columns without a name, are NaN."""
-    values = np.full((len(rows), len(columns)), np.nan)
-    decimal = str(mapping.table.get("decimal", "."))
-    for i, (line, row) in enumerate(rows):
-        for j, column in enumerate(columns):
-            if not column:
-                continue
-            cell = row[column]
-            if gaps and (not cell or cell.lower() == "nan"):
-                continue
-            try:
-                values[i, j] = float(cell.replace(decimal, "."))
-            except ValueError:
-                values[i, j] = np.inf
-            if not math.isfinite(values[i, j]):
-                problems.add(mapping.file, f"{column}: expected a finite number, found '{cell}'", line)
-                values[i, j] = 0.0
-    return values
+def _numbers(mapping: Mapping, rows: list[Row], columns: list[str], problems: Problems, gaps: bool = False) -> Array:
+    return numbers(mapping.file, rows, columns, str(mapping.table.get("decimal", ".")), problems, gaps)
 
 
-def _steps(
-    mapping: Mapping, rows: list[tuple[int, dict[str, str]]], actions: list[str], problems: Problems
-) -> list[int]:
+def _steps(mapping: Mapping, rows: list[Row], actions: list[str], problems: Problems) -> list[int]:
     if "step" not in mapping.columns:
         count: dict[str, int] = {}
         return [count.setdefault(a, 0) + (count.update({a: count[a] + 1}) or 0) for a in actions]

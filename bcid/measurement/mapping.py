@@ -176,10 +176,10 @@ def _positive(path: Path, key: str, value: object, problems: Problems) -> None:
 
 def _check_sigma(path: Path, key: str, stated: object, unit: float, problems: Problems) -> None:
     """A standard deviation, or of positions that of each axis."""
-    each = key == "noise_sigma" and isinstance(stated, list)
-    if each and len(stated) != 3:  # type: ignore[arg-type]
+    each = stated if key == "noise_sigma" and isinstance(stated, list) else [stated]
+    if each is stated and len(each) != 3:
         problems.add(path, f"{key}: expected one number, or three for x, y and z, found {stated!r}")
-    for value in stated if each else [stated]:  # type: ignore[attr-defined]
+    for value in each:
         _positive(path, key, value, problems)
         if isinstance(value, int | float) and value > 0 and not measurable(value * unit):
             problems.add(path, f"{key}: {value!r} is no noise; at least {LEAST_SIGMA / unit:.3g} is expected")

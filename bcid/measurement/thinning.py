@@ -24,14 +24,15 @@ def thinned(measurement: Measurement, most: int = MOST) -> Measurement:
     """
     if measurement.cloud is not None or all(len(action) <= most + 1 for action in measurement.actions):
         return measurement
-    kept = np.sort(np.concatenate([action.frames[_spread(len(action), most)] for action in measurement.actions]))
+    kept = np.sort(np.concatenate([action.frames[spread(len(action), most)] for action in measurement.actions]))
     others = np.setdiff1d(np.arange(measurement.data.sizes["frame"]), kept)
     data = measurement.data
     return replace(measurement, data=data.isel(frame=kept), left_out=data.isel(frame=others))
 
 
-def _spread(count: int, most: int) -> NDArray[np.int64]:
-    return np.unique(np.linspace(0, count - 1, min(count, most + 1)).round().astype(np.int64))
+def spread(count: int, steps: int) -> NDArray[np.int64]:
+    """The first of so many, and at most `steps` more up to the last, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, steps + 1).round().astype(int))
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,10 @@ from bcid.forms.solver.equilibrium import Settings
 from bcid.forms.solver.supports import Pose
 from bcid.inference.data import Data, Noise, frame_times
 from bcid.inference.discrepancy import SmoothDiscrepancy
-from bcid.inference.knots import Knots, knots_of, known_frames, spread
+from bcid.inference.knots import Knots, knots_of, known_frames
 from bcid.inference.nuisances import NuisanceModes, Nuisances
 from bcid.measurement import Action, Measurement
+from bcid.measurement.thinning import spread
 from bcid.predict import questions
 from bcid.predict.acting import by_the_clock, steady
 from bcid.predict.forward_models import ForwardModels

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bcid.inference.knots import Knots, knots_of, spread
+from bcid.inference.knots import Knots, knots_of
+from bcid.measurement.thinning import spread
 from bcid.scene.action import Action
 from bcid.scene.rotation import from_vector
 

@@ -337,6 +337,7 @@ def test_a_gripper_that_goes_back_needs_both_clocks(tmp_path: Path) -> None:
         ('"", "F", "", "", "", ""', '"F"', "force.wrench: expected six columns"),
         ('time = "t"\n', "", "force.time: the frames of the images have no times"),
         ("machine.csv", "machines.csv", "machines.csv"),
+        ('way = "x"', 'way = "x"\noffset = 1', r"force\.offset: is one of clocks; give force\.time too"),
         ('translation = ["gx", "gy", "gz"]\n', "", "the gripper's motion is not known"),
     ],
 )
