@@ -30,10 +30,11 @@ from bcid.base.run_folder import RunFolder
 from bcid.base.shipped import shipped
 from bcid.exploration.loop import DECIDED, paired
 from bcid.exploration.moves import limits_of, moves
-from bcid.exploration.predictions import PullPredictor
 from bcid.forms.model import check_physics
 from bcid.inference.outcome import label
 from bcid.inference.thresholds import THRESHOLDS
+from bcid.predict.pull_predictor import PullPredictor
+from bcid.predict.store import PredictionStore
 from bcid.search.seeds import all_candidates
 from bcid.studies.engine.work import read_result
 from bcid.studies.exploration.exploration_study import SCENE
@@ -90,7 +91,8 @@ def main(run: Path) -> None:
     study = [read_result(file)["result"] for file in sorted((run / "results").glob("*.json"))]
     stated: dict[str, Any] = RunFolder.open(run).record["inputs"]["extent"]
     scene = Scene.read(shipped(SCENE), physics=check_physics)
-    predictor = PullPredictor(paired(scene, None, MPI.COMM_SELF), 0, MPI.COMM_SELF, run.resolve() / "predictions")
+    known = PredictionStore(run.resolve() / "predictions", MPI.COMM_SELF, shared=True)
+    predictor = PullPredictor(paired(scene, None, MPI.COMM_SELF), 0, MPI.COMM_SELF, known)
     sets = all_candidates(list(scene.patches))
     limits = limits_of(scene)
     print(f"{'':22} {'':12} {'trials':>7} {'median':>7} {'mean':>6} {'decided':>9} {'right':>7} {'falsely':>9}")

@@ -22,9 +22,9 @@ from mpi4py import MPI
 
 from bcid import ExploreOptions, Measurement, Scene, explore
 from bcid.api.results import ExploreResult
-from bcid.exploration.predictions import PullPredictor
 from bcid.exploration.robots import Folder, Simulated
 from bcid.measurement import Action
+from bcid.predict.pull_predictor import PullPredictor
 
 HERE = Path(__file__).resolve().parent
 NOISE = 1e-3

@@ -22,7 +22,6 @@ from bcid.comparison.written_term import parsed_term
 from bcid.exploration import explore_run
 from bcid.exploration.loop import ExploreOptions, paired
 from bcid.exploration.loop import explore as explore_with
-from bcid.exploration.predictions import PullPredictor
 from bcid.exploration.robots import Robot
 from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import check_geometry
@@ -31,6 +30,8 @@ from bcid.forms.model import Model, Term, check_physics
 from bcid.inference.continuation import truncate_to_converged
 from bcid.measurement import Measurement
 from bcid.predict.predictor import Predictor
+from bcid.predict.pull_predictor import PullPredictor
+from bcid.predict.store import PredictionStore
 from bcid.proposal.proposal_documents import WrittenProposal, proposal_documents, searched
 from bcid.proposal.propose import ProposeOptions
 from bcid.proposal.propose_run import effect_names
@@ -256,7 +257,7 @@ def explore(
     ladder = paired(body, chosen.level, comm)
     check_geometry(ladder, 0, comm)
     with TemporaryDirectory(prefix="bcid-") as folder:
-        place = store or Path(comm.bcast(folder))
+        place = PredictionStore(store or Path(comm.bcast(folder)), comm, shared=True)
         gripper, levels = chosen.gripper(body), range(len(ladder.levels))
         predictors = [PullPredictor(ladder, n, comm, place, progress=progress, gripper=gripper) for n in levels]
         try:

@@ -18,7 +18,7 @@ from bcid.base.shipped import shipped
 from bcid.bench.bench_slab import EXPLAINED
 from bcid.exploration.loop import paired
 from bcid.exploration.moves import limits_of, moves
-from bcid.exploration.predictions import PullPredictor
+from bcid.predict.pull_predictor import PullPredictor
 from bcid.scene import Scene
 from bcid.search.seeds import all_candidates
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from bcid.base.scheduler import replay
 from bcid.bench.bench_plots import mesh_growth, patch_growth, rank_growth, replay_growth, slope
 from bcid.bench.bench_slab import MEASUREMENTS
 from bcid.bench.bench_table import BenchTable, Goal, Part, number
 from bcid.bench.measure import Record, Session, alternate
-from bcid.search.scheduler import replay
 
 # Bricks along an edge and through the thickness, and steps: 1e3 to 1e6 unknowns. The last is solved with multigrid.
 SIZES = ((12, 1, 4), (20, 2, 4), (32, 3, 4), (50, 5, 4), (80, 8, 3), (148, 14, 2))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError, evaluating
+from bcid.base.scheduler import spread
 from bcid.comparison.fitted_hypothesis import FittedHypothesis
 from bcid.comparison.parameter_priors import of_state
 from bcid.comparison.set_tangents import every_set, neighbours
@@ -21,7 +22,6 @@ from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.evidence import LinearParameters, LowRankDiscrepancy
 from bcid.inference.outcome import label
 from bcid.predict.predictor import Predictor
-from bcid.search.scheduler import spread
 from bcid.search.settings import SETTINGS
 
 Array = NDArray[np.float64]

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from bcid.exploration.hypothesis_predictions import HypothesisPredictor
 from bcid.exploration.moves import Move, cost, limits_of
 from bcid.exploration.posterior_summary import PosteriorSummary
-from bcid.exploration.predictions import key_of
-from bcid.exploration.pull_prediction import PullPrediction
 from bcid.forms.gripper_force import ROWS
 from bcid.forms.simulate import recorded, with_wrenches
 from bcid.inference.data import LEAST_NOISE, Data
@@ -24,6 +22,8 @@ from bcid.inference.information import Expected, information, noise_free
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import Action
+from bcid.predict.pull_prediction import PullPrediction
+from bcid.predict.questions import of_pull
 from bcid.scene import Scene
 from bcid.search.settings import SETTINGS
 
@@ -325,7 +325,7 @@ class Chooser:
 
     def _data(self, action: Action, view: PosteriorSummary) -> Data:
         """The positions of a pull to come, all of which are seen; about where the body is at rest."""
-        scene, seen, key = self.scene, view.seen, key_of(action)
+        scene, seen, key = self.scene, view.seen, of_pull(action)
         # The frame of the first pull is that of the others.
         if key not in self._expected_values or not seen:
             rest = np.tile(scene.rest, (len(action), 1, 1))

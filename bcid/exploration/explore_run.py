@@ -31,7 +31,6 @@ from bcid.exploration.loop import (
 )
 from bcid.exploration.moves import Move
 from bcid.exploration.posterior_summary import PosteriorSummary, prior_effects
-from bcid.exploration.predictions import PullPredictor
 from bcid.exploration.robots import Folder, Robot, Simulated
 from bcid.forms.forward import check_geometry
 from bcid.forms.mesh import level_mesh
@@ -42,12 +41,11 @@ from bcid.forms.written_effects import with_effects
 from bcid.inference.hypotheses import Hypothesis, entropy
 from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import Measurement
+from bcid.predict.pull_predictor import PullPredictor
 from bcid.predict.store import PredictionStore
 from bcid.scene import Scene
 
 SIMULATED, FOLDER = "simulated", "folder"
-# Where what the search over hypotheses predicts is kept, beside the predictions of pulls.
-HYPOTHESES = "hypotheses"
 # So many sets are named in a sentence.
 _NAMED = 6
 MAKES = ("steps/", "predictions/", "exploration.json", "summary.txt", "belief.png")
@@ -92,12 +90,13 @@ def run_exploration(
     inputs = {"scene": scene.fingerprint(), "robot": robot, "plan": asdict(options)}
     if hidden:
         inputs["hidden"] = list(hidden)
-    store = store or folder / "predictions"
-    gripper = options.gripper(scene)
+    place = store or folder / "predictions"
+    predictions, gripper = PredictionStore(place, comm, shared=True), options.gripper(scene)
     predictors = [
-        PullPredictor(ladder, n, comm, store, progress=progress, gripper=gripper) for n in range(len(ladder.levels))
+        PullPredictor(ladder, n, comm, predictions, progress=progress, gripper=gripper)
+        for n in range(len(ladder.levels))
     ]
-    hypotheses = posterior_before(scene, options, predictors[0], PredictionStore(store / HYPOTHESES, comm, shared=True))
+    hypotheses = posterior_before(scene, options, predictors[0], predictions)
     mover = None
     try:
         with running(comm, folder, "explore", inputs, MAKES, overwrite) as run:
@@ -105,7 +104,7 @@ def run_exploration(
             if made:
                 progress.say(f"going on with an interrupted exploration: {len(made)} pulls are there already")
             if comm.rank == 0:
-                mover = _robot(kind, about, body, options, store, wait)
+                mover = _robot(kind, about, body, options, place, wait)
             found = explore(
                 scene,
                 mover,
@@ -154,7 +153,8 @@ def _robot(kind: str, about: str, scene: Scene, options: ExploreOptions, store: 
     if kind == FOLDER:
         return Folder(Path(about), scene, wait)
     noise = options.noise if options.noise is not None else scene.noise_sigma or 0.0
-    body = PullPredictor(scene, len(scene.levels) - 1, MPI.COMM_SELF, store, gripper=options.gripper(scene))
+    known = PredictionStore(store, MPI.COMM_SELF, shared=True)
+    body = PullPredictor(scene, len(scene.levels) - 1, MPI.COMM_SELF, known, gripper=options.gripper(scene))
     return Simulated(body, _names(about), noise, options.random_state, options.wrench_noise or 0.0)
 
 

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.exploration.fitted_numbers import FittedNumbers
-from bcid.exploration.predictions import PullPredictor, small_action
-from bcid.exploration.pull_prediction import PullPrediction
 from bcid.inference.data import Data
 from bcid.inference.hypotheses import Hypothesis
 from bcid.inference.nuisances import NuisanceModes
 from bcid.measurement import Action
+from bcid.predict.pull_prediction import PullPrediction
+from bcid.predict.pull_predictor import PullPredictor, small_action
 
 Array = NDArray[np.float64]
 Fitted = Mapping[Hypothesis, FittedNumbers]

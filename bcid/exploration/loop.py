@@ -18,7 +18,6 @@ from bcid.exploration.hypothesis_predictions import HypothesisPredictor
 from bcid.exploration.joined import JoinedPredictors
 from bcid.exploration.moves import Move, cost, limits_of, moves
 from bcid.exploration.posterior_summary import PosteriorSummary
-from bcid.exploration.predictions import PullPredictor
 from bcid.exploration.pull_posterior import PullPosterior
 from bcid.exploration.robots import Robot
 from bcid.forms import effects
@@ -27,6 +26,7 @@ from bcid.inference.hypotheses import Hypothesis
 from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import Measurement
 from bcid.predict.levels import affordable, pair
+from bcid.predict.pull_predictor import PullPredictor
 from bcid.predict.store import PredictionStore
 from bcid.scene import Scene
 

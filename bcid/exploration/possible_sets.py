@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from bcid.comparison.fitted_hypothesis import FittedHypothesis
 from bcid.comparison.set_tangents import neighbours, sets_predicted
-from bcid.exploration.predictions import PullPredictor
 from bcid.forms.model import Model
 from bcid.inference.discrepancy import Evidence
 from bcid.inference.hypotheses import HypothesisOdds
 from bcid.measurement import Action
+from bcid.predict.pull_predictor import PullPredictor
 from bcid.search.settings import SETTINGS
 
 Array = NDArray[np.float64]

@@ -19,12 +19,12 @@ from bcid.exploration.fitted_numbers import FittedNumbers
 from bcid.exploration.joined import JoinedPredictors
 from bcid.exploration.possible_sets import PossibleSets, negligible
 from bcid.exploration.posterior_summary import PosteriorSummary
-from bcid.exploration.predictions import PullPredictor
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
 from bcid.inference.hypotheses import Hypothesis, effects, entropy, patches
 from bcid.measurement import Measurement
 from bcid.predict.predictor import Predictor
+from bcid.predict.pull_predictor import PullPredictor
 from bcid.scene import Scene
 from bcid.search.seeds import all_candidates, random_seeds
 from bcid.search.settings import SETTINGS

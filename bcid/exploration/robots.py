@@ -15,10 +15,10 @@ from bcid.base.errors import InputError, MachineError, SolveError, nearest
 from bcid.base.inside_folder import read_inside
 from bcid.base.run_folder import write_whole
 from bcid.base.units import unit_factor
-from bcid.exploration.predictions import PullPredictor
 from bcid.forms.simulate import recorded, with_wrenches
 from bcid.measurement import Action, Measurement
 from bcid.measurement.folder_writer import grasp_lines
+from bcid.predict.pull_predictor import PullPredictor
 from bcid.scene import Scene
 
 # Between two looks into a folder, s.

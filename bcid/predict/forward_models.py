@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 from bcid.base.collective import Comm, in_turns
+from bcid.base.scheduler import Team
 from bcid.forms.forward import Forward
 from bcid.forms.gripper_force import ForceScale
 from bcid.forms.mesh import BodyMesh, level_mesh
@@ -16,17 +18,21 @@ from bcid.scene import Scene
 
 
 class ForwardModels:
-    """Forward models by level and kind of model, private to the process, with what derives from them.
+    """Forward models by level and kind of model, private to the process or to a team, with what derives from them.
 
     Args:
         scene: with the ladder of levels.
         comm: meshes are made on one rank of it, and forms compiled in turns.
         settings: accuracy and patience of the solver.
         forces: how force and torque of the gripper are compared, where they are.
+        per_rank: a mesh with more unknowns than this is shared by a team of ranks, as far as there are any; None to share none.
     """
 
-    def __init__(self, scene: Scene, comm: Comm, settings: Settings, forces: ForceScale | None) -> None:
-        self.scene, self.comm, self.settings, self.forces = scene, comm, settings, forces
+    def __init__(
+        self, scene: Scene, comm: Comm, settings: Settings, forces: ForceScale | None, per_rank: int | None = None
+    ) -> None:
+        self.scene, self.comm, self.settings, self.forces, self.per_rank = scene, comm, settings, forces, per_rank
+        self._teams: dict[tuple[int, bool], Team] = {}
         self._meshes: dict[int, BodyMesh] = {}
         self._forwards: dict[tuple[int, str], Forward] = {}
         self._sensitivities: dict[Forward, Sensitivity] = {}
@@ -46,14 +52,31 @@ class ForwardModels:
         """The forward model of these parts that move the body, with their values; collective."""
         key = level, model.name
         if key not in self._forwards:
-            mesh = self.mesh(level)
+            mesh, team = self.mesh(level), self.team(model, level)
+            together, first = (
+                (None, self.comm.rank == 0) if team is None else (team.comm, self.comm.rank < team.comm.size)
+            )
             self._forwards[key] = in_turns(
                 self.comm,
-                self.comm.rank == 0,
-                lambda: Forward(self.scene, level, None, model, self.settings, mesh, self.forces),
+                first,
+                lambda: Forward(self.scene, level, together, model, self.settings, mesh, self.forces),
             )
         self._forwards[key].set_model(model)
         return self._forwards[key]
+
+    def team(self, model: Model, level: int) -> Team | None:
+        """The ranks that share the mesh of a level with this one; None where meshes are not shared. Collective."""
+        if self.per_rank is None:
+            return None
+        key = level, model.mixed
+        if key not in self._teams:
+            unknowns = self.mesh(level).unknowns(self.scene.levels[level].degree, model.mixed)
+            wanted = math.ceil(unknowns / self.per_rank)
+            count = self.comm.size
+            self._teams[key] = Team.of(
+                self.comm, max(d for d in range(1, count + 1) if count % d == 0 and (d <= wanted or d == 1))
+            )
+        return self._teams[key]
 
     def sensitivity(self, forward: Forward) -> Sensitivity:
         """Of one of the forward models."""
@@ -76,3 +99,10 @@ class ForwardModels:
             if forward in self._sensitivities:
                 self._sensitivities.pop(forward).destroy()
             forward.destroy()
+
+    def destroy(self) -> None:
+        """Free everything of this process; collective where meshes are shared."""
+        self.drop()
+        for team in self._teams.values():
+            team.free()
+        self._teams.clear()

@@ -32,6 +32,15 @@ def of_action(action: Action) -> str:
     return fingerprint({"grasp": action.grasp, "clock": action.clock, "loads": loads} | motion)
 
 
+def of_pull(action: Action, timed: bool = False) -> str:
+    """Of a motion to be predicted: grasp, poses to the nanometre, loads, and if it is `timed` its clock; not its name."""
+    loads = {place: np.round(load, 9) for place, load in action.loads.items()}
+    # Adding zero makes one of the two zeros of the other.
+    content = {"translation": np.round(action.translation, 9) + 0.0, "rotation": np.round(action.rotation, 9) + 0.0}
+    clock = np.round(action.clock, 9) if timed else None
+    return fingerprint(content | {"grasp": action.grasp, "loads": loads, "clock": clock})
+
+
 def of_all(parts: Iterable[object]) -> str:
     """Of models, requests, sets and plain values, one after the other."""
     found = []

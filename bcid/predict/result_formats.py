@@ -15,6 +15,7 @@ from bcid.forms.probes import Sensitivities
 from bcid.forms.set_tangent import StepTangent
 from bcid.measurement import Action
 from bcid.predict.kept_predictions import MeasurementPrediction
+from bcid.predict.pull_prediction import PullPrediction
 
 Array = NDArray[np.float64]
 Arrays = dict[str, Any]
@@ -97,3 +98,19 @@ class TangentsFormat:
         """By frame."""
         rows: Iterable[Any] = zip(*(arrays[name] for name in _PARTS), strict=True)
         return {int(k): StepTangent(*row) for k, row in zip(arrays["frames"], rows, strict=True)}
+
+
+class PullFormat:
+    """Of the prediction of a pull, which is the same on every rank."""
+
+    def arrays(self, result: PullPrediction) -> tuple[Arrays, Any]:
+        """Positions, with force, strain and eigenvalue."""
+        return {
+            "positions": result.positions,
+            "numbers": np.array([result.force, result.strain, result.eigenvalue]),
+        }, None
+
+    def result(self, arrays: Arrays, notes: Any) -> PullPrediction:
+        """The same."""
+        force, strain, eigenvalue = (float(number) for number in arrays["numbers"])
+        return PullPrediction(arrays["positions"], force, strain, eigenvalue)

@@ -10,8 +10,9 @@ from __future__ import annotations
 import hashlib
 import shutil
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -102,29 +103,66 @@ class PredictionStore:
             form: how the result is kept.
             work: computes it; collective.
         """
-        held = on_root(self.comm, lambda: self._held(question()))
-        if held is not None:
-            with suppress(KeyError, ValueError, TypeError, IndexError, AttributeError):
-                found = form.result(*unpacked(held))
-                self.recalled += 1
-                return found
+        file, held = on_root(self.comm, lambda: self._held(question()))
+        found = _read(held, form)
+        if found is not None:
+            self.recalled += 1
+            return found
         found = work()
-        self.computed += 1
-        arrays, notes = form.arrays(found)
-        on_root(self.comm, lambda: self._keep(arrays, notes))
+        self._computed([(file, found)], form)
         return found
 
-    def _held(self, question: str) -> bytes | None:
-        """What is kept of a question, which is the one that is asked from now on."""
+    def results(
+        self,
+        questions: Sequence[str],
+        form: ResultFormat[T],
+        work: Callable[[Sequence[int]], list[T]],
+        enough: Callable[[T], bool] = lambda _: True,
+    ) -> list[T]:
+        """What `work` gives of many questions, or has given before; collective.
+
+        Args:
+            questions: each tells all that its result depends on besides the inputs; nothing that was asked before is part of it.
+            form: how a result is kept.
+            work: computes results in order from the numbers of their questions; collective.
+            enough: whether a result that is kept is all that is asked for.
+        """
+        held = on_root(self.comm, lambda: [self._content(self._file(question, 0)) for question in questions])
+        found = [_read(content, form) for content in held]
+        missing = [k for k, known in enumerate(found) if known is None or not enough(known)]
+        self.recalled += len(questions) - len(missing)
+        fresh = work(missing) if missing else []
+        self._computed([(self._file(questions[k], 0), result) for k, result in zip(missing, fresh, strict=True)], form)
+        whole = {k: known for k, known in enumerate(found) if known is not None} | dict(
+            zip(missing, fresh, strict=True)
+        )
+        return [whole[k] for k in range(len(questions))]
+
+    def _held(self, question: str) -> tuple[Path, bytes | None]:
+        """The file of a question that is asked now, and what is kept there."""
+        file = self._file(question, self._asked[question])
+        self._asked[question] += 1
+        return file, self._content(file)
+
+    def _file(self, question: str, asked: int) -> Path:
+        """Where the result of a question is kept that was asked so often before."""
         key = hashlib.sha256(question.encode()).hexdigest()[:32]
-        self._file = self.folder / f"{self._identity}-{key}-{self._asked[key]}"
-        self._asked[key] += 1
+        return self.folder / f"{self._identity}-{key}-{asked}"
+
+    def _content(self, file: Path) -> bytes | None:
         try:
-            return read_inside(self.folder, self._file.name, int(_MOST))
+            return read_inside(self.folder, file.name, int(_MOST))
         except InputError:
             return None
 
-    def _keep(self, arrays: Arrays, notes: Any) -> None:
+    def _computed(self, fresh: Sequence[tuple[Path, T]], form: ResultFormat[T]) -> None:
+        """Keep results that were not known; collective."""
+        self.computed += len(fresh)
+        for file, result in fresh:
+            arrays, notes = form.arrays(result)
+            on_root(self.comm, partial(self._keep, file, arrays, notes))
+
+    def _keep(self, file: Path, arrays: Arrays, notes: Any) -> None:
         """Keep a result, unless there is no place for it: then the answer is made without."""
         if self._full:
             return
@@ -134,7 +172,7 @@ class PredictionStore:
             self.progress.say(f"{self.folder} is full: killed from now on, the run would go on from here")
             return
         try:
-            write_whole(self._file, content)
+            write_whole(file, content)
         except MachineError as error:
             self._full = True
             self.progress.say(f"{error}; the run goes on, but killed it would begin anew")
@@ -150,6 +188,15 @@ class PredictionStore:
 
     def _removed(self) -> None:
         shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def _read(content: bytes | None, form: ResultFormat[T]) -> T | None:
+    """A result from what is kept of it; None where that is nothing, or damaged."""
+    if content is None:
+        return None
+    with suppress(KeyError, ValueError, TypeError, IndexError, AttributeError):
+        return form.result(*unpacked(content))
+    return None
 
 
 def _code() -> str:

@@ -11,25 +11,24 @@ import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.base.collective import Comm, agree, in_turns
-from bcid.base.errors import SHORT_OF_MEMORY, BcidError, MachineError, SolveError, evaluating
+from bcid.base.collective import Comm
+from bcid.base.errors import SHORT_OF_MEMORY, MachineError, SolveError, evaluating
 from bcid.base.progress import Progress, Silent
+from bcid.base.scheduler import spread
 from bcid.forms.forward import Forward, Prediction, Watch
 from bcid.forms.gripper_force import ForceScale
-from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
 from bcid.forms.solver.status import Status
 from bcid.inference.misfit import Misfit
 from bcid.inference.outcome import Candidate, Outcome, label
 from bcid.measurement import Measurement
+from bcid.predict.forward_models import ForwardModels
 from bcid.scene import Scene
-from bcid.search.scheduler import counter, share
 
 Array = NDArray[np.float64]
 # What was computed is shared, and can be stored, at the latest after so many candidates per team.
@@ -74,17 +73,15 @@ class Evaluator:
         for text in measurement.remarks:
             self.progress.say(f"look at this first: {text}")
         self.misfit = Misfit(scene, measurement)
-        self._forces = ForceScale.of(scene, measurement)
         self.actions = measurement.actions
         self.outcomes: dict[tuple[int, Candidate], Outcome] = {}
-        self.per_rank = per_rank
         # The undeformed state costs nothing to compute.
         loaded = bool(self.model.terms)
         free = [a.frames[:1] for a in self.actions if not (loaded or a.loads or a.translation[0].any())]
         self._costly = np.ones(self.misfit.frames, dtype=bool)
         self._costly[np.concatenate([np.zeros(0, dtype=int), *free])] = False
-        self._forwards: dict[int, Forward] = {}
-        self._leaders: dict[int, Any] = {}
+        self._models = ForwardModels(scene, comm, self.settings, ForceScale.of(scene, measurement), per_rank)
+        self._told: set[int] = set()
         self._positions: dict[tuple[int, Candidate], Array] = {}
         self._kept: dict[int, tuple[float, Candidate, Prediction]] = {}
 
@@ -95,29 +92,12 @@ class Evaluator:
 
     def forward(self, level: int) -> Forward:
         """The forward model of a level on this rank's team, built on first use; collective."""
-        if level not in self._forwards:
-            mesh = level_mesh(self.scene, self.scene.levels[level], self.comm)
-            team = self._team(level, mesh)
-            self._forwards[level] = in_turns(
-                self.comm,
-                self.comm.rank < team.size,
-                lambda: Forward(self.scene, level, team, self.model, self.settings, mesh, self._forces),
-            )
-            together = f", shared by {team.size} ranks" if team.size > 1 else ""
-            self.progress.say(f"level {level}: {self._forwards[level].describe}{together}")
-        return self._forwards[level]
-
-    def _team(self, level: int, mesh: BodyMesh) -> Any:
-        """The ranks that share a level's mesh with this one; the first of each team takes tasks for it. Collective."""
-        comm, mixed = self.comm, self.model.mixed
-        wanted = math.ceil(mesh.unknowns(self.scene.levels[level].degree, mixed) / self.per_rank)
-        size = max(d for d in range(1, comm.size + 1) if comm.size % d == 0 and (d <= wanted or d == 1))
-        team = comm.Split(comm.rank // size, comm.rank)
-        first = comm.Split(0 if team.rank == 0 else 1, comm.rank)
-        self._leaders[level] = first if team.rank == 0 else None
-        if team.rank > 0:
-            first.Free()
-        return team
+        forward = self._models.of(self.model, level)
+        if level not in self._told:
+            self._told.add(level)
+            together = f", shared by {forward.comm.size} ranks" if forward.comm.size > 1 else ""
+            self.progress.say(f"level {level}: {forward.describe}{together}")
+        return forward
 
     def evaluate(self, level: int, bounds: Mapping[Candidate, float]) -> dict[Candidate, Outcome]:
         """Outcomes of candidates on a level; collective, the same on every rank.
@@ -136,36 +116,24 @@ class Evaluator:
 
     def _work(self, level: int, bounds: Mapping[Candidate, float]) -> None:
         """Evaluate a batch of candidates: every team takes the next when it is free. Collective."""
-        forward, leaders = self.forward(level), self._leaders[level]
-        team = forward.comm
+        forward, candidates = self.forward(level), list(bounds)
         mine: list[Outcome] = []
-        positions: dict[Candidate, Array] = {}
-        error: BcidError | None = None
-        tickets = counter(leaders) if leaders is not None else None
-        turns = share(list(bounds), tickets) if tickets is not None else iter(())
-        while (candidate := team.bcast(next(turns, None)) if team.size > 1 else next(turns, None)) is not None:
+
+        def one(number: int) -> tuple[Outcome, Array]:
+            candidate = candidates[number]
             try:
                 with evaluating("anchors " + label(candidate, self.patches)):
                     outcome, predicted = self._evaluate(forward, candidate, bounds[candidate])
             except SolveError as caught:
                 # It costs this candidate alone.
                 outcome, predicted = _failed(candidate, level, str(caught), self.misfit.frames), np.zeros(0)
-            except BcidError as caught:
-                error = caught
-                break
             mine.append(outcome)
-            if outcome.complete:
-                positions[candidate] = predicted
             self._report(level, mine)
-        if tickets is not None:
-            tickets.close()
-        agree(self.comm, error)
-        gathered = self.comm.allgather((mine, positions) if team.rank == 0 else ([], {}))
-        order = {candidate: i for i, candidate in enumerate(bounds)}
-        found = sorted((o for outcomes, _ in gathered for o in outcomes), key=lambda o: order[o.candidate])
-        for _, predictions in gathered:
-            self._positions |= {(level, candidate): predicted for candidate, predicted in predictions.items()}
-        for outcome in found:
+            return outcome, predicted if outcome.complete else np.zeros(0)
+
+        for outcome, predicted in spread(self.comm, len(candidates), one, self._models.team(self.model, level)):
+            if outcome.complete:
+                self._positions[level, outcome.candidate] = predicted
             self._add(outcome)
         # Whatever the number of ranks, one prediction is kept on a level: that of the best set.
         best = self._best(level)
@@ -290,14 +258,7 @@ class Evaluator:
 
     def destroy(self) -> None:
         """Free meshes and solvers of this process."""
-        for forward in self._forwards.values():
-            forward.destroy()
-            forward.comm.Free()
-        for leaders in self._leaders.values():
-            if leaders is not None:
-                leaders.Free()
-        self._forwards.clear()
-        self._leaders.clear()
+        self._models.destroy()
 
 
 def _failed(candidate: Candidate, level: int, reason: str, frames: int) -> Outcome:

@@ -11,7 +11,6 @@ import pickle
 import shutil
 import sys
 import tempfile
-import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -277,9 +276,8 @@ class Corpus:
             yield self.body(place, target.name, True, f"{ending} with an external link")
 
     def others(self) -> Iterator[Case]:
-        """Measurements, calibrations and prediction stores."""
+        """Measurements and calibrations."""
         from bcid import Measurement
-        from bcid.exploration.predictions import _entries
         from bcid.vision.camera import Cameras
         from bcid.vision.recording import Recording
 
@@ -299,11 +297,6 @@ class Corpus:
         ):
             (place / f"hostile{ending}").write_text(text, encoding="utf-8")
             yield Case(f"calibration {ending}", lambda e=ending: Cameras.read(place / f"hostile{e}"))
-        np.savez(place / "object.npz", sets=np.array([_Bomb(str(self.canary))], dtype=object), positions=1, numbers=1)
-        with zipfile.ZipFile(place / "outside.npz", "w") as archive:
-            archive.writestr("../../canary", "x")
-        for name in ("object.npz", "outside.npz"):
-            yield Case(f"predictions: {name}", lambda n=name: _entries(place / n), None)
         (place / "not-a-table").write_text("root:x:0:0", encoding="utf-8")
         for name in ("seen/fiducials.csv", "recording.toml"):
             (place / name).unlink()

@@ -227,15 +227,6 @@ def _folder(name: str) -> Callable[[Path], _Made]:
     return make
 
 
-def _predictions(folder: Path) -> _Made:
-    """The one archive of NumPy (NPZ) that a user may hand over."""
-    from bcid.exploration.predictions import _entries
-
-    sets = np.array(['["1"]', '["1", "2"]'])
-    np.savez(folder / "kept.npz", sets=sets, positions=np.zeros((2, 2, 3, 3)), numbers=np.zeros((2, 3)))
-    return folder / "kept.npz", lambda: _entries(folder / "kept.npz")
-
-
 def _ros(kind: str) -> Callable[[Path], Path]:
     return lambda folder: foreign_files.ros(folder, kind)
 
@@ -292,7 +283,6 @@ READERS: dict[str, Callable[[Path], _Made]] = {
     "OpenCV XML": _cameras("c.xml"),
     "MATLAB stereo": _cameras("c.mat"),
     "NPY projections": _cameras("c.npy"),
-    "NPZ predictions": _predictions,
     "NetCDF": _netcdf,
     "fiducials.csv": _folder("fiducials.csv"),
     "measurement.toml": _folder("measurement.toml"),

@@ -20,13 +20,13 @@ from verify.problems import box, move, pull_and_lift, scene_of, straight
 
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import BcidError, InputError
+from bcid.base.scheduler import counter, share
 from bcid.comparison.curvature import curvature
 from bcid.comparison.identify import identify
 from bcid.comparison.refine import identify_refined
 from bcid.comparison.source import from_files
 from bcid.comparison.state import State
 from bcid.exploration.loop import Exploration, ExploreOptions, explore
-from bcid.exploration.predictions import PullPredictor
 from bcid.exploration.robots import Simulated
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.loads import nodal_weights
@@ -41,12 +41,12 @@ from bcid.forms.solver.factor import Factor
 from bcid.forms.solver.status import Status
 from bcid.forms.solver.trajectory import follow
 from bcid.predict.predictor import Predictor
+from bcid.predict.pull_predictor import PullPredictor
 from bcid.predict.store import PredictionStore
 from bcid.scene import Level, Limits, Region, Scene
 from bcid.scene.motions import about_x, motion
 from bcid.search.evaluator import Evaluator
 from bcid.search.identify_options import IdentifyOptions
-from bcid.search.scheduler import counter, share
 
 pytestmark = pytest.mark.parallel
 

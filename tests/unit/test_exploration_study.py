@@ -13,9 +13,10 @@ from mpi4py import MPI
 from bcid.base.errors import SolveError
 from bcid.base.run_folder import sealed
 from bcid.exploration.moves import limits_of
-from bcid.exploration.predictions import PullPredictor
 from bcid.exploration.pull_posterior import PullPosterior
 from bcid.forms.model import check_physics
+from bcid.predict.pull_predictor import PullPredictor
+from bcid.predict.store import PredictionStore
 from bcid.scene import Level, Scene
 from bcid.scene.uncertainty import Uncertainty
 from bcid.studies.engine.work import Workers
@@ -42,7 +43,8 @@ def bench(tmp_path_factory: pytest.TempPathFactory, project: Path) -> Iterator[B
     limits = replace(limits, amplitudes=(6e-3,), displacement=6e-3, directions=directions)
     kept = {name: scene.patches[name] for name in "1234"}
     scene = replace(scene, patches=kept, levels=(Level(2, 0.03),), limits=limits, uncertainty=Uncertainty.none())
-    working = PullPredictor(scene, 0, MPI.COMM_SELF, tmp_path_factory.mktemp("store"))
+    kept = PredictionStore(tmp_path_factory.mktemp("store"), MPI.COMM_SELF, shared=True)
+    working = PullPredictor(scene, 0, MPI.COMM_SELF, kept)
     made = Bench(scene, working, None, working, 0)
     yield made
     made.destroy()

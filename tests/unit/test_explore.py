@@ -1,7 +1,6 @@
 """Exploration: bits of information, Bayes' rule, the choice of pulls, the loop and its robots, on bodies that are made up."""
 
 import math
-import os
 import threading
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -21,9 +20,6 @@ from bcid.exploration.hypothesis_predictions import HypothesisPredictor
 from bcid.exploration.loop import ExploreOptions
 from bcid.exploration.moves import Move, cost, limits_of, moves
 from bcid.exploration.posterior_summary import PosteriorSummary
-from bcid.exploration.predictions import _entries, key_of, small_action
-from bcid.exploration.pull_prediction import PullPrediction
-from bcid.exploration.pull_tangent import PullTangent
 from bcid.exploration.robots import Folder
 from bcid.forms.probes import Sensitivities, SensitivityRequest
 from bcid.forms.simulate import recorded
@@ -32,6 +28,10 @@ from bcid.inference.hypotheses import Hypothesis, effects, entropy, patches
 from bcid.inference.information import coordinates, information, noise_free
 from bcid.inference.nuisances import NuisanceModes
 from bcid.measurement import Action, Measurement
+from bcid.predict.pull_prediction import PullPrediction
+from bcid.predict.pull_predictor import small_action
+from bcid.predict.pull_tangent import PullTangent
+from bcid.predict.questions import of_pull
 from bcid.scene import Grasp, Level, Limits, Material, Region, Scene
 from bcid.search.seeds import all_candidates
 
@@ -81,7 +81,7 @@ class MadeUp:
         self, tasks: Iterable[tuple[Anchored, Action]], detailed: bool = False, models: object = None
     ) -> list[PullPrediction]:
         tasks = list(tasks)
-        self.asked.update((key_of(action), anchors) for anchors, action in tasks)
+        self.asked.update((of_pull(action), anchors) for anchors, action in tasks)
         return [self._one(anchors, action, detailed) for anchors, action in tasks]
 
     def small_steps(self, sets: Iterable[Anchored], grasp: str, size: float) -> list[PullPrediction]:
@@ -224,12 +224,12 @@ def test_a_scene_without_limits_is_refused() -> None:
 
 def test_motions_are_the_same_whatever_their_name() -> None:
     one, other = Move("A", "+x", 0.01).action(LIMITS, "1"), Move("A", "+x", 0.01).action(LIMITS, "2")
-    assert key_of(one) == key_of(other)
-    assert key_of(one) == key_of(replace(one, translation=one.translation * -1.0 * -1.0 + 1e-12))
-    assert key_of(one) != key_of(Move("A", "+y", 0.01).action(LIMITS))
+    assert of_pull(one) == of_pull(other)
+    assert of_pull(one) == of_pull(replace(one, translation=one.translation * -1.0 * -1.0 + 1e-12))
+    assert of_pull(one) != of_pull(Move("A", "+y", 0.01).action(LIMITS))
     slower = replace(one, times=2 * one.clock)
-    assert key_of(one) == key_of(slower)
-    assert key_of(one, timed=True) != key_of(slower, timed=True)
+    assert of_pull(one) == of_pull(slower)
+    assert of_pull(one, timed=True) != of_pull(slower, timed=True)
 
 
 # -- the choice
@@ -384,15 +384,6 @@ def test_wanted_pull_behind_a_link_is_refused(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=r"wanted\.csv: cannot be read: .*expected a regular file, no link"):
             Folder(tmp_path / "second", scene()).move(action)
         assert link.is_symlink()
-
-
-@pytest.mark.timeout(30)
-def test_stored_predictions_that_are_no_regular_file_are_refused(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe.npz")
-    (tmp_path / "link.npz").symlink_to(tmp_path / "pipe.npz")
-    for name, words in (("pipe.npz", "is no regular file"), ("link.npz", "expected a regular file, no link")):
-        with pytest.raises(InputError, match=words):
-            _entries(tmp_path / name)
 
 
 def test_nothing_in_the_folder_ends_the_waiting(tmp_path: Path) -> None:

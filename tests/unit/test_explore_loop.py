@@ -19,7 +19,6 @@ from bcid.exploration.explore_run import exploration_json, summary
 from bcid.exploration.joined import joined
 from bcid.exploration.loop import BUDGET, DECIDED, INSEPARABLE, Exploration, ExploreOptions, explore, posterior_before
 from bcid.exploration.moves import Move, limits_of
-from bcid.exploration.predictions import PullPredictor
 from bcid.exploration.robots import Simulated
 from bcid.forms.model import Model
 from bcid.inference.hypotheses import Hypothesis, normalised
@@ -27,6 +26,7 @@ from bcid.inference.information import Expected
 from bcid.measurement import Measurement
 from bcid.measurement.cloud import Cloud
 from bcid.predict.predictor import Predictor
+from bcid.predict.pull_predictor import PullPredictor
 from bcid.scene import Scene
 
 NOISE = 5e-4

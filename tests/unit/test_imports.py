@@ -35,7 +35,7 @@ ALLOWED = {
     "forms": DATA | {"forms"},
     "inference": DATA | {"forms", "inference"},
     "predict": DATA | {"forms", "inference", "predict"},
-    "search": DATA | {"forms", "inference", "search"},
+    "search": DATA | {"forms", "inference", "predict", "search"},
     "comparison": DATA | {"forms", "inference", "predict", "search", "comparison"},
     "proposal": DATA | {"forms", "inference", "predict", "search", "comparison", "proposal"},
     "exploration": DATA | {"forms", "inference", "predict", "search", "comparison", "exploration"},

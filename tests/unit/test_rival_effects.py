@@ -21,7 +21,6 @@ from bcid.exploration.fitted_numbers import FittedNumbers
 from bcid.exploration.joined import joined
 from bcid.exploration.loop import ExploreOptions, posterior_before
 from bcid.exploration.moves import Move, limits_of
-from bcid.exploration.predictions import PullPredictor
 from bcid.forms.model import Model, Term
 from bcid.forms.simulate import simulate
 from bcid.inference.information import information
@@ -29,6 +28,7 @@ from bcid.inference.mesh_error import MeshError
 from bcid.inference.priors import PRIORS
 from bcid.measurement import Measurement
 from bcid.predict.predictor import Predictor
+from bcid.predict.pull_predictor import PullPredictor
 from bcid.scene import Scene
 
 NOISE = 3e-4

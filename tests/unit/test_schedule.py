@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from bcid.base.scheduler import Alone, replay, share
 from bcid.bench.growth_bench import most_efficient
-from bcid.search.scheduler import Alone, replay, share
 
 
 def test_a_single_worker_takes_everything_in_order() -> None:

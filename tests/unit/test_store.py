@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -24,7 +25,8 @@ from bcid.forms.solver.equilibrium import Settings
 from bcid.measurement import Action
 from bcid.predict import questions, store
 from bcid.predict.predictor import Predictor
-from bcid.predict.result_formats import SensitivitiesFormat, TangentsFormat
+from bcid.predict.pull_prediction import PullPrediction
+from bcid.predict.result_formats import PullFormat, SensitivitiesFormat, TangentsFormat
 from bcid.predict.store import PredictionStore
 
 
@@ -71,6 +73,32 @@ def test_the_same_question_has_an_answer_each_time(tmp_path: Path) -> None:
         kept = PredictionStore(tmp_path, MPI.COMM_SELF)
         answers = [kept.result(lambda: "a", Plain(), lambda: float(kept.computed)) for _ in range(3)]  # noqa: B023
         assert answers == [0.0, 1.0, 2.0]
+
+
+def test_of_many_questions_those_are_computed_that_are_not_known_or_not_known_enough(tmp_path: Path) -> None:
+    asked: list[list[int]] = []
+
+    def work(numbers: Sequence[int]) -> list[float]:
+        asked.append(list(numbers))
+        return [10.0 + k for k in numbers]
+
+    def of(questions: list[str], least: float = 0.0) -> list[float]:
+        kept = PredictionStore(tmp_path, MPI.COMM_SELF, shared=True)
+        return kept.results(questions, Plain(), work, lambda found: found >= least)
+
+    assert of(["a", "b"]) == [10.0, 11.0]
+    assert of(["b", "c", "a"]) == [11.0, 11.0, 10.0]
+    assert of(["c", "a"], least=10.5) == [11.0, 11.0]
+    assert of(["a", "b", "c"]) == [11.0, 11.0, 11.0]
+    assert asked == [[0, 1], [1], [1]]
+
+
+def test_pulls_come_back_as_they_were() -> None:
+    whole = PullPrediction(np.random.default_rng(0).normal(size=(3, 4, 3)), 1.5, 0.2, 0.9)
+    arrays, notes = unpacked(packed(*PullFormat().arrays(whole)))
+    again = PullFormat().result(arrays, notes)
+    np.testing.assert_array_equal(again.positions, whole.positions)
+    assert (again.force, again.strain, again.eigenvalue, again.detailed) == (1.5, 0.2, 0.9, True)
 
 
 def test_other_inputs_and_other_code_begin_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

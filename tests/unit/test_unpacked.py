@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from bcid.base.errors import InputError
-from bcid.exploration.predictions import _entries
 from bcid.forms.mesh import label_image
 from bcid.measurement.formats.array_file import look
 from bcid.vision import corners
@@ -73,11 +72,3 @@ def test_a_packed_table_of_corners_is_unpacked_up_to_a_limit(tmp_path: Path) -> 
     file.write_bytes(gzip.compress(b"pair,corner,x,y,u1,v1,u2,v2\n" + b"1," * 60_000_000))
     with pytest.raises(InputError, match=r"corners.csv.gz: is longer than 100 MB, the most that is read"):
         corners._lines(file)
-
-
-def test_compressed_predictions_are_refused(tmp_path: Path) -> None:
-    file = tmp_path / "kept.npz"
-    sets = np.array(['["1"]', '["1", "2"]'])
-    np.savez_compressed(file, sets=sets, positions=np.zeros((2, 2, 3, 3)), numbers=np.zeros((2, 3)))
-    with pytest.raises(InputError, match=r"is damaged and cannot be read .*compressed"):
-        _entries(file)

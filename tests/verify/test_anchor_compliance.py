@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from bcid.exploration.predictions import PullPredictor, small_action
 from bcid.forms.model import check_physics
+from bcid.predict.pull_predictor import PullPredictor, small_action
 from bcid.scene import Level, Scene
 
 SETS = [frozenset(names) for names in ("", "1", "34", "1278", "12345678")]

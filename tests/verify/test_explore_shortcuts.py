@@ -12,9 +12,10 @@ from mpi4py import MPI
 
 from bcid.exploration import choice, pull_posterior
 from bcid.exploration.loop import Exploration, ExploreOptions, explore
-from bcid.exploration.predictions import PullPredictor
 from bcid.exploration.robots import Simulated
 from bcid.forms.model import check_physics
+from bcid.predict.pull_predictor import PullPredictor
+from bcid.predict.store import PredictionStore
 from bcid.scene import Level, Scene
 
 PATCHES = ("1", "2", "3", "4", "7")
@@ -33,8 +34,9 @@ def slab(project: Path) -> Scene:
 
 def explored(slab: Scene, store: Path, anchors: Sequence[str], noise: float) -> tuple[Exploration, int]:
     """An exploration, and of how many predictions of the working level it knows whether the body may buckle."""
-    levels = [PullPredictor(slab, level, MPI.COMM_SELF, store) for level in (0, 1)]
-    body = PullPredictor(slab, 1, MPI.COMM_SELF, store)
+    kept = PredictionStore(store, MPI.COMM_SELF, shared=True)
+    levels = [PullPredictor(slab, level, MPI.COMM_SELF, kept) for level in (0, 1)]
+    body = PullPredictor(slab, 1, MPI.COMM_SELF, kept)
     robot = Simulated(body, list(anchors), noise, 1)
     found = explore(slab, robot, ExploreOptions(noise=noise, grasps=("III",), budget=3), levels[0], levels[1])
     detailed = sum(known.detailed for known in levels[0]._known.values())

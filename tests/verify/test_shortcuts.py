@@ -19,8 +19,6 @@ from bcid.comparison.identify import astray, identify
 from bcid.comparison.state import State
 from bcid.exploration import predictions
 from bcid.exploration.moves import limits_of, moves
-from bcid.exploration.predictions import PullPredictor
-from bcid.exploration.pull_prediction import PullPrediction
 from bcid.forms import effects
 from bcid.forms.force_bumps import bumps
 from bcid.forms.forward import Forward, Prediction
@@ -38,6 +36,8 @@ from bcid.inference.nuisances import Nuisances
 from bcid.measurement import Action
 from bcid.predict.mesh_ladder import mesh_error
 from bcid.predict.predictor import Predictor
+from bcid.predict.pull_prediction import PullPrediction
+from bcid.predict.pull_predictor import PullPredictor
 from bcid.scene import Level, Scene
 from bcid.scene.motions import motion
 from bcid.search.seeds import all_candidates

@@ -31,12 +31,11 @@ from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import RunFolder, running
 from bcid.base.shipped import shipped
 from bcid.exploration.choice import Choice, Chooser
-from bcid.exploration.explore_run import HYPOTHESES, telling_pull
+from bcid.exploration.explore_run import telling_pull
 from bcid.exploration.hypothesis_predictions import HypothesisPredictor
 from bcid.exploration.loop import ExploreOptions, explore, paired, posterior_before
 from bcid.exploration.moves import limits_of, moves
 from bcid.exploration.posterior_summary import PosteriorSummary
-from bcid.exploration.predictions import PullPredictor
 from bcid.exploration.pull_posterior import PullPosterior
 from bcid.exploration.robots import Simulated
 from bcid.forms.gripper_force import ForceScale
@@ -44,6 +43,7 @@ from bcid.forms.model import check_physics
 from bcid.forms.written_effects import with_effects
 from bcid.inference.hypotheses import Hypothesis
 from bcid.measurement import Action
+from bcid.predict.pull_predictor import PullPredictor
 from bcid.predict.store import PredictionStore
 from bcid.scene import Level, Scene
 from bcid.scene.uncertainty import FORCED, Uncertainty
@@ -151,7 +151,8 @@ def precomputer(job: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[st
     from mpi4py import MPI
 
     scene = _scene(Path(job["scene"]))
-    ladder, store = paired(scene, None, MPI.COMM_SELF), Path(job["predictions"])
+    ladder = paired(scene, None, MPI.COMM_SELF)
+    store = PredictionStore(Path(job["predictions"]), MPI.COMM_SELF, shared=True)
     predictors = {
         felt: PullPredictor(ladder, 0, MPI.COMM_SELF, store, gripper=ForceScale.of_body(scene) if felt else None)
         for felt in (False, True)
@@ -251,8 +252,9 @@ class Bench:
         from mpi4py import MPI
 
         ladder, true = paired(scene, None, MPI.COMM_SELF), replace(scene, levels=(TRUE,))
-        working, *fine = (PullPredictor(ladder, level, MPI.COMM_SELF, store) for level in range(len(ladder.levels)))
-        truth = PullPredictor(true, 0, MPI.COMM_SELF, store)
+        known = PredictionStore(store, MPI.COMM_SELF, shared=True)
+        working, *fine = (PullPredictor(ladder, level, MPI.COMM_SELF, known) for level in range(len(ladder.levels)))
+        truth = PullPredictor(true, 0, MPI.COMM_SELF, known)
         return cls(scene, working, fine[0] if fine else None, truth, seed)
 
     def make(self, trial: ExplorationTrial) -> dict[str, Any]:
@@ -326,8 +328,8 @@ class Bench:
     def posterior(self, plan: ExploreOptions) -> PullPosterior:
         """Before any pull; trials share its meshes and what it predicts."""
         if plan.effects not in self._posteriors:
-            place, comm = self.predictor.store, self.predictor.comm
-            store = PredictionStore(place / HYPOTHESES, comm, shared=True) if place else None
+            known, comm = self.predictor.store, self.predictor.comm
+            store = PredictionStore(known.folder, comm, shared=True) if known else None
             self._posteriors[plan.effects] = posterior_before(self.scene, plan, self.predictor, store)
         return self._posteriors[plan.effects].anew()
 

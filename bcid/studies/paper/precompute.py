@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 from bcid.base.errors import SolveError
 from bcid.base.fingerprint import fingerprint
 from bcid.base.run_folder import writing
-from bcid.exploration.predictions import PullPredictor
 from bcid.forms.model import check_physics
 from bcid.measurement import Measurement
+from bcid.predict.pull_predictor import PullPredictor
+from bcid.predict.store import PredictionStore
 from bcid.scene import Scene
 from bcid.search.seeds import all_candidates
 from bcid.studies.paper.condition import Condition
@@ -155,7 +156,7 @@ def _predictor(store: Store, true: Condition | None, number: int, level: int) ->
     found = _PREDICTORS.pop(key, None)
     if found is None:
         scene = store.read() if true is None else true_scene(true, store.read(), number, store.seed)
-        found = PullPredictor(scene, level, MPI.COMM_SELF, store.folder)
+        found = PullPredictor(scene, level, MPI.COMM_SELF, PredictionStore(store.folder, MPI.COMM_SELF, shared=True))
     _PREDICTORS[key] = found
     if len(_PREDICTORS) > _MOST:
         _PREDICTORS.pop(next(iter(_PREDICTORS))).destroy()

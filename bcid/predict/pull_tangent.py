@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError
-from bcid.exploration.motion import back, there
 from bcid.forms.forward import Forward
 from bcid.forms.probes import Sensitivities, SensitivityRequest
 from bcid.forms.sensitivity import Sensitivity
 from bcid.inference.knots import knots_of, known_frames
 from bcid.inference.nuisances import Nuisances
 from bcid.measurement import Action
+from bcid.predict.there_and_back import back, there
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]

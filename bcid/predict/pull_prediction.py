@@ -10,12 +10,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.exploration.motion import back, there
 from bcid.forms.forward import Forward
 from bcid.forms.solver.buckling import NEAR_BUCKLING, linear_buckling, smallest_eigenvalue, two_states
 from bcid.forms.solver.supports import Pose
 from bcid.forms.solver.trajectory import poses
 from bcid.measurement import Action
+from bcid.predict.there_and_back import back, there
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]

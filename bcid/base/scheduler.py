@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from operator import itemgetter
 from typing import Any, Protocol, TypeVar
 
@@ -78,26 +79,71 @@ def share(tasks: Sequence[Any], tickets: Counter) -> Iterator[Any]:
         yield tasks[i]
 
 
-def spread(comm: Comm, count: int, work: Callable[[int], T]) -> list[T]:
-    """What work makes of each of so many things, each on some rank, in order and on every rank; collective.
+@dataclass(frozen=True)
+class Team:
+    """Ranks that work on a task together; the first of each team takes its tasks.
+
+    Attributes:
+        comm: the ranks of this rank's team.
+        leaders: the first ranks of all teams; None on the others.
+    """
+
+    comm: Comm
+    leaders: Comm | None
+
+    @classmethod
+    def of(cls, comm: Comm, size: int) -> Team:
+        """Teams of so many neighbouring ranks, which must divide their number; collective."""
+        together: Any = comm.Split(comm.rank // size, comm.rank)
+        first: Any = comm.Split(0 if together.rank == 0 else 1, comm.rank)
+        if together.rank == 0:
+            return cls(together, first)
+        first.Free()
+        return cls(together, None)
+
+    def free(self) -> None:
+        """Free the communicators; collective."""
+        self.comm.Free()
+        if self.leaders is not None:
+            self.leaders.Free()
+
+
+def spread(comm: Comm, count: int, work: Callable[[int], T], team: Team | None = None) -> list[T]:
+    """What work makes of each of so many things, each on some rank or team, in order and on every rank; collective.
 
     They are handed out in order: when one is begun those before it are done, or nearly.
+
+    Args:
+        comm: the ranks.
+        count: of things.
+        work: makes something of one of them; with a team it is collective there.
+        team: of this rank; by default each rank works by itself.
 
     Raises:
         BcidError: what the work on one of them raises, on all ranks.
     """
     mine: list[tuple[int, T]] = []
     error = None
-    tickets = counter(comm)
-    for number in share(range(count), tickets):
+    leaders = comm if team is None else team.leaders
+    tickets = None if leaders is None else counter(leaders)
+    turns = iter(()) if tickets is None else share(range(count), tickets)
+    while (number := _next(turns, team)) is not None:
         try:
             mine.append((number, work(number)))
         except BcidError as caught:
             error = caught
             break
-    tickets.close()
+    if tickets is not None:
+        tickets.close()
     agree(comm, error)
-    return [found for _, found in sorted((one for part in comm.allgather(mine) for one in part), key=itemgetter(0))]
+    gathered = comm.allgather(mine if leaders is not None else [])
+    return [found for _, found in sorted((one for part in gathered for one in part), key=itemgetter(0))]
+
+
+def _next(turns: Iterator[int], team: Team | None) -> int | None:
+    """The next number of this rank, or of its team; None where there is none."""
+    number = next(turns, None)
+    return number if team is None or team.comm.size == 1 else team.comm.bcast(number)
 
 
 def replay(durations: Sequence[float], workers: int, latency: float = 0.0) -> tuple[float, float]:
