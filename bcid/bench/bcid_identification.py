@@ -16,7 +16,6 @@ from mpi4py import MPI
 import bcid
 from bcid.base.progress import Silent
 from bcid.bench.bench_slab import encoded, measurement, scene
-from bcid.comparison.followed_sets import FollowedSets
 from bcid.comparison.identify import posterior
 from bcid.forms.model import Model
 from bcid.predict.predictor import Predictor
@@ -31,8 +30,8 @@ def main() -> None:
     comm.barrier()
     clock.start()
     predictor = Predictor(slab, seen, comm, int(smaller[0]) if smaller else None, progress=Silent())
-    followed = FollowedSets(predictor, not smaller)
-    table = posterior(predictor, Model.of(slab), (), followed)
+    table, followed = posterior(predictor, Model.of(slab), (), not smaller)
+    assert followed is not None
     comm.barrier()
     clock.stop()
     processor = comm.allgather(clock.record["cpu_s"])

@@ -89,20 +89,32 @@ def buckled(predictor: Predictor, model: Model, anchors: Iterable[str]) -> list[
 
 
 def leave_out(predictor: Predictor, model: Model, anchors: Iterable[str]) -> list[Buckling]:
-    """Compare a predictor from now on with what was seen before the body buckles; collective."""
-    found = buckled(predictor, model, anchors)
+    """Compare a predictor from now on with what was seen before the body buckles; collective.
+
+    Returns:
+        The actions of which something was left out.
+    """
+    found = [one for one in buckled(predictor, model, anchors) if predictor.data.mask[_later(predictor, one)].any()]
     if found:
-        predictor.look_at(_before(predictor.measurement, found), tuple(map(str, found)))
+        left_out = (*predictor.left_out, *map(str, found))
+        predictor.look_at(_before(predictor, found), left_out)
+    for one in found:
+        predictor.progress.say(str(one))
     return found
 
 
-def _before(measurement: Measurement, found: Sequence[Buckling]) -> Measurement:
+def _before(predictor: Predictor, found: Sequence[Buckling]) -> Measurement:
     """The measurement with nothing seen from where the body buckles."""
-    data = measurement.data.copy(deep=True)
+    data = predictor.measurement.data.copy(deep=True)
     for one in found:
-        later = (data["action"].values.astype(str) == one.action) & (data["step"].values >= one.step)
-        data["position"][{"frame": later}] = np.nan
-    return replace(measurement, data=data)
+        data["position"][{"frame": _later(predictor, one)}] = np.nan
+    return replace(predictor.measurement, data=data)
+
+
+def _later(predictor: Predictor, one: Buckling) -> NDArray[np.bool_]:
+    """The frames from where the body buckles, shape (frames,)."""
+    data = predictor.measurement.data
+    return np.asarray((data["action"].values.astype(str) == one.action) & (data["step"].values >= one.step))
 
 
 @dataclass(frozen=True)

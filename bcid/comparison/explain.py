@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from bcid.base.units import p_value, percent
@@ -11,10 +11,11 @@ from bcid.comparison.adequacy import judge
 from bcid.comparison.anchor_answer import AnchorAnswer
 from bcid.comparison.candidates import Candidates, Known
 from bcid.comparison.explanation import Explanation, ModelStep, explains, verdict_of
-from bcid.comparison.first_state import first_state
 from bcid.comparison.fitted_hypothesis import FittedHypothesis, best_first
 from bcid.comparison.full_search import FullSearch
 from bcid.comparison.held_out import held_out
+from bcid.comparison.searched import searched
+from bcid.comparison.state import State
 from bcid.comparison.unfollowed import check_not_stood_for
 from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
@@ -67,9 +68,13 @@ def explain(
     options = options or ExplainOptions()
     candidates = candidates or Known(tuple(effects.catalogue(options.only, more)))
     start = time.perf_counter()
-    base, sets = first_state(predictor, model or Model.of(predictor.scene))
-    queue = FullSearch(base, candidates, sets, options.effects, options.fitted, options.sets)
-    best = queue.run().best()
+    chosen = options
+
+    def search(base: State, sets: Sequence[Anchored]) -> FullSearch:
+        return FullSearch(base, candidates, sets, chosen.effects, chosen.fitted, chosen.sets)
+
+    queue = searched(predictor, model or Model.of(predictor.scene), (), search)
+    best = queue.table.best()
     check_not_stood_for(best, queue.table.refused, queue.model)
     return _explanation(queue, best, time.perf_counter() - start)
 

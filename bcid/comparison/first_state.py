@@ -31,14 +31,17 @@ def first_state(predictor: Predictor, model: Model, likely: Sequence[Anchored] =
     """
     predictor.progress.step("looking for the likely anchors in a few steps")
     sets = list(likely) if _follows(predictor, model, likely) else first_sets(predictor, model)
-    for one in leave_out(predictor, model, sets[0]):
-        predictor.progress.say(str(one))
-    if predictor.left_out:
+    if leave_out(predictor, model, sets[0]):
         sets = first_sets(predictor, model)
-    base = State.of(predictor, model, sets[0])
+    return settled_state(predictor, model, sets[0]), sets
+
+
+def settled_state(predictor: Predictor, model: Model, anchors: Anchored) -> State:
+    """The model with a set, with the noise that is believed; collective."""
+    base = State.of(predictor, model, anchors)
     with suppress(SolveError):
         base = settled(base)
-    return _with_noise(base), sets
+    return _with_noise(base)
 
 
 def _follows(predictor: Predictor, model: Model, sets: Sequence[Anchored]) -> bool:

@@ -15,10 +15,10 @@ from bcid.base.progress import Progress, Silent
 from bcid.comparison.anchor_answer import AnchorAnswer
 from bcid.comparison.candidates import Known
 from bcid.comparison.explain import ExplainOptions
-from bcid.comparison.first_state import first_state
 from bcid.comparison.followed_sets import FollowedSets
 from bcid.comparison.full_search import FullSearch
 from bcid.comparison.hypothesis_table import HypothesisTable
+from bcid.comparison.searched import searched
 from bcid.comparison.state import State
 from bcid.comparison.state_fields import detailed
 from bcid.forms.mesh.patches import divided
@@ -78,8 +78,8 @@ def identify(
         staged = staged_search(scene, measurement, comm, options.stages, model, settings, progress, start)
     predictor = Predictor(scene, measurement, comm, options.level, settings, progress, store)
     try:
-        followed = None if options.certify == "no" else FollowedSets(predictor, options.certifies(scene))
-        table = posterior(predictor, model or Model.of(scene), staged.likely if staged else start, followed)
+        certifies = None if options.certify == "no" else options.certifies(scene)
+        table, followed = posterior(predictor, model or Model.of(scene), staged.likely if staged else start, certifies)
         best = table.best()
         found, state = AnchorAnswer(table, best, followed, staged).identification(), best.fitted.state
         # The residual that is drawn is the one that is reported.
@@ -96,21 +96,30 @@ def identify(
 
 
 def posterior(
-    predictor: Predictor, model: Model, likely: Sequence[Anchored], followed: FollowedSets | None
-) -> HypothesisTable:
+    predictor: Predictor, model: Model, likely: Sequence[Anchored], every: bool | None
+) -> tuple[HypothesisTable, FollowedSets | None]:
     """Of anchor sets, and of a discrepancy in the place of what the model may lack; collective.
 
     Args:
         predictor: of the measurement.
         model: without added effects.
         likely: sets to begin with, the likeliest first.
-        followed: follows every set until it has lost; without it tangents and few steps tell of sets that are not fitted.
+        every: whether every set is followed until it has lost; None to follow none: then tangents and few steps tell of sets that
+            are not fitted.
+
+    Returns:
+        The table, and the sets that were followed; None where that was not asked for.
 
     Raises:
         ContinuationError: no set can be followed to the end.
     """
-    base, sets = first_state(predictor, model, likely)
-    return FullSearch(base, Known(()), sets, effects=0, fitted=0, sets=ExplainOptions().sets, others=followed).run()
+
+    def search(base: State, sets: Sequence[Anchored]) -> FullSearch:
+        followed = None if every is None else FollowedSets(predictor, every)
+        return FullSearch(base, Known(()), sets, effects=0, fitted=0, sets=ExplainOptions().sets, others=followed)
+
+    found = searched(predictor, model, likely, search)
+    return found.table, found.others if isinstance(found.others, FollowedSets) else None
 
 
 def astray(state: State) -> tuple[str, ...]:

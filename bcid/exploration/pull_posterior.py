@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from bcid.base.errors import SolveError
 from bcid.base.progress import Progress, Silent
 from bcid.comparison.candidates import Known
-from bcid.comparison.first_state import first_state
 from bcid.comparison.fitted_hypothesis import FittedHypothesis, best_first
 from bcid.comparison.full_search import FullSearch
 from bcid.comparison.hypothesis_table import HypothesisTable
+from bcid.comparison.searched import searched
+from bcid.comparison.state import State
 from bcid.exploration.fitted_numbers import FittedNumbers
 from bcid.exploration.joined import JoinedPredictors
 from bcid.exploration.possible_sets import PossibleSets, negligible
@@ -105,11 +106,14 @@ class PullPosterior:
     def _searched(self, predictor: Predictor, model: Model) -> HypothesisTable:
         """What is known of hypotheses after all pulls."""
         acting = [e for e in self.known if not (e.needs and e.needs(self.scene, predictor.measurement))]
-        base, likely = first_state(predictor, model, self._likely)
         actions, rows = tuple(pull.actions[0] for pull in self.seen), predictor.data.mask.shape[1]
-        sets, excluded = PossibleSets(self.working, actions, rows), self._excluded - {base.anchors, *likely}
         fits, count = SETTINGS.sets_of_effect * len(acting), SETTINGS.first_sets
-        return FullSearch(base, Known(tuple(acting)), likely, 1, fits, count, sets, excluded).run()
+
+        def search(base: State, likely: Sequence[Anchored]) -> FullSearch:
+            sets, excluded = PossibleSets(self.working, actions, rows), self._excluded - {base.anchors, *likely}
+            return FullSearch(base, Known(tuple(acting)), likely, 1, fits, count, sets, excluded)
+
+        return searched(predictor, model, self._likely, search).table
 
     def _summary(self, table: HypothesisTable, model: Model) -> PosteriorSummary:
         probabilities: dict[Hypothesis, float] = {}

@@ -107,7 +107,7 @@ def test_the_posterior_is_that_of_every_set_evaluated_by_itself(scene: Scene, wo
 def test_a_pull_that_no_set_can_follow_changes_nothing(
     scene: Scene, working: PullPredictor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole, calls = pull_posterior.first_state, list[object]()
+    whole, calls = pull_posterior.searched, list[object]()
 
     def lost_at_first(*about: Any) -> Any:
         calls.append(about)
@@ -115,7 +115,7 @@ def test_a_pull_that_no_set_can_follow_changes_nothing(
             raise SolveError("no set can be followed")
         return whole(*about)
 
-    monkeypatch.setattr(pull_posterior, "first_state", lost_at_first)
+    monkeypatch.setattr(pull_posterior, "searched", lost_at_first)
     found = explored(scene, working, NOISE)
     first, second = found.steps
     assert first.view.probabilities == {Hypothesis(frozenset(s)): 0.25 for s in ("", "3", "4", "34")}

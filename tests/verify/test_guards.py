@@ -29,6 +29,7 @@ from bcid.comparison.few_steps import FEW_STEPS, in_few_steps
 from bcid.comparison.fit import Fit, columns, coordinates, fit
 from bcid.comparison.fitted_hypothesis import FittedHypothesis, fitted_beside, promoted, refit
 from bcid.comparison.hypothesis_table import HypothesisTable, TangentEvidence
+from bcid.comparison.identify import identify
 from bcid.comparison.parameter_priors import of_state
 from bcid.comparison.ranking import rank
 from bcid.comparison.separate import separating_pulls
@@ -49,6 +50,7 @@ from bcid.predict.levels import pair
 from bcid.predict.mesh_ladder import mesh_error
 from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Scene
+from bcid.search.identify_options import IdentifyOptions
 from bcid.studies.hidden import outside
 
 ANCHORED = frozenset({"1", "3"})
@@ -542,6 +544,18 @@ def test_what_follows_buckling_is_no_evidence(slab: Scene, measurement_folder: C
     assert any("two states exist" in finding.text for finding in adequacy.findings)
     assert min(row.p_value for row in rank(state, effects.catalogue(FEW)).rows) > 0.01
     predictor.destroy()
+
+
+def test_a_body_that_buckles_with_the_true_anchors_alone_is_no_evidence_that_something_is_missing(
+    slab: Scene, measurement_folder: Callable[[str], Path]
+) -> None:
+    """The search begins at a set with which the body does not buckle."""
+    measurement = Measurement.read(measurement_folder("slab-34-buckles"))
+    start = [frozenset({"2", "7"}), frozenset({"3", "4"})]
+    found = identify(slab, measurement, options=IdentifyOptions(certify="no", level=1), start=start)
+    assert found.anchored == ("3", "4")
+    assert found.missing is not None
+    assert found.missing < 0.1
 
 
 def test_a_body_that_buckles_on_its_way_is_seen_though_it_comes_back(
