@@ -65,6 +65,7 @@ def _words(found: SceneCheck) -> tuple[dict[str, str], list[str]]:
     places = {f"{one.kind} {one.name}": shown(one.area, 2) for one in found.places if one.area > 0}
     size = " x ".join(f"{span:.4g}" for span in np.ptp(mesh.points, axis=0) * 1e3)
     level = level_name(scene, scene.levels[found.level])
+    places |= {f"region {one.name}": f"{100 * one.part:.3g} % of the volume" for one in found.body_regions}
     places = {name: text.replace("^2", "²") for name, text in places.items()}
     return places, [
         f"{size} mm",

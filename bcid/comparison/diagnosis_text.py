@@ -325,7 +325,7 @@ def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull]
         return [
             f"Nothing is missing that these data could show ({percent(found.probability)}). The plain model misses the measurement "
             f"by {last.state.rms / unit:.3g} {name}; noise ({last.state.noise / unit:.3g}), the mesh and what the scene may have "
-            f"slightly wrong {'explain that' if last.adequacy.adequate else 'do not quite explain that'}. {_held(found, held)}",
+            f"slightly wrong {'explain that' if last.adequacy.adequate else 'do not quite explain that'}.{_held(found, held)}",
             *_open(found, pulls),
         ]
     if found.verdict == "unknown":
@@ -334,14 +334,13 @@ def conclusion(found: Explanation, unit: float, name: str, pulls: Sequence[Pull]
             f"None of the known effects explains this measurement: {last.state.rms / unit:.3g} {name} are left where the noise is "
             f"{last.state.noise / unit:.3g} (the closest: {best}).",
             *(_begins(found) or _breaks(last)),
-            f"{_look(found)}Values below are those of a model that fails.",
-            _held(found, held),
+            f"{_look(found)}Values below are those of a model that fails.{_held(found, held)}",
             *_open(found, pulls),
         ]
     noise = last.state.noise / unit
     lines = [
         f"Missing in the plain model: {' and '.join(found.verdict.split('+'))} ({percent(found.probability)}). The error "
-        f"{falls(first.state.rms / unit, last.state.rms / unit, noise, name)} (noise {noise:.3g}){_beyond(first, last)}. "
+        f"{falls(first.state.rms / unit, last.state.rms / unit, noise, name)} (noise {noise:.3g}){_beyond(first, last)}."
         f"{_held(found, held)}",
         *([not_adequate_either(last.adequacy.p_value)] if last.adequacy.told is False else []),
     ]
@@ -395,7 +394,10 @@ def _breaks(rung: ModelStep) -> list[str]:
 
 
 def _held(found: Explanation, held: str) -> str:
-    return f"Anchored: {held} ({percent(found.held_by)})."
+    """Which candidates are anchored, as a further sentence; nothing where the scene has none."""
+    if not found.last.state.predictor.scene.patches:
+        return ""
+    return f" Anchored: {held} ({percent(found.held_by)})."
 
 
 def _open(found: Explanation, pulls: Sequence[Pull]) -> list[str]:

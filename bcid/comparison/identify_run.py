@@ -20,6 +20,7 @@ from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.mesh.body_mesh import among
 from bcid.forms.mesh.check import measures
 from bcid.forms.mesh.patches import divided, first_level
+from bcid.forms.mesh.shares import share
 from bcid.forms.model import Model, check_physics
 from bcid.inference import nuisance_text
 from bcid.inference.continuation import truncate_to_converged
@@ -203,15 +204,18 @@ def body_parts(scene: Scene, mesh: BodyMesh, displacement: Any, energy: Any) -> 
     places |= {f"grasp {name}": grasp.region for name, grasp in scene.grasps.items()}
     places |= {f"held {name}": scene.places[name] for name, axes in scene.held.items() if len(axes) == len(AXES)}
     number = np.zeros(len(boundary), dtype=np.int32)
-    for i, (name, region) in enumerate(places.items(), start=1):
-        number[among(boundary, mesh.select(region, name))] = i
+    for i, (name, region) in enumerate(scene.regions.items(), start=1 + len(places)):
+        number[share(mesh, region, name)[mesh.behind] > 0.5] = i
+    for i, (name, place) in enumerate(places.items(), start=1):
+        number[among(boundary, mesh.select(place, name))] = i
+    places_and_regions = [*places, *(f"region {name}" for name in scene.regions)]
     return xr.Dataset(
         {
             "points": (("node", "axis"), mesh.points),
             "cells": (("cell", "corner"), mesh.cells.astype(np.int32)),
             "triangles": (("triangle", "vertex"), boundary.astype(np.int32)),
             "place": ("triangle", number),
-            "place_name": ("place_number", ["", *places]),
+            "place_name": ("place_number", ["", *places_and_regions]),
             "displacement": (("frame", "node", "axis"), displacement),
             "energy": (("frame", "node"), np.asarray(energy, dtype=np.float32)),
         },
@@ -235,7 +239,9 @@ def summary(scene: Scene, measurement: Measurement, found: Identification, round
     lines = [
         *odd(measurement.remarks),
         *_warning(found),
-        f"Anchored patches of {scene.name}: {names}  (probability {percent(found.probability)})",
+        f"Anchored patches of {scene.name}: {names}  (probability {percent(found.probability)})"
+        if scene.patches
+        else f"{scene.name}: no patch is a candidate; what is held is known.",
         "",
         f"The model misses the measurement by {found.rms / unit:.3g} {length} per coordinate (RMS); {noise}.",
         mesh,
@@ -243,21 +249,14 @@ def summary(scene: Scene, measurement: Measurement, found: Identification, round
         *stiffness_in_words(found.stiffness),
         f"Compared: {len(measurement.action_names)} action(s), {frames} frames, {fiducials} fiducials{pooling}.",
         *_of_surface(scene, measurement),
-        "",
-        "Probability that a patch is anchored:",
-        *(
-            f"  {name:>6}  {percent(p):>9}  {'anchored' if name in found.anchored else 'free'}"
-            for name, p in found.patches.items()
-        ),
-        "",
-        "Next best sets:",
+        *_of_patches(found),
     ]
     for other in found.alternatives[:3]:
         misses = f"misses by {other.rms / unit:.3g} {length} where {names} misses by {other.best_rms / unit:.3g}"
         where = f" (in {other.frames} of {frames} frames)" if other.frames < frames else ""
         text = f"{label(other.anchored, scene.patches)} {misses}{where}, probability {percent(other.probability)}"
         lines.append(f"  {text}{'; it could not be followed further' if other.failure else ''}")
-    if not found.alternatives:
+    if found.patches and not found.alternatives:
         lines.append("  none was evaluated")
     lines += ["", "How it was found:", *(f"  {stage}" for stage in found.stages)]
     counts = found.looked_at
@@ -274,6 +273,17 @@ def summary(scene: Scene, measurement: Measurement, found: Identification, round
     if rounds:
         lines += ["", "How the patches were refined, before the search above:", *(f"  {text}" for text in rounds)]
     return "\n".join(lines) + "\n"
+
+
+def _of_patches(found: Identification) -> list[str]:
+    """The candidates, each with its probability; nothing where the scene has none."""
+    if not found.patches:
+        return []
+    each = (
+        f"  {name:>6}  {percent(p):>9}  {'anchored' if name in found.anchored else 'free'}"
+        for name, p in found.patches.items()
+    )
+    return ["", "Probability that a patch is anchored:", *each, "", "Next best sets:"]
 
 
 def _of_surface(scene: Scene, measurement: Measurement) -> list[str]:
@@ -359,9 +369,11 @@ def _unexplained(found: Identification) -> list[str]:
         ]
     if found.explains:
         return []
+    which, best = ("no set explains", "the best") if found.patches else ("the model does not explain", "it")
+    compared = "Probabilities compare the sets with each other only" if found.patches else ""
+    beside = ", with an unknown smooth force in place of what is missing" if found.missing else ""
     return [
-        f"WARNING: no set explains this measurement: the best misses it by {found.rms / found.noise:.1f} times the noise.",
+        f"WARNING: {which} this measurement: {best} misses it by {found.rms / found.noise:.1f} times the noise.",
         "The mesh is too coarse, a physical effect is missing (bcid explain), or units, frames, grasp or material are not what",
-        "the scene says. Probabilities compare the sets with each other only"
-        + (", with an unknown smooth force in place of what is missing." if found.missing else "."),
+        f"the scene says. {compared}{beside}." if compared else "the scene says.",
     ]

@@ -63,6 +63,8 @@ def loosened(state: State, effect: Effect, sets: Sequence[Anchored], near: Seque
         sets: those that are looked at.
         near: of which single patches give.
     """
+    if not any(sets):
+        return []
     found = _released(state, effect, sets) if effect.held else _yielding(state, effect, sets, near)
     return sorted(found, key=lambda one: one.order)
 

@@ -20,6 +20,7 @@ from bcid.comparison.fitted_hypothesis import FittedHypothesis
 from bcid.comparison.loosened import loosens
 from bcid.comparison.parameter_priors import of_state
 from bcid.comparison.state import State
+from bcid.forms.mesh.shares import share
 from bcid.forms.model import Model, Term
 from bcid.forms.scene_errors import Outline
 from bcid.inference.discrepancy import conditional
@@ -201,10 +202,13 @@ def inputs_of(state: State) -> dict[SceneInput, int]:
 
 
 def _middles(state: State) -> dict[str, Array]:
-    """Of the patches that a set holds, (3,), m, as the borders of the scene have them."""
+    """Of the patches that a set holds, and of regions of the body, (3,), m, as the borders of the scene have them."""
     predictor = state.predictor
-    mesh, patches = predictor.forward(state.model).mesh, predictor.scene.patches
-    found = {name: Outline.of(mesh, patches[name], f"patch {name}") for name in sorted(state.anchors)}
+    mesh, scene = predictor.forward(state.model).mesh, predictor.scene
+    found = {f"patch {name}": Outline.of(mesh, scene.patches[name], f"patch {name}") for name in sorted(state.anchors)}
+    found |= {
+        f"region {name}": Outline.of_volume(mesh, share(mesh, region, name)) for name, region in scene.regions.items()
+    }
     return {name: outline.middle for name, outline in found.items() if outline is not None}
 
 
@@ -221,7 +225,7 @@ def _label(name: str, number: tuple[Term, str] | None, patches: Mapping[str, Arr
     if name == "dimensions":
         return f"extent of the body along {_along(direction)}"
     middle = np.array([term.values[f"c{axis}"] for axis in _AXES])
-    patch = next((f"patch {patch}" for patch, there in patches.items() if np.allclose(there, middle)), "")
+    patch = next((patch for patch, there in patches.items() if np.allclose(there, middle)), "")
     where = f"grasp {term.place}" if term.place else patch
     way = "place" if term.values["shift"] else "extent"
     return f"{way} of {where} along {_along(direction)}" if where else ""

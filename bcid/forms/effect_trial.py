@@ -24,6 +24,7 @@ from bcid.forms.parameter import Parameter, Shape
 from bcid.forms.solver.equilibrium import Settings
 from bcid.measurement import Action
 from bcid.scene import Grasp, Level, Material, Plane, Region, Scene
+from bcid.scene.parts import BodyRegion, Sphere
 from bcid.scene.rotation import from_vector
 
 Array = NDArray[np.float64]
@@ -71,7 +72,7 @@ def box(units: SimilarUnits = SI) -> BodyMesh:
 
 
 def scene(units: SimilarUnits = SI) -> Scene:
-    """The box: lying on its bottom, with two patches, held at the end x = 60 mm."""
+    """The box: lying on its bottom, with two patches and a region in its middle, held at the end x = 60 mm."""
 
     def face(axis: int, upper: bool) -> Region:
         point, normal = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
@@ -96,6 +97,7 @@ def scene(units: SimilarUnits = SI) -> Scene:
             "d": at(0.022, 0.02, 0.033),
         },
         places={"bottom": face(1, False), "top": face(1, True)},
+        regions={"core": BodyRegion(sphere=Sphere(at(0.03, 0.01, 0.02), units(0.014, "m")))},
         support="bottom",
         source="of the check",
     )

@@ -5,7 +5,7 @@ model = Model.of(scene) + Term("gravity", {"weight": 9810.0}) + Anchors({"1", "2
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -354,11 +354,26 @@ def _model(scene: Scene, problems: list[str]) -> Model | None:
     terms = [_term(name, written, scene, problems) for name, written in scene.effects.items()]
     if problems:
         return None
-    found = tuple(term for term in terms if term)
+    found = (*(term for term in terms if term), *_regions(scene, terms, problems))
+    if problems:
+        return None
     held = tuple((place, axis) for place, axes in scene.held.items() for axis in axes)
     volumetric = next((one for one in VOLUMETRIC if one == form), None)
     model = Model(law, values, material.formulation, volumetric, terms=found, rollers=held)
     return replace(model, down=scene.down, fibre_axes=scene.fibre_axes)
+
+
+def _regions(scene: Scene, terms: Sequence[Term | None], problems: list[str]) -> list[Term]:
+    """Parts of the body whose stiffness is known."""
+    known = [
+        Term("region_stiffness", {"ratio": one.ratio}, place=name) for name, one in scene.regions.items() if one.ratio
+    ]
+    stated = {term.label for term in terms if term}
+    for term in known:
+        if term.label in stated:
+            problems.append(f"regions.{term.place}.ratio: effects.region_stiffness has it as well; state it once")
+        problems += [f"regions.{term.place}: {problem}" for problem in term.effect.check(dict(term.values))]
+    return known
 
 
 def _term(name: str, written: Values, scene: Scene, problems: list[str]) -> Term | None:

@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.forms.mesh import BodyMesh, level_mesh
+from bcid.forms.mesh.body_mesh import volumes
 from bcid.forms.mesh.check import expected_cells, places
 from bcid.forms.mesh.closest import closest_triangles
 from bcid.forms.mesh.length_unit import check_length_unit, fiducial_limit
 from bcid.forms.mesh.patches import divided, first_level
+from bcid.forms.mesh.shares import share
 from bcid.forms.model import Model
 from bcid.forms.observe import attach
 from bcid.scene import Level, Scene
@@ -55,6 +57,16 @@ class PlaceSize:
 
 
 @dataclass(frozen=True)
+class RegionSize:
+    """A region of the body: its part of the volume, how many cells its border cuts, and its middle (m)."""
+
+    name: str
+    part: float
+    cut: int
+    middle: Array
+
+
+@dataclass(frozen=True)
 class Marker:
     """A fiducial: where it is (m), how far from the surface (m, negative inside), and the patch that it is on, or ""."""
 
@@ -74,6 +86,7 @@ class SceneCheck:
         mesh: its mesh.
         rungs: of all levels.
         places: patches, grasps and places, in the order of the scene.
+        body_regions: regions of the body.
         markers: the fiducials.
         warnings: what looks odd and is allowed, in sentences.
     """
@@ -83,6 +96,7 @@ class SceneCheck:
     mesh: BodyMesh
     rungs: tuple[LevelSize, ...]
     places: tuple[PlaceSize, ...]
+    body_regions: tuple[RegionSize, ...]
     markers: tuple[Marker, ...]
     warnings: tuple[str, ...]
 
@@ -103,7 +117,8 @@ def check_scene(scene: Scene) -> SceneCheck:
     rungs = tuple(_rung(scene, number, mesh, meshes) for number in range(len(scene.levels)))
     found = tuple(_places(scene, mesh))
     warnings = [*passed, *mesh.notes, *_of_places(scene, mesh, found), *_of_levels(scene, found, rungs, meshes, level)]
-    return SceneCheck(scene, level, mesh, rungs, found, markers, (*warnings, *_of_markers(scene, mesh, markers)))
+    warnings += _of_markers(scene, mesh, markers)
+    return SceneCheck(scene, level, mesh, rungs, found, tuple(_regions(scene, mesh)), markers, tuple(warnings))
 
 
 def _meshes(scene: Scene, mesh: BodyMesh, level: int) -> Iterator[tuple[int, BodyMesh]]:
@@ -140,6 +155,15 @@ def _places(scene: Scene, mesh: BodyMesh) -> Iterator[PlaceSize]:
             facets = mesh.select(region, f"{kind} {name}")
             middle = mesh.points[np.unique(facets)].mean(axis=0)
             yield PlaceSize(kind, name, len(facets), mesh.area(facets), middle)
+
+
+def _regions(scene: Scene, mesh: BodyMesh) -> Iterator[RegionSize]:
+    sizes, middles = volumes(mesh.points, mesh.cells), mesh.points[mesh.cells].mean(axis=1)
+    for name, region in scene.regions.items():
+        inside = share(mesh, region, f"region {name}")
+        weights = inside * sizes
+        cut = int(((inside > 0) & (inside < 1)).sum())
+        yield RegionSize(name, float(weights.sum()) / mesh.volume, cut, np.average(middles, axis=0, weights=weights))
 
 
 def _markers(scene: Scene, mesh: BodyMesh, limit: float) -> Iterator[Marker]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ufl.geometry import CellVertices
 
 from bcid.forms.effects.effect import BodyEffect, GripEffect, Point
-from bcid.forms.mesh import BodyMesh
+from bcid.forms.mesh.body_mesh import BodyMesh, volumes
 from bcid.forms.model import Term
 from bcid.forms.parameter import Amount, Shape
 from bcid.measurement import Action
@@ -27,6 +27,8 @@ from bcid.scene.rotation import as_quaternion, as_rotation, from_vector
 
 Array = NDArray[np.float64]
 _AXES = "xyz"
+# A region goes through the body along an axis where it has more than this part of its extent.
+_THROUGH = 0.9
 
 
 def _vector(c: Mapping[str, Any], name: str) -> Any:
@@ -164,12 +166,12 @@ grip = GripEffect(
 
 @dataclass(frozen=True)
 class Outline:
-    """A patch, or where the body is gripped, as far as the scene may have its border wrong.
+    """A patch, where the body is gripped, or a region of the body, as far as the scene may have its border wrong.
 
     Attributes:
-        middle: of its surface, shape (3,), m.
-        axes: its two long axes, shape (2, 3).
-        reaches: half its extent along each of them, shape (2,), m.
+        middle: of its surface or volume, shape (3,), m.
+        axes: its two long axes, shape (2, 3), or those of a volume along which it does not go through the whole body.
+        reaches: half its extent along each of them, m.
     """
 
     middle: Array
@@ -189,13 +191,27 @@ class Outline:
         axes = np.linalg.svd(away * np.sqrt(np.repeat(area, 3))[:, None], full_matrices=False)[2][:2]
         return cls(middle, axes, np.abs(away @ axes.T).max(axis=0))
 
+    @classmethod
+    def of_volume(cls, mesh: BodyMesh, shares: Array) -> Outline | None:
+        """Of a region that has these shares of cells; None where it ends nowhere inside of the body."""
+        inside = shares > 0.5
+        if not inside.any():
+            return None
+        corners = mesh.points[mesh.cells]
+        middle = np.average(corners.mean(axis=1), axis=0, weights=shares * volumes(mesh.points, mesh.cells))
+        away = corners[inside].reshape(-1, 3) - middle
+        axes = np.linalg.svd(away, full_matrices=False)[2]
+        reaches, whole = np.abs(away @ axes.T).max(axis=0), np.ptp(mesh.points @ axes.T, axis=0) / 2
+        ends = reaches < _THROUGH * whole
+        return cls(middle, axes[ends], reaches[ends]) if ends.any() else None
+
     def terms(self, grasp: str = "") -> list[Term]:
         """Every way in which its border may be off: along each axis, both ends together and apart; of a grasp, that of its name."""
         found = []
         for axis, reach in zip(self.axes, self.reaches, strict=True):
             values = {f"d{name}": float(v) for name, v in zip(_AXES, axis, strict=True)}
             values |= {f"c{name}": float(v) for name, v in zip(_AXES, self.middle, strict=True)}
-            values |= {"distance": 0.0, "reach": float(reach), "radius": float(np.hypot(*self.reaches))}
+            values |= {"distance": 0.0, "reach": float(reach), "radius": float(np.linalg.norm(self.reaches))}
             values |= {"fading": float(self.reaches.min())}
             for way in ("shift", "stretch"):
                 ways = {"shift": 0.0, "stretch": 0.0, way: 1.0}

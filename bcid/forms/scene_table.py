@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from bcid.forms.mesh import level_name
 from bcid.forms.mesh.body_mesh import triple
 from bcid.forms.mesh.check import shown
-from bcid.forms.scene_check import LevelSize, Marker, PlaceSize, SceneCheck
+from bcid.forms.scene_check import LevelSize, Marker, PlaceSize, RegionSize, SceneCheck
 from bcid.scene import Scene
 
 
@@ -28,6 +28,9 @@ def table(check: SceneCheck) -> str:
     for kind, found in kinds.items():
         lines += ["", f"On {level_name(scene, scene.levels[check.level])}:"] if kind == "patch" else [""]
         lines += columns((kind, "facets", "area", "middle (mm)", *_more(kind)), [_place(check, one) for one in found])
+    if check.body_regions:
+        rows = [_region(scene, one) for one in check.body_regions]
+        lines += ["", *columns(("region", "of the volume", "cells cut", "middle (mm)", "stiffness"), rows)]
     lines += ["", *columns(("fiducial", "position (mm)", "from the surface"), map(_marker, check.markers))]
     return "\n".join([*lines, "", *_warnings(check.warnings)])
 
@@ -71,6 +74,12 @@ def _place(check: SceneCheck, place: PlaceSize) -> tuple[str, ...]:
         return found
     centre = check.scene.grasps[place.name].centre
     return *found, _mm(np.array(centre))
+
+
+def _region(scene: Scene, region: RegionSize) -> tuple[str, ...]:
+    ratio = scene.regions[region.name].ratio
+    stiffness = "not known" if ratio is None else f"{ratio:g} times that of the body"
+    return region.name, f"{100 * region.part:.3g} %", str(region.cut), _mm(region.middle), stiffness
 
 
 def _marker(marker: Marker) -> tuple[str, ...]:

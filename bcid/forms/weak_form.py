@@ -19,6 +19,7 @@ from bcid.forms import compiled
 from bcid.forms.effects.effect import Effect, Past, Point
 from bcid.forms.kinematics import Kinematics
 from bcid.forms.mesh.body import Body
+from bcid.forms.mesh.shares import share
 from bcid.forms.model import Model, Term
 from bcid.scene import Region, Scene
 
@@ -124,6 +125,7 @@ class WeakForm:
             self.displacement, self.pressure, self.virtual = u, None, self.test
         self.kin = Kinematics.of(self.displacement, model.fibre_axes)
         self._normals: dict[str, Any] = {}
+        self._shares: dict[str, Any] = {}
         self.memories: dict[str, Memory] = {}
         self.probed: dict[str, Memory] = {}
         self.energies, self.works = [self.stored(model.terms)], []
@@ -201,6 +203,7 @@ class WeakForm:
             shear=model.law.shear(self.law_constants(())),
             place=term.place,
             surface=self.surface,
+            share=self.share,
             boundary=self.boundary,
             support=self.scene.support,
             patches=tuple(self.scene.patches),
@@ -361,6 +364,15 @@ class WeakForm:
     def surface(self, name: str) -> Any:
         """Measure of a place, which is any patch, grasp or place of the scene."""
         return self._surfaces(self._spreadable.index(self._spread(name)) + 1)
+
+    def share(self, name: str) -> Any:
+        """Part of each cell that lies in a region of the body."""
+        if name not in self.scene.regions:
+            raise InputError(f"region '{name}' is not in the scene; {nearest(name, self.scene.regions)}")
+        if name not in self._shares:
+            found = share(self.body.mesh, self.scene.regions[name], f"regions.{name}")
+            self._shares[name] = self.body.by_cell(found)
+        return self._shares[name]
 
     def normal(self, name: str) -> Any:
         """Outward unit normal of a place at its nodes, zero away from it."""

@@ -14,7 +14,7 @@ from bcid.scene.uncertainty import ANGLES, FORCES, LENGTHS
 _OFF = {
     "markers": "markers would have to sit {} from where the scene has them",
     "dimensions": "the body would have to be larger or smaller than the scene has it by {}",
-    "borders": "patches would have to end {} from where the scene has them end",
+    "borders": "patches or regions would have to end {} from where the scene has them end",
     "grip": "the gripper would have to be {} from where it is reported",
     "grip_turn": "the gripper would have to be turned by {} against what is reported",
     "camera": "the measured frame would have to be turned by {}",

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.forms.mesh import BodyMesh
+from bcid.forms.mesh.shares import share
 from bcid.forms.model import Model, Term
 from bcid.forms.probes import Probe, Sensitivities, SensitivityRequest
 from bcid.forms.scene_errors import Outline, dimensions, grip_term, law_form_term, moved_with
@@ -147,6 +148,10 @@ class Nuisances:
         self._middle = (mesh.points.min(axis=0) + mesh.points.max(axis=0)) / 2
         self.sizes = self._sizes(0.0)
         self._patches = {name: Outline.of(mesh, region, f"patch {name}") for name, region in scene.patches.items()}
+        self._regions = {
+            name: Outline.of_volume(mesh, share(mesh, region, f"regions.{name}"))
+            for name, region in scene.regions.items()
+        }
         self._grasps = {name: Outline.of(mesh, grasp.region, f"grasp {name}") for name, grasp in scene.grasps.items()}
 
     def _sizes(self, force: float) -> Uncertainty:
@@ -158,6 +163,7 @@ class Nuisances:
         probes = [Probe(term, ("part",)) for term in dimensions()] if self.sizes.dimensions else []
         if self.sizes.borders:
             held = [("", self._patches[patch]) for patch in sorted(anchors)] + sorted(self._grasps.items())
+            held += [("", self._regions[term.place]) for term in model.terms if term.effect.stiffness and term.place]
             probes += [
                 Probe(term, ("distance",)) for grasp, outline in held if outline for term in outline.terms(grasp)
             ]

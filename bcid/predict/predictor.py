@@ -490,6 +490,8 @@ class Predictor:
 
         `soft` has for each set the compliance of patches that give, m/Pa.
         """
+        if not self.scene.patches:
+            return [np.zeros(self.data.mask.shape) for _ in sets]
         tangent = self.set_tangent(model, anchors, prediction)
         with evaluating(f"other anchor sets about {_hypothesis(model, anchors)}", self.skip):
             moved = tangent.all_moved(sets, soft or [{}] * len(sets))

@@ -35,6 +35,7 @@ class Palette:
     free: str = "#b9bec6"
     grasp: str = "#e69f00"
     held: str = "#4d5661"
+    region: str = "#b98b7d"
     measured: str = "#222222"
     predicted: str = "#d55e00"
     named: str = "#565c64"
@@ -276,7 +277,7 @@ def _add_body(
 
 
 def kinds(body: xr.Dataset) -> set[str]:
-    """Of the places that a body has: "patch", "grasp", and "held" where one is known to be."""
+    """Of the places that a body has: "patch", "grasp", "held" where one is known to be, and "region" of a part of the body."""
     return {str(name).partition(" ")[0] for name in body["place_name"].values if name}
 
 
@@ -288,7 +289,7 @@ def _place_colours(body: xr.Dataset, anchored: list[str], grasp: str) -> list[st
         if kind == "patch":
             colours.append(COLOURS.anchored if which in anchored else COLOURS.free)
         else:
-            used = {"grasp": COLOURS.grasp if which == grasp else None, "held": COLOURS.held}
+            used = {"grasp": COLOURS.grasp if which == grasp else None, "held": COLOURS.held, "region": COLOURS.region}
             colours.append(used.get(kind))
     return colours
 

@@ -57,9 +57,14 @@ def _body(found: Found) -> str:
     return f"The {found.scene}" if found.scene else "The body"
 
 
+def _asks(found: Found) -> bool:
+    """Whether the scene has candidate patches (an older run folder does not say, and has)."""
+    return found.documents.get("identification", {}).get("patches", True) != {}
+
+
 def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
     unit, noise, ladder = d["length_unit"], d["noise_rms"], d["ladder"]
-    held = f"{_body(found)} is held at {patches(d['anchored'])}"
+    held = f"{_body(found)} is held at {patches(d['anchored'])}, and " if _asks(found) else ""
     first, last = ladder[0], ladder[-1]
     left = f"{last['rms']:.3g} {unit}, where the noise is {noise:.3g} {unit}"
     if d["verdict"] == "none":
@@ -69,8 +74,8 @@ def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
             None: "has nothing against it",
         }[d["adequate"]]
         sentence = (
-            f"{held}, and the {model_name(last['model'])} model {word}: it misses the measurement by {left} and the scene may "
-            "be slightly wrong."
+            f"{held}the {model_name(last['model'])} model {word}: it misses the measurement by {left} and the scene may be "
+            "slightly wrong."
         )
     elif d["verdict"] == "unknown" and d["ranking"]:
         sentence = f"None of the known effects explains this measurement: the closest model misses it by {left}."
@@ -85,14 +90,15 @@ def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
             after = f"with it the error {falls(first['rms'], last['rms'], noise, unit)}"
         else:
             after = f"the error is {last['rms']:.3g} {unit}"
-        lacks = "its plain model lacks" if len(ladder) > 1 else "its model lacks"
-        sentence = f"{held}, and {lacks} {effects}: {after} (noise {noise:.3g} {unit})."
+        lacks = "plain model lacks" if len(ladder) > 1 else "model lacks"
+        lacks = f"{held}its {lacks}" if held else f"the {lacks}"
+        sentence = f"{lacks} {effects}: {after} (noise {noise:.3g} {unit})."
     if begins := d.get("begins"):
         sentence += f" It is not there from the start, and shows by step {begins['step']} of action {begins['action']}."
     numbers = [("error before", f"{first['rms']:.3g} {unit}")] if len(ladder) > 1 else []
     numbers += [("error after" if numbers else "error", f"{last['rms']:.3g} {unit}"), ("noise", f"{noise:.3g} {unit}")]
     for name, key in (("probability", "verdict_probability"), ("of the anchors", "anchors_probability")):
-        if key in d:
+        if key in d and (key == "verdict_probability" or _asks(found)):
             numbers.append((name, percent(d[key])))
     if d.get("held_out_rms") is not None:
         numbers.append(("held out", f"{d['held_out_rms']:.3g} {unit}"))
@@ -117,7 +123,7 @@ def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
         doubts.append(f"These data cannot tell it from {listed(others)}.")
     if not d.get("anchors_certain", True):
         doubts.append("These data do not tell for certain which patches hold the body.")
-    return Verdict(sentence, numbers, doubts)
+    return Verdict(f"{sentence[:1].upper()}{sentence[1:]}", numbers, doubts)
 
 
 def _remarks(d: dict[str, Any]) -> list[str]:
@@ -162,10 +168,12 @@ def _pair(effect: str, name: str, number: dict[str, Any]) -> tuple[str, str]:
 
 def _identification(found: Found, d: dict[str, Any]) -> Verdict:
     unit, noise = d["length_unit"], d["noise_rms"]
-    held = f"{_body(found)} is held at {patches(d['anchored'])}"
-    misses = f"the model misses the measurement by {d['rms']:.3g} {unit}"
+    held = (
+        f"{_body(found)} is held at {patches(d['anchored'])}, with probability {percent(d['probability'])}; the model"
+    )
+    misses = f"{held if _asks(found) else 'The model'} misses the measurement by {d['rms']:.3g} {unit}"
     beside = f", where the noise is {noise:.3g} {unit}" if noise else ""
-    sentence = f"{held}, with probability {percent(d['probability'])}; {misses}{beside}."
+    sentence = f"{misses}{beside}."
     doubts = _remarks(d)
     if not noise:
         doubts.append("No noise is stated: whether this set explains the measurement cannot be told.")

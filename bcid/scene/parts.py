@@ -103,6 +103,31 @@ class Region:
 
 
 @dataclass(frozen=True)
+class Polygon:
+    """All that lies inside a closed polygon of corners (m), seen along a unit vector."""
+
+    corners: tuple[Vector, ...]
+    along: Vector
+
+
+@dataclass(frozen=True)
+class BodyRegion:
+    """Part of the volume: physical volumes of the mesh, and/or what lies in every shape that is given.
+
+    Attributes:
+        volumes: names of physical volumes.
+        box, sphere, outline: shapes.
+        ratio: its stiffness to that of the rest of the body; None where that is not known.
+    """
+
+    volumes: tuple[str, ...] = ()
+    box: Box | None = None
+    sphere: Sphere | None = None
+    outline: Polygon | None = None
+    ratio: float | None = None
+
+
+@dataclass(frozen=True)
 class Grasp:
     """Where the gripper holds the body, and the centre (m) about which it turns."""
 

@@ -29,6 +29,7 @@ _TABLES = (
     "fiducials",
     "places",
     "held",
+    "regions",
     "effects",
     "explore",
     "uncertainty",
@@ -65,7 +66,8 @@ class SceneFile(GeometryTables, RegionTables):
         places = self.table(table, "places")
         held = self.table(table, "held")
         fiducials = self.table(table, "fiducials")
-        for what in ("patches", "grasps", "places", "held", "fiducials"):
+        body_regions = self.table(table, "regions")
+        for what in ("patches", "grasps", "places", "held", "regions", "fiducials"):
             self.names(self.table(table, what), what)
         for name in set(held) & set(places):
             self.bad(f"held.{name}", "has the name of one of [places]; choose another")
@@ -89,6 +91,7 @@ class SceneFile(GeometryTables, RegionTables):
             "places": {name: self.region(value, f"places.{name}") for name, value in places.items()}
             | {name: self.region(value, f"held.{name}", ("along",)) for name, value in held.items()},
             "held": {name: self.along(value, f"held.{name}") for name, value in held.items()},
+            "regions": {name: self.body_region(value, f"regions.{name}") for name, value in body_regions.items()},
             "divide": self.divide(patches),
             "down": self.direction(table.get("down", [0, -1, 0]), "down"),
             "fibre_plane": self.fibre_plane(table["fibre_plane"]) if "fibre_plane" in table else None,

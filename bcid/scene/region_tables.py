@@ -1,4 +1,4 @@
-"""Parts of the boundary in a scene file: physical groups, boxes, planes, spheres, normals, painted fields; grasps on them."""
+"""Parts of boundary and body in a scene file: physical groups, boxes, planes, spheres, normals, painted fields, outlines."""
 
 from __future__ import annotations
 
@@ -6,16 +6,18 @@ from collections.abc import Mapping
 from typing import Any
 
 from bcid.base.units import usable
-from bcid.scene.parts import Box, Facing, Grasp, Painted, Plane, Region, Sphere
+from bcid.scene.parts import BodyRegion, Box, Facing, Grasp, Painted, Plane, Polygon, Region, Sphere
 from bcid.scene.scene_tables import SceneTables
 
 # What chooses facets, and the keys that go with some of it.
 _CRITERIA = ("on", "box", "plane", "sphere", "normal", "painted")
 _BESIDE = {"normal": "within", "painted": "value"}
+# What chooses a part of the volume.
+_SHAPES = ("volume", "box", "sphere", "outline")
 
 
 class RegionTables(SceneTables):
-    """The entries of [patches], [grasps] and [places]."""
+    """The entries of [patches], [grasps], [places] and [regions]."""
 
     def region(self, value: object, key: str, more: tuple[str, ...] = ()) -> Region:
         """A region; `more` are keys that its table may have for somebody else."""
@@ -34,6 +36,40 @@ class RegionTables(SceneTables):
             facing=self.facing(value, key),
             painted=self.painted(value, key),
         )
+
+    def body_region(self, value: object, key: str) -> BodyRegion:
+        """A part of the volume."""
+        if not isinstance(value, dict) or not set(_SHAPES) & set(value):
+            rule = f"a table with {', '.join(_SHAPES[:-1])} and/or {_SHAPES[-1]}"
+            self.bad(
+                key, f'expected {rule}, as {{ volume = "scar" }} or {{ sphere = {{ centre = ..., radius = ... }} }}'
+            )
+            return BodyRegion()
+        self.unknown(value, (*_SHAPES, "along", "ratio"), key + ".")
+        return BodyRegion(
+            volumes=self.groups(value["volume"], f"{key}.volume") if "volume" in value else (),
+            box=self.box(value.get("box"), key),
+            sphere=self.sphere(value.get("sphere"), key),
+            outline=self.outline(value, key),
+            ratio=self.positive(value, f"{key}.ratio", ""),
+        )
+
+    def outline(self, table: Mapping[str, Any], key: str) -> Polygon | None:
+        if "outline" not in table:
+            if "along" in table:
+                self.bad(f"{key}.along", "belongs to an outline, and there is none")
+            return None
+        corners = table["outline"]
+        if not isinstance(corners, list) or len(corners) < 3:
+            self.bad(
+                f"{key}.outline", f'expected three corners or more, as ["0 0 0 mm", "9 0 0 mm", ...], found {corners!r}'
+            )
+            return None
+        if "along" not in table:
+            self.bad(f"{key}.along", "is missing: from where the outline is seen, as along = [0, 0, 1]")
+            return None
+        points = tuple(self.vector(corner, f"{key}.outline") for corner in corners)
+        return Polygon(points, self.direction(table["along"], f"{key}.along"))
 
     def groups(self, value: object, key: str) -> tuple[str, ...]:
         """Names of physical groups: one, or a list."""

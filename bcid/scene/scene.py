@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.fingerprint import file_fingerprint, fingerprint
-from bcid.scene.parts import Grasp, Level, Limits, Material, Region, Values, Vector, horizontal
+from bcid.scene.parts import BodyRegion, Grasp, Level, Limits, Material, Region, Values, Vector, horizontal
 from bcid.scene.reader import SceneFile
 from bcid.scene.uncertainty import Uncertainty
 
@@ -34,6 +34,7 @@ class Scene:
         surface: names of the fiducials that are no markers but places on a surface that a depth camera sees.
         places: other named parts of the boundary, for known loads and supports.
         held: places that are known to be held, and the axes (0, 1, 2) along which they do not move.
+        regions: parts of the volume with a stiffness of their own.
         down: unit vector of gravity.
         fibre_plane: the plane in which fibres and active stresses lie: unit vectors at 0 and at 90 degrees. None is the
             horizontal plane, from the x axis on.
@@ -68,6 +69,7 @@ class Scene:
     members: dict[str, tuple[Vector, ...]] = field(default_factory=dict)
     surface: tuple[str, ...] = ()
     held: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    regions: dict[str, BodyRegion] = field(default_factory=dict)
     description: str = ""
     source: str = "scene"
 
@@ -92,8 +94,9 @@ class Scene:
             key: value for key, value in asdict(self).items() if key not in ("geometry", "source", "description")
         }
         # What was added to the format changes no fingerprint where it is not used.
-        if not self.held:
-            del content["held"]
+        for key in ("held", "regions"):
+            if not content[key]:
+                del content[key]
         if not self.material.volumetric:
             del content["material"]["volumetric"]
         return fingerprint({"scene": content, "geometry": file_fingerprint(self.geometry)})

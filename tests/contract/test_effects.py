@@ -33,6 +33,7 @@ from bcid.forms.solver.supports import Pose
 from bcid.forms.solver.trajectory import follow
 from bcid.measurement import Action, Measurement
 from bcid.scene import Level, Scene
+from bcid.scene.parts import BodyRegion, Sphere
 
 Array = NDArray[np.float64]
 
@@ -40,6 +41,7 @@ YOUNG, MU = 15e3, 15e3 / 2.7
 BAR, AREA = (0.1, 0.02, 0.02), 4e-4
 EXACT = Settings(rtol=1e-11)
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "effects" / "magnetic_force.py"
+CORE = {"core": BodyRegion(sphere=Sphere((0.05, 0.005, 0.05), 0.03))}
 
 
 # ---------------------------------------------------------------- the contract
@@ -605,7 +607,7 @@ def test_places_are_checked_in_the_scene(tmp_path: Path, project: Path) -> None:
 
 
 def test_what_effects_need(project: Path) -> None:
-    whole = Scene.read(project / "examples/scenes/slab.toml")
+    whole = replace(Scene.read(project / "examples/scenes/slab.toml"), regions=CORE)
     measurement = Measurement.read(project / "examples/measurements/slab-34-complex")
     for name in effects.names():
         needs = effects.effect(name).needs
@@ -613,7 +615,8 @@ def test_what_effects_need(project: Path) -> None:
     still = replace(measurement, data=measurement.data.copy(deep=True))
     still.data["translation"][:] = 0.0
     still.data["rotation"][:] = [1.0, 0.0, 0.0, 0.0]
-    bare = replace(whole, support="")
+    bare = replace(whole, support="", regions={})
+    assert "no part of the body in [regions]" in effects.effect("region_stiffness").needs(bare, measurement)  # type: ignore[misc]
     lacking = {name: effects.effect(name).needs for name in effects.names()}
     for name in ("foundation", "support_contact", "support_friction"):
         assert "names no support surface" in lacking[name](bare, measurement)  # type: ignore[misc]
@@ -630,12 +633,13 @@ def test_what_effects_need(project: Path) -> None:
 @pytest.mark.parametrize("name", effects.names())
 def test_the_slab_can_be_solved_with_a_notable_dose(name: str, project: Path) -> None:
     scene = Scene.read(project / "examples/scenes/slab.toml")
-    scene = replace(scene, levels=(Level(1, 0.05),))
+    scene = replace(scene, levels=(Level(1, 0.05),), regions=CORE)
     effect, mm = effects.effect(name), 1e-3
     values = {p.name: 0.30 if p.law else p.scale + (0 if p.reciprocal else p.neutral) for p in effect.amounts}  # type: ignore[operator]
     values |= {"cx": 0.05, "cy": 0.005, "cz": 0.05, "radius": 0.03} if name == "inclusion" else {}
     values |= {"cx": 0.05, "cy": 0.045, "cz": 0.05, "radius": 0.03} if name == "obstacle" else {}
-    term = Term(effect, values, place="6" if name in ("marker_fault", "tether") else "")
+    places = {"marker_fault": "6", "tether": "6", "region_stiffness": "core"}
+    term = Term(effect, values, place=places.get(name, ""))
     forward = Forward(scene, model=Model.of(scene) + term)
     pulls = [straight((x * mm, y * mm, z * mm), 3, "II") for x, y, z in ((16, 0, 0), (0, 8, 0), (8, 0, 8), (-4, 0, -8))]
     pulls = [replace(pull, name=str(k), frames=pull.frames + 4 * k) for k, pull in enumerate(pulls)]

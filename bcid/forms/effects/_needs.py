@@ -15,6 +15,11 @@ def support(scene: Scene, _measurement: Measurement) -> str:
     return 'the scene names no support surface: add support = "NAME" with a place of that name'
 
 
+def regions(scene: Scene, _measurement: Measurement) -> str:
+    """Parts of the body with a known outline."""
+    return "" if scene.regions else "the scene names no part of the body in [regions]"
+
+
 def single_markers(scene: Scene, _measurement: Measurement) -> str:
     """Fiducials that are points and no means of many."""
     if len(scene.surface) == len(scene.fiducials):

@@ -63,6 +63,7 @@ class Point:
         shear: initial shear modulus of the law, Pa.
         place: where the effect acts, one of its `places`.
         surface: measure of a named place, ``surface(name)``, m^2 in the rest state.
+        share: part of each cell that lies in a region of the body, ``share(name)``.
         boundary: measure of the whole boundary, m^2 in the rest state.
         support: name of the scene's support surface, "" if it has none.
         patches: names of all patches.
@@ -86,6 +87,7 @@ class Point:
     shear: Any
     place: str
     surface: Callable[[str], Any]
+    share: Callable[[str], Expr]
     boundary: Any
     support: str
     patches: tuple[str, ...]

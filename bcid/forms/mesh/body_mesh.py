@@ -34,6 +34,7 @@ class BodyMesh:
         points: nodes, shape (nodes, 3), m.
         cells: node numbers of tetrahedra, shape (cells, 4), positively oriented.
         groups: node numbers of named triangles (k, 3), lines (k, 2) or points (k, 1).
+        parts: node numbers of named tetrahedra (k, 4).
         paint: painted fields at the middles of `boundary`; None where the geometry has none.
         notes: what was done to the file's surface or cells to make the mesh, in sentences.
     """
@@ -41,15 +42,26 @@ class BodyMesh:
     points: Points
     cells: Cells
     groups: dict[str, Cells] = field(default_factory=dict)
+    parts: dict[str, Cells] = field(default_factory=dict)
     paint: Paint | None = None
     notes: tuple[str, ...] = ()
 
     @cached_property
     def boundary(self) -> Cells:
         """Triangles that belong to one tetrahedron only, with outward normals, shape (k, 3)."""
-        faces = self.cells[:, FACES].reshape(-1, 3)
-        _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-        return faces[first[count == 1]]
+        return self.cells[:, FACES].reshape(-1, 3)[self._outer]
+
+    @cached_property
+    def behind(self) -> Cells:
+        """The tetrahedron of each triangle of the boundary, shape (k,)."""
+        return self._outer // len(FACES)
+
+    @cached_property
+    def _outer(self) -> Cells:
+        """Which faces of all tetrahedra belong to one of them only."""
+        faces = np.sort(self.cells[:, FACES].reshape(-1, 3), axis=1)
+        _, first, count = np.unique(faces, axis=0, return_index=True, return_counts=True)
+        return first[count == 1]
 
     @cached_property
     def size(self) -> float:
@@ -175,7 +187,8 @@ class BodyMesh:
 
         cells = _cut_tetrahedra(self.cells, middle, points)
         groups = {name: _cut(entities, middle) for name, entities in self.groups.items()}
-        return BodyMesh(points, cells, groups, notes=self.notes)
+        parts = {name: _cut_tetrahedra(part, middle, points) for name, part in self.parts.items()}
+        return BodyMesh(points, cells, groups, parts, notes=self.notes)
 
 
 def halved_edges(points: Points, triangles: Cells) -> tuple[Points, Cells]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from bcid.base.errors import InputError, Problems
 from bcid.forms.mesh.body_mesh import EDGES, FACES, BodyMesh, Cells, oriented, triple, volumes
+from bcid.forms.mesh.shares import share
 from bcid.scene import Region, Scene
 from bcid.scene.geometry_file import PROGRAM, kind_of
 
@@ -39,7 +40,8 @@ def checked(mesh: BodyMesh, path: Path) -> BodyMesh:
         groups[name] = number[entities]
         if (groups[name] < 0).any():
             raise InputError(f"{path}: physical group '{name}' has nodes that belong to no tetrahedron")
-    mesh = replace(mesh, points=points[used], cells=oriented(points[used], cells), groups=groups)
+    parts = {name: number[tetrahedra] for name, tetrahedra in mesh.parts.items()}
+    mesh = replace(mesh, points=points[used], cells=oriented(points[used], cells), groups=groups, parts=parts)
     _check_shapes(mesh, path)
     return mesh
 
@@ -136,7 +138,9 @@ def check_fineness(scene: Scene, mesh: BodyMesh) -> None:
 
 
 def check_places(scene: Scene, name: str, mesh: BodyMesh) -> None:
-    """Every place of the scene must be on the boundary of a mesh, and no facet of a patch may be gripped or known to be held.
+    """Every place of the scene must be on the boundary of a mesh, and every region of the body inside of it.
+
+    No facet of a patch may be gripped or known to be held.
 
     Raises:
         InputError: with every problem; `name` is that of the level.
@@ -151,6 +155,11 @@ def check_places(scene: Scene, name: str, mesh: BodyMesh) -> None:
                 problems.add(scene.source, str(error))
                 continue
             facets[kind, place] = found
+    for part, shape in scene.regions.items():
+        try:
+            share(mesh, shape, f"region {part}")
+        except InputError as error:
+            problems.add(scene.source, str(error))
     for (kind, place), mine in facets.items():
         for (other, held), theirs in facets.items():
             apart = other == "grasp" or (other == "held" and len(scene.held[held]) == 3)

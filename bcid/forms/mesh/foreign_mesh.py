@@ -51,6 +51,9 @@ def with_meshio(source: Path) -> Arrays:
         found = as_simplices(parts)
         if found is not None:
             arrays[f"group:{name}"] = found
+        inside, _ = as_tetrahedra(points, parts)
+        if len(inside):
+            arrays[f"part:{name}"] = inside
     return arrays | _on_boundary(points, cells, mesh.point_data)
 
 

@@ -166,18 +166,24 @@ def gmsh_arrays(gmsh: Any) -> Arrays:
     number = np.full(int(tags.max()) + 1, -1, dtype=np.int64)
     number[tags.astype(np.int64)] = np.arange(len(tags))
     groups: dict[str, list[Block]] = {}
-    solid: list[Block] = []
+    # Of volumes, each once: one of them may be in several groups.
+    parts: dict[str, list[Block]] = {}
+    volumes: dict[int, list[Block]] = {}
     for dimension, tag in gmsh.model.getPhysicalGroups():
         name = gmsh.model.getPhysicalName(dimension, tag) or str(tag)
         for entity in gmsh.model.getEntitiesForPhysicalGroup(dimension, tag):
             found = _blocks(gmsh, dimension, int(entity), number)
-            (solid if dimension == 3 else groups.setdefault(name, [])).extend(found)
-    if not solid:
-        solid = [block for _, entity in gmsh.model.getEntities(3) for block in _blocks(gmsh, 3, entity, number)]
+            (parts if dimension == 3 else groups).setdefault(name, []).extend(found)
+            if dimension == 3:
+                volumes[int(entity)] = found
+    if not volumes:
+        volumes = {int(entity): _blocks(gmsh, 3, entity, number) for _, entity in gmsh.model.getEntities(3)}
+    solid = [block for blocks in volumes.values() for block in blocks]
     points = coordinates.reshape(-1, 3)
     cells, notes = as_tetrahedra(points, solid)
     arrays: Arrays = {"points": points, "cells": cells, "notes": np.array(notes, dtype=str)}
     named = {f"group:{name}": as_simplices(blocks) for name, blocks in groups.items()}
+    named |= {f"part:{name}": as_tetrahedra(points, blocks)[0] for name, blocks in parts.items()}
     return arrays | {name: part for name, part in named.items() if part is not None}
 
 

@@ -62,9 +62,10 @@ def _level_mesh(scene: Scene, level: Level) -> BodyMesh:
 def _body(arrays: Arrays, scene: Scene) -> BodyMesh:
     """The mesh that a child gave back, in m."""
     groups = {name[6:]: part for name, part in arrays.items() if name.startswith("group:")}
+    parts = {name[5:]: part for name, part in arrays.items() if name.startswith("part:")}
     notes = tuple(map(str, arrays["notes"]))
     points = arrays["points"] * scene.length_unit
-    return checked(BodyMesh(points, arrays["cells"], groups, notes=notes), scene.geometry)
+    return checked(BodyMesh(points, arrays["cells"], groups, parts, notes=notes), scene.geometry)
 
 
 def _check_unit(arrays: Arrays, scene: Scene) -> None:
