@@ -37,7 +37,7 @@ autodoc_member_order = "bysource"
 # Shown as they are written; most of them come from packages whose documentation is elsewhere.
 nitpicky = False
 
-# 07 reads published images, which are not part of the project.
+# 07 and 08 read published measurements, which are not part of the project.
 _RUN = os.environ.get("BCID_DOCS_EXAMPLES", r"/0[1-6]_")
 sphinx_gallery_conf = {
     "examples_dirs": ["_made/examples"],

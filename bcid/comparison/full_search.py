@@ -118,6 +118,9 @@ class FullSearch(SearchQueue):
         return None
 
     def last(self, best: FittedHypothesis) -> Task | None:
+        doubtful = self.table.doubtful()
+        if doubtful is not None and self.affordable(doubtful):
+            return partial(self.evaluate, [doubtful])
         if best.hypothesis not in self.table.reduced:
             return partial(self.reduce, best)
         lesser = self.table.unopposed()

@@ -239,7 +239,8 @@ class HypothesisTable:
             for h, (log, prior) in about.weights.items() if anchors != about.anchors else ():
                 other = Hypothesis(anchors, h.effect, h.unknown)
                 changed = toggles(tangent.fidelity, other, h, apart[h.unknown])
-                step = FidelityStep(log, log, changed, _room(tangent, ceiling - log))
+                nats = wrong_by(tangent, here, there) if h.unknown else PRIORS.error_nats
+                step = FidelityStep(log, log, changed, _room(tangent, ceiling - log), nats)
                 yield other, Evaluation(log + apart[h.unknown], prior, (step,), h.known)
         for effect, log in tangent.effects.items():
             h = Hypothesis(about.anchors, "+".join([*about.names, effect]))
@@ -267,7 +268,8 @@ class HypothesisTable:
                 if here and there and r.names == about.names:
                     low, base = there.total - here.total, about.log_evidence
                     changed = toggles(tangent.fidelity, r.hypothesis, h, low)
-                    found.append(Pair(changed, low, r.log_evidence - base, _room(tangent, ceiling - base)))
+                    nats = wrong_by(tangent, here, there)
+                    found.append(Pair(changed, low, r.log_evidence - base, _room(tangent, ceiling - base), nats))
                 logs = [tangent.springs.get(r.hypothesis)]
                 if r.anchors == about.anchors and r.names[:-1] == about.names and r.names:
                     logs.append(tangent.effects.get(r.effect))
@@ -333,6 +335,18 @@ class HypothesisTable:
         lesser += [Hypothesis(anchors, best.hypothesis.effect) for anchors in self.reduced.get(best.hypothesis, ())]
         return next((h for h in lesser if not self._compared(h) and h not in self.refused), None)
 
+    def doubtful(self) -> Hypothesis | None:
+        """The likeliest set beside something unknown of which only the errors of another tell, if it counts at all.
+
+        A discrepancy explains so much there that it matters which set its columns are of.
+        """
+        known = self.posterior().evaluations
+        for h, p in self.odds.probabilities.items():
+            waits = h.known not in self.refused and not self._fitted(h.known)
+            if h.unknown and waits and p > SETTINGS.counting and known[h].fidelity == Fidelity.SHARED:
+                return h.known
+        return None
+
     def _fitted(self, hypothesis: Hypothesis) -> bool:
         """Whether it was compared with all steps."""
         return self._of(hypothesis) is not None
@@ -378,6 +392,18 @@ class HypothesisTable:
         full = {r.hypothesis for r in self.full}
         found = {r.hypothesis: r for stage in self.coarse for r in stage.full if r.hypothesis not in full}
         return best_first(found.values())
+
+
+def wrong_by(tangent: TangentEvidence, here: Evidence, there: Evidence) -> float:
+    """How many nats the errors of one set may cost another: of what a discrepancy explains they leave the square of a part.
+
+    That part is what a movement is off by that is told with another set (`Priors.tangent_error`): the columns of the errors are
+    such movements.
+    """
+    if tangent.fidelity != Fidelity.SHARED:
+        return PRIORS.error_nats
+    explained = max(one.forced - one.plain for one in (here, there))
+    return PRIORS.error_nats + PRIORS.tangent_error[0] ** 2 * max(explained, 0.0)
 
 
 def _room(tangent: TangentEvidence, room: float) -> float:

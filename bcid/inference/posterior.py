@@ -10,7 +10,9 @@ effects in which the two differ, with one term for each, shared by all hypothese
 
 where C is the evidence of a hypothesis that explains all: the more of a misfit is explained, the more it takes to explain what
 is left. That is so of tangents; of fits to a few steps F is the identity. Of a tangent in a few steps l_h is in turn such a
-sum. With errors of their own some of thousands of unlikely hypotheses would always be drawn as likely. Bias and scale are
+sum. a is a few nats; with the errors of another set it is larger by what a discrepancy explains, times the square of the part
+by which movements told with that set are off: the columns of its errors are as much off, and leave so much of it.
+With errors of their own some of thousands of unlikely hypotheses would always be drawn as likely. Bias and scale are
 learned from the pairs of fidelities that a run has, apart for patches and effects and for gains and losses: with a normal-
 inverse-gamma prior b and s u_t have a multivariate Student distribution with four degrees of freedom, and one more for each
 pair (Gelman et al., Bayesian Data Analysis, 3rd ed. 2013, section 14.8). A pair that misses by more counts less (Lange et al.,
@@ -107,12 +109,14 @@ class FidelityStep(NamedTuple):
         low, high: logarithm of the evidence of that one, at either.
         toggles: in which it differs from the one that is known at the lower only.
         room: by how much more evidence one has that explains all than the one that is known at both, where a tangent tells.
+        nats: the difference a of equation (2) below which an error is one of so many nats.
     """
 
     low: float
     high: float
     toggles: Toggles
     room: float = math.inf
+    nats: float = PRIORS.error_nats
 
 
 @dataclass(frozen=True)
@@ -174,12 +178,14 @@ class Pair:
         toggles: in which it differs from the one that the lower fidelity knows it against.
         low, high: by how much the logarithm of its evidence exceeds that one's, at either.
         room: by how much more evidence one has that explains all than that one, where a tangent tells.
+        nats: as of a `FidelityStep`.
     """
 
     toggles: Toggles
     low: float
     high: float
     room: float = math.inf
+    nats: float = PRIORS.error_nats
 
     @property
     def kind(self) -> Kind:
@@ -199,7 +205,7 @@ class Pair:
         Of a gain that turned into a loss nothing was left.
         """
         high = max(self.high, 0.0) if self.low > 0 else self.high
-        low, high = unlimited(np.array([self.low, high]), np.array(self.room)) / PRIORS.error_nats
+        low, high = unlimited(np.array([self.low, high]), self.room, self.nats) / self.nats
         return float(np.arcsinh(high) - np.arcsinh(low))
 
 
@@ -234,8 +240,8 @@ class Posterior:
         exact = np.array([not one.steps for one in known])
         for part in np.array_split(errors, math.ceil(len(errors) * len(known) / _AT_A_TIME)):
             logs: Array = np.repeat(start[None], len(part), axis=0)
-            for low, high, room, weights in steps:
-                missed = with_error(logs - low, part @ weights.T, room)
+            for low, high, room, nats, weights in steps:
+                missed = with_error(logs - low, part @ weights.T, room, nats)
                 logs = high + np.where(weights.any(axis=1), missed, logs - low)
             logs = np.where(exact, start, np.minimum(logs, self.ceiling))
             shares += np.sum(softmax(logs + prior, axis=1), axis=0)
@@ -312,34 +318,37 @@ def _scale(kind: Kind) -> float:
     return {Fidelity.TANGENT: tangent, Fidelity.COARSE: coarse, Fidelity.SHARED: shared}[kind.fidelity]
 
 
-def with_error(gains: Array, errors: Array, room: Array | float = math.inf) -> Array:
-    """Differences of log evidences with errors, see equation (2); elementwise. `room` is C - l_k."""
-    sizes = np.arcsinh(unlimited(gains, room) / PRIORS.error_nats) + np.clip(errors, -_LARGEST, _LARGEST)
-    return _limited(PRIORS.error_nats * np.sinh(np.clip(sizes, -_LARGEST, _LARGEST)), room)
+def with_error(
+    gains: Array, errors: Array, room: Array | float = math.inf, nats: Array | float = PRIORS.error_nats
+) -> Array:
+    """Differences of log evidences with errors, see equation (2); elementwise. `room` is C - l_k, `nats` is a."""
+    sizes = np.arcsinh(unlimited(gains, room, nats) / nats) + np.clip(errors, -_LARGEST, _LARGEST)
+    return _limited(nats * np.sinh(np.clip(sizes, -_LARGEST, _LARGEST)), room, nats)
 
 
-def unlimited(gains: Array, room: Array | float) -> Array:
+def unlimited(gains: Array, room: Array | float, nats: Array | float = PRIORS.error_nats) -> Array:
     """G of equation (2): what gains would be if what there is to explain had no end; elementwise."""
-    whole = np.asarray(room) + PRIORS.error_nats
+    whole = np.asarray(room) + nats
     with np.errstate(invalid="ignore"):
         free = np.where(np.isfinite(whole), -whole * np.log1p(-np.minimum(gains, room) / whole), gains)
     return np.where(gains > 0, free, gains)
 
 
-def _limited(free: Array, room: Array | float) -> Array:
+def _limited(free: Array, room: Array | float, nats: Array | float) -> Array:
     """F of equation (2), elementwise."""
-    whole = np.asarray(room) + PRIORS.error_nats
+    whole = np.asarray(room) + nats
     with np.errstate(invalid="ignore", over="ignore"):
         gains = np.where(np.isfinite(whole), -whole * np.expm1(-free / whole), free)
     return np.where(free > 0, gains, free)
 
 
-def _step(known: Sequence[Evaluation], number: int, every: Sequence[Toggle]) -> tuple[Array, Array, Array, Array]:
-    """Of each evaluation the step of a number, or none: low, high and room, (k,), and weights of the errors, (k, toggles)."""
+def _step(known: Sequence[Evaluation], number: int, every: Sequence[Toggle]) -> tuple[Array, ...]:
+    """Of each evaluation the step of a number, or none: low, high, room and nats, (k,), and weights of errors, (k, toggles)."""
     nothing = FidelityStep(0.0, 0.0, ())
     steps = [one.steps[number] if number < len(one.steps) else nothing for one in known]
-    low, high, room = (np.array([getattr(step, name) for step in steps]) for name in ("low", "high", "room"))
-    return low, high, np.maximum(room, 0.0), _weights([step.toggles for step in steps], every)
+    numbers = ("low", "high", "room", "nats")
+    low, high, room, nats = (np.array([getattr(step, name) for step in steps]) for name in numbers)
+    return low, high, np.maximum(room, 0.0), nats, _weights([step.toggles for step in steps], every)
 
 
 def _with_biases(some: Iterable[Toggle]) -> list[Toggle]:

@@ -109,6 +109,25 @@ def test_07_steps_of_a_stage_are_measured(real_data: Callable[[str], Path]) -> N
     assert error.std() == pytest.approx(1.10e-6, abs=0.02e-6)
 
 
+def test_08_skin(real_data: Callable[[str], Path], tmp_path: Path) -> None:
+    """Two guesses of what nobody measured contradict each other neither in the anchors nor in the stiffness."""
+    example, folder = load("08_skin"), real_data("human_skin")
+    low, high = example.PUBLISHED["healthy"]
+    found = [example.answer(folder, "healthy", *guess, tmp_path, every=4) for guess in ((1.0, 0.2), (2.0, 0.45))]
+    assert not (min(one.rim for one in found) < 0.1 and max(one.rim for one in found) > 0.9)
+    for one in found:
+        _, least, most = one.product
+        assert least < low < high < most
+        assert one.missing > 0.99
+
+
+def test_make_inlay(tmp_path: Path) -> None:
+    made = load("make_inlay").main(tmp_path / "made")
+    shipped = Measurement.read(EXAMPLES / "measurements/inlay-4")
+    assert np.nanmax(np.abs(made.positions - shipped.positions)) < 1e-9
+    assert np.isnan(shipped.positions[..., 2]).all()
+
+
 @pytest.mark.slow
 def test_the_measurement_to_be_explained_is_made_again(tmp_path: Path) -> None:
     load("make_slab_34_heavy").main(tmp_path / "made")

@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from bcid.comparison.hypothesis_table import TangentEvidence, wrong_by
+from bcid.inference.discrepancy import Evidence
 from bcid.inference.evidence import LinearParameters, MarginalLikelihood, log_gains
 from bcid.inference.hypotheses import log_prior
 from bcid.inference.mesh_error import MeshError
-from bcid.inference.posterior import Pair
+from bcid.inference.posterior import Fidelity, Pair, with_error
 from bcid.inference.priors import PRIORS
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs/theory.md").read_text(encoding="utf-8")
@@ -84,3 +86,15 @@ def test_error_of_a_large_difference_is_the_logarithm_of_a_factor(low: float, hi
 
 def test_error_of_a_small_difference_is_one_of_some_nats() -> None:
     assert Pair((), 0.0, 0.03).miss == pytest.approx(0.03 / PRIORS.error_nats, rel=1e-4)
+
+
+def test_errors_of_another_set_may_miss_a_hundredth_of_what_a_discrepancy_explains() -> None:
+    here, there = Evidence(100.0, 400.0, 1.0), Evidence(-2000.0, 390.0, 1.0)
+    shared, tangent = TangentEvidence(fidelity=Fidelity.SHARED), TangentEvidence()
+    assert wrong_by(shared, here, there) == pytest.approx(3 + 23.9)
+    assert wrong_by(shared, here, here) == pytest.approx(3 + 3)
+    assert wrong_by(shared, Evidence(5.0, 4.0, 1.0), Evidence(5.0, 4.0, 1.0)) == 3
+    assert wrong_by(tangent, here, there) == 3
+    # The larger it is, the less a difference of a few nats says.
+    one, other = (abs(float(with_error(np.array(-9.0), np.array(0.1), nats=nats)) + 9.0) for nats in (3.0, 87.0))
+    assert other > 8 * one
