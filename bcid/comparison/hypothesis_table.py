@@ -336,11 +336,13 @@ class HypothesisTable:
         return next((h for h in lesser if not self._compared(h) and h not in self.refused), None)
 
     def doubtful(self) -> Hypothesis | None:
-        """The likeliest set beside something unknown of which only the errors of another tell, if it counts at all.
+        """Where something unknown is likeliest, the likeliest set of which only the errors of another tell, if it counts at all.
 
         A discrepancy explains so much there that it matters which set its columns are of.
         """
         known = self.posterior().evaluations
+        if not self.odds.best.unknown:
+            return None
         for h, p in self.odds.probabilities.items():
             waits = h.known not in self.refused and not self._fitted(h.known)
             if h.unknown and waits and p > SETTINGS.counting and known[h].fidelity == Fidelity.SHARED:

@@ -11,11 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 import ufl
+from mpi4py import MPI
 from numpy.typing import NDArray
 
-from bcid import ExplainOptions, Measurement
+from bcid import ExplainOptions, Measurement, Model, Scene
+from bcid.comparison.fit import fit
+from bcid.comparison.state import State
 from bcid.forms.kinematics import Kinematics
+from bcid.predict.predictor import Predictor
 from bcid.proposal.effect_file import made
+from bcid.scene.uncertainty import Uncertainty
 from bcid.search.identify_options import IdentifyOptions
 from bcid.vision.triangulate import linear, triangulate
 
@@ -126,6 +131,16 @@ def test_make_inlay(tmp_path: Path) -> None:
     shipped = Measurement.read(EXAMPLES / "measurements/inlay-4")
     assert np.nanmax(np.abs(made.positions - shipped.positions)) < 1e-9
     assert np.isnan(shipped.positions[..., 2]).all()
+
+
+def test_03_beams_stiffness_is_in_its_interval_with_the_usual_uncertainties() -> None:
+    example = load("03_beam")
+    weighing = replace(Scene.read(EXAMPLES / "scenes/beam.toml"), uncertainty=Uncertainty())
+    measurement, _ = example.states_of_rest(replace(weighing, effects={}))
+    predictor = Predictor(weighing, measurement, MPI.COMM_SELF)
+    found = fit(State.of(predictor, Model.of(weighing), example.CLAMPED), ("young",))
+    predictor.destroy()
+    assert abs(found.values["young"] - 263_824) < 1.96 * found.stderr["young"] < 80e3
 
 
 @pytest.mark.slow
