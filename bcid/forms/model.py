@@ -16,6 +16,7 @@ from bcid.base.units import quantity
 from bcid.forms import effects, materials
 from bcid.forms.course import of_table
 from bcid.forms.effects.effect import Array, BodyEffect, Effect, Frame, Point
+from bcid.forms.effects.roller import RIGID
 from bcid.forms.materials.law import VOLUMETRIC, Law, Volumetric
 from bcid.forms.parameter import Amount, Parameter
 from bcid.measurement import Action
@@ -354,7 +355,8 @@ def _model(scene: Scene, problems: list[str]) -> Model | None:
     terms = [_term(name, written, scene, problems) for name, written in scene.effects.items()]
     if problems:
         return None
-    found = (*(term for term in terms if term), *_regions(scene, terms, problems))
+    rollers = (Term("roller", {"stiffness": RIGID}, place=place) for place, axes in scene.held.items() if not axes)
+    found = (*(term for term in terms if term), *rollers, *_regions(scene, terms, problems))
     if problems:
         return None
     held = tuple((place, axis) for place, axes in scene.held.items() for axis in axes)

@@ -69,7 +69,7 @@ def _place(check: SceneCheck, place: PlaceSize) -> tuple[str, ...]:
     area = shown(place.area, 2) if place.area > 0 else "none"
     found = place.name, str(place.facets), area, _mm(place.middle)
     if place.kind == "held":
-        return *found, " ".join("xyz"[axis] for axis in check.scene.held[place.name])
+        return *found, " ".join("xyz"[axis] for axis in check.scene.held[place.name]) or "its normal"
     if place.kind != "grasp":
         return found
     centre = check.scene.grasps[place.name].centre

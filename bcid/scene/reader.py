@@ -172,12 +172,16 @@ class SceneFile(GeometryTables, RegionTables):
         return value
 
     def along(self, value: object, key: str) -> tuple[int, ...]:
-        """Axes along which a place does not move: all, where none are named."""
+        """Axes along which a place does not move: all, where none are named; none of them along its normal."""
         if not isinstance(value, dict) or "along" not in value:
             return (0, 1, 2)
+        if value["along"] == "normal":
+            return ()
         axes = [value["along"]] if isinstance(value["along"], str) else value["along"]
         if not isinstance(axes, list) or not axes or not all(axis in ("x", "y", "z") for axis in axes):
-            self.bad(f"{key}.along", f'expected "x", "y" or "z", or a list of them, found {value["along"]!r}')
+            self.bad(
+                f"{key}.along", f'expected "x", "y" or "z", or a list of them, or "normal", found {value["along"]!r}'
+            )
             return (0, 1, 2)
         return tuple(sorted({"xyz".index(axis) for axis in axes}))
 

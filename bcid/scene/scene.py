@@ -33,7 +33,7 @@ class Scene:
         members: of fiducials that are the mean of points of a dense field, the stress-free positions of those.
         surface: names of the fiducials that are no markers but places on a surface that a depth camera sees.
         places: other named parts of the boundary, for known loads and supports.
-        held: places that are known to be held, and the axes (0, 1, 2) along which they do not move.
+        held: places that are known to be held, and the axes (0, 1, 2) along which they do not move; no axis: along their normals.
         regions: parts of the volume with a stiffness of their own.
         down: unit vector of gravity.
         fibre_plane: the plane in which fibres and active stresses lie: unit vectors at 0 and at 90 degrees. None is the

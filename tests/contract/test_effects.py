@@ -638,7 +638,7 @@ def test_the_slab_can_be_solved_with_a_notable_dose(name: str, project: Path) ->
     values = {p.name: 0.30 if p.law else p.scale + (0 if p.reciprocal else p.neutral) for p in effect.amounts}  # type: ignore[operator]
     values |= {"cx": 0.05, "cy": 0.005, "cz": 0.05, "radius": 0.03} if name == "inclusion" else {}
     values |= {"cx": 0.05, "cy": 0.045, "cz": 0.05, "radius": 0.03} if name == "obstacle" else {}
-    places = {"marker_fault": "6", "tether": "6", "region_stiffness": "core"}
+    places = {"marker_fault": "6", "tether": "6", "region_stiffness": "core", "roller": "bottom"}
     term = Term(effect, values, place=places.get(name, ""))
     forward = Forward(scene, model=Model.of(scene) + term)
     pulls = [straight((x * mm, y * mm, z * mm), 3, "II") for x, y, z in ((16, 0, 0), (0, 8, 0), (8, 0, 8), (-4, 0, -8))]

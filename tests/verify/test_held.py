@@ -82,6 +82,55 @@ def test_a_plane_of_symmetry_stands_for_the_other_half(tmp_path: Path) -> None:
     assert np.abs(shown(free, {"low"}, 0.008) - expected).max() > 1e-4
 
 
+TILTED = """SetFactory("OpenCASCADE");
+DefineConstant[ h = {{8, Name "element size in mm"}} ];
+Box(1) = {{0, 0, 0, 40, 12, 10}};
+Rotate {{{{0, 0, 1}}, {{0, 0, 0}}, {angle} * Pi / 180}} {{ Volume{{1}}; }}
+Physical Volume("body") = {{1}};
+Physical Surface("low") = {{1}};
+Physical Surface("high") = {{2}};
+Mesh.MeshSizeMin = h; Mesh.MeshSizeMax = h;
+"""
+
+
+def tilted(folder: Path, angle: float, held: str, patches: str = "") -> Scene:
+    """Half of the bar, turned about z by an angle (deg)."""
+    scene = bar(folder, 0, held, patches)
+    (folder / "bar.geo").write_text(TILTED.format(angle=angle), encoding="utf-8")
+    turned = scene.rest @ turn(angle).T
+    grasp = scene.grasps["jaw"]
+    x, y, z = turn(angle) @ np.array(grasp.centre)
+    names = {name: (float(a), float(b), float(c)) for name, (a, b, c) in zip(scene.fiducials, turned, strict=True)}
+    return replace(scene, fiducials=names, grasps={"jaw": replace(grasp, centre=(x, y, z))})
+
+
+def turn(angle: float) -> np.ndarray:
+    """Rotation about z by an angle (deg)."""
+    c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def pulled(scene: Scene, angle: float) -> np.ndarray:
+    """Displacements of the markers at the end of a pull of 8 mm along the bar, in its own axes, shape (3, 3), m."""
+    way = np.linspace(0, 0.008, 3)[:, None] * turn(angle)[:, 0]
+    still = np.tile([1.0, 0.0, 0.0, 0.0], (3, 1))
+    forward = Forward(scene, 0)
+    found = forward.predict((), [Action("1", np.arange(3), np.arange(3), "jaw", way, still)])
+    forward.destroy()
+    return np.asarray((found.positions[-1] - scene.rest) @ turn(angle))
+
+
+def test_a_plane_of_symmetry_may_lie_in_any_direction(tmp_path: Path) -> None:
+    """A bar that is held along its normal slides across: it is that of a roller along an axis, turned."""
+    axis = pulled(tilted(tmp_path / "axis", 0, '[held]\nmiddle = { on = "low", along = "x" }'), 0)
+    for angle in (0.0, 30.0):
+        scene = tilted(tmp_path / f"normal-{angle:g}", angle, '[held]\nmiddle = { on = "low", along = "normal" }')
+        assert scene.held == {"middle": ()}
+        np.testing.assert_allclose(pulled(scene, angle), axis, atol=3e-5)
+    fixed = pulled(tilted(tmp_path / "fixed", 0, '[held]\nmiddle = "low"'), 0)
+    assert np.abs(fixed - axis).max() > 1e-4
+
+
 def test_a_glued_pad_is_no_candidate(project: Path) -> None:
     slab = Scene.read(project / "examples" / "scenes" / "slab.toml")
     measured = Measurement.read(project / "examples" / "measurements" / "slab-12-semicircle")
