@@ -135,13 +135,7 @@ INCONSISTENT: dict[str, Callable[[Array], None]] = {
 }
 
 
-# Certain all the same, with 96 %: a misfit that belongs to one action, and to no pose, is not among the discrepancies.
-_CERTAIN = pytest.mark.xfail(strict=True, reason="certain with 96 %")
-
-
-@pytest.mark.parametrize(
-    "case", [pytest.param(case, marks=_CERTAIN if "names" in case else ()) for case in INCONSISTENT]
-)
+@pytest.mark.parametrize("case", INCONSISTENT)
 def test_identify_inconsistent_data_no_set_is_certain(slab: Scene, case: str) -> None:
     identified = found(slab, changed(seen(slab), INCONSISTENT[case]))
 
