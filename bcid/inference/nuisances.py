@@ -163,7 +163,8 @@ class Nuisances:
         probes = [Probe(term, ("part",)) for term in dimensions()] if self.sizes.dimensions else []
         if self.sizes.borders:
             held = [("", self._patches[patch]) for patch in sorted(anchors)] + sorted(self._grasps.items())
-            held += [("", self._regions[term.place]) for term in model.terms if term.effect.stiffness and term.place]
+            acting = (term.place for term in model.terms if term.effect.stiffness and term.place in self._regions)
+            held += [("", self._regions[region]) for region in acting]
             probes += [
                 Probe(term, ("distance",)) for grasp, outline in held if outline for term in outline.terms(grasp)
             ]

@@ -90,9 +90,8 @@ def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
             after = f"with it the error {falls(first['rms'], last['rms'], noise, unit)}"
         else:
             after = f"the error is {last['rms']:.3g} {unit}"
-        lacks = "plain model lacks" if len(ladder) > 1 else "model lacks"
-        lacks = f"{held}its {lacks}" if held else f"the {lacks}"
-        sentence = f"{lacks} {effects}: {after} (noise {noise:.3g} {unit})."
+        whose, plainly = f"{held}its" if held else "the", "plain " if len(ladder) > 1 else ""
+        sentence = f"{whose} {plainly}model lacks {effects}: {after} (noise {noise:.3g} {unit})."
     if begins := d.get("begins"):
         sentence += f" It is not there from the start, and shows by step {begins['step']} of action {begins['action']}."
     numbers = [("error before", f"{first['rms']:.3g} {unit}")] if len(ladder) > 1 else []

@@ -16,10 +16,12 @@ from bcid import Scene
 from bcid.base.errors import InputError
 from bcid.comparison.explain import ExplainOptions, explain
 from bcid.comparison.explanation import Explanation
+from bcid.forms.effects import effect
 from bcid.forms.mesh import level_mesh
 from bcid.forms.mesh.body_mesh import BodyMesh, volumes
 from bcid.forms.mesh.shares import share
-from bcid.forms.model import Model, check_physics
+from bcid.forms.model import Model, Term, check_physics
+from bcid.inference.nuisances import Nuisances
 from bcid.measurement import Measurement
 from bcid.predict.predictor import Predictor
 from bcid.scene.parts import BodyRegion, Box, Level, Polygon, Sphere
@@ -156,3 +158,11 @@ def test_nothing_is_lost_between_two_regions(mesh: BodyMesh) -> None:
     left = share(mesh, BodyRegion(box=Box((-1.0, -1.0, -1.0), (0.033, 1.0, 1.0))), "left")
     right = share(mesh, BodyRegion(box=Box((0.033, -1.0, -1.0), (1.0, 1.0, 1.0))), "right")
     np.testing.assert_allclose(left + right, 1.0)
+
+
+def test_an_effect_that_changes_the_stiffness_elsewhere_has_no_borders(sheet: Scene, mesh: BodyMesh) -> None:
+    own = replace(effect("region_stiffness"), name="own", places=lambda _scene, _anchors: ["jaw"])
+    model, nuisances = Model.of(sheet), Nuisances(sheet, mesh)
+    count = len(nuisances.wanted(model, ()).probes)
+    assert len(nuisances.wanted(model + Term(own, {"ratio": 2.0}, place="jaw"), ()).probes) == count
+    assert len(nuisances.wanted(model + Term("region_stiffness", {"ratio": 2.0}, place="inlay"), ()).probes) > count

@@ -15,6 +15,7 @@ import ufl
 
 from bcid.forms.effects import _needs
 from bcid.forms.effects.effect import BodyEffect, Constants, Point
+from bcid.forms.effects.roller import RIGID
 from bcid.forms.parameter import Amount, Shape
 
 
@@ -40,7 +41,7 @@ effect = BodyEffect(
             "normal",
             "Pa/m",
             "force per area and displacement along the normal",
-            default=1e11,
+            default=RIGID,
             lower=0.0,
             open_lower=True,
         ),
