@@ -36,10 +36,9 @@ Anchored = frozenset[str]
 Task = tuple[Anchored, Action]
 # Motion and model of a pull, and the anchored patches.
 Key = tuple[str, Anchored]
-# Out-of-balance forces against reactions: after a pull of 8 mm this leaves 5e-6 mm, seldom 3e-4 mm, far less than a camera sees.
-_ACCURACY = 1e-5
-# Where Newton's method has not come to its end by then, it seldom does: the step is halved instead.
-_ITERATIONS = 20
+# An accuracy of 1e-5 leaves 5e-6 mm after a pull of 8 mm, seldom 3e-4 mm, far less than a camera sees. Where Newton's method
+# has not come to its end by 20 iterations, it seldom does: the step is halved instead.
+_SETTINGS = Settings(rtol=1e-5, halvings=3, max_iterations=20)
 # Results are shared and stored at the latest after so many predictions of a rank.
 _BATCH = 64
 
@@ -55,6 +54,7 @@ class PullPredictor:
         model: the model; by default the scene's.
         progress: told how many pulls are predicted (give it on rank 0 only).
         gripper: what force and torque of the gripper are divided by, where they are predicted beside the fiducials.
+        settings: accuracy and patience of the solver.
 
     Attributes:
         evaluations: actions predicted by this object, on all ranks.
@@ -70,6 +70,7 @@ class PullPredictor:
         model: Model | None = None,
         progress: Progress | None = None,
         gripper: ForceScale | None = None,
+        settings: Settings = _SETTINGS,
     ) -> None:
         self.scene, self.level, self.comm, self.store = scene, level, comm, store
         self.gripper = gripper
@@ -81,7 +82,6 @@ class PullPredictor:
         self._tangents: dict[Key, PullTangent | None] = {}
         # Movements of the fiducials by unit steps of the gripper, by grasp and set.
         self._linear: dict[Key, Array] = {}
-        settings = Settings(rtol=_ACCURACY, halvings=3, max_iterations=_ITERATIONS)
         self._models = ForwardModels(scene, comm, settings, gripper)
 
     def predict(
@@ -122,7 +122,7 @@ class PullPredictor:
         """What all predictions depend on; what a robot may do, and how well the scene is known, changes none."""
         body = replace(self.scene, limits=None, uncertainty=Uncertainty()).fingerprint()
         felt = None if self.gripper is None else (self.gripper.stiffness, self.gripper.lever)
-        return f"pull {body} {self.level} {felt}"
+        return f"pull {body} {self.level} {self._models.settings} {felt}"
 
     def _keys(self, tasks: Sequence[Task], models: Sequence[Model]) -> list[Key]:
         """Texts of motion and model, with the set."""

@@ -17,7 +17,6 @@ from bcid.comparison.fitted_hypothesis import FittedHypothesis
 from bcid.comparison.followed_sets import FollowedSets
 from bcid.comparison.identify import astray, identify
 from bcid.comparison.state import State
-from bcid.exploration import predictions
 from bcid.exploration.moves import limits_of, moves
 from bcid.forms import effects
 from bcid.forms.force_bumps import bumps
@@ -36,7 +35,6 @@ from bcid.inference.nuisances import Nuisances
 from bcid.measurement import Action
 from bcid.predict.mesh_ladder import mesh_error
 from bcid.predict.predictor import Predictor
-from bcid.predict.pull_prediction import PullPrediction
 from bcid.predict.pull_predictor import PullPredictor
 from bcid.scene import Level, Scene
 from bcid.scene.motions import motion
@@ -270,18 +268,16 @@ def test_giving_up_bodies_that_are_inside_out_changes_nothing(
     forward.destroy()
 
 
-def test_pulls_to_choose_from_are_predicted_well_enough(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pulls_to_choose_from_are_predicted_well_enough(project: Path) -> None:
     scene = Scene.read(project / "examples" / "scenes" / "slab_explain.toml", physics=check_physics)
     scene = replace(scene, levels=(Level(2, 0.03),))
     pulls = [move.action(limits_of(scene)) for move in moves(scene) if move.grasp == "II"]
     tasks = [(frozenset(anchors), pull) for anchors in ("12", "136") for pull in pulls]
 
-    def detailed() -> list[PullPrediction]:
-        return PullPredictor(scene, 0, MPI.COMM_SELF).predict(tasks, detailed=True)
-
-    found = detailed()
-    monkeypatch.setattr(predictions, "_ACCURACY", 1e-10)
-    for one, exact in zip(found, detailed(), strict=True):
+    found = PullPredictor(scene, 0, MPI.COMM_SELF).predict(tasks, detailed=True)
+    patient = Settings(rtol=1e-10, halvings=3, max_iterations=20)
+    exactly = PullPredictor(scene, 0, MPI.COMM_SELF, settings=patient).predict(tasks, detailed=True)
+    for one, exact in zip(found, exactly, strict=True):
         assert one.failed == exact.failed
         assert np.allclose(one.positions, exact.positions, rtol=0, atol=1e-6, equal_nan=True)
         if not exact.failed:
