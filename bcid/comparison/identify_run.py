@@ -15,6 +15,7 @@ from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import RunFolder, running
 from bcid.base.units import percent, unit_factor
 from bcid.comparison.refine import Refinement, check_rounds, identify_refined
+from bcid.forms.driving import driven_by_points
 from bcid.forms.forward import check_geometry
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.mesh.body_mesh import among
@@ -128,13 +129,14 @@ def read_inputs(scene_file: Path, measurement_file: Path, comm: Comm) -> tuple[S
 
 
 def fitting(scene: Scene, measurement: Measurement, comm: Comm) -> tuple[Scene, Measurement]:
-    """Both as they are compared: checked against each other, dense points pooled, long actions thinned, divided patches as their
-    pieces; collective.
+    """Both as they are compared: checked against each other, driven places with their points, dense points pooled, long actions
+    thinned, divided patches as their pieces; collective.
 
     Raises:
         InputError: they do not belong together; see also `bcid.forms.mesh.patches.divided`.
     """
     measurement.check_names(scene)
+    scene, measurement = driven_by_points(scene, measurement, comm)
     scene, measurement = pooled(scene, measurement)
     checked = replace(measurement, remarks=tuple(measurement.check(scene)))
     return divided(scene, comm), thinned(checked)
@@ -203,6 +205,7 @@ def body_parts(scene: Scene, mesh: BodyMesh, displacement: Any, energy: Any) -> 
     places = {f"patch {name}": region for name, region in scene.patches.items()}
     places |= {f"grasp {name}": grasp.region for name, grasp in scene.grasps.items()}
     places |= {f"held {name}": scene.places[name] for name, axes in scene.held.items() if len(axes) == len(AXES)}
+    places |= {f"driven {name}": scene.places[name] for name in scene.driven if name in scene.places}
     number = np.zeros(len(boundary), dtype=np.int32)
     for i, (name, region) in enumerate(scene.regions.items(), start=1 + len(places)):
         number[share(mesh, region, name)[mesh.behind] > 0.5] = i

@@ -45,7 +45,9 @@ def separating_pulls(one: State, other: State, distance: float | None = None) ->
     predictor = one.predictor
     longest = max((float(np.linalg.norm(a.translation, axis=1).max()) for a in predictor.actions), default=0.0)
     distance = distance or min(longest or 0.01, 0.012)
-    tasks = [(grasp, name) for grasp in predictor.scene.grasps for name in _DIRECTIONS]
+    # How measured points would drive a place in another pull is not known.
+    grasps = () if predictor.scene.driven else predictor.scene.grasps
+    tasks = [(grasp, name) for grasp in grasps for name in _DIRECTIONS]
     found = []
     first, second = (_predictions(state, tasks, distance) for state in (one, other))
     for (grasp, name), a, b in zip(tasks, first, second, strict=True):

@@ -53,6 +53,7 @@ def limits_of(scene: Scene) -> Limits:
             f"{scene.source}: has no [explore] table: nothing says how far a robot may go. Add one, as\n"
             '  [explore]\n  displacement = "8 mm"'
         )
+    scene.check_undriven("explored")
     if not scene.grasps:
         raise InputError(f"{scene.source}: has no grasp: there is nothing to pull at")
     return scene.limits

@@ -15,7 +15,7 @@ from bcid.forms.model import Term
 
 Array = NDArray[np.float64]
 # Those of `Sensitivities` that are one array each.
-_FIELDS = "stiffness", "forces", "growths", "places", "terms", "held"
+_FIELDS = "stiffness", "forces", "growths", "places", "terms", "held", "boundary"
 
 
 @dataclass(frozen=True)
@@ -77,6 +77,7 @@ class SensitivityRequest:
             by default.
         places: whether the influence of where each fiducial sits on the body is wanted.
         terms: many terms at once, known by the virtual work they do; none by default.
+        boundary: whether the influence of errors of what measured points drive is wanted.
     """
 
     probes: tuple[Probe, ...] = ()
@@ -86,6 +87,7 @@ class SensitivityRequest:
     growths: Array | None = None
     places: bool = False
     terms: Works | None = None
+    boundary: bool = False
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,7 @@ class Sensitivities:
         places: per m of the fiducial's own rest position along each axis, shape (frames, fiducials, 3, 3), or None.
         terms: per unit of each of many terms, shape (frames, fiducials, 3, count), or None.
         held: what `Works.held` gives, shape (frames, holds, 4, 3), or None.
+        boundary: per unit of each mode of `DrivenBoundary.error_increments`, shape (frames, fiducials, 3, modes), or None.
     """
 
     probes: list[dict[str, Array]]
@@ -114,6 +117,7 @@ class Sensitivities:
     terms: NDArray[np.float32] | None = None
     held: Array | None = None
     growths: NDArray[np.float32] | None = None
+    boundary: Array | None = None
 
     @classmethod
     def merged(cls, parts: Sequence[Sensitivities]) -> Sensitivities:

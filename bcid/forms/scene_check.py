@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.forms.driving import driving_fiducials
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.mesh.body_mesh import volumes
 from bcid.forms.mesh.check import expected_cells, places
@@ -88,6 +89,7 @@ class SceneCheck:
         places: patches, grasps and places, in the order of the scene.
         body_regions: regions of the body.
         markers: the fiducials.
+        drivers: how many fiducials drive each driven place.
         warnings: what looks odd and is allowed, in sentences.
     """
 
@@ -98,6 +100,7 @@ class SceneCheck:
     places: tuple[PlaceSize, ...]
     body_regions: tuple[RegionSize, ...]
     markers: tuple[Marker, ...]
+    drivers: dict[str, int]
     warnings: tuple[str, ...]
 
 
@@ -118,7 +121,8 @@ def check_scene(scene: Scene) -> SceneCheck:
     found = tuple(_places(scene, mesh))
     warnings = [*passed, *mesh.notes, *_of_places(scene, mesh, found), *_of_levels(scene, found, rungs, meshes, level)]
     warnings += _of_markers(scene, mesh, markers)
-    return SceneCheck(scene, level, mesh, rungs, found, tuple(_regions(scene, mesh)), markers, tuple(warnings))
+    drivers = {name: len(driving_fiducials(scene, mesh, name, scene.fiducial_names)) for name in scene.driven}
+    return SceneCheck(scene, level, mesh, rungs, found, tuple(_regions(scene, mesh)), markers, drivers, tuple(warnings))
 
 
 def _meshes(scene: Scene, mesh: BodyMesh, level: int) -> Iterator[tuple[int, BodyMesh]]:

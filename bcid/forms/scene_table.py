@@ -62,7 +62,7 @@ def _rung(scene: Scene, rung: LevelSize) -> tuple[str, ...]:
 
 
 def _more(kind: str) -> tuple[str, ...]:
-    return {"grasp": ("centre (mm)",), "held": ("along",)}.get(kind, ())
+    return {"grasp": ("centre (mm)",), "held": ("along",), "driven": ("along", "by")}.get(kind, ())
 
 
 def _place(check: SceneCheck, place: PlaceSize) -> tuple[str, ...]:
@@ -70,6 +70,9 @@ def _place(check: SceneCheck, place: PlaceSize) -> tuple[str, ...]:
     found = place.name, str(place.facets), area, _mm(place.middle)
     if place.kind == "held":
         return *found, " ".join("xyz"[axis] for axis in check.scene.held[place.name]) or "its normal"
+    if place.kind == "driven":
+        along = " ".join("xyz"[axis] for axis in check.scene.driven[place.name].along)
+        return *found, along, f"{check.drivers[place.name]} fiducials"
     if place.kind != "grasp":
         return found
     centre = check.scene.grasps[place.name].centre

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -206,6 +207,7 @@ class Sensitivity:
             None if wanted.terms is None else np.full((*empty.shape, wanted.terms.count), np.nan, np.float32),
             None if wanted.terms is None else np.full((count, wanted.terms.holds, 4, 3), np.nan),
             None if wanted.growths is None else np.full((*empty.shape, wanted.growths.shape[1]), np.nan, np.float32),
+            np.full((*empty.shape, self._boundary.shape[1]), np.nan) if wanted.boundary else None,
         )
         self.model = model or self.forward.model
         for commanded in actions:
@@ -314,13 +316,15 @@ class Sensitivity:
         for name in wanted.law:
             result.law[name][frame] = 0.0
             causes.append(Cause(result.law[name][frame], self._change_of_law(name)))
-        fields = any(wide is not None for wide in (result.stiffness, result.forces, result.growths, result.terms))
+        several = result.stiffness, result.forces, result.growths, result.terms, result.boundary
+        fields = any(wide is not None for wide in several)
         if not causes and not fields:
             return
         count = 0 if wanted.forces is None else 3 * wanted.forces.shape[1]
         count += len(forward.mesh.cells) if wanted.stiffness else 0
         count += 0 if wanted.growths is None else wanted.growths.shape[1]
         count += wanted.terms.count if wanted.terms else 0
+        count += self._boundary.shape[1] if wanted.boundary else 0
         response = self.responses.at(pose, self.model, len(causes), count, factorised=wanted.terms is not None)
         columns, increments = np.zeros((2, len(equilibrium.u.x.array), len(causes)))
         for j, cause in enumerate(causes):
@@ -339,10 +343,19 @@ class Sensitivity:
             result.forces[frame] = pushed.reshape(forward.rows, 3, -1, 3)
         if result.growths is not None:
             result.growths[frame] = self._all_seen(seen, response.moved(self._by_cell("growth") @ wanted.growths))
+        if result.boundary is not None:
+            driven = response.moved(np.zeros_like(self._boundary), self._boundary)
+            result.boundary[frame] = self._all_seen(seen, driven)
         if result.terms is not None and result.held is not None and wanted.terms is not None:
             result.held[frame] = wanted.terms.held(equilibrium.u.x.array, response.solved)
             works = wanted.terms.works(equilibrium.u.x.array, response.adjoint, before)
             result.terms[frame] = self._all_seen(seen, works)
+
+    @cached_property
+    def _boundary(self) -> Array:
+        """What errors of driven places prescribe, shape (unknowns, modes), m."""
+        supports = self.equilibrium.supports
+        return supports.boundary.error_increments(supports.gripped)
 
     def _pushes(self, weights: Array) -> Array:
         """Changes of the residual by a unit of each force along each axis, shape (unknowns, forces * 3); the last are kept."""

@@ -54,8 +54,10 @@ def simulate(
         surface: how many points of the surface are seen in each frame, anywhere but where the body is held or lies.
 
     Raises:
+        InputError: measured points drive a place of the scene.
         SolveError: the forward model found no acceptable equilibrium; nothing is made up for the rest.
     """
+    scene.check_undriven("simulated")
     scene = divided(scene, comm)
     level = len(scene.levels) - 1 if level is None else level
     forward = Forward(scene, level, comm, model, Settings(rtol=1e-8))

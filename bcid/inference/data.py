@@ -107,7 +107,7 @@ class Data:
         self._late = normalised_time(measurement)
         moved = measurement.actions
         for action in moved:
-            if action.grasp:
+            if action.grasp or action.boundary:
                 self._ways[action.frames] = way(action, scene)
             self._alike[action.frames] = next(k for k, other in enumerate(moved) if same_motion(other, action))
         self._take(Seen.of(self.measured, normals_of(scene, measurement, shape[1])))
@@ -227,11 +227,12 @@ class Data:
 def way(action: Action, scene: Scene) -> Array:
     """Distance of the gripper from rest in each frame, as part of the largest, shape (frames,).
 
-    A turn counts by how far it would move the nearest fiducial.
+    A turn counts by how far it would move the nearest fiducial, and a driven place by the mean distance of its points.
     """
     far = scene.rest - np.array(scene.grasps[action.grasp].centre) if action.grasp else np.zeros((1, 3))
     turned = (as_rotation(action.rotation) * as_rotation(action.rotation[0]).inv()).magnitude()
     gone = np.linalg.norm(action.translation, axis=1) + turned * np.linalg.norm(far, axis=1).min()
+    gone = gone + sum(np.linalg.norm(moved, axis=2).mean(axis=1) for moved in action.boundary.values())
     return np.asarray(gone / max(float(gone.max()), 1e-12))
 
 
@@ -253,7 +254,7 @@ def normalised_time(measurement: Measurement) -> Array:
 
 
 def same_motion(one: Action, other: Action) -> bool:
-    """Whether the gripper moves alike in two actions, under the same loads."""
+    """Whether gripper and driven places move alike in two actions, under the same loads."""
     if (one.grasp, len(one), set(one.loads)) != (other.grasp, len(other), set(other.loads)):
         return False
     pairs = [
@@ -262,6 +263,7 @@ def same_motion(one: Action, other: Action) -> bool:
         (one.clock - one.clock[0], other.clock - other.clock[0]),
     ]
     pairs += [(one.loads[place], other.loads[place]) for place in one.loads]
+    pairs += [(moved, other.boundary[place]) for place, moved in one.boundary.items()]
     return all(np.allclose(a, b, rtol=0.0, atol=1e-9) for a, b in pairs)
 
 

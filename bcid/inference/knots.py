@@ -151,13 +151,15 @@ def known_frames(known: Sequence[Knots], count: int) -> NDArray[np.bool_]:
 
 
 def _way(action: Action) -> Array:
-    """Where the gripper is and what loads act, each as part of its range, shape (steps, n).
+    """Where the gripper and driven places are, and what loads act, each as part of its range, shape (steps, n).
 
     A gripper that hardly turns is not taken to turn at random.
     """
     turned = (as_rotation(action.rotation) * as_rotation(action.rotation[0]).inv()).as_rotvec()
-    way = np.hstack([action.translation, turned, *action.loads.values()])
-    kinds = [slice(0, 3), slice(3, 6), *(slice(k, k + 3) for k in range(6, way.shape[1], 3))]
+    others = [*action.loads.values(), *(moved.reshape(len(moved), -1) for moved in action.boundary.values())]
+    way = np.hstack([action.translation, turned, *others])
+    ends = np.cumsum([3, 3, *(other.shape[1] for other in others)])
+    kinds = [slice(first, end) for first, end in zip([0, *ends], ends, strict=False)]
     for number, kind in enumerate(kinds):
         way[:, kind] /= max(float(np.linalg.norm(np.ptp(way[:, kind], axis=0))), _TURN if number == 1 else 1e-12)
     return way

@@ -7,6 +7,7 @@ from typing import Any
 
 from bcid.base.units import for_people
 from bcid.base.verdict_words import used_up
+from bcid.inference.driven_errors import DRIVEN
 from bcid.inference.error_covariance import NuisanceEstimate
 from bcid.scene.uncertainty import ANGLES, FORCES, LENGTHS
 
@@ -25,9 +26,10 @@ _OFF = {
     "force_bias": "the force sensor would have to show {} without a force",
     "force_drift": "what the force sensor shows without a force would have to change over an action by {}",
     "gripper_weight": "the gripper would have to weigh {}",
+    DRIVEN: "what measured points drive would have to be {} from where these have it",
 }
 _RELATIVE = ("dimensions", "stiffness", "force_gain", "noise")
-_UNITS = dict.fromkeys(LENGTHS, "m") | dict.fromkeys(ANGLES, "deg") | dict.fromkeys(FORCES, "N")
+_UNITS = dict.fromkeys(LENGTHS, "m") | dict.fromkeys(ANGLES, "deg") | dict.fromkeys(FORCES, "N") | {DRIVEN: "m"}
 
 
 def _at_length(one: NuisanceEstimate) -> str:

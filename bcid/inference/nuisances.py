@@ -19,6 +19,7 @@ from bcid.forms.model import Model, Term
 from bcid.forms.probes import Probe, Sensitivities, SensitivityRequest
 from bcid.forms.scene_errors import Outline, dimensions, grip_term, law_form_term, moved_with
 from bcid.inference.data import Data
+from bcid.inference.driven_errors import DRIVEN, DrivenErrors
 from bcid.inference.force_nuisances import force_modes, largest_force
 from bcid.measurement.frame_error import FrameError
 from bcid.scene import Scene
@@ -152,6 +153,7 @@ class Nuisances:
             name: Outline.of_volume(mesh, share(mesh, region, f"regions.{name}"))
             for name, region in scene.regions.items()
         }
+        self._driven = DrivenErrors.of(scene, mesh)
         self._grasps = {name: Outline.of(mesh, grasp.region, f"grasp {name}") for name, grasp in scene.grasps.items()}
 
     def _sizes(self, force: float) -> Uncertainty:
@@ -174,7 +176,8 @@ class Nuisances:
         probes += [Probe(grip, tuple(names)) for name, names in wanted if getattr(self.sizes, name)]
         law = ["poisson"] if self.sizes.poisson and "poisson" in model.law.complete(model.values) else []
         law += model.stiffnesses if self._forces and self.sizes.stiffness else []
-        return SensitivityRequest(tuple(probes), tuple(law), places=bool(self.sizes.markers or self.sizes.borders))
+        places = bool(self.sizes.markers or self.sizes.borders)
+        return SensitivityRequest(tuple(probes), tuple(law), places=places, boundary=bool(self.scene.driven))
 
     def modes(
         self,
@@ -216,6 +219,10 @@ class Nuisances:
         for column in self._taken_along(data) if sizes.markers else ():
             columns.append(column * float(sizes.dimensions or 0.0))
             names.append("dimensions")
+        if found.boundary is not None:
+            driven = self._driven.columns(data, found.boundary)
+            columns += list(driven.T)
+            names += [DRIVEN] * driven.shape[1]
         if sizes.camera and data.measurement.frame_error is None:
             turned = self._camera(data)
             columns += list(turned.T)
@@ -228,8 +235,10 @@ class Nuisances:
         matrix = np.column_stack([columns[number] for number in felt] or [np.zeros((len(data), 0))])
         names = [names[number] for number in felt]
         stated = {
-            name: float(getattr(sizes, name)) for name in (MARKERS, *dict.fromkeys(names)) if getattr(sizes, name)
+            name: float(getattr(sizes, name)) for name in (MARKERS, *dict.fromkeys(names)) if getattr(sizes, name, None)
         }
+        if DRIVEN in names:
+            stated[DRIVEN] = self._driven.size
         numbers += [None] * (len(columns) - len(numbers))
         return NuisanceModes(markers, matrix, tuple(names), stated, tuple(numbers[number] for number in felt))
 

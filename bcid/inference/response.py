@@ -69,12 +69,13 @@ def scales(data: Data, sigma: Array) -> Array:
 
 
 def poses(data: Data) -> Array:
-    """Pose of the gripper, and known loads, in every frame: shape (frames, k), the furthest at a distance of one.
+    """Pose of the gripper, known loads, and driven places in every frame: shape (frames, k), the furthest at a distance of one.
 
-    Each grasp and each loaded place has coordinates of its own; a turn counts by how far it moves the nearest marker.
+    Each grasp and each loaded or driven place has coordinates of its own; a turn counts by how far it moves the nearest marker.
     """
     count, scene = len(data.mask), data.scene
     moved, loaded = np.zeros((count, 6 * len(scene.grasps))), dict[str, Array]()
+    driven: dict[str, Array] = {}
     for action in data.measurement.actions:
         if action.grasp:
             at = 6 * list(scene.grasps).index(action.grasp)
@@ -83,7 +84,10 @@ def poses(data: Data) -> Array:
             moved[action.frames, at + 3 : at + 6] = turn * _arm(scene, action.grasp)
         for place, force in action.loads.items():
             loaded.setdefault(place, np.zeros((count, 3)))[action.frames] = force
-    return _joined((_scaled(part) for part in (moved, _joined(loaded.values(), count))), count)
+        for place, points in action.boundary.items():
+            driven.setdefault(place, np.zeros((count, points[0].size)))[action.frames] = points.reshape(len(points), -1)
+    parts = (moved, _joined(loaded.values(), count), _joined(driven.values(), count))
+    return _joined(map(_scaled, parts), count)
 
 
 def _arm(scene: Scene, grasp: str) -> float:

@@ -62,7 +62,8 @@ class Contents:
     `data` is an xarray Dataset with dimensions frame, fiducial, axis (and component, place): coordinates action, step,
     time (s); variables position (m, NaN where a fiducial was not seen), grasp, translation (m), rotation (unit
     quaternion), and optionally sigma (m), wrench (N, N m), load (N), and of surface marks the normal (frame, fiducial, axis) along
-    which alone they are seen, NaN for fiducials.
+    which alone they are seen, NaN for fiducials; and of points that drive a place the displacement, drive (frame, point, axis), m,
+    with the place, driven (point).
 
     Attributes:
         noise_sigma: per-axis standard deviation of a fiducial, m; None when not stated.
@@ -128,6 +129,10 @@ class Contents:
                 load = rows["load"].sel(place=place).values
                 if np.any(load):
                     loads[str(place)] = np.asarray(load, dtype=float)
+        boundary = {}
+        if "drive" in rows:
+            drive, owner = rows["drive"].transpose("frame", "point", "axis").values, rows["driven"].values.astype(str)
+            boundary = {str(p): np.asarray(drive[:, owner == p], dtype=float) for p in dict.fromkeys(owner)}
         return Action(
             name,
             frames,
@@ -137,6 +142,7 @@ class Contents:
             np.asarray(rows["rotation"].values, dtype=float),
             loads,
             np.asarray(rows["time"].values, dtype=float),
+            boundary=boundary,
         )
 
     def sigma(self, default: float | None = None) -> Array | None:

@@ -27,14 +27,14 @@ def of_measurement(measurement: Measurement) -> str:
 
 def of_action(action: Action) -> str:
     """Of the motion of one action, and which frames of the measurement it has."""
-    loads = {place: np.asarray(load) for place, load in action.loads.items()}
+    loads = {place: np.asarray(load) for place, load in (action.loads | action.boundary).items()}
     motion = {"frames": action.frames, "translation": action.translation, "rotation": action.rotation}
     return fingerprint({"grasp": action.grasp, "clock": action.clock, "loads": loads} | motion)
 
 
 def of_pull(action: Action, timed: bool = False) -> str:
     """Of a motion to be predicted: grasp, poses to the nanometre, loads, and if it is `timed` its clock; not its name."""
-    loads = {place: np.round(load, 9) for place, load in action.loads.items()}
+    loads = {place: np.round(load, 9) for place, load in (action.loads | action.boundary).items()}
     # Adding zero makes one of the two zeros of the other.
     content = {"translation": np.round(action.translation, 9) + 0.0, "rotation": np.round(action.rotation, 9) + 0.0}
     clock = np.round(action.clock, 9) if timed else None
@@ -78,7 +78,8 @@ def of_wanted(wanted: SensitivityRequest) -> str:
     probes = [(of_term(probe.term), probe.wanted) for probe in wanted.probes]
     many = {name: value for name in ("forces", "growths") if (value := getattr(wanted, name)) is not None}
     terms = None if wanted.terms is None else (type(wanted.terms).__name__, wanted.terms.count, wanted.terms.holds)
-    return f"{probes} {wanted.law} {wanted.stiffness} {fingerprint(many) if many else None} {wanted.places} {terms}"
+    driven = " driven" if wanted.boundary else ""
+    return f"{probes} {wanted.law} {wanted.stiffness} {fingerprint(many) if many else None} {wanted.places} {terms}{driven}"
 
 
 def _numbers(values: Mapping[str, Any]) -> str:

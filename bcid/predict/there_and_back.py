@@ -16,15 +16,7 @@ def there(action: Action, steady: bool) -> Action:
     Nor where the body is not `steady`: its state depends on time, or on what was before.
     """
     count = _turning(action) if steady else len(action)
-    return replace(
-        action,
-        frames=np.arange(count),
-        steps=action.steps[:count],
-        translation=action.translation[:count],
-        rotation=action.rotation[:count],
-        loads={place: load[:count] for place, load in action.loads.items()},
-        times=action.clock[:count],
-    )
+    return replace(action.until(count), frames=np.arange(count), times=action.clock[:count])
 
 
 def back(action: Action, steady: bool) -> NDArray[np.int64]:

@@ -104,7 +104,7 @@ def _places(found: Found, body: xr.Dataset) -> list[dict[str, Any]]:
     made = []
     for full in (str(name) for name in body["place_name"].values):
         kind, _, name = full.partition(" ")
-        entry: dict[str, Any] = {"kind": kind if kind in ("patch", "grasp", "held") else "", "name": name}
+        entry: dict[str, Any] = {"kind": kind if kind in ("patch", "grasp", "held", "driven") else "", "name": name}
         if kind == "patch":
             entry["anchored"] = name in anchored
             probability = probabilities.get(name)

@@ -121,6 +121,7 @@ def body_entries(grasp: str, kinds: Collection[str]) -> list[Patch]:
 
     patches = [(COLOURS.anchored, "anchored patch"), (COLOURS.free, "free candidate patch")] if "patch" in kinds else []
     held = [(COLOURS.held, "known to be held")] if "held" in kinds else []
+    held += [(COLOURS.driven, "driven by measured points")] if "driven" in kinds else []
     held += [(COLOURS.region, "region of the body")] if "region" in kinds else []
     gripped = [(COLOURS.grasp, f"grasp {grasp}")] if grasp else []
     return [Patch(color=colour, label=text) for colour, text in (*patches, *gripped, *held)]

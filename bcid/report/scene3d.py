@@ -24,6 +24,8 @@ _SHARP = 60.0
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+# Marks that are named in a picture; of more their names hide the body.
+_NAMED = 60
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,7 @@ class Palette:
     free: str = "#b9bec6"
     grasp: str = "#e69f00"
     held: str = "#4d5661"
+    driven: str = "#7b5ea7"
     region: str = "#b98b7d"
     measured: str = "#222222"
     predicted: str = "#d55e00"
@@ -189,10 +192,11 @@ def _add_places(
 
 
 def _add_marks(plotter: pv.Plotter, rest: pv.PolyData, points: Mapping[str, Array], view: Viewpoint) -> list[Label]:
-    """A whole ball for each mark on the side that is seen, just above the surface; returns their names."""
+    """A whole ball for each mark on the side that is seen, just above the surface; returns their names, if they are few."""
     import pyvista as pv
 
-    radius = 0.009 * view.size
+    named = len(points) <= _NAMED
+    radius = (0.009 if named else 0.004) * view.size
     labels = []
     normals = rest.compute_normals(cell_normals=True, point_normals=False, auto_orient_normals=False)
     for name, place in points.items():
@@ -202,7 +206,8 @@ def _add_marks(plotter: pv.Plotter, rest: pv.PolyData, points: Mapping[str, Arra
         plotter.add_mesh(
             pv.Sphere(radius=radius, center=place + radius * view.away), color=COLOURS.measured, ambient=0.4
         )
-        labels.append(Label(place + 2.4 * radius * view.high, name, COLOURS.measured, round(0.55 * LETTER)))
+        if named:
+            labels.append(Label(place + 2.4 * radius * view.high, name, COLOURS.measured, round(0.55 * LETTER)))
     return labels
 
 
@@ -277,7 +282,7 @@ def _add_body(
 
 
 def kinds(body: xr.Dataset) -> set[str]:
-    """Of the places that a body has: "patch", "grasp", "held" where one is known to be, and "region" of a part of the body."""
+    """Of the places that a body has: "patch", "grasp", "held" where one is known to be, "driven", and "region" of a part."""
     return {str(name).partition(" ")[0] for name in body["place_name"].values if name}
 
 
@@ -290,6 +295,7 @@ def _place_colours(body: xr.Dataset, anchored: list[str], grasp: str) -> list[st
             colours.append(COLOURS.anchored if which in anchored else COLOURS.free)
         else:
             used = {"grasp": COLOURS.grasp if which == grasp else None, "held": COLOURS.held, "region": COLOURS.region}
+            used["driven"] = COLOURS.driven
             colours.append(used.get(kind))
     return colours
 

@@ -63,7 +63,7 @@ def place_colours(names: Sequence[str]) -> dict[str, str]:
     """Colours of places by name, as "patch 1" and "grasp I"."""
     patches = [name for name in names if name.startswith("patch ")]
     colours = {name: _PATCHES[i % len(_PATCHES)] for i, name in enumerate(patches)}
-    used = {"grasp": COLOURS.grasp, "held": COLOURS.held, "region": COLOURS.region}
+    used = {"grasp": COLOURS.grasp, "held": COLOURS.held, "driven": COLOURS.driven, "region": COLOURS.region}
     return colours | {name: used[kind] for name in names if (kind := name.partition(" ")[0]) in used}
 
 

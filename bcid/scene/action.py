@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ class Action:
         loads: known dead loads by place, each of shape (steps, 3), N.
         times: of the steps, shape (steps,), s; None for one second per step.
         numbers: of the frames in the whole measurement, where only some of its frames are looked at; None where all are.
+        boundary: displacements of the points that drive a place, by place, each of shape (steps, points, 3), m.
     """
 
     name: str
@@ -35,17 +36,24 @@ class Action:
     loads: dict[str, Array] = field(default_factory=dict)
     times: Array | None = None
     numbers: NDArray[np.int64] | None = None
+    boundary: dict[str, Array] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def until(self, count: int) -> Action:
         """Its first steps."""
-        loads = {place: load[:count] for place, load in self.loads.items()}
-        times = None if self.times is None else self.times[:count]
-        paths = self.translation[:count], self.rotation[:count]
-        numbers = self.numbered[:count]
-        return Action(self.name, self.frames[:count], self.steps[:count], self.grasp, *paths, loads, times, numbers)
+        return replace(
+            self,
+            frames=self.frames[:count],
+            steps=self.steps[:count],
+            translation=self.translation[:count],
+            rotation=self.rotation[:count],
+            loads={place: load[:count] for place, load in self.loads.items()},
+            boundary={place: moved[:count] for place, moved in self.boundary.items()},
+            times=None if self.times is None else self.times[:count],
+            numbers=self.numbered[:count],
+        )
 
     @property
     def numbered(self) -> NDArray[np.int64]:

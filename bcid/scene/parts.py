@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from bcid.base.kriging import Kriging
 
 Values = dict[str, Any]
 Vector = tuple[float, float, float]
@@ -125,6 +128,37 @@ class BodyRegion:
     sphere: Sphere | None = None
     outline: Polygon | None = None
     ratio: float | None = None
+
+
+# Fewer points drive nothing.
+LEAST_POINTS = 3
+
+
+@dataclass(frozen=True)
+class Driven:
+    """How a place moves that measured points drive: those that are named, or all that are near.
+
+    Attributes:
+        markers: names of fiducials.
+        near: all fiducials that are not further away than this, m; None where they are named.
+        along: axes along which it is driven; it is free along the others.
+        points: where they are at rest, m; none before a measurement is known. With them goes:
+        length, ratio, scale, offset: see `bcid.base.kriging.Kriging`, and the standard deviation of where they are at rest, m.
+    """
+
+    markers: tuple[str, ...] = ()
+    near: float | None = None
+    along: tuple[int, ...] = (0, 1, 2)
+    points: tuple[Vector, ...] = ()
+    length: float = 0.0
+    ratio: float = 0.0
+    scale: float = 0.0
+    offset: float = 0.0
+
+    @cached_property
+    def kriging(self) -> Kriging:
+        """What makes displacements of the points those of the place."""
+        return Kriging(np.array(self.points), self.length, self.ratio, self.scale)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 from bcid.base.errors import nearest
 from bcid.base.units import LEAST_SIGMA, measurable, usable
 from bcid.scene.geometry_tables import GeometryTables
-from bcid.scene.parts import Limits, Material, Values, Vector
+from bcid.scene.parts import LEAST_POINTS, Driven, Limits, Material, Values, Vector
 from bcid.scene.region_tables import RegionTables
 from bcid.scene.uncertainty import ANGLES, FORCES, LENGTHS, Uncertainty
 
@@ -29,6 +29,7 @@ _TABLES = (
     "fiducials",
     "places",
     "held",
+    "driven",
     "regions",
     "effects",
     "explore",
@@ -66,15 +67,17 @@ class SceneFile(GeometryTables, RegionTables):
         places = self.table(table, "places")
         held = self.table(table, "held")
         fiducials = self.table(table, "fiducials")
+        driven = self.table(table, "driven")
         body_regions = self.table(table, "regions")
-        for what in ("patches", "grasps", "places", "held", "regions", "fiducials"):
+        for what in ("patches", "grasps", "places", "held", "driven", "regions", "fiducials"):
             self.names(self.table(table, what), what)
         for name in set(held) & set(places):
             self.bad(f"held.{name}", "has the name of one of [places]; choose another")
-        if not (patches or held):
-            self.bad(
-                "patches", "none is defined: name at least one candidate patch, or what is known to be held in [held]"
-            )
+        for name in set(driven) & {*places, *held}:
+            self.bad(f"driven.{name}", "has the name of one of [places] or [held]; choose another")
+        if not (patches or held or driven):
+            rule = "name at least one candidate patch, or what is known to be held in [held], or driven by points in [driven]"
+            self.bad("patches", f"none is defined: {rule}")
         if not fiducials:
             self.bad("fiducials", 'none is defined: write name = "x y z mm" for each marker')
         support = self.text(table, "support", "")
@@ -89,8 +92,14 @@ class SceneFile(GeometryTables, RegionTables):
             "grasps": {name: self.grasp(value, f"grasps.{name}") for name, value in grasps.items()},
             "fiducials": {name: self.vector(value, f"fiducials.{name}") for name, value in fiducials.items()},
             "places": {name: self.region(value, f"places.{name}") for name, value in places.items()}
-            | {name: self.region(value, f"held.{name}", ("along",)) for name, value in held.items()},
+            | {name: self.region(value, f"held.{name}", ("along",)) for name, value in held.items()}
+            | {
+                name: self.driven_region(value, f"driven.{name}")
+                for name, value in driven.items()
+                if name not in grasps
+            },
             "held": {name: self.along(value, f"held.{name}") for name, value in held.items()},
+            "driven": {name: self.driven(value, name, grasps, fiducials) for name, value in driven.items()},
             "regions": {name: self.body_region(value, f"regions.{name}") for name, value in body_regions.items()},
             "divide": self.divide(patches),
             "down": self.direction(table.get("down", [0, -1, 0]), "down"),
@@ -184,6 +193,31 @@ class SceneFile(GeometryTables, RegionTables):
             )
             return (0, 1, 2)
         return tuple(sorted({"xyz".index(axis) for axis in axes}))
+
+    def driven(self, value: object, name: str, grasps: Mapping[str, Any], fiducials: Mapping[str, Any]) -> Driven:
+        """Which points drive a place, or a grasp."""
+        key = f"driven.{name}"
+        if not isinstance(value, dict) or ("markers" in value) == ("near" in value):
+            self.bad(
+                key,
+                'expected what drives it: markers = ["a", "b", "c"], or near = "2 mm" for all that are not further away',
+            )
+            return Driven()
+        if name in grasps:
+            self.unknown(value, ("markers", "near"), f"{key}.")
+        markers = value.get("markers", [])
+        if not isinstance(markers, list) or not all(isinstance(one, str) for one in markers):
+            self.bad(f"{key}.markers", f'expected names of fiducials, as ["a", "b", "c"], found {markers!r}')
+            return Driven()
+        if "markers" in value and len(set(markers)) < LEAST_POINTS:
+            self.bad(f"{key}.markers", f"expected {LEAST_POINTS} different fiducials or more, found {markers!r}")
+        for unknown in set(markers) - set(fiducials):
+            self.bad(f"{key}.markers", f"fiducial '{unknown}' is not defined; {nearest(unknown, fiducials)}")
+        near = self.length(value["near"], f"{key}.near") if "near" in value else None
+        along = self.along(value, key)
+        if not along:
+            self.bad(f"{key}.along", 'expected "x", "y" or "z", or a list of them: points drive along axes')
+        return Driven(tuple(dict.fromkeys(markers)), near, along or (0, 1, 2))
 
     def divide(self, patches: Mapping[str, Any]) -> dict[str, float]:
         """Size (m) of the pieces of every patch that is divided."""

@@ -37,6 +37,13 @@ class RegionTables(SceneTables):
             painted=self.painted(value, key),
         )
 
+    def driven_region(self, value: object, key: str) -> Region:
+        """The place of an entry of [driven]."""
+        if not isinstance(value, dict) or not set(_CRITERIA) & set(value):
+            self.bad(key, f"expected the name of a grasp, or a place on the boundary by {', '.join(_CRITERIA)}")
+            return Region()
+        return self.region(value, key, ("markers", "near", "along"))
+
     def body_region(self, value: object, key: str) -> BodyRegion:
         """A part of the volume."""
         if not isinstance(value, dict) or not set(_SHAPES) & set(value):

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.base.errors import InputError
 from bcid.base.fingerprint import file_fingerprint, fingerprint
-from bcid.scene.parts import BodyRegion, Grasp, Level, Limits, Material, Region, Values, Vector, horizontal
+from bcid.scene.parts import BodyRegion, Driven, Grasp, Level, Limits, Material, Region, Values, Vector, horizontal
 from bcid.scene.reader import SceneFile
 from bcid.scene.uncertainty import Uncertainty
 
@@ -34,6 +35,7 @@ class Scene:
         surface: names of the fiducials that are no markers but places on a surface that a depth camera sees.
         places: other named parts of the boundary, for known loads and supports.
         held: places that are known to be held, and the axes (0, 1, 2) along which they do not move; no axis: along their normals.
+        driven: places, and grasps, that measured points drive.
         regions: parts of the volume with a stiffness of their own.
         down: unit vector of gravity.
         fibre_plane: the plane in which fibres and active stresses lie: unit vectors at 0 and at 90 degrees. None is the
@@ -70,8 +72,17 @@ class Scene:
     surface: tuple[str, ...] = ()
     held: dict[str, tuple[int, ...]] = field(default_factory=dict)
     regions: dict[str, BodyRegion] = field(default_factory=dict)
+    driven: dict[str, Driven] = field(default_factory=dict)
     description: str = ""
     source: str = "scene"
+
+    def check_undriven(self, what: str) -> None:
+        """Refuse a scene that measured points drive, for what is to be done without a measurement."""
+        if self.driven:
+            rule = "measure it, or describe the larger body and what holds it"
+            raise InputError(
+                f"scene {self.source}: driven.{next(iter(self.driven))} moves as measured points do, which cannot be {what}; {rule}"
+            )
 
     @property
     def fibre_axes(self) -> tuple[Vector, Vector]:
@@ -94,7 +105,7 @@ class Scene:
             key: value for key, value in asdict(self).items() if key not in ("geometry", "source", "description")
         }
         # What was added to the format changes no fingerprint where it is not used.
-        for key in ("held", "regions"):
+        for key in ("held", "regions", "driven"):
             if not content[key]:
                 del content[key]
         if not self.material.volumetric:

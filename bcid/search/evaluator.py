@@ -77,7 +77,7 @@ class Evaluator:
         self.outcomes: dict[tuple[int, Candidate], Outcome] = {}
         # The undeformed state costs nothing to compute.
         loaded = bool(self.model.terms)
-        free = [a.frames[:1] for a in self.actions if not (loaded or a.loads or a.translation[0].any())]
+        free = [a.frames[:1] for a in self.actions if not (loaded or a.loads or a.boundary or a.translation[0].any())]
         self._costly = np.ones(self.misfit.frames, dtype=bool)
         self._costly[np.concatenate([np.zeros(0, dtype=int), *free])] = False
         self._models = ForwardModels(scene, comm, self.settings, ForceScale.of(scene, measurement), per_rank)

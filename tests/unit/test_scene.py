@@ -92,7 +92,7 @@ def test_divided_patches_wait_for_a_mesh(tmp_path: Path) -> None:
 def test_shipped_scenes_are_valid() -> None:
     for path in sorted((ROOT / "examples/scenes").glob("*.toml")):
         scene = Scene.read(path, physics=check_physics)
-        assert scene.patches or scene.held
+        assert scene.patches or scene.held or scene.driven
         assert scene.fiducials
 
 

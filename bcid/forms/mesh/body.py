@@ -46,6 +46,7 @@ class Body:
         self.mesh = mesh
         self.degree = degree
         self.mixed = mixed
+        self._axis_spaces: dict[int, Any] = {}
         element = basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,), dtype=np.float64)
         mine = comm.rank == 0
         cells = mesh.cells if mine else np.zeros((0, 4), dtype=np.int64)
@@ -132,7 +133,7 @@ class Body:
     def dirichlet(self, region: Region, what: str, value: Any = None, axis: int | None = None) -> Any:
         """A DOLFINx Dirichlet condition that holds a region, or one axis (0, 1, 2) of it; collective.
 
-        `value` is a Function of the displacement space, None for zero.
+        `value` is a Function of the displacement space, or of one `axis_space`, None for zero.
         """
         entities = self.mesh.select(region, what)
         dimension, local = entities.shape[1] - 1, self.local_entities(entities)
@@ -141,12 +142,20 @@ class Body:
             if value is None:
                 return fem.dirichletbc(np.zeros(3, default_scalar_type), dofs, self.space)
             return fem.dirichletbc(value, dofs)
-        whole = self.space.sub(0) if self.mixed else self.space
-        part = whole if axis is None else whole.sub(axis)
-        inner = self.displacement_space if axis is None else part.collapse()[0]
+        part = self._displacement if axis is None else self._displacement.sub(axis)
+        inner = self.displacement_space if axis is None else self.axis_space(axis)
         pairs = fem.locate_dofs_topological((part, inner), dimension, local)
-        held = value if value is not None and axis is None else fem.Function(inner)
-        return fem.dirichletbc(held, pairs, part)
+        return fem.dirichletbc(fem.Function(inner) if value is None else value, pairs, part)
+
+    @property
+    def _displacement(self) -> Any:
+        return self.space.sub(0) if self.mixed else self.space
+
+    def axis_space(self, axis: int) -> Any:
+        """The space of displacements along one axis (0, 1, 2); collective when it is first asked for."""
+        if axis not in self._axis_spaces:
+            self._axis_spaces[axis] = self._displacement.sub(axis).collapse()[0]
+        return self._axis_spaces[axis]
 
     def facet_measure(self, regions: Sequence[Region], names: Sequence[str]) -> Any:
         """A surface measure in which ``measure(i + 1)`` is region i; regions may overlap, facets inside are left out."""

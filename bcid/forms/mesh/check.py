@@ -140,7 +140,7 @@ def check_fineness(scene: Scene, mesh: BodyMesh) -> None:
 def check_places(scene: Scene, name: str, mesh: BodyMesh) -> None:
     """Every place of the scene must be on the boundary of a mesh, and every region of the body inside of it.
 
-    No facet of a patch may be gripped or known to be held.
+    No facet of a patch may be gripped, driven by points, or known to be held.
 
     Raises:
         InputError: with every problem; `name` is that of the level.
@@ -162,7 +162,7 @@ def check_places(scene: Scene, name: str, mesh: BodyMesh) -> None:
             problems.add(scene.source, str(error))
     for (kind, place), mine in facets.items():
         for (other, held), theirs in facets.items():
-            apart = other == "grasp" or (other == "held" and len(scene.held[held]) == 3)
+            apart = other in ("grasp", "driven") or (other == "held" and len(scene.held[held]) == 3)
             if kind == "patch" and apart and mine.shape[1] == theirs.shape[1]:
                 shared = _rows(mine) & _rows(theirs)
                 if shared:
@@ -237,9 +237,9 @@ def _edges(row: tuple[int, ...]) -> set[tuple[int, ...]]:
 def places(scene: Scene) -> dict[str, dict[str, Region]]:
     """Named parts of the boundary, by kind."""
     grasps = {name: grasp.region for name, grasp in scene.grasps.items()}
-    others: dict[str, dict[str, Region]] = {"held": {}, "place": {}}
+    others: dict[str, dict[str, Region]] = {"held": {}, "driven": {}, "place": {}}
     for name, region in scene.places.items():
-        others["held" if name in scene.held else "place"][name] = region
+        others["held" if name in scene.held else "driven" if name in scene.driven else "place"][name] = region
     return {"patch": scene.patches, "grasp": grasps} | {kind: named for kind, named in others.items() if named}
 
 

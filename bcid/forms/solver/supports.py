@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from bcid.base.errors import InputError, nearest
 from bcid.forms.loads import nodal_weights
 from bcid.forms.mesh.body import Body
+from bcid.forms.solver.driven_boundary import DrivenBoundary
 from bcid.scene import Region, Scene
 from bcid.scene.rotation import rotate
 
@@ -27,6 +28,7 @@ class Pose:
         translation: from the rest pose, m.
         rotation: unit quaternion (w, x, y, z) about the rest centre of the grasp.
         loads: force on each loaded place, N.
+        boundary: displacements of the points that drive a place, (points, 3), m, by place.
         load_factor: fraction of the effects that acts, 0 to 1 (below 1 only while they are being applied).
         time: s.
     """
@@ -36,12 +38,13 @@ class Pose:
     loads: Mapping[str, Array] = field(default_factory=dict)
     load_factor: float = 1.0
     time: float = 0.0
+    boundary: Mapping[str, Array] = field(default_factory=dict)
 
     def vector(self, lever: float) -> Array:
         """All numbers in one row, the rotation as what it moves at the end of a lever (m)."""
-        return np.concatenate(
-            [self.translation, 2 * lever * self.rotation, *(self.loads[k] for k in sorted(self.loads))]
-        )
+        loads = [self.loads[place] for place in sorted(self.loads)]
+        moved = [self.boundary[place].ravel() for place in sorted(self.boundary)]
+        return np.concatenate([self.translation, 2 * lever * self.rotation, *loads, *moved])
 
 
 class Supports:
@@ -57,6 +60,7 @@ class Supports:
 
     Attributes:
         conditions: the DOLFINx conditions in force.
+        boundary: what measured points drive.
         prescribed: numbers of the unknowns that are prescribed, on this rank, ghosts included.
         reacting: those that this rank owns.
         grasp: where the gripper holds, or "".
@@ -81,6 +85,7 @@ class Supports:
         self._weights: dict[str, Array] = {}
         self.external = np.zeros(3 * len(body.nodes))
         self.loaded = False
+        self.boundary = DrivenBoundary(body, scene, self.places)
         self._mine = body.displacement_dofs < owned
 
     # -- what is held
@@ -103,7 +108,7 @@ class Supports:
         self.gripped: Index = conditions[len(anchors)].dof_indices()[0] if grasp else np.zeros(0, np.int32)
         if self.sprung:
             del conditions[len(anchors)]
-        self.conditions = conditions
+        self.conditions = conditions = [*conditions, *self.boundary.conditions]
         dofs = [condition.dof_indices()[0] for condition in conditions]
         self.prescribed: Index = np.unique(np.concatenate(dofs or [np.zeros(0, np.int32)]))
         self.reacting = self.prescribed[self.prescribed < self._owned]
@@ -133,6 +138,7 @@ class Supports:
         """Gripper and dead loads of a pose."""
         if self.grasp:
             self.gripper.x.array[:] = self.moved(pose)
+        self.boundary.put(pose.boundary)
         self.loaded = bool(pose.loads)
         self.external[:] = self.load(pose.loads)
 
@@ -148,6 +154,8 @@ class Supports:
 
     def moved(self, pose: Pose) -> Array:
         """Displacement of every node if it moved with the gripper, shape (3 * nodes,), m."""
+        if self.grasp in self.scene.driven:
+            return self.boundary.moved(self.grasp, pose.boundary)
         arm = self.body.nodes - self.centre
         return np.asarray((pose.translation + rotate(pose.rotation, arm) - arm).ravel())
 

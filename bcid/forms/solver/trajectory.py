@@ -102,9 +102,17 @@ def poses(action: Action) -> list[Pose]:
             action.rotation[k],
             {place: load[k] for place, load in action.loads.items()},
             time=float(times[k]),
+            boundary={place: moved[k] for place, moved in action.boundary.items()},
         )
         for k in range(len(action))
     ]
+
+
+def _unloaded(action: Action) -> Pose:
+    """Where an action comes from: nothing is loaded or driven."""
+    loads = {place: np.zeros(3) for place in action.loads}
+    still = {place: np.zeros_like(moved[0]) for place, moved in action.boundary.items()}
+    return Pose(loads=loads, load_factor=0.0, time=float(action.clock[0]), boundary=still)
 
 
 def follow(
@@ -134,7 +142,7 @@ def follow(
     result = Trajectory()
     start = equilibrium.iterations, equilibrium.factor.count
     path = [
-        Pose(loads={place: np.zeros(3) for place in action.loads}, load_factor=0.0, time=float(action.clock[0])),
+        _unloaded(action),
         *poses(action),
     ]
     history = _History(equilibrium.body.comm, equilibrium.supports.lever, EnergyCheck.at_rest(equilibrium))
@@ -230,13 +238,14 @@ def _find(eq: Equilibrium, pose: Pose, time: float, history: _History, start: Ar
 
 
 def between(a: Pose, b: Pose, fraction: float) -> Pose:
-    """Pose between two: straight for translation and loads, along the shortest arc for the rotation (slerp)."""
+    """Pose between two: straight for translation, loads and driven places, along the shortest arc for the rotation (slerp)."""
     if fraction == 1.0:
         return b
     loads = {place: (1 - fraction) * a.loads[place] + fraction * b.loads[place] for place in b.loads}
+    boundary = {place: (1 - fraction) * a.boundary[place] + fraction * b.boundary[place] for place in b.boundary}
     translation = (1 - fraction) * a.translation + fraction * b.translation
     load_factor, time = (
         (1 - fraction) * a.load_factor + fraction * b.load_factor,
         (1 - fraction) * a.time + fraction * b.time,
     )
-    return Pose(translation, slerp(a.rotation, b.rotation, fraction), loads, load_factor, time)
+    return Pose(translation, slerp(a.rotation, b.rotation, fraction), loads, load_factor, time, boundary)

@@ -1,7 +1,7 @@
 // The turnable view of a body. Draws on demand: when a control moves, or the body is turned.
 "use strict";
 const T = globalThis.THREE;
-const COLOUR = { tissue: 0xf3d9cd, anchored: 0x0072b2, free: 0xb9bec6, grasp: 0xe69f00, held: 0x4d5661, measured: 0x222222,
+const COLOUR = { tissue: 0xf3d9cd, anchored: 0x0072b2, free: 0xb9bec6, grasp: 0xe69f00, held: 0x4d5661, driven: 0x7b5ea7, measured: 0x222222,
                  predicted: 0xd55e00, outline: 0x9aa0a6, edge: 0x6b5a52 };
 const TURN = 0.008, NEAREST = 0.25, FARTHEST = 4;
 // What the surface may be coloured by, node by node.
@@ -354,7 +354,7 @@ class Body {
       const held = place.kind === "patch" && place.anchored, gripped = place.kind === "grasp" && place.name === grasp;
       const shaded = chances && place.kind === "patch" && place.shade;
       const colour = shaded ? place.shade : held ? COLOUR.anchored : gripped ? COLOUR.grasp
-        : place.kind === "patch" ? COLOUR.free : place.kind === "held" ? COLOUR.held : COLOUR.tissue;
+        : place.kind === "patch" ? COLOUR.free : place.kind in { held: 1, driven: 1 } ? COLOUR[place.kind] : COLOUR.tissue;
       const solid = held || gripped || place.kind === "held" || shaded || field, kind = `${field}${Boolean(solid)}${held && !chances}`;
       if (mesh.userData.kind !== kind) {
         mesh.material.dispose();
