@@ -336,18 +336,22 @@ class HypothesisTable:
         return next((h for h in lesser if not self._compared(h) and h not in self.refused), None)
 
     def doubtful(self) -> Hypothesis | None:
-        """Where something unknown is likeliest, the likeliest set of which only the errors of another tell, if it counts at all.
+        """Where something unknown is likeliest, what is to be fitted before that is said; None where nothing counts.
 
-        A discrepancy explains so much there that it matters which set its columns are of.
+        The likeliest known effects, of which a tangent tells little where much is to be explained; then the likeliest set of which
+        only the errors of another tell: a discrepancy explains so much there that it matters which set its columns are of.
         """
         known = self.posterior().evaluations
         if not self.odds.best.unknown:
             return None
-        for h, p in self.odds.probabilities.items():
-            waits = h.known not in self.refused and not self._fitted(h.known)
-            if h.unknown and waits and p > SETTINGS.counting and known[h].fidelity == Fidelity.SHARED:
-                return h.known
-        return None
+        waiting = [
+            h
+            for h, p in self.odds.probabilities.items()
+            if p > SETTINGS.counting and h.known not in self.refused and not self._fitted(h.known)
+        ]
+        effects = [h for h in waiting if h.names and not h.unknown]
+        sets = [h.known for h in waiting if h.unknown and known[h].fidelity == Fidelity.SHARED]
+        return next(iter([*effects, *sets]), None)
 
     def _fitted(self, hypothesis: Hypothesis) -> bool:
         """Whether it was compared with all steps."""
