@@ -48,8 +48,9 @@ class AnchorCompliance:
         equilibrium.hold((), grasp)
         dofs = forward.body.displacement_dofs.reshape(-1, 3)
         held = equilibrium.supports.prescribed
-        nodes = {name: equilibrium.supports.nodes(name) for name in forward.scene.patches}
-        every = np.unique(np.concatenate([dofs[own].ravel() for own in nodes.values()]))
+        scene, supports = forward.scene, equilibrium.supports
+        held_by = {name: dofs[supports.nodes(name)][:, scene.held_along(name)].ravel() for name in scene.patches}
+        every = np.unique(np.concatenate(list(held_by.values())))
         # What the gripper holds as well follows the gripper.
         free = every[~np.isin(every, held)]
         if equilibrium.verify() is not Status.CONVERGED:
@@ -63,7 +64,7 @@ class AnchorCompliance:
         observe = forward.observer.of_unknowns()
         self.compliance, self.shown = found[free], np.asarray(observe @ found)
         self.steps, self.carried = steps[free], np.asarray(observe @ steps)
-        self._columns = {name: np.flatnonzero(np.isin(free, dofs[own])) for name, own in nodes.items()}
+        self._columns = {name: np.flatnonzero(np.isin(free, own)) for name, own in held_by.items()}
         equilibrium.reset()
 
     def moved(self, anchors: Iterable[str]) -> Array:

@@ -220,7 +220,7 @@ def _overlaps(scene: Scene, mesh: BodyMesh) -> Iterator[str]:
     names = list(rows)
     for i, first in enumerate(names):
         for other in names[i + 1 :]:
-            shared = rows[first] & rows[other]
+            shared = rows[first] & rows[other] if set(scene.held_along(first)) & set(scene.held_along(other)) else set()
             if shared:
                 yield f"patches {first} and {other} share {len(shared)} facets: both would be told to be anchored there"
 

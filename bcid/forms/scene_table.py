@@ -27,7 +27,9 @@ def table(check: SceneCheck) -> str:
     kinds = {place.kind: [one for one in check.places if one.kind == place.kind] for place in check.places}
     for kind, found in kinds.items():
         lines += ["", f"On {level_name(scene, scene.levels[check.level])}:"] if kind == "patch" else [""]
-        lines += columns((kind, "facets", "area", "middle (mm)", *_more(kind)), [_place(check, one) for one in found])
+        lines += columns(
+            (kind, "facets", "area", "middle (mm)", *_more(check, kind)), [_place(check, one) for one in found]
+        )
     if check.body_regions:
         rows = [_region(scene, one) for one in check.body_regions]
         lines += ["", *columns(("region", "of the volume", "cells cut", "middle (mm)", "stiffness"), rows)]
@@ -61,7 +63,9 @@ def _rung(scene: Scene, rung: LevelSize) -> tuple[str, ...]:
     )
 
 
-def _more(kind: str) -> tuple[str, ...]:
+def _more(check: SceneCheck, kind: str) -> tuple[str, ...]:
+    if kind == "patch":
+        return ("holds along",) if check.scene.patch_axes else ()
     return {"grasp": ("centre (mm)",), "held": ("along",), "driven": ("along", "by")}.get(kind, ())
 
 
@@ -70,6 +74,8 @@ def _place(check: SceneCheck, place: PlaceSize) -> tuple[str, ...]:
     found = place.name, str(place.facets), area, _mm(place.middle)
     if place.kind == "held":
         return *found, " ".join("xyz"[axis] for axis in check.scene.held[place.name]) or "its normal"
+    if place.kind == "patch" and check.scene.patch_axes:
+        return *found, " ".join("xyz"[axis] for axis in check.scene.held_along(place.name))
     if place.kind == "driven":
         along = " ".join("xyz"[axis] for axis in check.scene.driven[place.name].along)
         return *found, along, f"{check.drivers[place.name]} fiducials"

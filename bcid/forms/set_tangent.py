@@ -232,15 +232,16 @@ class SetTangents:
         body, weak_form = self.forward.body, self.forward.equilibrium.weak_form
         nodes = self.forward.equilibrium.supports.nodes(name)
         away = body.nodes[nodes] - body.nodes[nodes].mean(axis=0)
-        axes = np.linalg.svd(away, full_matrices=False)[2][:2]
-        x, y = (away @ axes.T / max(float(np.abs(away).max(initial=0.0)), 1e-300)).T
+        plane = np.linalg.svd(away, full_matrices=False)[2][:2]
+        x, y = (away @ plane.T / max(float(np.abs(away).max(initial=0.0)), 1e-300)).T
         shapes = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
         # A patch of few nodes has no more shapes than nodes.
         basis, sizes, _ = np.linalg.svd(shapes, full_matrices=False)
         shapes = basis[:, sizes > 1e-6 * sizes.max(initial=0.0)]
-        columns = np.zeros((len(body.nodes), 3, shapes.shape[1], 3))
-        for axis in range(3):
-            columns[nodes, axis, :, axis] = shapes
+        axes = self.forward.scene.held_along(name)
+        columns = np.zeros((len(body.nodes), 3, shapes.shape[1], len(axes)))
+        for number, axis in enumerate(axes):
+            columns[nodes, axis, :, number] = shapes
         flat = columns.reshape(3 * len(body.nodes), -1)
         try:
             measure = weak_form.surface(name)

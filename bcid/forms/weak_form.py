@@ -207,6 +207,7 @@ class WeakForm:
             boundary=self.boundary,
             support=self.scene.support,
             patches=tuple(self.scene.patches),
+            held_along=self.scene.held_along,
             anchored=lambda patch: self.anchored[patch],
             gripper=self.gripper,
             grasps=tuple(self.grips),

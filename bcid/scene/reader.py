@@ -88,7 +88,9 @@ class SceneFile(GeometryTables, RegionTables):
             **geometry,
             "levels": self.levels(table.get("levels"), geometry["geometry"]),
             "material": self.material(self.table(table, "material")),
-            "patches": {name: self.region(value, f"patches.{name}", ("divide",)) for name, value in patches.items()},
+            "patches": {
+                name: self.region(value, f"patches.{name}", ("divide", "along")) for name, value in patches.items()
+            },
             "grasps": {name: self.grasp(value, f"grasps.{name}") for name, value in grasps.items()},
             "fiducials": {name: self.vector(value, f"fiducials.{name}") for name, value in fiducials.items()},
             "places": {name: self.region(value, f"places.{name}") for name, value in places.items()}
@@ -101,6 +103,7 @@ class SceneFile(GeometryTables, RegionTables):
             "held": {name: self.along(value, f"held.{name}") for name, value in held.items()},
             "driven": {name: self.driven(value, name, grasps, fiducials) for name, value in driven.items()},
             "regions": {name: self.body_region(value, f"regions.{name}") for name, value in body_regions.items()},
+            "patch_axes": self.patch_axes(patches),
             "divide": self.divide(patches),
             "down": self.direction(table.get("down", [0, -1, 0]), "down"),
             "fibre_plane": self.fibre_plane(table["fibre_plane"]) if "fibre_plane" in table else None,
@@ -218,6 +221,19 @@ class SceneFile(GeometryTables, RegionTables):
         if not along:
             self.bad(f"{key}.along", 'expected "x", "y" or "z", or a list of them: points drive along axes')
         return Driven(tuple(dict.fromkeys(markers)), near, along or (0, 1, 2))
+
+    def patch_axes(self, patches: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
+        """Axes along which a patch holds, of those that do not hold along all."""
+        found = {}
+        for name, value in patches.items():
+            axes = self.along(value, f"patches.{name}")
+            if not axes:
+                self.bad(
+                    f"patches.{name}.along", 'expected "x", "y" or "z", or a list of them: only [held] knows the normal'
+                )
+            if axes and len(axes) < 3:
+                found[name] = axes
+        return found
 
     def divide(self, patches: Mapping[str, Any]) -> dict[str, float]:
         """Size (m) of the pieces of every patch that is divided."""

@@ -28,6 +28,7 @@ class Scene:
         label: number of the body in a label image; None for other geometries.
         levels: the mesh ladder, coarsest first.
         patches: candidate anchors by name.
+        patch_axes: of candidate patches that hold along some axes only, as a roller does, these (0, 1, 2).
         divide: patches that stand for pieces of about this size (m); `bcid.forms.mesh.patches.divided` makes them.
         grasps: grasp areas by name.
         fiducials: stress-free positions by name.
@@ -73,8 +74,15 @@ class Scene:
     held: dict[str, tuple[int, ...]] = field(default_factory=dict)
     regions: dict[str, BodyRegion] = field(default_factory=dict)
     driven: dict[str, Driven] = field(default_factory=dict)
+    patch_axes: dict[str, tuple[int, ...]] = field(default_factory=dict)
     description: str = ""
     source: str = "scene"
+
+    def held_along(self, patch: str) -> tuple[int, ...]:
+        """Axes (0, 1, 2) along which a candidate patch, or a piece of one, does not move where it is attached."""
+        while patch not in self.patch_axes and "." in patch and patch.rpartition(".")[0] not in self.patches:
+            patch = patch.rpartition(".")[0]
+        return self.patch_axes.get(patch, (0, 1, 2))
 
     def check_undriven(self, what: str) -> None:
         """Refuse a scene that measured points drive, for what is to be done without a measurement."""
@@ -105,7 +113,7 @@ class Scene:
             key: value for key, value in asdict(self).items() if key not in ("geometry", "source", "description")
         }
         # What was added to the format changes no fingerprint where it is not used.
-        for key in ("held", "regions", "driven"):
+        for key in ("held", "regions", "driven", "patch_axes"):
             if not content[key]:
                 del content[key]
         if not self.material.volumetric:

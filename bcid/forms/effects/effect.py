@@ -67,6 +67,7 @@ class Point:
         boundary: measure of the whole boundary, m^2 in the rest state.
         support: name of the scene's support surface, "" if it has none.
         patches: names of all patches.
+        held_along: axes (0, 1, 2) along which a patch holds where it is anchored, ``held_along(patch)``.
         anchored: 1 where a patch is anchored, else 0: ``anchored(patch)``.
         gripper: displacement if everything moved with the gripper, m.
         grasps: names of all grasps that are surfaces.
@@ -91,6 +92,7 @@ class Point:
     boundary: Any
     support: str
     patches: tuple[str, ...]
+    held_along: Callable[[str], tuple[int, ...]]
     anchored: Callable[[str], Any]
     gripper: Expr
     grasps: tuple[str, ...]

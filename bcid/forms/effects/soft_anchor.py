@@ -1,7 +1,7 @@
 """Soft anchor: an anchored patch is held by springs instead of rigidly.
 
-Potential: k/2 |u|^2 per rest area of the patch, with the stiffness k (Pa/m); a layer of Young's modulus E and
-thickness h has about E/h. It acts on every anchored patch, or on the one that is its place; those patches are no longer
+Potential: k/2 |u|^2 per rest area of the patch, of the components that it holds, with the stiffness k (Pa/m); a layer of Young's
+modulus E and thickness h has about E/h. It acts on every anchored patch, or on the one that is its place; those patches are no longer
 fixed. An infinite stiffness is the rigid anchor.
 """
 
@@ -10,17 +10,18 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import ufl
-
 from bcid.forms.effects.effect import BodyEffect, Constants, Point
 from bcid.forms.parameter import Amount
 
 
 def potential(point: Point, c: Constants) -> Any:
     """Energy of the springs."""
-    stored = c["stiffness"] / 2 * ufl.inner(point.u, point.u)
+
+    def stored(patch: str) -> Any:
+        return c["stiffness"] / 2 * sum(point.u[axis] ** 2 for axis in point.held_along(patch))
+
     patches = [point.place] if point.place else point.patches
-    return sum(point.anchored(patch) * stored * point.surface(patch) for patch in patches)
+    return sum(point.anchored(patch) * stored(patch) * point.surface(patch) for patch in patches)
 
 
 effect = BodyEffect(

@@ -17,6 +17,7 @@ from bcid.scene import Region, Scene
 from bcid.scene.rotation import rotate
 
 Array = NDArray[np.float64]
+
 Index = NDArray[np.int32]
 
 
@@ -97,17 +98,19 @@ class Supports:
         Where that is `sprung` it is not prescribed.
         """
         scene, anchors = self.scene, sorted(set(anchors))
-        regions: list[tuple[str, Region | None, int | None]] = [
-            (f"patch {name}", scene.patches.get(name), None) for name in anchors
+        conditions = [
+            self._condition(f"patch {name}", scene.patches.get(name), axis)
+            for name in anchors
+            for axis in _each(scene.held_along(name))
         ]
-        if grasp:
-            regions.append((f"grasp {grasp}", scene.grasps[grasp].region if grasp in scene.grasps else None, None))
-        regions += [(f"place {place}", self.places.get(place), axis) for place, axis in self.rollers]
-        conditions = [self._condition(what, region, axis) for what, region, axis in regions]
         self.grasp, self.sprung = grasp, sprung and bool(grasp)
-        self.gripped: Index = conditions[len(anchors)].dof_indices()[0] if grasp else np.zeros(0, np.int32)
-        if self.sprung:
-            del conditions[len(anchors)]
+        self.gripped: Index = np.zeros(0, np.int32)
+        if grasp:
+            region = scene.grasps[grasp].region if grasp in scene.grasps else None
+            gripping = self._condition(f"grasp {grasp}", region, None)
+            self.gripped = gripping.dof_indices()[0]
+            conditions += [] if self.sprung else [gripping]
+        conditions += [self._condition(f"place {place}", self.places.get(place), axis) for place, axis in self.rollers]
         self.conditions = conditions = [*conditions, *self.boundary.conditions]
         dofs = [condition.dof_indices()[0] for condition in conditions]
         self.prescribed: Index = np.unique(np.concatenate(dofs or [np.zeros(0, np.int32)]))
@@ -218,3 +221,8 @@ class Supports:
         for condition in self.conditions:
             condition.set(wanted)
         return wanted
+
+
+def _each(axes: tuple[int, ...]) -> tuple[int | None, ...]:
+    """Axes to be held one by one; None for all at once."""
+    return (None,) if len(axes) == 3 else axes
