@@ -42,6 +42,9 @@ def read_mapped(path: Path) -> Contents:
     select(recording, mapping.frames, mapping.file)
     if not recording.actions:
         raise InputError(f"{path}: frames: no frame of {mapping.file.name} is left; check first, last and every")
+    if mapping.pixel is not None:
+        factor = mapping.pixel / mapping.length
+        recording.positions = {name: values * factor for name, values in recording.positions.items()}
     turn, shift = _to_body_frame(recording, mapping)
     if recording.pose is not None:
         _relative(recording, recording.pose, mapping, turn, shift)
@@ -202,4 +205,7 @@ def _contents(recording: Tracks, mapping: Mapping) -> Contents:
     text, source = str(mapping.table.get("description", "")), str(mapping.path)
     data = data.assign_coords(axis=AXES)
     known = Contents(data, noise_sigma, wrench_sigma, mapping.units, text, source, torque_sigma=torque_sigma)
+    sigma = mapping.table["pixels"].get("uncertainty")
+    if sigma is not None:
+        known = replace(known, scale_sigma=float(sigma), scale_of_gripper=bool(mapping.table.get("gripper")))
     return replace(known, remarks=tuple(recording.remarks), aligned=recording.aligned)

@@ -16,6 +16,8 @@ from bcid.measurement.mapping import Mapping
 from bcid.measurement.tracks import Tracks
 
 Array = NDArray[np.float64]
+# What files call the unit of their pixels; nothing where they state none.
+_PIXELS = ("", "px", "pixel", "pixels")
 
 
 def read_points_of(mapping: Mapping) -> Tracks:
@@ -26,7 +28,14 @@ def read_points_of(mapping: Mapping) -> Tracks:
     """
     seen = read_foreign(mapping)
     problems = Problems(f"recording {mapping.file}")
-    if seen.unit not in ("", mapping.units.length):
+    if mapping.pixel is not None:
+        if seen.unit not in _PIXELS:
+            problems.add(
+                mapping.path, f"pixels: {mapping.file.name} states '{seen.unit}', not pixels; leave [pixels] out"
+            )
+    elif seen.unit in _PIXELS[1:]:
+        problems.add(mapping.path, f"{mapping.file.name} states pixels; say how long one is, by [pixels] with length")
+    elif seen.unit not in ("", mapping.units.length):
         problems.add(
             mapping.path, f"length_unit is '{mapping.units.length}', but {mapping.file.name} states '{seen.unit}'"
         )

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, Problems
 from bcid.base.text_file import read_toml
-from bcid.base.units import FURTHEST, LEAST_SIGMA, measurable, unit_factor, usable
+from bcid.base.units import FURTHEST, LEAST_SIGMA, measurable, quantity, unit_factor, usable
 from bcid.measurement.contents import SIGMAS, Units, sigma_units
 from bcid.measurement.force_recording import check_force
 from bcid.measurement.formats.recognise import DIC, TABLE, Format, files, recognise
 from bcid.measurement.labelled_keys import ARRAYS, POINTS, check_points
+from bcid.measurement.scale import checked_scale
 
 FORMAT = "bcid-mapping/1"
 _UNITS = {"length_unit": "m", "time_unit": "s", "force_unit": "N"}
@@ -37,6 +38,7 @@ _KEYS += (
     "grasp_centre",
     "wrench_sigma",
     "torque_sigma",
+    "pixels",
 )
 COLUMNS = ("action", "step", "time", "fiducial", "position", "grasp", "translation", "rotation", "pose", "wrench")
 # How many columns of a table make a vector.
@@ -68,6 +70,7 @@ class Mapping:
     fiducials: list[str]
     frames: tuple[int, int | None, int, int | None]
     align: dict[str, Array]
+    pixel: float | None = None
 
     @property
     def file(self) -> Path:
@@ -88,7 +91,18 @@ def read_mapping(path: Path) -> Mapping:
     problems.add_unknown(path, table, _KEYS)
     tables = {
         key: _table(path, table, key, problems)
-        for key in ("columns", "fiducials", "reference", "gripper", "force", "align", "frames", "points", "arrays")
+        for key in (
+            "columns",
+            "fiducials",
+            "reference",
+            "gripper",
+            "force",
+            "align",
+            "frames",
+            "points",
+            "arrays",
+            "pixels",
+        )
     }
     allowed_keys = {"columns": (*COLUMNS, *_DIC_COLUMNS), "frames": _FRAMES, "points": POINTS, "arrays": ARRAYS}
     for key, allowed in allowed_keys.items():
@@ -110,6 +124,7 @@ def read_mapping(path: Path) -> Mapping:
         check_points(path, found, tables, problems)
     _check_markers(path, tables, factors["length_unit"], labelled, problems)
     _check_gripper(path, table, factors["length_unit"], problems)
+    pixel = _pixel(path, tables["pixels"], problems) if "pixels" in table else None
     if tables["force"]:
         clocked = labelled or "time" in tables["columns"] or "rate" in table
         check_force(path, tables["force"], tables["columns"], clocked, problems)
@@ -138,6 +153,7 @@ def read_mapping(path: Path) -> Mapping:
         names,
         frames,
         align,
+        pixel,
     )
 
 
@@ -172,6 +188,22 @@ def _positive(path: Path, key: str, value: object, problems: Problems) -> None:
     number = isinstance(value, int | float) and not isinstance(value, bool) and usable(value) and value > 0
     if value is not None and not number:
         problems.add(path, f"{key}: expected a positive number up to 1e30, found {value!r}")
+
+
+def _pixel(path: Path, table: dict[str, Any], problems: Problems) -> float:
+    """Length of a pixel, m, where positions are in pixels."""
+    problems.add_unknown(path, table, ("length", "uncertainty"), "pixels.{}: unknown key; {}".format)
+    checked_scale(path, table, problems, "pixels.uncertainty")
+    try:
+        if "length" not in table:
+            raise InputError('is missing; write the length of a pixel where the body is, as length = "0.05 mm"')
+        length = quantity(table["length"], "m")
+        if not length > 0:
+            raise InputError(f"{table['length']!r} must be positive")
+        return length
+    except InputError as error:
+        problems.add(path, f"pixels.length: {error}")
+    return 1.0
 
 
 def _check_sigma(path: Path, key: str, stated: object, unit: float, problems: Problems) -> None:
