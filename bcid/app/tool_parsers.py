@@ -27,9 +27,9 @@ def add_import(commands: Any) -> None:
         "import",
         import_recording,
         "tell what is in a recording, and write a mapping that reads it as a measurement",
-        "Motion capture (C3D, TRC, Motive, Nexus, Qualisys), DeepLabCut, Anipose, image correlation, MAT, HDF5, ROS bags, tables.\n"
-        "Writes the mapping (TOML), with what is left to fill in as comments, and a picture of the paths beside it; for points\n"
-        "without names also a table of fiducials to paste into a scene. See docs/formats.md.",
+        "Motion capture (C3D, TRC, Motive, Nexus, Qualisys), DeepLabCut, Anipose, image and volume correlation, MAT, HDF5, NPZ,\n"
+        "ROS bags, tables. Writes the mapping (TOML), with what is left to fill in as comments, and a picture of the paths; for\n"
+        "points without names also a table of fiducials to paste into a scene. See docs/formats.md.",
     )
     parser.add_argument(
         "file", type=Path, metavar="FILE", help='recording; a quoted pattern for a file a frame, as "f_*.csv"'

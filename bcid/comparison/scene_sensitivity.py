@@ -41,6 +41,7 @@ _WORDS = {
     "law.part": "stiffening of the law with strain",
     "law.second": "share of the law's second invariant",
     "stiffness": "stiffness of the law",
+    "scale": "length of a pixel",
     "force_gain": "gain of the force sensor",
 }
 

@@ -164,6 +164,28 @@ grip = GripEffect(
 )
 
 
+def _by_other_pixels(action: Action, values: Mapping[str, float]) -> Action:
+    """What the gripper does in lengths of the scene, where true lengths are larger than these.
+
+    Its path is shorter in them, but where the same pictures show it, and dead loads are smaller for areas that are: both to first
+    order in the part.
+    """
+    path = 1 - values["part"] * values["known"]
+    loads = {place: load * (1 - 2 * values["part"]) for place, load in action.loads.items()}
+    return replace(action, translation=action.translation * path, loads=loads)
+
+
+pixel = GripEffect(
+    name="pixel",
+    parameters=(
+        Amount("part", "1", "by which all lengths from pictures are larger", neutral=0.0, scale=0.02),
+        Shape("known", "1", "1 where the gripper's path is known without these pictures, else 0"),
+    ),
+    about="a pixel is longer than the scene says",
+    drive=_by_other_pixels,
+)
+
+
 @dataclass(frozen=True)
 class Outline:
     """A patch, where the body is gripped, or a region of the body, as far as the scene may have its border wrong.
@@ -232,3 +254,8 @@ def law_form_term() -> Term:
 def grip_term() -> Term:
     """The gripper's place and turn."""
     return Term(grip, {p.name: 0.0 for p in grip.parameters})
+
+
+def pixel_term(path_known: bool) -> Term:
+    """The length of a pixel; whether the gripper's path is known without the pictures."""
+    return Term(pixel, {"part": 0.0, "known": float(path_known)})

@@ -19,6 +19,7 @@ _OFF = {
     "grip": "the gripper would have to be {} from where it is reported",
     "grip_turn": "the gripper would have to be turned by {} against what is reported",
     "camera": "the measured frame would have to be turned by {}",
+    "scale": "a pixel would have to be longer or shorter by {}",
     "poisson": "Poisson's ratio would have to be off by {}",
     "law": "the law would have to stiffen or soften with strain by {} shear moduli, as the coefficient of (I1bar - 3)^2",
     "stiffness": "the body would have to be stiffer or softer than the scene has it by {}",
@@ -28,7 +29,7 @@ _OFF = {
     "gripper_weight": "the gripper would have to weigh {}",
     DRIVEN: "what measured points drive would have to be {} from where these have it",
 }
-_RELATIVE = ("dimensions", "stiffness", "force_gain", "noise")
+_RELATIVE = ("dimensions", "scale", "stiffness", "force_gain", "noise")
 _UNITS = dict.fromkeys(LENGTHS, "m") | dict.fromkeys(ANGLES, "deg") | dict.fromkeys(FORCES, "N") | {DRIVEN: "m"}
 
 

@@ -21,12 +21,15 @@ from bcid.forms.scene_errors import Outline, dimensions, grip_term, law_form_ter
 from bcid.inference.data import Data
 from bcid.inference.driven_errors import DRIVEN, DrivenErrors
 from bcid.inference.force_nuisances import force_modes, largest_force
+from bcid.inference.pixel_scale import pixel_column, pixel_probes
 from bcid.measurement.frame_error import FrameError
 from bcid.scene import Scene
 from bcid.scene.uncertainty import Uncertainty
 
 Array = NDArray[np.float64]
 MARKERS, STIFFNESS = "markers", "stiffness"
+# The effects of `bcid.forms.scene_errors` whose every number is an error by itself.
+_OWN = ("dimension", "border", "law_form", "grip")
 
 
 @dataclass(frozen=True)
@@ -176,6 +179,7 @@ class Nuisances:
         probes += [Probe(grip, tuple(names)) for name, names in wanted if getattr(self.sizes, name)]
         law = ["poisson"] if self.sizes.poisson and "poisson" in model.law.complete(model.values) else []
         law += model.stiffnesses if self._forces and self.sizes.stiffness else []
+        probes += pixel_probes(model, not self.sizes.scale_of_gripper) if self.sizes.scale else []
         places = bool(self.sizes.markers or self.sizes.borders)
         return SensitivityRequest(tuple(probes), tuple(law), places=places, boundary=bool(self.scene.driven))
 
@@ -202,13 +206,17 @@ class Nuisances:
         }
         turns = ("grip_turn", sizes.grip_turn), ("grip", sizes.grip)
         for probe, arrays in zip(wanted.probes, found.probes, strict=True):
-            for parameter, array in arrays.items():
+            # What is no error by itself is part of that of the length of a pixel.
+            for parameter, array in arrays.items() if probe.effect.name in _OWN else ():
                 name, size = of_effect.get(probe.effect.name) or turns[not parameter.startswith("r")]
                 seen = array - _on_the_spot(data, probe.term, found.places) if name == "borders" else array
                 parts = _together(data, probe.term) * np.nan_to_num(data.vector(seen))
                 columns += [part * float(size or 0.0) for part in parts]
                 names += [name] * len(parts)
                 numbers += [(probe.term, parameter)] * len(parts)
+        if sizes.scale:
+            columns.append(pixel_column(data, found, wanted, model, predicted) * sizes.scale)
+            names.append("scale")
         for name, column in self._of_law(data, found, model):
             columns.append(column)
             names.append(name)

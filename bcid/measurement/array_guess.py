@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bcid.base.errors import InputError
+from bcid.measurement.displacement_guess import guess_displacements
 from bcid.measurement.formats.array_file import ArrayFile, look
 from bcid.measurement.table_guess import guess_columns
 
@@ -25,15 +26,22 @@ _TIMES = ("t", "time", "times", "timestamp", "timestamps")
 
 
 def guess_arrays(path: Path) -> dict[str, Any]:
-    """Keys of a mapping for a MAT or HDF5 file.
+    """Keys of a mapping for a MAT, HDF5 or NPZ file.
 
     Raises:
         InputError: it is damaged, or nothing in it looks like positions; says what is in it.
     """
     content = look(path, list(_NCORR_GRID))
-    told = _ncorr(content) or _of_positions(content) or _of_table(content)
+    field = guess_displacements(content)
+    tracked = any(len(s) == 3 and 3 in s and _called(p, _POSITIONS) for p, s in content.shapes.items())
+    told = _ncorr(content) or field.told
+    told = told or ({} if field.lacks and not tracked else _of_positions(content) or _of_table(content))
     if told:
         return told
+    if field.lacks:
+        raise InputError(
+            f"{path}: {field.lacks}; add it to the file, or write a mapping with [arrays] (docs/formats.md)"
+        )
     shown = ", ".join(f"{p} ({' x '.join(map(str, s)) or 'one number'})" for p, s in list(content.shapes.items())[:40])
     raise InputError(
         f"{path}: no array looks like positions over frames, markers and three axes; it holds {shown or 'nothing'}: "

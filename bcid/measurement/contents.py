@@ -68,6 +68,9 @@ class Contents:
     Attributes:
         noise_sigma: per-axis standard deviation of a fiducial, m; None when not stated.
         wrench_sigma, torque_sigma: standard deviation of a force, N, and of a torque, N m; None when not stated.
+        scale_sigma: relative standard deviation of the length of a pixel, a factor of all lengths from pictures; None when not
+            stated.
+        scale_of_gripper: whether the gripper's path was measured in the same pictures.
         frame_error: what is not known of the frame of the positions; None when nothing is stated.
         remarks: what looks odd, to be said before any result.
         cloud: points on the surface; None where there are none.
@@ -87,6 +90,8 @@ class Contents:
     torque_sigma: float | None = None
     left_out: xr.Dataset | None = None
     cloud: Cloud | None = None
+    scale_sigma: float | None = None
+    scale_of_gripper: bool = False
 
     @property
     def fiducial_names(self) -> list[str]:

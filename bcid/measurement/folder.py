@@ -31,11 +31,12 @@ from bcid.measurement.contents import (
 )
 from bcid.measurement.dataset import frames_dataset
 from bcid.measurement.frame_error import FrameError
+from bcid.measurement.scale import SCALE_KEYS, checked_flag, checked_scale
 from bcid.measurement.surface_files import SurfaceFiles
 from bcid.scene.action import Action
 
 _UNIT_KEYS = {"length_unit": "m", "time_unit": "s", "force_unit": "N"}
-_KEYS = ("format", *_UNIT_KEYS, *SIGMAS, "description")
+_KEYS = ("format", *_UNIT_KEYS, *SIGMAS, *SCALE_KEYS, "description")
 _SIGMA = ["sigma_x", "sigma_y", "sigma_z"]
 _TIME_TOLERANCE = 1e-9
 _REST_TOLERANCE = 1e-6
@@ -59,6 +60,7 @@ class _Header:
     force: float
     description: str
     sigmas: tuple[Any, ...] = ()
+    scale: tuple[float | None, bool] = (None, False)
     surface: SurfaceFiles | None = None
 
 
@@ -87,7 +89,8 @@ def read_folder(folder: Path) -> Contents:
     file = folder / "frame.toml"
     error = FrameError.read(file, header.length) if file.is_file() else None
     about = header.units, header.description, str(folder), error
-    return Contents(data, noise, force, *about, torque_sigma=torque, cloud=reader.cloud)
+    found = Contents(data, noise, force, *about, torque_sigma=torque, cloud=reader.cloud)
+    return replace(found, scale_sigma=header.scale[0], scale_of_gripper=header.scale[1])
 
 
 def read_grasps(path: Path, units: Units) -> list[Action]:
@@ -139,6 +142,7 @@ def _read_header(path: Path, problems: Problems) -> _Header:
         factors[2],
         str(description),
         tuple(stated),
+        (checked_scale(path, table, problems), checked_flag(path, table, problems)),
         SurfaceFiles.checked(table["surface"], factors[0], path, problems) if "surface" in table else None,
     )
 

@@ -94,6 +94,9 @@ def _header_lines(measurement: Contents, length: float, force: float) -> list[st
         value = getattr(measurement, name)
         if value is not None:
             lines.append(f"{name} = {written(value / scale)}")
+    if measurement.scale_sigma is not None:
+        lines.append(f"scale_sigma = {written(measurement.scale_sigma)}")
+    lines += ["scale_of_gripper = true"] if measurement.scale_of_gripper else []
     if measurement.cloud is not None and measurement.cloud.camera is not None:
         place = ", ".join(f"{v / length:.12g}" for v in measurement.cloud.camera)
         surface = ["", "[surface.camera]", f"position = [{place}]"]

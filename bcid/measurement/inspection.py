@@ -12,8 +12,10 @@ import numpy as np
 
 from bcid.base.errors import InputError
 from bcid.base.run_folder import write_whole, writing
+from bcid.base.text_file import read_export
 from bcid.base.units import unit_factor
 from bcid.measurement.array_guess import guess_arrays
+from bcid.measurement.formats.dic_export import lacking
 from bcid.measurement.formats.foreign import Foreign
 from bcid.measurement.formats.recognise import TABLE, Format, files, recognise
 from bcid.measurement.mapped_points import read_foreign, with_rest
@@ -25,6 +27,8 @@ from bcid.measurement.table_guess import guess_table
 if TYPE_CHECKING:
     from bcid.scene import Scene
 
+# Lines in which a header is looked for.
+_HEADER = 50
 # Markers that are named one by one.
 _NAMED = 24
 
@@ -73,6 +77,8 @@ def import_file(source: Path, target: Path | None = None, scene: Scene | None = 
         if path.exists():
             raise InputError(f"{path}: exists already; choose another name with -o, or remove it")
     known = recognise(found[0])
+    if known is TABLE:
+        _refuse_part(found[0])
     told = _guess(found[0], known)
     file = os.path.relpath(source.parent.resolve() / source.name, target.parent.resolve())
     # Under another name first: a mapping that does not read its file is not left behind.
@@ -97,6 +103,13 @@ def import_file(source: Path, target: Path | None = None, scene: Scene | None = 
     return Inspected(
         seen, unit, target, extra if dense is not None else None, _text(source, found, seen, unit, written)
     )
+
+
+def _refuse_part(path: Path) -> None:
+    """Refuse a table of displacements that lacks some of what makes it one."""
+    said = lacking("\n".join(read_export(path)[:_HEADER]))
+    if said:
+        raise InputError(f"{path}: {said}")
 
 
 def _stem(source: Path) -> str:

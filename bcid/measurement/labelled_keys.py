@@ -7,13 +7,15 @@ from typing import Any
 
 from bcid.base.errors import Problems
 from bcid.measurement.formats.array_file import DIMENSIONS
+from bcid.measurement.formats.foreign import CORRELATION
 from bcid.measurement.formats.recognise import Format
 
 # Keys of [points] and [arrays].
-POINTS = ("every", "least_score", "most_error", "least_cameras")
-ARRAYS = ("positions", "displacements", "rest", "grid", "order", "names")
+POINTS = ("every", "least_score", "most_error", "least_cameras", "least_correlation")
+ARRAYS = ("positions", "displacements", "rest", "grid", "order", "names", "quality")
 # The quality that each bound is for, and whether it is a least one.
 BOUNDS = {"least_score": ("score", True), "most_error": ("error", False), "least_cameras": ("cameras", True)}
+BOUNDS["least_correlation"] = (CORRELATION, True)
 # Columns that only a table with a header line has.
 _OF_TABLES = ("action", "step", "fiducial", "position", "grasp", "translation", "rotation")
 
@@ -28,7 +30,7 @@ def check_points(path: Path, found: Format, tables: dict[str, dict[str, Any]], p
         if key in points and type(points[key]) not in (int, float):
             problems.add(path, f"points.{key}: expected a number, found {points[key]!r}")
     for key in _OF_TABLES if found.name != "c3d" else ():
-        if key in columns:
+        if key in columns and not (found.series and key == "step"):
             problems.add(
                 path, f"columns.{key}: is for tables with a header line; a {found.words} names its markers itself"
             )
@@ -41,7 +43,7 @@ def check_points(path: Path, found: Format, tables: dict[str, dict[str, Any]], p
     if found.arrays:
         _check_arrays(path, tables["arrays"], problems)
     elif tables["arrays"]:
-        problems.add(path, f"arrays: is for MAT and HDF5 files; this is a {found.words}")
+        problems.add(path, f"arrays: is for MAT, HDF5 and NPZ files; this is a {found.words}")
 
 
 def _check_series(path: Path, columns: dict[str, Any], problems: Problems) -> None:
@@ -50,8 +52,9 @@ def _check_series(path: Path, columns: dict[str, Any], problems: Problems) -> No
             problems.add(path, f"columns.{key}: expected the names of 3 columns, found {columns[key]!r}")
     if ("rest" in columns) != ("displacement" in columns):
         problems.add(path, "columns.rest and columns.displacement: give both or neither")
-    if not isinstance(columns.get("point", "x"), str):
-        problems.add(path, f"columns.point: expected the name of a column, found {columns['point']!r}")
+    for key in ("point", "quality"):
+        if not isinstance(columns.get(key, "x"), str):
+            problems.add(path, f"columns.{key}: expected the name of a column, found {columns[key]!r}")
 
 
 def _check_arrays(path: Path, arrays: dict[str, Any], problems: Problems) -> None:
@@ -73,8 +76,9 @@ def _check_arrays(path: Path, arrays: dict[str, Any], problems: Problems) -> Non
         )
     elif isinstance(arrays.get("positions", arrays.get("displacements")), str) and "axis" not in order:
         problems.add(path, "arrays.order: one array of all three axes has the dimension axis")
-    if not isinstance(arrays.get("names", ""), str):
-        problems.add(path, f"arrays.names: expected a path, found {arrays['names']!r}")
+    for key in ("names", "quality"):
+        if not isinstance(arrays.get(key, ""), str):
+            problems.add(path, f"arrays.{key}: expected a path, found {arrays[key]!r}")
 
 
 def _paths(value: object, counts: tuple[int, ...]) -> bool:

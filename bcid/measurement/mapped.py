@@ -15,6 +15,7 @@ from bcid.measurement.alignment import align
 from bcid.measurement.contents import AXES, SIGMAS, WRENCH, Contents, sigma_units, with_sigmas
 from bcid.measurement.dataset import frames_dataset
 from bcid.measurement.force_recording import ForceRecording
+from bcid.measurement.grasp_recording import take_grasps
 from bcid.measurement.mapped_points import read_points_of
 from bcid.measurement.mapped_table import read_table
 from bcid.measurement.mapping import Mapping, read_mapping
@@ -39,18 +40,31 @@ def read_mapped(path: Path) -> Contents:
     """
     mapping = read_mapping(path)
     recording = read_points_of(mapping) if mapping.labelled else read_table(mapping)
-    select(recording, mapping.frames, mapping.file)
+    select(recording, _chosen(mapping), mapping.file)
     if not recording.actions:
         raise InputError(f"{path}: frames: no frame of {mapping.file.name} is left; check first, last and every")
+    if mapping.pixel is not None:
+        factor = mapping.pixel / mapping.length
+        recording.positions = {name: values * factor for name, values in recording.positions.items()}
     turn, shift = _to_body_frame(recording, mapping)
     if recording.pose is not None:
         _relative(recording, recording.pose, mapping, turn, shift)
+    if "grasps" in mapping.table:
+        take_grasps(recording, mapping.path.parent / mapping.table["grasps"], mapping.units)
     if mapping.table.get("gripper"):
         _follow(recording, mapping)
     if mapping.table.get("force"):
         words = str(mapping.table.get("delimiter", ",")), str(mapping.table.get("decimal", "."))
         recording.wrench = ForceRecording.read(mapping.path.parent, mapping.table["force"], *words).at(recording)
     return _contents(recording, mapping)
+
+
+def _chosen(mapping: Mapping) -> tuple[int, int | None, int, int | None]:
+    """First and last frame, step, and frame of rest, where the state of reference stands before those of the file."""
+    first, last, every, rest = mapping.frames
+    if not mapping.from_reference:
+        return first, last, every, rest
+    return first + 1, None if last is None else last + 1, every, 0
 
 
 def _to_body_frame(recording: Tracks, mapping: Mapping) -> tuple[Array, Array]:
@@ -202,4 +216,7 @@ def _contents(recording: Tracks, mapping: Mapping) -> Contents:
     text, source = str(mapping.table.get("description", "")), str(mapping.path)
     data = data.assign_coords(axis=AXES)
     known = Contents(data, noise_sigma, wrench_sigma, mapping.units, text, source, torque_sigma=torque_sigma)
+    sigma = mapping.table["pixels"].get("uncertainty")
+    if sigma is not None:
+        known = replace(known, scale_sigma=float(sigma), scale_of_gripper=bool(mapping.table.get("gripper")))
     return replace(known, remarks=tuple(recording.remarks), aligned=recording.aligned)

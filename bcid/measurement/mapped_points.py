@@ -8,14 +8,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.base.errors import Problems, nearest
-from bcid.measurement.formats import dic_export
+from bcid.base.errors import InputError, Problems, nearest
+from bcid.measurement.formats import array_file, dic_export
 from bcid.measurement.formats.foreign import Foreign, How
 from bcid.measurement.labelled_keys import BOUNDS
 from bcid.measurement.mapping import Mapping
 from bcid.measurement.tracks import Tracks
 
 Array = NDArray[np.float64]
+# Of the largest displacement (RMS), that of a frame in which the body is not at rest.
+_AT_REST = 0.2
+# What files call the unit of their pixels; nothing where they state none.
+_PIXELS = ("", "px", "pixel", "pixels")
 
 
 def read_points_of(mapping: Mapping) -> Tracks:
@@ -26,7 +30,14 @@ def read_points_of(mapping: Mapping) -> Tracks:
     """
     seen = read_foreign(mapping)
     problems = Problems(f"recording {mapping.file}")
-    if seen.unit not in ("", mapping.units.length):
+    if mapping.pixel is not None:
+        if seen.unit not in _PIXELS:
+            problems.add(
+                mapping.path, f"pixels: {mapping.file.name} states '{seen.unit}', not pixels; leave [pixels] out"
+            )
+    elif seen.unit in _PIXELS[1:]:
+        problems.add(mapping.path, f"{mapping.file.name} states pixels; say how long one is, by [pixels] with length")
+    elif seen.unit not in ("", mapping.units.length):
         problems.add(
             mapping.path, f"length_unit is '{mapping.units.length}', but {mapping.file.name} states '{seen.unit}'"
         )
@@ -46,7 +57,43 @@ def read_points_of(mapping: Mapping) -> Tracks:
     problems.raise_if_any()
     action = str(mapping.table.get("action", "1"))
     times = [float(time) / mapping.time for time in seen.times]
-    return Tracks([action] * seen.frames, list(range(seen.frames)), times, positions, pose=pose, wrench=wrench)
+    tracks = Tracks([action] * seen.frames, list(range(seen.frames)), times, positions, pose=pose, wrench=wrench)
+    return _from_reference(mapping, seen, tracks) if mapping.from_reference else tracks
+
+
+def displaced_at_first(seen: Foreign) -> bool:
+    """Whether the first frame of a file of displacements shows a body that is no longer where they count from."""
+    labels = [label for label in seen.points if label in seen.rest]
+    if not labels or not seen.displacements:
+        return False
+    moved = np.stack([seen.points[label] - seen.rest[label] for label in labels])
+    if not np.isfinite(moved[:, 0]).any():
+        return False
+    sizes = np.sqrt(np.nanmean(moved**2, axis=(0, 2)))
+    return bool(sizes[0] > _AT_REST * np.nanmax(sizes))
+
+
+def _from_reference(mapping: Mapping, seen: Foreign, tracks: Tracks) -> Tracks:
+    """The same with the state from which displacements count as the first frame, one interval before the others."""
+    lost = [label for label in mapping.markers.values() if not np.isfinite(seen.rest.get(label, np.nan)).all()]
+    if lost or not seen.displacements:
+        what = f"has no position at rest of point '{lost[0]}'" if lost else "holds no displacements"
+        raise InputError(
+            f'{mapping.file}: {what}, and frames.rest = "reference" needs it; give the number of the frame in which the body rests'
+        )
+    if tracks.pose is not None:
+        raise InputError(
+            f'{mapping.path}: frames.rest = "reference": columns.pose has no pose of that state; give grasps = "grasps.csv" instead'
+        )
+    before = tracks.times[0] - (tracks.times[1] - tracks.times[0] if len(tracks.times) > 1 else 1.0)
+    positions = {
+        name: np.vstack([np.where(np.isfinite(at).any(axis=0), seen.rest[mapping.markers[name]], np.nan), at])
+        for name, at in tracks.positions.items()
+    }
+    # Nothing pulls at rest; what the sensor shows then is not known.
+    wrench = None if tracks.wrench is None else np.vstack([np.full(6, np.nan), tracks.wrench])
+    steps = list(range(len(tracks.steps) + 1))
+    return Tracks([tracks.actions[0], *tracks.actions], steps, [before, *tracks.times], positions, wrench=wrench)
 
 
 def read_foreign(mapping: Mapping) -> Foreign:
@@ -56,6 +103,8 @@ def read_foreign(mapping: Mapping) -> Foreign:
     how = How(table["arrays"], mapping.columns, mapping.time, table.get("rate"), clock)
     if mapping.format.series:
         return dic_export.read_series(mapping.files, how)
+    if mapping.format.arrays:
+        return array_file.read_series(mapping.files, how)
     assert mapping.format.read is not None
     return mapping.format.read(mapping.file, how)
 

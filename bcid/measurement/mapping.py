@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, Problems
 from bcid.base.text_file import read_toml
-from bcid.base.units import FURTHEST, LEAST_SIGMA, measurable, unit_factor, usable
+from bcid.base.units import FURTHEST, LEAST_SIGMA, measurable, quantity, unit_factor, usable
 from bcid.measurement.contents import SIGMAS, Units, sigma_units
 from bcid.measurement.force_recording import check_force
 from bcid.measurement.formats.recognise import DIC, TABLE, Format, files, recognise
 from bcid.measurement.labelled_keys import ARRAYS, POINTS, check_points
+from bcid.measurement.scale import checked_scale
 
 FORMAT = "bcid-mapping/1"
 _UNITS = {"length_unit": "m", "time_unit": "s", "force_unit": "N"}
@@ -37,6 +38,8 @@ _KEYS += (
     "grasp_centre",
     "wrench_sigma",
     "torque_sigma",
+    "pixels",
+    "grasps",
 )
 COLUMNS = ("action", "step", "time", "fiducial", "position", "grasp", "translation", "rotation", "pose", "wrench")
 # How many columns of a table make a vector.
@@ -44,8 +47,10 @@ _VECTORS = {"position": 3, "translation": 3, "rotation": 4, "pose": 7, "wrench":
 # Those of which some columns may be missing: what was not measured has an empty name.
 _PARTIAL = ("position", "wrench")
 # Columns of image correlation.
-_DIC_COLUMNS = ("rest", "displacement", "point")
+_DIC_COLUMNS = ("rest", "displacement", "point", "quality")
 _FRAMES = ("first", "last", "every", "rest")
+# The frame of rest is the state from which displacements count, which is no frame of the file.
+REFERENCE = "reference"
 
 Array = NDArray[np.float64]
 
@@ -67,7 +72,9 @@ class Mapping:
     markers: dict[str, Any]
     fiducials: list[str]
     frames: tuple[int, int | None, int, int | None]
+    from_reference: bool
     align: dict[str, Array]
+    pixel: float | None = None
 
     @property
     def file(self) -> Path:
@@ -88,14 +95,25 @@ def read_mapping(path: Path) -> Mapping:
     problems.add_unknown(path, table, _KEYS)
     tables = {
         key: _table(path, table, key, problems)
-        for key in ("columns", "fiducials", "reference", "gripper", "force", "align", "frames", "points", "arrays")
+        for key in (
+            "columns",
+            "fiducials",
+            "reference",
+            "gripper",
+            "force",
+            "align",
+            "frames",
+            "points",
+            "arrays",
+            "pixels",
+        )
     }
     allowed_keys = {"columns": (*COLUMNS, *_DIC_COLUMNS), "frames": _FRAMES, "points": POINTS, "arrays": ARRAYS}
     for key, allowed in allowed_keys.items():
         problems.add_unknown(path, tables[key], allowed, f"{key}.{{}}: unknown key; {{}}".format)
     factors = {key: _factor(path, table, key, like, problems) for key, like in _UNITS.items()}
     recordings, found = _recording(path, table.get("file"), tables["columns"], problems)
-    for key in ("grasp", "action", "description", "delimiter", "table"):
+    for key in ("grasp", "action", "description", "delimiter", "table", "grasps"):
         if not isinstance(table.get(key, ""), str):
             problems.add(path, f"{key}: expected text, found {table[key]!r}")
     if len(str(table.get("delimiter", ","))) != 1:
@@ -110,10 +128,11 @@ def read_mapping(path: Path) -> Mapping:
         check_points(path, found, tables, problems)
     _check_markers(path, tables, factors["length_unit"], labelled, problems)
     _check_gripper(path, table, factors["length_unit"], problems)
+    pixel = _pixel(path, tables["pixels"], problems) if "pixels" in table else None
     if tables["force"]:
         clocked = labelled or "time" in tables["columns"] or "rate" in table
         check_force(path, tables["force"], tables["columns"], clocked, problems)
-    frames = _frames(path, tables["frames"], problems)
+    frames = _frames(path, tables["frames"], labelled, problems)
     problems.raise_if_any()
     units = Units(*(str(table[key]) for key in _UNITS))
     align = {name: np.array(place, dtype=float) for name, place in tables["align"].items()}
@@ -137,7 +156,9 @@ def read_mapping(path: Path) -> Mapping:
         markers,
         names,
         frames,
+        tables["frames"].get("rest") == REFERENCE,
         align,
+        pixel,
     )
 
 
@@ -152,10 +173,9 @@ def _recording(path: Path, file: object, columns: dict[str, Any], problems: Prob
     except InputError as error:
         problems.add(path, f"file: {error}")
         return found, TABLE
-    if len(found) > 1 and not known.series:
-        problems.add(
-            path, f"file: '{file}' are {len(found)} files, each a {known.words}; only image correlation has one a frame"
-        )
+    if len(found) > 1 and not (known.series or known.arrays):
+        what = "only image or volume correlation has one a frame"
+        problems.add(path, f"file: '{file}' are {len(found)} files, each a {known.words}; {what}")
     return found, known
 
 
@@ -172,6 +192,22 @@ def _positive(path: Path, key: str, value: object, problems: Problems) -> None:
     number = isinstance(value, int | float) and not isinstance(value, bool) and usable(value) and value > 0
     if value is not None and not number:
         problems.add(path, f"{key}: expected a positive number up to 1e30, found {value!r}")
+
+
+def _pixel(path: Path, table: dict[str, Any], problems: Problems) -> float:
+    """Length of a pixel, m, where positions are in pixels."""
+    problems.add_unknown(path, table, ("length", "uncertainty"), "pixels.{}: unknown key; {}".format)
+    checked_scale(path, table, problems, "pixels.uncertainty")
+    try:
+        if "length" not in table:
+            raise InputError('is missing; write the length of a pixel where the body is, as length = "0.05 mm"')
+        length = quantity(table["length"], "m")
+        if not length > 0:
+            raise InputError(f"{table['length']!r} must be positive")
+        return length
+    except InputError as error:
+        problems.add(path, f"pixels.length: {error}")
+    return 1.0
 
 
 def _check_sigma(path: Path, key: str, stated: object, unit: float, problems: Problems) -> None:
@@ -196,6 +232,15 @@ def _check_gripper(path: Path, table: dict[str, Any], length: float, problems: P
     if given and ("translation" in columns or "rotation" in columns):
         problems.add(path, "columns.pose: is the whole pose; leave columns.translation and columns.rotation out")
     marked = table.get("gripper")
+    if "grasps" in table:
+        others: list[str] = [key for key in ("grasp", "gripper", "grasp_centre") if key in table]
+        others += [f"columns.{key}" for key in ("grasp", "translation", "rotation", "pose") if key in columns]
+        if others:
+            problems.add(path, f"grasps: is the whole motion of the gripper; leave {', '.join(others)} out")
+        if isinstance(table["grasps"], str) and not (path.parent / table["grasps"]).is_file():
+            problems.add(
+                path, f"grasps: expected the name of a grasps.csv beside the mapping, found '{table['grasps']}'"
+            )
     for what, there in (("columns.pose", given), ("gripper", bool(marked))):
         if there and "grasp" not in table and "grasp" not in columns:
             problems.add(path, f'{what}: whose is it? Name the grasp of the scene, as grasp = "II"')
@@ -273,11 +318,16 @@ def _texts(value: object, count: int, partial: bool = False) -> bool:
     return any(value) if partial else all(value)
 
 
-def _frames(path: Path, table: dict[str, Any], problems: Problems) -> tuple[int, int | None, int, int | None]:
+def _frames(
+    path: Path, table: dict[str, Any], labelled: bool, problems: Problems
+) -> tuple[int, int | None, int, int | None]:
     first, last, every, rest = table.get("first", 0), table.get("last"), table.get("every", 1), table.get("rest")
+    rest = None if rest == REFERENCE else rest
     for name, value, least in (("first", first, 0), ("last", last, 0), ("every", every, 1), ("rest", rest, 0)):
         if value is not None and (type(value) is not int or value < least):
             problems.add(path, f"frames.{name}: expected a whole number of at least {least}, found {value!r}")
+    if table.get("rest") == REFERENCE and not labelled:
+        problems.add(path, 'frames.rest: "reference" is for files of displacements; give the number of a frame')
     if type(rest) is int and type(first) is int and rest > first:
         problems.add(
             path, f"frames.rest: the frame of rest, {rest}, must not come after the first that is used, {first}"

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bcid.base.units import unit_factor
-from bcid.measurement.formats.foreign import Foreign
+from bcid.measurement.formats.foreign import CORRELATION, Foreign
+from bcid.measurement.mapped_points import displaced_at_first
 from bcid.measurement.mapping import FORMAT
 
 if TYPE_CHECKING:
@@ -39,19 +40,40 @@ def mapping_lines(file: str, told: dict[str, Any], seen: Foreign | None, scene: 
     lines.append("# noise_sigma = 0.1         # standard deviation of a coordinate, length_unit")
     grasp = next(iter(scene.grasps)) if scene is not None and len(scene.grasps) == 1 else None
     lines += _gripper(told, seen, scene, grasp)
+    if seen is not None and seen.displacements:
+        at = next(i for i, line in enumerate(lines) if "grasp =" in line)
+        lines.insert(
+            at,
+            '# grasps = "grasps.csv"     # instead of grasp: poses of the gripper in each step (docs/measurement.md)',
+        )
     if "arrays" in told:
         lines += ["", "[arrays]                    # guessed from shapes and names"]
         lines += [f"{key} = {_toml(value)}" for key, value in told["arrays"].items()]
     lines += _fiducials(told, seen, scene)
     lines += ["", "[frames]"]
-    lines += ["first = 0                   # first frame that is used, from 0; the gripper is at rest in it, unless:"]
-    lines += ["# rest = 0                  # another frame of rest, before the first", "# last = 400", "# every = 10"]
+    if seen is not None and displaced_at_first(seen):
+        lines.append(
+            'rest = "reference"          # the state from which displacements count: the first frame is no rest'
+        )
+        lines += ["# first = 0                 # first frame that is used, from 0", "# last = 400", "# every = 10"]
+    else:
+        lines.append(
+            "first = 0                   # first frame that is used, from 0; the gripper is at rest in it, unless:"
+        )
+        lines += [
+            "# rest = 0                  # another frame of rest, before the first",
+            "# last = 400",
+            "# every = 10",
+        ]
     return lines + _align(seen, told, scene)
 
 
 def chosen_points(seen: Foreign) -> tuple[int, list[str]]:
     """Of numbered points: every how many one becomes a fiducial, and the labels of those that are known at rest."""
     every = max(1, math.ceil(len(seen.points) / _MOST_POINTS))
+    # Points on a grid that has as many in a row would all lie in one plane.
+    while math.gcd(every, len(seen.points)) > 1:
+        every += 1
     labels = list(seen.points)[::every]
     return every, [label for label in labels if label in seen.rest and np.isfinite(seen.rest[label]).all()]
 
@@ -114,6 +136,9 @@ def _fiducials(told: dict[str, Any], seen: Foreign | None, scene: Scene | None) 
                 "",
                 "[points]",
                 f"every = {every}                   # of the {len(seen.points)} points, one in so many",
+                *["# least_correlation = 0.5   # points that are correlated worse count as not seen"][
+                    : CORRELATION in seen.quality
+                ],
             ]
         return ["", "[fiducials]             # points that are known at rest", *(f'"{x}" = {x}' for x in labels)]
     labels = [label for label in seen.points if label not in seen.bodies] or list(seen.points)

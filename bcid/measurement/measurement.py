@@ -26,6 +26,7 @@ from bcid.measurement.folder_writer import write_folder
 from bcid.measurement.frame_error import FrameError
 from bcid.measurement.mapped import read_mapped
 from bcid.measurement.plausibility import examine
+from bcid.measurement.scale import SCALE_KEYS, check_scale, checked_scale
 
 if TYPE_CHECKING:
     from bcid.scene import Scene
@@ -63,6 +64,10 @@ class Measurement(Contents):
         for name in SIGMAS:
             if getattr(self, name) is not None:
                 data.attrs[name] = getattr(self, name)
+        if self.scale_sigma is not None:
+            data.attrs["scale_sigma"] = self.scale_sigma
+        if self.scale_of_gripper:
+            data.attrs["scale_of_gripper"] = 1
         if self.frame_error is not None:
             data.attrs["frame_centre"] = self.frame_error.centre
             data.attrs["frame_covariance"] = self.frame_error.covariance.ravel()
@@ -108,8 +113,9 @@ class Measurement(Contents):
             of_frame = FrameError.checked(centre, covariance, path, problems)
             problems.raise_if_any()
         text = str(attrs.get("description", ""))
+        scale = attrs.get("scale_sigma"), bool(attrs.get("scale_of_gripper", False))
         about = cls(data, noise, force, units, text, str(path), of_frame, torque_sigma=torque, cloud=cloud)
-        return about.validated()
+        return replace(about, scale_sigma=scale[0], scale_of_gripper=scale[1]).validated()
 
     def validated(self) -> Measurement:
         """This measurement with its dimensions in order, or an `InputError` with everything that is wrong with it.
@@ -124,6 +130,8 @@ class Measurement(Contents):
             value = getattr(self, name)
             if value is not None and not measurable(value):
                 problems.add(self.source, f"{name}: expected a positive number from {LEAST_SIGMA:g}, found {value!r}")
+        sigma = checked_scale(Path(self.source), vars(self), problems)
+        checked = replace(checked, scale_sigma=sigma)
         if checked.cloud is None and not np.isfinite(checked.positions).any():
             problems.add(self.source, "holds no position: no fiducial was ever seen")
         for action in checked.action_names:
@@ -156,9 +164,10 @@ class Measurement(Contents):
         if self.frame_error is not None:
             arrays |= {"frame_centre": self.frame_error.centre, "frame_covariance": self.frame_error.covariance}
         torque = {} if self.torque_sigma is None else {"torque": self.torque_sigma}
+        scale = {key: getattr(self, key) for key in SCALE_KEYS if getattr(self, key)}
         if self.cloud is not None:
             arrays |= self.cloud.arrays()
-        return fingerprint({"noise": self.noise_sigma, "wrench": self.wrench_sigma, **torque, **arrays})
+        return fingerprint({"noise": self.noise_sigma, "wrench": self.wrench_sigma, **torque, **scale, **arrays})
 
     def without_forces(self) -> Measurement:
         """The same with the force of the gripper not measured."""
@@ -178,6 +187,7 @@ class Measurement(Contents):
         """
         self.check_names(scene)
         problems = Problems(f"measurement {self.source} does not fit scene {scene.source}")
+        check_scale(scene, self, problems)
         markers = [name for name in self.fiducial_names if name not in set(scene.surface)]
         # Marks on a surface are where the points are: they cannot be misplaced, and follow no path of their own.
         odd = examine(scene, replace(self, data=self.data.sel(fiducial=markers)), problems) if markers else []

@@ -28,6 +28,7 @@ from bcid.inference.discrepancy import SmoothDiscrepancy
 from bcid.inference.knots import Knots, knots_of, known_frames
 from bcid.inference.nuisances import NuisanceModes, Nuisances
 from bcid.measurement import Action, Measurement
+from bcid.measurement.scale import scaled
 from bcid.measurement.thinning import spread
 from bcid.predict import questions
 from bcid.predict.acting import by_the_clock, steady
@@ -415,7 +416,7 @@ class Predictor:
         forward = self.forward(model)
         if self._nuisances is None:
             self._nuisances, self._weights, self._growths = (
-                Nuisances(self.scene, forward.mesh, self.data.tells_stiffness),
+                Nuisances(scaled(self.scene, self.data.measurement), forward.mesh, self.data.tells_stiffness),
                 np.hstack([bumps(forward, count)[1] for count in (BUMPS, SPOTS)]),
                 growth_bumps(forward),
             )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from bcid.base.units import LEAST_SIGMA, measurable, usable
 from bcid.scene.geometry_tables import GeometryTables
 from bcid.scene.parts import LEAST_POINTS, Driven, Limits, Material, Values, Vector
 from bcid.scene.region_tables import RegionTables
-from bcid.scene.uncertainty import ANGLES, FORCES, LENGTHS, Uncertainty
+from bcid.scene.uncertainty import ANGLES, FORCES, LENGTHS, MOST_SCALE, NUMBERS, Uncertainty
 
 FORMAT = "bcid-scene/1"
 FORMULATIONS = ("displacement", "mixed")
@@ -150,12 +149,19 @@ class SceneFile(GeometryTables, RegionTables):
 
     def uncertainty(self, table: Mapping[str, Any]) -> Uncertainty:
         """How well the scene knows what it states."""
-        units = {field.name: "" for field in fields(Uncertainty)}
+        units = dict.fromkeys(NUMBERS, "")
         units |= dict.fromkeys(LENGTHS, "m") | dict.fromkeys(ANGLES, "deg") | dict.fromkeys(FORCES, "N")
-        self.unknown(table, tuple(units), "uncertainty.")
-        return Uncertainty(
-            **{name: self.positive(table, f"uncertainty.{name}", unit, zero=True) for name, unit in units.items()}
-        )
+        self.unknown(table, (*units, "scale_of_gripper"), "uncertainty.")
+        numbers = {name: self.positive(table, f"uncertainty.{name}", unit, zero=True) for name, unit in units.items()}
+        too = table.get("scale_of_gripper")
+        if not isinstance(too, bool | None):
+            self.bad("uncertainty.scale_of_gripper", f"expected true or false, found {too!r}")
+            too = None
+        if too and numbers["scale"] == 0:
+            self.bad("uncertainty.scale_of_gripper", "the lengths share no factor that the path could have: scale is 0")
+        if (numbers["scale"] or 0) > MOST_SCALE:
+            self.bad("uncertainty.scale", f"{table['scale']!r} is no factor near 1; at most {MOST_SCALE} (0.02 is 2 %)")
+        return Uncertainty(**numbers, scale_of_gripper=too)
 
     def material(self, table: Mapping[str, Any]) -> Material:
         law = self.text(table, "law", "neo_hooke", "material.")

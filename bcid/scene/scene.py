@@ -116,6 +116,9 @@ class Scene:
         for key in ("held", "regions", "driven", "patch_axes"):
             if not content[key]:
                 del content[key]
+        for key in ("scale", "scale_of_gripper"):
+            if content["uncertainty"][key] is None:
+                del content["uncertainty"][key]
         if not self.material.volumetric:
             del content["material"]["volumetric"]
         return fingerprint({"scene": content, "geometry": file_fingerprint(self.geometry)})

@@ -271,6 +271,26 @@ def hdf5(folder: Path) -> Path:
     return folder / "take.h5"
 
 
+def volume(folder: Path) -> Path:
+    """Volume correlation: vectors of the planes of a grid, and a group for each loaded step; the poses of a stage beside it."""
+    import h5py
+
+    lengths = 5, 4, 3
+    axes = [np.linspace(0.0, 10.0, n) for n in lengths]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    poses = ["action,step,time,grasp,x,y,z,qw,qx,qy,qz", "1,0,0,II,0,0,0,1,0,0,0"]
+    with h5py.File(folder / "scan.h5", "w") as file:
+        for name, values in zip("xyz", axes, strict=True):
+            file[name] = values
+        for step in (1, 2, 3):
+            for axis, name in enumerate("uvw"):
+                file[f"step_{step}/{name}"] = 0.01 * step * grid[..., axis]
+            file[f"step_{step}/zncc"] = np.full(lengths, 0.9)
+            poses.append(f"1,{step},{step},II,{0.1 * step},0,0,1,0,0,0")
+    (folder / "grasps.csv").write_text("\n".join(poses) + "\n", encoding="utf-8")
+    return folder / "scan.h5"
+
+
 REST = np.array([[x, y, 0.0] for y in (0.0, 10.0) for x in (0.0, 5.0, 10.0)])
 MOVED = np.arange(FRAMES)[:, None, None] * np.linspace(0.125, 1.0, 18).round(3).reshape(6, 3)
 

@@ -323,7 +323,7 @@ def test_damaged_files_are_refused_with_a_remedy(
 @pytest.mark.parametrize(
     ("write", "more", "said"),
     [
-        (made.trc, "[arrays]\npositions = 'x'\n", "arrays: is for MAT and HDF5 files; this is a TRC"),
+        (made.trc, "[arrays]\npositions = 'x'\n", "arrays: is for MAT, HDF5 and NPZ files; this is a TRC"),
         (made.trc, "[columns]\naction = 'x'\n", "columns.action: is for tables with a header line; a TRC names"),
         (made.trc, "[points]\nevery = 0\n", "points.every: expected a whole number"),
         (made.trc, "[points]\nleast_score = 'x'\n", "points.least_score: expected a number"),
@@ -360,7 +360,7 @@ def test_files_of_no_format(tmp_path: Path) -> None:
         read(tmp_path, "flat.csv")
     made.trc(tmp_path).rename(tmp_path / "take2.trc")
     made.trc(tmp_path)
-    with pytest.raises(InputError, match="are 2 files, each a TRC; only image correlation"):
+    with pytest.raises(InputError, match="are 2 files, each a TRC; only image or volume correlation"):
         read(tmp_path, "take*.trc")
     nothing = made.trc(tmp_path).read_text(encoding="utf-8").splitlines()
     rows = [line if i < 6 else "\t".join([*line.split("\t")[:2], *[""] * 9]) for i, line in enumerate(nothing)]

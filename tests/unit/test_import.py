@@ -153,6 +153,7 @@ WRITERS: dict[str, Callable[[Path], object]] = {
     "take.h5": made.hdf5,
     "vic_*.csv": made.vic3d,
     "ncorr.mat": made.ncorr,
+    "scan.h5": made.volume,
     "take_ros2": lambda folder: made.ros(folder, "ros2"),
 }
 
@@ -165,7 +166,7 @@ def test_examples_of_the_page_on_formats(tmp_path: Path, text: str) -> None:
     seen = Measurement.read(tmp_path / "mapping.toml")
     assert np.isfinite(seen.positions).any()
     assert ("wrench" in seen.data) == ("wrench" in told.get("columns", {}))
-    assert (seen.actions[0].translation != 0).any() == ("pose" in told.get("columns", {}))
+    assert (seen.actions[0].translation != 0).any() == ("pose" in told.get("columns", {}) or "grasps" in told)
 
 
 def test_the_page_has_an_example_of_each_kind() -> None:

@@ -346,3 +346,50 @@ def test_what_is_wrong_with_forces_of_a_file_is_said(tmp_path: Path, old: str, n
     assert old in mapping
     with pytest.raises(InputError, match=said):
         machine(tmp_path, mapping.replace(old, new), np.arange(5.0), 1.0)
+
+
+PIXELS = '[pixels]\nlength = "0.5 mm"\nuncertainty = 0.02\n'
+
+
+def test_pixels_have_a_length_and_the_gripper_goes_its_way_in_mm(tmp_path: Path) -> None:
+    seen = Measurement.read(write(tmp_path, WIDE + PIXELS))
+    np.testing.assert_allclose(seen.positions[:5, 0, 0], 0.5e-3 * np.arange(5))
+    np.testing.assert_allclose(seen.actions[1].translation[:, 0], np.arange(5) * 1e-3)
+    assert (seen.scale_sigma, seen.scale_of_gripper) == (0.02, False)
+    assert seen.noise_sigma == pytest.approx(1e-4)
+    plain = Measurement.read(write(tmp_path, WIDE))
+    assert (plain.scale_sigma, plain.scale_of_gripper) == (None, False)
+
+
+def test_a_gripper_that_pictures_show_has_the_factor_of_their_pixels(tmp_path: Path) -> None:
+    jaw = {"j": (0, 0), "k": (10, 0), "l": (0, 10)}
+    names = [f"{name}{axis}" for name in jaw for axis in "xyz"]
+    table = ",".join(["ax", "ay", "az", *names]) + "\n"
+    for i in range(3):
+        cells = [i, 5, 0, *(v for x, y in jaw.values() for v in (x + 2 * i, y, 0))]
+        table += ",".join(map(str, cells)) + "\n"
+    markers = "".join(f'{name} = ["{name}x", "{name}y", "{name}z"]\n' for name in jaw)
+    mapping = HEAD + 'file = "w.csv"\ngrasp = "II"\ngrasp_centre = [1, 2, 3]\n[fiducials]\na = ["ax", "ay", "az"]\n'
+    seen = Measurement.read(write(tmp_path, mapping + f"[gripper]\n{markers}" + PIXELS, table, "w.csv"))
+    np.testing.assert_allclose(seen.actions[0].translation[:, 0], [0, 1e-3, 2e-3], atol=1e-12)
+    assert (seen.scale_sigma, seen.scale_of_gripper) == (0.02, True)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "said"),
+    [
+        ("[pixels]\nuncertainty = 0.02\n", "pixels.length: is missing; write the length of a pixel"),
+        ('[pixels]\nlength = "0 mm"\n', "pixels.length: '0 mm' must be positive"),
+        ("[pixels]\nlength = 0.05\n", "pixels.length: "),
+        (
+            '[pixels]\nlength = "1 mm"\nuncertainty = 2\n',
+            r"pixels.uncertainty: expected a number above 0 and up to 0.3",
+        ),
+        ('[pixels]\nlength = "1 mm"\nuncertain = 0.1\n', "pixels.uncertain: unknown key; did you mean 'uncertainty'"),
+        ("pixels = 3\n", "pixels: expected a table"),
+    ],
+)
+def test_pixels_that_say_too_little_are_refused(tmp_path: Path, pixels: str, said: str) -> None:
+    mapping = pixels + WIDE if pixels.startswith("pixels") else WIDE + pixels
+    with pytest.raises(InputError, match=said):
+        Measurement.read(write(tmp_path, mapping))

@@ -1,6 +1,7 @@
 """The measurement folder: round trips, and one readable message for whatever is wrong."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import xarray as xr
 
 from bcid import Measurement, Scene
 from bcid.base.errors import InputError
+from bcid.scene.uncertainty import Uncertainty
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = sorted((ROOT / "examples/measurements").glob("slab-*"))
@@ -285,3 +287,64 @@ def test_damaged_netcdf(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "bad.nc").write_bytes(content)
     with pytest.raises(InputError, match="not a NetCDF measurement"):
         Measurement.read(tmp_path / "bad.nc")
+
+
+def scaled(folder: Path, lines: str) -> Measurement:
+    file = folder / "measurement.toml"
+    file.write_text(file.read_text(encoding="utf-8") + lines, encoding="utf-8")
+    return Measurement.read(folder)
+
+
+def test_the_length_of_a_pixel_round_trips(folder: Path, tmp_path: Path) -> None:
+    plain = Measurement.read(folder)
+    measurement = scaled(folder, "scale_sigma = 0.02\nscale_of_gripper = true\n")
+    assert measurement.fingerprint() != plain.fingerprint()
+    measurement.write(tmp_path / "again")
+    measurement.to_netcdf(tmp_path / "again.nc")
+    for copy in (Measurement.read(tmp_path / "again"), Measurement.read(tmp_path / "again.nc")):
+        assert (copy.scale_sigma, copy.scale_of_gripper) == (0.02, True)
+        assert copy.fingerprint() == measurement.fingerprint()
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("scale_sigma = -0.02", "scale_sigma: expected a number above 0 and up to 0.3"),
+        ('scale_sigma = "2 %"', "scale_sigma: expected a number above 0"),
+        ("scale_of_gripper = 1", "scale_of_gripper: expected true or false, found 1"),
+    ],
+)
+def test_a_bad_length_of_a_pixel_is_refused(folder: Path, line: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        scaled(folder, line + "\n")
+
+
+LOOSE = 'format = "bcid-frame/1"\ncentre = [0, 0, 0]\ncovariance = [\n'
+LOOSE += "".join(f"[{', '.join('1e-4' if i == j else '0' for j in range(7))}],\n" for i in range(7)) + "]\n"
+
+
+@pytest.mark.parametrize(
+    ("known", "lines", "frame", "said"),
+    [
+        (Uncertainty(scale=0.0), "scale_sigma = 0.02\n", "", "says scale = 0"),
+        (Uncertainty(scale_of_gripper=False), "scale_of_gripper = true\n", "", "scale_of_gripper = false"),
+        (Uncertainty(), "scale_sigma = 0.02\n", LOOSE, "the scale is stated twice"),
+        (Uncertainty(scale=0.02), "", LOOSE, "the scale is stated twice"),
+    ],
+)
+def test_what_contradicts_itself_about_pixels_is_refused(
+    folder: Path, slab: Scene, known: Uncertainty, lines: str, frame: str, said: str
+) -> None:
+    if frame:
+        (folder / "frame.toml").write_text(frame, encoding="utf-8")
+    measurement = scaled(folder, lines)
+    with pytest.raises(InputError, match=said):
+        measurement.check(replace(slab, uncertainty=known))
+
+
+def test_a_scale_that_is_stated_once_is_no_contradiction(folder: Path, slab: Scene) -> None:
+    scaled(folder, "scale_sigma = 0.02\n").check(replace(slab, uncertainty=Uncertainty(scale=0.01)))
+    (folder / "frame.toml").write_text(LOOSE, encoding="utf-8")
+    file = folder / "measurement.toml"
+    file.write_text(file.read_text(encoding="utf-8").replace("scale_sigma = 0.02\n", ""), encoding="utf-8")
+    Measurement.read(folder).check(slab)

@@ -73,6 +73,24 @@ def test_what_is_not_known_exactly_has_a_standard_deviation(tmp_path: Path) -> N
         assert problem in str(caught.value)
 
 
+def test_the_length_of_a_pixel_is_a_factor_near_one(tmp_path: Path) -> None:
+    stated = Scene.read(write(tmp_path, GOOD + "[uncertainty]\nscale = 0.02\nscale_of_gripper = true\n"))
+    assert (stated.uncertainty.scale, stated.uncertainty.scale_of_gripper) == (0.02, True)
+    plain = Scene.read(write(tmp_path, GOOD))
+    assert plain.uncertainty.of(0.1).scale == 0.0
+    assert stated.fingerprint() != plain.fingerprint()
+    # As before there was such a key.
+    assert plain.fingerprint() == "3c8b0d97d8f73ea6"
+    for lines, said in (
+        ("scale = 0.5", "0.5 is no factor near 1; at most 0.3"),
+        ('scale = "2 %"', "expected a number"),
+        ("scale_of_gripper = 1", "scale_of_gripper: expected true or false, found 1"),
+        ("scale = 0\nscale_of_gripper = true", "share no factor"),
+    ):
+        with pytest.raises(InputError, match=said):
+            Scene.read(write(tmp_path, GOOD + f"[uncertainty]\n{lines}\n"))
+
+
 def test_a_support_is_one_of_the_places(tmp_path: Path) -> None:
     text = GOOD.replace('name = "bar"', 'name = "bar"\nsupport = "floor"') + '[places]\nfloor = "patch_7"\n'
     assert Scene.read(write(tmp_path, text)).support == "floor"

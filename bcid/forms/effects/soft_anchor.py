@@ -1,8 +1,8 @@
 """Soft anchor: an anchored patch is held by springs instead of rigidly.
 
 Potential: k/2 |u|^2 per rest area of the patch, of the components that it holds, with the stiffness k (Pa/m); a layer of Young's
-modulus E and thickness h has about E/h. It acts on every anchored patch, or on the one that is its place; those patches are no longer
-fixed. An infinite stiffness is the rigid anchor.
+modulus E and thickness h has about E/h. It acts on every anchored patch, or on the one that is its place; those patches are no
+longer fixed. An infinite stiffness is the rigid anchor.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Arrays by path in MAT and HDF5 files: markers as arrays over frames, or as rest positions and displacements.
+"""Arrays by path in MAT, HDF5 and NPZ files: markers as arrays over frames, or as rest positions and displacements.
 
 Exports of image correlation are such files: MultiDIC and DuoDIC keep ``DIC3DPPresults/Points3D``, a cell for each frame; Ncorr
 keeps ``data_dic_save/displacements/plot_u_ref_formatted`` on the grid of its pixels.
@@ -6,7 +6,10 @@ keeps ``data_dic_save/displacements/plot_u_ref_formatted`` on the grid of its pi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import fnmatch
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -48,8 +51,9 @@ def look(path: Path, wanted: list[str]) -> ArrayFile:
     with path.open("rb") as stream:
         head = stream.read(128)
     old = head.startswith(b"MATLAB 5.0") or not (head.startswith(b"MATLAB") or head[1:4] == b"HDF")
-    name = "mat_file" if old else "hdf5_file"
-    what = "HDF5 file" if head[1:4] == b"HDF" else "MAT file"
+    name, what = "mat_file" if old else "hdf5_file", "HDF5 file" if head[1:4] == b"HDF" else "MAT file"
+    if head.startswith(b"PK"):
+        name, what = "npz_file", "NPZ file"
     data = fetched(f"bcid.measurement.formats.{name}", path, what, [one.strip("/") for one in wanted])
     paths = [str(one) for one in data["paths"]]
     kinds = [str(one).split() for one in data["shapes"]]
@@ -67,16 +71,39 @@ def read(path: Path, how: How) -> Foreign:
     Raises:
         InputError: a path is not there, or an array is of another shape than its order says.
     """
-    return _Arrays(path, how).foreign()
+    return _Arrays([path], how).foreign()
+
+
+def read_series(paths: Sequence[Path], how: How) -> Foreign:
+    """The same of files that hold a step each, in their order."""
+    return _Arrays(paths, how).foreign()
 
 
 class _Arrays:
-    def __init__(self, path: Path, how: How) -> None:
-        self.path, self.how, self.told = path, how, how.arrays
+    def __init__(self, paths: Sequence[Path], how: How) -> None:
+        self.path, self.how, self.told = paths[0], how, how.arrays
         named = [*_listed(self.told.get("positions")), *_listed(self.told.get("displacements"))]
         named += [*_listed(self.told.get("rest")), *_listed(self.told.get("names"))]
+        named += [*_listed(self.told.get("quality"))]
         named += [one for key in ("time", "pose", "wrench") for one in _listed(how.columns.get(key))]
-        self.content = look(path, list(dict.fromkeys(named)))
+        named = list(dict.fromkeys(named))
+        self.content = _expanded(self.path, named)
+        # What differs from file to file; the rest is that of the first.
+        self.stepwise = (
+            set() if len(paths) == 1 else {*_listed(self.told.get("positions")), *_listed(self.told.get("quality"))}
+        )
+        self.stepwise |= set() if len(paths) == 1 else set(_listed(self.told.get("displacements")))
+        others = [_expanded(path, sorted(self.stepwise)) for path in paths[1:]]
+        for where in self.stepwise:
+            parts = [self.get(where), *(_own(where, *one) for one in zip(paths[1:], others, strict=True))]
+            shapes = [" x ".join(map(str, part.shape)) for part in parts]
+            odd = next((i for i, shape in enumerate(shapes) if shape != shapes[0]), None)
+            if odd is not None:
+                raise InputError(
+                    f"{paths[odd]}: {where} is {shapes[odd]}, in {self.path.name} it is {shapes[0]}; every step needs the same "
+                    "points, NaN where one was not correlated"
+                )
+            self.content.arrays[where] = np.stack(parts)
 
     def get(self, where: str) -> Any:
         if where not in self.content.arrays:
@@ -104,23 +131,46 @@ class _Arrays:
         measured = np.isfinite(positions).any(axis=(0, 1))
         lost = np.isnan(positions[:, :, measured]).any(axis=2, keepdims=True)
         positions = np.where(lost, np.nan, positions)
+        self.check_rest(rest, positions)
         points = {label: positions[:, i] for i, label in enumerate(labels)}
         still = {} if rest is None else {label: rest[i] for i, label in enumerate(labels)}
         times = self.times(len(positions))
         clocked = "time" in self.how.columns or self.how.rate is not None
         bodies, wrenches = self.rows("pose", 7, len(times)), self.rows("wrench", 6, len(times))
-        return Foreign("arrays", times, points, bodies, wrenches, numbered=numbered, clocked=clocked, rest=still)
+        found = Foreign("arrays", times, points, bodies, wrenches, numbered=numbered, clocked=clocked, rest=still)
+        found = replace(found, displacements="displacements" in self.told)
+        return (
+            found.correlated(self.quality((positions.shape[0], positions.shape[1])))
+            if "quality" in self.told
+            else found
+        )
+
+    def check_rest(self, rest: Array | None, positions: Array) -> None:
+        """Refuse displacements of points of which no place is known."""
+        if rest is not None and not np.isfinite(positions).any():
+            raise InputError(f"{self.path}: no point has a rest position and a displacement, all are NaN")
+
+    def order(self, where: str, usual: str) -> list[str]:
+        """Names of the dimensions of an array; where several were stacked, frames are in front."""
+        told = str(self.told.get("order", usual)).split()
+        return ["frame", *(d for d in told if d != "frame")] if "*" in where or where in self.stepwise else told
+
+    def quality(self, shape: tuple[int, int]) -> Array:
+        """Of each point in each frame, shape (frames, markers)."""
+        where = str(self.told["quality"])
+        order = [d for d in self.order(where, "frame marker") if d != "axis"]
+        found = self.ordered(self.numbers(where), order, where)[:, :, 0]
+        if found.shape != shape:
+            has, needs = (" x ".join(map(str, one)) for one in (found.shape, shape))
+            raise InputError(f"{self.path}: {where} is {has} as frame x marker; expected {needs}, as the points are")
+        return found
 
     def field(self, where: Any, what: str, still: bool = False) -> Array:
         """Vectors of shape (frames, markers, 3), or (1, markers, 3) without frames, of an array or one for each axis."""
         if isinstance(where, str):
-            order = str(self.told.get("order", " ".join(DIMENSIONS))).split()
+            order = self.order(where, " ".join(DIMENSIONS))
             return self.ordered(self.numbers(where), [d for d in order if not (still and d == "frame")], where)
-        order = [
-            d
-            for d in str(self.told.get("order", "frame marker")).split()
-            if d != "axis" and not (still and d == "frame")
-        ]
+        order = [d for d in self.order(where[0], "frame marker") if d != "axis" and not (still and d == "frame")]
         parts = [self.ordered(self.numbers(one), order, one)[:, :, 0] for one in where]
         if any(part.shape != parts[0].shape for part in parts):
             raise InputError(
@@ -133,7 +183,7 @@ class _Arrays:
     def ordered(self, array: Array, order: list[str], where: str) -> Array:
         """An array with its dimensions as frame, marker, axis; several of the markers, as those of an image, become one."""
         wanted = len(order)
-        if "axis" not in order and "marker" in order and array.ndim > wanted:
+        if "marker" in order and array.ndim > wanted:
             at = order.index("marker")
             more = array.ndim - wanted + 1
             array = array.reshape(*array.shape[:at], -1, *array.shape[at + more :])
@@ -168,12 +218,43 @@ class _Arrays:
             y, x = np.mgrid[0:rows, 0:columns].reshape(2, -1) * float(self.told["grid"])
             rest = np.stack([x, y, np.zeros_like(x)], axis=1)
         else:
-            rest = self.field(self.told["rest"], "rest", still=True)[0]
+            rest = self.along_axes() if self.spans_grid() else self.field(self.told["rest"], "rest", still=True)[0]
         if len(rest) != moved.shape[1]:
             raise InputError(
                 f"{self.path}: {len(rest)} rest positions stand against displacements of {moved.shape[1]} points"
             )
         return rest
+
+    def spans_grid(self) -> bool:
+        """Whether rest positions are those of the planes of a grid, a vector for each axis."""
+        where = self.told["rest"]
+        if isinstance(where, str) or sum(n > 1 for n in self.grid()) < 2:
+            return False
+        return all(max(one.shape, default=0) == one.size for one in map(self.numbers, where))
+
+    def grid(self) -> tuple[int, ...]:
+        """The dimensions of the first array of displacements that are those of a grid."""
+        where = _listed(self.told["displacements"])[0]
+        order = self.order(where, "frame marker")
+        shape = list(self.numbers(where).shape)
+        if "frame" in order:
+            shape.pop(0 if order[0] == "frame" else -1)
+        return tuple(shape)
+
+    def along_axes(self) -> Array:
+        """Rest positions of a grid, of vectors along its axes, shape (markers, 3)."""
+        vectors = [self.numbers(one).ravel() for one in self.told["rest"]]
+        lengths, shape = tuple(len(one) for one in vectors), self.grid()
+        swapped = (lengths[1], lengths[0], *lengths[2:])
+        if shape not in (lengths, swapped) or (swapped == lengths and lengths[0] > 1 and self.path.suffix == ".mat"):
+            has, needs = (" x ".join(map(str, one)) for one in (lengths, shape))
+            raise InputError(
+                f"{self.path}: rest positions are vectors of {has} along the axes, the grid of displacements is {needs}; which is "
+                "which is not clear: write x, y and z of every point, as arrays of that shape"
+            )
+        parts = list(np.meshgrid(*vectors, indexing="ij" if shape == lengths else "xy"))
+        parts += [np.zeros_like(parts[0])] * (3 - len(parts))
+        return np.stack([part.ravel() for part in parts], axis=1)
 
     def labels(self, count: int) -> tuple[list[str], bool]:
         if "names" not in self.told:
@@ -215,6 +296,37 @@ def _within(moved: Array, rest: Array) -> tuple[Array, Array]:
     lost = still & ~still.all(axis=1, keepdims=True) | still.all(axis=0)
     never = lost.all(axis=0)[:, None]
     return np.where(lost[:, :, None], np.nan, moved), np.where(never, np.nan, rest)
+
+
+def _own(where: str, path: Path, content: ArrayFile) -> Any:
+    if where not in content.arrays:
+        raise InputError(f"{path}: has no array '{where}'; {nearest(where, content.shapes)}")
+    return content.arrays[where]
+
+
+def _expanded(path: Path, wanted: list[str]) -> ArrayFile:
+    """What is in a file, and the wanted arrays; of a path with * all that fit are one array, in the order of their numbers."""
+    patterns = [one for one in wanted if "*" in one]
+    if not patterns:
+        return look(path, wanted)
+    known = look(path, [])
+    fitting = {one: sorted(fnmatch.filter(known.shapes, one.strip("/")), key=_numbered) for one in patterns}
+    content = look(
+        path, [*(one for one in wanted if "*" not in one), *dict.fromkeys(p for f in fitting.values() for p in f)]
+    )
+    for one, paths in fitting.items():
+        shapes = {" x ".join(map(str, known.shapes[p])): p for p in paths}
+        if len(shapes) > 1:
+            said = ", ".join(f"{p} is {shape}" for shape, p in list(shapes.items())[:2])
+            raise InputError(f"{path}: {said}; every step needs the same points, NaN where one was not correlated")
+        if paths:
+            content.arrays[one] = np.stack([content.arrays[p] for p in paths])
+    return content
+
+
+def _numbered(path: str) -> list[tuple[int, str]]:
+    """Key by which paths are sorted by the numbers in them."""
+    return [(len(part), part) for part in re.findall(r"\d+|\D+", path)]
 
 
 def _listed(value: Any) -> list[str]:

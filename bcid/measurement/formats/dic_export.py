@@ -1,18 +1,20 @@
-"""Image correlation, one CSV file for each frame, as VIC-3D, GOM/ARAMIS and MatchID write them: points with their displacements.
+"""Image or volume correlation, a CSV file for each frame, as VIC-3D, GOM/ARAMIS and MatchID write them: points with displacements.
 
-The columns are found by their names, or named in [columns] as rest, displacement and point. A point is known by its number, or by
-its pixel in the first image (x, y of VIC-3D), else by its row. All but MatchID give the position at rest.
+The columns are found by their names, or named in [columns] as rest, displacement, point, step and quality. A point is known by its
+number, or by its pixel in the first image (x, y of VIC-3D), else by its row where all frames have the same, else by where it is at
+rest. All but MatchID give the position at rest. A single file with a column of steps has all frames, one below the other.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from bcid.base.errors import InputError, nearest
 from bcid.base.text_file import read_export
@@ -25,16 +27,29 @@ Array = NDArray[np.float64]
 _HEADER = 1000
 # MatchID writes the moved position beside the displacement.
 _MOVED_PLACE = ("coor.X", "coor.Y", "coor.Z")
-_REST = (_MOVED_PLACE, ("X", "Y", "Z"), ("x_undef", "y_undef", "z_undef"), ("x0", "y0", "z0"), ("x", "y", "z"))
+_REST: tuple[tuple[str, ...], ...] = (
+    _MOVED_PLACE,
+    ("X", "Y", "Z"),
+    ("x_undef", "y_undef", "z_undef"),
+    ("x0", "y0", "z0"),
+    ("X0", "Y0", "Z0"),
+)
+_REST += (("pos_x", "pos_y", "pos_z"), ("x", "y", "z"))
 _MOVED: tuple[tuple[str, ...], ...] = (
     ("U", "V", "W"),
     ("u", "v", "w"),
     ("displacement_x", "displacement_y", "displacement_z"),
 )
-_MOVED += (("dX", "dY", "dZ"), ("dx", "dy", "dz"), ("ux", "uy", "uz"))
+_MOVED += (("dX", "dY", "dZ"), ("dx", "dy", "dz"), ("ux", "uy", "uz"), ("Ux", "Uy", "Uz"), ("UX", "UY", "UZ"))
+_MOVED += (("disp_x", "disp_y", "disp_z"), ("u_x", "u_y", "u_z"))
 _MOVED += (("disp.Horizontal Displacement U", "disp.Vertical Displacement V", "disp.Out-Of-Plane: W"),)
 _PIXEL = ("Coordinates.Image X", "Coordinates.Image Y")
 _POINT = (("id",), ("ID",), ("point_id",), ("index",), _PIXEL, ("x", "y"))
+# How well a point was correlated: 1 is best, and 0 that it was not.
+_QUALITY = ("corr", "zncc", "ncc", "cc", "correlation", "quality")
+_STEP = ("step", "frame", "state", "stage", "load_step", "loadstep")
+# Rest positions are the same within this part of the distance between neighbours.
+_SAME = 0.02
 # Bounded, so that no text takes long: a unit in brackets, and a comma within brackets.
 _UNIT = re.compile(r"\s{0,8}[\[(](?P<unit>[^\[\]()]{0,64})[\])]\s{0,8}$")
 _WITHIN = r"(?![^\[\]]{0,64}\])"
@@ -42,13 +57,18 @@ _WITHIN = r"(?![^\[\]]{0,64}\])"
 
 @dataclass(frozen=True)
 class _Frame:
-    """What tells the points, and whether a column does; rest positions and displacements (points, 3); their unit."""
+    """What tells the points, and whether a column does; rest positions and displacements (points, 3); their unit.
 
+    `name` is the frame's in messages; `quality` (points,) is None where the file has none.
+    """
+
+    name: str
     keys: list[tuple[float, ...]]
     keyed: bool
     rest: Array
     moved: Array
     unit: str
+    quality: Array | None
 
 
 def recognised(head: str) -> bool:
@@ -67,30 +87,84 @@ def read_series(paths: Sequence[Path], how: How) -> Foreign:
     Raises:
         InputError: a file is cut off, has other columns than the first, or points that cannot be told apart.
     """
-    frames = [_frame(path, how) for path in paths]
+    frames = _steps(paths[0], how) if len(paths) == 1 else [_frame(path, how) for path in paths]
     keys, rest = frames[0].keys, frames[0].rest.copy()
     number = {key: i for i, key in enumerate(keys)}
     if len(number) < len(keys):
-        raise InputError(f"{paths[0]}: holds {len(keys) - len(number)} points twice; export each point once")
-    positions = np.full((len(paths), len(keys), 3), np.nan)
-    for i, (path, frame) in enumerate(zip(paths, frames, strict=True)):
-        if not frame.keyed and len(frame.keys) != len(keys):
-            said = (
-                f"{path}: has {len(frame.keys)} points, {paths[0].name} has {len(keys)}, and no column tells them apart"
-            )
-            raise InputError(f"{said}: export the number of each point, and name its column as columns.point")
-        known = [(j, number[key]) for j, key in enumerate(frame.keys) if key in number]
-        if not known:
-            raise InputError(f"{path}: has no point of {paths[0].name}; are they frames of one recording?")
-        here, there = np.array(known).T
+        what = "a column of steps would tell its frames apart, as columns.step; otherwise export each point once"
+        raise InputError(f"{frames[0].name}: holds {len(keys) - len(number)} points twice; {what}")
+    positions = np.full((len(frames), len(keys), 3), np.nan)
+    quality = np.full((len(frames), len(keys)), np.nan)
+    for i, frame in enumerate(frames):
+        if frame.keyed:
+            known = [(j, number[key]) for j, key in enumerate(frame.keys) if key in number]
+            if not known:
+                raise InputError(f"{frame.name}: has no point of {frames[0].name}; are they frames of one recording?")
+            here, there = np.array(known).T
+        else:
+            here, there = _same_places(frames[0], frame)
         positions[i, there] = frame.rest[here] + frame.moved[here]
+        quality[i, there] = np.nan if frame.quality is None else frame.quality[here]
         # A point that was lost in the first frame is at rest where a later one says.
         rest[there] = np.where(np.isfinite(rest[there]), rest[there], frame.rest[here])
     points = {str(i + 1): positions[:, i] for i in range(len(keys))}
     still = {str(i + 1): rest[i] for i in range(len(keys))}
-    times = how.count(len(paths))
+    times = how.count(len(frames))
     name = f"CSV of image correlation, {len(paths)} file{'s' if len(paths) > 1 else ''}"
-    return Foreign(name, times, points, unit=frames[0].unit, numbered=True, clocked=how.rate is not None, rest=still)
+    found = Foreign(
+        name,
+        times,
+        points,
+        unit=frames[0].unit,
+        numbered=True,
+        clocked=how.rate is not None,
+        rest=still,
+        displacements=True,
+    )
+    return found.correlated(quality) if any(frame.quality is not None for frame in frames) else found
+
+
+def _same_places(first: _Frame, frame: _Frame) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows of a frame, and of the first one, that have the same rest positions.
+
+    Raises:
+        InputError: of most points there is none.
+    """
+    known = np.flatnonzero(np.isfinite(first.rest).all(axis=1))
+    own = np.flatnonzero(np.isfinite(frame.rest).all(axis=1))
+    if len(first.rest) == len(frame.rest) and (len(known) < 2 or len(own) < 2):
+        return np.arange(len(first.rest)), np.arange(len(first.rest))
+    tree = cKDTree(first.rest[known])
+    spacing = float(np.median(tree.query(first.rest[known], k=2)[0][:, 1])) if len(known) > 1 else 0.0
+    if len(first.rest) == len(frame.rest):
+        away = np.linalg.norm(frame.rest - first.rest, axis=1)
+        if not (away > _SAME * spacing).any():
+            return np.arange(len(away)), np.arange(len(away))
+    distance, nearest_one = tree.query(frame.rest[own])
+    same = distance <= _SAME * spacing
+    if 2 * same.sum() < len(own) or len(set(nearest_one[same])) < same.sum():
+        raise InputError(
+            f"{frame.name}: has {len(frame.keys)} points, {first.name} has {len(first.keys)}, and only {same.sum()} stand "
+            "where one of those stands at rest, and no column tells them apart: export positions without the displacement, or the "
+            "number of each point, and name its column as columns.point"
+        )
+    return own[same], known[nearest_one[same]]
+
+
+def lacking(head: str) -> str:
+    """What a header of displacements lacks, in words; "" of one that lacks nothing, or is no such header."""
+    for names in map(_names, head.splitlines()[:_HEADER]):
+        places = next((c for c in _REST if set(c) <= set(names)), None)
+        for moved in _MOVED:
+            there = [name for name in moved if name in names]
+            if places and len(there) == 2 and not set(there) & set(places):
+                missing = next(name for name in moved if name not in names)
+                what = f"it has the displacements {' and '.join(there)}, but no {missing}"
+                return f"{what}; export all three, or make a table of positions without the one that was not measured"
+            if len(there) == 3 and places is None:
+                what = f"it has the displacements {', '.join(there)}, but no positions at rest, as x, y, z"
+                return f"{what}; export where the points are without displacement"
+    return ""
 
 
 def _names(line: str) -> list[str]:
@@ -118,7 +192,38 @@ def _columns(names: Sequence[str]) -> tuple[list[str], list[str], list[str]] | N
     return rest, moved, point
 
 
+def _steps(path: Path, how: How) -> list[_Frame]:
+    """The frames of one file, which is one where no column has their steps."""
+    frame, step = _read(path, how)
+    if step is None:
+        return [frame]
+    if not np.isfinite(step).all():
+        raise InputError(f"{path}: {int((~np.isfinite(step)).sum())} rows have no step; expected a number in each")
+    found = []
+    for value in dict.fromkeys(map(float, step)):
+        mine = np.flatnonzero(step == value)
+        # Points are counted anew in each step.
+        keys = [frame.keys[j] for j in mine] if frame.keyed else [(float(j),) for j in range(len(mine))]
+        quality = None if frame.quality is None else frame.quality[mine]
+        found.append(
+            replace(
+                frame,
+                name=f"{path}: step {value:g}",
+                keys=keys,
+                rest=frame.rest[mine],
+                moved=frame.moved[mine],
+                quality=quality,
+            )
+        )
+    return found
+
+
 def _frame(path: Path, how: How) -> _Frame:
+    return _read(path, how)[0]
+
+
+def _read(path: Path, how: How) -> tuple[_Frame, Array | None]:
+    """The rows of a file, and the step of each where a column has that."""
     begin = read_export(path)[:_HEADER]
     start = next((i for i, line in enumerate(begin) if _found(_names(line), how)), None)
     if start is None:
@@ -128,10 +233,12 @@ def _frame(path: Path, how: How) -> _Frame:
     delimiter, names = _delimiter(begin[start]), _names(begin[start])
     rest, moved, point = _found(names, how) or ([], [], [])
     rows = [row for row in filled(read_grid(path, delimiter)) if row[0] > start + 1]
-    for name in (*rest, *moved, *point):
+    step = _one_of(names, how.columns.get("step"), _STEP)
+    good = _one_of(names, how.columns.get("quality"), _QUALITY)
+    for name in (*rest, *moved, *point, *step, *good):
         if name not in names:
             raise InputError(f"{path}:{start + 1}: has no column '{name}'; {nearest(name, names)}")
-    used = {names.index(name) for name in (*rest, *moved, *point, "sigma") if name in names}
+    used = {names.index(name) for name in (*rest, *moved, *point, *step, *good, "sigma") if name in names}
     values = numbers(path, rows, len(names), "a CSV file of image correlation", used)
     parts = [values[:, [names.index(name) for name in columns]] for columns in (rest, moved)]
     if "sigma" in names:
@@ -142,7 +249,14 @@ def _frame(path: Path, how: How) -> _Frame:
         parts[0] = parts[0] - parts[1]
     told = values[:, [names.index(name) for name in point]] if point else np.arange(len(rows))[:, None]
     keys: list[tuple[float, ...]] = [tuple(map(float, row)) for row in told]
-    return _Frame(keys, bool(point), parts[0], parts[1], _unit(begin[start], rest[0]))
+    quality = values[:, names.index(good[0])] if good else None
+    frame = _Frame(str(path), keys, bool(point), parts[0], parts[1], _unit(begin[start], rest[0]), quality)
+    return frame, values[:, names.index(step[0])] if step else None
+
+
+def _one_of(names: list[str], told: str | None, usual: Sequence[str]) -> list[str]:
+    """The column that a mapping names, or one with a usual name; none where there is none."""
+    return [told] if told is not None else [name for name in names if name.lower() in usual][:1]
 
 
 def _found(names: list[str], how: How) -> tuple[list[str], list[str], list[str]] | None:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping as Table
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+# The quality of a point of image or volume correlation: 1 is best, 0 that it was not correlated.
+CORRELATION = "correlation"
 
 
 @dataclass(frozen=True)
@@ -22,11 +24,12 @@ class Foreign:
         points: positions by label, shape (frames, 3), in `unit`; NaN where a marker was not seen.
         bodies: poses of rigid bodies by label, shape (frames, 7): position in `unit`, unit quaternion (w, x, y, z).
         wrenches: by label, shape (frames, 6): force, N, and torque, as the file has them.
-        quality: by kind ("score", "error", "cameras") and label, shape (frames,).
+        quality: by kind ("score", "error", "cameras", "correlation") and label, shape (frames,).
         unit: of lengths; "" if the file states none.
         numbered: whether the points have no names but numbers from 1.
         clocked: whether the file, or the mapping, says when its frames were taken; if not, one is a time_unit.
         rest: positions without stress by label, shape (3,), where the file has them beside those of its frames.
+        displacements: whether the file has displacements, which count from `rest`.
         empty: labels that the file names and holds no data for.
         notes: what was not read, to be told by `bcid import`.
     """
@@ -41,6 +44,7 @@ class Foreign:
     numbered: bool = False
     clocked: bool = True
     rest: dict[str, Array] = field(default_factory=dict)
+    displacements: bool = False
     empty: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -48,6 +52,23 @@ class Foreign:
     def frames(self) -> int:
         """Number of frames."""
         return len(self.times)
+
+    def correlated(self, quality: Array) -> Foreign:
+        """The same with the correlation of each point, (frames, points), NaN where there is none; those without any are lost.
+
+        Where no point has any it is no such measure, and nothing is lost.
+        """
+        lost = ~(quality > 0)
+        if lost.all():
+            return replace(self, notes=(*self.notes, "the quality of all points is 0: it is not used"))
+        points = {
+            label: np.where(gone[:, None], np.nan, at)
+            for (label, at), gone in zip(self.points.items(), lost.T, strict=True)
+        }
+        each = dict(zip(self.points, quality.T, strict=True))
+        count = int((lost & np.isfinite(np.stack([at[:, 0] for at in self.points.values()], axis=1))).sum())
+        notes = (f"positions without a correlation count as not seen: {count}",) if count else ()
+        return replace(self, points=points, quality={**self.quality, CORRELATION: each}, notes=(*self.notes, *notes))
 
     @property
     def rate(self) -> float:

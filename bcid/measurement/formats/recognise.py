@@ -50,6 +50,7 @@ DIC = Format("dic", "CSV of image correlation", dic_export.read, series=True)
 _C3D = Format("c3d", "C3D", capture_c3d.read)
 _MAT = Format("mat", "MAT file", array_file.read, arrays=True)
 _HDF5 = Format("hdf5", "HDF5 file", array_file.read, arrays=True)
+_NPZ = Format("npz", "NPZ file", array_file.read, arrays=True)
 _DLC_HDF5 = Format("dlc_hdf5", "HDF5 file of DeepLabCut", pose_estimation.read_dlc_hdf5)
 _BAG = Format("bag", "ROS bag", ros_bag.read)
 _BINARY = {
@@ -92,6 +93,8 @@ def recognise(path: Path) -> Format:
             )
     if path.suffix.lower() == ".mat":
         return _MAT
+    if head.startswith(b"PK\x03\x04") and path.suffix.lower() == ".npz":
+        return _NPZ
     if head.startswith((b"\x1f\x8b", b"PK\x03\x04")):
         raise InputError(
             f"{path}: is compressed, or a workbook; unpack it, or save it as CSV, and import what is in it"
