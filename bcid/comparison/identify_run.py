@@ -27,6 +27,7 @@ from bcid.inference.continuation import truncate_to_converged
 from bcid.inference.outcome import label
 from bcid.inference.stiffness import Stiffness
 from bcid.measurement import AXES, WRENCH, Measurement
+from bcid.measurement.in_plane import in_plane
 from bcid.measurement.pooling import pooled
 from bcid.measurement.thinning import LeftOut, thinned
 from bcid.predict.levels import pair
@@ -135,7 +136,7 @@ def fitting(scene: Scene, measurement: Measurement, comm: Comm) -> tuple[Scene, 
         InputError: they do not belong together; see also `bcid.forms.mesh.patches.divided`.
     """
     measurement.check_names(scene)
-    scene, measurement = pooled(scene, measurement)
+    scene, measurement = pooled(scene, in_plane(scene, measurement))
     checked = replace(measurement, remarks=tuple(measurement.check(scene)))
     return divided(scene, comm), thinned(checked)
 

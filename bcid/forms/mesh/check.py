@@ -101,6 +101,21 @@ def expected_cells(volume: float, size: float) -> float:
     return 6 * math.sqrt(2) * volume / size**3
 
 
+def layer_cells(area: float, size: float) -> float:
+    """Number of tetrahedra of one layer on equilateral triangles with edges of a size that fill an area: three on each."""
+    return 3 * 4 / math.sqrt(3) * area / size**2
+
+
+def cut_into(scene: Scene) -> float:
+    """Into how many tetrahedra a refinement cuts one, on average: the layer of a sheet stays one layer."""
+    return 4.0 if scene.thickness else 8.0
+
+
+def cells_expected(scene: Scene, mesh: BodyMesh, size: float) -> float:
+    """Number of tetrahedra that elements of a size (m) are in the body of a mesh, or in the layer of a sheet."""
+    return layer_cells(mesh.volume / scene.thickness, size) if scene.thickness else expected_cells(mesh.volume, size)
+
+
 def refuse_many(cells: float, size: float, spans: Sequence[float]) -> None:
     """Refuse far more elements of a size than can be solved on, in a body of these extents in the unit of its file.
 
@@ -124,9 +139,9 @@ def check_fineness(scene: Scene, mesh: BodyMesh) -> None:
     problems = Problems(f"scene {scene.source}")
     for number, level in enumerate(scene.levels):
         if level.element_size is None:
-            cells, what = len(mesh.cells) * 8.0**level.refinements, f"{level.refinements} refinements"
+            cells, what = len(mesh.cells) * cut_into(scene) ** level.refinements, f"{level.refinements} refinements"
         else:
-            cells = expected_cells(mesh.volume, level.element_size)
+            cells = cells_expected(scene, mesh, level.element_size)
             what = f"elements of {level.element_size * 1e3:.4g} mm"
         if cells > MOST_CELLS:
             problems.add(

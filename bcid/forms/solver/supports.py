@@ -149,7 +149,11 @@ class Supports:
     def moved(self, pose: Pose) -> Array:
         """Displacement of every node if it moved with the gripper, shape (3 * nodes,), m."""
         arm = self.body.nodes - self.centre
-        return np.asarray((pose.translation + rotate(pose.rotation, arm) - arm).ravel())
+        moved = pose.translation + rotate(pose.rotation, arm) - arm
+        if self.scene.thickness:
+            # A sheet stays in its plane.
+            moved[:, 2] = 0.0
+        return np.asarray(moved.ravel())
 
     def arms(self, pose: Pose) -> Array:
         """From the moved centre of the grasp to where the gripper has every node, shape (nodes, 3), m."""
