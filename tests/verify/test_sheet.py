@@ -6,28 +6,37 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+import meshio
 import numpy as np
 import pytest
+from mpi4py import MPI
 from scipy.optimize import brentq
 
-from bcid import Scene
+from bcid import Measurement, Scene, fit, identify
 from bcid.base.errors import InputError
+from bcid.comparison.identify_run import fitting
 from bcid.forms.forward import Forward
+from bcid.forms.mesh import level_mesh
 from bcid.forms.model import Model, check_physics, traction
+from bcid.forms.simulate import simulate
 from bcid.forms.solver.status import Status
 from bcid.forms.solver.supports import Pose
 from bcid.measurement import Action
+from bcid.scene import Level
 
 YOUNG, POISSON, THICKNESS = 20e3, 0.4, 2e-3
 FLAT = """SetFactory("OpenCASCADE");
 DefineConstant[ h = {10, Name "element size in mm"} ];
 e = 1e-3;
 Rectangle(1) = {0, 0, 3, 60, 30};
-Physical Surface("whole") = {1};
+Point(100) = {30, 30, 3};
+BooleanFragments{ Surface{1}; Delete; }{ Point{100}; Delete; }
+Physical Surface("whole") = Surface{:};
 Physical Curve("left") = Curve In BoundingBox{-e, -e, 0, e, 30+e, 4};
 Physical Curve("right") = Curve In BoundingBox{60-e, -e, 0, 60+e, 30+e, 4};
 Physical Curve("low") = Curve In BoundingBox{-e, -e, 0, 60+e, e, 4};
-Physical Curve("up") = Curve In BoundingBox{-e, 30-e, 0, 60+e, 30+e, 4};
+Physical Curve("up") = Curve In BoundingBox{-e, 30-e, 0, 30+e, 30+e, 4};
+Physical Curve("far") = Curve In BoundingBox{30-e, 30-e, 0, 60+e, 30+e, 4};
 Mesh.MeshSizeMin = h; Mesh.MeshSizeMax = h;
 """
 # The same in space, about the same middle plane.
@@ -35,13 +44,17 @@ SOLID = """SetFactory("OpenCASCADE");
 DefineConstant[ h = {10, Name "element size in mm"} ];
 e = 1e-3;
 Rectangle(1) = {0, 0, 2, 60, 30};
-Extrude {0, 0, 2} { Surface{1}; Layers{2}; }
+Point(100) = {30, 30, 2};
+BooleanFragments{ Surface{1}; Delete; }{ Point{100}; Delete; }
+Extrude {0, 0, 2} { Surface{:}; Layers{2}; }
 Physical Volume("body") = Volume{:};
 Physical Surface("left") = Surface In BoundingBox{-e, -e, 0, e, 30+e, 5};
 Physical Surface("right") = Surface In BoundingBox{60-e, -e, 0, 60+e, 30+e, 5};
+Physical Surface("low") = Surface In BoundingBox{-e, -e, -e, 60+e, e, 5};
+Physical Surface("up") = Surface In BoundingBox{-e, 30-e, -e, 30+e, 30+e, 5};
 Mesh.MeshSizeMin = h; Mesh.MeshSizeMax = h;
 """
-TILTED = FLAT.replace("Physical Surface", "Rotate {{1, 0, 0}, {0, 0, 3}, 0.2} { Surface{1}; }\nPhysical Surface")
+TILTED = FLAT.replace("Physical Surface", "Rotate {{1, 0, 0}, {0, 0, 3}, 0.2} { Surface{:}; }\nPhysical Surface")
 SCENE = """format = "bcid-scene/1"
 [geometry]
 file = "sheet.geo"
@@ -100,7 +113,7 @@ def test_plane_stress_is_that_of_the_closed_form(tmp_path: Path, stretches: tupl
     x, y, z = (*stretches, third, third)[:3]
     places = scene.places | {
         "pulled": replace(scene.grasps["jaw"].region),
-        "up": replace(scene.places["low"], groups=("up",)),
+        "up": replace(scene.places["low"], groups=("up", "far")),
     }
     scene = replace(scene, places=places)
     model = Model.of(scene) + traction("pulled", (nominal(x, y, z), 0.0, 0.0))
@@ -177,3 +190,91 @@ def test_forces_are_in_proportion_to_the_thickness(tmp_path: Path) -> None:
 def test_what_is_no_sheet_is_refused(tmp_path: Path, change: Mapping[str, str], said: str) -> None:
     with pytest.raises(InputError, match=said):
         Forward(sheet(tmp_path, **change), 0)
+
+
+PATCHES = CLAMPED + '\n[patches]\nlow = "low"\nup = "up"'
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Measurement:
+    """A solid sheet of 2 mm, held at its upper edge besides: pulled by 8 mm, with forces."""
+    scene = sheet(tmp_path_factory.mktemp("true"), PATCHES, thickness="", geometry=SOLID, size=3)
+    path = np.linspace(0, 1, 5)[:, None] * [0.006, -0.005, 0.0]
+    pull = Action("1", np.arange(5), np.arange(5), "jaw", path, np.tile([1.0, 0, 0, 0], (5, 1)))
+    return simulate(scene, {"up"}, [pull], noise=0.02e-3, wrench=True, wrench_noise=1e-3)
+
+
+def test_unknown_thickness_gives_stiffness_per_thickness(tmp_path: Path, measured: Measurement) -> None:
+    """20 kPa of 2 mm are 0.04 N/mm; the scene has 60 kPa of 1 mm."""
+    scene = sheet(tmp_path, PATCHES, 'thickness = "unknown"')
+    scene = replace(scene, material=replace(scene.material, values={"young": "60 kPa", "poisson": 0.4}))
+    found = identify(scene, measured)
+    assert found.anchored == ("up",)
+    told = found.found["stiffness"]["constants"]["young"]
+    low, high = told["interval"]
+    assert low < YOUNG * THICKNESS * 1e-3 < high < 1.5 * low
+    assert (told["unit"], told["scene"]) == ("N/mm", pytest.approx(0.06))
+    assert "young x thickness = 0.0" in found.summary
+    assert "N/mm (95 %" in found.summary
+    assert "the thickness is unknown, so that the constants themselves are not known" in found.summary
+    assert "Its thickness is unknown, and it is computed with 1 mm" in found.summary
+    fitted = fit(scene, measured, free=["young"], anchors=["up"])
+    law = fitted.found["law"]["young"]
+    assert law["unit"] == "N/mm"
+    assert law["interval"][0] < 0.04 < law["interval"][1]
+    assert "young x thickness = " in fitted.summary
+
+
+def test_known_thickness_gives_the_constants(tmp_path: Path, measured: Measurement) -> None:
+    scene = sheet(tmp_path, PATCHES)
+    found = identify(scene, measured)
+    told = found.found["stiffness"]["constants"]["young"]
+    assert told["unit"] == "Pa"
+    assert told["interval"][0] < YOUNG < told["interval"][1]
+    assert "A sheet of 18 cm^2 and a thickness of 2 mm, in plane stress" in found.summary
+    assert "thickness is unknown" not in found.summary
+
+
+def test_what_is_seen_across_the_plane_is_not_compared(tmp_path: Path, measured: Measurement) -> None:
+    scene = sheet(tmp_path, PATCHES)
+    _, seen = fitting(scene, measured, MPI.COMM_SELF)
+    assert np.isnan(seen.positions[..., 2]).all()
+    assert np.isfinite(seen.wrenches).all(axis=0).tolist() == [True, True, False, False, False, True]
+    lifted = measured.data.copy(deep=True)
+    lifted["translation"][{"axis": 2}] += np.linspace(0, 5e-3, 5)
+    with pytest.raises(
+        InputError, match=r"action 1: the gripper leaves the plane of the sheet, by up to 5 mm and 0 deg"
+    ):
+        fitting(scene, replace(measured, data=lifted), MPI.COMM_SELF)
+
+
+def test_a_mesh_file_is_refined_in_its_plane(tmp_path: Path) -> None:
+    """Two triangles in a file of meshio, twice refined."""
+    points = np.array([[0, 0, 0], [60, 0, 0], [60, 30, 0], [0, 30, 0]], dtype=float)
+    tmp_path.mkdir(exist_ok=True)
+    meshio.Mesh(points, [("triangle", [[0, 1, 2], [0, 3, 2]])]).write(tmp_path / "sheet.vtu")
+    text = SCENE.format(
+        held='[held]\nleft = { box = ["-1 -1 -1 mm", "1 31 5 mm"] }', geometry='thickness = "2 mm"', size=1
+    )
+    text = text.replace("sheet.geo", "sheet.vtu").replace('element_size = "1 mm"', "refinements = 2")
+    text = text.replace('on = "right"', 'on = { box = ["59 -1 -1 mm", "61 31 5 mm"] }').replace("3 mm", "0 mm")
+    (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
+    mesh = level_mesh(scene := Scene.read(tmp_path / "scene.toml"), scene.levels[0])
+    assert len(mesh.cells) == 2 * 16 * 3
+    assert np.unique(mesh.points[:, 2]).tolist() == [0.0, 2e-3]
+    assert mesh.volume == pytest.approx(60 * 30 * 2 * 1e-9)
+    moved, _, failure = pull(scene, np.array([0.006, 0.0, 0.0]))
+    assert not failure
+    assert moved[1, 0] == pytest.approx(0.003, rel=0.02)
+
+
+def test_anchors_of_the_example_are_found(project: Path) -> None:
+    """examples/scenes/sheet.toml, pulled in a mesh of elements of another degree."""
+    scene = Scene.read(project / "examples" / "scenes" / "sheet.toml", physics=check_physics)
+    path = np.linspace(0, 1, 4)[:, None] * [0.0033, 0.0011, 0.0]
+    pull = Action("1", np.arange(4), np.arange(4), "jaw", path, np.tile([1.0, 0, 0, 0], (4, 1)))
+    seen = simulate(replace(scene, levels=(Level(3, 0.004),)), {"up_2"}, [pull], noise=0.02e-3, random_state=1)
+    found = identify(scene, seen)
+    assert found.anchored == ("up_2",)
+    assert found.found["probability"] > 0.99
+    assert found.found["missing"] < 0.5

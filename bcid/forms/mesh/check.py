@@ -276,7 +276,20 @@ def measures(scene: Scene, mesh: BodyMesh) -> list[str]:
         found = [f"{name} {shown(area, 2)}" for name, area in areas.items() if area > 0]
         if found:
             lines.append(f"  {_PLURALS.get(kind, kind)}: {', '.join(found)}")
-    return lines + [f"  {note}" for note in mesh.notes]
+    return lines + [f"  {note}" for note in (*sheet_in_words(scene, mesh), *mesh.notes)]
+
+
+def sheet_in_words(scene: Scene, mesh: BodyMesh) -> list[str]:
+    """What is special about a sheet; nothing of other bodies."""
+    if scene.thickness is None:
+        return []
+    area, thickness = shown(mesh.volume / scene.thickness, 2), shown(scene.thickness, 1).removesuffix("^1")
+    if scene.thickness_known:
+        return [f"A sheet of {area} and a thickness of {thickness}, in plane stress"]
+    return [
+        f"A sheet of {area}, in plane stress. Its thickness is unknown, and it is computed with {thickness}: of numbers in Pa, "
+        f"Pa/m and N/m^3 only their products with the thickness are known, which are those of {thickness}"
+    ]
 
 
 def shown(value: float, power: int) -> str:
