@@ -278,3 +278,17 @@ def test_anchors_of_the_example_are_found(project: Path) -> None:
     assert found.anchored == ("up_2",)
     assert found.found["probability"] > 0.99
     assert found.found["missing"] < 0.5
+
+
+def test_a_gripper_that_lifts_a_little_leads_in_the_plane(tmp_path: Path) -> None:
+    scene = sheet(tmp_path)
+    flat, force, _ = pull(scene, np.array([0.006, 0.0, 0.0]))
+    lifted, other, _ = pull(scene, np.array([0.006, 0.0, 0.002]))
+    np.testing.assert_allclose(lifted, flat, atol=1e-12)
+    np.testing.assert_allclose(other, force, atol=1e-9)
+
+
+def test_a_thickness_is_part_of_the_fingerprint(tmp_path: Path) -> None:
+    scene = sheet(tmp_path)
+    others = [replace(scene, thickness=1e-3), replace(scene, thickness_known=False)]
+    assert len({one.fingerprint() for one in (scene, *others)}) == 3
