@@ -103,7 +103,10 @@ def require_kind(arrays: Mapping[str, Any], thickness: float | None, path: Path)
     """
     flat = len(arrays.get("flat", ())) > 0
     if flat and thickness is None:
-        raise InputError(f"{path}: holds triangles and no tetrahedra; bcid takes it for a sheet when you {_STATE}")
+        raise InputError(
+            f"{path}: holds triangles and no tetrahedra; a flat one is a sheet: {_STATE}; "
+            "a surface is meshed when it is an STL, PLY or OBJ file"
+        )
     if thickness is not None and not flat:
         what = "tetrahedra" if len(arrays["cells"]) else "no triangles"
         raise InputError(
