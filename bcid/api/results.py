@@ -61,7 +61,10 @@ class Result:
 
     @property
     def stiffness(self) -> dict[str, tuple[float, float]] | None:
-        """Of each stiffness of the law its value by known forces and the standard error, Pa; None where none is measured."""
+        """Of each stiffness of the law its value by known forces and the standard error, Pa; None where none is measured.
+
+        Those of a sheet of unknown thickness are times it, N/mm.
+        """
         told = self.found.get("stiffness")
         return None if told is None else {name: (c["value"], c["stderr"]) for name, c in told["constants"].items()}
 

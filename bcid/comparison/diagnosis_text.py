@@ -37,6 +37,7 @@ from bcid.forms.parameter import Parameter
 from bcid.inference import nuisance_text
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
 from bcid.inference.outcome import label
+from bcid.inference.stiffness_scale import StiffnessScale
 from bcid.inference.thresholds import THRESHOLDS
 
 # A hypothesis with a smaller probability is not told.
@@ -71,15 +72,16 @@ def term(one: Term, errors: Mapping[str, float], limits: Mapping[str, float] | N
 
 def law(fitted: Fit) -> list[str]:
     """Fitted constants of the law: "young = 2.64e+05 Pa (95 %: 2.4e+05 to 2.9e+05)"."""
-    lines = []
+    lines, scale = [], StiffnessScale.of(fitted.state.predictor.whole)
     for name, one in fitted.law.items():
         unit = "" if one["unit"] == "1" else f" {one['unit']}"
         if one["interval"] is None:
             lines.append(f"  {name} is not identifiable from these data")
         else:
             low, high = one["interval"]
-            lines.append(f"  {name} = {one['value']:.4g}{unit} (95 %: {low:.3g} to {high:.3g})")
-    return ["Fitted constants of the law:", *lines] if lines else []
+            times = scale.times if one["per_thickness"] else ""
+            lines.append(f"  {name}{times} = {one['value']:.4g}{unit} (95 %: {low:.3g} to {high:.3g})")
+    return [f"Fitted constants of the law{scale.unknown}:", *lines] if lines else []
 
 
 def own(fitted: Fit, one: Term, of: Mapping[str, float]) -> dict[str, float]:

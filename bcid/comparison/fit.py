@@ -21,6 +21,7 @@ from bcid.forms.probes import Probe, SensitivityRequest
 from bcid.inference.nuisances import fitted_instead
 from bcid.inference.priors import PRIORS
 from bcid.inference.stiffness import Stiffness
+from bcid.inference.stiffness_scale import StiffnessScale
 from bcid.inference.thresholds import THRESHOLDS
 from bcid.predict.kept_predictions import MeasurementPrediction
 from bcid.predict.predictor import Predictor
@@ -154,8 +155,10 @@ class Fit:
     def law(self) -> dict[str, dict[str, Any]]:
         """Constants of the law that were fitted, by name: value, standard error and unit, and the 95 % interval.
 
-        The interval of a stiffness is that of its logarithm. What the data do not determine is None.
+        The interval of a stiffness is that of its logarithm. What the data do not determine is None. Stiffnesses are as they are
+        reported (`bcid.inference.stiffness_scale`).
         """
+        scale = StiffnessScale.of(self.state.predictor.whole)
         known, errors, values = {p.name: p for p in self.state.model.law.parameters}, self.stderr, self.values
         found = {}
         for name, error in errors.items():
@@ -164,7 +167,14 @@ class Fit:
             value, unit = values[name], known[name].unit
             loose = error > UNTOLD
             ends = None if loose else list(_interval(value, error, unit))
-            found[name] = {"value": value, "stderr": None if loose else error, "unit": unit, "interval": ends}
+            one, unit = (scale.factor, scale.unit) if unit == "Pa" else (1.0, unit)
+            found[name] = {
+                "value": value * one,
+                "stderr": None if loose else error * one,
+                "unit": unit,
+                "interval": ends and [end * one for end in ends],
+                "per_thickness": unit == scale.unit and bool(scale.times),
+            }
         return found
 
     @property

@@ -28,6 +28,7 @@ from bcid.inference.continuation import truncate_to_converged
 from bcid.inference.outcome import label
 from bcid.inference.stiffness import Stiffness
 from bcid.measurement import AXES, WRENCH, Measurement
+from bcid.measurement.in_plane import in_plane
 from bcid.measurement.pooling import pooled
 from bcid.measurement.thinning import LeftOut, thinned
 from bcid.predict.levels import pair
@@ -136,7 +137,7 @@ def fitting(scene: Scene, measurement: Measurement, comm: Comm) -> tuple[Scene, 
         InputError: they do not belong together; see also `bcid.forms.mesh.patches.divided`.
     """
     measurement.check_names(scene)
-    scene, measurement = driven_by_points(scene, measurement, comm)
+    scene, measurement = driven_by_points(scene, in_plane(scene, measurement), comm)
     scene, measurement = pooled(scene, measurement)
     checked = replace(measurement, remarks=tuple(measurement.check(scene)))
     return divided(scene, comm), thinned(checked)

@@ -39,6 +39,7 @@ _FUNCTIONS = (
     "growth",
     "reshaped",
     "constants",
+    "volumetric",
     "drive",
     "held",
     "observe",

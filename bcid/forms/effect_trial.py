@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from bcid.base.collective import Comm
 from bcid.base.errors import SolveError
 from bcid.base.units import parse_unit
+from bcid.forms import materials
 from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.mesh import BodyMesh
@@ -127,10 +128,19 @@ class EffectTrial:
     def __init__(self, effect: Effect, place: str | None = None, units: SimilarUnits = SI) -> None:
         self.effect, self.units = effect, units
         self.scene, self.mesh, self.actions = scene(units), box(units), actions(units)
+        self._take_other_form()
         self.bare = Model.of(self.scene)
         places = effect.places(self.scene, frozenset(ANCHORS)) if effect.places else [""]
         self.place = places[0] if place is None else place
         self._built: list[Forward] = []
+
+    def _take_other_form(self) -> None:
+        """An effect that is the law's own form of the volumetric energy is tried on a law with another."""
+        volumetric, material = self.effect.volumetric, self.scene.material
+        law = materials.law(material.law)
+        # The forms have names, whatever the point and the numbers are.
+        if volumetric and law.volumetric in volumetric(None, {p.name: 0.0 for p in self.effect.parameters}):  # type: ignore[arg-type]
+            self.scene = replace(self.scene, material=replace(material, volumetric=law.other_forms()[-1]))
 
     def __enter__(self) -> EffectTrial:
         return self

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bcid.forms.driving import driving_fiducials
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.mesh.body_mesh import volumes
-from bcid.forms.mesh.check import expected_cells, places
+from bcid.forms.mesh.check import cells_expected, cut_into, places
 from bcid.forms.mesh.closest import closest_triangles
 from bcid.forms.mesh.length_unit import check_length_unit, fiducial_limit
 from bcid.forms.mesh.patches import divided, first_level
@@ -130,15 +130,15 @@ def _meshes(scene: Scene, mesh: BodyMesh, level: int) -> Iterator[tuple[int, Bod
     for number, rung in enumerate(scene.levels):
         if number == level:
             yield number, mesh
-        elif number > level and _cells(mesh, scene.levels[level], rung) <= _MESHED:
+        elif number > level and _cells(scene, mesh, scene.levels[level], rung) <= _MESHED:
             yield number, level_mesh(scene, rung)
 
 
-def _cells(mesh: BodyMesh, of: Level, level: Level) -> float:
+def _cells(scene: Scene, mesh: BodyMesh, of: Level, level: Level) -> float:
     """About how many cells a level has, from the mesh of another."""
     if level.element_size is None:
-        return float(len(mesh.cells) * 8.0 ** (level.refinements - of.refinements))
-    return _FILLED * expected_cells(mesh.volume, level.element_size)
+        return float(len(mesh.cells) * cut_into(scene) ** (level.refinements - of.refinements))
+    return (1.0 if scene.thickness else _FILLED) * cells_expected(scene, mesh, level.element_size)
 
 
 def _rung(scene: Scene, number: int, mesh: BodyMesh, meshes: dict[int, BodyMesh]) -> LevelSize:
@@ -147,7 +147,7 @@ def _rung(scene: Scene, number: int, mesh: BodyMesh, meshes: dict[int, BodyMesh]
         made = meshes[number]
         return LevelSize(level, len(made.points), len(made.cells), made.unknowns(level.degree, mixed), True)
     first = next(iter(meshes))
-    cells = _cells(mesh, scene.levels[first], level)
+    cells = _cells(scene, mesh, scene.levels[first], level)
     nodes = _NODES * cells
     unknowns = 3 * (nodes + (level.degree - 1) * _EDGES * cells) + (nodes if mixed else 0)
     return LevelSize(level, round(nodes), round(cells), round(unknowns), False)

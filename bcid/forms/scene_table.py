@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bcid.forms.mesh import level_name
 from bcid.forms.mesh.body_mesh import triple
-from bcid.forms.mesh.check import shown
+from bcid.forms.mesh.check import sheet_in_words, shown
 from bcid.forms.scene_check import LevelSize, Marker, PlaceSize, RegionSize, SceneCheck
 from bcid.scene import Scene
 
@@ -24,6 +24,7 @@ def table(check: SceneCheck) -> str:
         "",
         *columns(("level", "degree", "nodes", "cells", "unknowns"), [_rung(scene, rung) for rung in check.rungs]),
     ]
+    lines[1:1] = sheet_in_words(scene, mesh)
     kinds = {place.kind: [one for one in check.places if one.kind == place.kind] for place in check.places}
     for kind, found in kinds.items():
         lines += ["", f"On {level_name(scene, scene.levels[check.level])}:"] if kind == "patch" else [""]

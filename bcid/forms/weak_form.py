@@ -251,10 +251,20 @@ class WeakForm:
         constants = self.law_constants(terms)
         if self.pressure is None:
             density = model.law.psi(kin, constants, model.volumetric)
+            for form, part in self.other_forms(terms):
+                density += part * model.law.other_form(kin, constants, model.volumetric, form)
         else:
             density = model.law.psi_mixed(kin, self.pressure, constants, model.volumetric)
         degree = max(self.body.quadrature_degree, _VARYING) if varying else self.body.quadrature_degree
         return (density if factor is None else factor * density), degree
+
+    def other_forms(self, terms: Sequence[Term]) -> list[tuple[str, Any]]:
+        """Other forms of the volumetric energy, and the part of each that takes the place of the law's own."""
+        found: list[tuple[str, Any]] = []
+        for term in terms:
+            if term.effect.volumetric:
+                found += term.effect.volumetric(self.point(term), self.term_constants(term)).items()
+        return found
 
     def reshaped(self, terms: Sequence[Term]) -> tuple[Kinematics, Any]:
         """The deformation of a body that effects give another shape at rest, and a factor of its volume; None where none do."""

@@ -23,9 +23,11 @@ from bcid.base.units import WIDE
 from bcid.forms.model import Model
 from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.nuisances import STIFFNESS
+from bcid.inference.stiffness_scale import StiffnessScale
 from bcid.scene import Scene
 
 Array = NDArray[np.float64]
+_IN_PASCALS = StiffnessScale()
 
 
 @dataclass(frozen=True)
@@ -37,12 +39,14 @@ class Stiffness:
         log_error: its standard deviation.
         constants: those of the model, Pa.
         stated: those of the scene, Pa.
+        scale: how they are reported.
     """
 
     log: float
     log_error: float
     constants: Mapping[str, float]
     stated: Mapping[str, float]
+    scale: StiffnessScale = _IN_PASCALS
 
     @classmethod
     def of(
@@ -60,7 +64,7 @@ class Stiffness:
         if found is None:
             return None
         log, error = log_factor(*found, errors.nuisances.sizes[STIFFNESS])
-        return cls(log, error, model.stiffnesses, Model.of(scene).stiffnesses)
+        return cls(log, error, model.stiffnesses, Model.of(scene).stiffnesses, StiffnessScale.of(scene))
 
     @property
     def factor(self) -> float:
@@ -84,22 +88,27 @@ class Stiffness:
     @property
     def text(self) -> str:
         """As in summaries: "young = 15210 Pa (95 %: 14600 to 15900; the scene has 15000)"."""
-        return ", ".join(
-            f"{name} = {self.factor * value:.4g} Pa (95 %: {low:.3g} to {high:.3g}; the scene has {self.stated[name]:.6g})"
+        times, unit, one = self.scale.times, self.scale.unit, self.scale.factor
+        told = ", ".join(
+            f"{name}{times} = {self.factor * value * one:.4g} {unit} (95 %: {low * one:.3g} to {high * one:.3g}; "
+            f"the scene has {self.stated[name] * one:.6g})"
             for name, value in self.constants.items()
             for low, high in [self.interval(value)]
         )
+        return told + self.scale.unknown
 
     def to_json(self) -> dict[str, Any]:
-        """As results hold it: constants in Pa."""
+        """As results hold it: constants in Pa, or those of a sheet of unknown thickness times it, in N/mm."""
+        one = self.scale.factor
         return {
             "constants": {
                 name: {
-                    "value": self.factor * value,
-                    "stderr": self.stderr * value,
-                    "interval": list(self.interval(value)),
-                    "scene": self.stated[name],
-                    "unit": "Pa",
+                    "value": self.factor * value * one,
+                    "stderr": self.stderr * value * one,
+                    "interval": [end * one for end in self.interval(value)],
+                    "scene": self.stated[name] * one,
+                    "unit": self.scale.unit,
+                    "per_thickness": bool(self.scale.times),
                 }
                 for name, value in self.constants.items()
             },

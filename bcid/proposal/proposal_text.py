@@ -11,6 +11,7 @@ from bcid.comparison.diagnosis_text import anchors
 from bcid.comparison.explanation import ModelStep
 from bcid.comparison.law_form import LawForm
 from bcid.forms.model import Model, Term
+from bcid.inference.stiffness_scale import StiffnessScale
 from bcid.proposal.effect_file import wrapped
 from bcid.proposal.propose import Entry, Proposal
 
@@ -73,13 +74,16 @@ def _law_beside(proposal: Proposal) -> str:
     """The constants of the law that were fitted with it, which it stands beside."""
     fitted = proposal.explanation.last.fitted
     model, stderr, told = fitted.state.model, fitted.stderr, list[str]()
+    scale = StiffnessScale.of(fitted.state.predictor.whole)
     for name in sorted(set(fitted.values) & set(model.stiffnesses)):
-        first = Model.of(fitted.state.predictor.whole).stiffnesses[name]
-        value, wide = fitted.values[name], WIDE * stderr[name]
+        first = Model.of(fitted.state.predictor.whole).stiffnesses[name] * scale.factor
+        value, wide = fitted.values[name] * scale.factor, WIDE * stderr[name] * scale.factor
         found = (
-            f"{uncertain(value, wide, 'Pa')} (95 %" if wide < value else f"{value:.3g} Pa (these data do not tell it"
+            f"{uncertain(value, wide, scale.unit)} (95 %"
+            if wide < value
+            else f"{value:.3g} {scale.unit} (these data do not tell it"
         )
-        told.append(f"{name} = {found}; the scene has {first:.6g})")
+        told.append(f"{name}{scale.times} = {found}; the scene has {first:.6g})")
     return f" The law beside it: {', '.join(told)}.".replace("−", "-") if told else ""
 
 

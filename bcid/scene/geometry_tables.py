@@ -8,8 +8,8 @@ from typing import Any
 
 from bcid.base.errors import InputError
 from bcid.base.units import unit_factor, usable
-from bcid.scene.geometry_file import IMAGE, PROGRAM, kind_of, sized, stated_unit
-from bcid.scene.parts import Level
+from bcid.scene.geometry_file import IMAGE, MESH, PROGRAM, kind_of, sized, stated_unit
+from bcid.scene.parts import COMPUTED_THICKNESS, Level
 from bcid.scene.scene_tables import SceneTables
 
 DEGREES = (1, 2)
@@ -20,7 +20,7 @@ class GeometryTables(SceneTables):
 
     def geometry(self, table: Mapping[str, Any]) -> dict[str, Any]:
         """Fields of a `Scene` that [geometry] states."""
-        self.unknown(table, ("file", "length_unit", "parameters", "label"), "geometry.")
+        self.unknown(table, ("file", "length_unit", "parameters", "label", "thickness"), "geometry.")
         name = self.text(table, "file", where="geometry.")
         path = self.path.parent / name if name else self.path
         if name and not path.is_file():
@@ -30,7 +30,19 @@ class GeometryTables(SceneTables):
             "length_unit": self.length_unit(table, path),
             "parameters": self.parameters(table, kind_of(path) == PROGRAM),
             "label": self.label(table, kind_of(path) == IMAGE),
+            **self.thickness(table, kind_of(path) in (PROGRAM, MESH)),
         }
+
+    def thickness(self, table: Mapping[str, Any], may_be_flat: bool) -> dict[str, Any]:
+        """Of a sheet that is given as a flat mesh: in m, and whether it is known; nothing for other bodies."""
+        if "thickness" not in table:
+            return {}
+        value = table["thickness"]
+        if not may_be_flat:
+            self.bad("geometry.thickness", "only a .geo or a mesh file may be flat; leave it out")
+        if value == "unknown":
+            return {"thickness": COMPUTED_THICKNESS, "thickness_known": False}
+        return {"thickness": self.length(value, "geometry.thickness")}
 
     def length_unit(self, table: Mapping[str, Any], path: Path) -> float:
         """Unit of the coordinates, m: the scene's, or what an image states; where both do, they must agree."""

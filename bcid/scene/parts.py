@@ -13,6 +13,10 @@ from bcid.base.kriging import Kriging
 
 Values = dict[str, Any]
 Vector = tuple[float, float, float]
+# Name of the middle plane of a sheet: what is held along z without being stated in [held].
+MID_PLANE = "mid_plane"
+# A sheet of unknown thickness is computed with this one, m.
+COMPUTED_THICKNESS = 1e-3
 
 
 def horizontal(down: Vector) -> tuple[Vector, Vector]:

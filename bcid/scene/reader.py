@@ -12,7 +12,7 @@ import numpy as np
 from bcid.base.errors import nearest
 from bcid.base.units import LEAST_SIGMA, measurable, usable
 from bcid.scene.geometry_tables import GeometryTables
-from bcid.scene.parts import LEAST_POINTS, Driven, Limits, Material, Values, Vector
+from bcid.scene.parts import LEAST_POINTS, MID_PLANE, Driven, Limits, Material, Values, Vector
 from bcid.scene.region_tables import RegionTables
 from bcid.scene.uncertainty import ANGLES, FORCES, LENGTHS, MOST_SCALE, NUMBERS, Uncertainty
 
@@ -70,11 +70,18 @@ class SceneFile(GeometryTables, RegionTables):
         body_regions = self.table(table, "regions")
         for what in ("patches", "grasps", "places", "held", "driven", "regions", "fiducials"):
             self.names(self.table(table, what), what)
+        if "thickness" in geometry:
+            for name in {MID_PLANE} & (set(held) | set(places)):
+                self.bad(
+                    "geometry.thickness",
+                    f"the middle plane of a sheet is called '{name}'; give that place another name",
+                )
+            held = held | {MID_PLANE: {"on": MID_PLANE, "along": "z"}}
         for name in set(held) & set(places):
             self.bad(f"held.{name}", "has the name of one of [places]; choose another")
         for name in set(driven) & {*places, *held}:
             self.bad(f"driven.{name}", "has the name of one of [places] or [held]; choose another")
-        if not (patches or held or driven):
+        if not (patches or self.table(table, "held") or driven):
             rule = "name at least one candidate patch, or what is known to be held in [held], or driven by points in [driven]"
             self.bad("patches", f"none is defined: {rule}")
         if not fiducials:

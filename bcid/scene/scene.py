@@ -25,6 +25,8 @@ class Scene:
     Attributes:
         geometry: the `.geo`, surface, label image or mesh file; `length_unit` is the unit (m) of its coordinates.
         parameters: numbers that a `.geo` asks for besides its element size, by name.
+        thickness: of a sheet, whose geometry is a flat mesh of triangles, m; None for other bodies.
+        thickness_known: whether the sheet has it, or is only computed with it.
         label: number of the body in a label image; None for other geometries.
         levels: the mesh ladder, coarsest first.
         patches: candidate anchors by name.
@@ -69,6 +71,8 @@ class Scene:
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
     parameters: dict[str, float] = field(default_factory=dict)
     label: int | None = None
+    thickness: float | None = None
+    thickness_known: bool = True
     members: dict[str, tuple[Vector, ...]] = field(default_factory=dict)
     surface: tuple[str, ...] = ()
     held: dict[str, tuple[int, ...]] = field(default_factory=dict)
@@ -119,6 +123,8 @@ class Scene:
         for key in ("scale", "scale_of_gripper"):
             if content["uncertainty"][key] is None:
                 del content["uncertainty"][key]
+        if self.thickness is None:
+            del content["thickness"], content["thickness_known"]
         if not self.material.volumetric:
             del content["material"]["volumetric"]
         return fingerprint({"scene": content, "geometry": file_fingerprint(self.geometry)})

@@ -302,6 +302,22 @@ def test_compressibility_is_another_poisson() -> None:
     assert stretched(model() + Term("compressibility", {"poisson": 0.2}), F).energy() == pytest.approx(expected)
 
 
+@pytest.mark.parametrize(("form", "unit"), [("quadratic", "J - 1"), ("simo_taylor", "")])
+def test_volumetric_form_is_that_of_the_law_with_it(form: str, unit: str) -> None:
+    """All of it is the law with that form, whose energy per volume is bulk/2 (J - 1)^2 instead of bulk/2 (ln J)^2."""
+    term = Term(f"volumetric_{form}", {"part": 1.0})
+    whole = stretched(model() + term, F).energy()
+    assert whole == pytest.approx(stretched(replace(model(), volumetric=form), F).energy(), rel=1e-12)
+    if unit:
+        bulk = YOUNG * 0.35 / (1.35 * 0.3)
+        volume = np.linalg.det(F)
+        expected = bulk / 2 * ((volume - 1) ** 2 - math.log(volume) ** 2)
+        assert whole - stretched(model(), F).energy() == pytest.approx(expected, rel=1e-9)
+    softer = model() + Term("compressibility", {"poisson": 0.2}) + term
+    other = replace(model(poisson=0.2), volumetric=form)
+    assert stretched(softer, F).energy() == pytest.approx(stretched(other, F).energy(), rel=1e-12)
+
+
 def test_inclusion_has_the_volume_of_its_ball() -> None:
     values = {"ratio": 3.0, "cx": 0.4, "cy": 0.5, "cz": 0.6, "radius": 0.35}
     energies = []
@@ -611,7 +627,11 @@ def test_what_effects_need(project: Path) -> None:
     measurement = Measurement.read(project / "examples/measurements/slab-34-complex")
     for name in effects.names():
         needs = effects.effect(name).needs
-        assert needs is None or needs(whole, measurement) == ""
+        # The law's own form is log.
+        other = name == "volumetric_log"
+        fit = replace(whole, material=replace(whole.material, volumetric="quadratic")) if other else whole
+        assert needs is None or needs(fit, measurement) == ""
+    assert "the form log already" in effects.effect("volumetric_log").needs(whole, measurement)  # type: ignore[misc]
     still = replace(measurement, data=measurement.data.copy(deep=True))
     still.data["translation"][:] = 0.0
     still.data["rotation"][:] = [1.0, 0.0, 0.0, 0.0]
@@ -626,6 +646,10 @@ def test_what_effects_need(project: Path) -> None:
         assert "no gripper moves" in lacking[name](whole, still)  # type: ignore[misc]
     ogden = replace(whole, material=replace(whole.material, law="ogdn"))
     assert "unknown material law 'ogdn'" in lacking["compressibility"](ogden, measurement)  # type: ignore[misc]
+    svk = replace(whole, material=replace(whole.material, law="saint_venant_kirchhoff"))
+    assert "no separate volumetric energy" in lacking["volumetric_quadratic"](svk, measurement)  # type: ignore[misc]
+    mixed = replace(whole, material=replace(whole.material, formulation="mixed"))
+    assert "mixed formulation" in lacking["volumetric_quadratic"](mixed, measurement)  # type: ignore[misc]
     with pytest.raises(InputError, match="names no support surface"):
         bar(model() + Term("foundation", {"stiffness": 1e4}))
 

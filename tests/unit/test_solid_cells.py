@@ -157,6 +157,6 @@ def test_cells_of_unknown_shape_are_refused(tmp_path: Path) -> None:
     meshio.write(tmp_path / "m.vtk", meshio.Mesh(POINTS, [("triangle", HEXAHEDRA[:, :3])]))
     scene = scene_of(tmp_path / "m.vtk", sizes=(0,), refined=True, patches=WHOLE)
     with pytest.raises(
-        InputError, match=r"holds no linear tetrahedra.*a surface is meshed when it is an STL, PLY or OBJ"
+        InputError, match=r"holds triangles and no tetrahedra.*a surface is meshed when it is an STL, PLY or OBJ"
     ):
         level_mesh(scene, scene.levels[0])

@@ -195,6 +195,10 @@ class Effect:
         return None
 
     @property
+    def volumetric(self) -> Callable[[Point, Constants], Mapping[str, Any]] | None:
+        return None
+
+    @property
     def memory(self) -> Mapping[str, tuple[int, ...]] | None:
         return None
 
@@ -242,7 +246,7 @@ class Effect:
     @property
     def changes_law(self) -> bool:
         """Whether it changes the strain energy itself."""
-        return any((self.stiffness, self.growth, self.reshaped, self.constants))
+        return any((self.stiffness, self.growth, self.reshaped, self.constants, self.volumetric))
 
     @property
     def moves(self) -> bool:
@@ -327,6 +331,7 @@ class BodyEffect(Effect):
         reshaped: 3 x 3 tensor G of derivatives of the scene's rest positions by the true ones, where the body at rest is another
             than the scene's: the law sees I + grad u . G.
         constants: constants of the law that it replaces, by name.
+        volumetric: parts (1: all) of other forms of the law's volumetric energy that take the place of its own, by form.
         memory: shapes of variables kept from step to step, by name, such as {"Q": (3, 3)}; of what acts on the boundary they are
             vectors at the nodes, (3,).
         advance: their values after a step.
@@ -346,6 +351,7 @@ class BodyEffect(Effect):
     growth: Callable[[Point, Constants], Expr] | None = None
     reshaped: Callable[[Point, Constants], Expr] | None = None
     constants: Callable[[Constants], Mapping[str, Any]] | None = None
+    volumetric: Callable[[Point, Constants], Mapping[str, Any]] | None = None
     memory: Mapping[str, tuple[int, ...]] | None = None
     advance: Callable[[Point, Constants], Mapping[str, Expr]] | None = None
     frees: bool = False

@@ -95,6 +95,27 @@ class Law:
             return energy
         return energy + self.bulk(full) * _volume_energy(kin, self._form(volumetric))
 
+    def other_form(self, kin: Kinematics, c: Constants, own: Volumetric | None, other: str) -> Expr:
+        """What another form of U stores more than a law's own, Pa, per rest volume.
+
+        Args:
+            kin: the deformation.
+            c: value of each parameter by name, as in `psi`.
+            own: form of U, the law's own by default.
+            other: one of `other_forms`.
+
+        Raises:
+            InputError: the law has no such form.
+        """
+        if self.bulk is None:
+            raise InputError(f"the law '{self.name}' has no separate volumetric energy")
+        more = _volume_energy(kin, other) - _volume_energy(kin, self._form(own))
+        return self.bulk(self.complete(c)) * more
+
+    def other_forms(self, own: str = "") -> tuple[Volumetric, ...]:
+        """The forms of U that the law may have in the displacement formulation, but for the one named ("": the law's own)."""
+        return () if self.bulk is None else tuple(form for form in VOLUMETRIC if form != (own or self.volumetric))
+
     def psi_mixed(self, kin: Kinematics, p: Expr, c: Constants, volumetric: Volumetric | None = None) -> Expr:
         """Perturbed Lagrangian energy + p G(J) - p^2/(2 bulk), whose saddle point over p is `psi`.
 

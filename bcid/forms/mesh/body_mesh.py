@@ -5,6 +5,7 @@ The arrays are the same on every rank, so that numbers never depend on how a mes
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -199,6 +200,17 @@ def halved_edges(points: Points, triangles: Cells) -> tuple[Points, Cells]:
     a, b, c = triangles.T
     cut = np.vstack([np.c_[a, ab, ca], np.c_[ab, b, bc], np.c_[ca, bc, c], np.c_[ab, bc, ca]])
     return np.vstack([points, points[both].mean(axis=1)]), cut
+
+
+def cut_entities(points: Points, triangles: Cells, groups: Mapping[str, Cells]) -> dict[str, Cells]:
+    """Named triangles, lines and points of a surface whose triangles `halved_edges` cuts, cut as these are."""
+    edges = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+    code = edges[:, 0] * len(points) + edges[:, 1]
+
+    def middle(a: Cells, b: Cells) -> Cells:
+        return len(points) + np.searchsorted(code, np.minimum(a, b) * len(points) + np.maximum(a, b))
+
+    return {name: _cut(entities, middle) for name, entities in groups.items()}
 
 
 def among(rows: Cells, wanted: Cells) -> NDArray[np.bool_]:

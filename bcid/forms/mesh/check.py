@@ -101,6 +101,21 @@ def expected_cells(volume: float, size: float) -> float:
     return 6 * math.sqrt(2) * volume / size**3
 
 
+def layer_cells(area: float, size: float) -> float:
+    """Number of tetrahedra of one layer on equilateral triangles with edges of a size that fill an area: three on each."""
+    return 3 * 4 / math.sqrt(3) * area / size**2
+
+
+def cut_into(scene: Scene) -> float:
+    """Into how many tetrahedra a refinement cuts one, on average: the layer of a sheet stays one layer."""
+    return 4.0 if scene.thickness else 8.0
+
+
+def cells_expected(scene: Scene, mesh: BodyMesh, size: float) -> float:
+    """Number of tetrahedra that elements of a size (m) are in the body of a mesh, or in the layer of a sheet."""
+    return layer_cells(mesh.volume / scene.thickness, size) if scene.thickness else expected_cells(mesh.volume, size)
+
+
 def refuse_many(cells: float, size: float, spans: Sequence[float]) -> None:
     """Refuse far more elements of a size than can be solved on, in a body of these extents in the unit of its file.
 
@@ -124,9 +139,9 @@ def check_fineness(scene: Scene, mesh: BodyMesh) -> None:
     problems = Problems(f"scene {scene.source}")
     for number, level in enumerate(scene.levels):
         if level.element_size is None:
-            cells, what = len(mesh.cells) * 8.0**level.refinements, f"{level.refinements} refinements"
+            cells, what = len(mesh.cells) * cut_into(scene) ** level.refinements, f"{level.refinements} refinements"
         else:
-            cells = expected_cells(mesh.volume, level.element_size)
+            cells = cells_expected(scene, mesh, level.element_size)
             what = f"elements of {level.element_size * 1e3:.4g} mm"
         if cells > MOST_CELLS:
             problems.add(
@@ -261,7 +276,20 @@ def measures(scene: Scene, mesh: BodyMesh) -> list[str]:
         found = [f"{name} {shown(area, 2)}" for name, area in areas.items() if area > 0]
         if found:
             lines.append(f"  {_PLURALS.get(kind, kind)}: {', '.join(found)}")
-    return lines + [f"  {note}" for note in mesh.notes]
+    return lines + [f"  {note}" for note in (*sheet_in_words(scene, mesh), *mesh.notes)]
+
+
+def sheet_in_words(scene: Scene, mesh: BodyMesh) -> list[str]:
+    """What is special about a sheet; nothing of other bodies."""
+    if scene.thickness is None:
+        return []
+    area, thickness = shown(mesh.volume / scene.thickness, 2), shown(scene.thickness, 1).removesuffix("^1")
+    if scene.thickness_known:
+        return [f"A sheet of {area} and a thickness of {thickness}, in plane stress"]
+    return [
+        f"A sheet of {area}, in plane stress. Its thickness is unknown, and it is computed with {thickness}: of numbers in Pa, "
+        f"Pa/m and N/m^3 only their products with the thickness are known, which are those of {thickness}"
+    ]
 
 
 def shown(value: float, power: int) -> str:

@@ -35,13 +35,16 @@ def with_meshio(source: Path) -> Arrays:
     points = in_space(mesh.points)
     blocks = [_block(kind.type, kind.data) for kind in mesh.cells]
     cells, notes = as_tetrahedra(points, blocks)
-    if not len(cells):
+    flat = None if len(cells) else as_simplices(block for block in blocks if block.dimension == 2)
+    if not len(cells) and flat is None:
         kinds = ", ".join(dict.fromkeys(kind.type for kind in mesh.cells)) or "none"
         raise RuntimeError(
             f"holds no linear tetrahedra, and no cells that can be cut into some (cell types: {kinds}); a surface is "
             "meshed when it is an STL, PLY or OBJ file"
         )
     arrays: Arrays = {"points": points, "cells": cells, "notes": np.array(notes, dtype=str)}
+    if flat is not None:
+        arrays["flat"] = flat
     for name, sets in mesh.cell_sets.items():
         parts = [
             Block(b.dimension, b.nodes[np.asarray(rows, dtype=int)], b.corners)

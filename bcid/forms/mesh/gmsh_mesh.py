@@ -15,11 +15,13 @@ import numpy as np
 
 from bcid.base.errors import InputError
 from bcid.forms.mesh.body_mesh import BodyMesh, volumes
-from bcid.forms.mesh.check import MOST_CELLS, expected_cells, refuse_many
+from bcid.forms.mesh.check import MOST_CELLS, expected_cells, layer_cells, refuse_many
 from bcid.forms.mesh.length_unit import ROUGH
 from bcid.forms.mesh.solid_cells import Block, as_simplices, as_tetrahedra
 
 Arrays = dict[str, Any]
+# The box that gmsh makes around a flat geometry is so high, in parts of its length.
+_FLAT = 1e-5
 
 
 def with_gmsh(
@@ -98,7 +100,17 @@ class _Outline:
 
     def cells(self, size: float) -> float:
         """At most about so many elements of a size, or of that which is stated, are in the box."""
-        return expected_cells(math.prod(self.spans), min(size, self.stated or size))
+        size = min(size, self.stated or size)
+        return (
+            layer_cells(self.spans[0] * self.spans[1], size)
+            if self.flat
+            else expected_cells(math.prod(self.spans), size)
+        )
+
+    @property
+    def flat(self) -> bool:
+        """Whether it lies in a plane z = const."""
+        return self.spans[2] <= _FLAT * max(self.spans)
 
     @cached_property
     def rough(self) -> Arrays | None:
@@ -148,6 +160,8 @@ def _refuse_too_many(outline: _Outline, size: float) -> None:
     """
     if outline.cells(size) <= MOST_CELLS:
         return
+    if outline.flat:
+        refuse_many(outline.cells(size), size, outline.spans)
     volume, area = math.prod(outline.spans), 0.0
     if outline.rough is not None:
         points, cells = outline.rough["points"], outline.rough["cells"]
@@ -182,9 +196,22 @@ def gmsh_arrays(gmsh: Any) -> Arrays:
     points = coordinates.reshape(-1, 3)
     cells, notes = as_tetrahedra(points, solid)
     arrays: Arrays = {"points": points, "cells": cells, "notes": np.array(notes, dtype=str)}
+    if not len(cells):
+        arrays["flat"] = _flat(gmsh, number)
     named = {f"group:{name}": as_simplices(blocks) for name, blocks in groups.items()}
     named |= {f"part:{name}": as_tetrahedra(points, blocks)[0] for name, blocks in parts.items()}
     return arrays | {name: part for name, part in named.items() if part is not None}
+
+
+def _flat(gmsh: Any, number: Any) -> Any:
+    """Triangles (k, 3) of the surfaces: of those in physical groups where there are any."""
+    tags = [
+        entity
+        for _, group in gmsh.model.getPhysicalGroups(2)
+        for entity in gmsh.model.getEntitiesForPhysicalGroup(2, group)
+    ] or [entity for _, entity in gmsh.model.getEntities(2)]
+    found = as_simplices(block for tag in sorted({int(tag) for tag in tags}) for block in _blocks(gmsh, 2, tag, number))
+    return np.zeros((0, 3), dtype=np.int64) if found is None else found
 
 
 def _blocks(gmsh: Any, dimension: int, entity: int, number: Any) -> list[Block]:

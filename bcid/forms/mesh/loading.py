@@ -13,8 +13,9 @@ from bcid.base.confined import read_in_child
 from bcid.base.errors import InputError
 from bcid.base.fingerprint import file_fingerprint
 from bcid.forms.mesh.body_mesh import BodyMesh
-from bcid.forms.mesh.check import check_fineness, check_groups, check_places, checked, regions
+from bcid.forms.mesh.check import check_fineness, check_groups, check_places, checked, cut_into, regions
 from bcid.forms.mesh.fields import paint
+from bcid.forms.mesh.flat_mesh import FlatMesh, require_kind
 from bcid.forms.mesh.length_unit import check_rough
 from bcid.forms.mesh.references import beside
 from bcid.scene import Level, Scene
@@ -50,21 +51,35 @@ def _level_mesh(scene: Scene, level: Level) -> BodyMesh:
     mesh = _body(arrays, scene)
     check_fineness(scene, mesh)
     check_groups(scene, mesh)
-    if level.refinements and len(mesh.cells) * 8**level.refinements > MANY:
+    if level.refinements and len(mesh.cells) * cut_into(scene) ** level.refinements > MANY:
         _check_unit(arrays, scene)
-    for _ in range(level.refinements):
-        mesh = mesh.refined()
+    mesh = _refined(mesh, arrays, scene, level.refinements)
     mesh = _painted(mesh, arrays, scene)
     check_places(scene, level_name(scene, level), mesh)
     return mesh
 
 
-def _body(arrays: Arrays, scene: Scene) -> BodyMesh:
-    """The mesh that a child gave back, in m."""
+def _refined(mesh: BodyMesh, arrays: Arrays, scene: Scene, times: int) -> BodyMesh:
+    """The mesh refined so many times; of a sheet in its plane alone."""
+    if times and scene.thickness:
+        return _body(arrays, scene, times)
+    for _ in range(times):
+        mesh = mesh.refined()
+    return mesh
+
+
+def _body(arrays: Arrays, scene: Scene, refinements: int = 0) -> BodyMesh:
+    """The mesh that a child gave back, in m; `refinements` are those of a sheet in its plane."""
+    require_kind(arrays, scene.thickness, scene.geometry)
     groups = {name[6:]: part for name, part in arrays.items() if name.startswith("group:")}
     parts = {name[5:]: part for name, part in arrays.items() if name.startswith("part:")}
     notes = tuple(map(str, arrays["notes"]))
     points = arrays["points"] * scene.length_unit
+    if scene.thickness:
+        flat = FlatMesh.of(points, arrays["flat"], groups, scene.geometry)
+        for _ in range(refinements):
+            flat = flat.refined()
+        return checked(flat.extruded(scene.thickness), scene.geometry)
     return checked(BodyMesh(points, arrays["cells"], groups, parts, notes=notes), scene.geometry)
 
 

@@ -513,6 +513,9 @@ class Equilibrium:
             components[mine] = (self.springs.forces if self.supports.sprung else self.internal)[dofs[mine]]
             forces = components.reshape(-1, 3)
             result = np.concatenate([forces.sum(axis=0), np.cross(self.supports.arms(pose), forces).sum(axis=0)])
+            if self.supports.scene.thickness:
+                # The half of a sheet below its middle plane pulls the other way across it.
+                result[2:5] = 0.0
         return np.asarray(self.body.comm.allreduce(result)) if self.body.comm.size > 1 else result
 
     def destroy(self) -> None:

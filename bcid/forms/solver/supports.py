@@ -160,7 +160,11 @@ class Supports:
         if self.grasp in self.scene.driven:
             return self.boundary.moved(self.grasp, pose.boundary)
         arm = self.body.nodes - self.centre
-        return np.asarray((pose.translation + rotate(pose.rotation, arm) - arm).ravel())
+        moved = pose.translation + rotate(pose.rotation, arm) - arm
+        if self.scene.thickness:
+            # A sheet stays in its plane.
+            moved[:, 2] = 0.0
+        return np.asarray(moved.ravel())
 
     def arms(self, pose: Pose) -> Array:
         """From the moved centre of the grasp to where the gripper has every node, shape (nodes, 3), m."""
