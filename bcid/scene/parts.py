@@ -124,6 +124,7 @@ class BodyRegion:
     Attributes:
         volumes: names of physical volumes.
         box, sphere, outline: shapes.
+        label: number that it has in a label image; None where it has none.
         ratio: its stiffness to that of the rest of the body; None where that is not known.
     """
 
@@ -132,6 +133,7 @@ class BodyRegion:
     sphere: Sphere | None = None
     outline: Polygon | None = None
     ratio: float | None = None
+    label: int | None = None
 
 
 # Fewer points drive nothing.

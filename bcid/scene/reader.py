@@ -84,6 +84,11 @@ class SceneFile(GeometryTables, RegionTables):
         if not (patches or self.table(table, "held") or driven):
             rule = "name at least one candidate patch, or what is known to be held in [held], or driven by points in [driven]"
             self.bad("patches", f"none is defined: {rule}")
+        for name, value in body_regions.items():
+            if isinstance(value, dict) and "label" in value and geometry["label"] is None:
+                self.bad(f"regions.{name}.label", "only a label image (.nii, .nii.gz) has labels; name another shape")
+            elif isinstance(value, dict) and "label" in value and value["label"] == geometry["label"]:
+                self.bad(f"regions.{name}.label", f"{value['label']} is the label of the body itself; name another one")
         if not fiducials:
             self.bad("fiducials", 'none is defined: write name = "x y z mm" for each marker')
         support = self.text(table, "support", "")

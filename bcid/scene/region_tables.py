@@ -13,7 +13,7 @@ from bcid.scene.scene_tables import SceneTables
 _CRITERIA = ("on", "box", "plane", "sphere", "normal", "painted")
 _BESIDE = {"normal": "within", "painted": "value"}
 # What chooses a part of the volume.
-_SHAPES = ("volume", "box", "sphere", "outline")
+_SHAPES = ("volume", "box", "sphere", "outline", "label")
 
 
 class RegionTables(SceneTables):
@@ -59,7 +59,16 @@ class RegionTables(SceneTables):
             sphere=self.sphere(value.get("sphere"), key),
             outline=self.outline(value, key),
             ratio=self.positive(value, f"{key}.ratio", ""),
+            label=self.region_label(value["label"], f"{key}.label") if "label" in value else None,
         )
+
+    def region_label(self, value: object, key: str) -> int | None:
+        if type(value) is int and value != 0 and usable(value):
+            return value
+        self.bad(
+            key, f"expected the number that it has in the image, as label = 3 (0 is what is around it), found {value!r}"
+        )
+        return None
 
     def outline(self, table: Mapping[str, Any], key: str) -> Polygon | None:
         if "outline" not in table:

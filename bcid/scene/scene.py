@@ -97,6 +97,12 @@ class Scene:
             )
 
     @property
+    def labels(self) -> tuple[int, ...]:
+        """Of a label image that the body is made of: its own first, then those of its regions."""
+        own = () if self.label is None else (self.label,)
+        return tuple(dict.fromkeys([*own, *(r.label for r in self.regions.values() if r.label is not None)]))
+
+    @property
     def fibre_axes(self) -> tuple[Vector, Vector]:
         """Unit vectors of the plane of fibres, at 0 and at 90 degrees."""
         return self.fibre_plane or horizontal(self.down)
@@ -125,6 +131,9 @@ class Scene:
                 del content["uncertainty"][key]
         if self.thickness is None:
             del content["thickness"], content["thickness_known"]
+        for region in content.get("regions", {}).values():
+            if region["label"] is None:
+                del region["label"]
         if not self.material.volumetric:
             del content["material"]["volumetric"]
         return fingerprint({"scene": content, "geometry": file_fingerprint(self.geometry)})

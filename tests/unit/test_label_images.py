@@ -12,6 +12,8 @@ from bcid.forms.mesh.body_mesh import volumes
 from bcid.forms.mesh.label_image import surface_of_label
 from bcid.forms.mesh.mend import mended
 from bcid.forms.mesh.parts_of_surface import enclosed
+from bcid.forms.mesh.shares import share
+from bcid.scene import Scene
 from benchmarks.reliability.scanned import image, scene_of
 
 SHAPE, SPACING, AXES = np.array([50, 40, 60]), np.array([1.5, 1.5, 2.0]), np.array([30.0, 20.0, 40.0])
@@ -154,3 +156,51 @@ def test_only_images_have_labels(tmp_path: Path) -> None:
     (tmp_path / "s.stl").write_bytes(b"")
     with pytest.raises(InputError, match="only a label image"):
         scene_of(tmp_path / "s.stl", more='label = 2\nlength_unit = "mm"')
+
+
+CORE = ((((VOXELS - MIDDLE - [4, 0, 5]) * SPACING) / 12.0) ** 2).sum(axis=-1) < 1
+NESTED = np.where(CORE, 4, LABELS).astype(np.uint8)
+
+
+def nested(folder: Path, region: str) -> Scene:
+    """The ellipsoid with a ball in it that has a label of its own, as a region."""
+    folder.mkdir(exist_ok=True)
+    return scene_of(
+        image(folder / "nested.nii.gz", NESTED, oblique()),
+        more="label = 2",
+        sizes=(6.0,),
+        patches=f'liver = {{ painted = "label", value = 3 }}\n[regions]\ncore = {region}',
+    )
+
+
+def test_a_label_inside_of_a_body_is_a_region_of_it(tmp_path: Path) -> None:
+    """It belongs to the body, as large as it is and where it is in the frame of the scanner."""
+    scene = nested(tmp_path, "{ label = 4 }")
+    mesh = level_mesh(scene, scene.levels[0])
+    assert mesh.volume * 1e9 == pytest.approx(TRUE, rel=0.03)
+    weights = volumes(mesh.points, mesh.cells) * share(mesh, scene.regions["core"], "core")
+    assert weights.sum() * 1e9 == pytest.approx(CORE.sum() * SPACING.prod(), rel=0.03)
+    middle = np.average(mesh.points[mesh.cells].mean(axis=1), axis=0, weights=weights) * 1e3
+    np.testing.assert_allclose(middle, oblique()[:3, :3] @ np.add(MIDDLE, [4, 0, 5]) + oblique()[:3, 3], atol=0.6)
+    # Without the region its voxels are a cavity, which changes the body.
+    hollow = scene_of(image(tmp_path / "alone.nii.gz", NESTED, oblique()), more="label = 2", sizes=(6.0,))
+    assert level_mesh(hollow, hollow.levels[0]).volume < 0.98 * mesh.volume
+
+
+@pytest.mark.parametrize(
+    ("region", "text"),
+    [
+        ("{ label = 2 }", "is the label of the body itself"),
+        ("{ label = 0 }", "expected the number that it has in the image"),
+        ('{ label = "4" }', "expected the number that it has in the image"),
+    ],
+)
+def test_a_label_that_is_no_region_is_refused(tmp_path: Path, region: str, text: str) -> None:
+    with pytest.raises(InputError, match=text):
+        nested(tmp_path, region)
+
+
+def test_a_label_that_the_image_lacks_is_refused(tmp_path: Path) -> None:
+    scene = nested(tmp_path, "{ label = 9 }")
+    with pytest.raises(InputError, match=r"label 9 is not in the image; it has .*: choose one of them in \[regions\]"):
+        level_mesh(scene, scene.levels[0])

@@ -17,6 +17,7 @@ from bcid.base.errors import InputError, nearest
 from bcid.base.fingerprint import fingerprint
 from bcid.forms.mesh.criteria_of_facets import ENLARGE, in_piece, in_sphere, looking, missed, on_plane, wholly_in
 from bcid.forms.mesh.fields import Paint
+from bcid.forms.mesh.label_voxels import LabelVoxels
 from bcid.scene import Region
 
 Points = NDArray[np.float64]
@@ -37,6 +38,7 @@ class BodyMesh:
         groups: node numbers of named triangles (k, 3), lines (k, 2) or points (k, 1).
         parts: node numbers of named tetrahedra (k, 4).
         paint: painted fields at the middles of `boundary`; None where the geometry has none.
+        voxels: labels of an image inside of the body; None where it has one label, or there is no image.
         notes: what was done to the file's surface or cells to make the mesh, in sentences.
     """
 
@@ -46,6 +48,7 @@ class BodyMesh:
     parts: dict[str, Cells] = field(default_factory=dict)
     paint: Paint | None = None
     notes: tuple[str, ...] = ()
+    voxels: LabelVoxels | None = None
 
     @cached_property
     def boundary(self) -> Cells:

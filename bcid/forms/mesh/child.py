@@ -16,7 +16,7 @@ from bcid.base.errors import InputError
 from bcid.forms.mesh.check import MOST_CELLS
 from bcid.forms.mesh.foreign_mesh import with_meshio
 from bcid.forms.mesh.gmsh_mesh import with_gmsh
-from bcid.forms.mesh.label_image import surface_of_label
+from bcid.forms.mesh.label_image import body_of_labels
 from bcid.forms.mesh.mend import mended
 from bcid.forms.mesh.references import refuse_references
 from bcid.forms.mesh.remesh import solid
@@ -57,7 +57,8 @@ def _read(source: Path, arguments: Sequence[str]) -> Arrays:
         return solid(mended(read_surface(source)), size, finest, most)
     if kind_of(source) == IMAGE:
         _require("nibabel", "vtkmodules")
-        return solid(mended(surface_of_label(source, int(numbers["label"]))), size, finest, most)
+        surface, voxels = body_of_labels(source, [int(label) for label in numbers["label"].split(",")])
+        return solid(mended(surface), size, finest, most) | voxels
     refuse_references(source)
     return with_meshio(source)
 

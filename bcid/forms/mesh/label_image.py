@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gzip
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,26 +37,46 @@ FIELD = "label"
 
 
 def surface_of_label(source: Path, label: int) -> TriangleSurface:
-    """The surface of a label, in the unit of the image, with the labels that it touches as the field "label".
+    """The surface of a label, see `body_of_labels`."""
+    return body_of_labels(source, [label])[0]
+
+
+def body_of_labels(source: Path, labels: Sequence[int]) -> tuple[TriangleSurface, dict[str, NDArray[Any]]]:
+    """The surface of some labels together, in the unit of the image, with the labels that it touches as the field "label".
+
+    Returns:
+        besides, "voxels": the labels inside of it, shape (x, y, z), in voxels outside that of the nearest inside; and "frame": from
+        these voxels to space, shape (4, 4), in the unit of the image. Of one label alone there is nothing to tell.
 
     Raises:
-        InputError: no image of labels in space, no frame, no such label, or one in several pieces.
+        InputError: no image of labels in space, no frame, no such label, or a body in several pieces.
     """
-    labels, affine = _read(source)
-    if not (labels == label).any():
-        known, counts = np.unique(labels, return_counts=True)
-        shown = ", ".join(f"{k:g} ({n} voxels)" for k, n in list(zip(known, counts, strict=True))[:20])
-        raise InputError(f"label {label} is not in the image; it has {shown}: choose one of them in geometry.label")
-    box = ndimage.find_objects((labels == label).astype(np.uint8))[0]
-    around = _surrounded(labels, box)
-    mask, notes = _one_piece(around == label)
+    image, affine = _read(source)
+    for label in labels:
+        if not (image == label).any():
+            known, counts = np.unique(image, return_counts=True)
+            shown = ", ".join(f"{k:g} ({n} voxels)" for k, n in list(zip(known, counts, strict=True))[:20])
+            where = "geometry.label" if label == labels[0] else "[regions]"
+            raise InputError(f"label {label} is not in the image; it has {shown}: choose one of them in {where}")
+    box = ndimage.find_objects(np.isin(image, labels).astype(np.uint8))[0]
+    around = _surrounded(image, box)
+    mask, notes = _one_piece(np.isin(around, labels))
     points, triangles = _contour(mask)
     touched = _touched(around, mask, points[triangles].mean(axis=1))
-    start = np.array([cut.start - _AROUND for cut in box])
-    placed = (points + start) @ affine[:3, :3].T + affine[:3, 3]
+    frame = affine.copy()
+    frame[:3, 3] += affine[:3, :3] @ np.array([cut.start - _AROUND for cut in box])
+    placed = points @ frame[:3, :3].T + frame[:3, 3]
     # A frame that mirrors the voxels, as most do (x to the left), turns the triangles.
     triangles = triangles if np.linalg.det(affine[:3, :3]) > 0 else triangles[:, ::-1]
-    return TriangleSurface(placed, triangles, {FIELD: of_triangles(touched)}, notes=tuple(notes))
+    surface = TriangleSurface(placed, triangles, {FIELD: of_triangles(touched)}, notes=tuple(notes))
+    return surface, {"voxels": _continued(around, labels), "frame": frame} if len(labels) > 1 else {}
+
+
+def _continued(around: NDArray[Any], labels: Sequence[int]) -> NDArray[np.int32]:
+    """The image with the nearest of some labels where it has others: the smooth surface encloses parts of those too."""
+    inside = np.isin(around, labels)
+    nearest = ndimage.distance_transform_edt(~inside, return_distances=False, return_indices=True)
+    return np.asarray(around[tuple(nearest)], dtype=np.int32)
 
 
 def _read(source: Path) -> tuple[NDArray[Any], NDArray[np.float64]]:

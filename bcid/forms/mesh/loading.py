@@ -16,6 +16,7 @@ from bcid.forms.mesh.body_mesh import BodyMesh
 from bcid.forms.mesh.check import check_fineness, check_groups, check_places, checked, cut_into, regions
 from bcid.forms.mesh.fields import paint
 from bcid.forms.mesh.flat_mesh import FlatMesh, require_kind
+from bcid.forms.mesh.label_voxels import LabelVoxels
 from bcid.forms.mesh.length_unit import check_rough
 from bcid.forms.mesh.references import beside
 from bcid.scene import Level, Scene
@@ -42,7 +43,7 @@ def _level_mesh(scene: Scene, level: Level) -> BodyMesh:
     finest = min((other.element_size for other in (*scene.levels, level) if other.element_size), default=0.0)
     sizes = (size or 0.0, finest / scene.length_unit)
     numbers = {name: repr(value) for name, value in scene.parameters.items()}
-    numbers |= {} if scene.label is None else {"label": str(scene.label)}
+    numbers |= {} if scene.label is None else {"label": ",".join(map(str, scene.labels))}
     given = scene.geometry, sizes, tuple(numbers.items()), file_fingerprint(scene.geometry)
     arrays = _load(*given, MANY)
     if "rough" in arrays:
@@ -80,7 +81,8 @@ def _body(arrays: Arrays, scene: Scene, refinements: int = 0) -> BodyMesh:
         for _ in range(refinements):
             flat = flat.refined()
         return checked(flat.extruded(scene.thickness), scene.geometry)
-    return checked(BodyMesh(points, arrays["cells"], groups, parts, notes=notes), scene.geometry)
+    voxels = LabelVoxels.of(arrays["voxels"], arrays["frame"], scene.length_unit) if "voxels" in arrays else None
+    return checked(BodyMesh(points, arrays["cells"], groups, parts, notes=notes, voxels=voxels), scene.geometry)
 
 
 def _check_unit(arrays: Arrays, scene: Scene) -> None:

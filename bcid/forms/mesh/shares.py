@@ -29,7 +29,7 @@ def share(mesh: BodyMesh, region: BodyRegion, what: str) -> Array:
     inside = np.ones((len(mesh.cells), len(_LATTICE)), dtype=bool)
     if region.volumes:
         inside &= _of_volumes(mesh, region.volumes, what)[:, None]
-    if region.box or region.sphere or region.outline:
+    if region.box or region.sphere or region.outline or region.label is not None:
         points = np.einsum("pk,ckx->cpx", _LATTICE, mesh.points[mesh.cells])
         if region.box:
             lower, upper = region.box.lower, region.box.upper
@@ -38,6 +38,8 @@ def share(mesh: BodyMesh, region: BodyRegion, what: str) -> Array:
             inside &= np.linalg.norm(points - np.array(region.sphere.centre), axis=2) <= region.sphere.radius
         if region.outline:
             inside &= _enclosed(points, region.outline)
+        if region.label is not None and mesh.voxels is not None:
+            inside &= mesh.voxels.at(points) == region.label
     found = np.asarray(inside.mean(axis=1))
     part = float(found @ volumes(mesh.points, mesh.cells)) / mesh.volume
     if not 0 < part < 1:
