@@ -134,7 +134,7 @@ def test_regions_that_choose_nothing_are_refused(sheet: Scene, region: BodyRegio
 @pytest.mark.parametrize(
     ("written", "words"),
     [
-        ('scar = "volume"', "regions.scar: expected a table with volume, box, sphere and/or outline"),
+        ('scar = "volume"', "regions.scar: expected a table with volume, box, sphere, outline and/or label"),
         ('scar = { outline = ["0 0 0 mm", "1 0 0 mm"], along = [0, 0, 1] }', "expected three corners or more"),
         ('scar = { outline = ["0 0 0 mm", "9 0 0 mm", "9 9 0 mm"] }', "regions.scar.along: is missing"),
         ('scar = { volume = "scar", along = [0, 0, 1] }', "belongs to an outline"),
