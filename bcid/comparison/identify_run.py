@@ -253,7 +253,7 @@ def summary(scene: Scene, measurement: Measurement, found: Identification, round
         *stiffness_in_words(found.stiffness),
         f"Compared: {len(measurement.action_names)} action(s), {frames} frames, {fiducials} fiducials{pooling}.",
         *_of_surface(scene, measurement),
-        *_of_patches(found),
+        *_of_patches(scene, found),
     ]
     for other in found.alternatives[:3]:
         misses = f"misses by {other.rms / unit:.3g} {length} where {names} misses by {other.best_rms / unit:.3g}"
@@ -279,15 +279,22 @@ def summary(scene: Scene, measurement: Measurement, found: Identification, round
     return "\n".join(lines) + "\n"
 
 
-def _of_patches(found: Identification) -> list[str]:
+def _of_patches(scene: Scene, found: Identification) -> list[str]:
     """The candidates, each with its probability; nothing where the scene has none."""
     if not found.patches:
         return []
     each = (
-        f"  {name:>6}  {percent(p):>9}  {'anchored' if name in found.anchored else 'free'}"
+        f"  {name:>6}  {percent(p):>9}  {_state(scene, name, name in found.anchored)}"
         for name, p in found.patches.items()
     )
     return ["", "Probability that a patch is anchored:", *each, "", "Next best sets:"]
+
+
+def _state(scene: Scene, patch: str, anchored: bool) -> str:
+    """What a patch does, and along which axes where that is not along all."""
+    axes = scene.held_along(patch)
+    along = f" along {' '.join('xyz'[axis] for axis in axes)}" if len(axes) < len(AXES) else ""
+    return f"{'anchored' if anchored else 'free'}{along}"
 
 
 def _of_surface(scene: Scene, measurement: Measurement) -> list[str]:
