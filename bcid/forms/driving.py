@@ -15,12 +15,15 @@ from bcid.base.kriging import Kriging
 from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.mesh.closest import closest_triangles
 from bcid.measurement import Measurement
+from bcid.measurement.pooling import halved_groups
 from bcid.scene import Scene
 from bcid.scene.parts import LEAST_POINTS, Driven
 
 Array = NDArray[np.float64]
 # Variance of the noise, as part of that of displacements, where gaps are filled.
 _GAP_NOISE = 1e-4
+# More points than these drive a place by the means of neighbours: costs grow with the third power.
+_MOST_POINTS = 512
 
 
 def driven_by_points(scene: Scene, measurement: Measurement, comm: Comm) -> tuple[Scene, Measurement]:
@@ -42,7 +45,7 @@ def _driven(scene: Scene, measurement: Measurement) -> tuple[Scene, Measurement]
         known, own = _motion(scene, measurement, name, markers)
         found[name] = replace(known, markers=tuple(markers), near=driven.near)
         moved.append(own)
-        owners += [name] * len(markers)
+        owners += [name] * own.shape[1]
         used |= set(markers)
     left = [name for name in measurement.fiducial_names if name not in used]
     if not left:
@@ -109,9 +112,14 @@ def _motion(scene: Scene, measurement: Measurement, name: str, markers: list[str
     for action in measurement.actions:
         firsts.append(away[action.frames[0]])
         since[action.frames] = away[action.frames] - firsts[-1]
+    begun, placed = np.mean(firsts, axis=0), _placed(scene)
+    if len(rest) > _MOST_POINTS:
+        groups = halved_groups(rest, _MOST_POINTS)
+        few = float(np.mean([1 / np.sqrt(len(group)) for group in groups]))
+        rest, begun, since = (_means(values, groups) for values in (rest, begun, since))
+        noise, placed = noise and noise * few, placed * few
     kriging = Kriging.of(rest, _fields(since, axes), noise)
-    placed = float(np.hypot(_placed(scene), kriging.noise / np.sqrt(len(firsts))))
-    begun = np.mean(firsts, axis=0)
+    placed = float(np.hypot(placed, kriging.noise / np.sqrt(len(firsts))))
     at_rest = Kriging.of(rest, begun[:, axes], placed or None)
     smooth = at_rest.weights(rest)
     moved = since + smooth @ begun
@@ -163,6 +171,11 @@ def _without_gaps(rest: Array, values: Array) -> Array:
     filled = values.copy()
     filled[~seen] = Kriging(rest[seen], extent, _GAP_NOISE, 1.0).weights(rest[~seen]) @ values[seen]
     return filled
+
+
+def _means(values: Array, groups: Sequence[NDArray[np.int64]]) -> Array:
+    """Of groups of points, of values (..., points, 3)."""
+    return np.stack([values[..., group, :].mean(axis=-2) for group in groups], axis=-2)
 
 
 def _placed(scene: Scene) -> float:

@@ -33,7 +33,7 @@ def pooled(scene: Scene, measurement: Measurement, most: int = MOST) -> tuple[Sc
         return scene, measurement
     names = [measurement.fiducial_names[k] for k in once]
     rest = np.array([scene.fiducials[name] for name in names], dtype=float)
-    groups = {_name(names, group): group for group in _halved(rest, most)}
+    groups = {_name(names, group): group for group in halved_groups(rest, most)}
     members = {name: tuple(_vector(place) for place in rest[group]) for name, group in groups.items()}
     centres = np.array([rest[group].mean(axis=0) for group in groups.values()])
     moved = measurement.positions[:, once] - rest
@@ -51,8 +51,8 @@ def pooled(scene: Scene, measurement: Measurement, most: int = MOST) -> tuple[Sc
     return replace(scene, fiducials=fiducials, members=members), replace(measurement, data=data).validated()
 
 
-def _halved(points: Array, most: int) -> list[NDArray[np.int64]]:
-    """Groups of neighbours: all are halved across their longest extents for as long as there are at most so many."""
+def halved_groups(points: Array, most: int) -> list[NDArray[np.int64]]:
+    """Numbers of points (n, 3) in groups of neighbours, which are halved across their extents while they are at most so many."""
     groups: list[NDArray[np.int64]] = [np.arange(len(points))]
     while 2 * len(groups) <= most:
         groups = [half for group in groups for half in _halves(points, group)]

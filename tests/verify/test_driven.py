@@ -237,3 +237,27 @@ def test_a_place_may_be_driven_along_some_axes_only(cut: Scene, volume: Measurem
     assert 0 < len(found.prescribed) < found.body.unknowns
     assert len(found.prescribed) % 2 == 0
     predictor.destroy()
+
+
+def test_of_very_many_points_means_of_neighbours_drive(cut: Scene, volume: Measurement) -> None:
+    """A field that is as dense as one likes costs no more, and leads the place the same way."""
+    copies = 3
+    names = [f"{name}.{k}" for name in volume.fiducial_names for k in range(copies)]
+    rng = np.random.default_rng(3)
+    shifts = rng.uniform(-0.3e-3, 0.3e-3, (len(names), 3))
+    rest = np.repeat(cut.rest, copies, axis=0) + shifts
+    data = volume.data.isel(fiducial=np.repeat(np.arange(len(cut.rest)), copies)).assign_coords(fiducial=names)
+    data["position"] = data["position"] + shifts
+    dense = replace(
+        cut, fiducials={n: (float(x), float(y), float(z)) for n, (x, y, z) in zip(names, rest, strict=True)}
+    )
+    scene, seen = fitting(dense, replace(volume, data=data), MPI.COMM_SELF)
+    driven = scene.driven["surface"]
+    assert len(driven.markers) > 700
+    assert len(driven.points) <= 512
+    whole, usual = fitting(cut, volume, MPI.COMM_SELF)
+    ends = [
+        one.kriging.weights(cut.rest[:40]) @ measured.actions[0].boundary["surface"][-1]
+        for one, measured in ((driven, seen), (whole.driven["surface"], usual))
+    ]
+    assert np.abs(ends[0] - ends[1]).max() < 0.1e-3 < np.abs(ends[1]).max()
