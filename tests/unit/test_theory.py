@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from bcid.base.kriging import Kriging
 from bcid.comparison.hypothesis_table import TangentEvidence, wrong_by
 from bcid.inference.discrepancy import Evidence
 from bcid.inference.evidence import LinearParameters, MarginalLikelihood, log_gains
@@ -48,7 +49,7 @@ def test_equation_is_followed_by_the_name_of_a_function() -> None:
     """Before the next one; that of the observation is what all others are made of."""
     parts = re.split(r"^\$\$ \(\w+\)$", PAGE, flags=re.MULTILINE)[1:]
     without = [name for name, text in zip(EQUATIONS, parts, strict=True) if "`bcid." not in text]
-    assert (len(EQUATIONS), without) == (11, ["observation"])
+    assert (len(EQUATIONS), without) == (13, ["observation"])
 
 
 def test_evidence_of_a_linear_model_is_its_gaussian_density() -> None:
@@ -71,6 +72,22 @@ def test_correction_of_second_order_meshes_is_exact_for_a_quadratic_error() -> N
     found = MeshError.between(coarse, fine, 2.0**2 - 1)
     assert coarse + found.correction == pytest.approx(exact)
     assert np.abs(found.left) == pytest.approx(np.abs(fine - coarse) / 3)
+
+
+def test_kriging_is_the_best_unbiased_estimate() -> None:
+    rng = np.random.default_rng(2)
+    points, places = rng.uniform(-1, 1, (12, 3)), rng.uniform(-1, 1, (5, 3))
+    found = Kriging(points, 0.7, 0.2, 1.5)
+
+    def matern(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        apart = math.sqrt(3) * np.linalg.norm(one[:, None] - other, axis=2) / 0.7
+        return np.asarray((1 + apart) * np.exp(-apart))
+
+    trend, at = (np.column_stack([np.ones(len(x)), x]) for x in (points, places))
+    inverse, near = np.linalg.inv(matern(points, points) + 0.2 * np.eye(12)), matern(points, places)
+    unmet = at.T - trend.T @ inverse @ near
+    expected = inverse @ (near + trend @ np.linalg.solve(trend.T @ inverse @ trend, unmet))
+    np.testing.assert_allclose(found.weights(places), expected.T, atol=1e-7)
 
 
 def test_prior_odds_are_those_of_independent_effects_and_a_discrepancy() -> None:
