@@ -242,12 +242,14 @@ def verdict(scene: Scene, seen: Measurement) -> tuple[str, str, float]:
 
 def sound() -> Iterator[tuple[str, Scene, Measurement]]:
     """Measurements with sags, faults, pulls and stretches that are real."""
-    slab, plate, inlay = (Scene.read(EXAMPLES / f"scenes/{name}.toml") for name in ("slab", "plate", "inlay"))
+    slab, plate, inlay, cut = (
+        Scene.read(EXAMPLES / f"scenes/{name}.toml") for name in ("slab", "plate", "inlay", "cut")
+    )
     folders = [p for p in sorted((EXAMPLES / "measurements").iterdir()) if p.is_dir()]
     if (OPTIONAL / "lab").is_dir():
         folders += sorted((OPTIONAL / "lab").iterdir())
     for folder in folders:
-        scene = {"plate": plate, "inlay": inlay}.get(folder.name.partition("-")[0], slab)
+        scene = {"plate": plate, "inlay": inlay, "cut": cut}.get(folder.name.partition("-")[0], slab)
         yield f"{folder.parent.name}/{folder.name}", scene, Measurement.read(folder)
     for body in bodies():
         yield body.name, body.scene, body.sound

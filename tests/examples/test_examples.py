@@ -133,6 +133,12 @@ def test_make_inlay(tmp_path: Path) -> None:
     assert np.isnan(shipped.positions[..., 2]).all()
 
 
+def test_make_cut(tmp_path: Path) -> None:
+    made = load("make_cut").main(tmp_path / "made")
+    shipped = Measurement.read(EXAMPLES / "measurements/cut-5")
+    assert np.abs(made.positions - shipped.positions).max() < 1e-9
+
+
 def test_03_beams_stiffness_is_in_its_interval_with_the_usual_uncertainties() -> None:
     example = load("03_beam")
     weighing = replace(Scene.read(EXAMPLES / "scenes/beam.toml"), uncertainty=Uncertainty())
