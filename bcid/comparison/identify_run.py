@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -197,11 +197,16 @@ def prediction_dataset(scene: Scene, measurement: Measurement, found: Identifica
 
 def body_dataset(scene: Scene, mesh: BodyMesh, found: Identification) -> xr.Dataset:
     """Mesh, boundary triangles with the places they belong to, and of every frame displacement (m) and strain energy density."""
-    return body_parts(scene, mesh, found.prediction.displacement, found.prediction.energy)
+    return body_parts(scene, mesh, found.prediction.displacement, found.prediction.energy, found.anchored)
 
 
-def body_parts(scene: Scene, mesh: BodyMesh, displacement: Any, energy: Any) -> xr.Dataset:
-    """As `body_dataset`, with displacement (frames, nodes, 3), m, and strain energy density (frames, nodes), J/m^3."""
+def body_parts(
+    scene: Scene, mesh: BodyMesh, displacement: Any, energy: Any, anchored: Collection[str] = ()
+) -> xr.Dataset:
+    """As `body_dataset`, with displacement (frames, nodes, 3), m, and strain energy density (frames, nodes), J/m^3.
+
+    Where patches share triangles, they are those of one that is anchored.
+    """
     boundary = mesh.boundary
     places = {f"patch {name}": region for name, region in scene.patches.items()}
     places |= {f"grasp {name}": grasp.region for name, grasp in scene.grasps.items()}
@@ -210,7 +215,8 @@ def body_parts(scene: Scene, mesh: BodyMesh, displacement: Any, energy: Any) -> 
     number = np.zeros(len(boundary), dtype=np.int32)
     for i, (name, region) in enumerate(scene.regions.items(), start=1 + len(places)):
         number[share(mesh, region, name)[mesh.behind] > 0.5] = i
-    for i, (name, place) in enumerate(places.items(), start=1):
+    chosen = {f"patch {name}" for name in anchored}
+    for i, (name, place) in sorted(enumerate(places.items(), start=1), key=lambda one: one[1][0] in chosen):
         number[among(boundary, mesh.select(place, name))] = i
     places_and_regions = [*places, *(f"region {name}" for name in scene.regions)]
     return xr.Dataset(

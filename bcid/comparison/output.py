@@ -66,7 +66,9 @@ def documents(source: Source, done: Diagnosis, content: dict[str, Any]) -> dict[
     if done.explanation is not None:
         found["identification.json"] = done.explanation.identification.to_json(unit) | {"length_unit": name}
     found["residuals.nc"] = residual_dataset(done, content["parts"])
-    found["body.nc"] = body_parts(source.scene, content["mesh"], content["displacement"], content["energy"])
+    found["body.nc"] = body_parts(
+        source.scene, content["mesh"], content["displacement"], content["energy"], diagnosis["anchored"]
+    )
     if done.where is not None:
         found["where.json"] = where_json(done.where, unit) | {"length_unit": name}
     last = done.rungs[-1].state
