@@ -2,8 +2,8 @@
 
 ./dev python examples/make_cut.py [FOLDER [RATIO]]
 
-The larger body is 80 x 60 x 40 mm, glued at its bottom and sheared and pulled at its top; nothing of that is in the measurement. RATIO is
-the stiffness of a ball inside of the block to that around it.
+The larger body is 80 x 60 x 40 mm, glued at its bottom and sheared and pulled at its top; nothing of that is in the measurement.
+RATIO is the stiffness of a ball inside of the block to that around it.
 """
 
 import sys
@@ -47,7 +47,9 @@ def simulated(ratio: float = RATIO) -> Measurement:
     positions = forward.predict({"bottom"}, [action]).positions
     forward.destroy()
     alone = replace(action, grasp="", translation=np.zeros((STEPS, 3)))
-    return recorded(scene, [alone], positions, NOISE, np.random.default_rng(SEED), action.clock, "a block cut out of a body")
+    return recorded(
+        scene, [alone], positions, NOISE, np.random.default_rng(SEED), action.clock, "a block cut out of a body"
+    )
 
 
 def main(folder: Path, ratio: float = RATIO) -> Measurement:

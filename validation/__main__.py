@@ -1,4 +1,4 @@
-"""`python -m validation golden | ablation | numbers | calibration | outside ...`, in a checkout."""
+"""`python -m validation golden | ablation | numbers | calibration | outside | public ...`, in a checkout."""
 
 from __future__ import annotations
 
@@ -44,6 +44,8 @@ def main(words: list[str] | None = None) -> int:
     calibration.add_argument(
         "--draws", type=_count, default=1000, metavar="N", help="with each level of the noise (1000)"
     )
+    public = _part(parts, "public", "answer measurements made by others, beside what their authors say")
+    public.add_argument("folder", type=Path, metavar="FOLDER", help="with the data of others, as human_skin")
     chosen = parser.parse_args(words)
     work = {
         "golden": _golden,
@@ -51,6 +53,7 @@ def main(words: list[str] | None = None) -> int:
         "numbers": _numbers,
         "calibration": _calibration,
         "outside": _outside,
+        "public": _public,
     }
     try:
         return work[chosen.part](chosen)
@@ -129,6 +132,15 @@ def _outside(chosen: argparse.Namespace) -> int:
     found = run.read(chosen.output)
     print(text(found))
     _keep(chosen, {name: cut(answer) for name, answer in found.items()})
+    return 0
+
+
+def _public(chosen: argparse.Namespace) -> int:
+    from validation import public
+
+    rows = public.run(chosen.folder, chosen.output, progress_on())
+    print(public.table(rows).text())
+    _keep(chosen, rows)
     return 0
 
 

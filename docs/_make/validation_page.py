@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from bcid.studies.text_table import TextTable
-from validation import ablation, calibration, numbers
+from validation import ablation, calibration, numbers, public
 from validation.golden import run as golden
 from validation.golden import score as golden_score
 from validation.outside import score as outside_score
@@ -13,11 +13,12 @@ from validation.stored_results import RESULTS, kept
 
 HEAD = """# Validation
 
-Are the probabilities that bcid reports right? Five experiments answer that with data whose truth is known. Each is one
-command in a checkout; `--keep` puts its result into `validation/results`, from which this page is made. The score
-of an answer is the logarithm to base 2 of the probability that it gives to the truth, 0 at best: -1 for a probability
-of one half. The truth is what an ideal observer cannot separate: patches that move the markers by less than the
-noise, and effects of less than three noises, may be either way. *Certain* is a probability above 95 %.
+Are the probabilities that bcid reports right? Five experiments answer that with data whose truth is known, and a sixth
+stands beside what others say of their measurements. Each is one command in a checkout; `--keep` puts its result into
+`validation/results`, from which this page is made. The score of an answer is the logarithm to base 2 of the probability
+that it gives to the truth, 0 at best: -1 for a probability of one half. The truth is what an ideal observer cannot
+separate: patches that move the markers by less than the noise, and effects of less than three noises, may be either way.
+*Certain* is a probability above 95 %.
 """
 GOLDEN = """## Golden cases
 
@@ -47,6 +48,13 @@ Measurements that no model of bcid describes, computed by FElupe on quadratic he
 and which answers are right, is in [results](../results.md). An answer that is certain and wrong is worse than one
 that leaves the question open, and an answer that leaves all open is of no use: the goals are in the last lines.
 """
+PUBLIC = """## Measurements made by others
+
+    ./dev python -m validation public FOLDER -o public
+
+FOLDER holds the data of others, which are not part of bcid. Errors and intervals are those of 95 %. How each is described
+is on the page on [test rigs](../rigs.md) and in the examples.
+"""
 ABLATION = """## Ablation
 
     ./dev python -m validation ablation -o ablation
@@ -69,6 +77,7 @@ def write_validation(made: Path) -> None:
         "golden": _golden,
         "calibration": _calibration,
         "outside": _outside,
+        "public": _public,
         "ablation": _ablation,
         "numbers": _numbers,
     }
@@ -95,6 +104,10 @@ def _calibration(found: Any, made: Path) -> list[str]:
 
 def _outside(found: Any, _: Path) -> list[str]:
     return [OUTSIDE, _bare(outside_score.table(found)), _list(outside_score.summary(found))]
+
+
+def _public(found: Any, _: Path) -> list[str]:
+    return [PUBLIC, _bare(public.table(found))]
 
 
 def _ablation(found: Any, _: Path) -> list[str]:
