@@ -335,3 +335,17 @@ def test_something_unknown_is_told_beside_the_effects_that_it_acts_with() -> Non
     assert _called(odds, "unknown") == "something unknown, most likely beside obstacle,"
     assert _called(HypothesisOdds({Hypothesis(frozenset("3"), "", True): 1.0}), "unknown") == "something unknown"
     assert _called(odds, "gravity") == "gravity"
+
+
+@pytest.mark.parametrize(("gain", "asked"), [(48.5, True), (5.0, False)], ids=["counts", "hopeless"])
+def test_a_known_effect_that_counts_is_fitted_before_something_unknown_is_said_to_be_missing(
+    gain: float, asked: bool
+) -> None:
+    """What a tangent promises of it where much is to be explained is no measure of what it explains."""
+    best = replace(rival((), "1", 100), evidence=Evidence(100.0, 160.0, 1.0))
+    tangents = {best.hypothesis: TangentEvidence(effects={"gravity": 100.0 + gain}, known=1)}
+    known = HypothesisTable(own=[best], full=[best], tangents=tangents)
+    assert known.odds.best.unknown
+    assert known.doubtful() == (less("1", "gravity") if asked else None)
+    plain = HypothesisTable(own=[rival((), "1", 100)], full=[rival((), "1", 100)], tangents=tangents)
+    assert plain.doubtful() is None
