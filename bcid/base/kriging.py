@@ -3,7 +3,7 @@
 A field is a trend (a constant, and a slope along each axis in which the points are spread) and a Gaussian process with Matern's
 covariance of order 3/2; it is estimated without bias, whatever the trend (universal kriging: Cressie, Statistics for Spatial
 Data, 1993, section 3.4). Length and variance of the process are those of the largest restricted likelihood (the same, section
-2.6). A smoother process promises more than it keeps: beside a stiff ball it leaves twice the error between points that it expects.
+2.6). A body that is not even all over is less smooth than a squared exponential would have it.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
+from scipy.spatial.distance import cdist
 
 Array = NDArray[np.float64]
 # Lengths of the process that are compared, in extents of the points, and variances of the noise, in those of the process.
@@ -116,7 +117,7 @@ class Kriging:
 
     def _kernel(self, one: Array, other: Array) -> Array:
         """Matern's covariance of order 3/2, of variance one."""
-        apart = np.sqrt(3 * np.square(one[:, None] - other).sum(axis=2)) / self.length
+        apart = np.sqrt(3) / self.length * cdist(one, other)
         return np.asarray((1 + apart) * np.exp(-apart))
 
     def _likelihood(self, values: Array, noise: float | None) -> tuple[float, float]:

@@ -34,13 +34,13 @@ def guess_arrays(path: Path) -> dict[str, Any]:
     content = look(path, list(_NCORR_GRID))
     field = guess_displacements(content)
     tracked = any(len(s) == 3 and 3 in s and _called(p, _POSITIONS) for p, s in content.shapes.items())
-    told = _ncorr(content) or field.told
-    told = told or ({} if field.lacks and not tracked else _of_positions(content) or _of_table(content))
+    told = _ncorr(content) or field.arrays
+    told = told or ({} if field.missing and not tracked else _of_positions(content) or _of_table(content))
     if told:
         return told
-    if field.lacks:
+    if field.missing:
         raise InputError(
-            f"{path}: {field.lacks}; add it to the file, or write a mapping with [arrays] (docs/formats.md)"
+            f"{path}: {field.missing}; add it to the file, or write a mapping with [arrays] (docs/formats.md)"
         )
     shown = ", ".join(f"{p} ({' x '.join(map(str, s)) or 'one number'})" for p, s in list(content.shapes.items())[:40])
     raise InputError(

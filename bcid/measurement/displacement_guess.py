@@ -45,15 +45,15 @@ _TIMES = ("t", "time", "times", "timestamp", "timestamps")
 class Guess:
     """Keys of a mapping, or why there are none, in words; both empty where nothing looks like displacements."""
 
-    told: dict[str, Any]
-    lacks: str = ""
+    arrays: dict[str, Any]
+    missing: str = ""
 
 
 def guess_displacements(content: ArrayFile) -> Guess:
     """Arrays of displacements and rest positions with the order of their dimensions, and what goes with them."""
-    moved, lacks = _components(content, _MOVED, _MOVED_ALL)
+    moved, missing = _components(content, _MOVED, _MOVED_ALL)
     if not moved:
-        return Guess({}, lacks)
+        return Guess({}, missing)
     rest, _ = _components(content, _REST, _REST_ALL, beside=moved)
     if not rest:
         names = ", ".join(moved)
@@ -112,7 +112,7 @@ def _components(
 ) -> tuple[list[str], str]:
     """Paths of two or three arrays with names of components, in one group, or of one array of all; else what is missing."""
     groups: dict[str, dict[str, str]] = {}
-    lacks = ""
+    missing = ""
     for path in _steps(content):
         if path not in beside:
             groups.setdefault(path.rpartition("/")[0], {})[_last(path)] = path
@@ -132,18 +132,18 @@ def _components(
             ):
                 if not any({"z", "z0", "pos_z", "grid_z"} & set(other) for other in groups.values()):
                     return there, ""
-                lacks = (
+                missing = (
                     f"it has the displacements {there[0]} and {there[1]}, but no {triple[2]}, and its points have a z"
                 )
             if len(there) == 2 and len(beside) == 2:
                 return there, ""
-    if lacks:
-        return [], lacks
+    if missing:
+        return [], missing
     for name in alone:
         for names in groups.values():
             if name in names and 3 in _shape(content, names[name]):
                 return [names[name]], ""
-    return [], lacks
+    return [], missing
 
 
 def _order(shape: Shape, rest: list[Shape], alone: bool) -> list[str] | None:

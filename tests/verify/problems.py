@@ -196,3 +196,15 @@ def rates(errors: ArrayLike, sizes: ArrayLike) -> Array:
 def integral(form: Any, comm: Any = MPI.COMM_SELF) -> float:
     """Value of a UFL functional."""
     return float(comm.allreduce(fem.assemble_scalar(fem.form(form))))
+
+
+def two_pulls(steps: int = 6) -> list[Action]:
+    """Two pulls of the benchmark slab by 12 mm, from rest in so many steps."""
+    unturned, number = np.tile([1.0, 0.0, 0.0, 0.0], (steps, 1)), np.arange(steps)
+    ways = {"I": (1, 0, 0), "III": (0.6, 0.8, 0)}
+    return [
+        Action(
+            str(k), k * steps + number, number, grasp, 0.012 / (steps - 1) * number[:, None] * np.array(way), unturned
+        )
+        for k, (grasp, way) in enumerate(ways.items())
+    ]

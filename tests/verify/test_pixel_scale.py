@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from numpy.typing import NDArray
+from verify.problems import two_pulls
 
 from bcid.comparison.fit import Fit
 from bcid.comparison.state import State
@@ -107,17 +108,6 @@ def test_a_longer_pixel_is_seen_and_felt_as_a_larger_body_is(
 SHEET = frozenset("34")
 # A pixel is so much longer than is said; Young's modulus of the scene, and of the body that was pulled, Pa.
 LONGER, STATED, TRUE = 1.03, 15e3, 19e3
-STEPS = 6
-
-
-def pulls() -> list[Action]:
-    """Two pulls of 12 mm by a robot that knows its way."""
-    unturned, steps = np.tile([1.0, 0.0, 0.0, 0.0], (STEPS, 1)), np.arange(STEPS)
-    ways = {"I": (1, 0, 0), "III": (0.6, 0.8, 0)}
-    return [
-        Action(str(k), k * STEPS + steps, steps, grasp, 0.012 / (STEPS - 1) * steps[:, None] * np.array(way), unturned)
-        for k, (grasp, way) in enumerate(ways.items())
-    ]
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +139,7 @@ def larger(scene: Scene, factor: float) -> Scene:
 @pytest.fixture(scope="module", params=[False, True], ids=["path by a robot", "path by pictures"])
 def filmed(slab: Scene, request: pytest.FixtureRequest) -> tuple[Measurement, bool]:
     """What a camera shows whose pixels are longer than is said; forces are not filmed."""
-    true = simulate(larger(slab, LONGER), SHEET, pulls(), noise=0.1e-3, wrench=True, wrench_noise=0.01)
+    true = simulate(larger(slab, LONGER), SHEET, two_pulls(), noise=0.1e-3, wrench=True, wrench_noise=0.01)
     data = true.data.copy(deep=True)
     data["position"] = data["position"] / LONGER
     if request.param:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mpi4py import MPI
+from verify.problems import two_pulls
 
 from bcid.comparison.fit import Fit, fit
 from bcid.comparison.second_start import fit_twice
@@ -16,26 +17,16 @@ from bcid.comparison.state import State
 from bcid.forms.model import Model, check_physics
 from bcid.forms.simulate import simulate
 from bcid.inference.force_noise import force_noise
-from bcid.measurement import Action, Measurement
+from bcid.measurement import Measurement
 from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Material, Scene
 from bcid.scene.uncertainty import Uncertainty
 
-ANCHORS, STEPS = frozenset("34"), 6
+ANCHORS = frozenset("34")
 # Young's modulus of the scene, and of the body that was pulled, Pa.
 SCENE, TRUE = 15e3, 19e3
 # 1 % of the largest force.
 NOISE = 0.02
-
-
-def pulls() -> list[Action]:
-    """Two pulls of 12 mm."""
-    unturned, steps = np.tile([1.0, 0.0, 0.0, 0.0], (STEPS, 1)), np.arange(STEPS)
-    ways = {"I": (1, 0, 0), "III": (0.6, 0.8, 0)}
-    return [
-        Action(str(k), k * STEPS + steps, steps, grasp, 0.012 / (STEPS - 1) * steps[:, None] * np.array(way), unturned)
-        for k, (grasp, way) in enumerate(ways.items())
-    ]
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +39,7 @@ def measured(slab: Scene) -> Measurement:
     """By cubic elements."""
     values = {**slab.material.values, "young": f"{TRUE} Pa"}
     true = replace(slab, levels=(Level(3, 0.016),), material=replace(slab.material, values=values))
-    return simulate(true, ANCHORS, pulls(), noise=0.2e-3, wrench=True, wrench_noise=NOISE)
+    return simulate(true, ANCHORS, two_pulls(), noise=0.2e-3, wrench=True, wrench_noise=NOISE)
 
 
 @pytest.fixture
@@ -120,7 +111,7 @@ def test_fit_twice_constant_that_starts_at_zero_reaches_the_truth(slab: Scene, s
         values = {"c10": f"{c10} Pa", "c01": f"{c01} Pa", "poisson": 0.4}
         return replace(soft, material=Material("mooney_rivlin", values))
 
-    far = [replace(action, translation=1.5 * action.translation) for action in pulls()]
+    far = [replace(action, translation=1.5 * action.translation) for action in two_pulls()]
     seen = simulate(of(10e3, 40e3), ANCHORS, far, noise=0.02e-3, wrench=True, wrench_noise=NOISE / 10)
     predictor = Predictor(replace(of(*start), noise_sigma=0.02e-3), seen, MPI.COMM_SELF)
     found, _ = fit_twice(State.of(predictor, Model.of(predictor.scene), ANCHORS), ["c10", "c01"])
