@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from bcid.base.tails import chi2_limit
 from bcid.base.units import WIDE
 from bcid.comparison.fitted_hypothesis import FittedHypothesis, best_first
-from bcid.comparison.loosened import loosens
+from bcid.comparison.loosened import loosens, slackens
 from bcid.comparison.ranking import Row
 from bcid.comparison.stage_evidence import StageEvidence
 from bcid.forms.model import Model
@@ -154,7 +154,7 @@ class HypothesisTable:
         Springs that may as well be infinitely stiff have a large standard error too: the likelier of both ends tells.
         """
         for term in rival.fitted.state.model.terms:
-            if term.place and loosens(term.effect) and term.effect.held is None:
+            if term.place and slackens(term.effect):
                 (name,) = term.values
                 effects = "+".join(n for n in rival.names if n != term.effect.name)
                 free, rigid = (self._of(Hypothesis(a, effects)) for a in (rival.anchors - {term.place}, rival.anchors))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +52,12 @@ class Loosened:
 
 def loosens(effect: Effect) -> bool:
     """Whether an effect holds anchored patches by springs instead, or lets them go."""
-    return bool(effect.held) or (effect.frees and len(effect.parameters) == 1 and effect.parameters[0].reciprocal)
+    return bool(effect.held) or (effect.frees and len(effect.amounts) == 1 and effect.amounts[0].reciprocal)
+
+
+def slackens(effect: Effect) -> bool:
+    """Whether an effect holds whole patches by springs instead, so that without stiffness they are free."""
+    return loosens(effect) and effect.held is None and effect.share is None
 
 
 def loosened(state: State, effect: Effect, sets: Sequence[Anchored], near: Sequence[Anchored]) -> list[Loosened]:
@@ -71,22 +77,31 @@ def loosened(state: State, effect: Effect, sets: Sequence[Anchored], near: Seque
 
 def _yielding(state: State, effect: Effect, whole: Sequence[Anchored], parts: Sequence[Anchored]) -> list[Loosened]:
     """Springs in the place of whole sets, and of single patches of some."""
-    parameter, predictor = effect.parameters[0], state.predictor
-    cases = []
-    for anchors, places in [*((s, [""]) for s in whole), *((s, sorted(s)) for s in parts)]:
-        for place in places if anchors else []:
-            cases += [
-                (anchors, Term(effect, {parameter.name: float(s * parameter.scale)}, place=place)) for s in _SIZES
-            ]
-    soft = [
-        dict.fromkeys([term.place] if term.place else anchors, 1 / term.values[parameter.name])
-        for anchors, term in cases
-    ]
+    predictor, ways = state.predictor, _ways(effect)
+    places = {s: effect.places(predictor.scene, s) if effect.places else [""] for s in (*whole, *parts) if s}
+    # All patches of a set give, or a single one of few sets.
+    asked = [(s, place) for s, some in places.items() for place in some if not place or s in parts]
+    cases = [(anchors, Term(effect, values, place=place)) for anchors, place in asked for values in ways]
+    if not cases:
+        return []
+    soft = [dict.fromkeys([term.place] if term.place else anchors, term) for anchors, term in cases]
     moves = predictor.moves(state.model, state.anchors, state.prediction, [anchors for anchors, _ in cases], soft)
     columns = state.errors.whiten(np.column_stack([predictor.data.vector(moved) for moved in moves]))
     return [
-        _one(state, anchors, term, column, len(_SIZES) * (1 + len(anchors)))
+        _one(state, anchors, term, column, len(ways) * len(places[anchors]))
         for (anchors, term), column in zip(cases, columns.T, strict=True)
+    ]
+
+
+def _ways(effect: Effect) -> list[dict[str, float]]:
+    """Numbers with which springs are tried."""
+    (amount,) = effect.amounts
+    shapes = list(product(*(p.scan for p in effect.shapes)))
+    names = [p.name for p in effect.shapes]
+    return [
+        {amount.name: float(size * amount.scale), **dict(zip(names, one, strict=True))}
+        for size in _SIZES
+        for one in shapes
     ]
 
 

@@ -158,6 +158,8 @@ def _width(c: Coordinate, value: float, state: State) -> float:
     if p.unit == "m":
         points = state.predictor.forward(state.model).mesh.points
         return float(np.linalg.norm(np.ptp(points, axis=0))) / 6
+    if len(p.scan) > 1 and min(p.scan) <= 0:
+        return (p.upper - p.lower) / math.sqrt(12)
     if len(p.scan) > 1:
         # Uniform in its logarithm over the values that are tried.
         return value * math.log(max(p.scan) / min(p.scan) * PRIORS.scanned**2) / math.sqrt(12)

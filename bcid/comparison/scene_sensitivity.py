@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bcid.comparison.explanation import Explanation, explains, probability_of, verdict_of
 from bcid.comparison.fitted_hypothesis import FittedHypothesis
-from bcid.comparison.loosened import loosens
+from bcid.comparison.loosened import slackens
 from bcid.comparison.parameter_priors import of_state
 from bcid.comparison.state import State
 from bcid.forms.mesh.shares import share
@@ -178,7 +178,7 @@ def reported_as(rival: FittedHypothesis, odds: HypothesisOdds) -> Hypothesis | N
     if rival.hypothesis in odds.probabilities:
         return rival.hypothesis
     for term in rival.fitted.state.model.terms:
-        if term.place and loosens(term.effect):
+        if term.place and slackens(term.effect):
             names = "+".join(name for name in rival.names if name != term.effect.name)
             free = Hypothesis(rival.anchors - {term.place}, names)
             if free in odds.probabilities:

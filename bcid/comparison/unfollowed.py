@@ -10,7 +10,7 @@ import numpy as np
 from bcid.base.errors import SolveError
 from bcid.comparison.fit import Fit
 from bcid.comparison.fitted_hypothesis import FittedHypothesis
-from bcid.comparison.loosened import loosens
+from bcid.comparison.loosened import slackens
 from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.inference.hypotheses import Hypothesis, log_prior
@@ -38,8 +38,7 @@ def check_not_stood_for(best: FittedHypothesis, refused: Collection[Hypothesis],
     for term in state.model.terms:
         others = "+".join(name for name in best.names if name != term.effect.name)
         without = state.anchors - {term.place}
-        springs = loosens(term.effect) and term.effect.held is None
-        if not (springs and term.place and Hypothesis(without, others) in refused):
+        if not (slackens(term.effect) and term.place and Hypothesis(without, others) in refused):
             continue
         (stiffness,) = term.values
         soft = term.with_values({stiffness: term.values[stiffness] / _SOFTER})

@@ -74,7 +74,7 @@ class Sensitivity:
         self.weak_form = self.equilibrium.weak_form
         self._derivatives: dict[str, Any] = {}
         self._cells: dict[str, tuple[Any, Any]] = {}
-        self._mass: dict[tuple[str, str], Any] = {}
+        self._mass: dict[tuple[str, str, tuple[float, ...]], Any] = {}
         self._pushed: tuple[Array, Array] | None = None
 
     # -- one step
@@ -119,12 +119,12 @@ class Sensitivity:
     def _yielding(self, term: Term, anchors: frozenset[str], loads: Array) -> Array:
         """Displacement of what is held rigidly per unit of compliance (m/Pa): -M^-1 times the forces that hold it.
 
-        A spring bed of stiffness k holds with -k M u what a rigid hold would: u = -1/k M^-1 F, with M the mass of where it is.
-        Under a gripper, u is by how much more than the gripper itself what it holds moves.
+        A spring bed of stiffness k holds with -k M u what a rigid hold would: u = -1/k M^-1 F, with M the mass of where it is, divided
+        by the share of the compliance where that is not the same everywhere. Under a gripper, u is by how much more than the gripper itself what it holds moves.
         """
         moved = np.zeros_like(loads)
         for bed in self._beds(term, anchors):
-            held, solve = self._bed(bed)
+            held, solve = self._bed(bed, term)
             moved[held] = -solve(loads[held])
         return moved
 
@@ -135,18 +135,29 @@ class Sensitivity:
             return [("grip", grasp)] if grasp in self.weak_form.grips else []
         return [("surface", patch) for patch in sorted(anchors) if term.place in ("", patch)]
 
-    def _bed(self, bed: tuple[str, str]) -> tuple[NDArray[np.int64], Any]:
+    def _bed(self, bed: tuple[str, str], term: Term) -> tuple[NDArray[np.int64], Any]:
         """Unknowns of a bed of springs, and what solves with its mass matrix."""
-        if bed not in self._mass:
+        values = tuple(term.values[p.name] for p in term.effect.shapes) if term.effect.share else ()
+        if (*bed, values) not in self._mass:
             from scipy.sparse.linalg import splu
 
-            body, measure = self.forward.body, getattr(self.weak_form, bed[0])(bed[1])
-            u, v = ufl.TrialFunction(body.displacement_space), ufl.TestFunction(body.displacement_space)
-            mass = fem.assemble_matrix(compiled.form(ufl.inner(u, v) * measure)).to_scipy().tocsc()
+            mass = fem.assemble_matrix(self._mass_form(bed, term if values else None)).to_scipy().tocsc()
             inside = np.flatnonzero(np.asarray(np.abs(mass).sum(axis=1)).ravel() > 0)
             solver = splu(mass[inside][:, inside])
-            self._mass[bed] = body.displacement_dofs[inside], solver.solve
-        return self._mass[bed]
+            self._mass[(*bed, values)] = self.forward.body.displacement_dofs[inside], solver.solve
+        return self._mass[(*bed, values)]
+
+    def _mass_form(self, bed: tuple[str, str], term: Term | None) -> fem.Form:
+        """Mass of a bed of springs, divided by the share of the compliance of a term, if one is given."""
+        body, weak_form = self.forward.body, self.weak_form
+        u, v = ufl.TrialFunction(body.displacement_space), ufl.TestFunction(body.displacement_space)
+        product, measure = ufl.inner(u, v), getattr(weak_form, bed[0])(bed[1])
+        if term is None or term.effect.share is None:
+            return compiled.form(product * measure)
+        values = {name: fem.Constant(body.domain, float(term.values[name])) for name in term.values}
+        frame = weak_form.frame(bed[1])
+        share = term.effect.share(frame, frame.plane(ufl.SpatialCoordinate(body.domain)), values, ufl)
+        return compiled.form(product / share * measure)
 
     def _by_cell(self, number: str) -> sp.csr_matrix:
         """dR/dm for a number m of every cell, shape (unknowns, cells): its relative "stiffness", or its "growth"."""

@@ -27,12 +27,16 @@ from numpy.typing import NDArray
 from bcid.base.errors import InputError, SolveError
 from bcid.forms import compiled
 from bcid.forms.forward import Forward, Prediction
+from bcid.forms.model import Term
 from bcid.forms.solver.status import Status
 from bcid.forms.solver.supports import Pose
 from bcid.forms.solver.trajectory import poses
 from bcid.measurement import Action
 
 Array = NDArray[np.float64]
+# Numbers of a term, and the patches of a set with those of what holds them; none where they are held rigidly.
+_Values = tuple[tuple[str, float], ...]
+_Chain = list[tuple[int, _Values]]
 # A body that nothing holds but anchors is held by springs of this part of its own stiffness besides.
 _SPRINGS = 1e-9
 # Patches that exert the same tractions need no more than one of them.
@@ -118,7 +122,7 @@ class SetTangent:
         tractions: numbers of the tractions of each patch.
         steps: what is known in each frame that was reached and has a change.
         shape: (frames, rows, 3).
-        areas: movement that goes with unit tractions on a bed of springs of unit stiffness, shape (tractions, tractions).
+        springs: compliance of an anchored patch that an effect holds, see `SetTangents.springs`.
         held: which of some anchors are held in a frame.
     """
 
@@ -126,17 +130,17 @@ class SetTangent:
     tractions: dict[str, NDArray[np.int64]]
     steps: dict[int, StepTangent]
     shape: tuple[int, ...]
-    areas: Array
+    springs: Callable[[str, Term], Array]
     held: Callable[[frozenset[str], int], frozenset[str]]
 
-    def moved(self, anchors: Iterable[str], soft: Mapping[str, float] | None = None) -> Array:
+    def moved(self, anchors: Iterable[str], soft: Mapping[str, Term] | None = None) -> Array:
         """By how much the fiducials are elsewhere with another set, shape (frames, fiducials, 3), m.
 
-        `soft` has the compliance of anchored patches that springs hold instead of a rigid anchor, m/Pa.
+        `soft` has the springs that hold anchored patches instead of a rigid anchor.
         """
         return self.all_moved([frozenset(anchors)], [soft or {}])[0]
 
-    def all_moved(self, sets: Sequence[frozenset[str]], soft: Sequence[Mapping[str, float]]) -> list[Array]:
+    def all_moved(self, sets: Sequence[frozenset[str]], soft: Sequence[Mapping[str, Term]]) -> list[Array]:
         """The same of many sets, each with what is soft in it."""
         result = [np.zeros(self.shape) for _ in sets]
         for one, found in zip(result, self._anchored(sets, soft), strict=True):
@@ -151,21 +155,21 @@ class SetTangent:
     def _stacked(self) -> _Steps:
         return _Steps.of(list(self.steps.values()))
 
-    def _anchored(self, sets: Sequence[frozenset[str]], soft: Sequence[Mapping[str, float]]) -> list[Array]:
+    def _anchored(self, sets: Sequence[frozenset[str]], soft: Sequence[Mapping[str, Term]]) -> list[Array]:
         """Movement of the fiducials with these anchors, each as long as it holds, each (steps, fiducials, 3), m.
 
         Sets that begin with the same patches follow each other, so that these are held once for all of them.
         """
         result = [np.zeros((len(self.steps), *self.shape[1:])) for _ in sets]
         places = list(self.tractions)
-        parts: dict[tuple[int, ...], list[tuple[list[tuple[int, float]], int]]] = {}
-        for case, (anchors, compliance) in enumerate(zip(sets, soft, strict=True)):
+        parts: dict[tuple[int, ...], list[tuple[_Chain, int]]] = {}
+        for case, (anchors, given) in enumerate(zip(sets, soft, strict=True)):
             for held, numbers in self._stages(anchors).items():
-                chain = sorted((places.index(patch), compliance.get(patch, 0.0)) for patch in held)
+                chain = sorted((places.index(patch), _written(given.get(patch))) for patch in held)
                 parts.setdefault(numbers, []).append((chain, case))
         for numbers, chains in parts.items():
             steps = self._stacked if len(numbers) == len(self.steps) else self._stacked.among(numbers)
-            for case, moved in self._along(steps, sorted(chains)):
+            for case, moved in self._along(steps, sorted(chains), soft):
                 result[case][list(numbers)] = moved.reshape(len(moved), *self.shape[1:])
         return result
 
@@ -177,19 +181,19 @@ class SetTangent:
         return {held: tuple(numbers) for held, numbers in found.items()}
 
     def _along(
-        self, steps: _Steps, chains: Sequence[tuple[list[tuple[int, float]], int]]
+        self, steps: _Steps, chains: Sequence[tuple[_Chain, int]], soft: Sequence[Mapping[str, Term]]
     ) -> Iterator[tuple[int, Array]]:
-        """For each chain of patches, in order, with their compliances, its case and the movement, (steps, 3 * rows), m."""
-        tractions = list(self.tractions.values())
-        path: list[tuple[int, float]] = []
+        """For each chain of patches, in order, with what is soft in it, its case and the movement, (steps, 3 * rows), m."""
+        tractions = list(self.tractions.items())
+        path: _Chain = []
         states = [steps]
         for chain, case in chains:
             same = sum(1 for _ in takewhile(lambda both: both[0] == both[1], zip(path, chain, strict=False)))
             del path[same:], states[same + 1 :]
-            for patch, compliance in chain[same:]:
-                own = tractions[patch]
-                springs = compliance * self.areas[np.ix_(own, own)] if compliance else None
-                path.append((patch, compliance))
+            for number, values in chain[same:]:
+                patch, own = tractions[number]
+                springs = self.springs(patch, soft[case][patch]) if values else None
+                path.append((number, values))
                 states.append(states[-1].held(own, springs) if len(own) else states[-1])
             yield case, states[-1].freed
 
@@ -202,7 +206,7 @@ class SetTangents:
 
     Attributes:
         tractions: numbers of the tractions of each patch.
-        areas: see `SetTangent`.
+        areas: movement that goes with unit tractions on a bed of springs of unit stiffness, shape (tractions, tractions).
     """
 
     def __init__(self, forward: Forward) -> None:
@@ -220,6 +224,25 @@ class SetTangents:
         self.areas = np.zeros((len(self._shapes.T),) * 2)
         for numbers in self.tractions.values():
             self.areas[np.ix_(numbers, numbers)] = self._shapes[:, numbers].T @ self._columns[:, numbers]
+        self._shared: dict[tuple[str, _Values], Array] = {}
+
+    def springs(self, patch: str, term: Term) -> Array:
+        """Compliance of an anchored patch that an effect holds, between its tractions, shape (own tractions, own tractions)."""
+        (amount,), own = term.effect.amounts, self.tractions[patch]
+        shapes = tuple((p.name, term.values[p.name]) for p in term.effect.shapes)
+        if (patch, shapes) not in self._shared:
+            self._shared[patch, shapes] = self._areas(patch, term, own)
+        return np.asarray(self._shared[patch, shapes] / term.values[amount.name])
+
+    def _areas(self, patch: str, term: Term, own: NDArray[np.int64]) -> Array:
+        """The part of `areas` that is of a patch, each place by its share of the compliance."""
+        if term.effect.share is None:
+            return np.asarray(self.areas[np.ix_(own, own)])
+        frame, body = self.forward.equilibrium.weak_form.frame(patch), self.forward.body
+        given = np.repeat(term.effect.share(frame, frame.plane(body.nodes.T), term.values, np), 3)
+        dofs = body.displacement_dofs
+        found = self._shapes[dofs][:, own].T @ (given[:, None] * self._columns[dofs][:, own])
+        return np.asarray(found + found.T) / 2
 
     def _of_unknowns(self, parts: Sequence[Array]) -> Array:
         """Columns of displacement components, side by side, as columns of unknowns."""
@@ -317,3 +340,8 @@ class SetTangents:
             area = self.areas[np.ix_(own, own)]
             found[np.ix_(own, own)] = area @ np.linalg.pinv(springs, hermitian=True) @ area
         return found
+
+
+def _written(term: Term | None) -> _Values:
+    """Numbers of what holds a patch by springs; none of a rigid anchor."""
+    return tuple(term.values.items()) if term else ()

@@ -19,6 +19,7 @@ from bcid.forms import compiled
 from bcid.forms.effects.effect import Effect, Past, Point
 from bcid.forms.kinematics import Kinematics
 from bcid.forms.mesh.body import Body
+from bcid.forms.mesh.patch_frame import PatchFrame
 from bcid.forms.mesh.shares import share
 from bcid.forms.model import Model, Term
 from bcid.scene import Region, Scene
@@ -126,6 +127,7 @@ class WeakForm:
         self.kin = Kinematics.of(self.displacement, model.fibre_axes)
         self._normals: dict[str, Any] = {}
         self._shares: dict[str, Any] = {}
+        self._frames: dict[str, PatchFrame] = {}
         self.memories: dict[str, Memory] = {}
         self.probed: dict[str, Memory] = {}
         self.energies, self.works = [self.stored(model.terms)], []
@@ -204,6 +206,7 @@ class WeakForm:
             place=term.place,
             surface=self.surface,
             share=self.share,
+            frame=self.frame,
             boundary=self.boundary,
             support=self.scene.support,
             patches=tuple(self.scene.patches),
@@ -384,6 +387,15 @@ class WeakForm:
             found = share(self.body.mesh, self.scene.regions[name], f"regions.{name}")
             self._shares[name] = self.body.by_cell(found)
         return self._shares[name]
+
+    def frame(self, patch: str) -> PatchFrame:
+        """Axes in the plane of a patch."""
+        if patch not in self._frames:
+            mesh = self.body.mesh
+            self._frames[patch] = PatchFrame.of(
+                mesh.points[np.unique(mesh.select(self.places[patch], f"patch {patch}"))]
+            )
+        return self._frames[patch]
 
     def normal(self, name: str) -> Any:
         """Outward unit normal of a place at its nodes, zero away from it."""

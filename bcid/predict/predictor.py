@@ -18,7 +18,7 @@ from bcid.base.progress import Progress, Silent
 from bcid.forms.force_bumps import BUMPS, SPOTS, bumps, force_unit, growth_bumps
 from bcid.forms.forward import Forward, Look, Prediction
 from bcid.forms.gripper_force import ForceScale
-from bcid.forms.model import Model
+from bcid.forms.model import Model, Term
 from bcid.forms.probes import Sensitivities, SensitivityRequest
 from bcid.forms.set_tangent import SetTangent, SetTangents, StepTangent
 from bcid.forms.solver.equilibrium import Settings
@@ -457,7 +457,7 @@ class Predictor:
         def held(some: frozenset[str], frame: int) -> frozenset[str]:
             return model.held(some, int(numbers[frame]))
 
-        return SetTangent(frozenset(anchors), tangents.tractions, steps, shape, tangents.areas, held)
+        return SetTangent(frozenset(anchors), tangents.tractions, steps, shape, tangents.springs, held)
 
     def _step_tangents(
         self, tangents: SetTangents, model: Model, prediction: MeasurementPrediction
@@ -485,11 +485,11 @@ class Predictor:
         anchors: Iterable[str],
         prediction: MeasurementPrediction,
         sets: Sequence[frozenset[str]],
-        soft: Sequence[Mapping[str, float]] = (),
+        soft: Sequence[Mapping[str, Term]] = (),
     ) -> list[Array]:
         """By how much the fiducials are elsewhere with other sets, to first order, each (frames, fiducials, 3), m; collective.
 
-        `soft` has for each set the compliance of patches that give, m/Pa.
+        `soft` has for each set the springs that hold patches instead of a rigid anchor.
         """
         if not self.scene.patches:
             return [np.zeros(self.data.mask.shape) for _ in sets]

@@ -45,6 +45,7 @@ HEAVY = term("gravity", weight=9000.0)
 FIBRES = term("fibres", k1=3000.0, angle=25.0)
 TURNED = term("camera_offset", rx=3.0, ry=-2.0, rz=5.0, tx=1e-3, ty=0.0, tz=0.0, scale=1.02)
 GIVING = term("grasp_compliance", stiffness=3e5)
+PARTLY = term("partial_anchor", "left", stiffness=2e5, angle=20.0, border=0.2)
 STILL = term("camera_offset", rx=0.0, ry=0.0, rz=0.0, tx=0.0, ty=0.0, tz=0.0, scale=1.0)
 
 
@@ -102,6 +103,9 @@ ADOPTED = [
     ((GIVING,), HEAVY, "weight"),
     ((GIVING,), term("grasp_slip", lag=0.15), "lag"),
     ((GIVING,), term("soft_anchor", stiffness=2e6), "stiffness"),
+    ((HEAVY,), PARTLY, "stiffness"),
+    ((HEAVY,), PARTLY, "angle"),
+    ((HEAVY,), PARTLY, "border"),
 ]
 
 
@@ -156,11 +160,18 @@ def test_a_dormant_effect(others: tuple[Term, ...], asked: Term, name: str) -> N
     assert_same(found, expected)
 
 
-@pytest.mark.parametrize(("name", "place"), [("soft_anchor", ""), ("soft_anchor", "left"), ("grasp_compliance", "")])
-def test_a_rigid_hold_that_may_yield(name: str, place: str) -> None:
+HOLDS = [
+    term("soft_anchor", stiffness=math.inf),
+    term("soft_anchor", "left", stiffness=math.inf),
+    term("grasp_compliance", stiffness=math.inf),
+    PARTLY.with_values({"stiffness": math.inf}),
+]
+
+
+@pytest.mark.parametrize("asked", HOLDS, ids=lambda term: term.label)
+def test_a_rigid_hold_that_may_yield(asked: Term) -> None:
     """Per unit of compliance: what springs of a great stiffness give way, times that stiffness."""
     rigid = PLAIN + HEAVY
-    asked = term(name, place, stiffness=math.inf)
     unmoved = positions(rigid)
 
     def yielding(stiffness: float) -> Array:

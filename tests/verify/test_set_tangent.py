@@ -62,6 +62,10 @@ def relative(found: NDArray[np.float64], expected: NDArray[np.float64]) -> float
     return float(np.sqrt(np.mean((found - expected) ** 2) / np.mean(expected**2)))
 
 
+def springs(stiffness: float) -> Term:
+    return Term("soft_anchor", {"stiffness": stiffness})
+
+
 def about(predictor: Predictor, model: Model) -> SetTangent:
     return predictor.set_tangent(model, ABOUT, predictor.predict(model, ABOUT, keep=True))
 
@@ -92,10 +96,25 @@ def test_a_set_that_gives_moves_the_fiducials_as_a_rigid_one_tells(predictor: Pr
         soft = Model.of(predictor.scene) + Term("soft_anchor", {"stiffness": stiffness})
         for anchors in (ABOUT, frozenset("134")):
             moved = predictor.predict(soft, anchors).positions - here
-            told = tangent.moved(anchors, dict.fromkeys(anchors, 1 / stiffness))
+            told = tangent.moved(anchors, dict.fromkeys(anchors, springs(stiffness)))
             for rows in ROWS:
                 miss = relative(told[:, rows], moved[:, rows])
                 assert miss < (0.08 if reach < 1e-3 else 0.2 if rows.start == 0 else 0.3), (stiffness, anchors, rows)
+
+
+def test_a_part_that_gives_moves_the_fiducials_as_a_rigid_patch_tells(slab: Scene, reach: float) -> None:
+    """From a rigid set to one of which a half of a patch gives: in which direction, and about how far."""
+    fine = replace(slab, levels=(Level(2, 0.02),))
+    predictor = Predictor(fine, simulate(fine, ABOUT, pulls(reach), level=0), MPI.COMM_SELF)
+    tangent, plain = about(predictor, Model.of(fine)), Model.of(fine)
+    here = predictor.predict(plain, ABOUT).positions
+    for patch, angle, border in (("3", 90.0, 0.0), ("3", 270.0, 0.0), ("4", 90.0, 0.5)):
+        part = Term("partial_anchor", {"stiffness": 3e5, "angle": angle, "border": border}, place=patch)
+        moved = predictor.predict(plain + part, ABOUT).positions - here
+        told = tangent.moved(ABOUT, {patch: part})
+        assert np.sum(told * moved) > 0.95 * np.sqrt(np.sum(told**2) * np.sum(moved**2)), (patch, angle)
+        assert relative(told, moved) < 0.5, (patch, angle)
+    predictor.destroy()
 
 
 @pytest.mark.parametrize("stiffness", [5e4, 1e6, 1.5e7])
@@ -111,7 +130,8 @@ def test_soft_and_stiff_springs_are_found(slab: Scene, stiffness: float) -> None
 
 def test_no_compliance_is_a_rigid_anchor(predictor: Predictor) -> None:
     tangent = about(predictor, Model.of(predictor.scene))
-    assert tangent.moved(frozenset("134"), {"1": 0.0}) == pytest.approx(tangent.moved(frozenset("134")), abs=1e-15)
+    stiff = tangent.moved(frozenset("134"), {"1": springs(1e30)})
+    assert stiff == pytest.approx(tangent.moved(frozenset("134")), abs=1e-15)
 
 
 def test_nothing_moves_with_the_set_that_was_followed(predictor: Predictor) -> None:
@@ -124,16 +144,17 @@ def test_many_sets_are_what_each_system_of_its_own_tells(predictor: Predictor) -
     tangent = about(predictor, Model.of(predictor.scene))
     cases = [("1 3 4", {}), ("3 4", {}), ("", {}), ("1 3 4", {"3": 1e-6}), ("1", {}), ("1 3", {"1": 1e-5}), ("1 3", {})]
     cases += [("1 2 3 4 5 6 7 8", {"8": 1e-6}), ("8", {"8": 1e-6}), ("1 3 4", {"3": 1e-5, "4": 1e-6})]
-    found = tangent.all_moved([frozenset(names.split()) for names, _ in cases], [soft for _, soft in cases])
+    terms = [{name: springs(1 / compliance) for name, compliance in soft.items()} for _, soft in cases]
+    found = tangent.all_moved([frozenset(names.split()) for names, _ in cases], terms)
 
     def alone(names: str, soft: dict[str, float], frame: int) -> NDArray[np.float64]:
         step, own = tangent.steps[frame], [tangent.tractions[name] for name in sorted(names.split())]
         chosen = np.concatenate([np.zeros(0, np.int64), *own])
-        springs = np.zeros_like(step.compliance)
+        yielding = np.zeros_like(step.compliance)
         for name, compliance in soft.items():
             inside = np.ix_(tangent.tractions[name], tangent.tractions[name])
-            springs[inside] = compliance * tangent.areas[inside]
-        matrix = (step.compliance + springs)[np.ix_(chosen, chosen)]
+            yielding[inside] = tangent.springs(name, springs(1 / compliance))
+        matrix = (step.compliance + yielding)[np.ix_(chosen, chosen)]
         return step.freed - step.shown[:, chosen] @ np.linalg.solve(matrix, step.apart[chosen])
 
     for (names, soft), moved in zip(cases, found, strict=True):

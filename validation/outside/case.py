@@ -135,7 +135,7 @@ def noise_of(spec: Spec, arrays: Mapping[str, Array]) -> float:
 
 
 def truth_of(spec: Spec, arrays: Mapping[str, Array], noise: float) -> Truth:
-    """What is true, as `validation.golden.score` reads it, with what is `accepted` beside it."""
+    """What is true, as `validation.golden.score` reads it."""
     kind = KINDS[spec["kind"]]
     hidden = [name for name, change in zip(PATCHES, arrays["toggled"], strict=True) if np.abs(change).max() <= noise]
     size = _difference(arrays) / noise if spec["world"] else SIZES[1]
@@ -145,7 +145,6 @@ def truth_of(spec: Spec, arrays: Mapping[str, Array], noise: float) -> Truth:
         "anchored": spec["anchored"] if kind.anchors_right else None,
         "not_asked": sorted({*hidden, *kind.open_patches(spec)}),
         "effects": effects,
-        "accepted": list(kind.accepted),
         "noise": noise,
         "spec": spec,
     }

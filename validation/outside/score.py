@@ -28,8 +28,10 @@ _HEAD = (
 
 def right_verdict(truth: Json, diagnosis: Json) -> bool:
     """Whether the verdict is one of those that an ideal observer may give, see `validation.outside.worlds`."""
-    found = set(named(diagnosis))
-    return verdict_right(truth, diagnosis) or (truth["kind"] == "outside" and found <= {*truth["accepted"], "unknown"})
+    if verdict_right(truth, diagnosis):
+        return True
+    (what,) = truth["effects"] if truth["kind"] == "outside" else (None,)
+    return what is not None and set(named(diagnosis)) <= {*KINDS[what["effect"]].accepted, "unknown"}
 
 
 def right_anchors(truth: Json, diagnosis: Json) -> bool:

@@ -160,7 +160,7 @@ KINDS: Mapping[str, Kind] = {
     "partly": Kind(
         "a patch is attached on half of its area",
         _partly,
-        ("soft_anchor", "release"),
+        ("partial_anchor", "soft_anchor", "release"),
         lambda spec: [spec["world"]["partly"]["patch"]],
         most=2,
     ),

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from ufl.core.expr import Expr
 
     from bcid.forms.kinematics import Kinematics
+    from bcid.forms.mesh.patch_frame import PatchFrame
 
 Array = NDArray[np.float64]
 Constants = Mapping[str, Any]
@@ -64,6 +65,7 @@ class Point:
         place: where the effect acts, one of its `places`.
         surface: measure of a named place, ``surface(name)``, m^2 in the rest state.
         share: part of each cell that lies in a region of the body, ``share(name)``.
+        frame: axes in the plane of a patch, ``frame(patch)``.
         boundary: measure of the whole boundary, m^2 in the rest state.
         support: name of the scene's support surface, "" if it has none.
         patches: names of all patches.
@@ -89,6 +91,7 @@ class Point:
     place: str
     surface: Callable[[str], Any]
     share: Callable[[str], Expr]
+    frame: Callable[[str], PatchFrame]
     boundary: Any
     support: str
     patches: tuple[str, ...]
@@ -209,6 +212,10 @@ class Effect:
     @property
     def frees(self) -> bool:
         return False
+
+    @property
+    def share(self) -> Callable[[PatchFrame, tuple[Any, Any], Constants, Any], Any] | None:
+        return None
 
     @property
     def gives(self) -> bool:
@@ -336,6 +343,8 @@ class BodyEffect(Effect):
             vectors at the nodes, (3,).
         advance: their values after a step.
         frees: whether the anchored patches at its place are no longer fixed, because the effect holds them.
+        share: of springs whose compliance is not the same all over a patch, the share of a place in the patch's plane, from its frame,
+            the place (x, y), m, the values, and a module with cos, sin, exp and sqrt.
         gives: whether what the gripper holds is no longer prescribed, because the effect holds it.
         uses_past: whether `energy`, `potential` or `work` use `Point.past`.
         symmetric: False when the tangent of `work` is not symmetric (a follower load).
@@ -355,6 +364,7 @@ class BodyEffect(Effect):
     memory: Mapping[str, tuple[int, ...]] | None = None
     advance: Callable[[Point, Constants], Mapping[str, Expr]] | None = None
     frees: bool = False
+    share: Callable[[PatchFrame, tuple[Any, Any], Constants, Any], Any] | None = None
     gives: bool = False
     uses_past: bool = False
     symmetric: bool = True
