@@ -343,8 +343,8 @@ class BodyEffect(Effect):
             vectors at the nodes, (3,).
         advance: their values after a step.
         frees: whether the anchored patches at its place are no longer fixed, because the effect holds them.
-        share: of springs whose compliance is not the same all over a patch, the share of a place in the patch's plane, from its frame,
-            the place (x, y), m, the values, and a module with cos, sin, exp and sqrt.
+        share: of springs whose compliance is not the same all over a patch, the share of a place in its plane, from the patch's
+            frame, the place (x, y), m, the values, and a module with cos, sin, exp and sqrt.
         gives: whether what the gripper holds is no longer prescribed, because the effect holds it.
         uses_past: whether `energy`, `potential` or `work` use `Point.past`.
         symmetric: False when the tangent of `work` is not symmetric (a follower load).
