@@ -120,8 +120,8 @@ class Sensitivity:
         """Displacement of what is held rigidly per unit of compliance (m/Pa): -M^-1 times the forces that hold it.
 
         A spring bed of stiffness k holds with -k M u what a rigid hold would: u = -1/k M^-1 F, with M the mass of where it is,
-        divided by the share of the compliance where that is not the same everywhere. Under a gripper, u is by how much more than the
-        gripper itself what it holds moves.
+        divided by the share of the compliance where that is not the same everywhere. Under a gripper, u is by how much more than
+        the gripper itself what it holds moves.
         """
         moved = np.zeros_like(loads)
         for bed in self._beds(term, anchors):
