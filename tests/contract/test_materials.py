@@ -135,6 +135,10 @@ def _gent_slope(x: float, v: Values) -> float:
     return v["mu"] / 2 * v["jm"] / (v["jm"] - x)
 
 
+def _demiray_slope(x: float, v: Values) -> float:
+    return v["mu"] / 2 * math.exp(v["b"] * x)
+
+
 # ---------------------------------------------------------------- incompressible bar, textbook formulas
 
 
@@ -191,6 +195,11 @@ CASES: dict[str, Case] = {
         {"mu": 5e3, "jm": 6.0, "poisson": 0.45},
         _first_invariant_law(_gent_slope, lambda v: v["mu"]),
         _bar_first_invariant(_gent_slope),
+    ),
+    "demiray": Case(
+        {"mu": 5e3, "b": 1.2, "poisson": 0.45},
+        _first_invariant_law(_demiray_slope, lambda v: v["mu"]),
+        _bar_first_invariant(_demiray_slope),
     ),
     "ogden": Case(
         {"mu1": 600.0, "alpha1": 8.0, "mu2": -300.0, "alpha2": -3.0, "mu3": 100.0, "alpha3": 1.3, "poisson": 0.45},

@@ -126,6 +126,29 @@ def test_08_skin(real_data: Callable[[str], Path], tmp_path: Path) -> None:
         assert one.missing > 0.99
 
 
+def test_09_laws() -> None:
+    """The plate of an isochoric neo-Hookean solid is told from others, with constants within 2 %."""
+    example = load("09_laws")
+    (_, measured), *_ = example.plates(None)
+    found, told = example.answer(example.Scene.read(EXAMPLES / "scenes/plate.toml"), measured)
+    assert max(told, key=lambda law: told[law]) == "I1"
+    assert (told["I2"], told["I1"] > 0.5) == (pytest.approx(0.0, abs=1e-6), True)
+    assert found["I1"].shear[0] == pytest.approx(20e3, rel=0.02)
+    assert found["I1"].poisson[0] == pytest.approx(0.286, rel=0.02)
+    assert found["I1"].adequate
+
+
+def test_09_laws_of_the_data_of_others(real_data: Callable[[str], Path]) -> None:
+    """The law that stiffens exponentially, from constants that are 4 and 8 times too small."""
+    example = load("09_laws")
+    measured = dict(example.plates(real_data("fingerprint_plates")))["Demiray_0.001"]
+    found, told = example.answer(example.Scene.read(EXAMPLES / "scenes/plate.toml"), measured)
+    assert told["exponential"] > 0.9
+    best = found["exponential"]
+    assert (best.shear[0], best.fitted.values["b"]) == pytest.approx((160e3, 8.0), rel=0.02)
+    assert best.poisson[0] == pytest.approx(-0.763, rel=0.02)
+
+
 def test_make_inlay(tmp_path: Path) -> None:
     made = load("make_inlay").main(tmp_path / "made")
     shipped = Measurement.read(EXAMPLES / "measurements/inlay-4")

@@ -13,7 +13,7 @@ from validation.__main__ import main
 def test_a_folder_without_the_data_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "human_skin").mkdir()
     assert main(["public", str(tmp_path), "-o", str(tmp_path / "run")]) == 2
-    assert "has no folder duodic_rubber" in capsys.readouterr().err
+    assert "has no folder fingerprint_plates and no folder duodic_rubber" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
 
 
