@@ -88,7 +88,11 @@ def _place(check: SceneCheck, place: PlaceSize) -> tuple[str, ...]:
 
 def _region(scene: Scene, region: RegionSize) -> tuple[str, ...]:
     ratio = scene.regions[region.name].ratio
+    constants = scene.regions[region.name].constants
     stiffness = "not known" if ratio is None else f"{ratio:g} times that of the body"
+    if constants:
+        own = ", ".join(f"{name} = {value}" for name, value in constants.items())
+        stiffness = f"{stiffness}; {own}" if set(constants) == {"poisson"} else own
     return region.name, f"{100 * region.part:.3g} %", str(region.cut), _mm(region.middle), stiffness
 
 

@@ -20,7 +20,7 @@ from bcid.forms.effects.effect import Effect, Past, Point
 from bcid.forms.kinematics import Kinematics
 from bcid.forms.mesh.body import Body
 from bcid.forms.mesh.shares import share
-from bcid.forms.model import Model, Term
+from bcid.forms.model import Model, Term, region_name
 from bcid.scene import Region, Scene
 
 Array = NDArray[np.float64]
@@ -217,11 +217,20 @@ class WeakForm:
         )
 
     def law_constants(self, terms: Iterable[Term]) -> dict[str, Any]:
-        """The law's constants, some of which effects replace."""
+        """The law's constants, some of which effects replace, and regions have of their own."""
         constants = {name: self._numbers[name] for name in self.model.law.complete(self.model.values)}
+        own = {
+            region: {name: self._numbers[region_name(region, name)] for name in numbers}
+            for region, numbers in self.model.region_constants.items()
+        }
         for term in terms:
             if term.effect.constants:
-                constants |= term.effect.constants(self.term_constants(term))
+                held = own.setdefault(term.place, {}) if term.place else constants
+                held |= term.effect.constants(self.term_constants(term))
+        # What holds in a region comes after what holds everywhere, whatever the order of the effects.
+        for region, numbers in own.items():
+            share = self.share(region)
+            constants |= {name: constants[name] + share * (value - constants[name]) for name, value in numbers.items()}
         return constants
 
     def stored(self, terms: Sequence[Term], grown: Any = None) -> Any:

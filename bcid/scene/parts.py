@@ -126,6 +126,7 @@ class BodyRegion:
         box, sphere, outline: shapes.
         label: number that it has in a label image; None where it has none.
         ratio: its stiffness to that of the rest of the body; None where that is not known.
+        constants: of the law, as written, that are its own; those of the body hold for the others.
     """
 
     volumes: tuple[str, ...] = ()
@@ -134,6 +135,7 @@ class BodyRegion:
     outline: Polygon | None = None
     ratio: float | None = None
     label: int | None = None
+    constants: Values = field(default_factory=dict)
 
 
 # Fewer points drive nothing.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bcid.base.errors import nearest
-from bcid.base.units import LEAST_SIGMA, measurable, usable
+from bcid.base.units import LEAST_SIGMA, measurable
 from bcid.scene.geometry_tables import GeometryTables
 from bcid.scene.parts import LEAST_POINTS, MID_PLANE, Driven, Limits, Material, Values, Vector
 from bcid.scene.region_tables import RegionTables
@@ -184,15 +183,6 @@ class SceneFile(GeometryTables, RegionTables):
         values = {key: value for key, value in table.items() if key not in ("law", "formulation", "volumetric")}
         self.values(values, "material.")
         return Material(law, values, formulation, volumetric)
-
-    def values(self, table: Mapping[str, Any], where: str) -> None:
-        for key, value in table.items():
-            if isinstance(value, bool) or not isinstance(value, str | int | float | list):
-                self.bad(where + key, f"expected a number or text with a unit, found {value!r}")
-            elif isinstance(value, float) and not math.isfinite(value):
-                self.bad(where + key, f"{value!r} is not a finite number")
-            elif isinstance(value, float) and not usable(value):
-                self.bad(where + key, f"{value!r} is too large or too small; expected a number from 1e-30 to 1e30")
 
     def effect(self, value: object, name: str) -> Values:
         if not isinstance(value, dict):

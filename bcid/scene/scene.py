@@ -39,7 +39,7 @@ class Scene:
         places: other named parts of the boundary, for known loads and supports.
         held: places that are known to be held, and the axes (0, 1, 2) along which they do not move; no axis: along their normals.
         driven: places, and grasps, that measured points drive.
-        regions: parts of the volume with a stiffness of their own.
+        regions: parts of the volume with a stiffness or other constants of their own.
         down: unit vector of gravity.
         fibre_plane: the plane in which fibres and active stresses lie: unit vectors at 0 and at 90 degrees. None is the
             horizontal plane, from the x axis on.
@@ -132,8 +132,9 @@ class Scene:
         if self.thickness is None:
             del content["thickness"], content["thickness_known"]
         for region in content.get("regions", {}).values():
-            if region["label"] is None:
-                del region["label"]
+            for key in ("label", "constants"):
+                if region[key] in (None, {}):
+                    del region[key]
         if not self.material.volumetric:
             del content["material"]["volumetric"]
         return fingerprint({"scene": content, "geometry": file_fingerprint(self.geometry)})
