@@ -72,14 +72,16 @@ def loosened(state: State, effect: Effect, sets: Sequence[Anchored], near: Seque
 def _yielding(state: State, effect: Effect, whole: Sequence[Anchored], parts: Sequence[Anchored]) -> list[Loosened]:
     """Springs in the place of whole sets, and of single patches of some."""
     parameter, predictor = effect.parameters[0], state.predictor
+    # What holds along a direction of its surface does not give.
+    giving = {s: [patch for patch in sorted(s) if predictor.scene.held_along(patch)] for s in (*whole, *parts)}
     cases = []
-    for anchors, places in [*((s, [""]) for s in whole), *((s, sorted(s)) for s in parts)]:
-        for place in places if anchors else []:
+    for anchors, places in [*((s, [""]) for s in whole), *((s, giving[s]) for s in parts)]:
+        for place in places if giving[anchors] else []:
             cases += [
                 (anchors, Term(effect, {parameter.name: float(s * parameter.scale)}, place=place)) for s in _SIZES
             ]
     soft = [
-        dict.fromkeys([term.place] if term.place else anchors, 1 / term.values[parameter.name])
+        dict.fromkeys([term.place] if term.place else giving[anchors], 1 / term.values[parameter.name])
         for anchors, term in cases
     ]
     moves = predictor.moves(state.model, state.anchors, state.prediction, [anchors for anchors, _ in cases], soft)

@@ -15,6 +15,8 @@ Values = dict[str, Any]
 Vector = tuple[float, float, float]
 # Name of the middle plane of a sheet: what is held along z without being stated in [held].
 MID_PLANE = "mid_plane"
+# Directions of a surface along which a candidate patch may hold.
+SURFACE_DIRECTIONS = ("normal", "tangent")
 # A sheet of unknown thickness is computed with this one, m.
 COMPUTED_THICKNESS = 1e-3
 
