@@ -155,6 +155,11 @@ def test_a_ball_of_foam_that_is_known_leaves_nothing_missing(gel: Scene, maker: 
     assert unknown not in ("none", "region_compressibility")
 
 
+def test_a_region_without_constants_keeps_its_fingerprint(project: Path) -> None:
+    """Runs of earlier versions are still of this scene."""
+    assert Scene.read(project / "examples" / "scenes" / "inlay.toml").fingerprint() == "92bc19c846f8a767"
+
+
 @pytest.mark.parametrize(
     ("written", "words"),
     [

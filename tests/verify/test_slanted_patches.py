@@ -36,11 +36,12 @@ MARKERS = {"a": (0.02, 0.02, 0.01), "b": (0.04, 0.0, 0.012), "c": (0.045, 0.01, 
 # ---------------------------------------------------------------- where the normal is an axis, or was one
 
 
-def lying(axes: dict[str, tuple[int, ...]], directions: dict[str, str], degree: int = 2) -> Scene:
+def lying(axes: dict[str, tuple[int, ...]], directions: dict[str, str], degree: int, formulation: str) -> Scene:
     """A block that may be held at its foot and at its bottom in two ways; the end is led."""
     scene = scene_of(("x0", "z0"), "x1", (SIZE[0], SIZE[1] / 2, SIZE[2] / 2), fiducials=MARKERS, degree=degree)
     patches = {"foot": scene.patches["x0"], "slides": scene.patches["z0"], "sticks": scene.patches["z0"]}
-    return replace(scene, patches=patches, patch_axes=axes, patch_directions=directions)
+    material = replace(scene.material, formulation=formulation)
+    return replace(scene, patches=patches, patch_axes=axes, patch_directions=directions, material=material)
 
 
 def turned(scene: Scene, mesh: BodyMesh, turn: Rotation) -> tuple[Scene, BodyMesh]:
@@ -67,17 +68,18 @@ AXES: dict[str, tuple[int, ...]] = {"slides": (2,), "sticks": (0, 1)}
 DIRECTIONS = {"slides": "normal", "sticks": "tangent"}
 
 
-@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize(("degree", "formulation"), [(1, "displacement"), (2, "displacement"), (2, "mixed")])
 @pytest.mark.parametrize("anchors", [{"foot", "slides"}, {"slides"}, {"sticks"}, {"foot", "slides", "sticks"}])
-def test_along_the_normal_is_along_the_axis_that_it_is(anchors: set[str], degree: int) -> None:
+def test_along_the_normal_is_along_the_axis_that_it_is(anchors: set[str], degree: int, formulation: str) -> None:
     """The gripper leads nodes of the bottom away from it: they are its business alone, and those beside them are held."""
     mesh = box(SIZE, (6, 2, 2))
-    expected, force = shown(lying(AXES, {}, degree), mesh, anchors, WAY)
-    found, other = shown(lying({}, DIRECTIONS, degree), mesh, anchors, WAY)
+    by_axes, by_surface = (lying(*along, degree, formulation) for along in ((AXES, {}), ({}, DIRECTIONS)))
+    expected, force = shown(by_axes, mesh, anchors, WAY)
+    found, other = shown(by_surface, mesh, anchors, WAY)
     np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
     np.testing.assert_allclose(other, force, atol=1e-3 * np.abs(force).max())
     turn = Rotation.from_euler("xyz", [20, 30, -40], degrees=True)
-    aslant, _ = shown(*turned(lying({}, DIRECTIONS, degree), mesh, turn), anchors, turn.apply(WAY))
+    aslant, _ = shown(*turned(by_surface, mesh, turn), anchors, turn.apply(WAY))
     np.testing.assert_allclose(turn.inv().apply(aslant.reshape(-1, 3)).reshape(found.shape), found, atol=1e-8)
 
 

@@ -22,8 +22,7 @@ def potential(point: Point, c: Constants) -> Any:
     def stored(patch: str) -> Any:
         return c["stiffness"] / 2 * sum(point.u[axis] ** 2 for axis in point.held_along(patch))
 
-    # What holds along directions of its surface is held by springs of its own.
-    patches = [point.place] if point.place else [patch for patch in point.patches if point.held_along(patch)]
+    patches = [point.place] if point.place else point.patches
     return sum(point.anchored(patch) * stored(patch) * point.surface(patch) for patch in patches)
 
 
