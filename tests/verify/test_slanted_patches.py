@@ -15,6 +15,8 @@ from verify.problems import box, move, scene_of
 from bcid import Measurement, Scene, identify
 from bcid.app.cli import main
 from bcid.base.errors import InputError
+from bcid.comparison.loosened import loosened
+from bcid.comparison.state import State
 from bcid.forms.effects import effect
 from bcid.forms.forward import Forward
 from bcid.forms.mesh import BodyMesh
@@ -191,6 +193,20 @@ def test_what_holds_along_its_normal_comes_off_but_is_not_soft(ramp: Scene) -> N
     assert np.abs(shown["rigid"] - shown["free"]).max() > 0.3e-3
     np.testing.assert_allclose(shown["soft"], shown["rigid"], atol=2e-6)
     np.testing.assert_allclose(shown["off"], shown["free"], atol=1e-8)
+
+
+def test_a_set_that_gives_has_a_sliding_patch_that_does_not(ramp: Scene) -> None:
+    anchors = frozenset({"foot", "slides"})
+    measured = simulate(ramp, anchors, pulled(), level=0, noise=0.05e-3, random_state=1)
+    predictor = Predictor(ramp, measured, MPI.COMM_SELF, level=0)
+    state = State.of(predictor, Model.of(ramp), anchors)
+    found = loosened(state, effect("soft_anchor"), [anchors], [anchors])
+    predictor.destroy()
+    by_place = {place: [one for one in found if one.term.place == place] for place in ("", "foot")}
+    assert len(found) == sum(map(len, by_place.values()))
+    for whole, part in zip(*by_place.values(), strict=True):
+        assert whole.term.values == part.term.values
+        np.testing.assert_allclose(whole.moved, part.moved, rtol=1e-9, atol=1e-9)
 
 
 def test_scene_check_tells_along_what_a_patch_holds(ramp: Scene, capsys: pytest.CaptureFixture[str]) -> None:
