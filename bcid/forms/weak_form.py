@@ -161,6 +161,8 @@ class WeakForm:
 
     def lead(self, dofs: NDArray[np.int32], grasp: str) -> None:
         """Which unknowns are led from now on, on this rank, ghosts included, and what the gripper holds."""
+        if not self.sprung:
+            return
         self.led.x.array[:] = np.isin(self.body.displacement_dofs, dofs)
         self._grasp = float(list(self.scene.grasps).index(grasp)) if grasp else -1.0
 
