@@ -144,7 +144,9 @@ def main(folder: Path | None = None) -> dict[str, dict[str, float]]:
             for value, error in (np.array(found[best].shear) * 1e-3, found[best].poisson)
         )
         others = ", ".join(f"{law} {p:.1%}" for law, p in told[name].items() if law != best and p > 0.005)
-        print(f"{name}: {best} ({told[name][best]:.1%}; {others or 'no other'}), shear {shear} kPa, Poisson's ratio {poisson}")
+        print(
+            f"{name}: {best} ({told[name][best]:.1%}; {others or 'no other'}), shear {shear} kPa, Poisson's ratio {poisson}"
+        )
     return told
 
 

@@ -298,8 +298,7 @@ def _of_patches(scene: Scene, found: Identification) -> list[str]:
 
 def _state(scene: Scene, patch: str, anchored: bool) -> str:
     """What a patch does, and along which axes where that is not along all."""
-    axes = scene.held_along(patch)
-    along = f" along {' '.join('xyz'[axis] for axis in axes)}" if len(axes) < len(AXES) else ""
+    along = f" along {scene.held_in_words(patch)}" if len(scene.held_along(patch)) < len(AXES) else ""
     return f"{'anchored' if anchored else 'free'}{along}"
 
 

@@ -78,13 +78,15 @@ def loosened(state: State, effect: Effect, sets: Sequence[Anchored], near: Seque
 def _yielding(state: State, effect: Effect, whole: Sequence[Anchored], parts: Sequence[Anchored]) -> list[Loosened]:
     """Springs in the place of whole sets, and of single patches of some."""
     predictor, ways = state.predictor, _ways(effect)
-    places = {s: effect.places(predictor.scene, s) if effect.places else [""] for s in (*whole, *parts) if s}
+    # What holds along a direction of its surface does not give.
+    giving = {s: [patch for patch in sorted(s) if predictor.scene.held_along(patch)] for s in (*whole, *parts)}
+    places = {s: effect.places(predictor.scene, s) if effect.places else [""] for s, some in giving.items() if some}
     # All patches of a set give, or a single one of few sets.
     asked = [(s, place) for s, some in places.items() for place in some if not place or s in parts]
     cases = [(anchors, Term(effect, values, place=place)) for anchors, place in asked for values in ways]
     if not cases:
         return []
-    soft = [dict.fromkeys([term.place] if term.place else anchors, term) for anchors, term in cases]
+    soft = [dict.fromkeys([term.place] if term.place else giving[anchors], term) for anchors, term in cases]
     moves = predictor.moves(state.model, state.anchors, state.prediction, [anchors for anchors, _ in cases], soft)
     columns = state.errors.whiten(np.column_stack([predictor.data.vector(moved) for moved in moves]))
     return [

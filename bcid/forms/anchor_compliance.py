@@ -21,15 +21,16 @@ from bcid.base.errors import SolveError
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model
 from bcid.forms.solver.status import Status
+from bcid.scene import Scene
 
 Array = NDArray[np.float64]
 # Dense systems of more unknowns cost more than following the sets.
 _MOST = 2000
 
 
-def undeformed(model: Model) -> bool:
-    """Whether a body is at rest without any deformation, whatever holds it."""
-    return not model.terms and not model.rollers
+def undeformed(model: Model, scene: Scene) -> bool:
+    """Whether a body is at rest without any deformation, whatever holds it, and nothing but its nodes is held."""
+    return not (model.terms or model.rollers or scene.patch_directions)
 
 
 class AnchorCompliance:

@@ -90,6 +90,11 @@ class Term:
         return tuple(self.full(p.name) for p in moving)
 
 
+def region_name(region: str, constant: str) -> str:
+    """Full name of a constant that a region of the body has of its own."""
+    return f"regions.{region}.{constant}"
+
+
 def pressure(place: str, value: float) -> Term:
     """A pressure (Pa) that follows the surface of a place and pushes into the body.
 
@@ -139,6 +144,7 @@ class Model:
         down: unit vector of gravity.
         fibre_axes: unit vectors of the plane of fibres, at 0 and at 90 degrees; the horizontal plane by default.
         rollers: what holds a place along an axis, whatever is anchored, as (place, axis) with axis 0, 1 or 2.
+        region_constants: constants of the law that regions of the body have of their own, SI, by region.
     """
 
     law: Law
@@ -151,6 +157,7 @@ class Model:
     down: tuple[float, float, float] = (0.0, -1.0, 0.0)
     fibre_axes: tuple[Vector, Vector] = horizontal((0.0, -1.0, 0.0))
     rollers: tuple[tuple[str, int], ...] = field(default=())
+    region_constants: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         problems = self.law.check(self.values, self.mixed)
@@ -210,7 +217,8 @@ class Model:
 
     def numbers(self) -> dict[str, float]:
         """Every number of the weak form by its full name, as it is at a time of 0 s: the law's, and what acts of the effects."""
-        return dict(self.law.complete(self.values)) | self.acting(1.0, 0.0)
+        own = {region_name(r, n): float(v) for r, one in self.region_constants.items() for n, v in one.items()}
+        return dict(self.law.complete(self.values)) | own | self.acting(1.0, 0.0)
 
     def with_values(self, numbers: Mapping[str, float]) -> Model:
         """The model with other numbers by full name, as in `constants`.
@@ -352,6 +360,7 @@ def _model(scene: Scene, problems: list[str]) -> Model | None:
         problems.append(f"material.volumetric: {wrong}")
     if mixed and any(level.degree < 2 for level in scene.levels):
         problems.append("material.formulation: the mixed formulation needs degree = 2 on every level")
+    own = _region_constants(scene, law, values, problems)
     terms = [_term(name, written, scene, problems) for name, written in scene.effects.items()]
     if problems:
         return None
@@ -362,7 +371,7 @@ def _model(scene: Scene, problems: list[str]) -> Model | None:
     held = tuple((place, axis) for place, axes in scene.held.items() for axis in axes)
     volumetric = next((one for one in VOLUMETRIC if one == form), None)
     model = Model(law, values, material.formulation, volumetric, terms=found, rollers=held)
-    return replace(model, down=scene.down, fibre_axes=scene.fibre_axes)
+    return replace(model, down=scene.down, fibre_axes=scene.fibre_axes, region_constants=own)
 
 
 def _regions(scene: Scene, terms: Sequence[Term | None], problems: list[str]) -> list[Term]:
@@ -376,6 +385,27 @@ def _regions(scene: Scene, terms: Sequence[Term | None], problems: list[str]) ->
             problems.append(f"regions.{term.place}.ratio: effects.region_stiffness has it as well; state it once")
         problems += [f"regions.{term.place}: {problem}" for problem in term.effect.check(dict(term.values))]
     return known
+
+
+def _region_constants(
+    scene: Scene, law: Law, values: Mapping[str, float], problems: list[str]
+) -> dict[str, dict[str, float]]:
+    """Constants that regions have of their own, SI."""
+    found: dict[str, dict[str, float]] = {}
+    for name, region in scene.regions.items():
+        if not region.constants:
+            continue
+        key, wrong = f"regions.{name}.constants", list[str]()
+        found[name] = _numbers(region.constants, law.parameters, key, wrong)
+        if not wrong:
+            checked = law.check({**values, **found[name]}, scene.material.formulation == "mixed")
+            wrong = [f"{key}: {problem}" for problem in checked]
+        problems += wrong
+        for constant in region.constants:
+            effect = "region_compressibility" if constant == "poisson" else "region_stiffness"
+            if scene.effects.get(effect, {}).get("place") == name:
+                problems.append(f"{key}.{constant}: effects.{effect} says it as well; state it once")
+    return found
 
 
 def _term(name: str, written: Values, scene: Scene, problems: list[str]) -> Term | None:

@@ -220,9 +220,17 @@ def _overlaps(scene: Scene, mesh: BodyMesh) -> Iterator[str]:
     names = list(rows)
     for i, first in enumerate(names):
         for other in names[i + 1 :]:
-            shared = rows[first] & rows[other] if set(scene.held_along(first)) & set(scene.held_along(other)) else set()
+            shared = rows[first] & rows[other] if _alike(scene, first, other) else set()
             if shared:
                 yield f"patches {first} and {other} share {len(shared)} facets: both would be told to be anchored there"
+
+
+def _alike(scene: Scene, first: str, other: str) -> bool:
+    """Whether two patches would hold the same, on one surface: along an axis of both, or a direction of the surface of one."""
+    directions = {scene.held_direction(first), scene.held_direction(other)}
+    if directions == {""}:
+        return bool(set(scene.held_along(first)) & set(scene.held_along(other)))
+    return directions != {"normal", "tangent"}
 
 
 def _of_levels(

@@ -66,8 +66,13 @@ def _rung(scene: Scene, rung: LevelSize) -> tuple[str, ...]:
 
 def _more(check: SceneCheck, kind: str) -> tuple[str, ...]:
     if kind == "patch":
-        return ("holds along",) if check.scene.patch_axes else ()
+        return ("holds along",) if _hold_along_some(check.scene) else ()
     return {"grasp": ("centre (mm)",), "held": ("along",), "driven": ("along", "by")}.get(kind, ())
+
+
+def _hold_along_some(scene: Scene) -> bool:
+    """Whether a patch does not hold along all axes."""
+    return bool(scene.patch_axes or scene.patch_directions)
 
 
 def _place(check: SceneCheck, place: PlaceSize) -> tuple[str, ...]:
@@ -75,8 +80,8 @@ def _place(check: SceneCheck, place: PlaceSize) -> tuple[str, ...]:
     found = place.name, str(place.facets), area, _mm(place.middle)
     if place.kind == "held":
         return *found, " ".join("xyz"[axis] for axis in check.scene.held[place.name]) or "its normal"
-    if place.kind == "patch" and check.scene.patch_axes:
-        return *found, " ".join("xyz"[axis] for axis in check.scene.held_along(place.name))
+    if place.kind == "patch" and _hold_along_some(check.scene):
+        return *found, check.scene.held_in_words(place.name)
     if place.kind == "driven":
         along = " ".join("xyz"[axis] for axis in check.scene.driven[place.name].along)
         return *found, along, f"{check.drivers[place.name]} fiducials"
@@ -88,7 +93,11 @@ def _place(check: SceneCheck, place: PlaceSize) -> tuple[str, ...]:
 
 def _region(scene: Scene, region: RegionSize) -> tuple[str, ...]:
     ratio = scene.regions[region.name].ratio
+    constants = scene.regions[region.name].constants
     stiffness = "not known" if ratio is None else f"{ratio:g} times that of the body"
+    if constants:
+        own = ", ".join(f"{name} = {value}" for name, value in constants.items())
+        stiffness = f"{stiffness}; {own}" if set(constants) == {"poisson"} else own
     return region.name, f"{100 * region.part:.3g} %", str(region.cut), _mm(region.middle), stiffness
 
 

@@ -261,10 +261,9 @@ class SetTangents:
         # A patch of few nodes has no more shapes than nodes.
         basis, sizes, _ = np.linalg.svd(shapes, full_matrices=False)
         shapes = basis[:, sizes > 1e-6 * sizes.max(initial=0.0)]
-        axes = self.forward.scene.held_along(name)
-        columns = np.zeros((len(body.nodes), 3, shapes.shape[1], len(axes)))
-        for number, axis in enumerate(axes):
-            columns[nodes, axis, :, number] = shapes
+        directions = self._directions(name, nodes)
+        columns = np.zeros((len(body.nodes), 3, shapes.shape[1], directions.shape[2]))
+        columns[nodes] = shapes[:, None, :, None] * directions[:, :, None, :]
         flat = columns.reshape(3 * len(body.nodes), -1)
         try:
             measure = weak_form.surface(name)
@@ -272,6 +271,18 @@ class SetTangents:
             return flat, flat
         u, v = ufl.TrialFunction(body.displacement_space), ufl.TestFunction(body.displacement_space)
         return flat, np.asarray(fem.assemble_matrix(compiled.form(ufl.inner(u, v) * measure)).to_scipy() @ flat)
+
+    def _directions(self, name: str, nodes: NDArray[np.int64]) -> Array:
+        """Unit vectors along which a patch holds its nodes, shape (nodes, 3, directions)."""
+        scene = self.forward.scene
+        direction = scene.held_direction(name)
+        if not direction:
+            return np.tile(np.eye(3)[:, scene.held_along(name)], (len(nodes), 1, 1))
+        normals = self.forward.equilibrium.weak_form.normal(name).x.array.reshape(-1, 3)[nodes]
+        if direction == "normal":
+            return np.asarray(normals[:, :, None])
+        # A vector and those within the surface there are orthogonal: the last two left singular vectors of a column.
+        return np.asarray(np.linalg.svd(normals[:, :, None])[0][:, :, 1:])
 
     def of(self, actions: Sequence[Action], prediction: Prediction, seen: NDArray[np.bool_]) -> dict[int, StepTangent]:
         """The steps of some actions, from the states that their prediction kept; by frame.
@@ -325,7 +336,7 @@ class SetTangents:
         """Compliance of the patches that springs hold where they are anchored, shape (tractions, tractions)."""
         equilibrium = self.forward.equilibrium
         found = np.zeros((self._columns.shape[1],) * 2)
-        sprung = self.forward.model.freed(self.tractions)
+        sprung = equilibrium.freed(self.tractions)
         if not sprung:
             return found
         free = equilibrium.tangent.times(self._shapes)

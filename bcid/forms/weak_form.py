@@ -21,7 +21,7 @@ from bcid.forms.kinematics import Kinematics
 from bcid.forms.mesh.body import Body
 from bcid.forms.mesh.patch_frame import PatchFrame
 from bcid.forms.mesh.shares import share
-from bcid.forms.model import Model, Term
+from bcid.forms.model import Model, Term, region_name
 from bcid.scene import Region, Scene
 
 Array = NDArray[np.float64]
@@ -29,6 +29,9 @@ Array = NDArray[np.float64]
 LONG = 1e9
 # The quadrature of this degree has a negative weight.
 _SOME_NEGATIVE = 3
+# Stiffness of the springs of a patch that holds along a direction of its surface, in shear moduli per cube root of the volume: they
+# give by about a millionth of that, and round-off of what slides past them is less than a billionth of the forces.
+_STIFF = 1e6
 # Quadrature where the stiffness varies within an element.
 _VARYING = 4
 
@@ -107,6 +110,8 @@ class WeakForm:
         energies, works: forms that add up to the model's: one for the law and one for each effect, so that an effect is
             compiled once, whatever it is combined with.
         giving: numbers of those energies that hold in the gripper's place.
+        sprung: patches that hold along a direction of their surface: by springs, for no unknown is such a displacement.
+        led: 1 for the displacements that the gripper or measured points lead, else 0; a DOLFINx Function, for those springs.
     """
 
     def __init__(self, body: Body, model: Model, scene: Scene, u: Any) -> None:
@@ -137,6 +142,31 @@ class WeakForm:
             self.giving += [len(self.energies)] if term.effect.gives else []
             self.energies += [] if energy is None else [energy]
             self.works += [] if work is None else [work]
+        self.sprung = tuple(patch for patch in scene.patches if scene.held_direction(patch))
+        self.led = fem.Function(body.displacement_space)
+        self._grasp = -1.0
+        if self.sprung:
+            self.energies.append(sum(map(self._of_springs, self.sprung)))
+
+    def _of_springs(self, patch: str) -> Any:
+        """Energy of the springs that hold the nodes of a patch along a direction of its surface; a form.
+
+        They sit at the nodes and leave those alone that are led, as a condition on unknowns does: were they spread over the
+        surface, each facet of a curved one would hold along its own normal, and a node that is led would bend its neighbours.
+        """
+        u, along = self.displacement, ufl.inner(self.displacement, self.normal(patch)) ** 2
+        square = along if self.scene.held_direction(patch) == "normal" else ufl.inner(u, u) - along
+        stiffness = _STIFF * self.model.law.shear(self.law_constants(())) / self.body.mesh.volume ** (1 / 3)
+        free = (1 - self.led[0]) * (1 - self.led[1]) * (1 - self.led[2])
+        at_nodes = self.surface(patch)(metadata=self.body.nodal_rule)
+        return self.anchored[patch] * stiffness / 2 * free * square * at_nodes
+
+    def lead(self, dofs: NDArray[np.int32], grasp: str) -> None:
+        """Which unknowns are led from now on, on this rank, ghosts included, and what the gripper holds."""
+        if not self.sprung:
+            return
+        self.led.x.array[:] = np.isin(self.body.displacement_dofs, dofs)
+        self._grasp = float(list(self.scene.grasps).index(grasp)) if grasp else -1.0
 
     def _number(self, name: str, value: float) -> Any:
         """A number of the model in UFL: its Constant, as a variable that forms can be differentiated by."""
@@ -220,11 +250,20 @@ class WeakForm:
         )
 
     def law_constants(self, terms: Iterable[Term]) -> dict[str, Any]:
-        """The law's constants, some of which effects replace."""
+        """The law's constants, some of which effects replace, and regions have of their own."""
         constants = {name: self._numbers[name] for name in self.model.law.complete(self.model.values)}
+        own = {
+            region: {name: self._numbers[region_name(region, name)] for name in numbers}
+            for region, numbers in self.model.region_constants.items()
+        }
         for term in terms:
             if term.effect.constants:
-                constants |= term.effect.constants(self.term_constants(term))
+                held = own.setdefault(term.place, {}) if term.place else constants
+                held |= term.effect.constants(self.term_constants(term))
+        # What holds in a region comes after what holds everywhere, whatever the order of the effects.
+        for region, numbers in own.items():
+            share = self.share(region)
+            constants |= {name: constants[name] + share * (value - constants[name]) for name, value in numbers.items()}
         return constants
 
     def stored(self, terms: Sequence[Term], grown: Any = None) -> Any:
@@ -366,8 +405,9 @@ class WeakForm:
         return self._surfaces(len(self._spreadable) + self.grips.index(grasp) + 1)
 
     def switches(self) -> list[float]:
-        """What is held by effects, 1 or 0 for each patch and grasp."""
-        return [float(constant.value) for constant in (*self.anchored.values(), *self.grasped.values())]
+        """What is held by effects, 1 or 0 for each patch and grasp, and where springs leave what is led: the number of a grasp."""
+        numbers = [float(constant.value) for constant in (*self.anchored.values(), *self.grasped.values())]
+        return [*numbers, self._grasp] if self.sprung else numbers
 
     @property
     def boundary(self) -> Any:

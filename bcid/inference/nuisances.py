@@ -168,8 +168,9 @@ class Nuisances:
         probes = [Probe(term, ("part",)) for term in dimensions()] if self.sizes.dimensions else []
         if self.sizes.borders:
             held = [("", self._patches[patch]) for patch in sorted(anchors)] + sorted(self._grasps.items())
-            acting = (term.place for term in model.terms if term.effect.stiffness and term.place in self._regions)
-            held += [("", self._regions[region]) for region in acting]
+            changing = {term.place for term in model.terms if term.effect.stiffness or term.effect.constants}
+            acting = changing | model.region_constants.keys()
+            held += [("", outline) for region, outline in self._regions.items() if region in acting]
             probes += [
                 Probe(term, ("distance",)) for grasp, outline in held if outline for term in outline.terms(grasp)
             ]

@@ -172,7 +172,7 @@ class PullPredictor:
     def small_steps(self, sets: Sequence[Anchored], grasp: str, size: float) -> list[PullPrediction]:
         """Predictions of `small_action`, in order: to first order where that costs less than to follow them; collective."""
         forward = self.forward()
-        if self.gripper is not None or not undeformed(self.model) or not affordable(forward):
+        if self.gripper is not None or not undeformed(self.model, forward.scene) or not affordable(forward):
             action = small_action(grasp, size)
             return self.predict([(anchors, action) for anchors in sets])
         fresh = [a for a in dict.fromkeys(sets) if (grasp, a) not in self._linear]

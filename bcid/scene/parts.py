@@ -15,6 +15,8 @@ Values = dict[str, Any]
 Vector = tuple[float, float, float]
 # Name of the middle plane of a sheet: what is held along z without being stated in [held].
 MID_PLANE = "mid_plane"
+# Directions of a surface along which a candidate patch may hold.
+SURFACE_DIRECTIONS = ("normal", "tangent")
 # A sheet of unknown thickness is computed with this one, m.
 COMPUTED_THICKNESS = 1e-3
 
@@ -126,6 +128,7 @@ class BodyRegion:
         box, sphere, outline: shapes.
         label: number that it has in a label image; None where it has none.
         ratio: its stiffness to that of the rest of the body; None where that is not known.
+        constants: of the law, as written, that are its own; those of the body hold for the others.
     """
 
     volumes: tuple[str, ...] = ()
@@ -134,6 +137,7 @@ class BodyRegion:
     outline: Polygon | None = None
     ratio: float | None = None
     label: int | None = None
+    constants: Values = field(default_factory=dict)
 
 
 # Fewer points drive nothing.

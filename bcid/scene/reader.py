@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
 from typing import Any
@@ -10,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from bcid.base.errors import nearest
-from bcid.base.units import LEAST_SIGMA, measurable, usable
+from bcid.base.units import LEAST_SIGMA, measurable
 from bcid.scene.geometry_tables import GeometryTables
-from bcid.scene.parts import LEAST_POINTS, MID_PLANE, Driven, Limits, Material, Values, Vector
+from bcid.scene.parts import LEAST_POINTS, MID_PLANE, SURFACE_DIRECTIONS, Driven, Limits, Material, Values, Vector
 from bcid.scene.region_tables import RegionTables
 from bcid.scene.uncertainty import ANGLES, FORCES, LENGTHS, MOST_SCALE, NUMBERS, Uncertainty
 
@@ -115,6 +114,7 @@ class SceneFile(GeometryTables, RegionTables):
             "driven": {name: self.driven(value, name, grasps, fiducials) for name, value in driven.items()},
             "regions": {name: self.body_region(value, f"regions.{name}") for name, value in body_regions.items()},
             "patch_axes": self.patch_axes(patches),
+            "patch_directions": {name: one["along"] for name, one in patches.items() if _of_surface(one)},
             "divide": self.divide(patches),
             "down": self.direction(table.get("down", [0, -1, 0]), "down"),
             "fibre_plane": self.fibre_plane(table["fibre_plane"]) if "fibre_plane" in table else None,
@@ -185,15 +185,6 @@ class SceneFile(GeometryTables, RegionTables):
         self.values(values, "material.")
         return Material(law, values, formulation, volumetric)
 
-    def values(self, table: Mapping[str, Any], where: str) -> None:
-        for key, value in table.items():
-            if isinstance(value, bool) or not isinstance(value, str | int | float | list):
-                self.bad(where + key, f"expected a number or text with a unit, found {value!r}")
-            elif isinstance(value, float) and not math.isfinite(value):
-                self.bad(where + key, f"{value!r} is not a finite number")
-            elif isinstance(value, float) and not usable(value):
-                self.bad(where + key, f"{value!r} is too large or too small; expected a number from 1e-30 to 1e30")
-
     def effect(self, value: object, name: str) -> Values:
         if not isinstance(value, dict):
             self.bad(f"effects.{name}", f"expected a table of parameters, found {value!r}")
@@ -201,7 +192,7 @@ class SceneFile(GeometryTables, RegionTables):
         self.values(value, f"effects.{name}.")
         return value
 
-    def along(self, value: object, key: str) -> tuple[int, ...]:
+    def along(self, value: object, key: str, others: str = '"normal"') -> tuple[int, ...]:
         """Axes along which a place does not move: all, where none are named; none of them along its normal."""
         if not isinstance(value, dict) or "along" not in value:
             return (0, 1, 2)
@@ -210,7 +201,7 @@ class SceneFile(GeometryTables, RegionTables):
         axes = [value["along"]] if isinstance(value["along"], str) else value["along"]
         if not isinstance(axes, list) or not axes or not all(axis in ("x", "y", "z") for axis in axes):
             self.bad(
-                f"{key}.along", f'expected "x", "y" or "z", or a list of them, or "normal", found {value["along"]!r}'
+                f"{key}.along", f'expected "x", "y" or "z", or a list of them, or {others}, found {value["along"]!r}'
             )
             return (0, 1, 2)
         return tuple(sorted({"xyz".index(axis) for axis in axes}))
@@ -244,12 +235,10 @@ class SceneFile(GeometryTables, RegionTables):
         """Axes along which a patch holds, of those that do not hold along all."""
         found = {}
         for name, value in patches.items():
-            axes = self.along(value, f"patches.{name}")
-            if not axes:
-                self.bad(
-                    f"patches.{name}.along", 'expected "x", "y" or "z", or a list of them: only [held] knows the normal'
-                )
-            if axes and len(axes) < 3:
+            if _of_surface(value):
+                continue
+            axes = self.along(value, f"patches.{name}", '"normal" or "tangent"')
+            if len(axes) < 3:
                 found[name] = axes
         return found
 
@@ -264,3 +253,8 @@ class SceneFile(GeometryTables, RegionTables):
                 if re.fullmatch(rf"{re.escape(name)}\.[0-9]+", other):
                     self.bad(f"patches.{name}", f"patch '{other}' has the name of a piece of it; rename one of them")
         return found
+
+
+def _of_surface(patch: object) -> bool:
+    """Whether an entry of [patches] holds along a direction of its surface."""
+    return isinstance(patch, dict) and patch.get("along") in SURFACE_DIRECTIONS

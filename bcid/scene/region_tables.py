@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from bcid.base.units import usable
-from bcid.scene.parts import BodyRegion, Box, Facing, Grasp, Painted, Plane, Polygon, Region, Sphere
+from bcid.scene.parts import BodyRegion, Box, Facing, Grasp, Painted, Plane, Polygon, Region, Sphere, Values
 from bcid.scene.scene_tables import SceneTables
 
 # What chooses facets, and the keys that go with some of it.
@@ -52,7 +52,7 @@ class RegionTables(SceneTables):
                 key, f'expected {rule}, as {{ volume = "scar" }} or {{ sphere = {{ centre = ..., radius = ... }} }}'
             )
             return BodyRegion()
-        self.unknown(value, (*_SHAPES, "along", "ratio"), key + ".")
+        self.unknown(value, (*_SHAPES, "along", "ratio", "constants"), key + ".")
         return BodyRegion(
             volumes=self.groups(value["volume"], f"{key}.volume") if "volume" in value else (),
             box=self.box(value.get("box"), key),
@@ -60,7 +60,20 @@ class RegionTables(SceneTables):
             outline=self.outline(value, key),
             ratio=self.positive(value, f"{key}.ratio", ""),
             label=self.region_label(value["label"], f"{key}.label") if "label" in value else None,
+            constants=self.region_constants(value, key),
         )
+
+    def region_constants(self, region: Mapping[str, Any], key: str) -> Values:
+        """Constants of the law that a region has of its own; what they may be is the business of the law."""
+        found = self.table(region, "constants", key + ".")
+        self.values(found, f"{key}.constants.")
+        if "constants" in region and not found:
+            self.bad(f"{key}.constants", "names none: write constants = { poisson = 0.3 }, or leave it out")
+        both = sorted(set(found) - {"poisson"})
+        if both and "ratio" in region:
+            rule = "ratio multiplies all stiffnesses of the body, and of the constants only poisson may stand beside it"
+            self.bad(f"{key}.constants.{both[0]}", f"there is a ratio as well; {rule}: leave one of them out")
+        return found
 
     def region_label(self, value: object, key: str) -> int | None:
         if type(value) is int and value != 0 and usable(value):

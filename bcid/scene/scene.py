@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,7 @@ class Scene:
         levels: the mesh ladder, coarsest first.
         patches: candidate anchors by name.
         patch_axes: of candidate patches that hold along some axes only, as a roller does, these (0, 1, 2).
+        patch_directions: of candidate patches that hold along directions of their surface, "normal" or "tangent".
         divide: patches that stand for pieces of about this size (m); `bcid.forms.mesh.patches.divided` makes them.
         grasps: grasp areas by name.
         fiducials: stress-free positions by name.
@@ -39,7 +41,7 @@ class Scene:
         places: other named parts of the boundary, for known loads and supports.
         held: places that are known to be held, and the axes (0, 1, 2) along which they do not move; no axis: along their normals.
         driven: places, and grasps, that measured points drive.
-        regions: parts of the volume with a stiffness of their own.
+        regions: parts of the volume with a stiffness or other constants of their own.
         down: unit vector of gravity.
         fibre_plane: the plane in which fibres and active stresses lie: unit vectors at 0 and at 90 degrees. None is the
             horizontal plane, from the x axis on.
@@ -79,14 +81,36 @@ class Scene:
     regions: dict[str, BodyRegion] = field(default_factory=dict)
     driven: dict[str, Driven] = field(default_factory=dict)
     patch_axes: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    patch_directions: dict[str, str] = field(default_factory=dict)
     description: str = ""
     source: str = "scene"
 
     def held_along(self, patch: str) -> tuple[int, ...]:
-        """Axes (0, 1, 2) along which a candidate patch, or a piece of one, does not move where it is attached."""
-        while patch not in self.patch_axes and "." in patch and patch.rpartition(".")[0] not in self.patches:
+        """Axes (0, 1, 2) along which a candidate patch, or a piece of one, does not move where it is attached.
+
+        There are none where it holds along a direction of its surface, see `held_direction`.
+        """
+        if self.held_direction(patch):
+            return ()
+        return self.patch_axes.get(self._stated(patch, self.patch_axes), (0, 1, 2))
+
+    def held_direction(self, patch: str) -> str:
+        """Along which direction of its surface a candidate patch, or a piece of one, does not move where it is attached.
+
+        "normal", "tangent" (all directions within the surface), or "" where it holds along axes.
+        """
+        return self.patch_directions.get(self._stated(patch, self.patch_directions), "")
+
+    def held_in_words(self, patch: str) -> str:
+        """Along what a candidate patch holds: "x z", "its normal", "its surface"; "x y z" where along all."""
+        words = {"normal": "its normal", "tangent": "its surface"}
+        return words.get(self.held_direction(patch)) or " ".join("xyz"[axis] for axis in self.held_along(patch))
+
+    def _stated(self, patch: str, stated: Mapping[str, Any]) -> str:
+        """The patch, or the one that it is a piece of, as far as that is stated."""
+        while patch not in stated and "." in patch and patch.rpartition(".")[0] not in self.patches:
             patch = patch.rpartition(".")[0]
-        return self.patch_axes.get(patch, (0, 1, 2))
+        return patch
 
     def check_undriven(self, what: str) -> None:
         """Refuse a scene that measured points drive, for what is to be done without a measurement."""
@@ -123,7 +147,7 @@ class Scene:
             key: value for key, value in asdict(self).items() if key not in ("geometry", "source", "description")
         }
         # What was added to the format changes no fingerprint where it is not used.
-        for key in ("held", "regions", "driven", "patch_axes"):
+        for key in ("held", "regions", "driven", "patch_axes", "patch_directions"):
             if not content[key]:
                 del content[key]
         for key in ("scale", "scale_of_gripper"):
@@ -132,8 +156,9 @@ class Scene:
         if self.thickness is None:
             del content["thickness"], content["thickness_known"]
         for region in content.get("regions", {}).values():
-            if region["label"] is None:
-                del region["label"]
+            for key in ("label", "constants"):
+                if region[key] in (None, {}):
+                    del region[key]
         if not self.material.volumetric:
             del content["material"]["volumetric"]
         return fingerprint({"scene": content, "geometry": file_fingerprint(self.geometry)})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from bisect import bisect_left
 from collections.abc import Mapping
@@ -160,6 +161,16 @@ class SceneTables:
             self.bad(key, f"{value!r} must be {'zero or ' if zero else ''}positive, and not beyond 1e30")
             return None
         return number
+
+    def values(self, table: Mapping[str, Any], where: str) -> None:
+        """Numbers and texts with a unit, whatever they are of."""
+        for key, value in table.items():
+            if isinstance(value, bool) or not isinstance(value, str | int | float | list):
+                self.bad(where + key, f"expected a number or text with a unit, found {value!r}")
+            elif isinstance(value, float) and not math.isfinite(value):
+                self.bad(where + key, f"{value!r} is not a finite number")
+            elif isinstance(value, float) and not usable(value):
+                self.bad(where + key, f"{value!r} is too large or too small; expected a number from 1e-30 to 1e30")
 
     def count(self, table: Mapping[str, Any], key: str, default: int, least: int, most: int) -> int:
         """A whole number within bounds."""

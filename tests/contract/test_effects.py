@@ -636,7 +636,10 @@ def test_what_effects_need(project: Path) -> None:
     still.data["translation"][:] = 0.0
     still.data["rotation"][:] = [1.0, 0.0, 0.0, 0.0]
     bare = replace(whole, support="", regions={})
-    assert "no part of the body in [regions]" in effects.effect("region_stiffness").needs(bare, measurement)  # type: ignore[misc]
+    for name in ("region_stiffness", "region_compressibility"):
+        assert "no part of the body in [regions]" in effects.effect(name).needs(bare, measurement)  # type: ignore[misc]
+    stated = replace(whole, regions={"core": replace(CORE["core"], constants={"poisson": 0.2})})
+    assert "states the poisson" in effects.effect("region_compressibility").needs(stated, measurement)  # type: ignore[misc]
     lacking = {name: effects.effect(name).needs for name in effects.names()}
     for name in ("foundation", "support_contact", "support_friction"):
         assert "names no support surface" in lacking[name](bare, measurement)  # type: ignore[misc]
@@ -662,7 +665,8 @@ def test_the_slab_can_be_solved_with_a_notable_dose(name: str, project: Path) ->
     values = {p.name: 0.30 if p.law else p.scale + (0 if p.reciprocal else p.neutral) for p in effect.amounts}  # type: ignore[operator]
     values |= {"cx": 0.05, "cy": 0.005, "cz": 0.05, "radius": 0.03} if name == "inclusion" else {}
     values |= {"cx": 0.05, "cy": 0.045, "cz": 0.05, "radius": 0.03} if name == "obstacle" else {}
-    places = {"marker_fault": "6", "tether": "6", "region_stiffness": "core", "roller": "bottom"}
+    places = {"marker_fault": "6", "tether": "6", "roller": "bottom"}
+    places |= dict.fromkeys(("region_stiffness", "region_compressibility"), "core")
     term = Term(effect, values, place=places.get(name, ""))
     forward = Forward(scene, model=Model.of(scene) + term)
     pulls = [straight((x * mm, y * mm, z * mm), 3, "II") for x, y, z in ((16, 0, 0), (0, 8, 0), (8, 0, 8), (-4, 0, -8))]

@@ -162,6 +162,12 @@ def test_make_cut(tmp_path: Path) -> None:
     assert np.abs(made.positions - shipped.positions).max() < 1e-9
 
 
+def test_make_foam(tmp_path: Path) -> None:
+    made = load("make_foam").main(tmp_path / "made")
+    shipped = Measurement.read(EXAMPLES / "measurements/foam")
+    assert np.abs(made.positions - shipped.positions).max() < 1e-9
+
+
 def test_03_beams_stiffness_is_in_its_interval_with_the_usual_uncertainties() -> None:
     example = load("03_beam")
     weighing = replace(Scene.read(EXAMPLES / "scenes/beam.toml"), uncertainty=Uncertainty())

@@ -93,7 +93,11 @@ def test_scene_check_tells_along_what_a_patch_holds(block: Scene, capsys: pytest
 
 
 @pytest.mark.parametrize(
-    ("along", "text"), [('"normal"', "only [held] knows the normal"), ('"w"', 'expected "x", "y" or "z"')]
+    ("along", "text"),
+    [
+        ('"w"', 'expected "x", "y" or "z", or a list of them, or "normal" or "tangent"'),
+        ('["x", "normal"]', 'expected "x", "y" or "z"'),
+    ],
 )
 def test_other_directions_are_refused(
     block: Scene, tmp_path: Path, along: str, text: str, capsys: pytest.CaptureFixture[str]

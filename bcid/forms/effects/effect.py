@@ -337,7 +337,7 @@ class BodyEffect(Effect):
         growth: 3 x 3 tensor by which the rest state is already stretched: the law sees F . growth.
         reshaped: 3 x 3 tensor G of derivatives of the scene's rest positions by the true ones, where the body at rest is another
             than the scene's: the law sees I + grad u . G.
-        constants: constants of the law that it replaces, by name.
+        constants: constants of the law that it replaces, by name; with a place, a region of the body, only there.
         volumetric: parts (1: all) of other forms of the law's volumetric energy that take the place of its own, by form.
         memory: shapes of variables kept from step to step, by name, such as {"Q": (3, 3)}; of what acts on the boundary they are
             vectors at the nodes, (3,).

@@ -68,5 +68,5 @@ effect = BodyEffect(
     potential=potential,
     share=share,
     frees=True,
-    places=lambda _scene, anchors: sorted(anchors),
+    places=lambda scene, anchors: [patch for patch in sorted(anchors) if scene.held_along(patch)],
 )  # fmt: skip

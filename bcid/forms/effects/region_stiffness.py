@@ -13,11 +13,17 @@ from typing import Any
 from bcid.forms.effects._needs import regions
 from bcid.forms.effects.effect import BodyEffect, Constants, Point
 from bcid.forms.parameter import Amount
+from bcid.scene import Scene
 
 
 def stiffness(point: Point, c: Constants) -> Any:
     """Factor of the strain energy."""
     return c["ratio"] ** point.share(point.place)
+
+
+def places(scene: Scene, _anchors: frozenset[str]) -> list[str]:
+    """The regions whose stiffness is not stated by constants of their own."""
+    return [name for name, region in scene.regions.items() if not set(region.constants) - {"poisson"}]
 
 
 effect = BodyEffect(
@@ -28,6 +34,6 @@ effect = BodyEffect(
     about="a region of the body is stiffer or softer",
     acts_on="material",
     stiffness=stiffness,
-    places=lambda scene, _anchors: list(scene.regions),
+    places=places,
     needs=regions,
 )

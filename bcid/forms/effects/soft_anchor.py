@@ -2,7 +2,8 @@
 
 Potential: k/2 |u|^2 per rest area of the patch, of the components that it holds, with the stiffness k (Pa/m); a layer of Young's
 modulus E and thickness h has about E/h. It acts on every anchored patch, or on the one that is its place; those patches are no
-longer fixed. An infinite stiffness is the rigid anchor.
+longer fixed. An infinite stiffness is the rigid anchor. A patch that holds along the normal of its surface, or within it, has no
+axes, and stays as it is.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import Any
 
 from bcid.forms.effects.effect import BodyEffect, Constants, Point
 from bcid.forms.parameter import Amount
+from bcid.scene import Scene
 
 
 def potential(point: Point, c: Constants) -> Any:
@@ -22,6 +24,13 @@ def potential(point: Point, c: Constants) -> Any:
 
     patches = [point.place] if point.place else point.patches
     return sum(point.anchored(patch) * stored(patch) * point.surface(patch) for patch in patches)
+
+
+def places(scene: Scene, anchors: frozenset[str]) -> list[str]:
+    """All anchored patches that hold along axes together, and each of them."""
+    if scene.patches and not any(map(scene.held_along, scene.patches)):
+        return []
+    return ["", *(patch for patch in sorted(anchors) if scene.held_along(patch))]
 
 
 effect = BodyEffect(
@@ -41,5 +50,5 @@ effect = BodyEffect(
     acts_on="boundary",
     potential=potential,
     frees=True,
-    places=lambda _scene, anchors: ["", *sorted(anchors)],
+    places=places,
 )

@@ -165,6 +165,16 @@ class Body:
         metadata = {"quadrature_degree": 2 * self.degree}
         return ufl.Measure("ds", domain=self.domain, subdomain_data=sides, metadata=metadata)
 
+    @property
+    def nodal_rule(self) -> dict[str, Any]:
+        """Metadata of a quadrature of a facet that takes the values at its nodes, all with one weight."""
+        kind = basix.ElementFamily.P, basix.CellType.triangle, self.degree, basix.LagrangeVariant.gll_warped
+        points = basix.create_element(*kind).points
+        weights = (0.5 / len(points),) * len(points)
+        # Tuples: how UFL tells forms apart is by the text of this.
+        rule = tuple(map(tuple, points.tolist()))
+        return {"quadrature_rule": "custom", "quadrature_points": rule, "quadrature_weights": weights}
+
     def normals(self, region: Region, name: str) -> Any:
         """Outward unit normals of a surface at its nodes at rest, a Function of the displacement space, zero elsewhere; collective.
 

@@ -132,6 +132,10 @@ class Equilibrium:
     # -- what is held
     # --------------------------------------------------------------------------------------------------------
 
+    def freed(self, anchors: Iterable[str]) -> frozenset[str]:
+        """The anchored patches that springs hold, of an effect or along a direction of their surface."""
+        return self.model.freed(anchors) | frozenset(self.weak_form.sprung).intersection(anchors)
+
     def hold(self, anchors: Iterable[str], grasp: str = "") -> None:
         """Fix these patches, let the gripper hold `grasp`, and go back to the undeformed state.
 
@@ -141,7 +145,7 @@ class Equilibrium:
             InputError: an effect is to hold a grasp that is not a surface.
         """
         anchors = frozenset(anchors)
-        freed, gives = self.model.freed(anchors), self.model.gives
+        freed, gives = self.freed(anchors), self.model.gives
         if gives and grasp and grasp not in self.weak_form.grips:
             raise InputError(f"grasp '{grasp}' is not a surface: no springs can be spread over it")
         for name, constant in self.weak_form.anchored.items():
@@ -149,6 +153,7 @@ class Equilibrium:
         for name, constant in self.weak_form.grasped.items():
             constant.value = float(gives and name == grasp)
         self.supports.hold(set(anchors - freed), grasp, gives)
+        self.weak_form.lead(self.supports.led, grasp)
         self.tangent.hold(self.supports.prescribed, self.supports.conditions)
         held = anchors, frozenset(freed), grasp
         if held != self._held:

@@ -67,6 +67,7 @@ class Supports:
         grasp: where the gripper holds, or "".
         gripped: numbers of the unknowns that the gripper holds.
         sprung: whether they are held by springs, and not prescribed.
+        led: numbers of the unknowns that the gripper or measured points lead.
         external: dead forces on this rank's nodes, ghosts included, shape (3 * nodes,), N.
         loaded: whether there are any.
     """
@@ -110,6 +111,8 @@ class Supports:
             gripping = self._condition(f"grasp {grasp}", region, None)
             self.gripped = gripping.dof_indices()[0]
             conditions += [] if self.sprung else [gripping]
+        leading = [*([] if self.sprung else [self.gripped]), *(c.dof_indices()[0] for c in self.boundary.conditions)]
+        self.led: Index = np.unique(np.concatenate(leading or [np.zeros(0, np.int32)]))
         conditions += [self._condition(f"place {place}", self.places.get(place), axis) for place, axis in self.rollers]
         self.conditions = conditions = [*conditions, *self.boundary.conditions]
         dofs = [condition.dof_indices()[0] for condition in conditions]
