@@ -13,8 +13,8 @@ energy, which is stationary there, by the square of that. With u3 a field of its
 that took the width in tension from u3 alone, max(u2, u3), are the same in equilibrium and not convex on the way there.
 
 As a thin sheet that has buckled does, it goes on to carry the small stress at which it did, b E: folds take the energy
-b E ln det S. That keeps rest, and uniaxial tension, away from the corner of max, which is rounded off: there S is the identity, and the law that
-of a sheet that stays flat, to the last digit.
+b E ln det S. That keeps rest, and uniaxial tension, away from the corner of max, which is rounded off: there S is the identity,
+and the law that of a sheet that stays flat, to the last digit.
 """
 
 from __future__ import annotations

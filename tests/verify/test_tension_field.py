@@ -158,14 +158,20 @@ PATCHES = CLAMPED + '\n[patches]\nnear = { box = ["-1 19 -1 mm", "31 21 2 mm"] }
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory: pytest.TempPathFactory) -> Measurement:
     """A sheet that wrinkles, held at its end alone: sheared by a fifth of its length, with forces."""
-    scene = sheet(tmp_path_factory.mktemp("true"), held=PATCHES, size=3)
-    seen = action(np.array([0.002, 0.012, 0.0]), steps=5)
+    scene = sheet(tmp_path_factory.mktemp("true"), held=PATCHES, size=4)
+    seen = action(np.array([0.002, 0.012, 0.0]), steps=4)
     return simulate(scene, set(), [seen], noise=0.05e-3, wrench=True, wrench_noise=1e-4)
 
 
-def test_answer_of_a_sheet_that_wrinkles(tmp_path: Path, measured: Measurement) -> None:
-    found, flat = (
-        identify(sheet(tmp_path / str(len(kind)), kind, held=PATCHES), measured) for kind in (WRINKLED, FLAT)
-    )
-    print(found.summary, flat.summary)
-    assert found.anchored == ()
+def test_answer_is_right_with_the_line_and_not_without(tmp_path: Path, measured: Measurement) -> None:
+    answers = {}
+    for kind in (WRINKLED, FLAT):
+        found = identify(sheet(tmp_path / str(len(kind)), kind, held=PATCHES, size=7), measured)
+        interval = found.found["stiffness"]["constants"]["young"]["interval"]
+        answers[kind] = found.anchored, found.found["missing"], interval[0] < YOUNG < interval[1]
+        assert ("which wrinkles where it would be pushed together" in found.summary) == (kind == WRINKLED)
+    assert answers[WRINKLED][0] == ()
+    assert answers[WRINKLED][1] < 0.5
+    assert answers[WRINKLED][2]
+    assert answers[FLAT][1] > 0.99
+    assert not answers[FLAT][2]
