@@ -15,7 +15,7 @@ from bcid.base.errors import InputError, nearest
 from bcid.base.units import quantity
 from bcid.forms import effects, materials
 from bcid.forms.course import of_table
-from bcid.forms.effects.effect import Array, BodyEffect, Effect, Frame, Point
+from bcid.forms.effects.effect import NOT_IN_WRINKLES, Array, BodyEffect, Effect, Frame, Point
 from bcid.forms.effects.roller import RIGID
 from bcid.forms.materials.law import VOLUMETRIC, Law, Volumetric
 from bcid.forms.parameter import Amount, Parameter
@@ -143,6 +143,7 @@ class Model:
         grasp: name of the grasp, or "".
         down: unit vector of gravity.
         fibre_axes: unit vectors of the plane of fibres, at 0 and at 90 degrees; the horizontal plane by default.
+        wrinkles: whether the body is a sheet that wrinkles, see `bcid.forms.tension_field`.
         rollers: what holds a place along an axis, whatever is anchored, as (place, axis) with axis 0, 1 or 2.
         region_constants: constants of the law that regions of the body have of their own, SI, by region.
     """
@@ -158,9 +159,12 @@ class Model:
     fibre_axes: tuple[Vector, Vector] = horizontal((0.0, -1.0, 0.0))
     rollers: tuple[tuple[str, int], ...] = field(default=())
     region_constants: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    wrinkles: bool = False
 
     def __post_init__(self) -> None:
         problems = self.law.check(self.values, self.mixed)
+        if self.wrinkles:
+            problems += check_wrinkles(self.law, self.mixed, self.terms)
         if problems:
             raise InputError("; ".join(problems))
 
@@ -337,6 +341,16 @@ class Model:
         return model
 
 
+def check_wrinkles(law: Law, mixed: bool, terms: Iterable[Term]) -> list[str]:
+    """Why a sheet of a law with effects cannot wrinkle, one readable line each."""
+    problems = [f"{term.effect.name} {NOT_IN_WRINKLES}" for term in terms if not term.effect.wrinkles]
+    if not law.isotropic:
+        problems.append(f"the law '{law.name}' depends on directions: a sheet that wrinkles needs an isotropic law")
+    if mixed:
+        problems.append('a sheet that wrinkles needs formulation = "displacement": no pressure holds where it is slack')
+    return problems
+
+
 def check_physics(scene: Scene) -> list[str]:
     """Problems of a scene's law, constants and effects, one readable line each."""
     problems: list[str] = []
@@ -366,12 +380,15 @@ def _model(scene: Scene, problems: list[str]) -> Model | None:
         return None
     rollers = (Term("roller", {"stiffness": RIGID}, place=place) for place, axes in scene.held.items() if not axes)
     found = (*(term for term in terms if term), *rollers, *_regions(scene, terms, problems))
+    if scene.wrinkles:
+        problems += [f"geometry.wrinkles: {problem}" for problem in check_wrinkles(law, mixed, found)]
     if problems:
         return None
     held = tuple((place, axis) for place, axes in scene.held.items() for axis in axes)
     volumetric = next((one for one in VOLUMETRIC if one == form), None)
     model = Model(law, values, material.formulation, volumetric, terms=found, rollers=held)
-    return replace(model, down=scene.down, fibre_axes=scene.fibre_axes, region_constants=own)
+    model = replace(model, down=scene.down, fibre_axes=scene.fibre_axes)
+    return replace(model, region_constants=own, wrinkles=scene.wrinkles)
 
 
 def _regions(scene: Scene, terms: Sequence[Term | None], problems: list[str]) -> list[Term]:

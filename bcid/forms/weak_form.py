@@ -22,6 +22,7 @@ from bcid.forms.mesh.body import Body
 from bcid.forms.mesh.patch_frame import PatchFrame
 from bcid.forms.mesh.shares import share
 from bcid.forms.model import Model, Term, region_name
+from bcid.forms.tension_field import UNWRINKLED, TensionField
 from bcid.scene import Region, Scene
 
 Array = NDArray[np.float64]
@@ -176,10 +177,10 @@ class WeakForm:
         return self._numbers[name]
 
     @property
-    def _remembering(self) -> int:
-        """Degree of the quadrature where something is remembered: one without negative weights.
+    def _positive(self) -> int:
+        """Degree of the quadrature where something is remembered, or wrinkles: one without negative weights.
 
-        What a point remembers makes it stiffer than its neighbours; with a negative weight the body would be unstable for it. Of
+        Either makes a point stiffer or softer than its neighbours; with a negative weight the body would be unstable for it. Of
         quadratic elements degree 2 keeps the order of convergence as well (Ciarlet, The Finite Element Method, 1978, section 4.1).
         """
         degree = self.body.quadrature_degree
@@ -210,7 +211,7 @@ class WeakForm:
         memories = self.memories if own else self.probed
         if term.label not in memories:
             effect = term.effect
-            degree = None if effect.acts_on == "boundary" else self._remembering
+            degree = None if effect.acts_on == "boundary" else self._positive
             memories[term.label] = Memory(self.body, self.u, effect.memory or {}, degree, self.model.fibre_axes)
             if effect.advance:
                 expressions = effect.advance(self.point(term), self.term_constants(term))
@@ -225,7 +226,7 @@ class WeakForm:
         return Point(
             u=self.displacement,
             v=self.virtual,
-            kin=self.kin,
+            kin=self.folded(self.kin).kin if model.wrinkles and term.effect.energy else self.kin,
             X=ufl.SpatialCoordinate(body.domain),
             N=ufl.FacetNormal(body.domain),
             normal=self.normal,
@@ -290,15 +291,28 @@ class WeakForm:
         if grown is not None:
             kin = Kinematics.from_gradient(kin.F * ufl.exp(-grown), kin.axes)
             factor = (factor or 1.0) * ufl.exp(3 * grown)
-        constants = self.law_constants(terms)
-        if self.pressure is None:
-            density = model.law.psi(kin, constants, model.volumetric)
-            for form, part in self.other_forms(terms):
-                density += part * model.law.other_form(kin, constants, model.volumetric, form)
-        else:
-            density = model.law.psi_mixed(kin, self.pressure, constants, model.volumetric)
-        degree = max(self.body.quadrature_degree, _VARYING) if varying else self.body.quadrature_degree
+        density = self._law(kin, terms)
+        if model.wrinkles:
+            field = self.folded(kin, terms)
+            density = UNWRINKLED * density + (1 - UNWRINKLED) * (self._law(field.kin, terms) + field.folding)
+        degree = self._positive if model.wrinkles else self.body.quadrature_degree
+        degree = max(degree, _VARYING) if varying else degree
         return (density if factor is None else factor * density), degree
+
+    def folded(self, kin: Kinematics, terms: Sequence[Term] = ()) -> TensionField:
+        """The deformation of a sheet that wrinkles, with the law's constants as effects change them."""
+        constants = self.law_constants(terms)
+        return TensionField.of(kin, self.model.law.shear(constants), constants["poisson"])
+
+    def _law(self, kin: Kinematics, terms: Sequence[Term]) -> Any:
+        """The law's energy per volume of its natural state, of a sheet that stays flat."""
+        model, constants = self.model, self.law_constants(terms)
+        if self.pressure is not None:
+            return model.law.psi_mixed(kin, self.pressure, constants, model.volumetric)
+        density = model.law.psi(kin, constants, model.volumetric)
+        for form, part in self.other_forms(terms):
+            density += part * model.law.other_form(kin, constants, model.volumetric, form)
+        return density
 
     def other_forms(self, terms: Sequence[Term]) -> list[tuple[str, Any]]:
         """Other forms of the volumetric energy, and the part of each that takes the place of the law's own."""
@@ -330,6 +344,8 @@ class WeakForm:
         if effect.gives and not self.grips:
             raise InputError(f"{term.label}: no grasp of the scene is a surface: no springs can be spread over it")
         kin, factor = self.reshaped(reshaped)
+        if self.model.wrinkles and effect.energy:
+            kin = self.folded(kin).kin
         point = replace(self.point(term), kin=kin)
         density = effect.energy(point, c) if effect.energy else None
         if density is not None and factor is not None:
@@ -346,7 +362,7 @@ class WeakForm:
         What acts in the place of the law takes away a part of it, which only goes where it is integrated.
         """
         if effect.memory:
-            return self._remembering
+            return self._positive
         # Body forces need more than the one point that is exact for the energy of linear elements.
         return self.body.quadrature_degree if effect.instead_of == "law" else 2 * self.body.degree
 

@@ -132,8 +132,12 @@ def propose(predictor: Predictor, model: Model, options: ProposeOptions | None =
         options: how far to go.
 
     Raises:
+        InputError: the body is a sheet that wrinkles.
         SolveError: the model cannot be followed for any anchor set.
     """
+    if model.wrinkles:
+        rule = "explain the measurement with the known effects instead (bcid explain), or leave geometry.wrinkles out"
+        raise InputError(f"terms of the grammar are scored on a body that stays flat, and this sheet wrinkles: {rule}")
     options = options or ProposeOptions()
     scores = TermScores(options.kinds)
     found = explain(predictor, ExplainOptions(options.level, options.terms, FITTED, _SETS), model, candidates=scores)

@@ -20,7 +20,7 @@ class GeometryTables(SceneTables):
 
     def geometry(self, table: Mapping[str, Any]) -> dict[str, Any]:
         """Fields of a `Scene` that [geometry] states."""
-        self.unknown(table, ("file", "length_unit", "parameters", "label", "thickness"), "geometry.")
+        self.unknown(table, ("file", "length_unit", "parameters", "label", "thickness", "wrinkles"), "geometry.")
         name = self.text(table, "file", where="geometry.")
         path = self.path.parent / name if name else self.path
         if name and not path.is_file():
@@ -31,6 +31,7 @@ class GeometryTables(SceneTables):
             "parameters": self.parameters(table, kind_of(path) == PROGRAM),
             "label": self.label(table, kind_of(path) == IMAGE),
             **self.thickness(table, kind_of(path) in (PROGRAM, MESH)),
+            "wrinkles": self.wrinkles(table),
         }
 
     def thickness(self, table: Mapping[str, Any], may_be_flat: bool) -> dict[str, Any]:
@@ -43,6 +44,18 @@ class GeometryTables(SceneTables):
         if value == "unknown":
             return {"thickness": COMPUTED_THICKNESS, "thickness_known": False}
         return {"thickness": self.length(value, "geometry.thickness")}
+
+    def wrinkles(self, table: Mapping[str, Any]) -> bool:
+        """Whether a sheet wrinkles where it would be pushed together in its plane."""
+        value = table.get("wrinkles", False)
+        if not isinstance(value, bool):
+            self.bad("geometry.wrinkles", f"expected true or false, found {value!r}")
+        elif value and "thickness" not in table:
+            self.bad(
+                "geometry.wrinkles",
+                'only a sheet wrinkles: state its thickness, as thickness = "2 mm", or leave it out',
+            )
+        return value is True
 
     def length_unit(self, table: Mapping[str, Any], path: Path) -> float:
         """Unit of the coordinates, m: the scene's, or what an image states; where both do, they must agree."""

@@ -28,6 +28,7 @@ class Scene:
         parameters: numbers that a `.geo` asks for besides its element size, by name.
         thickness: of a sheet, whose geometry is a flat mesh of triangles, m; None for other bodies.
         thickness_known: whether the sheet has it, or is only computed with it.
+        wrinkles: whether the sheet wrinkles where it would be pushed together in its plane.
         label: number of the body in a label image; None for other geometries.
         levels: the mesh ladder, coarsest first.
         patches: candidate anchors by name.
@@ -75,6 +76,7 @@ class Scene:
     label: int | None = None
     thickness: float | None = None
     thickness_known: bool = True
+    wrinkles: bool = False
     members: dict[str, tuple[Vector, ...]] = field(default_factory=dict)
     surface: tuple[str, ...] = ()
     held: dict[str, tuple[int, ...]] = field(default_factory=dict)
@@ -155,6 +157,8 @@ class Scene:
                 del content["uncertainty"][key]
         if self.thickness is None:
             del content["thickness"], content["thickness_known"]
+        if not self.wrinkles:
+            del content["wrinkles"]
         for region in content.get("regions", {}).values():
             for key in ("label", "constants"):
                 if region[key] in (None, {}):

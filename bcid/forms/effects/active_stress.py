@@ -42,6 +42,7 @@ effect = BodyEffect(
     ),
     about="the body contracts by itself along one direction",
     acts_on="material",
+    wrinkles=False,
     energy=lambda point, c: c["amplitude"] / 2 * point.kin.invariant4_minus_1(point.kin.direction(c["angle"])),
     acting=acting,
 )

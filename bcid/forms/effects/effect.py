@@ -25,6 +25,9 @@ Constants = Mapping[str, Any]
 
 # Step of a difference, in units of a parameter's scale, of what is a function and no form.
 STEP = 1e-3
+NOT_IN_WRINKLES = (
+    "cannot act in a sheet that wrinkles: which stress its folds leave is known of isotropic laws without memory alone"
+)
 ACTS_ON = ("body force", "material", "boundary", "grasp", "observation")
 
 
@@ -210,6 +213,10 @@ class Effect:
         return None
 
     @property
+    def wrinkles(self) -> bool:
+        return True
+
+    @property
     def frees(self) -> bool:
         return False
 
@@ -309,6 +316,12 @@ class Effect:
         """Where the fiducials (fiducials, 3) appear in a frame when they are at given positions, m."""
         return self.observe(positions, self.at(frame.time, values), frame, place) if self.observe else positions
 
+    def lacks(self, scene: Scene, measurement: Measurement) -> str:
+        """Why it cannot act in a scene and measurement, in words; "" if it can."""
+        if scene.wrinkles and not self.wrinkles:
+            return f"{self.name} {NOT_IN_WRINKLES}"
+        return self.needs(scene, measurement) if self.needs else ""
+
     def check(self, values: Mapping[str, object]) -> list[str]:
         """Problems of parameter values, one readable line each."""
         known = {parameter.name: parameter for parameter in self.parameters}
@@ -342,6 +355,7 @@ class BodyEffect(Effect):
         memory: shapes of variables kept from step to step, by name, such as {"Q": (3, 3)}; of what acts on the boundary they are
             vectors at the nodes, (3,).
         advance: their values after a step.
+        wrinkles: whether it may act in a sheet that wrinkles: what it stores is of the strain alone, whatever its direction.
         frees: whether the anchored patches at its place are no longer fixed, because the effect holds them.
         share: of springs whose compliance is not the same all over a patch, the share of a place in its plane, from the patch's
             frame, the place (x, y), m, the values, and a module with cos, sin, exp and sqrt.
@@ -363,6 +377,7 @@ class BodyEffect(Effect):
     volumetric: Callable[[Point, Constants], Mapping[str, Any]] | None = None
     memory: Mapping[str, tuple[int, ...]] | None = None
     advance: Callable[[Point, Constants], Mapping[str, Expr]] | None = None
+    wrinkles: bool = True
     frees: bool = False
     share: Callable[[PatchFrame, tuple[Any, Any], Constants, Any], Any] | None = None
     gives: bool = False

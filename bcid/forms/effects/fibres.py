@@ -20,5 +20,6 @@ effect = BodyEffect(
     ),
     about="fibres make the body stiffer along one direction",
     acts_on="material",
+    wrinkles=False,
     energy=lambda point, c: c["k1"] / 2 * point.kin.invariant4_minus_1(point.kin.direction(c["angle"])) ** 2,
 )

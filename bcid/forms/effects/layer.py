@@ -34,6 +34,7 @@ effect = BodyEffect(
     ),
     about="a skin on the body is stiffer than what is below it",
     acts_on="boundary",
+    wrinkles=False,
     only_named=True,
     potential=potential,
 )

@@ -62,6 +62,7 @@ effect = BodyEffect(
     ),
     about="strain remains after loading",
     acts_on="material",
+    wrinkles=False,
     energy=energy,
     memory={"set": (3, 3)},
     advance=advance,

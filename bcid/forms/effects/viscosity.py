@@ -75,6 +75,7 @@ effect = BodyEffect(
     ),
     about="the body is stiffer while it is being deformed, and relaxes",
     acts_on="material",
+    wrinkles=False,
     energy=energy,
     memory={"Q": (3, 3)},
     advance=advance,

@@ -70,5 +70,6 @@ law = Law(
     shear=shear,
     bulk=lambda c: first_lame(shear(c), c["poisson"]),
     compliance=lambda c: first_lame_compliance(shear(c), c["poisson"]),
+    isotropic=False,
     about="Exponential, transversely isotropic solid for heart muscle and fibrous tissue.",
 )

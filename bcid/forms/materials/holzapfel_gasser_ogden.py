@@ -93,5 +93,6 @@ law = Law(
     shear=shear,
     bulk=lambda c: bulk_modulus(shear(c), c["poisson"]),
     compliance=lambda c: bulk_compliance(shear(c), c["poisson"]),
+    isotropic=False,
     about="Soft tissue with two families of collagen fibres that bear load in tension only.",
 )

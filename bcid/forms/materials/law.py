@@ -56,6 +56,7 @@ class Law:
         shear: initial shear modulus (Pa), for numbers as well as UFL expressions.
         about: one sentence.
         rules: restrictions that no single range expresses; returns one readable line per violation.
+        isotropic: whether it is the same in all directions.
     """
 
     name: str
@@ -68,6 +69,7 @@ class Law:
     volumetric: Volumetric = "log"
     about: str = ""
     rules: Callable[[Mapping[str, float]], list[str]] | None = None
+    isotropic: bool = True
 
     def __post_init__(self) -> None:
         if (self.bulk is None) != (self.compliance is None):

@@ -284,10 +284,11 @@ def sheet_in_words(scene: Scene, mesh: BodyMesh) -> list[str]:
     if scene.thickness is None:
         return []
     area, thickness = shown(mesh.volume / scene.thickness, 2), shown(scene.thickness, 1).removesuffix("^1")
+    state = "in plane stress, which wrinkles where it would be pushed together" if scene.wrinkles else "in plane stress"
     if scene.thickness_known:
-        return [f"A sheet of {area} and a thickness of {thickness}, in plane stress"]
+        return [f"A sheet of {area} and a thickness of {thickness}, {state}"]
     return [
-        f"A sheet of {area}, in plane stress. Its thickness is unknown, and it is computed with {thickness}: of numbers in Pa, "
+        f"A sheet of {area}, {state}. Its thickness is unknown, and it is computed with {thickness}: of numbers in Pa, "
         f"Pa/m and N/m^3 only their products with the thickness are known, which are those of {thickness}"
     ]
 

@@ -367,7 +367,9 @@ class Equilibrium:
             self.u.x.array[:] = before if start is None else start
             self._lagging = lagging
             # Full steps under loads: in bending they raise the residual on their way, and backtracking would hold them up for good.
-            self._choose_line_search(lagging or bool(self.model.terms or pose.loads))
+            # A sheet that wrinkles hardly resists where it is slack: full steps there go much too far.
+            loaded = bool(self.model.terms or pose.loads) and not self.model.wrinkles
+            self._choose_line_search(lagging or loaded)
             status = self._lift()
             if status is Status.CONVERGED:
                 status = self._newton()
