@@ -50,6 +50,10 @@ LAWS: dict[str, tuple[str, dict[str, Any], tuple[str, ...]]] = {
 }
 
 
+# Moduli begin at these multiples of those, one after the other, until a fit settles.
+STARTS = (1.0, 4.0, 0.25)
+
+
 @dataclass(frozen=True)
 class Candidate:
     """A law that was fitted to a measurement.
@@ -82,21 +86,35 @@ def answer(scene: Scene, measured: Measurement) -> tuple[dict[str, Candidate], d
 def candidate(
     scene: Scene, measured: Measurement, name: str, values: dict[str, Any], constants: tuple[str, ...]
 ) -> Candidate:
-    """A law fitted to a measurement, with the default uncertainties of everything else."""
-    material = Material(name, {**values, "poisson": 0.2}, volumetric=scene.material.volumetric)
-    predictor = Predictor(replace(scene, material=material), measured, MPI.COMM_SELF)
-    begun = Model.of(predictor.scene)
-    free = (*constants, "poisson")
-    found = fit(State.of(predictor, begun, frozenset()), free)
-    # The error of the mesh is that of the constants found.
-    found = fit(found.state.with_own_errors(anew=True), free, like=found)
+    """A law fitted to a measurement, with default uncertainties of all else; begun elsewhere where a fit does not settle."""
+    for factor in STARTS:
+        begun = {key: scaled(value, factor) for key, value in values.items()}
+        material = Material(name, {**begun, "poisson": 0.2}, volumetric=scene.material.volumetric)
+        predictor = Predictor(replace(scene, material=material), measured, MPI.COMM_SELF)
+        found = settled(predictor, (*constants, "poisson"))
+        if found.settled or factor == STARTS[-1]:
+            break
+        predictor.destroy()
     # Forces are compared in lengths, whose unit depends on the law: of data in units of their noise all laws speak alike.
-    log = weighed(found.state, begun, found.jacobian).plain + float(np.log(predictor.data.sigma).sum())
-    adequate = judge(found.state).adequate
+    log = weighed(found.state, Model.of(predictor.scene), found.jacobian).plain + float(
+        np.log(predictor.data.sigma).sum()
+    )
+    adequate, law = judge(found.state).adequate, found.state.model.law
     predictor.destroy()
-    law = begun.law
-    shear = float(law.shear(law.complete({**found.state.model.values, **found.values})))
+    shear = float(law.shear(law.complete(found.state.model.values)))
     return Candidate(law, found, log, adequate, (shear, shear_error(law, found)), of(found, "poisson"))
+
+
+def scaled(value: Any, factor: float) -> Any:
+    """A modulus times a factor; other constants as they are."""
+    number, *unit = str(value).split()
+    return f"{factor * float(number):g} {unit[0]}" if unit else value
+
+
+def settled(predictor: Predictor, free: tuple[str, ...]) -> Fit:
+    """The constants of a law, and the error of the mesh that goes with them."""
+    found = fit(State.of(predictor, Model.of(predictor.scene), frozenset()), free)
+    return fit(found.state.with_own_errors(anew=True), free, like=found)
 
 
 def of(found: Fit, name: str) -> tuple[float, float]:
