@@ -173,7 +173,7 @@ def _add_places(
 ) -> list[Label]:
     """The surface with its edges, each place in its colour; returns the names of those that are seen."""
     labels = []
-    light = {"ambient": 0.45, "diffuse": 0.6, "specular": 0.05}
+    light = {"ambient": 0.5, "diffuse": 0.4, "specular": 0.05}
     lines = {"show_edges": True, "edge_color": COLOURS.edge, "line_width": 0.6, "edge_opacity": 0.35}
     for number, name in enumerate(names):
         cells = np.flatnonzero(rest.cell_data["place"] == number)

@@ -86,7 +86,12 @@ def _figure(
         axes.set_title(side, fontsize=11, color="#565c64")
     figure.text(0.02, 0.955, title, fontsize=17, weight="bold", va="center")
     figure.text(0.02, 0.915, "   ".join(lines), fontsize=11, color="#565c64", va="center")
-    _legend(figure, colours, places, len(marks))
+    drawn = {str(body["place_name"].values[number]) for number in np.unique(body["place"].values)}
+    known = {
+        name: text if name in drawn or name.startswith("region ") else f"{text} (beneath another)"
+        for name, text in places.items()
+    }
+    _legend(figure, colours, known, len(marks))
     return figure
 
 

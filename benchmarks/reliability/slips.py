@@ -242,14 +242,15 @@ def verdict(scene: Scene, seen: Measurement) -> tuple[str, str, float]:
 
 def sound() -> Iterator[tuple[str, Scene, Measurement]]:
     """Measurements with sags, faults, pulls and stretches that are real."""
-    slab, plate, inlay, cut = (
-        Scene.read(EXAMPLES / f"scenes/{name}.toml") for name in ("slab", "plate", "inlay", "cut")
+    slab, plate, inlay, cut, foam = (
+        Scene.read(EXAMPLES / f"scenes/{name}.toml") for name in ("slab", "plate", "inlay", "cut", "foam")
     )
     folders = [p for p in sorted((EXAMPLES / "measurements").iterdir()) if p.is_dir()]
     if (OPTIONAL / "lab").is_dir():
         folders += sorted((OPTIONAL / "lab").iterdir())
     for folder in folders:
-        scene = {"plate": plate, "inlay": inlay, "cut": cut}.get(folder.name.partition("-")[0], slab)
+        scenes = {"plate": plate, "inlay": inlay, "cut": cut, "foam": foam}
+        scene = scenes.get(folder.name.partition("-")[0], slab)
         yield f"{folder.parent.name}/{folder.name}", scene, Measurement.read(folder)
     for body in bodies():
         yield body.name, body.scene, body.sound
