@@ -67,7 +67,7 @@ def _row(*values: str) -> Row:
 
 
 def _skin(folder: Path, output: Path) -> Iterator[Row]:
-    example = _example("08_skin")
+    example = _example("11_skin")
     for specimen, (low, high) in example.PUBLISHED.items():
         unknown = "thickness, Poisson's ratio" + (", the outline of the scar" if specimen == "keloid" else "")
         for thickness in example.THICKNESSES:
@@ -87,7 +87,7 @@ def _skin(folder: Path, output: Path) -> Iterator[Row]:
 
 
 def _plates(folder: Path, _output: Path) -> Iterator[Row]:
-    example = _example("09_laws")
+    example = _example("10_laws")
     scene = example.Scene.read(EXAMPLES / "scenes/plate.toml")
     for name, measured in example.plates(folder / "fingerprint_plates"):
         made, noise = name.split("_")

@@ -114,9 +114,9 @@ def test_07_steps_of_a_stage_are_measured(real_data: Callable[[str], Path]) -> N
     assert error.std() == pytest.approx(1.10e-6, abs=0.02e-6)
 
 
-def test_08_skin(real_data: Callable[[str], Path], tmp_path: Path) -> None:
+def test_11_skin(real_data: Callable[[str], Path], tmp_path: Path) -> None:
     """Two guesses of what nobody measured contradict each other neither in the anchors nor in the stiffness."""
-    example, folder = load("08_skin"), real_data("human_skin")
+    example, folder = load("11_skin"), real_data("human_skin")
     low, high = example.PUBLISHED["healthy"]
     found = [example.answer(folder, "healthy", *guess, tmp_path, every=4) for guess in ((1.0, 0.2), (2.0, 0.45))]
     assert not (min(one.rim for one in found) < 0.1 and max(one.rim for one in found) > 0.9)
@@ -126,9 +126,9 @@ def test_08_skin(real_data: Callable[[str], Path], tmp_path: Path) -> None:
         assert one.missing > 0.99
 
 
-def test_09_laws() -> None:
+def test_10_laws() -> None:
     """The plate of an isochoric neo-Hookean solid is told from others, with constants within 2 %."""
-    example = load("09_laws")
+    example = load("10_laws")
     (_, measured), *_ = example.plates(None)
     found, told = example.answer(example.Scene.read(EXAMPLES / "scenes/plate.toml"), measured)
     assert max(told, key=lambda law: told[law]) == "I1"
@@ -138,9 +138,9 @@ def test_09_laws() -> None:
     assert found["I1"].adequate
 
 
-def test_09_laws_of_the_data_of_others(real_data: Callable[[str], Path]) -> None:
+def test_10_laws_of_the_data_of_others(real_data: Callable[[str], Path]) -> None:
     """The law that stiffens exponentially, from constants that are 4 and 8 times too small."""
-    example = load("09_laws")
+    example = load("10_laws")
     measured = dict(example.plates(real_data("fingerprint_plates")))["Demiray_0.001"]
     found, told = example.answer(example.Scene.read(EXAMPLES / "scenes/plate.toml"), measured)
     assert told["exponential"] > 0.9

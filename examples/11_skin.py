@@ -11,7 +11,7 @@ thickness is not known, and neither is Poisson's ratio: the scene says so, and e
 
 ::
 
-    ./dev python examples/08_skin.py FOLDER [healthy|keloid] -o skin
+    ./dev python examples/11_skin.py FOLDER [healthy|keloid] -o skin
 
 FOLDER holds healthy/ and keloid/, and beside each a scene file in which the points are.
 """

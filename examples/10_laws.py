@@ -12,8 +12,8 @@ probable at first the evidence says how probable each is now.
 
 ::
 
-    ./dev python examples/09_laws.py
-    ./dev python examples/09_laws.py FOLDER
+    ./dev python examples/10_laws.py
+    ./dev python examples/10_laws.py FOLDER
 
 FOLDER holds folders as NeoHooke_0.001: measurements in which the third coordinate is made up, and left out here.
 """
