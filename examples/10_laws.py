@@ -28,6 +28,7 @@ import numpy as np
 from mpi4py import MPI
 
 from bcid import Measurement, Scene
+from bcid.base.units import percent, uncertain
 from bcid.comparison.adequacy import judge
 from bcid.comparison.fit import Fit, fit
 from bcid.comparison.fitted_hypothesis import weighed
@@ -102,7 +103,8 @@ def candidate(
     adequate, law = judge(found.state).adequate, found.state.model.law
     predictor.destroy()
     shear = float(law.shear(law.complete(found.state.model.values)))
-    return Candidate(law, found, log, adequate, (shear, shear_error(law, found)), of(found, "poisson"))
+    poisson = found.values["poisson"], found.stderr["poisson"]
+    return Candidate(law, found, log, adequate, (shear, shear_error(law, found)), poisson)
 
 
 def scaled(value: Any, factor: float) -> Any:
@@ -115,11 +117,6 @@ def settled(predictor: Predictor, free: tuple[str, ...]) -> Fit:
     """The constants of a law, and the error of the mesh that goes with them."""
     found = fit(State.of(predictor, Model.of(predictor.scene), frozenset()), free)
     return fit(found.state.with_own_errors(anew=True), free, like=found)
-
-
-def of(found: Fit, name: str) -> tuple[float, float]:
-    """A number and its standard error."""
-    return found.values[name], found.stderr[name]
 
 
 def shear_error(law: Law, found: Fit) -> float:
@@ -153,19 +150,17 @@ def in_plane(measured: Measurement) -> Measurement:
 
 def main(folder: Path | None = None) -> dict[str, dict[str, float]]:
     """Names the law of every plate; returns the probabilities of the laws."""
-    scene, told = Scene.read(HERE / "scenes/plate.toml"), {}
+    scene, odds = Scene.read(HERE / "scenes/plate.toml"), {}
     for name, measured in plates(folder):
-        found, told[name] = answer(scene, measured)
-        best = max(told[name], key=lambda law: told[name][law])
+        found, odds[name] = answer(scene, measured)
+        best, *others = sorted(odds[name], key=lambda law: -odds[name][law])
         shear, poisson = (
-            f"{value:.4g} ± {1.96 * error:.2g}"
-            for value, error in (np.array(found[best].shear) * 1e-3, found[best].poisson)
+            uncertain(value, 1.96 * error) for value, error in (np.array(found[best].shear) * 1e-3, found[best].poisson)
         )
-        others = ", ".join(f"{law} {p:.1%}" for law, p in told[name].items() if law != best and p > 0.005)
-        print(
-            f"{name}: {best} ({told[name][best]:.1%}; {others or 'no other'}), shear {shear} kPa, Poisson's ratio {poisson}"
-        )
-    return told
+        rest = ", ".join(f"{law} {percent(odds[name][law])}" for law in others if odds[name][law] > 0.005)
+        print(f"{name}: {best} ({percent(odds[name][best])}; {rest or 'no other'})")
+        print(f"  shear modulus {shear} kPa, Poisson's ratio {poisson}")
+    return odds
 
 
 if __name__ == "__main__":

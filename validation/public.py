@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import math
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
@@ -13,7 +12,7 @@ from types import ModuleType
 from bcid.base.errors import InputError
 from bcid.base.progress import Progress
 from bcid.base.run_folder import write_whole
-from bcid.base.units import percent
+from bcid.base.units import percent, uncertain
 from bcid.studies.text_table import TextTable
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -92,20 +91,15 @@ def _plates(folder: Path, _output: Path) -> Iterator[Row]:
     for name, measured in example.plates(folder / "fingerprint_plates"):
         made, noise = name.split("_")
         law, shear, poisson = _PLATES[made]
-        found, told = example.answer(scene, measured)
-        likely = sorted(told, key=lambda one: -told[one])
+        found, odds = example.answer(scene, measured)
+        likely = sorted(odds, key=lambda one: -odds[one])
         best = found[likely[0]]
-        text = ", ".join(f"{one} {percent(told[one])}" for one in likely if told[one] > 0.05)
-        text += f"; shear modulus {_with_error(best.shear, 1e-3)} kPa, ν {_with_error(best.poisson)}"
+        text = ", ".join(f"{one} {percent(odds[one])}" for one in likely if odds[one] > 0.05)
+        (shear_found, shear_error), (ratio, ratio_error) = best.shear, best.poisson
+        text += f"; shear modulus {uncertain(1e-3 * shear_found, 1.96e-3 * shear_error)} kPa"
+        text += f", ν {uncertain(ratio, 1.96 * ratio_error)}"
         stated = f"{law}, shear modulus {shear:g} kPa, ν {poisson:g}"
         yield _row(f"plate, {made}, noise {100 * float(noise):g} %", "", text, stated, "")
-
-
-def _with_error(number: tuple[float, float], unit: float = 1.0) -> str:
-    """A number and its standard error as a 95 % interval."""
-    value, width = number[0] * unit, 1.96 * number[1] * unit
-    digits = max(0, 1 - math.floor(math.log10(width)))
-    return f"{value:.{digits}f} ± {width:.{digits}f}"
 
 
 def _beam(_folder: Path, _output: Path) -> Iterator[Row]:

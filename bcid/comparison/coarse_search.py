@@ -140,7 +140,7 @@ class CoarseSearch(SearchQueue):
 
     def _springs(self, rival: FittedHypothesis, effect: Effect) -> dict[Hypothesis, float]:
         state, measurement = rival.judged, self.predictor.measurement
-        if effect.lacks(self.predictor.scene, measurement):
+        if effect.not_applicable(self.predictor.scene, measurement):
             return {}
         every = neighbours(state, self.model, len(self.predictor.scene.patches) <= SETTINGS.loosened_patches)
         near = [s for s in every if len(s ^ state.anchors) <= 2]

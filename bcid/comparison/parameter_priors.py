@@ -159,6 +159,7 @@ def _width(c: Coordinate, value: float, state: State) -> float:
         points = state.predictor.forward(state.model).mesh.points
         return float(np.linalg.norm(np.ptp(points, axis=0))) / 6
     if len(p.scan) > 1 and min(p.scan) <= 0:
+        # Uniform between its bounds: a logarithm needs positive values.
         return (p.upper - p.lower) / math.sqrt(12)
     if len(p.scan) > 1:
         # Uniform in its logarithm over the values that are tried.

@@ -147,7 +147,7 @@ def dormant(state: State, known: Iterable[Effect]) -> tuple[list[tuple[Effect, s
     found, excluded = [], {}
     measurement, scene = state.predictor.measurement, state.predictor.scene
     for effect in known:
-        reason = effect.lacks(scene, measurement)
+        reason = effect.not_applicable(scene, measurement)
         if reason:
             excluded[effect.name] = reason
             continue

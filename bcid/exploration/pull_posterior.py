@@ -105,7 +105,7 @@ class PullPosterior:
 
     def _searched(self, predictor: Predictor, model: Model) -> HypothesisTable:
         """What is known of hypotheses after all pulls."""
-        acting = [e for e in self.known if not e.lacks(self.scene, predictor.measurement)]
+        acting = [e for e in self.known if not e.not_applicable(self.scene, predictor.measurement)]
         actions, rows = tuple(pull.actions[0] for pull in self.seen), predictor.data.mask.shape[1]
         fits, count = SETTINGS.sets_of_effect * len(acting), SETTINGS.first_sets
 

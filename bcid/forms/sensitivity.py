@@ -74,7 +74,7 @@ class Sensitivity:
         self.weak_form = self.equilibrium.weak_form
         self._derivatives: dict[str, Any] = {}
         self._cells: dict[str, tuple[Any, Any]] = {}
-        self._mass: dict[tuple[str, str, tuple[float, ...]], Any] = {}
+        self._mass: dict[tuple[object, ...], Any] = {}
         self._pushed: tuple[Array, Array] | None = None
 
     # -- one step
@@ -138,22 +138,23 @@ class Sensitivity:
 
     def _bed(self, bed: tuple[str, str], term: Term) -> tuple[NDArray[np.int64], Any]:
         """Unknowns of a bed of springs, and what solves with its mass matrix."""
-        values = tuple(term.values[p.name] for p in term.effect.shapes) if term.effect.share else ()
-        if (*bed, values) not in self._mass:
+        shared = term.effect.share is not None
+        key = (*bed, term.effect.name, *(term.values[p.name] for p in term.effect.shapes)) if shared else bed
+        if key not in self._mass:
             from scipy.sparse.linalg import splu
 
-            mass = fem.assemble_matrix(self._mass_form(bed, term if values else None)).to_scipy().tocsc()
+            mass = fem.assemble_matrix(self._mass_form(bed, term)).to_scipy().tocsc()
             inside = np.flatnonzero(np.asarray(np.abs(mass).sum(axis=1)).ravel() > 0)
             solver = splu(mass[inside][:, inside])
-            self._mass[(*bed, values)] = self.forward.body.displacement_dofs[inside], solver.solve
-        return self._mass[(*bed, values)]
+            self._mass[key] = self.forward.body.displacement_dofs[inside], solver.solve
+        return self._mass[key]
 
-    def _mass_form(self, bed: tuple[str, str], term: Term | None) -> fem.Form:
-        """Mass of a bed of springs, divided by the share of the compliance of a term, if one is given."""
+    def _mass_form(self, bed: tuple[str, str], term: Term) -> fem.Form:
+        """Mass of a bed of springs, divided by the share of the compliance where a term has one."""
         body, weak_form = self.forward.body, self.weak_form
         u, v = ufl.TrialFunction(body.displacement_space), ufl.TestFunction(body.displacement_space)
         product, measure = ufl.inner(u, v), getattr(weak_form, bed[0])(bed[1])
-        if term is None or term.effect.share is None:
+        if term.effect.share is None:
             return compiled.form(product * measure)
         values = {name: fem.Constant(body.domain, float(term.values[name])) for name in term.values}
         frame = weak_form.frame(bed[1])

@@ -224,15 +224,16 @@ class SetTangents:
         self.areas = np.zeros((len(self._shapes.T),) * 2)
         for numbers in self.tractions.values():
             self.areas[np.ix_(numbers, numbers)] = self._shapes[:, numbers].T @ self._columns[:, numbers]
-        self._shared: dict[tuple[str, _Values], Array] = {}
+        self._shared: dict[tuple[str, str, _Values], Array] = {}
 
     def springs(self, patch: str, term: Term) -> Array:
         """Compliance of an anchored patch that an effect holds, between its tractions, shape (own tractions, own tractions)."""
         (amount,), own = term.effect.amounts, self.tractions[patch]
         shapes = tuple((p.name, term.values[p.name]) for p in term.effect.shapes)
-        if (patch, shapes) not in self._shared:
-            self._shared[patch, shapes] = self._areas(patch, term, own)
-        return np.asarray(self._shared[patch, shapes] / term.values[amount.name])
+        key = patch, term.effect.name, shapes
+        if key not in self._shared:
+            self._shared[key] = self._areas(patch, term, own)
+        return np.asarray(self._shared[key] / term.values[amount.name])
 
     def _areas(self, patch: str, term: Term, own: NDArray[np.int64]) -> Array:
         """The part of `areas` that is of a patch, each place by its share of the compliance."""

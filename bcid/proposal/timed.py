@@ -34,7 +34,7 @@ def timed_families(state: State, grammar: Iterable[Family], kinds: Sequence[str]
     for name, kind in _CATALOGUE.items():
         effect = effects.effect(name)
         family = _of_catalogue(effect, kind)
-        if family.group in kinds and not effect.lacks(scene, measurement):
+        if family.group in kinds and not effect.not_applicable(scene, measurement):
             steady.append(family)
     found = []
     for most, word in _COURSES.items():

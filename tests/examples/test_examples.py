@@ -127,12 +127,12 @@ def test_11_skin(real_data: Callable[[str], Path], tmp_path: Path) -> None:
 
 
 def test_10_laws() -> None:
-    """The plate of an isochoric neo-Hookean solid is told from others, with constants within 2 %."""
+    """The plate of an isochoric neo-Hookean solid is distinguished from others, with constants within 2 %."""
     example = load("10_laws")
     (_, measured), *_ = example.plates(None)
-    found, told = example.answer(example.Scene.read(EXAMPLES / "scenes/plate.toml"), measured)
-    assert max(told, key=lambda law: told[law]) == "I1"
-    assert (told["I2"], told["I1"] > 0.5) == (pytest.approx(0.0, abs=1e-6), True)
+    found, odds = example.answer(example.Scene.read(EXAMPLES / "scenes/plate.toml"), measured)
+    assert max(odds, key=lambda law: odds[law]) == "I1"
+    assert (odds["I2"], odds["I1"] > 0.5) == (pytest.approx(0.0, abs=1e-6), True)
     assert found["I1"].shear[0] == pytest.approx(20e3, rel=0.02)
     assert found["I1"].poisson[0] == pytest.approx(0.286, rel=0.02)
     assert found["I1"].adequate
@@ -142,8 +142,8 @@ def test_10_laws_of_the_data_of_others(real_data: Callable[[str], Path]) -> None
     """The law that stiffens exponentially, from constants that are 4 and 8 times too small."""
     example = load("10_laws")
     measured = dict(example.plates(real_data("fingerprint_plates")))["Demiray_0.001"]
-    found, told = example.answer(example.Scene.read(EXAMPLES / "scenes/plate.toml"), measured)
-    assert told["exponential"] > 0.9
+    found, odds = example.answer(example.Scene.read(EXAMPLES / "scenes/plate.toml"), measured)
+    assert odds["exponential"] > 0.9
     best = found["exponential"]
     assert (best.shear[0], best.fitted.values["b"]) == pytest.approx((160e3, 8.0), rel=0.02)
     assert best.poisson[0] == pytest.approx(-0.763, rel=0.02)

@@ -316,7 +316,7 @@ class Effect:
         """Where the fiducials (fiducials, 3) appear in a frame when they are at given positions, m."""
         return self.observe(positions, self.at(frame.time, values), frame, place) if self.observe else positions
 
-    def lacks(self, scene: Scene, measurement: Measurement) -> str:
+    def not_applicable(self, scene: Scene, measurement: Measurement) -> str:
         """Why it cannot act in a scene and measurement, in words; "" if it can."""
         if scene.wrinkles and not self.wrinkles:
             return f"{self.name} {NOT_IN_WRINKLES}"
