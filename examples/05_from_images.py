@@ -7,7 +7,7 @@ From the images of two cameras to the patches that hold a slab.
 A slab that is held at {1 2} is pulled around three half circles, and filmed by two cameras of 1.3 megapixels at 30 cm, as in the
 experiments of Boonvisut & Cavusoglu (IJRR 2014): sixteen beads of 1 mm, shaded tissue, noise, lens distortion, false beads,
 and instruments that hide a tenth of the beads. From there on only the images, the calibration, the motion of the gripper and the
-scene are used.
+scene are used. In a checkout: its package `validation` renders the images.
 
 ::
 
@@ -26,9 +26,9 @@ from bcid import IdentifyOptions, Measurement, Scene, identify
 from bcid.api.results import IdentifyResult
 from bcid.scene import Level
 from bcid.scene.motions import motion
-from bcid.studies.rendering.appearance import Appearance
-from bcid.studies.rendering.scene_images import RenderedRecording, moved, render_recording
 from bcid.vision.track_run import run_tracking
+from validation.rendering.appearance import Appearance
+from validation.rendering.scene_images import RenderedRecording, moved, render_recording
 
 HERE = Path(__file__).resolve().parent
 Array = NDArray[np.float64]

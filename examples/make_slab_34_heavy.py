@@ -18,7 +18,7 @@ from bcid.forms.model import Term
 from bcid.forms.simulate import recorded
 from bcid.forms.solver.equilibrium import Settings
 from bcid.scene import Level
-from bcid.studies.hidden.truth import halved
+from validation.synthetic.truth import halved
 
 HERE = Path(__file__).resolve().parent
 ANCHORS = ("3", "4")

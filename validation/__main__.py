@@ -1,153 +1,28 @@
-"""`python -m validation golden | ablation | numbers | calibration | outside | public ...`, in a checkout."""
+"""Evidence about bcid, in a checkout: `bcid-validate golden`, or `python -m validation golden`. Studies also run under mpirun."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
-from typing import Any
 
-from bcid.base.errors import BcidError
-from bcid.base.progress import progress_on
-from validation.golden.cases import CASES
-from validation.outside.worlds import CASES as CASES_OF_KIND
-from validation.outside.worlds import KINDS
-from validation.stored_results import cut, keep
-
-# Golden cases of few seconds each.
-QUICK = ["awkward-six-markers", "hidden-211-4", "hidden-223-5"]
+from bcid.app.process import alone, on_ranks, prepare
+from bcid.base.collective import launched
+from validation.experiment_commands import add_experiments
+from validation.study_commands import STUDIES, add_studies
 
 
 def main(words: list[str] | None = None) -> int:
     """The command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m validation", description=__doc__)
-    parts = parser.add_subparsers(dest="part", required=True)
-    golden = _part(parts, "golden", "explain the golden cases, and compare the answers with the frozen ones")
-    golden.add_argument("--only", nargs="+", choices=list(CASES), metavar="CASE", help="some cases (all)")
-    golden.add_argument("--freeze", action="store_true", help="make these answers the frozen ones")
-    ablation = _part(parts, "ablation", "explain golden cases without one term of the posterior after the other")
-    ablation.add_argument("--only", nargs="+", choices=list(CASES), metavar="CASE", help="some cases (all)")
-    numbers = _part(parts, "numbers", "explain golden cases with half and double of each number that decides something")
-    numbers.add_argument(
-        "--only", nargs="+", choices=list(CASES), default=QUICK, metavar="CASE", help=f"some cases ({' '.join(QUICK)})"
-    )
-    outside = _part(parts, "outside", "explain worlds of an independent code that are outside the family of models")
-    outside.add_argument("--kinds", nargs="+", choices=list(KINDS), metavar="KIND", help=f"of {', '.join(KINDS)} (all)")
-    outside.add_argument(
-        "--cases", type=_count, default=CASES_OF_KIND, metavar="N", help=f"of each kind ({CASES_OF_KIND})"
-    )
-    outside.add_argument("--freeze", action="store_true", help="keep these inputs in the repository")
-    for one in (golden, ablation, numbers, outside):
-        one.add_argument("--jobs", type=_count, default=2, metavar="N", help="processes at a time (2)")
-        one.add_argument("--store", type=Path, metavar="FOLDER", help="keep predictions here, for other runs")
-    calibration = _part(parts, "calibration", "draw data from the linearised model, and compare answers with the truth")
-    calibration.add_argument(
-        "--draws", type=_count, default=1000, metavar="N", help="with each level of the noise (1000)"
-    )
-    public = _part(parts, "public", "answer measurements made by others, beside what their authors say")
-    public.add_argument("folder", type=Path, metavar="FOLDER", help="with the data of others, as human_skin")
+    prepare()
+    parser = argparse.ArgumentParser("bcid-validate", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    add_experiments(commands)
+    add_studies(commands)
     chosen = parser.parse_args(words)
-    work = {
-        "golden": _golden,
-        "ablation": _ablation,
-        "numbers": _numbers,
-        "calibration": _calibration,
-        "outside": _outside,
-        "public": _public,
-    }
-    try:
-        return work[chosen.part](chosen)
-    except BcidError as error:
-        print(f"validation: {error}", file=sys.stderr)
-        return 2
-
-
-def _part(parts: Any, name: str, about: str) -> argparse.ArgumentParser:
-    """The parser of an experiment, with what all of them take."""
-    parser: argparse.ArgumentParser = parts.add_parser(name, help=about)
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="folder; a run in it goes on")
-    parser.add_argument("--keep", action="store_true", help="keep the result in the repository, for the documentation")
-    return parser
-
-
-def _keep(chosen: argparse.Namespace, result: Any) -> None:
-    """Keep the result of an experiment where that is wanted."""
-    if chosen.keep:
-        print(f"kept in {keep(chosen.part, result)}")
-
-
-def _golden(chosen: argparse.Namespace) -> int:
-    from validation.golden import run
-    from validation.golden.score import text
-
-    run.run(chosen.output, chosen.only or list(CASES), chosen.jobs, progress_on(), chosen.store)
-    if chosen.freeze:
-        print(f"{run.freeze(chosen.output)} answers are frozen in {run.ANSWERS}")
-    found = run.read(chosen.output)
-    print(text(run.frozen(), found))
-    _keep(chosen, {name: cut(answer) for name, answer in found.items()})
-    return 0
-
-
-def _ablation(chosen: argparse.Namespace) -> int:
-    from validation import ablation
-
-    store = chosen.store or chosen.output / "store"
-    ablation.run(chosen.output, chosen.only or list(CASES), chosen.jobs, store, progress_on())
-    found = ablation.read(chosen.output)
-    print(ablation.table(found).text())
-    _keep(chosen, {term: {name: cut(one) for name, one in answers.items()} for term, answers in found.items()})
-    return 0
-
-
-def _numbers(chosen: argparse.Namespace) -> int:
-    from validation import numbers
-
-    store = chosen.store or chosen.output / "store"
-    numbers.run(chosen.output, chosen.only, chosen.jobs, store, progress_on())
-    found = numbers.read(chosen.output)
-    print(numbers.table(found).text())
-    _keep(chosen, {word: {name: cut(one) for name, one in answers.items()} for word, answers in found.items()})
-    return 0
-
-
-def _calibration(chosen: argparse.Namespace) -> int:
-    from validation import calibration
-
-    calibration.run(chosen.output, chosen.draws, progress_on())
-    found = calibration.read(chosen.output)
-    print(calibration.table(found).text())
-    print(calibration.picture(found, chosen.output / "calibration.png"))
-    _keep(chosen, found)
-    return 0
-
-
-def _outside(chosen: argparse.Namespace) -> int:
-    from validation.outside import run
-    from validation.outside.score import text
-
-    run.run(chosen.output, chosen.kinds or list(KINDS), chosen.cases, chosen.jobs, progress_on(), chosen.store)
-    if chosen.freeze:
-        print(f"{run.freeze(chosen.output)} inputs are kept in {run.INPUTS}")
-    found = run.read(chosen.output)
-    print(text(found))
-    _keep(chosen, {name: cut(answer) for name, answer in found.items()})
-    return 0
-
-
-def _public(chosen: argparse.Namespace) -> int:
-    from validation import public
-
-    rows = public.run(chosen.folder, chosen.output, progress_on())
-    print(public.table(rows).text())
-    _keep(chosen, rows)
-    return 0
-
-
-def _count(word: str) -> int:
-    if not word.isdecimal() or int(word) < 1:
-        raise argparse.ArgumentTypeError(f"needs a whole number from 1 on, found '{word}'")
-    return int(word)
+    if chosen.command in STUDIES and launched():
+        return on_ranks(lambda comm: chosen.run(chosen, comm))
+    kept = "what was measured before is in bench.json" if chosen.command == "bench" else "the same command goes on"
+    return alone(lambda: chosen.run(chosen), kept, starts_jobs=True)
 
 
 if __name__ == "__main__":

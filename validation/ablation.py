@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from bcid.base.progress import Progress
-from bcid.studies.text_table import TextTable
 from validation.golden import run as golden
 from validation.golden.score import anchor_bits, certain_and_wrong, verdict_bits
+from validation.text_table import TextTable
 
 # A probability of nothing, whose logarithm is finite.
 _NEVER = 1e-12

@@ -34,9 +34,8 @@ from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.evidence import LowRankDiscrepancy, log_gains
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
 from bcid.inference.priors import PRIORS
-from bcid.inference.thresholds import THRESHOLDS
-from bcid.studies.text_table import TextTable
 from validation.golden.cases import MEASUREMENT, SCENE, prepare
+from validation.text_table import TextTable
 
 Array = NDArray[np.float64]
 Json = Mapping[str, Any]
@@ -138,7 +137,7 @@ def _widths(variant: Variant) -> list[Array]:
     """Standard deviations of the amounts of an effect that the data could show, one row each."""
     scale = np.array([c.scale for c in variant.amounts])
     shown = float(np.sqrt(np.mean(np.sum((variant.sensitivity * scale) ** 2, axis=0))))
-    return [size * scale for size in visible(shown, THRESHOLDS.detection)]
+    return [size * scale for size in visible(shown)]
 
 
 @dataclass(frozen=True)

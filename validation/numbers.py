@@ -14,9 +14,9 @@ from bcid.base.progress import Progress
 from bcid.inference.priors import PRIORS
 from bcid.inference.thresholds import THRESHOLDS
 from bcid.search.settings import SETTINGS
-from bcid.studies.text_table import TextTable
 from validation.golden import run as golden
 from validation.golden.score import anchor_bits, certain_and_wrong, verdict_bits
+from validation.text_table import TextTable
 
 OBJECTS = (PRIORS, THRESHOLDS, SETTINGS)
 # A probability near one is as far from that.

@@ -13,7 +13,7 @@ from bcid.base.errors import InputError
 from bcid.base.progress import Progress
 from bcid.base.run_folder import write_whole
 from bcid.base.units import percent, uncertain
-from bcid.studies.text_table import TextTable
+from validation.text_table import TextTable
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 Row = Mapping[str, str]

@@ -63,13 +63,3 @@ def random_state_in(number: int) -> int:
     if number < 0:
         raise InputError(f"--random-state {number}: must be at least 0")
     return number
-
-
-def part_in(text: str | None) -> tuple[int, int] | None:
-    """(i, n) of "i/n"."""
-    if text is None:
-        return None
-    numbers = text.split("/")
-    if len(numbers) == 2 and all(n.isdecimal() for n in numbers) and 1 <= int(numbers[0]) <= int(numbers[1]):
-        return int(numbers[0]), int(numbers[1])
-    raise InputError(f"--part '{text}': expected I/N with I from 1 to N, as 3/16")

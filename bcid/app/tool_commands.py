@@ -175,10 +175,3 @@ def check_effect(arguments: argparse.Namespace, comm: Comm) -> None:
     from bcid.forms.check_effect import check_effect as check
 
     check(arguments.effect, comm, lambda text: tell(text) if comm.rank == 0 else None)
-
-
-def bench(arguments: argparse.Namespace) -> None:
-    """`bcid bench`."""
-    from bcid.bench.bench_run import run
-
-    run(arguments.parts, arguments.output, arguments.quick)

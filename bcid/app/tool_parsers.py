@@ -6,9 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from bcid.app.options import add_command, add_output, add_quiet, add_run, seed
-from bcid.app.study_commands import study
 from bcid.app.tool_commands import (
-    bench,
     calibrate,
     check_effect,
     examples,
@@ -178,7 +176,7 @@ def add_examples(commands: Any) -> None:
         commands,
         "examples",
         examples,
-        "copy the scenes, measurements, studies and scripts that come with bcid",
+        "copy the scenes, measurements and scripts that come with bcid",
         "The commands of the documentation work in the folder that it makes.",
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="to make")
@@ -197,73 +195,3 @@ def add_check_effect(commands: Any) -> None:
     parser.add_argument(
         "effect", metavar="FILE", help="Python file that defines effect = BodyEffect(...), or a name of the catalogue"
     )
-
-
-def add_bench(commands: Any) -> None:
-    """`bcid bench`."""
-    help_text = "measure speed against other codes, goals and limits"
-    parser = add_command(
-        commands, "bench", bench, help_text, "Prints a table per part; writes bench.json and plots. See docs/bench.md."
-    )
-    parser.add_argument(
-        "parts", nargs="*", metavar="PART", help="trajectory, toggles, identification, explain, explore, growth (all)"
-    )
-    parser.add_argument(
-        "-o", "--output", type=Path, default=Path("bcid-bench"), metavar="FOLDER", help="folder to write (bcid-bench)"
-    )
-    parser.add_argument("--quick", action="store_true", help="a reduced form of each part, without a network")
-
-
-def add_study(commands: Any) -> None:
-    """`bcid study`."""
-    parser = add_command(
-        commands,
-        "study",
-        study,
-        "find out with many made-up bodies what an answer is worth",
-        "paper        the tables and figures of the paper; FILE.toml one of them, or one of your own (see studies/)\n"
-        "hidden       measurements with effects hidden in them are made and diagnosed blindly, and the answers scored\n"
-        "beyond       laws and boundary effects are hidden that the catalogue does not have, and what is proposed for them scored\n"
-        "exploration  how many pulls does it take to know the anchors?\n\n"
-        "Under mpirun the ranks make the trials, rank 0 hands them out; else child processes do. A study that was stopped,\n"
-        "in whatever way, goes on where it was when the same command is given again. See docs/study.md.",
-    )
-    parser.add_argument("study", metavar="STUDY", help="paper, hidden, beyond, exploration, or a study file (TOML)")
-    add_run(parser)
-    parser.add_argument("--quick", action="store_true", help="paper and files: the reduced study")
-    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes at a time without mpirun (2)")
-    parser.add_argument(
-        "--part",
-        metavar="I/N",
-        help="files: every N-th trial from the I-th, as one of N jobs that share the run folder",
-    )
-    parser.add_argument("--predict-only", action="store_true", help="files: only what all trials share")
-    parser.add_argument(
-        "--cases", type=int, default=400, metavar="N", help="number of cases of hidden, or beyond (400)"
-    )
-    parser.add_argument("--seed", type=seed, default=0, metavar="N", help="of what is random (0)")
-    parser.add_argument("--trials", type=int, default=30, metavar="N", help="of each setting of exploration (30)")
-    parser.add_argument(
-        "--only", choices=("main", "hidden", "enclosed", "forces"), help="exploration: one part of it (all)"
-    )
-    parser.add_argument(
-        "--limit",
-        type=float,
-        default=900.0,
-        metavar="SECONDS",
-        help="CPU seconds that a trial may take (900)",
-    )
-    parser.add_argument(
-        "--least", type=float, default=0.5, metavar="SIZE", help="of an effect of hidden, in units of noise (0.5)"
-    )
-    parser.add_argument(
-        "--bodies", metavar="NAMES", help="of hidden, as slab,finger (those and gallbladder take turns)"
-    )
-    parser.add_argument(
-        "--conditions",
-        choices=("all", "exact", "inexact", "forces"),
-        default="all",
-        help="hidden: everything as the scene states it, everything but the noise slightly wrong, both with forces, or all "
-        "other conditions in turns (all)",
-    )
-    add_output(parser, picture=False)

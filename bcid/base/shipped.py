@@ -1,4 +1,4 @@
-"""Files that come with bcid: scenes, geometries, measurements, study files, and what its benchmark compares with."""
+"""Files that come with bcid: scenes, geometries, measurements and scripts; in a checkout also what its validation reads."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 # Below the package when it was installed from a wheel; in a checkout the package lies beside them.
 _PLACES = (_PACKAGE / "shipped", _PACKAGE.parent)
 # Scenes name their geometries by paths that go from one of these folders to the other.
-_EXAMPLES = ("examples", "meshes", "studies")
+_EXAMPLES = ("examples", "meshes")
 # What is on the path of a Python that can import bcid.
 IMPORT_ROOT = _PACKAGE.parent
 

@@ -1,4 +1,4 @@
-"""Put the tables and the picture of a `bcid study hidden` into docs/results.md; COMMIT is that of the code that ran it.
+"""Put the tables and the picture of a `bcid-validate synthetic` into docs/results.md; COMMIT is that of the code that ran it.
 
 ./dev python docs/_make/blind_bench.py RUN COMMIT
 """
@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from bcid.base.run_folder import RunFolder
-from bcid.studies.hidden.judge import QUESTIONS
-from bcid.studies.hidden.score import CALIBRATED, GOALS, LARGEST, MEDIAN, SURE_AND_WRONG
+from validation.synthetic.judge import QUESTIONS
+from validation.synthetic.score import CALIBRATED, GOALS, LARGEST, MEDIAN, SURE_AND_WRONG
 
 DOCS = Path(__file__).resolve().parents[1]
 BEGIN, END = "<!-- made by docs/_make/blind_bench.py -->\n", "<!-- made until here -->\n"
@@ -84,7 +84,7 @@ def page(run: Path, commit: str) -> str:
     states = ", ".join(f"{count} {name}" for name, count in sorted(found["states"].items()))
     largest = f"{found['states']['timeout']} out of time" if cpu["largest"] is None else f"{cpu['largest']:.0f} at most"
     lines = [
-        f"`bcid study hidden {asked} -o study` at commit {commit}: {found['cases']} of {found['asked']} cases ({states}). "
+        f"`bcid-validate synthetic {asked} -o study` at commit {commit}: {found['cases']} of {found['asked']} cases ({states}). "
         f"CPU seconds of a diagnosis: {cpu['median']:.0f} in the median, {largest} (goals {MEDIAN:.0f} and {LARGEST:.0f}).",
         "",
         "![Rates beside their goals, and told probabilities beside how often they were right](blind_bench.png)",

@@ -1,4 +1,4 @@
-"""Make docs/paper.md of a finished `bcid study paper`: its tables, its pictures, and what the paper says beside what was found;
+"""Make docs/paper.md of a finished `bcid-validate paper`: its tables, its pictures, and what the paper says beside what was found;
 COMMIT is that of the code that ran it.
 
 ./dev python docs/_make/paper.py RUN COMMIT
@@ -11,22 +11,22 @@ import sys
 from pathlib import Path
 
 from bcid.base.run_folder import RunFolder
-from bcid.studies.engine.work import read_result
-from bcid.studies.exploration.exploration_page import page as exploration_page
-from bcid.studies.exploration.exploration_page import shown
-from bcid.studies.exploration.exploration_study import call_cost, results
-from bcid.studies.exploration.exploration_trials import ExplorationExtent
-from bcid.studies.paper.claims import verdicts
-from bcid.studies.paper.paper_study import in_order
-from bcid.studies.paper.study import Summary
-from bcid.studies.paper.study_file import StudyFile
-from bcid.studies.paper.study_page import study_page
-from bcid.studies.plots import is_curve, progression, success
-from bcid.studies.sections import PICTURE
+from validation.engine.work import read_result
+from validation.exploration.exploration_page import page as exploration_page
+from validation.exploration.exploration_page import shown
+from validation.exploration.exploration_study import call_cost, results
+from validation.exploration.exploration_trials import ExplorationExtent
+from validation.paper.claims import verdicts
+from validation.paper.paper_study import in_order
+from validation.paper.study import Summary
+from validation.paper.study_file import StudyFile
+from validation.paper.study_page import study_page
+from validation.plots import is_curve, progression, success
+from validation.sections import PICTURE
 
 DOCS = Path(__file__).resolve().parents[1]
-STUDIES, PICTURES = DOCS.parent / "studies", DOCS / "paper"
-COMMAND = "bcid study paper -o paper"
+STUDIES, PICTURES = DOCS.parent / "validation/paper", DOCS / "paper"
+COMMAND = "bcid-validate paper -o paper"
 
 
 def made(run: Path) -> dict[str, tuple[Summary, str]]:

@@ -1,6 +1,6 @@
 """Makes the pictures of the README and the documentation: ``./dev python docs/_make/pictures.py [NAME...]`` (some minutes).
 
-demo.png, report.png, explore.png and tracking.png; ``bcid study hidden`` draws study.png and blind_bench.png in some hours.
+demo.png, report.png, explore.png and tracking.png; ``bcid-validate synthetic`` draws study.png and blind_bench.png in some hours.
 """
 
 from __future__ import annotations

@@ -4,12 +4,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bcid.studies.text_table import TextTable
 from validation import ablation, calibration, numbers, public
 from validation.golden import run as golden
 from validation.golden import score as golden_score
 from validation.outside import score as outside_score
 from validation.stored_results import RESULTS, kept
+from validation.text_table import TextTable
 
 HEAD = """# Validation
 
@@ -22,7 +22,7 @@ separate: patches that move the markers by less than the noise, and effects of l
 """
 GOLDEN = """## Golden cases
 
-    ./dev python -m validation golden -o golden
+    ./dev bcid-validate golden -o golden
 
 Measurements of the blinded study (`hidden`), of effects that are in no catalogue (`beyond`), of the laboratory and
 with awkward inputs. Their answers were frozen before the statistical method was replaced; each is explained again. Forward
@@ -30,7 +30,7 @@ trajectories count whether or not a store (`--store`) held them, CPU seconds do 
 """
 CALIBRATION = """## Calibration
 
-    ./dev python -m validation calibration -o calibration
+    ./dev bcid-validate calibration -o calibration
 
 Hypotheses and amounts are drawn from the prior, and data from the [observation model](../theory.md), linearised about
 a golden case; the functions that explain a measurement give the posterior. Of the answers with probability p a part p
@@ -42,7 +42,7 @@ hypothesis are uniform.
 """
 OUTSIDE = """## Worlds outside the family of models
 
-    ./dev python -m validation outside -o outside
+    ./dev bcid-validate outside -o outside
 
 Measurements that no model of bcid describes, computed by FElupe on quadratic hexahedra; what is wrong in each kind,
 and which answers are right, is in [results](../results.md). An answer that is certain and wrong is worse than one
@@ -50,20 +50,20 @@ that leaves the question open, and an answer that leaves all open is of no use: 
 """
 PUBLIC = """## Measurements made by others
 
-    ./dev python -m validation public FOLDER -o public
+    ./dev bcid-validate public FOLDER -o public
 
 FOLDER holds the data of others, which are not part of bcid. Errors and intervals are those of 95 %. How each is described
 is on the page on [test rigs](../rigs.md) and in the examples.
 """
 ABLATION = """## Ablation
 
-    ./dev python -m validation ablation -o ablation
+    ./dev bcid-validate ablation -o ablation
 
 Golden cases without one term of the posterior after the other: what the score loses without a term is what the term is worth.
 """
 NUMBERS = """## The numbers that decide something
 
-    ./dev python -m validation numbers -o numbers
+    ./dev bcid-validate numbers -o numbers
 
 Whatever was chosen by hand and moves an answer is a field of `Priors` (what is believed before the data are seen),
 `Thresholds` (from where on something is reported) or `SearchSettings` (how far the search goes), described where it is defined.

@@ -12,7 +12,7 @@ from bcid.forms.model import check_physics
 from bcid.forms.scene_check import check_scene
 from bcid.forms.scene_table import table
 from bcid.scene import Scene
-from benchmarks.reliability.scanned import box, image, save
+from validation.reliability.scanned import box, image, save
 
 PROJECT = Path(__file__).resolve().parents[2]
 SCENES = re.findall(

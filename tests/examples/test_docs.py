@@ -25,7 +25,7 @@ def test_the_site_is_built_without_warnings(tmp_path: Path, monkeypatch: pytest.
     assert made.returncode == 0, made.stdout + made.stderr
     pages = {file.stem: file.read_text(encoding="utf-8") for file in (tmp_path / "site").rglob("*.html")}
     assert "with strain_stiffening" in re.sub("<[^>]+>", "", pages["04_tension"])
-    for command_name in ("identify", "explain", "explore", "study", "report"):
+    for command_name in ("identify", "explain", "explore", "report"):
         assert f"bcid {command_name}" in pages["commands"]
     assert "mean log2 probability of the truth" in pages["validation"]
     results = (tmp_path / "site/results.html").read_text(encoding="utf-8")
@@ -38,6 +38,6 @@ def test_the_site_is_built_without_warnings(tmp_path: Path, monkeypatch: pytest.
 
 def test_everything_in_the_map_of_the_paper_is_there() -> None:
     text = (PROJECT / "docs/paper.md").read_text(encoding="utf-8")
-    files = re.findall(r"`((?:bcid|studies)/[\w/.-]+)`", text)
+    files = re.findall(r"`((?:bcid|validation)/[\w/.-]+)`", text)
     assert len(files) > 10
     assert not [file for file in files if not (PROJECT / file).exists()]

@@ -77,7 +77,7 @@ def test_the_wheel_holds_what_its_commands_need(installed: Installed) -> None:
     with zipfile.ZipFile(installed.wheel) as archive:
         names = set(archive.namelist())
     # Modules and what lies beside them, all of the checkout's examples, and the marker of type information.
-    folders = ("bcid", "examples", "meshes", "studies")
+    folders = ("bcid", "examples", "meshes")
     files = [file for folder in folders for file in (PROJECT / folder).rglob("*") if file.is_file()]
     for name in (str(file.relative_to(PROJECT)) for file in files if "__pycache__" not in file.parts):
         assert (name if name.startswith("bcid/") else f"bcid/shipped/{name}") in names

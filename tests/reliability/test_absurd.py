@@ -10,7 +10,7 @@ from bcid.app import cli
 from bcid.base.errors import InputError, Problems, bounded, nearest
 from bcid.base.text_file import parse_json, parse_toml
 from bcid.base.units import parse_unit, quantity
-from benchmarks.reliability import Reached, absurd
+from validation.reliability import Reached, absurd
 
 HERE = Path("file.toml")
 

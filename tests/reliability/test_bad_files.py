@@ -10,7 +10,7 @@ import pytest
 
 from bcid.base.errors import InputError
 from bcid.base.run_folder import RunFolder
-from benchmarks.reliability import Reached, configuration, folders, meshes, readers, recordings
+from validation.reliability import Reached, configuration, folders, meshes, readers, recordings
 
 
 def met(found: Reached) -> None:

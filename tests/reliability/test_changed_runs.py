@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.reliability.foreign_runs import cases, explained, trouble
+from validation.reliability.foreign_runs import cases, explained, trouble
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 from bcid.app import answer_parsers
 from bcid.base.errors import InputError
 from bcid.base.run_folder import RunFolder
-from benchmarks.reliability import Reached, disk, kills, signals, solver, temporary
+from validation.reliability import Reached, disk, kills, signals, solver, temporary
 
 
 def met(found: Reached) -> None:

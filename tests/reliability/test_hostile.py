@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks.reliability import hostile, names
+from validation.reliability import hostile, names
 
 
 def test_hostile_files() -> None:

@@ -13,7 +13,7 @@ from bcid.base.errors import MachineError
 from bcid.predict import store
 from bcid.predict.kept_predictions import MeasurementPrediction, PredictionKey
 from bcid.predict.predictor import Predictor
-from benchmarks.reliability import disk, resumed
+from validation.reliability import disk, resumed
 
 # Of the steps of the explanation, so many are there when it is killed.
 EARLY, LATE = 5, 75

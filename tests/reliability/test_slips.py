@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks.reliability import slips
+from validation.reliability import slips
 
 
 def test_slips_are_seen_before_anything_is_computed() -> None:

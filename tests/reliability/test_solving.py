@@ -8,7 +8,7 @@ import numpy as np
 
 from bcid import Scene
 from bcid.forms.forward import Forward
-from benchmarks.reliability import SLAB, solving
+from validation.reliability import SLAB, solving
 
 
 def test_random_pulls_converge_where_they_can() -> None:

@@ -1,4 +1,4 @@
-"""Stand-ins for making and diagnosing a case, as `bcid.studies.hidden.case` calls them: quick, and faulty on demand."""
+"""Stand-ins for making and diagnosing a case, as `validation.synthetic.case` calls them: quick, and faulty on demand."""
 
 import json
 import os
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bcid.base.run_folder import RunFolder, write_whole
-from bcid.studies.hidden.drawing import CaseChoice
+from validation.synthetic.drawing import CaseChoice
 
 # What the stand-ins have done, one line each.
 CALLS = "FAKE_STUDY_CALLS"

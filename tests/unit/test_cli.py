@@ -20,6 +20,7 @@ from bcid.app import answer_commands, cli, console
 from bcid.base.errors import MachineError
 from bcid.base.progress import Lines
 from bcid.base.run_folder import RunFolder, sealed
+from validation.__main__ import main as validate
 
 ROOT = Path(__file__).resolve().parents[2]
 SLAB = ROOT / "examples/scenes/slab.toml"
@@ -64,8 +65,6 @@ COMMANDS = [
     "demo",
     "identify",
     "simulate",
-    "bench",
-    "study",
     "explore",
     "report",
     "figure",
@@ -111,8 +110,6 @@ def test_a_process_ends_with_the_exit_code(tmp_path: Path) -> None:
         (["explain", SLAB, SEEN, "-o", "run", "--level", "7"], ["--level 7", "levels 0 to 3"]),
         (["explain", SLAB, SEEN, "-o", "run", "--most", "0"], ["--most 0", "at least 1"]),
         (["explain", SLAB, SEEN, "-o", "run", "--effects", "none.py"], ["none.py", "no such file"]),
-        (["study", "hidden", "-o", "run", "--cases", "0"], ["--cases 0", "at least 1"]),
-        (["study", "hidden", "-o", "run", "--least", "10"], ["--least 10", "below 10"]),
         (["explore", "none.toml", "--robot", "simulated:1", "-o", "run"], ["none.toml", "no such scene file"]),
         (["explore", SLAB, "--robot", "simulated:1", "-o", "run"], ["has no [explore] table"]),
         (["explore", LIMITED, "--robot", "hand", "-o", "run"], ["--robot 'hand'", "folder:DIR"]),
@@ -291,11 +288,12 @@ def test_a_command_counts_the_seconds_from_its_start(
 @pytest.mark.parametrize(
     ("arguments", "job", "said"),
     [
-        (["bench"], "bcid.bench.bench_run.run", "in bench.json"),
-        (["study", "hidden", "-o", "run"], "bcid.studies.hidden.hidden_study.run_hidden", "goes on where it was"),
+        (["bench", "-o", "run"], "validation.bench.bench_run.run", "in bench.json"),
+        (["synthetic", "-o", "run"], "validation.synthetic.hidden_study.run_hidden", "goes on"),
+        (["golden", "-o", "run"], "validation.golden.run.run", "goes on"),
     ],
 )
-def test_how_commands_without_mpi_end(
+def test_how_validation_ends(
     arguments: list[str], job: str, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def fail(error: BaseException) -> None:
@@ -305,12 +303,28 @@ def test_how_commands_without_mpi_end(
         monkeypatch.setattr(job, work)
 
     fail(KeyboardInterrupt())
-    assert cli.main(arguments) == 130
+    assert validate(arguments) == 130
     assert "bcid: interrupted; " in (err := capsys.readouterr().err)
     assert said in err
     fail(MachineError("the disk is full"))
-    assert cli.main(arguments) == 3
+    assert validate(arguments) == 3
     assert capsys.readouterr().err == "bcid: the disk is full\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["synthetic", "-o", "run", "--cases", "0"], ["--cases 0", "at least 1"]),
+        (["synthetic", "-o", "run", "--least", "10"], ["--least 10", "below 10"]),
+    ],
+)
+def test_validation_refuses(
+    tmp_path: Path, arguments: list[str], words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert validate([word.replace("run", str(tmp_path / "run")) for word in arguments]) == 2
+    err = capsys.readouterr().err
+    assert all(word in err for word in words)
+    assert not (tmp_path / "run").exists()
 
 
 def edited(tmp_path: Path, *changes: tuple[str, str]) -> Path:

@@ -40,7 +40,7 @@ from bcid.inference.evidence import log_gains
 from bcid.measurement import Action
 from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Scene
-from benchmarks.courses import Case, missed
+from validation.accuracy.courses import Case, missed
 
 Array = NDArray[np.float64]
 TIMES = (0.0, 1.5, 4.0)
@@ -270,7 +270,7 @@ def test_knots_are_spread_over_what_was_seen(state: State) -> None:
 
 
 def test_a_course_is_found_where_constant_amounts_fail() -> None:
-    """A stress that swings, measured on a finer mesh; `benchmarks/courses.py` has a grip and a camera."""
+    """A stress that swings, measured on a finer mesh; `validation/accuracy/courses.py` has a grip and a camera."""
     case = Case.of("active_stress")
     constant, moving = case.fitted(case.effect), case.fitted(case.in_time())
     assert not constant.rungs[-1].adequacy.adequate

@@ -11,10 +11,10 @@ import pytest
 
 from bcid.base.errors import InputError, MachineError
 from bcid.base.progress import Silent
-from bcid.studies.engine.dispatch import attempt, dispatch, part_of, portions
-from bcid.studies.engine.work import Task, Work, Workers, read_result
-from bcid.studies.engine.workers import _Worker
-from benchmarks.reliability.kills import begun, tasks, work
+from validation.engine.dispatch import attempt, dispatch, part_of, portions
+from validation.engine.work import Task, Work, Workers, read_result
+from validation.engine.workers import _Worker
+from validation.reliability.kills import begun, tasks, work
 
 
 def read(made: Work, index: int) -> dict[str, Any]:
@@ -127,11 +127,11 @@ print({"predict": 41, "trials": 42, "tables": 43}[given["job-name"]])
 
 
 def test_the_slurm_script_submits_every_part_of_a_study(tmp_path: Path) -> None:
-    """With a stand-in for sbatch, which runs each task of an array at once, and one for bcid, which notes what it is given."""
-    script = Path(__file__).resolve().parents[2] / "examples/cluster/study.sh"
+    """With a stand-in for sbatch, which runs each task of an array at once, and one for bcid-validate, which notes its words."""
+    script = Path(__file__).resolve().parents[2] / "validation/study.sh"
     for name, text in (
         ("sbatch", f"#!{sys.executable}\n{SBATCH}"),
-        ("bcid", '#!/bin/sh\nfor a; do printf "%s|" "$a"; done >>calls\necho >>calls\n'),
+        ("bcid-validate", '#!/bin/sh\nfor a; do printf "%s|" "$a"; done >>calls\necho >>calls\n'),
     ):
         (tmp_path / name).write_text(text, encoding="utf-8")
         (tmp_path / name).chmod(0o755)

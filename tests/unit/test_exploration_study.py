@@ -20,11 +20,11 @@ from bcid.predict.pull_predictor import PullPredictor
 from bcid.predict.store import PredictionStore
 from bcid.scene import Level, Scene
 from bcid.scene.uncertainty import Uncertainty
-from bcid.studies.engine.work import Workers
-from bcid.studies.exploration.exploration_page import page
-from bcid.studies.exploration.exploration_scores import scores, table
-from bcid.studies.exploration.exploration_study import SCENE, Bench, attempted, run_study
-from bcid.studies.exploration.exploration_trials import (
+from validation.engine.work import Workers
+from validation.exploration.exploration_page import page
+from validation.exploration.exploration_scores import scores, table
+from validation.exploration.exploration_study import SCENE, Bench, attempted, run_study
+from validation.exploration.exploration_trials import (
     ANCHORS,
     GRASPS,
     STRATEGIES,
@@ -32,7 +32,7 @@ from bcid.studies.exploration.exploration_trials import (
     ExplorationTrial,
     trials,
 )
-from benchmarks.ideal_observer import Observer
+from validation.exploration.ideal_observer import Observer
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from bcid.base.inside_folder import read_inside
 from bcid.base.run_folder import RunFolder
 from bcid.comparison.source import from_run
 from bcid.report.found import Found
-from benchmarks.reliability.foreign_runs import ABSURD, CHANGES, SECRET, absurd, explained
+from validation.reliability.foreign_runs import ABSURD, CHANGES, SECRET, absurd, explained
 
 # A FIFO without a writer would be waited for.
 pytestmark = pytest.mark.timeout(60)

@@ -11,7 +11,7 @@ import pytest
 
 from bcid import Measurement
 from bcid.base.errors import InputError
-from benchmarks.reliability import foreign_files as made
+from validation.reliability import foreign_files as made
 
 HEAD = 'format = "bcid-mapping/1"\nlength_unit = "{unit}"\ntime_unit = "s"\nforce_unit = "N"\nfile = "{file}"\n'
 CHOSEN = '[fiducials]\na = "tip"\nb = "mid"\nc = "base"\n'

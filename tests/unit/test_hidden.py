@@ -22,19 +22,19 @@ from bcid.base.shipped import shipped
 from bcid.measurement import Measurement
 from bcid.scene import Level, Scene
 from bcid.scene.uncertainty import Uncertainty
-from bcid.studies.hidden import cases
-from bcid.studies.hidden.bodies import BODIES, FINGER, GALLBLADDER, SLAB
-from bcid.studies.hidden.case_scene import write_scene
-from bcid.studies.hidden.conditions import Conditions
-from bcid.studies.hidden.drawing import CaseChoice, Plan, draw, plan
-from bcid.studies.hidden.hidden_study import HiddenOptions, _read, run_hidden
-from bcid.studies.hidden.judge import judge, verdict_right
-from bcid.studies.hidden.score import scores
-from bcid.studies.hidden.score_table import table
-from bcid.studies.hidden.study_body import StudyBody
-from bcid.studies.hidden.told import calibration
-from bcid.studies.hidden.wilson import wilson
-from benchmarks.reliability.kills import alive
+from validation.reliability.kills import alive
+from validation.synthetic import cases
+from validation.synthetic.bodies import BODIES, FINGER, GALLBLADDER, SLAB
+from validation.synthetic.case_scene import write_scene
+from validation.synthetic.conditions import Conditions
+from validation.synthetic.drawing import CaseChoice, Plan, draw, plan
+from validation.synthetic.hidden_study import HiddenOptions, _read, run_hidden
+from validation.synthetic.judge import judge, verdict_right
+from validation.synthetic.score import scores
+from validation.synthetic.score_table import table
+from validation.synthetic.study_body import StudyBody
+from validation.synthetic.told import calibration
+from validation.synthetic.wilson import wilson
 
 HERE = Path(__file__).resolve().parent
 
@@ -529,7 +529,7 @@ def test_what_fails_is_recorded_and_stops_nothing(tmp_path: Path, calls: Path) -
 
 def start(run: Path, count: int) -> subprocess.Popen[bytes]:
     code = (
-        "from pathlib import Path; from bcid.studies.hidden.hidden_study import *; "
+        "from pathlib import Path; from validation.synthetic.hidden_study import *; "
         f"options = HiddenOptions({count}, make='fake_study:make', diagnose='fake_study:diagnose', limit=100.0); "
         f"run_hidden(Path({str(run)!r}), options)"
     )
@@ -590,7 +590,7 @@ def test_options_are_checked(tmp_path: Path) -> None:
 
 def test_the_dose_is_found_that_has_the_wanted_size() -> None:
     from bcid.base.errors import SolveError
-    from bcid.studies.hidden.truth import search
+    from validation.synthetic.truth import search
 
     assert search(lambda t: 0.3 * t, 5.0, 100.0) == pytest.approx(5 / 0.3, rel=0.11)
     assert search(lambda t: t**2, 5.0, 100.0) == pytest.approx(5**0.5, rel=0.11)
@@ -602,7 +602,7 @@ def test_the_dose_is_found_that_has_the_wanted_size() -> None:
 
 
 def test_an_effect_at_its_bounds_gets_less_noise() -> None:
-    from bcid.studies.hidden.truth import quieter
+    from validation.synthetic.truth import quieter
 
     case = replace(draw(CaseChoice(), 0), noise=4e-4, hidden=(cases.Hidden("gravity", 5.0),))
     assert quieter(case, [4.8]) == 4e-4
@@ -612,7 +612,7 @@ def test_an_effect_at_its_bounds_gets_less_noise() -> None:
 
 
 def test_half_steps_keep_the_commanded_frames() -> None:
-    from bcid.studies.hidden.truth import halved
+    from validation.synthetic.truth import halved
 
     action = draw(CaseChoice(), 1).actions[1]
     fine = halved(action, 100)
@@ -625,7 +625,7 @@ def test_half_steps_keep_the_commanded_frames() -> None:
 
 def test_an_anchor_that_cannot_be_seen_is_not_asked_for() -> None:
     from bcid.base.errors import SolveError
-    from bcid.studies.hidden.truth import visible
+    from validation.synthetic.truth import visible
 
     case = replace(draw(CaseChoice(), 0), anchors=("1", "2"), noise=4e-4)
     assert visible(case, {"1": 5e-4, "2": 6e-4, "3": 0.0}) == 4e-4
@@ -640,7 +640,7 @@ def test_a_laboratory_has_everything_slightly_wrong(body: StudyBody) -> None:
     from bcid.forms.mesh import level_mesh
     from bcid.forms.mesh.body_mesh import volumes
     from bcid.forms.model import Model
-    from bcid.studies.hidden.inexact import Inexact
+    from validation.synthetic.inexact import Inexact
 
     scene = Scene.read(shipped(body.scene))
     scene = replace(scene, levels=(body.coarse,))
@@ -663,7 +663,7 @@ def test_a_laboratory_has_everything_slightly_wrong(body: StudyBody) -> None:
 
 def test_markers_stay_on_the_surface_and_borders_move() -> None:
     from bcid.forms.mesh import level_mesh
-    from bcid.studies.hidden.inexact import Inexact
+    from validation.synthetic.inexact import Inexact
 
     scene = replace(Scene.read(shipped(FINGER.scene)), levels=(FINGER.coarse,))
     mesh = level_mesh(scene, FINGER.coarse)
@@ -679,7 +679,7 @@ def test_markers_stay_on_the_surface_and_borders_move() -> None:
 
 def reduced(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     """Coarse elements and short motions, so that a case is made in seconds."""
-    import bcid.studies.hidden.drawing as drawing
+    import validation.synthetic.drawing as drawing
 
     body = BODIES[name]
     quick = replace(
@@ -694,7 +694,7 @@ def reduced(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("body", list(BODIES))
 def test_a_case_of_each_body_can_be_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str) -> None:
-    from bcid.studies.hidden import truth
+    from validation.synthetic import truth
 
     choice = of(body, "inexact")
     index = next(i for i in range(400) if plan(choice, i).effects == ("camera_offset",))
@@ -715,8 +715,8 @@ def test_a_case_of_each_body_can_be_made(tmp_path: Path, monkeypatch: pytest.Mon
 def test_a_case_with_forces_has_those_of_a_body_that_is_not_as_stiff_as_its_scene(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from bcid.studies.hidden import truth
-    from bcid.studies.hidden.felt import Felt
+    from validation.synthetic import truth
+    from validation.synthetic.felt import Felt
 
     choice = of("slab", "forces")
     index = next(i for i in range(400) if plan(choice, i).kind == "none" and not plan(choice, i).conditions.nuisances)
@@ -736,7 +736,7 @@ def test_a_case_with_forces_has_those_of_a_body_that_is_not_as_stiff_as_its_scen
 
 @pytest.mark.slow
 def test_the_same_case_is_the_same_measurement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from bcid.studies.hidden import truth
+    from validation.synthetic import truth
 
     choice = of("finger", "exact")
     index = next(i for i in range(400) if plan(choice, i).effects == ("time_lag",))

@@ -14,7 +14,7 @@ from bcid import Measurement, Scene
 from bcid.app.cli import main
 from bcid.base.errors import InputError
 from bcid.measurement.inspection import import_file
-from benchmarks.reliability import foreign_files as made
+from validation.reliability import foreign_files as made
 
 PROJECT = Path(__file__).resolve().parents[2]
 SLAB = PROJECT / "examples/scenes/slab.toml"

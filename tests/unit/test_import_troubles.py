@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from bcid.app.cli import main
-from benchmarks.reliability import foreign_files as made
+from validation.reliability import foreign_files as made
 
 _TABLE = "time,{0}_x,{0}_y,{0}_z\n" + "".join(f"{0.1 * k},{k},1,2\n" for k in range(5))
 

@@ -10,7 +10,9 @@ from pathlib import Path
 
 import pytest
 
-PACKAGE = Path(__file__).resolve().parents[2] / "bcid"
+PROJECT = Path(__file__).resolve().parents[2]
+# The product, and the evidence about it: this imports that, never the other way round.
+PACKAGES = ("bcid", "validation")
 
 # Each part may import itself and those to its left; "report" reads run folders and must not see what solves.
 HEAVY = ("dolfinx", "petsc4py", "vtk", "pyvista", "cv2", "gmsh", "matplotlib")
@@ -18,8 +20,9 @@ HEAVY = ("dolfinx", "petsc4py", "vtk", "pyvista", "cv2", "gmsh", "matplotlib")
 # Their import_module is given names that others write as "module:function", or names of programs and packages.
 FOLLOWED = (
     "bcid",
-    "bcid.studies.engine.dispatch",
-    "bcid.studies.hidden.case",
+    "validation.engine.dispatch",
+    "validation.synthetic.case",
+    "validation.reliability.forked",
     "bcid.app.doctor",
     "bcid.base.confined",
 )
@@ -41,43 +44,30 @@ ALLOWED = {
     "exploration": DATA | {"forms", "inference", "predict", "search", "comparison", "exploration"},
     "vision": DATA | {"vision"},
     "report": BASE | {"report"},
-    "studies": DATA
-    | {"forms", "inference", "predict", "search", "comparison", "proposal", "exploration", "vision", "studies"},
     "api": DATA | {"forms", "inference", "predict", "search", "comparison", "proposal", "exploration", "report", "api"},
-    "bench": DATA | {"forms", "inference", "predict", "search", "comparison", "exploration", "bench"},
     "app": DATA
-    | {
-        "bench",
-        "forms",
-        "inference",
-        "predict",
-        "search",
-        "comparison",
-        "proposal",
-        "exploration",
-        "studies",
-        "report",
-        "vision",
-        "app",
-    },
+    | {"forms", "inference", "predict", "search", "comparison", "proposal", "exploration", "report", "vision", "app"},
     "__main__": {"app"},
 }
+ALLOWED["validation"] = {room for rooms in ALLOWED.values() for room in rooms} | {"validation"}
 
 
-def modules() -> list[Path]:
-    return sorted(PACKAGE.rglob("*.py"))
+def modules(*packages: str) -> list[Path]:
+    return sorted(path for package in packages for path in (PROJECT / package).rglob("*.py"))
 
 
 def dotted(path: Path) -> str:
     """Name of a module."""
-    return ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
+    return ".".join(path.relative_to(PROJECT).with_suffix("").parts).removesuffix(".__init__")
 
 
-NAMES = {dotted(path): path for path in modules()}
+NAMES = {dotted(path): path for path in modules(*PACKAGES)}
 
 
 def part(name: str) -> str:
-    """The folder or file below the package that a module stands in."""
+    """The folder or file below the product that a module stands in; the evidence is one."""
+    if name.split(".")[0] == "validation":
+        return "validation"
     return name.split(".")[1] if "." in name else ""
 
 
@@ -114,8 +104,10 @@ def imported(path: Path) -> set[str]:
             pattern = re.compile(written(node.args[0], own))
             found |= {name for name in NAMES if pattern.fullmatch(name)}
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            found |= {node.value.partition(":")[0]} if re.fullmatch(r"bcid[\w.]*:\w+", node.value) else set()
-    return {name for name in found if name.split(".")[0] == PACKAGE.name and name != own}
+            found |= (
+                {node.value.partition(":")[0]} if re.fullmatch(r"(bcid|validation)[\w.]*:\w+", node.value) else set()
+            )
+    return {name for name in found if name.split(".")[0] in PACKAGES and name != own}
 
 
 ARROWS = {name: imported(path) for name, path in NAMES.items()}
@@ -139,14 +131,14 @@ def test_no_circles() -> None:
 
 def test_no_module_is_found_by_a_trick() -> None:
     """What is imported stands in the package or is installed: no path is changed, and one name means one module."""
-    for path in modules():
+    for path in modules("bcid"):
         assert not re.search(r"sys\.path\.(insert|append|extend)", path.read_text(encoding="utf-8")), path
-    files = Counter(path.stem for path in modules() if path.stem != "__init__")
+    files = Counter(path.stem for path in modules("bcid") if path.stem != "__init__")
     assert [name for name, count in files.items() if count > 1] == []
 
 
 def test_no_two_public_classes_share_a_name() -> None:
-    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in modules()]
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in modules("bcid")]
     names = [n.name for tree in trees for n in tree.body if isinstance(n, ast.ClassDef) and not n.name.startswith("_")]
     assert [name for name, count in Counter(names).items() if count > 1] == []
 

@@ -14,7 +14,7 @@ from bcid.forms.mesh.mend import mended
 from bcid.forms.mesh.parts_of_surface import enclosed
 from bcid.forms.mesh.shares import share
 from bcid.scene import Scene
-from benchmarks.reliability.scanned import image, scene_of
+from validation.reliability.scanned import image, scene_of
 
 SHAPE, SPACING, AXES = np.array([50, 40, 60]), np.array([1.5, 1.5, 2.0]), np.array([30.0, 20.0, 40.0])
 MIDDLE = (SHAPE - 1) / 2

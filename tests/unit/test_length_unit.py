@@ -12,7 +12,7 @@ from bcid.base.errors import InputError
 from bcid.forms.forward import check_geometry
 from bcid.forms.mesh import level_mesh, loading
 from bcid.scene import Level, Scene
-from benchmarks.reliability.scanned import box, image, save, scene_of, scene_text, sphere
+from validation.reliability.scanned import box, image, save, scene_of, scene_text, sphere
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = [

@@ -14,7 +14,7 @@ from bcid.base.own_storage import refuse_outside
 from bcid.measurement.formats.array_file import look
 from bcid.measurement.formats.foreign import How
 from bcid.measurement.formats.pose_estimation import read_dlc_hdf5
-from benchmarks.reliability import foreign_files as made
+from validation.reliability import foreign_files as made
 
 h5py = pytest.importorskip("h5py")
 

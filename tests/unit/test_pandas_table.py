@@ -13,7 +13,7 @@ from bcid.base.errors import InputError
 from bcid.measurement.formats.foreign import How
 from bcid.measurement.formats.literal_pickle import literal
 from bcid.measurement.formats.pose_estimation import read_dlc_hdf5
-from benchmarks.reliability import foreign_files as made
+from validation.reliability import foreign_files as made
 
 h5py = pytest.importorskip("h5py")
 pd = pytest.importorskip("pandas")

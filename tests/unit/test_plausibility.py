@@ -15,7 +15,7 @@ from bcid.forms.simulate import recorded
 from bcid.measurement import Action
 from bcid.measurement.jumps import jumps
 from bcid.measurement.slips import permutations, rigid_motion
-from benchmarks.reliability import slips
+from validation.reliability import slips
 
 ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.filterwarnings("error")

@@ -8,7 +8,7 @@ import pytest
 from bcid.base.errors import InputError
 from bcid.forms.mesh.surface_file import read_surface
 from bcid.measurement.formats.cloud_file import _read
-from benchmarks.reliability import scanned
+from validation.reliability import scanned
 
 READERS = {"surface": read_surface, "cloud": _read}
 

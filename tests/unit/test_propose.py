@@ -41,12 +41,12 @@ from bcid.report.found import Found
 from bcid.report.page import write_report
 from bcid.scene import Scene
 from bcid.scene.motions import motion
-from bcid.studies.beyond import beyond_case
-from bcid.studies.beyond.beyond_study import judge, rates, table
-from bcid.studies.beyond.mesh_floor import BeyondMesh, MeshFloor
-from bcid.studies.beyond.true_laws import LAWS, true_scene
-from bcid.studies.hidden import truth
-from bcid.studies.hidden.chance import generator
+from validation.beyond import beyond_case
+from validation.beyond.beyond_study import judge, rates, table
+from validation.beyond.mesh_floor import BeyondMesh, MeshFloor
+from validation.beyond.true_laws import LAWS, true_scene
+from validation.synthetic import truth
+from validation.synthetic.chance import generator
 
 
 def family(name: str, law: ReplacedLaw = APART) -> Family:

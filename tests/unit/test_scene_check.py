@@ -14,7 +14,7 @@ from bcid.base.errors import InputError
 from bcid.forms.scene_check import check_scene
 from bcid.forms.scene_table import columns, table
 from bcid.scene import Scene
-from benchmarks.reliability.scanned import box, save, scene_of, scene_text
+from validation.reliability.scanned import box, save, scene_of, scene_text
 
 ROOT = Path(__file__).resolve().parents[2]
 SLAB = ROOT / "examples/scenes/slab.toml"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bcid.base.scheduler import Alone, replay, share
-from bcid.bench.growth_bench import most_efficient
+from validation.bench.growth_bench import most_efficient
 
 
 def test_a_single_worker_takes_everything_in_order() -> None:

@@ -9,7 +9,7 @@ import pytest
 from bcid.base.errors import InputError
 from bcid.forms.mesh import BodyMesh, checked, level_mesh
 from bcid.forms.mesh.solid_cells import _FACES, Block, as_simplices, as_tetrahedra
-from benchmarks.reliability.scanned import WHOLE, scene_of
+from validation.reliability.scanned import WHOLE, scene_of
 
 SIZE = np.array([60.0, 40.0, 20.0])
 

@@ -16,18 +16,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bcid.app.cli import main
 from bcid.base.errors import InputError
 from bcid.scene import Scene
-from bcid.studies.engine.work import Workers, read_result
-from bcid.studies.paper.algorithm1 import Rule, in_stages, optimum
-from bcid.studies.paper.cells import wrong_answers
-from bcid.studies.paper.claims import FAILS, HOLDS, claims
-from bcid.studies.paper.condition import Condition
-from bcid.studies.paper.paper_study import in_order, run_paper
-from bcid.studies.paper.study import Extent, run_study
-from bcid.studies.paper.study_file import StudyFile
-from bcid.studies.paper.trial_errors import seen_positions, true_actions, true_scene, turned
+from validation.__main__ import main
+from validation.engine.work import Workers, read_result
+from validation.paper.algorithm1 import Rule, in_stages, optimum
+from validation.paper.cells import wrong_answers
+from validation.paper.claims import FAILS, HOLDS, claims
+from validation.paper.condition import Condition
+from validation.paper.paper_study import in_order, run_paper
+from validation.paper.study import Extent, run_study
+from validation.paper.study_file import StudyFile
+from validation.paper.trial_errors import seen_positions, true_actions, true_scene, turned
 
 HERE = Path(__file__).resolve().parent
 PROJECT = HERE.parents[1]
@@ -79,7 +79,7 @@ def small(tmp_path: Path) -> Path:
 # ------------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("file", sorted((PROJECT / "studies").glob("*.toml")), ids=lambda file: file.stem)
+@pytest.mark.parametrize("file", sorted((PROJECT / "validation/paper").glob("*.toml")), ids=lambda file: file.stem)
 def test_every_study_of_the_paper_can_be_read(file: Path) -> None:
     full, quick = StudyFile.read(file), StudyFile.read(file, quick=True)
     assert full.name == file.stem
@@ -126,18 +126,18 @@ def test_a_bad_file_is_refused_with_the_reason(
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["nothing.toml"], "neither a file nor one of paper, hidden, beyond, exploration"),
+        (["study", "nothing.toml"], "nothing.toml: no such file"),
         (["paper", "--jobs", "0"], "--jobs 0: must be at least 1"),
         (["paper", "--limit", "nan"], "--limit nan: must be a positive number of seconds"),
-        (["FILE", "--part", "3/2"], "--part '3/2': expected I/N"),
-        (["FILE", "--part", "half"], "--part 'half': expected I/N"),
+        (["study", "FILE", "--part", "3/2"], "--part '3/2': expected I/N"),
+        (["study", "FILE", "--part", "half"], "--part 'half': expected I/N"),
     ],
 )
 def test_bad_arguments(
     tmp_path: Path, small: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], told: str
 ) -> None:
     arguments = [str(small) if a == "FILE" else a for a in arguments]
-    assert main(["study", *arguments, "-o", str(tmp_path / "run")]) == 2
+    assert main([*arguments, "-o", str(tmp_path / "run")]) == 2
     assert told in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
 
@@ -424,7 +424,7 @@ def test_sections_stand_in_the_order_of_the_paper() -> None:
     assert in_order(texts) == ["d", "e", "c", "f", "b", "a"]
 
 
-PYTHON = [sys.executable, "-m", "bcid"]
+PYTHON = [sys.executable, "-m", "validation"]
 
 
 def _mpirun(*command: str) -> subprocess.Popen[bytes]:
@@ -442,16 +442,16 @@ import sys
 from pathlib import Path
 from mpi4py import MPI
 from bcid.base.progress import Silent
-from bcid.studies.engine.dispatch import dispatch
-from bcid.studies.engine.work import Workers
-from benchmarks.reliability.kills import tasks, work
+from validation.engine.dispatch import dispatch
+from validation.engine.work import Workers
+from validation.reliability.kills import tasks, work
 dispatch(work(Path(sys.argv[1]), sleep=0.05), tasks(60, t7="raise"), Workers(MPI.COMM_WORLD), Silent())
 """
 
 
 @pytest.mark.timeout(200)
 def test_a_rank_that_is_killed_ends_the_job_and_the_next_goes_on(tmp_path: Path) -> None:
-    from benchmarks.reliability.kills import begun, values, work
+    from validation.reliability.kills import begun, values, work
 
     made = work(tmp_path)
     job = _mpirun(sys.executable, "-c", _DEAL, str(tmp_path))
@@ -474,23 +474,28 @@ import sys
 from pathlib import Path
 from mpi4py import MPI
 from bcid.base.progress import Silent
-from bcid.studies.engine.dispatch import dispatch
-from bcid.studies.engine.work import Workers
-from benchmarks.reliability.kills import tasks, work
+from validation.engine.dispatch import dispatch
+from validation.engine.work import Workers
+from validation.reliability.kills import tasks, work
 dispatch(work(Path(sys.argv[1])), tasks(8, t1="spin", t3="hang"), Workers(MPI.COMM_WORLD, limit=1.0), Silent())
 """
 
 
 @pytest.mark.timeout(100)
 def test_a_trial_that_takes_too_long_ends_on_ranks_too(tmp_path: Path) -> None:
-    from benchmarks.reliability.kills import begun, values, work
+    from validation.reliability.kills import begun, values, work
 
     made = work(tmp_path)
     assert _mpirun(sys.executable, "-c", _SLOW, str(tmp_path)).wait(timeout=60) == 0
     assert values(made, 8) == [None if i in (1, 3) else i * i for i in range(8)]
-    for index, reason in {1: "took more than 1 CPU s", 3: "was not done after 4 s"}.items():
+    # A machine that is busy may not give the first its second of CPU time in four.
+    for index, reasons in {
+        1: ("took more than 1 CPU s", "was not done after 4 s"),
+        3: ("was not done after 4 s",),
+    }.items():
         result = read_result(made.file(f"{index:04d}"))
-        assert (result["state"], result["reason"]) == ("timeout", reason)
+        assert result["state"] == "timeout"
+        assert result["reason"] in reasons
     assert len(begun(made)) == 8
 
 
@@ -500,8 +505,8 @@ import sys
 from pathlib import Path
 from mpi4py import MPI
 from bcid.base.progress import Silent
-from bcid.studies.engine.dispatch import dispatch
-from bcid.studies.engine.work import Workers, Work
+from validation.engine.dispatch import dispatch
+from validation.engine.work import Workers, Work
 
 def maker(job):
     from petsc4py import PETSc

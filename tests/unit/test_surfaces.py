@@ -10,7 +10,7 @@ from bcid.forms.mesh import BodyMesh, level_mesh
 from bcid.forms.mesh.mend import mended
 from bcid.forms.mesh.parts_of_surface import enclosed
 from bcid.forms.mesh.surface_file import read_surface
-from benchmarks.reliability.scanned import box, save, scene_of, sphere, volume
+from validation.reliability.scanned import box, save, scene_of, sphere, volume
 
 SPHERE = sphere()
 ENCLOSED = volume(*SPHERE)

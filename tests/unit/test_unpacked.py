@@ -14,7 +14,7 @@ from bcid.base.errors import InputError
 from bcid.forms.mesh import label_image
 from bcid.measurement.formats.array_file import look
 from bcid.vision import corners
-from benchmarks.reliability.scanned import image
+from validation.reliability.scanned import image
 
 SMALL = np.ones((4, 4, 4), np.uint8)
 

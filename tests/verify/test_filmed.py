@@ -10,15 +10,15 @@ from bcid.base.progress import Silent
 from bcid.forms.model import check_physics
 from bcid.measurement import Measurement
 from bcid.scene import Scene
-from bcid.studies.paper.condition import Condition
-from bcid.studies.paper.precompute import Store
-from bcid.studies.rendering.board_images import photograph_board
-from bcid.studies.rendering.rig import stereo_rig
 from bcid.vision.board import Board
 from bcid.vision.calibrate_run import run_calibration
 from bcid.vision.camera import SIDES, Cameras
 from bcid.vision.corners import find_corners
 from bcid.vision.images import Images
+from validation.paper.condition import Condition
+from validation.paper.precompute import Store
+from validation.rendering.board_images import photograph_board
+from validation.rendering.rig import stereo_rig
 
 PROJECT = Path(__file__).resolve().parents[2]
 BOARD = "chessboard 9x6 10 mm"

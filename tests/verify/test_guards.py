@@ -51,7 +51,7 @@ from bcid.predict.mesh_ladder import mesh_error
 from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Scene
 from bcid.search.identify_options import IdentifyOptions
-from bcid.studies.hidden import outside
+from validation.synthetic import outside
 
 ANCHORED = frozenset({"1", "3"})
 HEAVY = frozenset({"3", "4"})

@@ -9,12 +9,12 @@ import pytest
 from numpy.typing import NDArray
 
 from bcid.base.errors import InputError
-from bcid.studies.rendering.appearance import Appearance
-from bcid.studies.rendering.instruments import instruments
-from bcid.studies.rendering.renderer import Renderer
-from bcid.studies.rendering.rig import Pose, looking_at, stereo_rig
-from bcid.studies.rendering.shot import Gripper, Rod
 from bcid.vision.camera import Camera, Cameras
+from validation.rendering.appearance import Appearance
+from validation.rendering.instruments import instruments
+from validation.rendering.renderer import Renderer
+from validation.rendering.rig import Pose, looking_at, stereo_rig
+from validation.rendering.shot import Gripper, Rod
 
 pytest.importorskip("cv2")
 pytest.importorskip("pyvista")

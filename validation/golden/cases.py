@@ -1,8 +1,8 @@
 """The sixty golden cases: for each a folder with `scene.toml`, `measurement/` and `truth.json`.
 
-hidden-SEED-INDEX    cases of the blinded study (`bcid study hidden --seed SEED --least 3`): the first of each of its 24 conditions,
+hidden-SEED-INDEX    cases of `bcid-validate synthetic --seed SEED --least 3`: the first of each of its 24 conditions,
                      then the first that are left
-beyond-INDEX         the first ten cases of `bcid study beyond`
+beyond-INDEX         the first ten cases of `bcid-validate beyond`
 lab-*, lab2-*        measurements of independent finite element codes
 awkward-*            simulated measurements with ordinary faults (`tests/verify/test_awkward.py`)
 strip, beam          published measurements of rubber and silicone
@@ -27,12 +27,12 @@ import numpy as np
 from bcid.base.errors import InputError
 from bcid.measurement import Measurement
 from bcid.scene import Scene
-from bcid.studies.beyond import beyond_case
-from bcid.studies.beyond.beyond_study import BeyondOptions
-from bcid.studies.hidden import truth as hidden_truth
-from bcid.studies.hidden.drawing import CaseChoice
 from validation import stored_input
+from validation.beyond import beyond_case
+from validation.beyond.beyond_study import BeyondOptions
 from validation.stored_input import TRUTH
+from validation.synthetic import truth as hidden_truth
+from validation.synthetic.drawing import CaseChoice
 
 PROJECT = Path(__file__).resolve().parents[2]
 SCENES = PROJECT / "examples" / "scenes"

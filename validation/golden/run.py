@@ -11,8 +11,8 @@ from typing import Any
 
 from bcid.base.progress import Progress
 from bcid.base.run_folder import RunFolder, write_whole
-from bcid.studies.engine.dispatch import dispatch
-from bcid.studies.engine.work import Work, Workers, read_result
+from validation.engine.dispatch import dispatch
+from validation.engine.work import Work, Workers, read_result
 from validation.golden.cases import CASES, MEASUREMENT, SCENE, prepare, store
 
 ANSWERS = Path(__file__).resolve().parent / "answers"
@@ -21,7 +21,7 @@ LIMIT = 1800.0
 
 
 def maker(job: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
-    """The function that explains a case, for `bcid.studies.engine.dispatch`; `job` holds folders and numbers, see `run`."""
+    """The function that explains a case, for `validation.engine.dispatch`; `job` holds folders and numbers, see `run`."""
     if job["numbers"]:
         _change_numbers(job["numbers"])
 

@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterable, Mapping
 from statistics import median
 from typing import Any
 
-from bcid.studies.hidden.judge import verdict_right
-from bcid.studies.text_table import TextTable
+from validation.synthetic.judge import verdict_right
+from validation.text_table import TextTable
 
 Json = Mapping[str, Any]
 FLOOR = -10.0

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bcid.base.errors import MachineError, SolveError
-from bcid.studies.hidden.truth import rms
 from validation import stored_input
 from validation.golden.cases import MEASUREMENT, SCENE
 from validation.outside.worlds import GRASPS, KINDS, MARKERS, NOISES, PATCHES, SEED, SIZES, Box, Spec, draw
 from validation.stored_input import TRUTH
+from validation.synthetic.truth import rms
 
 WORLD = Path(__file__).with_name("felupe_world.py")
 INPUTS = Path(__file__).with_name("inputs")

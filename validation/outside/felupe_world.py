@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import felupe
@@ -195,11 +196,15 @@ def _pull(spec: Spec, body: Body, anchored: list[str], pull: Spec, steps: int) -
             items=items, dof0=dof0, dof1=dof1, ext0=values.ravel(), solver=spsolve, maxiter=40, tol=TOLERANCE, verbose=0
         )
 
+    def pulled(begun: int, part: float) -> None:
+        """Equilibrium at a part of a step."""
+        load((begun + part) / steps, 1.0)
+
     # The pressure acts before the gripper moves.
     _followed(field, lambda part: load(0.0, part))
     found = [np.array(field[0].values)]
     for step in range(steps):
-        _followed(field, lambda part, begun=step: load((begun + part) / steps, 1.0))
+        _followed(field, partial(pulled, step))
         found.append(np.array(field[0].values))
     return np.array(found)
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from bcid.base.progress import Progress
-from bcid.bench.measure import peer_python
-from bcid.studies.engine.dispatch import dispatch
-from bcid.studies.engine.work import Work, Workers, read_result
+from validation.bench.measure import peer_python
+from validation.engine.dispatch import dispatch
+from validation.engine.work import Work, Workers, read_result
 from validation.golden.run import LIMIT, explained
 from validation.outside.case import INPUTS, prepare, store
 from validation.stored_input import TRUTH
@@ -19,7 +19,7 @@ PINS = "environment/outside.txt"
 
 
 def maker(job: Mapping[str, Any]) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
-    """The function that makes and explains a case, for `bcid.studies.engine.dispatch`; `job` holds folders, see `run`."""
+    """The function that makes and explains a case, for `validation.engine.dispatch`; `job` holds folders, see `run`."""
 
     def case(task: Mapping[str, Any]) -> dict[str, Any]:
         folder = Path(job["cases"]) / f"{task['kind']}-{task['index']}"

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping
 from statistics import median
 from typing import Any
 
-from bcid.studies.hidden.judge import named, verdict_right
-from bcid.studies.text_table import TextTable
 from validation.golden.score import CERTAIN
 from validation.outside.worlds import CASES, KINDS, draw
+from validation.synthetic.judge import named, verdict_right
+from validation.text_table import TextTable
 
 Json = Mapping[str, Any]
 # An answer with more than this is sure.

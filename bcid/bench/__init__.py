@@ -1,1 +1,0 @@
-"""`bcid bench`: bcid against its peers, each in a process of its own."""

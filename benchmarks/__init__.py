@@ -1,1 +1,0 @@
-"""What bcid is measured against, and how: `bcid bench` (see docs/bench.md)."""

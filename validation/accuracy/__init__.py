@@ -1,0 +1,1 @@
+"""Accuracy against truths that bcid did not compute, a command each."""

@@ -1,0 +1,1 @@
+"""`bcid-validate bench`: bcid against its peers, each in a process of its own."""
