@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from bcid.proposal.propose import ProposeOptions
     from bcid.scene import Scene, motions
     from bcid.search.identify_options import IdentifyOptions
-    from bcid.search.stage_options import StageOptions
+    from bcid.search.stages import StageOptions
 
 _MODULES = {
     "bcid.scene": ("Scene",),
@@ -42,7 +42,7 @@ _MODULES = {
     "bcid.forms.simulate": ("simulate",),
     "bcid.api.results": ("load",),
     "bcid.search.identify_options": ("IdentifyOptions",),
-    "bcid.search.stage_options": ("StageOptions",),
+    "bcid.search.stages": ("StageOptions",),
     "bcid.comparison.explain": ("ExplainOptions",),
     "bcid.exploration.loop": ("ExploreOptions",),
     "bcid.proposal.propose": ("ProposeOptions",),

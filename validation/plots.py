@@ -80,7 +80,7 @@ def _success(axis: Any, study: StudyFile, cells: Sequence[Cell]) -> None:
 
 def progression(file: Path, trials: Sequence[Mapping[str, Any]]) -> None:
     """Probabilities of the likeliest sets after each pull, an axis for each trial, as PNG; the true set is drawn thick."""
-    from bcid.inference.outcome import label
+    from bcid.inference.hypotheses import label
 
     if not trials:
         return

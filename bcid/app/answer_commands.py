@@ -18,7 +18,7 @@ from bcid.base.shipped import shipped
 
 if TYPE_CHECKING:
     from bcid.comparison.explain import ExplainOptions
-    from bcid.search.stage_options import StageOptions
+    from bcid.search.stages import StageOptions
 
 DEMO_SCENE = "examples/scenes/slab_explain.toml"
 DEMO_MEASUREMENT = "examples/measurements/slab-34-heavy"
@@ -71,20 +71,17 @@ def identify(arguments: argparse.Namespace, comm: Comm) -> None:
 
 def _stages(arguments: argparse.Namespace) -> StageOptions | None:
     """Options of the search in stages; None where it is not asked for."""
-    from bcid.search.stage_options import StageOptions
-    from bcid.search.termination import Stop, Termination
+    from bcid.search.stages import StageOptions, Stop
 
-    rules = ("fit", "patience", "budget")
-    names = [field.name for field in fields(StageOptions) if field.name != "termination"]
-    given = {name: getattr(arguments, name) for name in (*names, *rules) if getattr(arguments, name) is not None}
+    names = [field.name for field in fields(StageOptions)]
+    given = {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
     if not arguments.stages:
         if given:
             name = next(iter(given)).replace("_", "-")
             raise InputError(f"--{name}: is of the search in stages; add --stages")
         return None
-    ends = Termination(**{name: given.pop(name) for name in rules if name in given})
     stop = Stop.parse(given.pop("stop")) if "stop" in given else Stop()
-    return StageOptions(**given, stop=stop, termination=ends)
+    return StageOptions(**given, stop=stop)
 
 
 def compare(arguments: argparse.Namespace, comm: Comm) -> None:

@@ -65,23 +65,17 @@ def add_identify(commands: Any) -> None:
     stages.add_argument("--seeds", type=int, metavar="N", help="random seeds of the first stage (24)")
     stages.add_argument("--random-state", type=seed, metavar="N", help="of the seeds (0)")
     stages.add_argument("--coarsest", type=int, metavar="LEVEL", help="first mesh level (0)")
-    stages.add_argument("--finest", type=int, metavar="LEVEL", help="last mesh level (when the residual has settled)")
+    stages.add_argument("--finest", type=int, metavar="LEVEL", help="last mesh level (the scene's last)")
     stages.add_argument(
         "--stop",
         metavar="RULE",
-        help='when no finer level is needed: settled (default), same, "similarity 0.95", "refinement 0.5 mm"',
+        help='when no finer level is needed: same (default), "similarity 0.95", "refinement 0.5 mm", or last: all are used',
     )
-    stages.add_argument("--climbed", type=int, metavar="N", help="levels that are climbed on (2)")
     stages.add_argument("--start", help="seeds of later stages: maxima (default), or threshold")
     stages.add_argument(
         "--threshold", type=float, metavar="X", help="similarity for threshold, part of the best's (0.95)"
     )
     stages.add_argument("--toggles", type=int, metavar="N", help="random toggles of the seeds of later stages (0)")
-    stages.add_argument("--fit", type=float, help="end a stage when the residual is this many times the noise (1.05)")
-    stages.add_argument("--patience", type=int, help="... or when so many seeds led to nothing better (12)")
-    stages.add_argument(
-        "--budget", type=float, help="... or when so many trajectories were computed on a level (10000)"
-    )
 
 
 def add_compare(commands: Any) -> None:

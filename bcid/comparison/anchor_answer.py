@@ -14,12 +14,11 @@ from bcid.comparison.followed_sets import FollowedSet, FollowedSets
 from bcid.comparison.hypothesis_table import HypothesisTable
 from bcid.comparison.state import State
 from bcid.forms.forward import Prediction
-from bcid.inference.hypotheses import patches
-from bcid.inference.outcome import label
+from bcid.inference.hypotheses import label, patches
 from bcid.inference.thresholds import THRESHOLDS
 from bcid.search.identification import Alternative, Identification
+from bcid.search.set_misfits import StagedSets
 from bcid.search.settings import SETTINGS
-from bcid.search.staged_search import StagedSets
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
@@ -105,7 +104,7 @@ class AnchorAnswer:
             lines.append(f"{len(self.found)} sets followed until they had lost")
         sets = ", ".join(f"{label(r.anchors, order)} {r.fitted.state.rms * 1e3:.3g} mm" for r in self.table.full)
         lines.append(f"compared in all steps: {sets}; noise {state.noise * 1e3:.3g} mm")
-        return (*(self.staged.stages if self.staged else ()), *lines)
+        return (*(self.staged.words if self.staged else ()), *lines)
 
     def names(self, anchors: Anchored) -> tuple[str, ...]:
         """The patches of a set in the scene's order."""

@@ -8,7 +8,7 @@ from bcid.base.units import percent
 from bcid.base.verdict_words import NO_EFFECTS
 from bcid.comparison.next_steps import NextSteps
 from bcid.comparison.scene_sensitivity import AnswerAt
-from bcid.inference.outcome import label
+from bcid.inference.hypotheses import label
 from bcid.search.settings import SETTINGS
 
 # Steps that are named.

@@ -220,13 +220,6 @@ class CoarseSearch(SearchQueue):
         found = refit_term(state, term, gain, self.model, self.among)
         return found[0] if found else None
 
-    def fit_effect(self, name: str) -> None:
-        """Fit an effect on its most probable set, unless it is fitted on one."""
-        found = self.table.odds.probabilities
-        h = next((h for h in found if h.names == (*self.names, name) and not h.unknown), None)
-        if h is not None and not self._tried(name):
-            self.evaluate([h])
-
     def _fit_start(self, name: str) -> None:
         """An effect from where it is to begin."""
         start = self.begun[name]

@@ -31,7 +31,7 @@ from bcid.comparison.where import MissingForce, missing_force
 from bcid.forms import effects
 from bcid.forms.model import Model, Term
 from bcid.inference.continuation import truncate_to_converged
-from bcid.inference.outcome import label
+from bcid.inference.hypotheses import label
 from bcid.measurement import Measurement
 from bcid.predict.mesh_ladder import mesh_error
 from bcid.predict.predictor import Predictor

@@ -35,8 +35,7 @@ from bcid.forms.course import Course, course_of
 from bcid.forms.model import Term
 from bcid.forms.parameter import Parameter
 from bcid.inference import nuisance_text
-from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
-from bcid.inference.outcome import label
+from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, label
 from bcid.inference.stiffness_scale import StiffnessScale
 from bcid.inference.thresholds import THRESHOLDS
 

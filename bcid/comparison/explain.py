@@ -20,7 +20,7 @@ from bcid.comparison.unfollowed import check_not_stood_for
 from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
-from bcid.inference.outcome import label
+from bcid.inference.hypotheses import label
 from bcid.predict.predictor import Predictor
 
 Anchored = frozenset[str]

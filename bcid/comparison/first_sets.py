@@ -20,9 +20,9 @@ from bcid.inference.continuation import ContinuationError
 from bcid.inference.mesh_error import MeshError
 from bcid.predict.predictor import Predictor
 from bcid.scene import Scene
+from bcid.search.set_misfits import staged_sets
 from bcid.search.settings import SETTINGS
-from bcid.search.stage_options import StageOptions
-from bcid.search.staged_search import staged_search
+from bcid.search.stages import StageOptions
 
 Anchored = frozenset[str]
 # Where none of them can be followed the coarsest level is climbed from so many seeds, with steps halved so often.
@@ -122,9 +122,9 @@ def _climbed(
 ) -> list[Anchored]:
     """The sets that climbing on levels of a scene finds likely, the likeliest first."""
     measurement, comm, steps = predictor.measurement, predictor.comm, Steps(predictor.progress)
-    found = staged_search(scene, measurement, comm, options, model, settings, steps, start)
+    found = staged_sets(scene, measurement, comm, options, model, settings, steps, start)
     predictor.count("coarse", sum(found.evaluations.values()))
-    return list(found.shares)
+    return list(found.likely)
 
 
 def _came_to(predictor: Predictor, frames: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -20,7 +20,7 @@ from bcid.forms.model import Model
 from bcid.inference.discrepancy import Evidence, EvidenceCells
 from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.evidence import LinearParameters, LowRankDiscrepancy
-from bcid.inference.outcome import label
+from bcid.inference.hypotheses import label
 from bcid.predict.predictor import Predictor
 from bcid.search.settings import SETTINGS
 

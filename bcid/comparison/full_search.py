@@ -22,8 +22,7 @@ from bcid.comparison.state import State
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
 from bcid.inference.discrepancy import Evidence
-from bcid.inference.hypotheses import Hypothesis
-from bcid.inference.outcome import label
+from bcid.inference.hypotheses import Hypothesis, label
 from bcid.inference.posterior import Fidelity
 from bcid.search.settings import SETTINGS
 

@@ -31,7 +31,7 @@ from bcid.predict.store import PredictionStore
 from bcid.scene import Scene
 from bcid.search.identification import Identification
 from bcid.search.identify_options import IdentifyOptions
-from bcid.search.staged_search import staged_search
+from bcid.search.set_misfits import staged_sets
 
 Array = NDArray[np.float64]
 Anchored = frozenset[str]
@@ -75,7 +75,7 @@ def identify(
         progress.say(f"look at this first: {text}")
     staged = None
     if options.stages is not None:
-        staged = staged_search(scene, measurement, comm, options.stages, model, settings, progress, start)
+        staged = staged_sets(scene, measurement, comm, options.stages, model, settings, progress, start)
     predictor = Predictor(scene, measurement, comm, options.level, settings, progress, store)
     try:
         certifies = None if options.certify == "no" else options.certifies(scene)

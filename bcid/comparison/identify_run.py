@@ -25,7 +25,7 @@ from bcid.forms.mesh.shares import share
 from bcid.forms.model import Model, check_physics
 from bcid.inference import nuisance_text
 from bcid.inference.continuation import truncate_to_converged
-from bcid.inference.outcome import label
+from bcid.inference.hypotheses import label
 from bcid.inference.stiffness import Stiffness
 from bcid.measurement import AXES, WRENCH, Measurement
 from bcid.measurement.in_plane import in_plane

@@ -16,8 +16,8 @@ from bcid.comparison.identify import identify
 from bcid.forms.mesh.patches import divided, element_size, extents, half_names, halves, replaced, touching
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
+from bcid.inference.hypotheses import label
 from bcid.inference.misfit import Misfit
-from bcid.inference.outcome import label
 from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import Measurement
 from bcid.predict.store import PredictionStore

@@ -157,14 +157,6 @@ class State:
         return float(scaled @ scaled)
 
     @property
-    def deviance(self) -> float:
-        """Minus twice the logarithm of the likelihood, but for that of the noise alone: what hypotheses are compared by.
-
-        Chi-square does not do for that: whoever allows for larger errors has a smaller one.
-        """
-        return self.chi2 + self.allowance
-
-    @property
     def allowance(self) -> float:
         """What a hypothesis pays for the errors that it allows for besides the noise, in units of chi-square."""
         return 2 * (self.errors.log_volume - float(np.sum(np.log(self.errors.sigma))))

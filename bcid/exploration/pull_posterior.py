@@ -27,7 +27,7 @@ from bcid.measurement import Measurement
 from bcid.predict.predictor import Predictor
 from bcid.predict.pull_predictor import PullPredictor
 from bcid.scene import Scene
-from bcid.search.seeds import all_candidates, random_seeds
+from bcid.search.hill_climbing import all_candidates, random_seeds
 from bcid.search.settings import SETTINGS
 
 Array = NDArray[np.float64]

@@ -8,10 +8,15 @@ from dataclasses import dataclass, replace
 
 from scipy.special import softmax
 
-from bcid.inference.outcome import label
 from bcid.inference.priors import PRIORS
 
 Anchored = frozenset[str]
+
+
+def label(anchors: Iterable[str], order: Iterable[str]) -> str:
+    """A set in words, patches in the scene's order: "{1 2}"."""
+    chosen = set(anchors)
+    return "{" + " ".join(name for name in order if name in chosen) + "}"
 
 
 @dataclass(frozen=True)

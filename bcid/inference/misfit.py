@@ -60,6 +60,10 @@ class Misfit:
         """RMS residual per coordinate, m, from the sum of squares over all frames."""
         return float(np.sqrt(squares / self.values))
 
+    def weighted_rms(self, chi2: float) -> float:
+        """RMS residual per coordinate, weighted by the noise, m, from chi-square over all frames."""
+        return float(np.sqrt(chi2 / self.values)) * (self.noise or 1.0)
+
     def distance(self, a: Array, b: Array) -> float:
         """RMS difference of two predictions (frames, fiducials or more rows, 3) over the visible coordinates, m."""
         return float(np.sqrt(np.mean(self._seen.take((a - b)[:, : self.visible.shape[1]]) ** 2)))

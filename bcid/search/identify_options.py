@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from bcid.base.errors import InputError, nearest
 from bcid.scene import Scene
 from bcid.search.settings import SETTINGS
-from bcid.search.stage_options import StageOptions
+from bcid.search.stages import StageOptions
 
 CERTIFY = ("auto", "yes", "no")
 # With more patches not every set can be followed.

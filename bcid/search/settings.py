@@ -34,8 +34,7 @@ class SearchSettings:
             next.
         helping: what is expected to give fewer bits is no advice, and no pull to make.
         odds: a set that is so many times less likely than another is given up.
-        alike: halves of a patch stay apart when it is less likely than this that they are alike; of a search in stages, sets that
-            are less likely by this factor are not carried up the ladder.
+        alike: halves of a patch stay apart when it is less likely than this that they are alike.
         settling: predictions for which a fit that has not come to an end goes on.
     """
 

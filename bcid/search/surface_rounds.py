@@ -16,12 +16,12 @@ from bcid.base.errors import SolveError
 from bcid.base.progress import Progress
 from bcid.forms.mesh.patches import first_level
 from bcid.forms.model import Model
-from bcid.inference.outcome import label
+from bcid.inference.hypotheses import label
 from bcid.measurement import Measurement
 from bcid.scene import Scene
 from bcid.search.association import Association
-from bcid.search.climb import climb, rank
-from bcid.search.evaluator import Evaluator
+from bcid.search.set_misfits import MeasuredMisfits
+from bcid.search.stages import LAST, StageOptions, Stop, in_stages
 
 T = TypeVar("T")
 Hypothesis = tuple[Scene, Model, frozenset[str]]
@@ -83,23 +83,24 @@ def _guessed(
     scene = association.scene
     everything = guess = frozenset(scene.patches)
     first = first_level(scene, 0, len(scene.levels) - 1, comm)[0]
-    levels = range(first, min(first + _LEVELS, len(scene.levels)))
+    last = min(first + _LEVELS, len(scene.levels)) - 1
+    options = StageOptions(coarsest=first, stop=Stop(LAST))
     tried: set[frozenset[str]] = set()
     for number in range(_GUESSES):
         if guess in tried:
             break
         tried.add(guess)
         progress.step("points of the surface associated by guesses", number, 0, f"now {label(guess, scene.patches)}")
-        evaluator = Evaluator(scene, association.about(scene, model, guess, measurement), comm, model)
+        misfits = MeasuredMisfits(scene, association.about(scene, model, guess, measurement), comm, model)
         try:
-            seeds = dict.fromkeys([guess, everything])
-            for level in levels:
-                seeds = dict.fromkeys(one.top for one in climb(evaluator, level, seeds))
-            guess = min(seeds, key=lambda one: rank(evaluator.outcomes[level, one]))
+            stages = in_stages(misfits, options, last, list(dict.fromkeys([guess, everything])))
         except SolveError:
             break
         finally:
-            evaluator.destroy()
+            misfits.destroy()
+        if not stages:
+            break
+        guess = stages[-1].anchors
     return guess
 
 

@@ -44,10 +44,6 @@ class Registration:
         """Points (..., 3), m, of the camera's frame in the body's."""
         return np.asarray(self.scale * points @ self.rotation.T + self.translation)
 
-    def to_camera(self, points: Array) -> Array:
-        """The inverse of `to_body`."""
-        return np.asarray((points - self.translation) @ self.rotation / self.scale)
-
     def vectors_to_camera(self, vectors: Array) -> Array:
         """Displacements (..., 3), m, of the body's frame in the camera's."""
         return np.asarray(vectors @ self.rotation / self.scale)

@@ -3,25 +3,17 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import subprocess
 import sys
-from collections.abc import Mapping
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
-from bcid.inference.outcome import Candidate, Outcome
-from bcid.search.climb import climb as climb_of_bcid
-from bcid.search.evaluator import Evaluator
-from bcid.search.seeds import all_candidates
 from validation.bench.bench_plots import slope
 from validation.bench.bench_table import BenchTable, Goal, Part, goals_table
 
 ROOT = Path(__file__).resolve().parents[2]
-PATCHES = ["1", "2", "3", "4", "5"]
 
 
 def bench(*arguments: object, cwd: Path, **variables: str) -> subprocess.CompletedProcess[str]:
@@ -138,48 +130,3 @@ def test_goals() -> None:
 
 def test_slope() -> None:
     assert slope([1, 10, 100], [3, 3e2, 3e4]) == pytest.approx((2.0, 3.0))
-
-
-class Landscape:
-    """Stands in for a `Evaluator`: chi-square is a number per set, and evaluations stop at a bound as the real ones do."""
-
-    def __init__(self, seed: int) -> None:
-        import numpy as np
-
-        rng = np.random.default_rng(seed)
-        self.patches = PATCHES
-        self.truth = {candidate: float(rng.uniform(1, 1000)) for candidate in all_candidates(PATCHES)}
-        self.outcomes: dict[tuple[int, Candidate], Outcome] = {}
-        self.misfit = SimpleNamespace(noise=1.0, values=100, curves=10)
-
-    def evaluate(self, level: int, bounds: Mapping[Candidate, float]) -> dict[Candidate, Outcome]:
-        for candidate, bound in bounds.items():
-            if not Evaluator._enough(self.outcomes.get((level, candidate)), bound):
-                value = self.truth[candidate]
-                complete = value <= bound
-                seen = value if complete else math.nextafter(bound, math.inf)
-                self.outcomes[level, candidate] = Outcome(candidate, level, seen, 0.0, complete, 1.0, by_frame=(seen,))
-        return {candidate: self.outcomes[level, candidate] for candidate in bounds}
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_algorithm_1_goes_where_full_evaluations_go(seed: int) -> None:
-    from validation.bench.algorithm1_sets import climb
-
-    seeds = all_candidates(PATCHES)[::5]
-    land = Landscape(seed)
-    visited, ends = climb(land, 0, seeds)  # type: ignore[arg-type]
-    expected = set(seeds)
-    tops = set()
-    for here in seeds:
-        while True:
-            around = [here ^ {patch} for patch in PATCHES]
-            expected |= set(around)
-            best = min(around, key=land.truth.__getitem__)
-            if land.truth[best] >= land.truth[here]:
-                break
-            here = best
-        tops.add(here)
-    assert visited == expected
-    assert {outcome.candidate for outcome in ends} == tops
-    assert {c.top for c in climb_of_bcid(Landscape(seed), 0, seeds)} == tops  # type: ignore[arg-type]

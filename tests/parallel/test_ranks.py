@@ -45,8 +45,8 @@ from bcid.predict.pull_predictor import PullPredictor
 from bcid.predict.store import PredictionStore
 from bcid.scene import Level, Limits, Region, Scene
 from bcid.scene.motions import about_x, motion
-from bcid.search.evaluator import Evaluator
 from bcid.search.identify_options import IdentifyOptions
+from bcid.search.set_misfits import MeasuredMisfits
 
 pytestmark = pytest.mark.parallel
 
@@ -297,20 +297,23 @@ def test_refined_patches_are_the_same_on_every_number_of_ranks(slab: Scene) -> N
     assert same_everywhere(together.log)
 
 
-def test_teams_share_a_mesh_and_the_candidates(slab: Scene, measured: Any) -> None:
-    """A mesh above the limit goes to teams: all ranks together here, so that each sees every candidate."""
+def test_teams_share_a_mesh_and_the_sets(slab: Scene, measured: Any) -> None:
+    """A mesh above the limit goes to teams: all ranks together here, so that each sees every set."""
     measurement = WORLD.bcast(measured, root=0)
-    found = []
+    found, changes = [], []
     for comm, per_rank in ((MPI.COMM_SELF, 10**9), (WORLD, 1)):
-        evaluator = Evaluator(slab, measurement, comm, settings=EXACT, per_rank=per_rank)
-        assert evaluator.forward(0).comm.size == (1 if comm is MPI.COMM_SELF else WORLD.size)
-        outcomes = evaluator.evaluate(0, dict.fromkeys([frozenset("34"), frozenset("1"), frozenset()], math.inf))
-        found.append([(o.status, o.chi2, o.share) for o in outcomes.values()])
-        evaluator.predict(0, frozenset("34"))
-        evaluator.destroy()
+        model = MeasuredMisfits(slab, measurement, comm, settings=EXACT, per_rank=per_rank)
+        assert model.forward(0).comm.size == (1 if comm is MPI.COMM_SELF else WORLD.size)
+        misfits = model.misfits(0, dict.fromkeys([frozenset("34"), frozenset("1"), frozenset()], math.inf))
+        found.append(
+            [(m, one.share, one.failure) for m, one in zip(misfits.values(), model.known.values(), strict=True)]
+        )
+        changes.append(model.positions(0, frozenset("34")))
+        model.destroy()
     alone, together = found
-    assert [o[0] for o in together] == [o[0] for o in alone]
-    assert [o[1] for o in together] == pytest.approx([o[1] for o in alone], rel=1e-6)
+    assert [o[1:] for o in together] == [o[1:] for o in alone]
+    assert [o[0] for o in together] == pytest.approx([o[0] for o in alone], rel=1e-6)
+    assert np.allclose(*changes, atol=1e-9)
     assert same_everywhere(together)
 
 

@@ -33,7 +33,7 @@ from bcid.predict.pull_predictor import small_action
 from bcid.predict.pull_tangent import PullTangent
 from bcid.predict.questions import of_pull
 from bcid.scene import Grasp, Level, Limits, Material, Region, Scene
-from bcid.search.seeds import all_candidates
+from bcid.search.hill_climbing import all_candidates
 
 Anchored = frozenset[str]
 AXES = {"+x": (1.0, 0.0, 0.0), "+y": (0.0, 1.0, 0.0), "+z": (0.0, 0.0, 1.0)}

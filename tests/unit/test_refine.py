@@ -31,10 +31,10 @@ from bcid.comparison.refine import (
 )
 from bcid.forms.mesh.patches import halves
 from bcid.forms.simulate import simulate
-from bcid.inference.outcome import Candidate
 from bcid.measurement import Measurement
 from bcid.scene import Level, Region, Scene
 from bcid.scene.motions import about_x, actions
+from bcid.search.hill_climbing import Candidate
 from bcid.search.identify_options import IdentifyOptions
 
 ROOT = Path(__file__).resolve().parents[2]

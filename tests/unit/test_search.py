@@ -1,150 +1,166 @@
-"""The search on a made-up landscape, without any mesh: climbing, seeds, termination, belief, and the way up the ladder."""
+"""Hill climbing and its stages on a made-up landscape, without any mesh, and residuals of sets on a small body."""
 
 import math
 from collections.abc import Callable, Mapping
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from bcid.base.errors import InputError, SolveError
-from bcid.base.progress import Silent
+from bcid.base.errors import InputError
 from bcid.forms import effect_trial as trial
 from bcid.forms.simulate import recorded
-from bcid.forms.solver.status import Status
 from bcid.inference.continuation import ContinuationError, truncate_to_converged
-from bcid.inference.outcome import Candidate, Outcome, label
-from bcid.inference.priors import PRIORS
+from bcid.inference.hypotheses import label
 from bcid.measurement import Action, Measurement
-from bcid.search.climb import climb, neighbours
-from bcid.search.evaluator import Evaluator
+from bcid.search.hill_climbing import Candidate, all_candidates, climb, neighbours, perturbed, random_seeds
 from bcid.search.identify_options import IdentifyOptions
-from bcid.search.screening import finest, level_errors, log_odds, rejection_bound, screened
-from bcid.search.seeds import above, all_candidates, maxima, perturbed, random_seeds
-from bcid.search.settings import SETTINGS
-from bcid.search.stage_options import StageOptions
-from bcid.search.staged_search import StagedSearch, StagedSets
-from bcid.search.termination import Stop, Termination
+from bcid.search.stages import StageOptions, Stop, in_stages
 
 PATCHES = ["1", "2", "3", "4", "5", "6"]
 TRUE = frozenset("25")
-VALUES = 1000
+LAST = StageOptions(stop=Stop("last"))
 
 
 class Landscape:
-    """Stands in for a `Evaluator`: chi-square from a formula, with evaluations that stop at a bound as the real ones do."""
+    """A model whose residual is a formula (m), and whose prediction changes by a given amount from level to level.
 
-    def __init__(
-        self,
-        *levels: Callable[[Candidate], float],
-        noise: float | None = 1.0,
-        apart: float = 0.0,
-        early: Callable[[Candidate], float] = lambda _: 0.0,
-    ) -> None:
-        self.levels, self.early = levels, early
-        self.apart = apart
-        self.patches = PATCHES
-        self.misfit = SimpleNamespace(
-            values=VALUES,
-            curves=60,
-            noise=noise,
-            motion_rms=100.0,
-            common=0.0,
-            distance=lambda a, b: abs(a - b),
-            similarity=lambda rms: 1 - rms / 100,
-        )
-        self.scene = SimpleNamespace(levels=levels, patches=PATCHES)
-        self.outcomes: dict[tuple[int, Candidate], Outcome] = {}
-        self.asked = 0
+    As of a real one, an evaluation ends where it is worse than its bound.
+    """
 
-    def evaluate(
-        self, level: int, bounds: Mapping[Candidate, float], rival: Candidate | None = None, last: bool = False
-    ) -> dict[Candidate, Outcome]:
-        for candidate, bound in bounds.items():
-            if Evaluator._enough(self.outcomes.get((level, candidate)), bound):
-                continue
-            self.asked += 1
-            chi2 = self.levels[level](candidate)
-            failed = math.isinf(chi2)
-            complete = not failed and chi2 <= bound
-            share = 1.0 if complete else 0.5
-            got = chi2 if complete or failed else bound * 1.001
-            status = Status.UNSTABLE if failed else Status.CONVERGED
-            self.outcomes[level, candidate] = Outcome(
-                candidate,
-                level,
-                got,
-                math.sqrt(got / VALUES),
-                complete,
-                share,
-                status,
-                "buckles" if failed else "",
-                by_frame=self.by_frame(candidate, got),
-            )
-        return {c: self.outcomes[level, c] for c in bounds}
+    def __init__(self, misfit: Callable[[int, Candidate], float], *changes: float) -> None:
+        self.misfit, self.changes, self.patches = misfit, changes, PATCHES
+        self.asked: dict[int, set[Candidate]] = {}
 
-    def by_frame(self, candidate: Candidate, chi2: float) -> tuple[float, ...]:
-        """Two frames: a set that fails may do so in the second."""
-        early = self.early(candidate)
-        return (early, math.nan if math.isinf(chi2) else chi2 - early)
+    def misfits(self, level: int, bounds: Mapping[Candidate, float]) -> dict[Candidate, float]:
+        self.asked.setdefault(level, set()).update(bounds)
+        found = {candidate: self.misfit(level, candidate) for candidate in bounds}
+        return {c: misfit if misfit <= bounds[c] else math.inf for c, misfit in found.items()}
 
-    def refinement(self, _coarse: int, _fine: int) -> float:
-        """Elements are halved from level to level."""
-        return 2.0
+    def similarity(self, rms: float) -> float:
+        return 1.0 - rms / 10.0
 
-    def evaluations(self) -> dict[int, float]:
-        counts: dict[int, float] = {}
-        for (level, _), outcome in self.outcomes.items():
-            counts[level] = counts.get(level, 0.0) + outcome.share
-        return counts
+    def change(self, level: int, candidate: Candidate) -> float:
+        self.misfits(level + 1, {candidate: math.inf})
+        return self.changes[level]
 
-    def predict(self, level: int, candidate: Candidate) -> None:
-        return None
-
-    def positions(self, level: int, candidate: Candidate) -> float:
-        """One number stands for the prediction: levels are `apart` from the finest by this."""
-        return self.apart * (len(self.levels) - 1 - level)
+    @property
+    def calls(self) -> dict[int, int]:
+        return {level: len(sets) for level, sets in sorted(self.asked.items())}
 
 
-def distance(candidate: Candidate, truth: Candidate = TRUE) -> float:
-    """A smooth hill: chi-square grows with the number of wrong patches."""
-    return VALUES * (1.0 + 3.0 * len(candidate ^ truth))
+def distance(_level: int, candidate: Candidate) -> float:
+    """A smooth hill: the residual grows with the number of wrong patches."""
+    return float(len(candidate ^ TRUE))
 
 
-def search(evaluator: Landscape, options: StageOptions | None = None) -> StagedSets:
-    return StagedSearch(evaluator, options or StageOptions(), Silent()).run()  # type: ignore[arg-type]
+def test_climb_moves_by_single_toggles_to_the_best_set() -> None:
+    model, seed = Landscape(distance), frozenset("134")
+    tops, found = climb(model, 0, [seed])
+    assert tops == [TRUE]
+    assert found[TRUE] == 0.0
+    # Five toggles away: from each set on the path all six neighbours, and in the end those of the best.
+    path = [seed]
+    while path[-1] != TRUE:
+        path.append(min(neighbours(path[-1], PATCHES), key=lambda c: (len(c ^ TRUE), len(c), sorted(c))))
+    assert all(len(a ^ b) == 1 for a, b in pairwise(path))
+    assert model.asked[0] == {c ^ {p} for c in path for p in PATCHES} | {seed}
 
 
-def test_climbs_end_on_the_hill_by_single_toggles() -> None:
-    evaluator = Landscape(distance)
-    climbs = climb(evaluator, 0, [frozenset(), frozenset(PATCHES), TRUE])  # type: ignore[arg-type]
-    assert [c.top for c in climbs] == [TRUE] * 3
-    assert [len(c.path) for c in climbs] == [3, 5, 1]
-    for c in climbs:
-        assert all(len(a ^ b) == 1 for a, b in zip(c.path, c.path[1:], strict=False))
+def test_climb_where_bounds_stop_evaluations_goes_the_same_way() -> None:
+    """Against the plain algorithm, on a landscape without any order."""
+    rng = np.random.default_rng(0)
+    heights = {c: float(rng.random()) for c in all_candidates(PATCHES)}
+    for seed in all_candidates(PATCHES):
+        here = seed
+        while True:
+            best = min(neighbours(here, PATCHES), key=heights.__getitem__)
+            if heights[best] >= heights[here]:
+                break
+            here = best
+        assert climb(Landscape(lambda _, c: heights[c]), 0, [seed])[0] == [here]
+    tops, _ = climb(Landscape(lambda _, c: heights[c]), 0, all_candidates(PATCHES))
+    low = {c for c in heights if heights[c] < min(heights[n] for n in neighbours(c, PATCHES))}
+    assert set(tops) == low
+    assert tops == sorted(low, key=heights.__getitem__)
 
 
-def test_equal_climbers_share_their_work() -> None:
-    evaluator = Landscape(distance)
-    climb(evaluator, 0, [frozenset("1"), frozenset("1"), frozenset("1")])  # type: ignore[arg-type]
-    alone = evaluator.asked
-    evaluator = Landscape(distance)
-    climb(evaluator, 0, [frozenset("1")])  # type: ignore[arg-type]
-    assert evaluator.asked == alone
+def test_climb_with_equal_seeds_asks_once() -> None:
+    one, three = Landscape(distance), Landscape(distance)
+    climb(one, 0, [frozenset("1")])
+    climb(three, 0, [frozenset("1")] * 3)
+    assert one.calls == three.calls
 
 
-def test_a_local_maximum_holds_a_climber() -> None:
-    trap = frozenset("1346")
-    evaluator = Landscape(lambda c: 1.5 * VALUES if c == trap else distance(c))
-    tops = {c.top for c in climb(evaluator, 0, [trap, TRUE])}  # type: ignore[arg-type]
-    assert tops == {trap, TRUE}
-    climbs = climb(evaluator, 0, [trap, TRUE])  # type: ignore[arg-type]
-    assert maxima(climbs, evaluator, 0) == [TRUE, trap]  # type: ignore[arg-type]
+def test_climb_passes_by_sets_without_a_solution() -> None:
+    model = Landscape(lambda level, c: math.inf if c == frozenset("2") else distance(level, c))
+    assert climb(model, 0, [frozenset()])[0] == [TRUE]
 
 
-def test_failed_neighbours_are_passed_by() -> None:
-    evaluator = Landscape(lambda c: math.inf if c == frozenset("2") else distance(c))
-    assert climb(evaluator, 0, [frozenset()])[0].top == TRUE  # type: ignore[arg-type]
+def test_stages_end_on_another_maximum_than_the_best_of_all() -> None:
+    deep, broad = frozenset(PATCHES), frozenset[str]()
+    model = Landscape(lambda _, c: -1.0 if c == deep else float(len(c ^ broad)))
+    assert in_stages(model, LAST, 0, [frozenset("12")])[-1].anchors == broad
+
+
+def test_stages_begin_where_the_coarser_level_ended() -> None:
+    """The coarse level prefers a neighbour; the finer one asks for it, and for its neighbours, and goes on."""
+    wrong = frozenset("2")
+    model = Landscape(lambda level, c: float(len(c ^ (TRUE if level else wrong))))
+    found = in_stages(model, LAST, 1, [frozenset("134")])
+    assert [stage.anchors for stage in found] == [wrong, TRUE]
+    assert [stage.evaluated for stage in found] == list(model.calls.values())
+    assert model.calls[1] == 7 + 5
+    (single,) = in_stages(Landscape(distance), StageOptions(coarsest=1, stop=Stop("last")), 1, [wrong])
+    assert (single.level, single.anchors) == (1, TRUE)
+
+
+@pytest.mark.parametrize(
+    ("stop", "changes", "calls", "said"),
+    [
+        # Climbing on the second mesh asks for the best set's neighbours again, looking at the next mesh for the best alone.
+        ("same", (), {0: None, 1: 7}, "the set is that of the level before"),
+        ("similarity 0.9", (), {0: None}, "the similarity is 1, at least 0.9"),
+        (
+            "refinement 500 mm",
+            (2.0, 0.1),
+            {0: None, 1: 7, 2: 1},
+            "changes by 100 mm on the next level, by less than 500 mm",
+        ),
+        ("refinement 500 mm", (0.1,), {0: None, 1: 1}, "by less than 500 mm"),
+        ("refinement 500 mm", (2.0, 2.0, 2.0), {0: None, 1: 7, 2: 7, 3: 7}, ""),
+        ("last", (), {0: None, 1: 7, 2: 7, 3: 7}, ""),
+    ],
+)
+def test_stages_end_by_the_rules_of_the_paper(
+    stop: str, changes: tuple[float, ...], calls: dict[int, int | None], said: str
+) -> None:
+    """Section 3.5."""
+    model, words = Landscape(distance, *changes), list[str]()
+    found = in_stages(model, StageOptions(stop=Stop.parse(stop)), 3, [frozenset("134"), frozenset("6")], words.append)
+    assert found[-1].anchors == TRUE
+    assert {level: count if level else None for level, count in model.calls.items()} == calls
+    assert any(text.endswith(said) and "is the last" in text for text in words) == bool(said)
+
+
+def test_stages_may_begin_with_all_good_sets() -> None:
+    model = Landscape(lambda level, c: 1.0 + distance(level, c))
+    options = StageOptions(start="threshold", threshold=0.85, stop=Stop("last"))
+    in_stages(model, options, 1, [frozenset("134")])
+    # Similarities above 0.85 * 0.9: the best and its neighbours; theirs are at a distance of two.
+    assert model.calls[1] == 1 + 6 + 15
+
+
+def test_stages_without_any_solution_are_none() -> None:
+    words: list[str] = []
+    assert in_stages(Landscape(lambda *_: math.inf), StageOptions(), 1, (), words.append) == []
+    assert "no solution" in words[-1]
+
+
+def test_stages_keep_the_answer_of_the_level_before_where_the_next_has_no_solution() -> None:
+    found = in_stages(Landscape(lambda level, c: math.inf if level else distance(level, c)), LAST, 2)
+    assert [(stage.level, stage.anchors) for stage in found] == [(0, TRUE)]
 
 
 def test_neighbours_and_labels() -> None:
@@ -153,7 +169,7 @@ def test_neighbours_and_labels() -> None:
     assert label(frozenset(), ["1"]) == "{}"
 
 
-def test_seeds() -> None:
+def test_seeds_are_different_and_repeatable() -> None:
     rng = np.random.default_rng(0)
     seeds = random_seeds(PATCHES, 24, rng)
     assert len(set(seeds)) == 24
@@ -166,193 +182,22 @@ def test_seeds() -> None:
     assert perturbed([TRUE, TRUE], PATCHES, 0, rng) == [TRUE]
 
 
-def test_good_states_above_a_threshold() -> None:
-    evaluator = Landscape(distance)
-    evaluator.evaluate(0, {TRUE: math.inf, frozenset("2"): math.inf, frozenset(): 2.0})
-    everything = above(evaluator, 0, 0.0)  # type: ignore[arg-type]
-    assert everything == [TRUE, frozenset("2")], "a stopped evaluation has no similarity"
-    assert above(evaluator, 0, evaluator.misfit.similarity(1.5)) == [TRUE]  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("rules", "since", "said"),
-    [
-        (Termination(fit=1.05), 0, "residual is the noise"),
-        (Termination(fit=0.5, patience=4), 4, "4 seeds in a row"),
-        (Termination(fit=0.5, patience=5, budget=1), 4, "budget of 1"),
-        (Termination(fit=0.5, patience=5, budget=2), 4, None),
-    ],
-)
-def test_termination(rules: Termination, since: int, said: str | None) -> None:
-    evaluator = Landscape(distance)
-    best = evaluator.evaluate(0, {TRUE: math.inf})[TRUE]
-    reached = rules.reached(evaluator, 0, best, since)  # type: ignore[arg-type]
-    assert (said in reached) if said and reached else reached is said
-
-
-def test_screening_compares_sets_by_their_likelihood() -> None:
-    evaluator = Landscape(lambda c: VALUES + 4.0 * len(c ^ TRUE) if len(c) < 5 else math.inf)
-    evaluator.evaluate(0, dict.fromkeys(all_candidates(PATCHES), math.inf))
-    logs = screened(evaluator, TRUE, {0: 0.0})  # type: ignore[arg-type]
-    assert next(iter(logs)) == TRUE
-    assert list(logs.values()) == sorted(logs.values(), reverse=True)
-    assert logs[frozenset(PATCHES)] == pytest.approx(math.log(PRIORS.failures)), "nothing is known of it"
-    assert logs[frozenset("2")] == pytest.approx(-2.0), "chi-square 4 above is a likelihood ratio of exp(-2)"
-
-
-def test_a_coarse_level_is_not_believed_beyond_its_error() -> None:
-    """Where the best set misses by ten times the noise, the same ratio of misfits says far less."""
-    fine, coarse = (Landscape(lambda c, s=s: s * (VALUES + 100.0 * len(c ^ TRUE))) for s in (1.0, 100.0))
-    ratios = []
-    for evaluator, error in ((fine, 0.0), (coarse, math.sqrt(99.0))):
-        evaluator.evaluate(0, {TRUE: math.inf, frozenset("2"): math.inf})
-        assert level_errors(evaluator, TRUE, [0]) == {0: pytest.approx(error)}  # type: ignore[arg-type]
-        pair = evaluator.outcomes[0, frozenset("2")], evaluator.outcomes[0, TRUE]
-        ratios.append(log_odds(*pair, evaluator.misfit, error))  # type: ignore[arg-type]
-    assert ratios[0] == pytest.approx(-50.0)
-    assert ratios[1] == pytest.approx(-10_000 / 2 / (1 + 99 * VALUES / 60))
-
-
-def test_the_error_of_a_level_comes_from_the_next_and_from_the_residual() -> None:
-    evaluator = Landscape(distance, distance, apart=3.0)
-    for level in (0, 1):
-        evaluator.evaluate(level, {TRUE: math.inf})
-    assert level_errors(evaluator, TRUE, [0, 1]) == {0: 3.0, 1: 1.0}  # type: ignore[arg-type]
-    evaluator = Landscape(lambda c: 5 * VALUES, lambda c: 2 * VALUES)
-    for level in (0, 1):
-        evaluator.evaluate(level, {TRUE: math.inf})
-    assert level_errors(evaluator, TRUE, [0, 1]) == pytest.approx({0: 2.0, 1: 1.0})  # type: ignore[arg-type]
-
-
-def test_an_error_of_the_measured_frame_counts_on_every_level() -> None:
-    evaluator = Landscape(distance, distance, apart=3.0)
-    for level in (0, 1):
-        evaluator.evaluate(level, {TRUE: math.inf})
-    evaluator.misfit.common = 4.0
-    assert level_errors(evaluator, TRUE, [0, 1]) == pytest.approx({0: 5.0, 1: math.sqrt(17.0)})  # type: ignore[arg-type]
-
-
-def test_a_best_set_that_failed_on_a_coarse_level() -> None:
-    evaluator = Landscape(lambda c: math.inf if c == TRUE else distance(c), distance, distance, apart=3.0)
-    found = search(evaluator)
-    assert found.best.candidate == TRUE
-    assert found.shares[TRUE] > 0.9
-    evaluator.evaluate(2, {TRUE: math.inf})
-    assert level_errors(evaluator, TRUE, [0, 1, 2]) == {0: 0.0, 1: 3.0, 2: 1.0}  # type: ignore[arg-type]
-
-
-def test_a_fit_on_one_level_is_not_enough() -> None:
-    """The coarsest level fits a wrong set to within the noise; the next one is asked all the same, and says so."""
-    wrong = frozenset("25") ^ {"1"}
-    found = search(Landscape(lambda c: distance(c, wrong), distance, distance, apart=2.0))
-    assert found.levels[:2] == (0, 1)
-    assert found.best.candidate == TRUE
-
-
-def test_the_search_finds_and_counts() -> None:
-    evaluator = Landscape(distance)
-    found = search(evaluator)
-    assert found.best.candidate == TRUE
-    assert found.shares[TRUE] > 0.999
-    assert found.evaluations == evaluator.evaluations()
-    assert found.lost == {c for c in found.shares if c != TRUE}
-
-
-def test_given_sets_are_climbed_from_instead_of_random_ones() -> None:
-    evaluator = Landscape(distance)
-    found = StagedSearch(evaluator, StageOptions(), Silent(), [TRUE, frozenset("2")]).run()  # type: ignore[arg-type]
-    assert found.best.candidate == TRUE
-    assert found.stages[0].startswith("level 0: 2 climbs ended on 1 maxima")
-    assert len(evaluator.outcomes) == 12, "the two sets, the neighbours of each, one of them shared"
-
-
-def test_patience_ends_a_stage() -> None:
-    """The hill has one top: every group of four seeds after the first finds nothing better."""
-    rules = Termination(fit=0.0, patience=8)
-    found = search(Landscape(distance), StageOptions(termination=rules))
-    assert found.stages[0] == "level 0: 12 climbs ended on 1 maxima; 8 seeds in a row led to nothing better"
-    everything = search(Landscape(distance), StageOptions(termination=Termination(fit=0.0, patience=99)))
-    assert everything.stages[0] == "level 0: 24 climbs ended on 1 maxima; all seeds are used"
-
-
-@pytest.mark.parametrize("climbed", [1, 2])
-def test_a_misleading_coarse_level_is_corrected(climbed: int) -> None:
-    """The coarse level prefers a neighbour by a little; the fine one decides, and the belief follows it.
-
-    With one climbed level the right set gets there only because the coarse level could not rule it out.
-    """
-    wrong = frozenset("2")
-
-    def coarse(c: Candidate) -> float:
-        return 20 * VALUES * (1 + 0.3 * len(c ^ TRUE)) if c != wrong else 19.5 * VALUES
-
-    found = search(Landscape(coarse, distance), StageOptions(climbed=climbed))
-    assert found.best.candidate == TRUE
-    assert found.shares[TRUE] > 0.999
-    assert found.levels == (0, 1)
-
-
-def test_rivals_that_cannot_be_told_apart_share_the_belief() -> None:
-    rival = frozenset("256")
-    found = search(Landscape(lambda c: distance(c) if c != rival else VALUES))
-    assert found.shares[TRUE] == pytest.approx(0.5, abs=1e-3)
-    assert found.likely == [TRUE, rival]
-
-
-def test_where_a_rival_may_stop() -> None:
-    evaluator = Landscape(distance)
-    best = evaluator.evaluate(0, {TRUE: math.inf})[TRUE]
-    assert rejection_bound(best, evaluator.misfit, SETTINGS.odds) == pytest.approx(VALUES + 2 * math.log(1e6))  # type: ignore[arg-type]
-    coarse = rejection_bound(best, evaluator.misfit, SETTINGS.odds, error=3.0)  # type: ignore[arg-type]
-    assert coarse == pytest.approx(VALUES + 2 * math.log(1e6) * (1 + 9 * VALUES / 60))
-
-
-def test_a_set_that_fails_on_the_finer_level_is_not_ruled_out_by_that() -> None:
-    """It keeps what the coarser level says of it; nobody becomes certain because a rival could not be computed."""
-    rival = frozenset("256")
-    coarse = lambda c: VALUES if c in (TRUE, rival) else distance(c)  # noqa: E731
-    fine = lambda c: math.inf if c == rival else distance(c)  # noqa: E731
-    found = search(Landscape(coarse, fine), StageOptions(finest=1))
-    assert found.best.candidate == TRUE
-    assert found.shares[TRUE] == pytest.approx(0.5, abs=0.01)
-    assert rival in found.likely
-
-
-def test_when_nothing_can_be_solved() -> None:
-    with pytest.raises(SolveError, match="failed for every anchor set tried; the first: buckles"):
-        search(Landscape(lambda c: math.inf))
-
-
-def test_a_level_that_cannot_be_solved_leaves_the_answer_of_the_one_before() -> None:
-    found = search(Landscape(lambda c: 2 * distance(c), lambda c: math.inf))
-    assert found.best.candidate == TRUE
-    assert found.levels == (0,)
-    assert tuple(found.errors) == (0,)
-    assert found.shares[TRUE] > 0.99
-    assert found.stages[-1].startswith("not used: level 1: the forward model failed")
-
-
-def test_no_noise_is_needed() -> None:
-    found = search(Landscape(distance, noise=None))
-    assert found.best.candidate == TRUE
-    assert found.shares[TRUE] > 0.99
-
-
 @pytest.mark.parametrize(
     "wrong",
     [
         {"random_state": -1},
-        {"climbed": 0},
         {"toggles": -1},
         {"threshold": math.nan},
+        {"threshold": 1.0},
         {"start": "x"},
         {"seeds": 0},
         {"finest": 3},
         {"coarsest": -1},
         {"coarsest": 1, "finest": 0},
+        {"stop": Stop("similarity", least=2.0)},
     ],
 )
-def test_options_are_checked(wrong: dict[str, object]) -> None:
+def test_stage_options_are_checked(wrong: dict[str, object]) -> None:
     scene = SimpleNamespace(levels=(1, 2), patches=PATCHES)
     IdentifyOptions(stages=StageOptions()).check(scene)  # type: ignore[arg-type]
     with pytest.raises(InputError):
@@ -368,33 +213,6 @@ def test_what_is_certified_is_checked() -> None:
         IdentifyOptions(certify="yes").check(SimpleNamespace(levels=(1,), patches=range(17)))  # type: ignore[arg-type]
 
 
-def test_finest_outcomes() -> None:
-    evaluator = Landscape(distance, distance)
-    evaluator.evaluate(0, {TRUE: math.inf, frozenset(): math.inf})
-    evaluator.evaluate(1, {TRUE: math.inf})
-    assert {c: o.level for c, o in finest(evaluator, 1).items()} == {TRUE: 1, frozenset(): 0}  # type: ignore[arg-type]
-    assert finest(evaluator, 0)[TRUE].level == 0  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("stop", "apart", "levels", "said"),
-    [
-        ("same", 0.0, (0, 1), "the set is that of the level before"),
-        ("similarity 0.9", 0.0, (0,), "the similarity is 0.99, at least 0.9"),
-        ("similarity 0.995", 0.0, (0, 1, 2), ""),
-        ("refinement 0.5 mm", 0.4e-3, (0,), "changes by 0.4 mm on the next level, by less than 0.5 mm"),
-        ("refinement 0.3 mm", 0.4e-3, (0, 1, 2), ""),
-    ],
-)
-def test_the_stages_end_as_the_paper_has_it(stop: str, apart: float, levels: tuple[int, ...], said: str) -> None:
-    """Section 3.5; with noise of one the best set has a residual of 1, and so a similarity of 0.99."""
-    options = StageOptions(stop=Stop.parse(stop))
-    found = search(Landscape(distance, distance, distance, apart=apart), options)
-    assert found.levels == levels
-    assert found.best.candidate == TRUE
-    assert any(text.endswith(said) and "is the last" in text for text in found.stages) == bool(said)
-
-
 @pytest.mark.parametrize(
     ("text", "told"),
     [
@@ -406,7 +224,7 @@ def test_the_stages_end_as_the_paper_has_it(stop: str, apart: float, levels: tup
         ("refinement 0 mm", "must be above 0"),
     ],
 )
-def test_a_rule_that_makes_no_sense_is_refused(text: str, told: str) -> None:
+def test_stop_that_makes_no_sense_is_refused(text: str, told: str) -> None:
     with pytest.raises(InputError, match=told):
         Stop.parse(text)
 
@@ -437,10 +255,3 @@ def test_a_measurement_is_looked_at_as_far_as_it_can_be_followed() -> None:
     assert [action.name for action in error.before(whole).actions] == ["2"]
     with pytest.raises(ContinuationError, match="it buckles"):
         ContinuationError("it buckles", "", np.array([True, *[False] * 7])).before(whole)
-
-
-def test_where_every_set_fails_it_is_told_how_far_they_came() -> None:
-    evaluator = Landscape(lambda _: math.inf)
-    with pytest.raises(ContinuationError) as caught:
-        search(evaluator)
-    assert caught.value.frames.tolist() == [True, False]

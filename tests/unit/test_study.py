@@ -7,9 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +18,6 @@ from bcid.base.errors import InputError
 from bcid.scene import Scene
 from validation.__main__ import main
 from validation.engine.work import Workers, read_result
-from validation.paper.algorithm1 import Rule, in_stages, optimum
 from validation.paper.cells import wrong_answers
 from validation.paper.claims import FAILS, HOLDS, claims
 from validation.paper.condition import Condition
@@ -140,73 +137,6 @@ def test_bad_arguments(
     assert main([*arguments, "-o", str(tmp_path / "run")]) == 2
     assert told in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
-
-
-# -- search
-# ------------------------------------------------------------------------------------------------------------------
-
-PATCHES = [str(i) for i in range(1, 7)]
-EVERY = [frozenset(c) for n in range(7) for c in combinations(PATCHES, n)]
-
-
-class Landscape:
-    """A model whose misfit is a formula, and whose reconstruction changes by a given amount from level to level."""
-
-    def __init__(self, misfit: Callable[[int, frozenset[str]], float], *changes: float) -> None:
-        self._misfit, self._changes = misfit, changes
-
-    def misfit(self, level: int, candidate: frozenset[str]) -> float:
-        return self._misfit(level, candidate)
-
-    def change(self, level: int, _candidate: frozenset[str]) -> float:
-        return self._changes[level]
-
-
-def test_the_search_of_the_paper_climbs_to_the_best_and_counts_its_calls() -> None:
-    truth = frozenset("25")
-    model = Landscape(lambda _level, candidate: float(len(candidate ^ truth)))
-    seed = frozenset("134")
-    staged = in_stages(model, PATCHES, [seed], Rule("last", 0.0, 2))
-    assert staged.anchors == truth
-    # Five toggles away: from each set on the path all six neighbours, and in the end those of the best.
-    path = [seed]
-    while path[-1] != truth:
-        path.append(min((path[-1] ^ {p} for p in PATCHES), key=lambda c: (len(c ^ truth), len(c), sorted(c))))
-    looked_at = {c ^ {p} for c in path for p in PATCHES} | {seed}
-    assert staged.calls == {0: len(looked_at), 1: 7, 2: 7}
-    assert [stage.level for stage in staged.stages] == [0, 1, 2]
-    single = in_stages(model, PATCHES, [seed], Rule("last", 0.0, 2), first=2)
-    assert (single.anchors, single.calls) == (truth, {2: len(looked_at)})
-    assert optimum(model, EVERY, 2) == truth
-
-
-@pytest.mark.parametrize(
-    ("rule", "changes", "calls"),
-    [
-        # Climbing on the second mesh asks for the best set's neighbours again, looking at the next mesh for the best alone.
-        (Rule("same", 0.0, 3), (), {0: None, 1: 7}),
-        (Rule("similarity", 0.5, 3), (), {0: None}),
-        (Rule("refinement", 0.5, 3), (2.0, 0.1), {0: None, 1: 7, 2: 1}),
-        (Rule("refinement", 0.5, 3), (0.1,), {0: None, 1: 1}),
-        (Rule("refinement", 0.5, 3), (2.0, 2.0, 2.0), {0: None, 1: 7, 2: 7, 3: 7}),
-        (Rule("last", 0.5, 1), (), {0: None, 1: 7}),
-    ],
-)
-def test_the_stages_of_the_paper_end_by_its_rules(
-    rule: Rule, changes: tuple[float, ...], calls: dict[int, Any]
-) -> None:
-    truth = frozenset("25")
-    model = Landscape(lambda _level, candidate: float(len(candidate ^ truth)), *changes)
-    found = in_stages(model, PATCHES, [frozenset("134"), frozenset("6")], rule)
-    assert found.anchors == truth
-    assert {level: count if level else None for level, count in found.calls.items()} == calls
-
-
-def test_a_search_may_end_on_another_maximum_than_the_best_of_all() -> None:
-    deep, broad = frozenset("123456"), frozenset[str]()
-    model = Landscape(lambda _level, c: -1.0 if c == deep else float(len(c ^ broad)))
-    assert in_stages(model, PATCHES, [frozenset("12")], Rule("last", 0.0, 0)).anchors == broad
-    assert optimum(model, EVERY, 0) == deep
 
 
 def test_turning_a_motion_turns_its_translations_and_its_axes() -> None:

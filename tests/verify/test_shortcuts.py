@@ -38,7 +38,7 @@ from bcid.predict.predictor import Predictor
 from bcid.predict.pull_predictor import PullPredictor
 from bcid.scene import Level, Scene
 from bcid.scene.motions import motion
-from bcid.search.seeds import all_candidates
+from bcid.search.hill_climbing import all_candidates
 from bcid.search.settings import SETTINGS
 
 PATCHES = ("1", "3", "4", "7")

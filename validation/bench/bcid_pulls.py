@@ -19,7 +19,7 @@ from bcid.exploration.loop import paired
 from bcid.exploration.moves import limits_of, moves
 from bcid.predict.pull_predictor import PullPredictor
 from bcid.scene import Scene
-from bcid.search.seeds import all_candidates
+from bcid.search.hill_climbing import all_candidates
 from validation.bench.bench_slab import EXPLAINED
 
 

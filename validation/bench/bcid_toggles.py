@@ -16,8 +16,8 @@ import time
 from mpi4py import MPI
 
 import bcid
-from bcid.search.climb import neighbours
-from bcid.search.evaluator import Evaluator
+from bcid.search.hill_climbing import neighbours
+from bcid.search.set_misfits import MeasuredMisfits, SetMisfit
 from validation.bench.bench_slab import decoded, encoded, measurement, with_level
 
 
@@ -25,36 +25,34 @@ def main() -> None:
     """Evaluate the neighbours."""
     size, degree, name, centre = sys.argv[1:]
     clock = Clock("bcid", f"bcid {bcid.__version__}")
-    evaluator = Evaluator(with_level(float(size), int(degree)), measurement(name), MPI.COMM_SELF)
-    forward = evaluator.forward(0)
+    model = MeasuredMisfits(with_level(float(size), int(degree)), measurement(name), MPI.COMM_SELF)
+    forward, misfit = model.forward(0), model.misfit
     clock.start()
     bound = math.inf
-    outcomes = []
+    outcomes: dict[str, tuple[SetMisfit, float]] = {}
     before = time.process_time()
-    for candidate in neighbours(decoded(centre), evaluator.patches):
-        outcome = evaluator.evaluate(0, {candidate: bound})[candidate]
-        if outcome.complete:
-            bound = min(bound, outcome.chi2)
+    for candidate in neighbours(decoded(centre), model.patches):
+        bound = min(bound, model.misfits(0, {candidate: bound})[candidate])
         now = time.process_time()
-        outcomes.append((outcome, now - before))
+        outcomes[encoded(candidate)] = model.known[0, candidate], now - before
         before = now
     clock.stop()
     plain = [
         {
-            "candidate": encoded(o.candidate),
-            "chi2": o.chi2 if math.isfinite(o.chi2) else None,
-            "complete": o.complete,
-            "share": o.share,
-            "wall_s": o.seconds,
+            "candidate": name,
+            "chi2": None if one.failure else misfit.values * (one.rms / (misfit.noise or 1.0)) ** 2,
+            "complete": one.complete,
+            "share": one.share,
+            "wall_s": one.seconds,
             "cpu_s": spent,
-            "why": o.reason,
+            "why": one.failure,
         }
-        for o, spent in outcomes
+        for name, (one, spent) in outcomes.items()
     ]
     record = clock.record | {"outcomes": plain, "unknowns": forward.body.unknowns, "rss_mb": memory()}
     record |= {"iterations": forward.equilibrium.iterations, "factorisations": forward.equilibrium.factor.count}
     print(json.dumps(record), flush=True)
-    evaluator.destroy()
+    model.destroy()
 
 
 if __name__ == "__main__":

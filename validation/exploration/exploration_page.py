@@ -9,7 +9,7 @@ from typing import Any
 
 from bcid.base.units import percent
 from bcid.exploration.loop import DECIDED
-from bcid.inference.outcome import label
+from bcid.inference.hypotheses import label
 from validation.exploration.exploration_trials import ANCHORS, GRASPS, NOISES, STRATEGIES
 from validation.sections import PICTURE, section
 from validation.text_table import TextTable

@@ -8,7 +8,7 @@ from statistics import median
 from typing import Any
 
 from bcid.exploration.loop import DECIDED, INSEPARABLE
-from bcid.inference.outcome import label
+from bcid.inference.hypotheses import label
 from validation.exploration.exploration_trials import (
     ANCHORS,
     BESIDE,

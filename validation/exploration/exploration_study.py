@@ -47,7 +47,7 @@ from bcid.predict.pull_predictor import PullPredictor
 from bcid.predict.store import PredictionStore
 from bcid.scene import Level, Scene
 from bcid.scene.uncertainty import FORCED, Uncertainty
-from bcid.search.seeds import all_candidates
+from bcid.search.hill_climbing import all_candidates
 from validation.engine.dispatch import dispatch
 from validation.engine.work import Work, Workers, read_result
 from validation.exploration.exploration_page import page, shown

@@ -31,11 +31,11 @@ from bcid.base.shipped import shipped
 from bcid.exploration.loop import DECIDED, paired
 from bcid.exploration.moves import limits_of, moves
 from bcid.forms.model import check_physics
-from bcid.inference.outcome import label
+from bcid.inference.hypotheses import label
 from bcid.inference.thresholds import THRESHOLDS
 from bcid.predict.pull_predictor import PullPredictor
 from bcid.predict.store import PredictionStore
-from bcid.search.seeds import all_candidates
+from bcid.search.hill_climbing import all_candidates
 from validation.engine.work import read_result
 from validation.exploration.exploration_study import SCENE
 from validation.exploration.exploration_trials import ANCHORS, BUDGET

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bcid.inference.outcome import label
+from bcid.inference.hypotheses import label
 from validation.paper.cells import Row, mean_calls, rounds, time_range, wrong_answers
 from validation.paper.condition import named, written
 from validation.paper.study_file import StudyFile

@@ -11,7 +11,7 @@ from bcid.base.units import quantity
 from bcid.measurement import Action
 from bcid.scene import Level, Scene
 from bcid.scene.motions import MOTIONS, motion
-from validation.paper.algorithm1 import STOPS
+from bcid.search.stages import RULES
 
 SEARCHES = ("stages", "single", "identify")
 SEEN = ("positions", "images")
@@ -26,10 +26,10 @@ class Condition:
         motion, grasp: how the body is pulled.
         steps: of the motion, besides rest; 0 for as many as it has.
         search: "stages" and "single" are Algorithm 1 of the paper over the levels and on the last alone (see
-            `validation.paper.algorithm1`); "identify" is what `bcid identify` does.
+            `bcid.search.hill_climbing`); "identify" is what `bcid identify` does.
         seeds: random sets that Algorithm 1 starts from.
         finest: last level of the scene that the search may use.
-        stop, tolerance: when the stages end, see `validation.paper.algorithm1.Rule`.
+        stop, tolerance: when the stages end, see `bcid.search.stages.Stop`.
         compared: level on which all sets are compared, to tell what the data say.
         true_degree, true_size: elements in which the truth is computed; 0 for those of the scene's last level.
         noise: standard deviation of the noise on each coordinate.
@@ -129,7 +129,7 @@ _WRITTEN: dict[str, str | type] = {
 _CHOICES: dict[str, tuple[Any, ...]] = {
     "motion": tuple(MOTIONS),
     "search": SEARCHES,
-    "stop": STOPS,
+    "stop": RULES,
     "seen": SEEN,
     "true_degree": (0, 1, 2, 3),
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bcid.base.errors import SolveError
 from bcid.measurement import Measurement
-from bcid.search.seeds import random_seeds
-from validation.paper.algorithm1 import Candidate, Rule, SearchResult, in_stages, optimum
+from bcid.search.hill_climbing import Candidate, random_seeds, rank
+from bcid.search.stages import LAST, SearchStage, StageOptions, Stop, in_stages
 from validation.paper.condition import Condition
 from validation.paper.precompute import Store
 from validation.paper.trial_errors import seen_positions
@@ -54,22 +55,44 @@ def measured(store: Store, condition: Condition, number: int) -> Measurement:
     return replace(made, noise_sigma=condition.noise or None)
 
 
-class Predicted:
-    """The model that Algorithm 1 asks: what sets predict, against what was seen; see `algorithm1.MisfitModel`."""
+class StoredMisfits:
+    """Residuals of sets against what was seen in a trial, from stored predictions; see `bcid.search.hill_climbing.SetMisfits`.
+
+    A similarity is one minus the residual in metres: the paper's threshold is a residual.
+    """
 
     def __init__(self, store: Store, condition: Condition, seen: Array) -> None:
         self.store, self.condition, self.seen = store, condition, seen
-        self._known: dict[tuple[int, Candidate], float] = {}
+        self.patches = list(store.read().patches)
+        self.known: dict[tuple[int, Candidate], float] = {}
 
-    def misfit(self, level: int, candidate: Candidate) -> float:
-        key = level, candidate
-        if key not in self._known:
-            self._known[key] = rms(self.store.predicted(self.condition, level, candidate), self.seen)
-        return self._known[key]
+    def misfits(self, level: int, bounds: Mapping[Candidate, float]) -> dict[Candidate, float]:
+        """All in full: a distinct set on a level is one call of the model."""
+        for candidate in bounds:
+            if (level, candidate) not in self.known:
+                predicted = self.store.predicted(self.condition, level, candidate)
+                self.known[level, candidate] = rms(predicted, self.seen)
+        return {candidate: self.known[level, candidate] for candidate in bounds}
+
+    def similarity(self, rms: float) -> float:
+        return 1.0 - rms
 
     def change(self, level: int, candidate: Candidate) -> float:
+        self.misfits(level + 1, {candidate: np.inf})
         coarse, fine = (self.store.predicted(self.condition, at, candidate) for at in (level, level + 1))
         return rms(coarse, np.where(np.isfinite(self.seen), fine, np.nan))
+
+    def best(self, level: int) -> Candidate:
+        """The best of all sets on a level, not counted: what no search can do better than."""
+        other = StoredMisfits(self.store, self.condition, self.seen)
+        found = other.misfits(level, dict.fromkeys(self.store.sets(), np.inf))
+        return min(found, key=lambda candidate: rank(found, candidate))
+
+    @property
+    def calls(self) -> dict[str, float]:
+        """Distinct sets that were asked for, by level."""
+        levels = [level for level, _ in self.known]
+        return {str(level): float(levels.count(level)) for level in sorted(set(levels))}
 
 
 def rms(predicted: Array, seen: Array) -> float:
@@ -83,37 +106,36 @@ def climbed(store: Store, condition: Condition, number: int, measurement: Measur
     """Algorithm 1 of the paper, and the best of all sets."""
     scene = store.read()
     order = [measurement.fiducial_names.index(name) for name in scene.fiducial_names]
-    model = Predicted(store, condition, measurement.positions[:, order])
-    patches = list(scene.patches)
-    seeds = random_seeds(patches, condition.seeds, np.random.default_rng(number))
-    last = condition.finest
-    if condition.search == "single":
-        found = in_stages(model, patches, seeds, Rule("last", 0.0, last), first=last)
-    else:
-        found = in_stages(model, patches, seeds, Rule(condition.stop, condition.tolerance, last))
-    truth = condition.held(number)
-    reference = optimum(model, store.sets(), condition.compared)
+    model = StoredMisfits(store, condition, measurement.positions[:, order])
+    seeds = random_seeds(model.patches, condition.seeds, np.random.default_rng(number))
+    last, single = condition.finest, condition.search == "single"
+    stop = Stop(LAST) if single else Stop(condition.stop, 1.0 - condition.tolerance, condition.tolerance)
+    stages = in_stages(model, StageOptions(coarsest=last if single else 0, stop=stop), last, seeds)
+    if not stages:
+        raise SolveError("the model has no solution for any set")
+    truth, calls, found = condition.held(number), model.calls, stages[-1].anchors
+    reference = model.best(condition.compared)
     return {
-        "found": sorted(found.anchors),
-        "right": found.anchors == truth,
-        "why": _why(model, found, truth, reference, store.sets(), condition.compared),
+        "found": sorted(found),
+        "right": found == truth,
+        "why": _why(model, stages, truth, reference, condition.compared),
         "best": sorted(reference),
         "best_right": reference == truth,
-        "rms": found.stages[-1].rms,
-        "stages": [{"level": s.level, "anchors": sorted(s.anchors), "rms": s.rms} for s in found.stages],
-        "calls": {str(level): float(count) for level, count in found.calls.items()},
+        "rms": stages[-1].rms,
+        "stages": [{"level": s.level, "anchors": sorted(s.anchors), "rms": s.rms} for s in stages],
+        "calls": calls,
         "cpu_seconds": None,
     }
 
 
 def _why(
-    model: Predicted, found: SearchResult, truth: Candidate, reference: Candidate, sets: list[Candidate], compared: int
+    model: StoredMisfits, stages: Sequence[SearchStage], truth: Candidate, reference: Candidate, compared: int
 ) -> str:
     """Why the answer is wrong, "" where it is right."""
-    if found.anchors == truth:
+    last = stages[-1]
+    if last.anchors == truth:
         return ""
-    last = found.stages[-1].level
-    if last <= compared and optimum(model, sets, last) == truth:
+    if last.level <= compared and model.best(last.level) == truth:
         return SEARCH
     return MESH if reference == truth else DATA
 

@@ -27,7 +27,7 @@ from bcid.measurement import Measurement
 from bcid.predict.pull_predictor import PullPredictor
 from bcid.predict.store import PredictionStore
 from bcid.scene import Scene
-from bcid.search.seeds import all_candidates
+from bcid.search.hill_climbing import all_candidates
 from validation.paper.condition import Condition
 from validation.paper.study_file import Trial
 from validation.paper.trial_errors import body_differs, differs, true_actions, true_scene

@@ -10,7 +10,7 @@ about = "..."                   # what is done here
 in_paper = "..."                # what the paper did
 chosen = "..."                  # where the paper leaves something open: what was taken
 adds = "..."                    # what is told beyond the paper
-code = ["bcid/search/climb.py"] # where it is done
+code = ["bcid/search/hill_climbing.py"] # where it is done
 
 [setting]                       # what all trials have in common: attributes of `Condition`
 motion = "semicircle"

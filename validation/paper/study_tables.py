@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bcid.base.csv_text import csv_text
-from bcid.inference.outcome import label
+from bcid.inference.hypotheses import label
 from validation.paper.cells import Cell, Row, Wrong, mean_calls, reasons, time_range, wrong_answers
 from validation.paper.claims import TOLD, Claim
 from validation.paper.condition import named, written

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -125,8 +124,3 @@ def files(folder: Path, name: str) -> list[Path]:
     except (ValueError, NotImplementedError, IndexError):
         return []
     return sorted(found, key=lambda path: [(len(n), n) for n in re.findall(r"\d+|\D+", str(path))])
-
-
-def delimiter_of(line: str) -> str:
-    """The delimiter of a table by its header line."""
-    return max(",;\t", key=lambda sign: len(next(csv.reader([line], delimiter=sign), [])))
