@@ -186,8 +186,8 @@ def _state(folder: Path) -> State:
     """The case in a few steps, with the set that is likeliest there."""
     from mpi4py import MPI
 
-    from bcid.comparison.few_steps import in_few_steps
-    from bcid.comparison.first_sets import first_sets
+    from bcid.comparison.searched import first_sets
+    from bcid.comparison.state import in_few_steps
     from bcid.measurement import Measurement
     from bcid.predict.predictor import Predictor
     from bcid.scene import Scene

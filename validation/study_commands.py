@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from bcid.app.console import print_result, progress_of
-from bcid.app.option_values import names_in
-from bcid.app.options import add_command, add_output, add_run, seed
+from bcid.app.options import add_command, add_output, add_run, names_in, seed
 from bcid.base.collective import Comm
 from bcid.base.errors import InputError
 from bcid.base.progress import Progress

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bcid.app.console import beside_the_result, draw, finish, progress_of, tell
-from bcid.app.option_values import all_names, listed, names_in, noise_in, random_state_in
+from bcid.app.options import all_names, listed, names_in, noise_in, random_state_in
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError
 from bcid.base.progress import Progress, clear

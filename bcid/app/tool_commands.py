@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from bcid.app.console import beside_the_result, complain, finish, progress_of, tell
-from bcid.app.option_values import direction_in, length_in, names_in, noise_in, random_state_in
+from bcid.app.options import direction_in, length_in, names_in, noise_in, random_state_in
 from bcid.base.collective import Comm, first
 from bcid.base.errors import InputError, MachineError
 from bcid.base.shipped import copy_examples

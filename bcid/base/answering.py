@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 
 from bcid.base.confined import confine, environment_of_child, limit_memory, prepare, reason_of
 from bcid.base.errors import InputError
-from bcid.base.pipe import send
 
 # Before a request its length; before an answer what it is, bytes of an item, rows, columns.
 _LENGTH, _HEAD = struct.Struct("<Q"), struct.Struct("<BB6xQQ")
@@ -179,3 +178,22 @@ def answer(reply: Callable[[bytes], NDArray[Any]], libraries: Sequence[str] = ()
         answers.write(content)
         answers.flush()
     return 0
+
+
+def send(pipe: int, content: bytes) -> None:
+    """Write all of some bytes to a pipe, by its descriptor; from any thread.
+
+    The kernel also sends a signal where nobody reads, at which PETSc would end this process: it is held back.
+
+    Raises:
+        OSError: nobody reads it.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGPIPE})
+    try:
+        rest = memoryview(content)
+        while rest:
+            rest = rest[os.write(pipe, rest) :]
+    finally:
+        if signal.SIGPIPE not in before:
+            signal.sigtimedwait({signal.SIGPIPE}, 0)
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -36,7 +36,7 @@ from bcid.forms.model import Term
 from bcid.forms.parameter import Parameter
 from bcid.inference import nuisance_text
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, label
-from bcid.inference.stiffness_scale import StiffnessScale
+from bcid.inference.stiffness import StiffnessScale
 from bcid.inference.thresholds import THRESHOLDS
 
 # A hypothesis with a smaller probability is not told.

@@ -2,28 +2,36 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from bcid.base.errors import SolveError
 from bcid.base.units import p_value, percent
 from bcid.comparison.adequacy import judge
 from bcid.comparison.anchor_answer import AnchorAnswer
 from bcid.comparison.candidates import Candidates, Known
 from bcid.comparison.explanation import Explanation, ModelStep, explains, verdict_of
+from bcid.comparison.fit import Fit
 from bcid.comparison.fitted_hypothesis import FittedHypothesis, best_first
 from bcid.comparison.full_search import FullSearch
 from bcid.comparison.held_out import held_out
+from bcid.comparison.loosened import slackens
 from bcid.comparison.searched import searched
 from bcid.comparison.state import State
-from bcid.comparison.unfollowed import check_not_stood_for
 from bcid.forms import effects
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
-from bcid.inference.hypotheses import label
+from bcid.inference.hypotheses import Hypothesis, label, log_prior
+from bcid.inference.mesh_error import MeshError
 from bcid.predict.predictor import Predictor
 
 Anchored = frozenset[str]
+# Springs so many times as soft as the fitted ones hold nothing where those hardly do.
+_SOFTER = 100.0
 
 
 @dataclass(frozen=True)
@@ -126,3 +134,43 @@ def _model_step(rival: FittedHypothesis) -> ModelStep:
     )
     apart = rival.held_out if rival.held_out is not None else held_out(rival.fitted)
     return ModelStep(rival.fitted, adequacy, apart)
+
+
+def check_not_stood_for(best: FittedHypothesis, refused: Collection[Hypothesis], begun: Model) -> None:
+    """A patch that gives does not stand for a set without it that cannot be followed; collective.
+
+    Held as softly as if it were not held it shows what that set does, in all steps: it is likelier than the answer where the answer
+    is nothing else.
+
+    Args:
+        best: the answer.
+        refused: hypotheses that cannot be followed to the end.
+        begun: the model without added effects.
+
+    Raises:
+        ContinuationError: it stands for one, so that what this cannot be followed in is not to be compared.
+    """
+    state = best.fitted.state
+    for term in state.model.terms:
+        others = "+".join(name for name in best.names if name != term.effect.name)
+        without = state.anchors - {term.place}
+        if not (slackens(term.effect) and term.place and Hypothesis(without, others) in refused):
+            continue
+        (stiffness,) = term.values
+        soft = term.with_values({stiffness: term.values[stiffness] / _SOFTER})
+        model = state.model.without(term.label)
+        if _log_without(best, model + soft, begun) > best.log:
+            # Followed again, it says how far it can be compared.
+            State.of(state.predictor, model, without, MeshError.unknown(state.predictor.data.mask.shape))
+
+
+def _log_without(best: FittedHypothesis, model: Model, begun: Model) -> float:
+    """Logarithm of evidence and prior of a model with other numbers than those of the answer, one effect counting as none."""
+    state, count = best.fitted.state, len(best.names) - 1
+    try:
+        there = State.of(state.predictor, model, state.anchors, best.judged.errors.mesh)
+    except SolveError:
+        return -math.inf
+    found = FittedHypothesis.of(Fit.at(there), begun, best.known).evidence
+    plain, forced = (log_prior(count, unknown, best.known) for unknown in (False, True))
+    return float(np.logaddexp(found.plain + plain, found.forced + forced))

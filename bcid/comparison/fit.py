@@ -20,8 +20,7 @@ from bcid.forms.parameter import Parameter
 from bcid.forms.probes import Probe, SensitivityRequest
 from bcid.inference.nuisances import fitted_instead
 from bcid.inference.priors import PRIORS
-from bcid.inference.stiffness import Stiffness
-from bcid.inference.stiffness_scale import StiffnessScale
+from bcid.inference.stiffness import Stiffness, StiffnessScale
 from bcid.inference.thresholds import THRESHOLDS
 from bcid.predict.kept_predictions import MeasurementPrediction
 from bcid.predict.predictor import Predictor
@@ -156,7 +155,7 @@ class Fit:
         """Constants of the law that were fitted, by name: value, standard error and unit, and the 95 % interval.
 
         The interval of a stiffness is that of its logarithm. What the data do not determine is None. Stiffnesses are as they are
-        reported (`bcid.inference.stiffness_scale`).
+        reported (`bcid.inference.stiffness`).
         """
         scale = StiffnessScale.of(self.state.predictor.whole)
         known, errors, values = {p.name: p for p in self.state.model.law.parameters}, self.stderr, self.values

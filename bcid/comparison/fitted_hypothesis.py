@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 from bcid.base.errors import InputError, SolveError
 from bcid.comparison.candidates import StandIn
 from bcid.comparison.curvature import bent
-from bcid.comparison.few_steps import in_few_steps
 from bcid.comparison.fit import FTOL, Fit, columns, coordinates, fit
 from bcid.comparison.held_out import held_out
 from bcid.comparison.loosened import loosens
 from bcid.comparison.parameter_priors import of_state
 from bcid.comparison.ranking import Row, rank
-from bcid.comparison.state import State
+from bcid.comparison.state import State, in_few_steps
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model, Term
 from bcid.forms.solver.equilibrium import Settings

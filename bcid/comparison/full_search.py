@@ -12,13 +12,12 @@ from bcid.base.errors import InputError, SolveError
 from bcid.comparison.candidates import Candidates
 from bcid.comparison.coarse_search import CoarseSearch
 from bcid.comparison.curvature import bent
-from bcid.comparison.few_steps import FEW_STEPS, few_steps, in_few_steps
 from bcid.comparison.fit import Fit, fit
 from bcid.comparison.fitted_hypothesis import FittedHypothesis, added, best_first, promoted
 from bcid.comparison.hypothesis_table import HypothesisTable
 from bcid.comparison.ranking import Ranking
 from bcid.comparison.search_queue import SearchQueue, Task
-from bcid.comparison.state import State
+from bcid.comparison.state import FEW_STEPS, State, few_steps, in_few_steps
 from bcid.forms.effects.effect import Effect
 from bcid.forms.model import Model
 from bcid.inference.discrepancy import Evidence

@@ -19,8 +19,7 @@ from bcid.comparison.followed_sets import FollowedSets
 from bcid.comparison.full_search import FullSearch
 from bcid.comparison.hypothesis_table import HypothesisTable
 from bcid.comparison.searched import searched
-from bcid.comparison.state import State
-from bcid.comparison.state_fields import detailed
+from bcid.comparison.state import State, detailed
 from bcid.forms.mesh.patches import divided
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings

@@ -21,7 +21,7 @@ from bcid.comparison.fitted_hypothesis import FittedHypothesis
 from bcid.comparison.identify_run import body_parts, inputs_in_words, odd, stiffness_in_words
 from bcid.comparison.ranking import Ranking
 from bcid.comparison.source import Source, stored_effect
-from bcid.comparison.state_fields import detailed
+from bcid.comparison.state import detailed
 from bcid.comparison.where import MissingForce, Place
 from bcid.forms.course import course_of
 from bcid.forms.gripper_force import ROWS

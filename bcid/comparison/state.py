@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.base.errors import SolveError
+from bcid.base.collective import overlaid
+from bcid.base.errors import SolveError, evaluating
 from bcid.forms.force_bumps import force_unit
+from bcid.forms.forward import Prediction
 from bcid.forms.model import Model
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.change_point import ChangePointForce
@@ -22,8 +26,11 @@ from bcid.inference.nuisances import NuisanceModes, fitted_instead, placed, repl
 from bcid.predict.kept_predictions import MeasurementPrediction
 from bcid.predict.mesh_ladder import mesh_error
 from bcid.predict.predictor import Predictor
+from bcid.search.settings import SETTINGS
 
 Array = NDArray[np.float64]
+# A set with which steps must be halved more often is seldom the true one.
+FEW_STEPS = Settings(rtol=1e-6, halvings=2)
 
 
 @dataclass(frozen=True)
@@ -216,3 +223,39 @@ class State:
 def _beside(errors: ErrorCovariance, model: Model, free: tuple[str, ...]) -> ErrorCovariance:
     """Errors without what a model says in their place."""
     return errors.without(stood_for(model) | fitted_instead(model, free), placed(model))
+
+
+def detailed(state: State) -> Prediction:
+    """The prediction of a state on all ranks with `wrench`, `displacement` and `energy`, NaN in frames without; collective.
+
+    The positions are those that the mesh has: what it leaves is not taken out.
+    """
+    predictor = state.predictor
+    forward, frames = predictor.forward(state.model), len(predictor.data.mask)
+    wrench, displacement = np.full((frames, 6), np.nan), np.full((frames, len(forward.mesh.points), 3), np.nan)
+    energy = displacement[..., 0].copy()
+    for action in predictor.actions:
+        part = state.prediction.parts.get(action.name)
+        if part is not None and part.states is not None:
+            with suppress(SolveError), evaluating("fields of the answer", predictor.skip):
+                found = forward.detail(state.anchors, [action], part)
+                for whole, own in ((wrench, found.wrench), (displacement, found.displacement), (energy, found.energy)):
+                    assert own is not None
+                    whole[action.frames] = own[action.frames]
+    wrench, displacement, energy = (overlaid(predictor.comm.allgather(a)) for a in (wrench, displacement, energy))
+    return Prediction(state.prediction.positions, (), None, wrench, displacement, energy)
+
+
+def few_steps(predictor: Predictor) -> int:
+    """How many steps of each action are compared first: of few markers more."""
+    data = predictor.data
+    seen = len(data) / max(len(np.unique(data.frame)), 1)
+    return max(SETTINGS.steps, math.ceil(SETTINGS.values / max(seen * len(predictor.actions), 1)))
+
+
+def in_few_steps(state: State) -> State:
+    """The same hypothesis on a few steps of each action, or as it is where it needs smaller ones; collective."""
+    try:
+        return state.thinned(few_steps(state.predictor), FEW_STEPS)
+    except SolveError:
+        return state

@@ -11,7 +11,7 @@ import xarray as xr
 from bcid.base.collective import Comm
 from bcid.forms.gripper_force import ForceScale
 from bcid.measurement import Measurement
-from bcid.predict.kept_actions import KeptActions
+from bcid.predict.kept_predictions import KeptActions
 from bcid.predict.predictor import Predictor
 from bcid.predict.store import PredictionStore
 from bcid.scene import Scene

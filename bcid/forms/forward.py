@@ -8,10 +8,12 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from dolfinx import fem
+import ufl
+from dolfinx import fem, la
 from numpy.typing import NDArray
 
 from bcid.base.collective import Comm
+from bcid.forms import compiled
 from bcid.forms.effects.effect import Frame
 from bcid.forms.gripper_force import ROWS, ForceScale, GripperForce
 from bcid.forms.mesh import BodyMesh, level_mesh
@@ -23,7 +25,6 @@ from bcid.forms.solver.equilibrium import Equilibrium, Settings
 from bcid.forms.solver.status import Status
 from bcid.forms.solver.supports import Pose
 from bcid.forms.solver.trajectory import Trajectory, follow, poses
-from bcid.forms.strain_energy import StrainEnergy
 from bcid.measurement import Action
 from bcid.scene import Scene
 
@@ -263,3 +264,30 @@ class Forward:
     def destroy(self) -> None:
         """Free the PETSc objects; collective."""
         self.equilibrium.destroy()
+
+
+class StrainEnergy:
+    """Averages of the law's energy, as effects change it, around each node: the lumped projection on linear elements.
+
+    Args:
+        equilibrium: whose state it is of.
+    """
+
+    def __init__(self, equilibrium: Equilibrium) -> None:
+        self.body, weak_form = equilibrium.body, equilibrium.weak_form
+        space = fem.functionspace(self.body.domain, ("Lagrange", 1))
+        around = ufl.TestFunction(space)
+        density, degree = weak_form.density(weak_form.model.terms)
+        self._form = compiled.form(density * around * weak_form.measure(degree))
+        self._space = space
+        self._volume = self._at_nodes(compiled.form(around * weak_form.measure(1)))
+
+    def at_mesh_nodes(self) -> Array:
+        """J/m^3 at the nodes of the mesh, shape (nodes,), the same on every rank; collective on those that share the mesh."""
+        return self._at_nodes(self._form) / self._volume
+
+    def _at_nodes(self, form: fem.Form) -> Array:
+        """An assembled vector by node of the mesh."""
+        vector = fem.assemble_vector(form)
+        vector.scatter_reverse(la.InsertMode.add)
+        return self.body.at_mesh_nodes(vector.array, self._space)

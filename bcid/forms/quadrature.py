@@ -12,8 +12,7 @@ from dolfinx import mesh as dmesh
 from numpy.typing import NDArray
 
 from bcid.base import compat
-from bcid.forms.mesh.body import Body
-from bcid.forms.mesh.outward import outward_areas
+from bcid.forms.mesh.body import Body, outward_areas
 from bcid.scene import Region
 
 Array = NDArray[np.float64]

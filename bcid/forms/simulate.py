@@ -12,15 +12,18 @@ from bcid.base.collective import Comm
 from bcid.base.errors import SolveError
 from bcid.forms.forward import Forward
 from bcid.forms.gripper_force import torque_per_force
+from bcid.forms.mesh import BodyMesh
+from bcid.forms.mesh.body_mesh import among
 from bcid.forms.mesh.patches import divided
 from bcid.forms.model import Model
-from bcid.forms.simulated_cloud import shown_facets, simulated_cloud
 from bcid.forms.solver.equilibrium import Settings
 from bcid.measurement import WRENCH, Action, Measurement
-from bcid.measurement.dataset import motions_dataset
+from bcid.measurement.cloud import Cloud, frames_of
+from bcid.measurement.contents import motions_dataset
 from bcid.scene import Scene
 
 Array = NDArray[np.float64]
+Numbers = NDArray[np.int64]
 
 
 def simulate(
@@ -128,3 +131,44 @@ def recorded(
         data = data.assign_coords(place=places)
         data["load"] = (("frame", "place", "axis"), np.stack(loads, axis=1))
     return Measurement(data, sigma or None, description=description, source="simulation")
+
+
+def shown_facets(scene: Scene, mesh: BodyMesh, anchors: Iterable[str]) -> Numbers:
+    """Triangles of the boundary that are not held, gripped or lain on, shape (k, 3)."""
+    regions = {f"patch {name}": scene.patches[name] for name in anchors}
+    regions |= {f"grasp {name}": grasp.region for name, grasp in scene.grasps.items()}
+    if scene.support:
+        regions[f"place {scene.support}"] = scene.places[scene.support]
+    hidden = np.zeros(len(mesh.boundary), dtype=bool)
+    for name, region in regions.items():
+        hidden |= among(mesh.boundary, mesh.select(region, name))
+    return mesh.boundary[~hidden]
+
+
+def simulated_cloud(
+    made: Measurement,
+    mesh: BodyMesh,
+    triangles: Numbers,
+    displacement: Array,
+    count: int,
+    sigma: float,
+    rng: np.random.Generator,
+) -> Cloud:
+    """`count` points in each frame of a measurement, other ones in each, anywhere on triangles (k, 3) of a mesh.
+
+    Args:
+        displacement: of the nodes of the mesh, shape (frames, nodes, 3), m.
+        sigma: standard deviation of the white noise of every coordinate, m.
+        rng: where points and noise come from.
+    """
+    a, b, c = (mesh.points[triangles[:, k]] for k in range(3))
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    frames = len(displacement)
+    chosen = rng.choice(len(triangles), (frames, count), p=areas / areas.sum())
+    # Uniform over each triangle.
+    root, along = np.sqrt(rng.random((frames, count))), rng.random((frames, count))
+    weights = np.stack([1 - root, root * (1 - along), root * along], axis=-1)
+    nodes = triangles[chosen]
+    points = mesh.points[nodes] + displacement[np.arange(frames)[:, None, None], nodes]
+    seen = np.einsum("fnk,fnka->fna", weights, points).reshape(-1, 3) + rng.normal(0.0, sigma, (frames * count, 3))
+    return Cloud(seen, np.full(len(seen), np.nan), frames_of(made.data), np.repeat(np.arange(frames), count))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bcid.base.tails import normal_tail
 from bcid.forms.gripper_force import ROWS, ForceScale
-from bcid.inference.force_noise import force_noise
+from bcid.inference.priors import PRIORS
 from bcid.inference.seen import Seen, normals_of
 from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import Action, Measurement
@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 LEAST_NOISE = 1e-6
 # Standard deviation of Gaussian values per median of their sizes.
 _PER_MEDIAN = 1.4826
+# Standard deviation of Gaussian values per median of their sizes, and of their third differences per that of one.
+_PER_MEDIAN, _THIRD = 1.4826, math.sqrt(20)
 
 
 @dataclass(frozen=True)
@@ -333,3 +335,25 @@ def estimate_noise(data: Data, residual: Array) -> float:
     if not found:
         return data.rms(residual)
     return float(np.sqrt(np.mean(np.concatenate(found) ** 2)))
+
+
+def force_noise(measurement: Measurement) -> tuple[float, float]:
+    """Standard deviations of a force, N, and of a torque, N m.
+
+    What is not stated is seen in third differences along the steps of each action, in which a smooth course drops out.
+    """
+    stated = measurement.wrench_sigma, measurement.torque_sigma
+    force, torque = (
+        _seen(measurement, measurement.wrenches[:, part]) if known is None else known
+        for known, part in zip(stated, (slice(3), slice(3, 6)), strict=True)
+    )
+    return force, torque
+
+
+def _seen(measurement: Measurement, values: Array) -> float:
+    """Of values (frames, 3)."""
+    differences = [np.diff(values[action.frames], 3, axis=0).ravel() for action in measurement.actions if action.grasp]
+    sizes = np.abs(np.concatenate([np.zeros(0), *differences]))
+    sizes = sizes[np.isfinite(sizes)]
+    rough = _PER_MEDIAN * float(np.median(sizes)) / _THIRD if len(sizes) else 0.0
+    return max(rough, PRIORS.force_sensor * float(np.nanmax(np.abs(values), initial=0.0)), 1e-12)

@@ -19,15 +19,41 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from bcid.base.units import WIDE
+from bcid.base.units import WIDE, unit_factor
 from bcid.forms.model import Model
 from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.nuisances import STIFFNESS
-from bcid.inference.stiffness_scale import StiffnessScale
 from bcid.scene import Scene
 
 Array = NDArray[np.float64]
-_IN_PASCALS = StiffnessScale()
+_PER_THICKNESS = "N/mm"
+
+
+@dataclass(frozen=True)
+class StiffnessScale:
+    """How a stiffness of a computed sheet or body is reported.
+
+    Attributes:
+        factor: number that is reported for one Pa.
+        unit: of it.
+        times: what a constant is multiplied by, in words, after its name.
+    """
+
+    factor: float = 1.0
+    unit: str = "Pa"
+    times: str = ""
+
+    @classmethod
+    def of(cls, scene: Scene) -> StiffnessScale:
+        """Forces tell the product of stiffness and thickness alone: where the thickness is unknown, that is reported."""
+        if scene.thickness is None or scene.thickness_known:
+            return cls()
+        return cls(scene.thickness / unit_factor(_PER_THICKNESS, "N/m"), _PER_THICKNESS, " x thickness")
+
+    @property
+    def unknown(self) -> str:
+        """What is not known by itself, as a sentence for the end of a list of constants; "" where all is."""
+        return "; the thickness is unknown, so that the constants themselves are not known" if self.times else ""
 
 
 @dataclass(frozen=True)
@@ -46,7 +72,7 @@ class Stiffness:
     log_error: float
     constants: Mapping[str, float]
     stated: Mapping[str, float]
-    scale: StiffnessScale = _IN_PASCALS
+    scale: StiffnessScale = StiffnessScale()
 
     @classmethod
     def of(

@@ -26,10 +26,10 @@ from bcid.measurement.contents import (
     WRENCH,
     Contents,
     Units,
+    frames_dataset,
     sigma_units,
     with_sigmas,
 )
-from bcid.measurement.dataset import frames_dataset
 from bcid.measurement.frame_error import FrameError
 from bcid.measurement.scale import SCALE_KEYS, checked_flag, checked_scale
 from bcid.measurement.surface_files import SurfaceFiles

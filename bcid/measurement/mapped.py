@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from bcid.base.errors import InputError
+from bcid.base.errors import InputError, Problems, nearest
 from bcid.base.units import percent
 from bcid.measurement.alignment import align
-from bcid.measurement.contents import AXES, SIGMAS, WRENCH, Contents, sigma_units, with_sigmas
-from bcid.measurement.dataset import frames_dataset
+from bcid.measurement.contents import AXES, SIGMAS, WRENCH, Contents, Units, frames_dataset, sigma_units, with_sigmas
+from bcid.measurement.folder import read_grasps
 from bcid.measurement.force_recording import ForceRecording
-from bcid.measurement.grasp_recording import take_grasps
 from bcid.measurement.mapped_points import read_points_of
 from bcid.measurement.mapped_table import read_table
 from bcid.measurement.mapping import Mapping, read_mapping
@@ -220,3 +219,42 @@ def _contents(recording: Tracks, mapping: Mapping) -> Contents:
     if sigma is not None:
         known = replace(known, scale_sigma=float(sigma), scale_of_gripper=bool(mapping.table.get("gripper")))
     return replace(known, remarks=tuple(recording.remarks), aligned=recording.aligned)
+
+
+def take_grasps(recording: Tracks, path: Path, units: Units) -> None:
+    """Give every frame of a recording the pose that a file has for its action and step, in `units`.
+
+    Raises:
+        InputError: the file is damaged, or has other actions or steps than the recording.
+    """
+    actions = {action.name: action for action in read_grasps(path, units)}
+    problems = Problems(f"motions {path}")
+    frames = list(zip(recording.actions, recording.steps, strict=True))
+    for name, action in actions.items():
+        own = {step for other, step in frames if other == name}
+        if not own:
+            problems.add(
+                path, f"action '{name}' is not in the recording; {nearest(name, dict.fromkeys(recording.actions))}"
+            )
+            continue
+        known = {int(step) for step in action.steps}
+        missing, more = own - known, known - own
+        for steps, said in (
+            (missing, "no pose for step {}"),
+            (more, "a pose for step {}, which the recording has not"),
+        ):
+            if steps:
+                few = ", ".join(map(str, sorted(steps)[:5])) + (", ..." if len(steps) > 5 else "")
+                text = f"action {name}: holds {said.format(few)}; steps count the frames that are used, from rest, which is 0"
+                problems.add(path, text)
+    problems.raise_if_any()
+    poses = {
+        (name, int(step)): (action.grasp, *pose)
+        for name, action in actions.items()
+        for step, *pose in zip(action.steps, action.translation, action.rotation, strict=True)
+    }
+    still = "", np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+    chosen = [poses.get(frame, still) for frame in frames]
+    recording.grasps = [grasp for grasp, _, _ in chosen]
+    recording.translation = np.array([place for _, place, _ in chosen]) / units.factors[0]
+    recording.rotation = np.array([turn for _, _, turn in chosen])

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ Array = NDArray[np.float64]
 _NEAR = 2
 # So many are kept: what only changes the picture needs no other; of a few steps, many more.
 _KEPT, _KEPT_THIN = 5, 64
+T = TypeVar("T")
+# So many are kept: of some ten sets in each of some ten pulls, on two levels, with their sensitivities.
+_KEPT = 512
 
 
 @dataclass(frozen=True)
@@ -74,3 +77,20 @@ class KeptPredictions:
             if kept and other.level == key.level and other.model.name == key.model.name and apart <= best:
                 best, found = apart - 1, {name: part.states for name, part in prediction.parts.items() if part.states}
         return found
+
+
+class KeptActions:
+    """Results of the latest actions on this process."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, Any] = {}
+
+    def result(self, question: str, work: Callable[[], T]) -> T:
+        """What `work` gives, or gave when the same was asked before."""
+        if question not in self._known:
+            found = work()
+            while len(self._known) >= _KEPT:
+                del self._known[next(iter(self._known))]
+            self._known[question] = found
+        known: T = self._known[question]
+        return known

@@ -33,8 +33,7 @@ from bcid.measurement.thinning import spread
 from bcid.predict import questions
 from bcid.predict.acting import by_the_clock, steady
 from bcid.predict.forward_models import ForwardModels
-from bcid.predict.kept_actions import KeptActions
-from bcid.predict.kept_predictions import KeptPredictions, MeasurementPrediction, PredictionKey
+from bcid.predict.kept_predictions import KeptActions, KeptPredictions, MeasurementPrediction, PredictionKey
 from bcid.predict.levels import affordable, pair
 from bcid.predict.result_formats import PredictionFormat, SensitivitiesFormat, TangentsFormat
 from bcid.predict.store import PredictionStore, ResultFormat

@@ -8,19 +8,22 @@ before, since a trajectory starts from the states of those before it. What weigh
 from __future__ import annotations
 
 import hashlib
+import json
 import shutil
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError, MachineError
 from bcid.base.fingerprint import fingerprint
 from bcid.base.inside_folder import read_inside
-from bcid.base.packed import packed, unpacked
 from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import versions, write_whole, writing
 
@@ -32,6 +35,9 @@ CHECKPOINT = "checkpoint"
 _MAKERS = ("base", "scene", "measurement", "forms", "predict")
 # Bytes at most: what comes after is computed again.
 _MOST = 4e9
+_CHECK, _LENGTH = 32, 8
+# Kinds of numpy's types: booleans, integers, floating-point numbers.
+_KINDS = "biuf"
 
 
 class ResultFormat(Protocol[T]):
@@ -206,3 +212,39 @@ def _code() -> str:
     for file in sorted(file for name in _MAKERS for file in (package / name).rglob("*.py")):
         digest.update(str(file.relative_to(package)).encode() + file.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def packed(arrays: Mapping[str, NDArray[Any]], notes: Any = None) -> bytes:
+    """Arrays by name, and notes that JSON can hold, as bytes that begin with their checksum."""
+    told = {name: [array.dtype.str, array.shape] for name, array in arrays.items()}
+    head = json.dumps({"arrays": told, "notes": notes}).encode()
+    content = [len(head).to_bytes(_LENGTH, "little"), head, *(array.tobytes() for array in arrays.values())]
+    digest = hashlib.sha256()
+    for part in content:
+        digest.update(part)
+    return b"".join([digest.digest(), *content])
+
+
+def unpacked(content: bytes) -> tuple[dict[str, NDArray[Any]], Any]:
+    """What was packed: arrays by name, which may be written to, and notes.
+
+    Raises:
+        ValueError: the bytes are damaged, or others.
+    """
+    view = memoryview(content)
+    if hashlib.sha256(view[_CHECK:]).digest() != content[:_CHECK]:
+        raise ValueError("the checksum is another")
+    start = _CHECK + _LENGTH
+    end = start + int.from_bytes(content[_CHECK:start], "little")
+    try:
+        head, arrays = json.loads(content[start:end]), {}
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    for name, (code, shape) in head["arrays"].items():
+        kind = np.dtype(code)
+        if kind.kind not in _KINDS:
+            raise ValueError(f"{name} is no array of numbers")
+        count = int(np.prod(shape, dtype=np.int64))
+        arrays[name] = np.frombuffer(view, kind, count, end).reshape(shape).copy()
+        end += arrays[name].nbytes
+    return arrays, head["notes"]

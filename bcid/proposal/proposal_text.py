@@ -11,7 +11,7 @@ from bcid.comparison.diagnosis_text import anchors
 from bcid.comparison.explanation import ModelStep
 from bcid.comparison.law_form import LawForm
 from bcid.forms.model import Model, Term
-from bcid.inference.stiffness_scale import StiffnessScale
+from bcid.inference.stiffness import StiffnessScale
 from bcid.proposal.effect_file import wrapped
 from bcid.proposal.propose import Entry, Proposal
 

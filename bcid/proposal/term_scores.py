@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from bcid.base.errors import SolveError
 from bcid.comparison.candidates import StandIn, Start
 from bcid.comparison.coarse_search import CoarseSearch
-from bcid.comparison.few_steps import in_few_steps
 from bcid.comparison.ranking import Row, best_row, orthonormal, present_columns
-from bcid.comparison.state import State
+from bcid.comparison.state import State, in_few_steps
 from bcid.comparison.variants import Variant, amounts
 from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import Forward

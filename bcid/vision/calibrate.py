@@ -15,8 +15,7 @@ from bcid.vision.adjustment import COEFFICIENTS, FEW, LENSES, MATRIX, Adjustment
 from bcid.vision.calibration import GRID, Calibration
 from bcid.vision.camera import SIDES, Cameras
 from bcid.vision.corners import CORNERS, Corners, rms
-from bcid.vision.first_guess import first_guess
-from bcid.vision.resection import is_mirrored, is_solid, relief
+from bcid.vision.first_guess import first_guess, is_mirrored, is_solid, relief
 
 Array = NDArray[np.float64]
 

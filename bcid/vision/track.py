@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from bcid.base.errors import InputError
 from bcid.vision.camera import SIDES, Cameras
 from bcid.vision.detect import Image, Spots, detect
-from bcid.vision.layout import LEAST, Assignment, Indices, axes, find, spans
-from bcid.vision.neighbours import neighbours
+from bcid.vision.layout import LEAST, Assignment, Indices, axes, find, neighbours, spans
 from bcid.vision.register import rigid
 from bcid.vision.triangulate import Points, epipolar_distance, triangulate
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import InputError
 from bcid.measurement import Action, Measurement
-from bcid.measurement.dataset import motions_dataset
+from bcid.measurement.contents import motions_dataset
 from bcid.vision.camera import SIDES
 from bcid.vision.images import Image, Images
 from bcid.vision.layout import spans

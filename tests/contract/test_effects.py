@@ -24,12 +24,11 @@ from bcid.forms import check_effect, effects, materials
 from bcid.forms.effect_trial import EffectTrial
 from bcid.forms.effects.effect import BodyEffect, Effect, Frame, ObservationEffect
 from bcid.forms.forward import Forward
-from bcid.forms.loads import nodal_weights
 from bcid.forms.model import Anchors, Held, Model, Term
 from bcid.forms.parameter import Amount, Parameter
 from bcid.forms.solver.equilibrium import Equilibrium, Settings
 from bcid.forms.solver.status import Status
-from bcid.forms.solver.supports import Pose
+from bcid.forms.solver.supports import Pose, nodal_weights
 from bcid.forms.solver.trajectory import follow
 from bcid.measurement import Action, Measurement
 from bcid.scene import Level, Scene

@@ -29,7 +29,6 @@ from bcid.comparison.state import State
 from bcid.exploration.loop import Exploration, ExploreOptions, explore
 from bcid.exploration.robots import Simulated
 from bcid.forms.forward import Forward, Prediction
-from bcid.forms.loads import nodal_weights
 from bcid.forms.mesh import level_mesh
 from bcid.forms.mesh.body import Body
 from bcid.forms.mesh.patches import halves
@@ -39,6 +38,7 @@ from bcid.forms.simulate import simulate
 from bcid.forms.solver.equilibrium import Equilibrium, Settings
 from bcid.forms.solver.factor import Factor
 from bcid.forms.solver.status import Status
+from bcid.forms.solver.supports import nodal_weights
 from bcid.forms.solver.trajectory import follow
 from bcid.predict.predictor import Predictor
 from bcid.predict.pull_predictor import PullPredictor

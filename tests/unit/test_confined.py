@@ -119,7 +119,7 @@ def test_the_environment_of_a_child_holds_no_plugins(monkeypatch: pytest.MonkeyP
 def test_a_reader_that_takes_too_long_is_ended(tmp_path: Path) -> None:
     (tmp_path / "a.c3d").write_bytes(b"x")
     with pytest.raises(TimeoutError, match=r"more than 0 s"):
-        read_in_child("bcid.measurement.c3d", tmp_path / "a.c3d", seconds=0.01)
+        read_in_child("bcid.measurement.formats.capture_c3d", tmp_path / "a.c3d", seconds=0.01)
 
 
 def test_an_hdf5_file_beside_its_xdmf_is_read(tmp_path: Path) -> None:
@@ -144,7 +144,7 @@ def test_a_file_that_is_too_long_to_copy_is_refused(tmp_path: Path) -> None:
     with (tmp_path / "a.c3d").open("wb") as stream:
         stream.truncate(10**12)
     with pytest.raises(InputError, match=r"a\.c3d is no file of at most 2 GB"):
-        read_in_child("bcid.measurement.c3d", tmp_path / "a.c3d", seconds=60)
+        read_in_child("bcid.measurement.formats.capture_c3d", tmp_path / "a.c3d", seconds=60)
 
 
 _FORKS = """

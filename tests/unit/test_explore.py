@@ -29,8 +29,7 @@ from bcid.inference.information import coordinates, information, noise_free
 from bcid.inference.nuisances import NuisanceModes
 from bcid.measurement import Action, Measurement
 from bcid.predict.pull_prediction import PullPrediction
-from bcid.predict.pull_predictor import small_action
-from bcid.predict.pull_tangent import PullTangent
+from bcid.predict.pull_predictor import PullTangent, small_action
 from bcid.predict.questions import of_pull
 from bcid.scene import Grasp, Level, Limits, Material, Region, Scene
 from bcid.search.hill_climbing import all_candidates

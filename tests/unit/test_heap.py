@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bcid.base import heap
+from bcid.forms.solver.multigrid import trim
 
 MIB = 2**20
 
@@ -24,6 +24,6 @@ def test_what_is_freed_goes_back() -> None:
     last = pieces.pop()
     before = resident()
     pieces.clear()
-    assert heap.trim()
+    assert trim()
     assert before - resident() > 60 * MIB
     assert len(last) == 4096

@@ -15,10 +15,9 @@ from bcid.report.calibration_picture import draw
 from bcid.vision.calibrate import calibrate
 from bcid.vision.camera import Cameras
 from bcid.vision.corners import Corners
-from bcid.vision.first_guess import first_guess
+from bcid.vision.first_guess import first_guess, resect
 from bcid.vision.known_points import KnownPoints
 from bcid.vision.register import rigid
-from bcid.vision.resection import resect
 from bcid.vision.triangulate import triangulate
 
 Array = NDArray[np.float64]

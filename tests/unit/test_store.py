@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from bcid.base.packed import packed, unpacked
 from bcid.forms import effect_trial as trial
 from bcid.forms import effects
 from bcid.forms.course import in_time
@@ -27,7 +26,7 @@ from bcid.predict import questions, store
 from bcid.predict.predictor import Predictor
 from bcid.predict.pull_prediction import PullPrediction
 from bcid.predict.result_formats import PullFormat, SensitivitiesFormat, TangentsFormat
-from bcid.predict.store import PredictionStore
+from bcid.predict.store import PredictionStore, packed, unpacked
 
 
 class Plain:

@@ -18,14 +18,13 @@ from bcid.forms.mesh import level_mesh
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.probes import Probe, SensitivityRequest
 from bcid.forms.sensitivity import Sensitivity
-from bcid.forms.simulate import simulate
-from bcid.forms.simulated_cloud import simulated_cloud
+from bcid.forms.simulate import simulate, simulated_cloud
 from bcid.forms.solver.equilibrium import Settings
 from bcid.inference.data import Data
 from bcid.inference.misfit import Misfit
 from bcid.measurement import Action, Measurement
 from bcid.measurement.cloud import Cloud
-from bcid.measurement.dataset import motions_dataset
+from bcid.measurement.contents import motions_dataset
 from bcid.measurement.frame_error import FrameError
 from bcid.measurement.plane_fits import Pieces, fit_planes
 from bcid.scene import Level, Scene, motions

@@ -20,8 +20,7 @@ from bcid.base.run_folder import RunFolder
 from bcid.measurement import Units
 from bcid.measurement.folder import read_grasps
 from bcid.vision.camera import Camera, Cameras
-from bcid.vision.layout import find
-from bcid.vision.neighbours import neighbours
+from bcid.vision.layout import find, neighbours
 from bcid.vision.recording import Recording
 from bcid.vision.register import register, rigid
 from bcid.vision.track import Tracker, working_distance

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from verify.problems import box, crumpled, forces, scene_of
 
 from bcid.forms import materials
-from bcid.forms.loads import nodal_weights
 from bcid.forms.mesh import BodyMesh
 from bcid.forms.mesh.body import Body
 from bcid.forms.model import Anchors, Held, Model, Term
 from bcid.forms.solver.equilibrium import Equilibrium, Settings
 from bcid.forms.solver.status import Status
-from bcid.forms.solver.supports import Pose
+from bcid.forms.solver.supports import Pose, nodal_weights
 from bcid.scene import Region
 from bcid.scene.rotation import rotate
 

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 import bcid
 from bcid import Scene, motions
 from bcid.comparison.coarse_search import CoarseSearch
-from bcid.comparison.few_steps import in_few_steps
-from bcid.comparison.state import State
+from bcid.comparison.state import State, in_few_steps
 from bcid.forms.effects.effect import BodyEffect, Constants, Point
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.parameter import Amount

@@ -25,7 +25,6 @@ from bcid.comparison.buckled_frames import buckled, leave_out
 from bcid.comparison.coarse_search import CoarseSearch
 from bcid.comparison.explain import ExplainOptions, explain
 from bcid.comparison.explanation import Explanation, explained, explains
-from bcid.comparison.few_steps import FEW_STEPS, in_few_steps
 from bcid.comparison.fit import Fit, columns, coordinates, fit
 from bcid.comparison.fitted_hypothesis import FittedHypothesis, fitted_beside, promoted, refit
 from bcid.comparison.hypothesis_table import HypothesisTable, TangentEvidence
@@ -33,7 +32,7 @@ from bcid.comparison.identify import identify
 from bcid.comparison.parameter_priors import of_state
 from bcid.comparison.ranking import rank
 from bcid.comparison.separate import separating_pulls
-from bcid.comparison.state import State
+from bcid.comparison.state import FEW_STEPS, State, in_few_steps
 from bcid.comparison.variants import _meanwhile
 from bcid.forms import effects
 from bcid.forms.forward import Forward, Prediction

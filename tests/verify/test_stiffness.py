@@ -11,12 +11,12 @@ import pytest
 from mpi4py import MPI
 from verify.problems import two_pulls
 
+from bcid.comparison.diagnosis import fit_twice
 from bcid.comparison.fit import Fit, fit
-from bcid.comparison.second_start import fit_twice
 from bcid.comparison.state import State
 from bcid.forms.model import Model, check_physics
 from bcid.forms.simulate import simulate
-from bcid.inference.force_noise import force_noise
+from bcid.inference.data import force_noise
 from bcid.measurement import Measurement
 from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Material, Scene

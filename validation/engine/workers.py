@@ -20,8 +20,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from bcid.base.answering import send
 from bcid.base.errors import MachineError
-from bcid.base.pipe import send
 from bcid.base.shipped import IMPORT_ROOT
 from validation.engine.time_limit import PATIENCE, never_done, used_up
 from validation.engine.work import Task, Work, Workers

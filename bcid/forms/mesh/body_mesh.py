@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import InputError, nearest
 from bcid.base.fingerprint import fingerprint
-from bcid.forms.mesh.criteria_of_facets import ENLARGE, in_piece, in_sphere, looking, missed, on_plane, wholly_in
 from bcid.forms.mesh.fields import Paint
 from bcid.forms.mesh.label_voxels import LabelVoxels
-from bcid.scene import Region
+from bcid.scene import Box, Facing, Plane, Region, Sphere
 
 Points = NDArray[np.float64]
 Cells = NDArray[np.int64]
@@ -26,6 +25,10 @@ Cells = NDArray[np.int64]
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
 # Seen from outside, each face runs against the clock.
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+Array = NDArray[np.float64]
+Chosen = NDArray[np.bool_]
+
+ENLARGE = "enlarge what chooses it, or use a finer mesh"
 
 
 @dataclass(frozen=True)
@@ -269,3 +272,46 @@ def oriented(points: Points, cells: Cells) -> Cells:
 def triple(values: Points) -> str:
     """Three numbers for a message: "(1, 2.5, 3)"."""
     return "(" + ", ".join(f"{v:.4g}" for v in values) + ")"
+
+
+def wholly_in(corners: Array, box: Box, tolerance: float) -> Chosen:
+    """Which entities (k, corners, 3) have all corners in a box."""
+    low, high = np.array(box.lower) - tolerance, np.array(box.upper) + tolerance
+    return np.asarray(((corners >= low) & (corners <= high)).all(axis=(1, 2)))
+
+
+def on_plane(corners: Array, plane: Plane, tolerance: float) -> Chosen:
+    """Which entities (k, corners, 3) have all corners on a plane."""
+    distance = (corners - np.array(plane.point)) @ np.array(plane.normal)
+    return np.asarray((np.abs(distance) <= tolerance).all(axis=1))
+
+
+def in_piece(middle: Array, box: Box, tolerance: float) -> Chosen:
+    """Which middles (k, 3) belong to one of the boxes that tile the space."""
+    # Both bounds are moved alike, so that neighbours still meet: a middle on the cut belongs to the upper one
+    # whatever its round-off.
+    low, high = np.array(box.lower) - tolerance, np.array(box.upper) - tolerance
+    return np.asarray(((middle >= low) & (middle < high)).all(axis=1))
+
+
+def in_sphere(middle: Array, sphere: Sphere, tolerance: float) -> Chosen:
+    """Which middles (k, 3) lie in a sphere."""
+    return np.asarray(np.linalg.norm(middle - np.array(sphere.centre), axis=1) <= sphere.radius + tolerance)
+
+
+def looking(corners: Array, facing: Facing) -> Chosen:
+    """Which triangles (k, 3, 3), against the clock as seen from outside, look in a direction, to within its angle."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cosine = normal @ np.array(facing.normal) / np.linalg.norm(normal, axis=1)
+    return np.asarray(cosine >= np.cos(np.radians(facing.within)) - 1e-9)
+
+
+def missed(region: Region) -> str:
+    """What no facet does, as the end of a sentence."""
+    words = [
+        (region.box or region.plane, "lies wholly in the box or on the plane"),
+        (region.sphere, "has its middle in the sphere"),
+        (region.facing, "looks in the direction of the normal, to within the angle"),
+        (region.painted, "is painted with the value"),
+    ]
+    return " and ".join(text for criterion, text in words if criterion) or "is in the group"

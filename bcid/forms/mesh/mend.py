@@ -16,16 +16,23 @@ from scipy.spatial import cKDTree
 
 from bcid.base.errors import InputError
 from bcid.forms.mesh.body_mesh import triple
-from bcid.forms.mesh.crossings import refuse_crossings
-from bcid.forms.mesh.holes import closed
-from bcid.forms.mesh.parts_of_surface import one_body
-from bcid.forms.mesh.sides import owners, sides
+from bcid.forms.mesh.closest import Neighbourhood
+from bcid.forms.mesh.parts_of_surface import one_body, owners, sides
 from bcid.forms.mesh.surface_file import TriangleSurface
 
 # Nodes closer than this part of the size are the same.
 _JOINED = 1e-6
 # A surface with more triangles is not taken: finding where it crosses itself takes minutes.
 _MOST_TRIANGLES = 2_000_000
+Array = NDArray[np.float64]
+
+# Triangles that are looked at together, which bounds the memory that pairs take.
+_TOGETHER = 5000
+# A side that ends this near to a triangle, as a part of its length, touches it.
+_TOUCHES = 1e-6
+# A hole that is broader than this part of the body is not closed: nobody knows what the body is like there.
+_SMALL = 0.1
+_REMEDY = "close it (MeshLab: 'Close Holes'; Blender: Mesh > Fill), or scan the body from that side as well"
 
 
 def mended(surface: TriangleSurface) -> TriangleSurface:
@@ -156,3 +163,110 @@ def _with_turned_note(before: TriangleSurface, after: TriangleSurface) -> Triang
 def _turn(row: NDArray[np.int64]) -> tuple[int, ...]:
     """A triangle from its lowest node on, in its sense."""
     return tuple(map(int, np.roll(row, -int(row.argmin()))))
+
+
+def refuse_crossings(surface: TriangleSurface) -> None:
+    """Refuse a surface whose triangles go through others.
+
+    Raises:
+        InputError: with the number of triangles, and where the first is.
+    """
+    corners = surface.points[surface.triangles]
+    near = Neighbourhood(corners)
+    crossing: set[int] = set()
+    for begin in range(0, len(corners), _TOGETHER):
+        mine = np.arange(begin, min(begin + _TOGETHER, len(corners)))
+        at, other = near.pairs(near.middle[mine], near.radius[mine])
+        one = mine[at]
+        apart = (surface.triangles[one][:, :, None] != surface.triangles[other][:, None, :]).all(axis=(1, 2))
+        one, other = one[apart], other[apart]
+        through = _pierces(corners[one], corners[other])
+        crossing |= set(one[through].tolist()) | set(other[through].tolist())
+    if crossing:
+        where = triple(corners[min(crossing)].mean(axis=0))
+        raise InputError(
+            f"crosses itself: {len(crossing)} triangles go through others, the first at {where} in the unit of the file; "
+            "remove them and close the holes (MeshLab: 'Select Self Intersecting Faces'), or remesh the surface (Blender: "
+            "Remesh > Voxel)"
+        )
+
+
+def _pierces(one: Array, other: Array) -> NDArray[np.bool_]:
+    """Whether a side of a triangle goes through the inside of another, for pairs (n, 3, 3); after Moeller and Trumbore 1997."""
+    found = np.zeros(len(one), dtype=bool)
+    edge1, edge2 = other[:, 1] - other[:, 0], other[:, 2] - other[:, 0]
+    for i in range(3):
+        start, way = one[:, i], one[:, (i + 1) % 3] - one[:, i]
+        across = np.cross(way, edge2)
+        scale = np.einsum("ij,ij->i", edge1, across)
+        flat = np.abs(scale) <= 1e-12 * np.linalg.norm(edge1, axis=1) * np.linalg.norm(across, axis=1)
+        safe = np.where(flat, 1.0, scale)
+        offset = start - other[:, 0]
+        u = np.einsum("ij,ij->i", offset, across) / safe
+        turned = np.cross(offset, edge1)
+        v = np.einsum("ij,ij->i", way, turned) / safe
+        t = np.einsum("ij,ij->i", edge2, turned) / safe
+        inside = (u > _TOUCHES) & (v > _TOUCHES) & (u + v < 1 - _TOUCHES) & (t > _TOUCHES) & (t < 1 - _TOUCHES)
+        found |= inside & ~flat
+    return found
+
+
+def closed(surface: TriangleSurface) -> TriangleSurface:
+    """The surface, its triangles alike, with small holes closed by a fan around the middle of their rim; fields are nan there.
+
+    Raises:
+        InputError: a hole is larger than a tenth of the body, or holes touch.
+    """
+    rims = _rims(surface)
+    if not rims:
+        return surface
+    broad = [_breadth(surface.points[rim]) for rim in rims]
+    size = _breadth(surface.points)
+    largest = int(np.argmax(broad))
+    if broad[largest] > _SMALL * size:
+        where = triple(surface.points[rims[largest]].mean(axis=0))
+        text = f"is open: {len(rims)} hole(s) with {sum(map(len, rims))} edges, the largest {broad[largest]:.4g} across at {where}"
+        raise InputError(f"{text}, in the unit of the file, of a body of {size:.4g}; {_REMEDY}")
+    points, triangles = [surface.points], [surface.triangles]
+    for number, rim in enumerate(rims):
+        middle = len(surface.points) + number
+        points.append(surface.points[rim].mean(axis=0, keepdims=True))
+        triangles.append(np.c_[rim, np.roll(rim, -1), np.full(len(rim), middle)])
+    added = sum(map(len, rims))
+    fields = {name: _blank_beyond(values, added) for name, values in surface.fields.items()}
+    note = f"{len(rims)} hole(s) were closed, the largest {broad[largest] / size:.2g} of the body's size across"
+    return replace(
+        surface,
+        points=np.vstack(points),
+        triangles=np.vstack(triangles),
+        fields=fields,
+        notes=(*surface.notes, note),
+    )
+
+
+def _breadth(points: NDArray[np.float64]) -> float:
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
+def _blank_beyond(values: NDArray[np.float64], added: int) -> NDArray[np.float64]:
+    return np.concatenate([values.astype(float), np.full((added, *values.shape[1:]), np.nan)])
+
+
+def _rims(surface: TriangleSurface) -> list[NDArray[np.int64]]:
+    """Nodes around each hole, in the sense that the triangles in it will have."""
+    _, number, count = owners(surface.triangles)
+    lone = sides(surface.triangles)[count[number] == 1]
+    following = {int(b): int(a) for a, b in lone}
+    if len(following) < len(lone):
+        where = triple(surface.points[lone[0]].mean(axis=0))
+        text = f"is open: {len(lone)} edges have a triangle on one side only, and holes touch, near {where}"
+        raise InputError(f"{text} in the unit of the file; {_REMEDY}")
+    rims = []
+    while following:
+        rim = [next(iter(following))]
+        while following[rim[-1]] != rim[0]:
+            rim.append(following[rim[-1]])
+        rims.append(np.array(rim))
+        for node in rim:
+            del following[node]
+    return rims

@@ -6,13 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from bcid.base.errors import InputError
-from bcid.forms.mesh.sides import part_of_each
 from bcid.forms.mesh.surface_file import TriangleSurface
 
 # A part with less than this of the largest one's volume is a loose bit.
 _BIT = 1e-3
+Numbers = NDArray[np.int64]
 
 
 def one_body(surface: TriangleSurface) -> TriangleSurface:
@@ -71,3 +73,24 @@ def _inside(surface: TriangleSurface, outer: NDArray[np.bool_], inner: NDArray[n
     dots = [np.einsum("ij,ij->i", p, q) * r for p, q, r in ((a, b, lc), (b, c, la), (c, a, lb))]
     angle = 2 * np.arctan2(np.einsum("ij,ij->i", a, np.cross(b, c)), la * lb * lc + sum(dots))
     return bool(abs(angle.sum()) > 2 * np.pi)
+
+
+def sides(triangles: Numbers) -> Numbers:
+    """The three sides of each triangle (k, 3) as it runs along them, shape (3 k, 2)."""
+    return np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
+
+
+def owners(triangles: Numbers) -> tuple[Numbers, Numbers, Numbers]:
+    """Edges (e, 2), lower node first; the edge of each side, shape (3 k,); and the number of triangles at each edge, (e,)."""
+    edges, number, count = np.unique(np.sort(sides(triangles), axis=1), axis=0, return_inverse=True, return_counts=True)
+    return edges, number.ravel(), count
+
+
+def part_of_each(triangles: Numbers) -> Numbers:
+    """Number of the part, connected by edges, that each triangle (k, 3) belongs to, shape (k,)."""
+    number = owners(triangles)[1]
+    order = np.argsort(number, kind="stable")
+    same = number[order[1:]] == number[order[:-1]]
+    one, other = order[:-1][same] // 3, order[1:][same] // 3
+    graph = coo_matrix((np.ones(len(one)), (one, other)), shape=(len(triangles),) * 2)
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import ctypes
 import math
+import os
 
 import numpy as np
 from numpy.typing import NDArray
 from petsc4py import PETSc
-
-from bcid.base import heap
 
 Array = NDArray[np.float64]
 # What PETSc's Python interface leaves out.
@@ -115,7 +114,7 @@ class Multigrid:
             hierarchy.setCoordinates(self.nodes)
         alone = self.matrix.comm.size == 1
         # Most memory is taken here: what the mesh, the pattern and the assembly have freed should not be held besides.
-        heap.trim()
+        trim()
         if alone:
             options[_PRODUCTS[0]] = _PRODUCTS[1]
         try:
@@ -124,7 +123,7 @@ class Multigrid:
             if alone:
                 options.delValue(_PRODUCTS[0])
         self._drop_products()
-        heap.trim()
+        trim()
         self.built += 1
         self._new, self._worn, self._first = False, False, None
 
@@ -167,3 +166,13 @@ class Multigrid:
     def destroy(self) -> None:
         """Free the PETSc objects. Collective."""
         self._krylov.destroy()
+
+
+def trim() -> bool:
+    """Give the pages of this process that nothing uses back to the system; False where its C library has no way to (glibc has).
+
+    Numbering a mesh and finding the pattern of a matrix free as many bytes as they leave, in pieces too small to go back by
+    themselves, and what is allocated next is too large to go there.
+    """
+    found = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
+    return found is not None and bool(found(ctypes.c_size_t(0)))
