@@ -25,13 +25,13 @@ from bcid.base.version import VERSION as __version__
 if TYPE_CHECKING:
     from bcid.api.functions import compare, diagnose, explain, explore, fit, identify, propose
     from bcid.api.results import load
-    from bcid.comparison.explain import ExplainOptions
     from bcid.exploration.loop import ExploreOptions
     from bcid.forms.model import Model, Term
     from bcid.forms.simulate import simulate
+    from bcid.grammar.propose import ProposeOptions
     from bcid.measurement import Measurement
-    from bcid.proposal.propose import ProposeOptions
     from bcid.scene import Scene, motions
+    from bcid.search.explain import ExplainOptions
     from bcid.search.identify_options import IdentifyOptions
     from bcid.search.stages import StageOptions
 
@@ -43,9 +43,9 @@ _MODULES = {
     "bcid.api.results": ("load",),
     "bcid.search.identify_options": ("IdentifyOptions",),
     "bcid.search.stages": ("StageOptions",),
-    "bcid.comparison.explain": ("ExplainOptions",),
+    "bcid.search.explain": ("ExplainOptions",),
     "bcid.exploration.loop": ("ExploreOptions",),
-    "bcid.proposal.propose": ("ProposeOptions",),
+    "bcid.grammar.propose": ("ProposeOptions",),
     "bcid.forms.model": ("Model", "Term"),
 }
 _HOME = {name: module for module, names in _MODULES.items() for name in names} | {"motions": "bcid.scene.motions"}

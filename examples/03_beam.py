@@ -23,17 +23,17 @@ from mpi4py import MPI
 
 from bcid import Measurement, Scene
 from bcid.base.units import uncertain
-from bcid.comparison import diagnosis_text
-from bcid.comparison.adequacy import Adequacy, judge
-from bcid.comparison.fit import Fit, fit
-from bcid.comparison.fitted_hypothesis import FittedHypothesis, fitted_beside
-from bcid.comparison.ranking import Ranking, Row, rank
-from bcid.comparison.state import State
 from bcid.forms import effects
 from bcid.forms.model import Model, Term
 from bcid.forms.simulate import recorded
 from bcid.measurement import Action
 from bcid.predict.predictor import Predictor
+from bcid.search.answer import diagnosis_text
+from bcid.search.answer.adequacy import Adequacy, judge
+from bcid.search.fitting.fit import Fit, fit
+from bcid.search.fitting.fitted_hypothesis import FittedHypothesis, fitted_beside
+from bcid.search.fitting.ranking import Ranking, Row, rank
+from bcid.search.fitting.state import State
 
 HERE = Path(__file__).resolve().parent
 CLAMPED = frozenset({"clamp"})

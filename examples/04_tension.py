@@ -30,14 +30,14 @@ from scipy.interpolate import PchipInterpolator
 from bcid import Measurement, ProposeOptions, Scene, propose
 from bcid.api.results import ProposeResult
 from bcid.base.units import uncertain
-from bcid.comparison import diagnosis_text
-from bcid.comparison.fit import Fit, fit
-from bcid.comparison.ranking import Ranking, rank
-from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.forms.simulate import recorded, with_wrenches
 from bcid.measurement import Action
 from bcid.predict.predictor import Predictor
+from bcid.search.answer import diagnosis_text
+from bcid.search.fitting.fit import Fit, fit
+from bcid.search.fitting.ranking import Ranking, rank
+from bcid.search.fitting.state import State
 
 HERE = Path(__file__).resolve().parent
 # Engineering strain, and engineering stress, kPa.

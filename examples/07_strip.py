@@ -32,13 +32,13 @@ from numpy.typing import NDArray
 
 from bcid import ExplainOptions, Measurement, ProposeOptions, Scene, explain, propose
 from bcid.api.results import DiagnosisResult, ProposeResult
-from bcid.comparison.fit import Fit, fit
-from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.forms.simulate import recorded
 from bcid.measurement import Action, Units
 from bcid.predict.predictor import Predictor
 from bcid.scene import Material
+from bcid.search.fitting.fit import Fit, fit
+from bcid.search.fitting.state import State
 from bcid.vision.camera import Camera, Cameras
 from bcid.vision.triangulate import triangulate
 

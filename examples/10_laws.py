@@ -29,14 +29,14 @@ from mpi4py import MPI
 
 from bcid import Measurement, Scene
 from bcid.base.units import percent, uncertain
-from bcid.comparison.adequacy import judge
-from bcid.comparison.fit import Fit, fit
-from bcid.comparison.fitted_hypothesis import weighed
-from bcid.comparison.state import State
 from bcid.forms.materials.law import Law
 from bcid.forms.model import Model
 from bcid.predict.predictor import Predictor
 from bcid.scene import Material
+from bcid.search.answer.adequacy import judge
+from bcid.search.fitting.fit import Fit, fit
+from bcid.search.fitting.fitted_hypothesis import weighed
+from bcid.search.fitting.state import State
 
 HERE = Path(__file__).resolve().parent
 SHIPPED = ("neo-hooke", "mooney-rivlin", "blatz-ko")

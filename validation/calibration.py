@@ -23,10 +23,6 @@ from scipy.special import logsumexp
 
 from bcid.base.progress import Progress
 from bcid.base.run_folder import write_whole
-from bcid.comparison.parameter_priors import log_share, log_variants, one_sided, visible
-from bcid.comparison.ranking import rank
-from bcid.comparison.state import State
-from bcid.comparison.variants import Variant
 from bcid.forms import effects
 from bcid.forms.model import Model
 from bcid.inference.discrepancy import Evidence
@@ -34,6 +30,10 @@ from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.evidence import LowRankDiscrepancy, log_gains
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
 from bcid.inference.priors import PRIORS
+from bcid.search.fitting.parameter_priors import log_share, log_variants, one_sided, visible
+from bcid.search.fitting.ranking import rank
+from bcid.search.fitting.state import State
+from bcid.search.fitting.variants import Variant
 from validation.golden.cases import MEASUREMENT, SCENE, prepare
 from validation.text_table import TextTable
 
@@ -186,11 +186,11 @@ def _state(folder: Path) -> State:
     """The case in a few steps, with the set that is likeliest there."""
     from mpi4py import MPI
 
-    from bcid.comparison.searched import first_sets
-    from bcid.comparison.state import in_few_steps
     from bcid.measurement import Measurement
     from bcid.predict.predictor import Predictor
     from bcid.scene import Scene
+    from bcid.search.fitting.state import in_few_steps
+    from bcid.search.searched import first_sets
 
     scene = Scene.read(folder / SCENE)
     predictor = Predictor(scene, Measurement.read(folder / MEASUREMENT), MPI.COMM_SELF)

@@ -106,11 +106,11 @@ def _beam(_folder: Path, _output: Path) -> Iterator[Row]:
     from mpi4py import MPI
 
     from bcid import Scene
-    from bcid.comparison.fit import fit
-    from bcid.comparison.state import State
     from bcid.forms.model import Model
     from bcid.predict.predictor import Predictor
     from bcid.scene.uncertainty import Uncertainty
+    from bcid.search.fitting.fit import fit
+    from bcid.search.fitting.state import State
 
     example = _example("03_beam")
     scene = replace(Scene.read(EXAMPLES / "scenes/beam.toml"), uncertainty=Uncertainty())

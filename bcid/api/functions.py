@@ -12,13 +12,6 @@ from bcid.api.results import DiagnosisResult, ExploreResult, IdentifyResult, Pro
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import InputError, nearest
 from bcid.base.progress import Progress
-from bcid.comparison import identify_run
-from bcid.comparison.diagnosis import Diagnosis, check_terms, compared, diagnosed, explained, on_predictor, refitted
-from bcid.comparison.explain import ExplainOptions
-from bcid.comparison.output import collect
-from bcid.comparison.output import documents as diagnosis_documents
-from bcid.comparison.source import Source
-from bcid.comparison.written_term import parsed_term
 from bcid.exploration import explore_run
 from bcid.exploration.loop import ExploreOptions, paired
 from bcid.exploration.loop import explore as explore_with
@@ -27,15 +20,22 @@ from bcid.forms.effects.effect import Effect
 from bcid.forms.forward import check_geometry
 from bcid.forms.mesh.patches import divided
 from bcid.forms.model import Model, Term, check_physics
+from bcid.grammar.proposal_documents import WrittenProposal, proposal_documents, searched
+from bcid.grammar.propose import ProposeOptions
+from bcid.grammar.propose_run import effect_names
 from bcid.inference.continuation import truncate_to_converged
 from bcid.measurement import Measurement
 from bcid.predict.predictor import Predictor
 from bcid.predict.pull_predictor import PullPredictor
 from bcid.predict.store import PredictionStore
-from bcid.proposal.proposal_documents import WrittenProposal, proposal_documents, searched
-from bcid.proposal.propose import ProposeOptions
-from bcid.proposal.propose_run import effect_names
 from bcid.scene import Scene
+from bcid.search.answer import identify_run
+from bcid.search.answer.diagnosis import Diagnosis, check_terms, compared, diagnosed, explained, on_predictor, refitted
+from bcid.search.answer.output import collect
+from bcid.search.answer.output import documents as diagnosis_documents
+from bcid.search.answer.source import Source
+from bcid.search.answer.written_term import parsed_term
+from bcid.search.explain import ExplainOptions
 from bcid.search.identify_options import IdentifyOptions
 
 SceneLike = Scene | str | Path

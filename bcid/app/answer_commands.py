@@ -17,7 +17,7 @@ from bcid.base.run_folder import RunFolder
 from bcid.base.shipped import shipped
 
 if TYPE_CHECKING:
-    from bcid.comparison.explain import ExplainOptions
+    from bcid.search.explain import ExplainOptions
     from bcid.search.stages import StageOptions
 
 DEMO_SCENE = "examples/scenes/slab_explain.toml"
@@ -57,7 +57,7 @@ def _demo_report(folder: Path) -> None:
 
 def identify(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid identify`."""
-    from bcid.comparison.identify_run import run_identification
+    from bcid.search.answer.identify_run import run_identification
     from bcid.search.identify_options import IdentifyOptions
 
     options = IdentifyOptions(arguments.certify, arguments.level, _stages(arguments))
@@ -86,7 +86,7 @@ def _stages(arguments: argparse.Namespace) -> StageOptions | None:
 
 def compare(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid compare`."""
-    from bcid.comparison.compare_runs import run_compare
+    from bcid.search.answer.compare_runs import run_compare
 
     progress = progress_of(arguments, comm.rank)
     common = _common(arguments, comm, progress)
@@ -96,7 +96,7 @@ def compare(arguments: argparse.Namespace, comm: Comm) -> None:
 
 def diagnose(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid diagnose`."""
-    from bcid.comparison.compare_runs import run_diagnose
+    from bcid.search.answer.compare_runs import run_diagnose
 
     progress = progress_of(arguments, comm.rank)
     common = _common(arguments, comm, progress) | {"only": listed(arguments.only)}
@@ -106,7 +106,7 @@ def diagnose(arguments: argparse.Namespace, comm: Comm) -> None:
 
 def fit(arguments: argparse.Namespace, comm: Comm) -> None:
     """`bcid fit`."""
-    from bcid.comparison.compare_runs import run_fit
+    from bcid.search.answer.compare_runs import run_fit
 
     if not (arguments.add or arguments.free):
         raise InputError("fit: nothing to do; name an effect with --add (as --add gravity) or a number with --free")
@@ -165,8 +165,8 @@ def _proposed(
     run: Path, output: Path | None, folder: Path, arguments: argparse.Namespace, comm: Comm, progress: Progress
 ) -> None:
     """Search the grammar beside the model of a run, and tell what came out."""
-    from bcid.proposal.propose import ProposeOptions
-    from bcid.proposal.propose_run import run_propose
+    from bcid.grammar.propose import ProposeOptions
+    from bcid.grammar.propose_run import run_propose
 
     options = ProposeOptions(level=arguments.level)
     if arguments.command == "propose":
@@ -180,7 +180,7 @@ def _proposed(
 
 def _explained(scene: Path, measurement: Path, arguments: argparse.Namespace, comm: Comm, progress: Progress) -> Path:
     """Run the whole loop; returns the run folder."""
-    from bcid.comparison.compare_runs import run_explain
+    from bcid.search.answer.compare_runs import run_explain
 
     options, files = _options(arguments), getattr(arguments, "effects", [])
     store = getattr(arguments, "store", None)
@@ -189,7 +189,7 @@ def _explained(scene: Path, measurement: Path, arguments: argparse.Namespace, co
 
 def _options(arguments: argparse.Namespace) -> ExplainOptions:
     """Of the loop; the demo has none to choose."""
-    from bcid.comparison.explain import ExplainOptions
+    from bcid.search.explain import ExplainOptions
 
     only = listed(getattr(arguments, "only", None))
     return ExplainOptions(

@@ -16,7 +16,6 @@ from bcid.base.inside_folder import refuse_links
 from bcid.base.progress import Progress, Silent
 from bcid.base.run_folder import RunFolder, running, sealed, unsealed
 from bcid.base.units import for_people, percent
-from bcid.comparison.identify_run import odd, stiffness_in_words
 from bcid.exploration.loop import (
     BUDGET,
     DECIDED,
@@ -44,6 +43,7 @@ from bcid.measurement import Measurement
 from bcid.predict.pull_predictor import PullPredictor
 from bcid.predict.store import PredictionStore
 from bcid.scene import Scene
+from bcid.search.answer.identify_run import odd, stiffness_in_words
 
 SIMULATED, FOLDER = "simulated", "folder"
 # So many sets are named in a sentence.

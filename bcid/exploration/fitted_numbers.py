@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
-from bcid.comparison.fitted_hypothesis import FittedHypothesis
-from bcid.comparison.parameter_priors import of_state
 from bcid.forms.model import Model
 from bcid.inference.evidence import LinearParameters
+from bcid.search.fitting.fitted_hypothesis import FittedHypothesis
+from bcid.search.fitting.parameter_priors import of_state
 
 Array = NDArray[np.float64]
 

@@ -11,13 +11,6 @@ from numpy.typing import NDArray
 
 from bcid.base.errors import SolveError
 from bcid.base.progress import Progress, Silent
-from bcid.comparison.candidates import Known
-from bcid.comparison.fitted_hypothesis import FittedHypothesis, best_first
-from bcid.comparison.full_search import FullSearch
-from bcid.comparison.hypothesis_table import HypothesisTable
-from bcid.comparison.searched import searched
-from bcid.comparison.set_tangents import neighbours, sets_predicted
-from bcid.comparison.state import State
 from bcid.exploration.fitted_numbers import FittedNumbers
 from bcid.exploration.joined import JoinedPredictors
 from bcid.exploration.posterior_summary import PosteriorSummary
@@ -29,7 +22,14 @@ from bcid.measurement import Action, Measurement
 from bcid.predict.predictor import Predictor
 from bcid.predict.pull_predictor import PullPredictor
 from bcid.scene import Scene
+from bcid.search.candidates import Known
+from bcid.search.fitting.fitted_hypothesis import FittedHypothesis, best_first
+from bcid.search.fitting.state import State
+from bcid.search.full_search import FullSearch
 from bcid.search.hill_climbing import all_candidates, random_seeds
+from bcid.search.hypothesis_table import HypothesisTable
+from bcid.search.searched import searched
+from bcid.search.set_tangents import neighbours, sets_predicted
 from bcid.search.settings import SETTINGS
 
 Array = NDArray[np.float64]
@@ -175,7 +175,7 @@ def _mesh_error(rival: FittedHypothesis) -> float:
 
 @dataclass(frozen=True)
 class PossibleSets:
-    """What sets predict for all pulls, for `bcid.comparison.full_search`.
+    """What sets predict for all pulls, for `bcid.search.full_search`.
 
     Attributes:
         working: predicts pulls.
@@ -190,7 +190,7 @@ class PossibleSets:
     def evidences(
         self, rival: FittedHypothesis, begun: Model, excluded: frozenset[Anchored]
     ) -> dict[Anchored, Evidence]:
-        """See `bcid.comparison.full_search.SetEvaluator`."""
+        """See `bcid.search.full_search.SetEvaluator`."""
         state = rival.judged
         sets = [anchors for anchors in neighbours(state, begun, True) if anchors not in excluded]
         predicted = self._predicted(sets, state.model)

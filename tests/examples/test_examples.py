@@ -15,12 +15,12 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from bcid import ExplainOptions, Measurement, Model, Scene
-from bcid.comparison.fit import fit
-from bcid.comparison.state import State
 from bcid.forms.kinematics import Kinematics
+from bcid.grammar.effect_file import made
 from bcid.predict.predictor import Predictor
-from bcid.proposal.effect_file import made
 from bcid.scene.uncertainty import Uncertainty
+from bcid.search.fitting.fit import fit
+from bcid.search.fitting.state import State
 from bcid.search.identify_options import IdentifyOptions
 from bcid.vision.triangulate import linear, triangulate
 

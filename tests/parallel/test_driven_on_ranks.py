@@ -14,11 +14,11 @@ from mpi4py import MPI
 
 from bcid import Measurement, Scene
 from bcid.base.errors import InputError
-from bcid.comparison.identify_run import fitting
 from bcid.forms.forward import Forward
 from bcid.forms.model import check_physics
 from bcid.forms.solver.equilibrium import Settings
 from bcid.scene.parts import Driven, Level
+from bcid.search.answer.identify_run import fitting
 
 pytestmark = pytest.mark.parallel
 WORLD = MPI.COMM_WORLD

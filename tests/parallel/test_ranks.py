@@ -21,11 +21,6 @@ from verify.problems import box, move, pull_and_lift, scene_of, straight
 from bcid.base.collective import Comm, on_root
 from bcid.base.errors import BcidError, InputError
 from bcid.base.scheduler import counter, share
-from bcid.comparison.curvature import curvature
-from bcid.comparison.identify import identify
-from bcid.comparison.refine import identify_refined
-from bcid.comparison.source import from_files
-from bcid.comparison.state import State
 from bcid.exploration.loop import Exploration, ExploreOptions, explore
 from bcid.exploration.robots import Simulated
 from bcid.forms.forward import Forward, Prediction
@@ -45,6 +40,11 @@ from bcid.predict.pull_predictor import PullPredictor
 from bcid.predict.store import PredictionStore
 from bcid.scene import Level, Limits, Region, Scene
 from bcid.scene.motions import about_x, motion
+from bcid.search.answer.refine import identify_refined
+from bcid.search.answer.source import from_files
+from bcid.search.fitting.curvature import curvature
+from bcid.search.fitting.state import State
+from bcid.search.identify import identify
 from bcid.search.identify_options import IdentifyOptions
 from bcid.search.set_misfits import MeasuredMisfits
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from bcid.comparison.variants import neutral_values
 from bcid.forms import effects
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.probes import Probe, SensitivityRequest
@@ -18,6 +17,7 @@ from bcid.predict.acting import by_the_clock, steady
 from bcid.predict.predictor import Predictor
 from bcid.scene import Scene
 from bcid.scene.motions import motion
+from bcid.search.fitting.variants import neutral_values
 
 TIMES = np.array([0.0, 1.0, 3.0])
 

@@ -117,7 +117,9 @@ def test_arrays_state_their_units(result: Result) -> None:
 
 def test_functions_and_packages_do_not_share_a_name() -> None:
     """Whatever was imported before: a package of the same name would take the function's place."""
-    code = "import bcid, bcid.app.answer_commands, bcid.app.tool_commands, bcid.comparison.fit, bcid.exploration.loop"
+    code = (
+        "import bcid, bcid.app.answer_commands, bcid.app.tool_commands, bcid.search.fitting.fit, bcid.exploration.loop"
+    )
     names = ("identify", "compare", "diagnose", "fit", "explain", "explore", "simulate", "load")
     code += f"\nassert all(callable(getattr(bcid, name)) for name in {names})"
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -171,7 +171,7 @@ def identified(folder: Path, scene: Path = SLAB, state: str = "finished", **reco
     from mpi4py import MPI
 
     from bcid.base.run_folder import RunFolder
-    from bcid.comparison.source import from_files
+    from bcid.search.answer.source import from_files
 
     source = from_files(scene, SEEN, (), MPI.COMM_SELF)
     run = RunFolder.start(folder, "identify", source.inputs({}))
@@ -226,7 +226,7 @@ def test_an_effect_file_is_run_once(tmp_path: Path) -> None:
     """However often the effects are asked for: they are the same objects, in the order of the files."""
     from mpi4py import MPI
 
-    from bcid.comparison.source import find_effect, from_files
+    from bcid.search.answer.source import find_effect, from_files
 
     text = (ROOT / "examples/effects/magnetic_force.py").read_text(encoding="utf-8")
     path, times = tmp_path / "magnetic_force.py", tmp_path / "times"
@@ -238,12 +238,12 @@ def test_an_effect_file_is_run_once(tmp_path: Path) -> None:
 
 
 JOBS = {
-    "demo": ("bcid.comparison.compare_runs.run_explain", []),
-    "identify": ("bcid.comparison.identify_run.run_identification", ["scene.toml", "seen", "-o", "run"]),
-    "explain": ("bcid.comparison.compare_runs.run_explain", ["scene.toml", "seen", "-o", "run"]),
-    "compare": ("bcid.comparison.compare_runs.run_compare", ["run"]),
-    "diagnose": ("bcid.comparison.compare_runs.run_diagnose", ["run"]),
-    "fit": ("bcid.comparison.compare_runs.run_fit", ["run", "--add", "gravity", "-o", "run2"]),
+    "demo": ("bcid.search.answer.compare_runs.run_explain", []),
+    "identify": ("bcid.search.answer.identify_run.run_identification", ["scene.toml", "seen", "-o", "run"]),
+    "explain": ("bcid.search.answer.compare_runs.run_explain", ["scene.toml", "seen", "-o", "run"]),
+    "compare": ("bcid.search.answer.compare_runs.run_compare", ["run"]),
+    "diagnose": ("bcid.search.answer.compare_runs.run_diagnose", ["run"]),
+    "fit": ("bcid.search.answer.compare_runs.run_fit", ["run", "--add", "gravity", "-o", "run2"]),
 }
 
 

@@ -14,17 +14,6 @@ from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 
 from bcid.base.progress import Progress, Silent
-from bcid.comparison import diagnosis_text
-from bcid.comparison.adequacy import breaking, judge
-from bcid.comparison.diagnosis_text import conclusion
-from bcid.comparison.explanation import Explanation, ModelStep, explains
-from bcid.comparison.fit import Coordinate, Fit, _covariance, _loose, fit
-from bcid.comparison.held_out import held_out
-from bcid.comparison.law_form import LawForm
-from bcid.comparison.parameter_priors import _width, of_state
-from bcid.comparison.ranking import _bounded, rank
-from bcid.comparison.state import State
-from bcid.comparison.variants import Variant, _harmonics, _large
 from bcid.forms import effect_trial as trial
 from bcid.forms import effects
 from bcid.forms.effects.effect import BodyEffect
@@ -44,6 +33,17 @@ from bcid.predict.kept_predictions import MeasurementPrediction
 from bcid.report.text import amount
 from bcid.scene import Scene
 from bcid.scene.uncertainty import Uncertainty
+from bcid.search.answer import diagnosis_text
+from bcid.search.answer.adequacy import breaking, judge
+from bcid.search.answer.diagnosis_text import conclusion
+from bcid.search.answer.explanation import Explanation, ModelStep, explains
+from bcid.search.answer.law_form import LawForm
+from bcid.search.fitting.fit import Coordinate, Fit, _covariance, _loose, fit
+from bcid.search.fitting.held_out import held_out
+from bcid.search.fitting.parameter_priors import _width, of_state
+from bcid.search.fitting.ranking import _bounded, rank
+from bcid.search.fitting.state import State
+from bcid.search.fitting.variants import Variant, _harmonics, _large
 
 Array = NDArray[np.float64]
 SCENE = trial.scene()

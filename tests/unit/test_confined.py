@@ -22,10 +22,10 @@ from bcid.base.errors import InputError
 from bcid.base.landlock import landlock
 from bcid.base.run_folder import RunFolder
 from bcid.base.system_calls import seccomp
-from bcid.comparison.source import from_run
 from bcid.forms.mesh import level_mesh
 from bcid.measurement import Measurement
 from bcid.scene import Scene
+from bcid.search.answer.source import from_run
 from bcid.vision.images import Images
 
 ROOT = Path(__file__).resolve().parents[2]

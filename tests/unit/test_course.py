@@ -18,15 +18,6 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from bcid.base.errors import InputError
-from bcid.comparison import diagnosis_text
-from bcid.comparison.courses import knots, seen, to_json, variant_in_time
-from bcid.comparison.fit import Fit
-from bcid.comparison.parameter_priors import one_sided, visible
-from bcid.comparison.ranking import dormant
-from bcid.comparison.source import Source, _stored_model, stored_effect
-from bcid.comparison.state import State
-from bcid.comparison.variants import Variant, all_variants, amounts
-from bcid.comparison.written_term import parsed_term
 from bcid.forms import check_effect, effect_trial, effects
 from bcid.forms.course import Course, course_of, in_time
 from bcid.forms.effect_trial import EffectTrial
@@ -40,6 +31,15 @@ from bcid.inference.evidence import log_gains
 from bcid.measurement import Action
 from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Scene
+from bcid.search.answer import diagnosis_text
+from bcid.search.answer.source import Source, _stored_model, stored_effect
+from bcid.search.answer.written_term import parsed_term
+from bcid.search.fitting.courses import knots, seen, to_json, variant_in_time
+from bcid.search.fitting.fit import Fit
+from bcid.search.fitting.parameter_priors import one_sided, visible
+from bcid.search.fitting.ranking import dormant
+from bcid.search.fitting.state import State
+from bcid.search.fitting.variants import Variant, all_variants, amounts
 from validation.accuracy.courses import Case, missed
 
 Array = NDArray[np.float64]

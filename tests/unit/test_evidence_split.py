@@ -7,11 +7,11 @@ from typing import Any, cast
 
 import pytest
 
-from bcid.comparison.diagnosis_text import _split
-from bcid.comparison.evidence_split import evidence_splits, no_better_fit
-from bcid.comparison.fitted_hypothesis import FittedHypothesis
 from bcid.inference.discrepancy import Evidence
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
+from bcid.search.answer.diagnosis_text import _split
+from bcid.search.answer.evidence_split import evidence_splits, no_better_fit
+from bcid.search.fitting.fitted_hypothesis import FittedHypothesis
 
 
 def rival(names: tuple[str, ...], anchors: str, chi2: float, occam: float, forced: float = -9.0) -> FittedHypothesis:

@@ -11,8 +11,6 @@ import pytest
 from mpi4py import MPI
 
 from bcid.base.errors import InputError, SolveError
-from bcid.comparison.fitted_hypothesis import FittedHypothesis
-from bcid.comparison.state import State
 from bcid.exploration import pull_posterior
 from bcid.exploration.choice import Choice
 from bcid.exploration.explore_run import exploration_json, summary
@@ -28,6 +26,8 @@ from bcid.measurement.cloud import Cloud
 from bcid.predict.predictor import Predictor
 from bcid.predict.pull_predictor import PullPredictor
 from bcid.scene import Scene
+from bcid.search.fitting.fitted_hypothesis import FittedHypothesis
+from bcid.search.fitting.state import State
 
 NOISE = 5e-4
 TRUTH = frozenset("34")

@@ -10,14 +10,14 @@ from typing import Any
 import pytest
 
 from bcid import Measurement, Scene
-from bcid.comparison import diagnosis_text as words
-from bcid.comparison.identify_run import inputs_in_words, summary
 from bcid.forms.mesh import level_mesh
 from bcid.inference import nuisance_text
 from bcid.inference.error_covariance import NuisanceEstimate
 from bcid.measurement import Units
 from bcid.report import verdict
-from bcid.search.identification import Identification
+from bcid.search.answer import diagnosis_text as words
+from bcid.search.answer.identification import Identification
+from bcid.search.answer.identify_run import inputs_in_words, summary
 
 ROOT = Path(__file__).resolve().parents[2]
 

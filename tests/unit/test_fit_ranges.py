@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from bcid.comparison.explanation import verdict_of
-from bcid.comparison.fit import coordinates
 from bcid.forms import materials
 from bcid.forms.model import Model
+from bcid.search.answer.explanation import verdict_of
+from bcid.search.fitting.fit import coordinates
 
 NEO = {"young": 15e3, "poisson": 0.42}
 

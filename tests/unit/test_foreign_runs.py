@@ -11,8 +11,8 @@ import bcid
 from bcid.base.errors import InputError
 from bcid.base.inside_folder import read_inside
 from bcid.base.run_folder import RunFolder
-from bcid.comparison.source import from_run
 from bcid.report.found import Found
+from bcid.search.answer.source import from_run
 from validation.reliability.foreign_runs import ABSURD, CHANGES, SECRET, absurd, explained
 
 # A FIFO without a writer would be waited for.

@@ -11,16 +11,16 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from bcid.comparison import fitted_hypothesis
-from bcid.comparison.diagnosis_text import _alone, _begins, _called, _look
-from bcid.comparison.explanation import Explanation
-from bcid.comparison.fitted_hypothesis import FittedHypothesis
-from bcid.comparison.hypothesis_table import HypothesisTable, TangentEvidence
 from bcid.forms.model import Term
 from bcid.inference.change_point import ChangePoint
 from bcid.inference.discrepancy import Evidence
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds, log_prior
 from bcid.inference.priors import PRIORS
+from bcid.search.answer.diagnosis_text import _alone, _begins, _called, _look
+from bcid.search.answer.explanation import Explanation
+from bcid.search.fitting import fitted_hypothesis
+from bcid.search.fitting.fitted_hypothesis import FittedHypothesis
+from bcid.search.hypothesis_table import HypothesisTable, TangentEvidence
 
 
 def rival(

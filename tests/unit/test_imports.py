@@ -31,7 +31,7 @@ BASE = {"", "base"}
 DATA = BASE | {"scene", "measurement"}
 ALLOWED = {
     # The public names are looked up by it when they are asked for.
-    "": BASE | {"api", "comparison", "exploration", "forms", "measurement", "proposal", "scene", "search"},
+    "": BASE | {"api", "exploration", "forms", "grammar", "measurement", "scene", "search"},
     "base": BASE,
     "scene": BASE | {"scene"},
     "measurement": DATA,
@@ -39,14 +39,12 @@ ALLOWED = {
     "inference": DATA | {"forms", "inference"},
     "predict": DATA | {"forms", "inference", "predict"},
     "search": DATA | {"forms", "inference", "predict", "search"},
-    "comparison": DATA | {"forms", "inference", "predict", "search", "comparison"},
-    "proposal": DATA | {"forms", "inference", "predict", "search", "comparison", "proposal"},
-    "exploration": DATA | {"forms", "inference", "predict", "search", "comparison", "exploration"},
+    "grammar": DATA | {"forms", "inference", "predict", "search", "grammar"},
+    "exploration": DATA | {"forms", "inference", "predict", "search", "exploration"},
     "vision": DATA | {"vision"},
     "report": BASE | {"report"},
-    "api": DATA | {"forms", "inference", "predict", "search", "comparison", "proposal", "exploration", "report", "api"},
-    "app": DATA
-    | {"forms", "inference", "predict", "search", "comparison", "proposal", "exploration", "report", "vision", "app"},
+    "api": DATA | {"forms", "inference", "predict", "search", "grammar", "exploration", "report", "api"},
+    "app": DATA | {"forms", "inference", "predict", "search", "grammar", "exploration", "report", "vision", "app"},
     "__main__": {"app"},
 }
 ALLOWED["validation"] = {room for rooms in ALLOWED.values() for room in rooms} | {"validation"}
@@ -158,7 +156,7 @@ def test_import_is_light() -> None:
 
 def test_what_explains_is_loaded_without_a_slow_library() -> None:
     """Every command and every child of a study pays for it."""
-    code = "import bcid.comparison.compare_runs, sys; print('scipy.stats' in sys.modules)"
+    code = "import bcid.search.answer.compare_runs, sys; print('scipy.stats' in sys.modules)"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.split() == ["False"]
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from bcid.comparison.explain import ExplainOptions, explain
 from bcid.forms.model import Model, Term
 from bcid.forms.simulate import simulate
 from bcid.measurement import Action
 from bcid.predict.predictor import Predictor
 from bcid.scene import Scene
+from bcid.search.explain import ExplainOptions, explain
 
 SOFTENED, STRAIN = 0.5, 0.1
 

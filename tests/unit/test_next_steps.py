@@ -12,8 +12,11 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 from weighed_sets import POISSON, SIGMA, Sets, force
 
-from bcid.comparison.answer_text import next_steps as in_words
-from bcid.comparison.next_steps import (
+from bcid.inference.discrepancy import Evidence
+from bcid.inference.error_covariance import ErrorCovariance
+from bcid.inference.mesh_error import MeshError
+from bcid.search.answer.answer_text import next_steps as in_words
+from bcid.search.answer.next_steps import (
     NextStep,
     NextSteps,
     best_places,
@@ -24,9 +27,6 @@ from bcid.comparison.next_steps import (
     repeated,
     uncovered,
 )
-from bcid.inference.discrepancy import Evidence
-from bcid.inference.error_covariance import ErrorCovariance
-from bcid.inference.mesh_error import MeshError
 
 RNG = np.random.default_rng(2)
 
@@ -111,7 +111,7 @@ def test_force_information_counts_no_common_factor() -> None:
 
 
 def test_next_steps_are_none_for_what_is_certain(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bcid.comparison.next_steps.predicted", lambda *_: [NextStep("pull", "pull grasp I", 7.0)])
+    monkeypatch.setattr("bcid.search.answer.next_steps.predicted", lambda *_: [NextStep("pull", "pull grasp I", 7.0)])
     sets = Sets.of(off=1.5)
     found = sets.explanation
     steps = next_steps(found, sets.fitted)

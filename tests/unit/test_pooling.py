@@ -9,9 +9,6 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from bcid.comparison.identify_run import fitting
-from bcid.comparison.ranking import rank
-from bcid.comparison.state import State
 from bcid.forms import effects
 from bcid.forms.model import Model, check_physics
 from bcid.forms.simulate import simulate
@@ -19,6 +16,9 @@ from bcid.measurement import Measurement
 from bcid.measurement.pooling import pooled
 from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Scene, motions
+from bcid.search.answer.identify_run import fitting
+from bcid.search.fitting.ranking import rank
+from bcid.search.fitting.state import State
 
 NOISE = 0.2e-3
 

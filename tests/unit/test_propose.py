@@ -19,28 +19,28 @@ from mpi4py import MPI
 from bcid.app.cli import main
 from bcid.base.errors import InputError, SolveError
 from bcid.base.run_folder import RunFolder
-from bcid.comparison.explain import ExplainOptions
-from bcid.comparison.source import stored_effect
 from bcid.forms import effects
 from bcid.forms.mesh import level_mesh
 from bcid.forms.model import Term, check_physics
 from bcid.forms.simulate import simulate
+from bcid.grammar import proposal_text
+from bcid.grammar.effect_file import made, source
+from bcid.grammar.energies import directions, energies
+from bcid.grammar.family import Family
+from bcid.grammar.other_laws import other_laws
+from bcid.grammar.propose import Proposal, ProposeOptions
+from bcid.grammar.propose_run import effect_names
+from bcid.grammar.replaced_law import APART, COUPLED, ReplacedLaw
 from bcid.inference.continuation import ContinuationError
 from bcid.measurement import Measurement
 from bcid.predict.predictor import Predictor
-from bcid.proposal import proposal_text
-from bcid.proposal.effect_file import made, source
-from bcid.proposal.energies import directions, energies
-from bcid.proposal.family import Family
-from bcid.proposal.other_laws import other_laws
-from bcid.proposal.propose import Proposal, ProposeOptions
-from bcid.proposal.propose_run import effect_names
-from bcid.proposal.replaced_law import APART, COUPLED, ReplacedLaw
 from bcid.report import tables
 from bcid.report.found import Found
 from bcid.report.page import write_report
 from bcid.scene import Scene
 from bcid.scene.motions import motion
+from bcid.search.answer.source import stored_effect
+from bcid.search.explain import ExplainOptions
 from validation.beyond import beyond_case
 from validation.beyond.beyond_study import judge, rates, table
 from validation.beyond.mesh_floor import BeyondMesh, MeshFloor
@@ -438,8 +438,8 @@ def test_killed_while_it_proposes_explain_goes_on_there(
         made.finish({})
         return []
 
-    monkeypatch.setattr("bcid.comparison.compare_runs.run_explain", explained)
-    monkeypatch.setattr("bcid.proposal.propose_run.run_propose", proposed)
+    monkeypatch.setattr("bcid.search.answer.compare_runs.run_explain", explained)
+    monkeypatch.setattr("bcid.grammar.propose_run.run_propose", proposed)
     assert main(["explain", "scene.toml", "seen", "-o", "run", "--quiet", "--no-picture", *more]) == 0
     assert ("explained" not in done) == known
     assert ("proposed" in done) == (verdict == "unknown" and "--no-propose" not in more)
@@ -465,8 +465,8 @@ def test_explain_goes_on_where_no_known_effect_explains(
         assert (run, output) == (tmp_path / "made", None)
         return [folder / "proposed/proposed_term.py"]
 
-    monkeypatch.setattr("bcid.comparison.compare_runs.run_explain", explained)
-    monkeypatch.setattr("bcid.proposal.propose_run.run_propose", proposed)
+    monkeypatch.setattr("bcid.search.answer.compare_runs.run_explain", explained)
+    monkeypatch.setattr("bcid.grammar.propose_run.run_propose", proposed)
     words = ["explain", "scene.toml", "seen", "-o", "run", "--quiet", "--no-picture"]
     for verdict, more, expected in (("gravity", [], 0), ("unknown", ["--no-propose"], 0), ("unknown", [], 1)):
         finished(tmp_path / "made", "explain", verdict, "the result\n")

@@ -17,8 +17,12 @@ import xarray as xr
 from bcid.base.errors import InputError
 from bcid.base.progress import Silent
 from bcid.base.run_folder import sealed
-from bcid.comparison.identify import identify
-from bcid.comparison.refine import (
+from bcid.forms.mesh.patches import halves
+from bcid.forms.simulate import simulate
+from bcid.measurement import Measurement
+from bcid.scene import Level, Region, Scene
+from bcid.scene.motions import about_x, actions
+from bcid.search.answer.refine import (
     Refinement,
     Tree,
     _Rounds,
@@ -29,12 +33,8 @@ from bcid.comparison.refine import (
     resolved,
     significant_splits,
 )
-from bcid.forms.mesh.patches import halves
-from bcid.forms.simulate import simulate
-from bcid.measurement import Measurement
-from bcid.scene import Level, Region, Scene
-from bcid.scene.motions import about_x, actions
 from bcid.search.hill_climbing import Candidate
+from bcid.search.identify import identify
 from bcid.search.identify_options import IdentifyOptions
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -12,10 +12,6 @@ from scipy.integrate import quad, simpson
 from scipy.stats import norm
 
 from bcid.base.errors import InputError
-from bcid.comparison.fit import fit
-from bcid.comparison.fitted_hypothesis import FittedHypothesis
-from bcid.comparison.parameter_priors import of_state
-from bcid.comparison.state import State
 from bcid.exploration.explore_run import run_exploration
 from bcid.exploration.fitted_numbers import FittedNumbers
 from bcid.exploration.joined import joined
@@ -30,6 +26,10 @@ from bcid.measurement import Measurement
 from bcid.predict.predictor import Predictor
 from bcid.predict.pull_predictor import PullPredictor
 from bcid.scene import Scene
+from bcid.search.fitting.fit import fit
+from bcid.search.fitting.fitted_hypothesis import FittedHypothesis
+from bcid.search.fitting.parameter_priors import of_state
+from bcid.search.fitting.state import State
 
 NOISE = 3e-4
 WEIGHT = 1500.0

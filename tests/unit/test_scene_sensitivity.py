@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from weighed_sets import POISSON, Sets, force
 
-from bcid.comparison.answer_text import sensitivity
-from bcid.comparison.fitted_hypothesis import FittedHypothesis
-from bcid.comparison.next_steps import leading
-from bcid.comparison.scene_sensitivity import noise_error, reported_as, scene_sensitivity
 from bcid.forms.model import Term
 from bcid.inference.discrepancy import Evidence
 from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.priors import PRIORS
+from bcid.search.answer.answer_text import sensitivity
+from bcid.search.answer.next_steps import leading
+from bcid.search.answer.scene_sensitivity import noise_error, reported_as, scene_sensitivity
+from bcid.search.fitting.fitted_hypothesis import FittedHypothesis
 
 
 def test_fitted_without_a_known_input_has_the_evidence_that_was_reported() -> None:

@@ -8,14 +8,14 @@ from typing import Any
 
 import pytest
 
-from bcid.comparison.fitted_hypothesis import FittedHypothesis, best_first
-from bcid.comparison.full_search import FullSearch
-from bcid.comparison.hypothesis_table import HypothesisTable
-from bcid.comparison.ranking import Ranking
-from bcid.comparison.state import State
 from bcid.forms.model import Model
 from bcid.inference.discrepancy import Evidence
 from bcid.inference.hypotheses import Hypothesis
+from bcid.search.fitting.fitted_hypothesis import FittedHypothesis, best_first
+from bcid.search.fitting.ranking import Ranking
+from bcid.search.fitting.state import State
+from bcid.search.full_search import FullSearch
+from bcid.search.hypothesis_table import HypothesisTable
 from bcid.search.settings import SETTINGS
 from tests.unit.test_hypothesis_table import less, rival
 

@@ -28,7 +28,7 @@ from bcid.measurement.contents import motions_dataset
 from bcid.measurement.frame_error import FrameError
 from bcid.measurement.plane_fits import Pieces, fit_planes
 from bcid.scene import Level, Scene, motions
-from bcid.search.association import Association
+from bcid.search.answer.association import Association
 from bcid.search.identify_options import IdentifyOptions
 
 NOISE = 0.3e-3

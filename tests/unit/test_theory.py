@@ -13,13 +13,13 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from bcid.base.kriging import Kriging
-from bcid.comparison.hypothesis_table import TangentEvidence, wrong_by
 from bcid.inference.discrepancy import Evidence
 from bcid.inference.evidence import LinearParameters, MarginalLikelihood, log_gains
 from bcid.inference.hypotheses import log_prior
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.posterior import Fidelity, Pair, with_error
 from bcid.inference.priors import PRIORS
+from bcid.search.hypothesis_table import TangentEvidence, wrong_by
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs/theory.md").read_text(encoding="utf-8")
 NAMES = sorted(set(re.findall(r"`(bcid\.[\w.]+)`", PAGE)))

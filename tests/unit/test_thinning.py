@@ -10,11 +10,11 @@ import pytest
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from bcid.comparison.identify_run import fitting
 from bcid.forms.simulate import recorded
 from bcid.measurement import Action, Measurement
 from bcid.measurement.thinning import MOST, LeftOut
 from bcid.scene import Scene
+from bcid.search.answer.identify_run import fitting
 
 Array = NDArray[np.float64]
 STEPS = 200

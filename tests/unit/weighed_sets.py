@@ -9,8 +9,6 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.comparison.fitted_hypothesis import FittedHypothesis
-from bcid.comparison.scene_sensitivity import SceneInput, WeighedHypothesis
 from bcid.forms import effect_trial as trial
 from bcid.forms.simulate import recorded
 from bcid.inference.data import Data
@@ -21,6 +19,8 @@ from bcid.inference.hypotheses import HypothesisOdds
 from bcid.inference.mesh_error import MeshError
 from bcid.inference.nuisances import NuisanceModes
 from bcid.measurement import Action
+from bcid.search.answer.scene_sensitivity import SceneInput, WeighedHypothesis
+from bcid.search.fitting.fitted_hypothesis import FittedHypothesis
 
 Array = NDArray[np.float64]
 POISSON = SceneInput("poisson", "Poisson's ratio", 0.03)

@@ -11,14 +11,14 @@ import pytest
 from numpy.typing import NDArray
 
 from bcid import Measurement, Scene
-from bcid.comparison.identify import identify
 from bcid.forms.model import check_physics
 from bcid.forms.scene_errors import grip_term
 from bcid.forms.simulate import simulate
 from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import Action
 from bcid.scene import Level
-from bcid.search.identification import Identification
+from bcid.search.answer.identification import Identification
+from bcid.search.identify import identify
 from bcid.search.identify_options import IdentifyOptions
 
 Array = NDArray[np.float64]

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bcid.comparison.identify import identify
 from bcid.forms.gripper_force import ForceScale
 from bcid.forms.simulate import simulate
 from bcid.inference.data import Data, robust_noise
 from bcid.measurement import Measurement
 from bcid.scene import Level, Scene
+from bcid.search.identify import identify
 
 # In the image of a camera that looks along z.
 SEEN = [0, 1]

@@ -13,16 +13,16 @@ from mpi4py import MPI
 from bcid import Measurement, Scene, explain
 from bcid.app.cli import main
 from bcid.base.errors import InputError
-from bcid.comparison.explain import ExplainOptions
-from bcid.comparison.fit import Fit, fit
-from bcid.comparison.identify_run import fitting
-from bcid.comparison.state import State
 from bcid.exploration.moves import limits_of
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.simulate import simulate
 from bcid.measurement import Action
 from bcid.predict.predictor import Predictor
 from bcid.scene.parts import Driven, Level, Limits
+from bcid.search.answer.identify_run import fitting
+from bcid.search.explain import ExplainOptions
+from bcid.search.fitting.fit import Fit, fit
+from bcid.search.fitting.state import State
 
 BALL = "region_stiffness(ball)"
 COUNT, STIFF = 5, 40e3

@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 
 import bcid
 from bcid import Scene, motions
-from bcid.comparison.coarse_search import CoarseSearch
-from bcid.comparison.state import State, in_few_steps
 from bcid.forms.effects.effect import BodyEffect, Constants, Point
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.parameter import Amount
+from bcid.grammar.term_scores import TermScores
 from bcid.predict.predictor import Predictor
-from bcid.proposal.term_scores import TermScores
 from bcid.scene import Level
+from bcid.search.coarse_search import CoarseSearch
+from bcid.search.fitting.state import State, in_few_steps
 
 SLAB = Path(__file__).resolve().parents[2] / "examples/scenes/slab.toml"
 ANCHORS = frozenset({"3", "4"})

@@ -18,14 +18,14 @@ from bcid.forms.probes import Probe, SensitivityRequest
 from bcid.forms.quadrature import QuadraturePoints
 from bcid.forms.sensitivity import Sensitivity
 from bcid.forms.solver.equilibrium import Settings
-from bcid.proposal.effect_file import check_name, made, source
-from bcid.proposal.energies import energies
-from bcid.proposal.family import SURFACE
-from bcid.proposal.grammar import Grammar
-from bcid.proposal.holds import Holds, held_by
-from bcid.proposal.pulled import pulled_families
-from bcid.proposal.replaced_law import ReplacedLaw
-from bcid.proposal.term_scores import GRIPS
+from bcid.grammar.effect_file import check_name, made, source
+from bcid.grammar.energies import energies
+from bcid.grammar.family import SURFACE
+from bcid.grammar.grammar import Grammar
+from bcid.grammar.holds import Holds, held_by
+from bcid.grammar.pulled import pulled_families
+from bcid.grammar.replaced_law import ReplacedLaw
+from bcid.grammar.term_scores import GRIPS
 from bcid.scene import Level, Material
 
 ANCHORS = frozenset({"left"})

@@ -18,22 +18,6 @@ from mpi4py import MPI
 from verify.problems import move
 
 from bcid.base.errors import InputError
-from bcid.comparison import diagnosis_text as words
-from bcid.comparison import fitted_hypothesis
-from bcid.comparison.adequacy import judge
-from bcid.comparison.buckled_frames import buckled, leave_out
-from bcid.comparison.coarse_search import CoarseSearch
-from bcid.comparison.explain import ExplainOptions, explain
-from bcid.comparison.explanation import Explanation, explained, explains
-from bcid.comparison.fit import Fit, columns, coordinates, fit
-from bcid.comparison.fitted_hypothesis import FittedHypothesis, fitted_beside, promoted, refit
-from bcid.comparison.hypothesis_table import HypothesisTable, TangentEvidence
-from bcid.comparison.identify import identify
-from bcid.comparison.parameter_priors import of_state
-from bcid.comparison.ranking import rank
-from bcid.comparison.separate import separating_pulls
-from bcid.comparison.state import FEW_STEPS, State, in_few_steps
-from bcid.comparison.variants import _meanwhile
 from bcid.forms import effects
 from bcid.forms.forward import Forward, Prediction
 from bcid.forms.model import Model, Term, check_physics
@@ -49,6 +33,22 @@ from bcid.predict.levels import pair
 from bcid.predict.mesh_ladder import mesh_error
 from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Scene
+from bcid.search.answer import diagnosis_text as words
+from bcid.search.answer.adequacy import judge
+from bcid.search.answer.explanation import Explanation, explained, explains
+from bcid.search.answer.separate import separating_pulls
+from bcid.search.coarse_search import CoarseSearch
+from bcid.search.explain import ExplainOptions, explain
+from bcid.search.fitting import fitted_hypothesis
+from bcid.search.fitting.buckled_frames import buckled, leave_out
+from bcid.search.fitting.fit import Fit, columns, coordinates, fit
+from bcid.search.fitting.fitted_hypothesis import FittedHypothesis, fitted_beside, promoted, refit
+from bcid.search.fitting.parameter_priors import of_state
+from bcid.search.fitting.ranking import rank
+from bcid.search.fitting.state import FEW_STEPS, State, in_few_steps
+from bcid.search.fitting.variants import _meanwhile
+from bcid.search.hypothesis_table import HypothesisTable, TangentEvidence
+from bcid.search.identify import identify
 from bcid.search.identify_options import IdentifyOptions
 from validation.synthetic import outside
 

@@ -10,13 +10,13 @@ import pytest
 from mpi4py import MPI
 
 from bcid.base.errors import InputError
-from bcid.comparison.identify import identify
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model, check_physics
 from bcid.measurement import Measurement
 from bcid.predict.predictor import Predictor
 from bcid.scene import Scene
 from bcid.scene.action import Action
+from bcid.search.identify import identify
 from bcid.search.identify_options import IdentifyOptions
 
 # A bar of which one end is pulled; its axis is x. The lower end is another place than the plane x = LOW.

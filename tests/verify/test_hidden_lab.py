@@ -14,9 +14,9 @@ import pytest
 from mpi4py import MPI
 
 from bcid import Measurement, Scene
-from bcid.comparison.explain import explain
-from bcid.comparison.explanation import Explanation
 from bcid.predict.predictor import Predictor
+from bcid.search.answer.explanation import Explanation
+from bcid.search.explain import explain
 
 # Of two grasps, in two directions.
 PULLS = "14"

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from bcid import Measurement, Scene
-from bcid.comparison.identify import identify
-from bcid.search.identification import Identification
+from bcid.search.answer.identification import Identification
+from bcid.search.identify import identify
 from bcid.search.identify_options import IdentifyOptions
 
 

@@ -12,13 +12,13 @@ from mpi4py import MPI
 
 import bcid
 from bcid import Scene, motions
-from bcid.comparison.state import State
-from bcid.comparison.where import MissingForce, SpreadForce, missing_force
 from bcid.forms.effects.effect import BodyEffect, Constants, Point
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.parameter import Amount
 from bcid.predict.predictor import Predictor
 from bcid.scene import Level
+from bcid.search.answer.where import MissingForce, SpreadForce, missing_force
+from bcid.search.fitting.state import State
 
 SLAB = Path(__file__).resolve().parents[2] / "examples/scenes/slab.toml"
 ANCHORS = frozenset({"3", "4"})

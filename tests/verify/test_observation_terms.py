@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from bcid.comparison.state import State
 from bcid.forms import check_effect
 from bcid.forms import effect_trial as trial
 from bcid.forms.forward import Forward
 from bcid.forms.model import Model, Term
 from bcid.forms.simulate import recorded
 from bcid.forms.solver.equilibrium import Settings
+from bcid.grammar.effect_file import made, source
+from bcid.grammar.observation_terms import observation_terms, observed_variant, picture_is_told
+from bcid.grammar.timed import steady_variants, timed_families, variants_in_time
 from bcid.inference.data import Data
 from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.mesh_error import MeshError
 from bcid.predict.kept_predictions import MeasurementPrediction
-from bcid.proposal.effect_file import made, source
-from bcid.proposal.observation_terms import observation_terms, observed_variant, picture_is_told
-from bcid.proposal.timed import steady_variants, timed_families, variants_in_time
+from bcid.search.fitting.state import State
 
 ANCHORS = frozenset({"left"})
 SIGMA = 1e-5

@@ -8,9 +8,6 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from bcid.comparison.ahead import obstacle_candidates
-from bcid.comparison.ranking import rank
-from bcid.comparison.state import State
 from bcid.forms import effects
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.simulate import simulate
@@ -19,6 +16,9 @@ from bcid.inference.mesh_error import MeshError
 from bcid.measurement import Action
 from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Scene
+from bcid.search.fitting.ahead import obstacle_candidates
+from bcid.search.fitting.ranking import rank
+from bcid.search.fitting.state import State
 
 ANCHORS, STEPS = frozenset("34"), 5
 # Above the slab, 2 mm from its top.

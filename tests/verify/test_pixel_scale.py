@@ -12,8 +12,6 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from verify.problems import two_pulls
 
-from bcid.comparison.fit import Fit
-from bcid.comparison.state import State
 from bcid.forms import effect_trial as trial
 from bcid.forms.forward import Forward
 from bcid.forms.gripper_force import ForceScale
@@ -28,6 +26,8 @@ from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Scene
 from bcid.scene.parts import Vector
 from bcid.scene.uncertainty import Uncertainty
+from bcid.search.fitting.fit import Fit
+from bcid.search.fitting.state import State
 
 Array = NDArray[np.float64]
 EXACT = Settings(rtol=1e-12)

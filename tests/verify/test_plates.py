@@ -11,12 +11,12 @@ import pytest
 from mpi4py import MPI
 
 from bcid import Measurement, Scene
-from bcid.comparison.adequacy import judge
-from bcid.comparison.fit import Fit, fit
-from bcid.comparison.state import State
 from bcid.forms.model import Model, check_physics
 from bcid.predict.predictor import Predictor
 from bcid.scene import Material
+from bcid.search.answer.adequacy import judge
+from bcid.search.fitting.fit import Fit, fit
+from bcid.search.fitting.state import State
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SCENE = EXAMPLES / "scenes" / "plate.toml"

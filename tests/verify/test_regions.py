@@ -14,8 +14,6 @@ from mpi4py import MPI
 
 from bcid import Scene
 from bcid.base.errors import InputError
-from bcid.comparison.explain import ExplainOptions, explain
-from bcid.comparison.explanation import Explanation
 from bcid.forms.effects import effect
 from bcid.forms.mesh import level_mesh
 from bcid.forms.mesh.body_mesh import BodyMesh, volumes
@@ -25,6 +23,8 @@ from bcid.inference.nuisances import Nuisances
 from bcid.measurement import Measurement
 from bcid.predict.predictor import Predictor
 from bcid.scene.parts import BodyRegion, Box, Level, Polygon, Sphere
+from bcid.search.answer.explanation import Explanation
+from bcid.search.explain import ExplainOptions, explain
 
 RATIO = "region_stiffness(inlay).ratio"
 RIVALS = ("region_stiffness", "inclusion", "strain_stiffening")

@@ -12,11 +12,6 @@ import pytest
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from bcid.comparison.fit import fit
-from bcid.comparison.fitted_hypothesis import FittedHypothesis, promoted
-from bcid.comparison.loosened import loosened
-from bcid.comparison.state import State
-from bcid.comparison.variants import all_variants
 from bcid.forms import effects
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.probes import Probe, SensitivityRequest
@@ -26,6 +21,11 @@ from bcid.inference.mesh_error import MeshError
 from bcid.measurement import Action
 from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Scene
+from bcid.search.fitting.fit import fit
+from bcid.search.fitting.fitted_hypothesis import FittedHypothesis, promoted
+from bcid.search.fitting.loosened import loosened
+from bcid.search.fitting.state import State
+from bcid.search.fitting.variants import all_variants
 
 Array = NDArray[np.float64]
 BOTH, LEFT = frozenset("34"), frozenset("3")

@@ -11,10 +11,6 @@ import pytest
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from bcid.comparison.adequacy import judge
-from bcid.comparison.curvature import allowed, bent, curvature
-from bcid.comparison.fit import Fit
-from bcid.comparison.state import State
 from bcid.forms import effect_trial as trial
 from bcid.forms import effects
 from bcid.forms.forward import Forward
@@ -31,6 +27,10 @@ from bcid.measurement import Action
 from bcid.predict.predictor import Predictor
 from bcid.scene import Grasp, Level, Region, Scene
 from bcid.scene.uncertainty import Uncertainty
+from bcid.search.answer.adequacy import judge
+from bcid.search.fitting.curvature import allowed, bent, curvature
+from bcid.search.fitting.fit import Fit
+from bcid.search.fitting.state import State
 
 Array = NDArray[np.float64]
 ANCHORS = frozenset({"foot"})

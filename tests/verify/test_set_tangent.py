@@ -11,8 +11,6 @@ import pytest
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from bcid.comparison.loosened import loosened
-from bcid.comparison.state import State
 from bcid.forms import effects
 from bcid.forms.model import Model, Term, check_physics
 from bcid.forms.set_tangent import SetTangent
@@ -22,6 +20,8 @@ from bcid.inference.mesh_error import MeshError
 from bcid.measurement import Action
 from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Scene
+from bcid.search.fitting.loosened import loosened
+from bcid.search.fitting.state import State
 
 ABOUT = frozenset({"3", "4"})
 STEPS = 3

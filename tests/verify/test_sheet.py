@@ -14,7 +14,6 @@ from scipy.optimize import brentq
 
 from bcid import Measurement, Scene, fit, identify
 from bcid.base.errors import InputError
-from bcid.comparison.identify_run import fitting
 from bcid.forms.forward import Forward
 from bcid.forms.mesh import level_mesh
 from bcid.forms.model import Model, check_physics, traction
@@ -23,6 +22,7 @@ from bcid.forms.solver.status import Status
 from bcid.forms.solver.supports import Pose
 from bcid.measurement import Action
 from bcid.scene import Level
+from bcid.search.answer.identify_run import fitting
 
 YOUNG, POISSON, THICKNESS = 20e3, 0.4, 2e-3
 FLAT = """SetFactory("OpenCASCADE");

@@ -12,11 +12,6 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from bcid.comparison.fit import Fit
-from bcid.comparison.fitted_hypothesis import FittedHypothesis
-from bcid.comparison.followed_sets import FollowedSets
-from bcid.comparison.identify import astray, identify
-from bcid.comparison.state import State
 from bcid.exploration.moves import limits_of, moves
 from bcid.forms import effects
 from bcid.forms.force_bumps import bumps
@@ -38,7 +33,12 @@ from bcid.predict.predictor import Predictor
 from bcid.predict.pull_predictor import PullPredictor
 from bcid.scene import Level, Scene
 from bcid.scene.motions import motion
+from bcid.search.fitting.fit import Fit
+from bcid.search.fitting.fitted_hypothesis import FittedHypothesis
+from bcid.search.fitting.state import State
+from bcid.search.followed_sets import FollowedSets
 from bcid.search.hill_climbing import all_candidates
+from bcid.search.identify import astray, identify
 from bcid.search.settings import SETTINGS
 
 PATCHES = ("1", "3", "4", "7")

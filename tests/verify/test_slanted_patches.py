@@ -15,8 +15,6 @@ from verify.problems import box, move, scene_of
 from bcid import Measurement, Scene, identify
 from bcid.app.cli import main
 from bcid.base.errors import InputError
-from bcid.comparison.loosened import loosened
-from bcid.comparison.state import State
 from bcid.forms.effects import effect
 from bcid.forms.forward import Forward
 from bcid.forms.mesh import BodyMesh
@@ -27,6 +25,8 @@ from bcid.forms.solver.equilibrium import Settings
 from bcid.measurement import Action
 from bcid.predict.predictor import Predictor
 from bcid.scene.parts import Level
+from bcid.search.fitting.loosened import loosened
+from bcid.search.fitting.state import State
 
 Array = NDArray[np.float64]
 COUNT = 4

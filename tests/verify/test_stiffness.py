@@ -11,9 +11,6 @@ import pytest
 from mpi4py import MPI
 from verify.problems import two_pulls
 
-from bcid.comparison.diagnosis import fit_twice
-from bcid.comparison.fit import Fit, fit
-from bcid.comparison.state import State
 from bcid.forms.model import Model, check_physics
 from bcid.forms.simulate import simulate
 from bcid.inference.data import force_noise
@@ -21,6 +18,9 @@ from bcid.measurement import Measurement
 from bcid.predict.predictor import Predictor
 from bcid.scene import Level, Material, Scene
 from bcid.scene.uncertainty import Uncertainty
+from bcid.search.answer.diagnosis import fit_twice
+from bcid.search.fitting.fit import Fit, fit
+from bcid.search.fitting.state import State
 
 ANCHORS = frozenset("34")
 # Young's modulus of the scene, and of the body that was pulled, Pa.

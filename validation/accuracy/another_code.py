@@ -26,11 +26,11 @@ from bcid import Scene
 from bcid.base.progress import Silent
 from bcid.base.run_folder import RunFolder
 from bcid.base.units import percent
-from bcid.comparison.compare_runs import run_explain
 from bcid.forms.model import Model, check_physics
 from bcid.forms.simulate import recorded
 from bcid.measurement import Action
 from bcid.scene.rotation import as_quaternion
+from bcid.search.answer.compare_runs import run_explain
 from validation.accuracy.tetrahedra import Array, Body, Mesh
 from validation.synthetic.amounts import adopted
 

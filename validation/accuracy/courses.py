@@ -17,10 +17,6 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from bcid import Measurement, Scene
-from bcid.comparison.courses import knots
-from bcid.comparison.diagnosis import Diagnosis, refitted
-from bcid.comparison.source import Source
-from bcid.comparison.variants import neutral_values
 from bcid.forms import effects
 from bcid.forms.course import course_of, in_time
 from bcid.forms.effects.effect import Effect
@@ -30,6 +26,10 @@ from bcid.measurement import Action
 from bcid.predict.predictor import Predictor
 from bcid.scene import Level
 from bcid.scene.uncertainty import Uncertainty
+from bcid.search.answer.diagnosis import Diagnosis, refitted
+from bcid.search.answer.source import Source
+from bcid.search.fitting.courses import knots
+from bcid.search.fitting.variants import neutral_values
 
 Array = NDArray[np.float64]
 SCENE = Path(__file__).resolve().parents[1] / "examples/scenes/slab.toml"

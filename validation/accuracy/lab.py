@@ -15,7 +15,7 @@ from pathlib import Path
 from mpi4py import MPI
 
 from bcid import Measurement, Scene
-from bcid.comparison.identify import identify
+from bcid.search.identify import identify
 from bcid.search.identify_options import IdentifyOptions
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"

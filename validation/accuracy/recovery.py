@@ -23,10 +23,10 @@ from bcid import Scene
 from bcid.base.progress import Silent
 from bcid.base.run_folder import RunFolder, write_whole
 from bcid.base.shipped import shipped
-from bcid.comparison.compare_runs import run_explain
 from bcid.forms import effects
 from bcid.forms.model import check_physics
 from bcid.forms.simulate import recorded
+from bcid.search.answer.compare_runs import run_explain
 from validation.synthetic.amounts import adopted
 from validation.synthetic.bodies import SLAB
 from validation.synthetic.case_scene import write_scene

@@ -15,8 +15,8 @@ from mpi4py import MPI
 import bcid
 from bcid.base.run_folder import RunFolder
 from bcid.base.shipped import shipped
-from bcid.comparison.compare_runs import run_explain
-from bcid.comparison.explain import ExplainOptions
+from bcid.search.answer.compare_runs import run_explain
+from bcid.search.explain import ExplainOptions
 from validation.bench.bench_slab import EXPLAINED, FOLDER
 
 TOLD = ("verdict", "verdict_probability", "anchored", "anchors_probability", "rms", "noise_rms")

@@ -15,9 +15,9 @@ from mpi4py import MPI
 
 import bcid
 from bcid.base.progress import Silent
-from bcid.comparison.identify import posterior
 from bcid.forms.model import Model
 from bcid.predict.predictor import Predictor
+from bcid.search.identify import posterior
 from validation.bench.bench_slab import encoded, measurement, scene
 
 

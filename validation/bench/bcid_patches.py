@@ -15,8 +15,8 @@ import sys
 from mpi4py import MPI
 
 import bcid
-from bcid.comparison.identify import identify
 from bcid.forms.mesh.patches import half_names, halves
+from bcid.search.identify import identify
 from bcid.search.identify_options import IdentifyOptions
 from validation.bench.bench_slab import encoded, measurement, with_level
 

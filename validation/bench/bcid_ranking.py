@@ -13,11 +13,11 @@ from mpi4py import MPI
 import bcid
 from bcid import Scene
 from bcid.base.shipped import shipped
-from bcid.comparison.ranking import rank
-from bcid.comparison.state import State
 from bcid.forms import effects
 from bcid.forms.model import Model
 from bcid.predict.predictor import Predictor
+from bcid.search.fitting.ranking import rank
+from bcid.search.fitting.state import State
 from validation.bench.bcid_trajectory import seconds
 from validation.bench.bench_slab import DEMO, EXPLAINED, measurement
 

@@ -215,8 +215,8 @@ def proposed(folder: Path) -> dict[str, Any]:
 def _proposed(scene: Scene, measurement: Measurement, known: Mapping[str, Any]) -> dict[str, Any]:
     from mpi4py import MPI
 
+    from bcid.grammar.propose import propose
     from bcid.predict.predictor import Predictor
-    from bcid.proposal.propose import propose
 
     predictor = Predictor(scene, measurement, MPI.COMM_SELF)
     try:

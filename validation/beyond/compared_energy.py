@@ -11,13 +11,13 @@ import ufl
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from bcid.comparison.fit import Fit
-from bcid.comparison.law_form import LawForm
 from bcid.forms import compiled
 from bcid.forms.model import Model
 from bcid.forms.weak_form import WeakForm
 from bcid.predict.predictor import Predictor
 from bcid.scene import Material
+from bcid.search.answer.law_form import LawForm
+from bcid.search.fitting.fit import Fit
 
 Array = NDArray[np.float64]
 # Part of the cells and frames that are compared, the least strained.

@@ -8,16 +8,16 @@ from mpi4py import MPI
 
 from bcid.base.errors import SolveError
 from bcid.base.units import p_value
-from bcid.comparison.adequacy import judge
-from bcid.comparison.fit import Fit
-from bcid.comparison.held_out import held_out
-from bcid.comparison.state import State
 from bcid.forms.model import Model, Term
 from bcid.inference.error_covariance import ErrorCovariance
 from bcid.inference.thresholds import THRESHOLDS
 from bcid.measurement import Measurement
 from bcid.predict.predictor import Predictor
 from bcid.scene import Scene
+from bcid.search.answer.adequacy import judge
+from bcid.search.fitting.fit import Fit
+from bcid.search.fitting.held_out import held_out
+from bcid.search.fitting.state import State
 
 
 class BeyondMesh(SolveError):

@@ -142,7 +142,7 @@ def _why(
 
 def identified(store: Store, condition: Condition, number: int, measurement: Measurement) -> dict[str, Any]:
     """What `bcid identify` finds, with its own calls of the model; certified, so that it is the best of all sets."""
-    from bcid.comparison.identify import identify
+    from bcid.search.identify import identify
     from bcid.search.identify_options import IdentifyOptions
 
     scene = store.read()

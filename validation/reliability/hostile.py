@@ -372,7 +372,7 @@ class Corpus:
     def runs(self) -> Iterator[Case]:
         """Run folders of others, whose model names a program."""
         from bcid.base.run_folder import RunFolder
-        from bcid.comparison.source import from_run
+        from bcid.search.answer.source import from_run
 
         place = self.place()
         write_inputs(place)

@@ -1,0 +1,101 @@
+"""Why one hypothesis is more probable than another: differences of log evidence, split into what they are made of.
+
+At its fit a hypothesis has the logarithm of evidence and prior
+
+    log Z p = - chi^2 / 2 - log det(C) / 2 + Occam + discrepancy + log p
+
+with chi-square and covariance C of its residual, Occam factors of its parameters (MacKay, Information Theory, 2003, section 28.1),
+and what an unmodelled discrepancy adds where it has one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from bcid.inference.hypotheses import Hypothesis, HypothesisOdds
+from bcid.search.fitting.fitted_hypothesis import FittedHypothesis
+
+# A difference of log evidence that is notable: odds of three.
+_NOTABLE = 1.1
+
+
+@dataclass(frozen=True)
+class EvidenceSplit:
+    """A hypothesis that was compared with all steps; differences from another one, in the logarithm.
+
+    Attributes:
+        hypothesis: it.
+        probability: of it.
+        misfit: minus half of chi-square.
+        volume: minus half of the logarithm of the determinant of the covariance.
+        occam: of its parameters.
+        discrepancy: of an unmodelled discrepancy.
+        prior: of the hypothesis.
+    """
+
+    hypothesis: Hypothesis
+    probability: float
+    misfit: float
+    volume: float
+    occam: float
+    discrepancy: float
+    prior: float
+
+    @classmethod
+    def of(cls, rival: FittedHypothesis, unknown: bool, odds: HypothesisOdds) -> EvidenceSplit:
+        """Of a hypothesis, not yet against another."""
+        h = Hypothesis(rival.anchors, rival.hypothesis.effect, unknown)
+        state, (log, prior) = rival.judged, rival.weights[h]
+        misfit, volume = -0.5 * state.chi2, -state.errors.log_volume
+        occam = rival.evidence.plain - misfit - volume
+        probability = odds.probabilities.get(h, 0.0)
+        return cls(h, probability, misfit, volume, occam, log - rival.evidence.plain, prior)
+
+    @property
+    def total(self) -> float:
+        """Logarithm of evidence and prior."""
+        return self.misfit + self.volume + self.occam + self.discrepancy + self.prior
+
+    def minus(self, other: EvidenceSplit) -> EvidenceSplit:
+        """Differences from another one."""
+        parts = {name: getattr(self, name) - getattr(other, name) for name in PARTS}
+        return EvidenceSplit(self.hypothesis, self.probability, **parts)
+
+    def to_json(self, order: Sequence[str]) -> dict[str, Any]:
+        """A row of `evidence_split`."""
+        h = self.hypothesis
+        names = {"anchored": sorted(h.anchors, key=list(order).index), "effects": list(h.names), "unknown": h.unknown}
+        found = asdict(self)
+        return names | {name: found[name] for name in ("probability", *PARTS)}
+
+
+PARTS = ("misfit", "volume", "occam", "discrepancy", "prior")
+
+
+def evidence_splits(
+    rivals: Sequence[FittedHypothesis], odds: HypothesisOdds, first: Hypothesis, most: int = 4
+) -> list[EvidenceSplit]:
+    """The likeliest hypotheses that were compared with all steps, as differences from one of them, which comes first.
+
+    Without any where that one was not compared.
+    """
+    both = [EvidenceSplit.of(rival, unknown, odds) for rival in rivals for unknown in (False, True)]
+    # One that is the same as another has no probability of its own.
+    found = [one for one in both if one.hypothesis in odds.probabilities]
+    base = next((one for one in found if one.hypothesis == first), None)
+    if base is None:
+        return []
+    others = sorted((one for one in found if one is not base), key=lambda one: (-one.total, one.hypothesis.order))
+    return [one.minus(base) for one in (base, *others[: most - 1])]
+
+
+def no_better_fit(splits: Sequence[EvidenceSplit]) -> EvidenceSplit | None:
+    """The most probable of the others that has no more effects than the first and fits as well; None where there is none."""
+    first = splits[0].hypothesis
+    for one in splits[1:]:
+        h = one.hypothesis
+        if len(h.names) <= len(first.names) and h.unknown == first.unknown and one.misfit > -_NOTABLE > one.total:
+            return one
+    return None

@@ -1,0 +1,1 @@
+"""A hypothesis on a measurement: its fit, its evidence, what ranks further effects beside it."""
