@@ -42,7 +42,7 @@ case $* in *--mode=unshare*) tar -C "$root" -c . && rm -r "$root" ;; esac
 BWRAP = r"""
 printf '%s\n' "$@" >"$FAKES/bwrap.words"
 case $* in
-*wheels_venv*)
+*make_venv.sh*)
     [ "${FAKE:-}" = pip ] || exit 0
     echo "OSError: [Errno 28] No space left on device"
     exit 1 ;;
@@ -77,6 +77,8 @@ class Dev:
         self.fakes = folder / "bin"
         (self.clone / "environment").mkdir(parents=True)
         shutil.copy(ROOT / "dev", self.clone)
+        for file in (*ROOT.glob("environment/*.sh"), *ROOT.glob("environment/*.py")):
+            shutil.copy(file, self.clone / "environment")
         (self.clone / "environment/debian.txt").write_text("# comment\npython3-dolfinx\n")
         (self.clone / "environment/wheels.txt").write_text("pytest==1\n")
         if not self.fakes.exists():
@@ -194,7 +196,7 @@ def test_clones_share_and_lists_decide(dev: Dev, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("fault", "expected"),
     [
-        ("network", "deb.debian.org could not be reached"),
+        ("network", "deb.debian.org/debian could not be reached"),
         ("full", "the disk filled up while making the Debian tree"),
         ("broken", "E: something else"),
         ("pip", "the disk filled up while making the venv"),
