@@ -1,22 +1,23 @@
-# shellcheck shell=bash disable=SC2154 # project, cache, suite, kind, tree, venv, home and solver are set by dev
+# shellcheck shell=bash disable=SC2154 # project, cache, suite, kind, tree, venv, home, host_python and solver are set by dev
 # Makes environments: a private Debian tree with mmdebstrap, and a virtual environment of wheels. Read by ./dev.
 #
-# A folder under its final name is complete: it is made as NAME.partial and renamed. One lock, held by the maker, keeps two
-# from making at once.
+# A folder under its final name is complete: it is made as NAME.partial and renamed. One lock, held by the maker, keeps two from
+# making at once.
 
 mirror=${BCID_MIRROR:-http://deb.debian.org/debian}
+maker=''
+
+# Where a user makes a tree: subordinate ids must get at it, which they often cannot in a home folder.
 scratch=/var/tmp/bcid-$EUID-$(hash_of <<<"$cache")
-maker='' partial=''
 
 readonly MORE_ROOM="Make room (./dev clean deletes old environments), or set BCID_CACHE to a folder on a larger disk."
 readonly OR_WHEELS="Python 3.12 or newer with its headers, and a C compiler; then wheels do."
 
 make_missing() {
-    local leftover
     lock
     trap 'interrupted 130' INT
     trap 'interrupted 143' TERM HUP
-    for leftover in "$cache"/*.partial; do [ ! -e "$leftover" ] || remove "$leftover"; done
+    tidy
     [ "$kind" = host ] || [ -d "$tree" ] || make_tree
     [ -d "$venv" ] || make_venv
     trap - INT TERM HUP
@@ -33,36 +34,42 @@ lock() {
 
 interrupted() {
     [ -z "$maker" ] || { kill -KILL -- "-$maker" && wait "$maker"; } 2>/dev/null
-    [ -z "$partial" ] || remove "$partial"
+    tidy
     say "interrupted; nothing half-built was kept"
     exit "$1"
 }
 
-# Removes a folder, also one without write permissions, and what is left of a tree that was half made.
-remove() {
-    chmod -R u+rwX -- "$1"
-    rm -rf --one-file-system -- "$1"
-    [ ! -d "$scratch" ] || mmdebstrap --unshare-helper rm -rf -- "$scratch"
+# Removes what is half made.
+tidy() {
+    remove "$cache"/*.partial
+    [ ! -d "$scratch" ] || mmdebstrap --unshare-helper rm -rf -- "$scratch" 2>/dev/null
     rm -rf -- "$scratch"
-} 2>/dev/null
+}
 
-# need_space MB FOLDER WHAT: refuses to begin what the disk cannot hold: what is unpacked plus what is downloaded on the way.
+# Removes folders, also those without write permissions.
+remove() {
+    chmod -R u+rwX -- "$@" 2>/dev/null
+    rm -rf --one-file-system -- "$@"
+}
+
+# make FOLDER WHAT MB STEP...: runs a step that fills FOLDER.partial, and gives it its name.
+make() {
+    local start=$SECONDS partial=$1.partial log=$cache/log/${1##*/}.log
+    mkdir -p -- "$partial" || no_cache
+    need_space "$3" "$cache"
+    guarded "${@:4}" || explain_failure "$2"
+    echo "$(du -sm -- "$partial" | cut -f1) MB, made $(date +%F) in $((SECONDS - start)) s" >"$partial/info"
+    mv -- "$partial" "$1" || explain_failure "$2"
+    say "$2 made in $((SECONDS - start)) s"
+}
+
+# need_space MB FOLDER: refuses to begin what the disk cannot hold: what is unpacked plus what is downloaded on the way.
 need_space() {
     local free
     free=$(df -Pm -- "$2" | awk 'NR == 2 {print $4}')
-    [ "${free:-0}" -ge "$1" ] || die "not enough disk space for $3: $1 MB are needed in $2, ${free:-0} MB are free." "$MORE_ROOM"
-}
-
-# make FOLDER WHAT SERVER STEP...: runs a step that fills FOLDER.partial, and gives it its name.
-make() {
-    local start=$SECONDS log
-    log=$cache/log/$(basename -- "$1").log
-    guarded "${@:4}" || explain_failure "$2" "$3"
-    maker=''
-    printf 'size_mb=%s\nseconds=%s\ndate=%s\n' "$(du -sm -- "$partial" | cut -f1)" $((SECONDS - start)) "$(date +%F)" >"$partial/info"
-    mv -- "$partial" "$1" || die "cannot rename $partial"
-    partial=''
-    say "$2 made in $((SECONDS - start)) s"
+    [ "${free:-0}" -ge "$1" ] && return
+    tidy
+    die "not enough disk space: $1 MB are needed in $2, ${free:-0} MB are free." "$MORE_ROOM"
 }
 
 # Runs a step in a process group of its own, which is killed when this script dies, however it dies.
@@ -81,15 +88,14 @@ guarded() {
     wait "$maker"
 }
 
-# explain_failure WHAT SERVER: turns the log of a failed step into one message.
+# Turns the log of a failed step into one message.
 explain_failure() {
-    local lost='Could not resolve|Temporary failure|Name or service not known|Could not connect|Unable to connect|Connection failed'
-    lost+='|Network is unreachable|Failed to establish a new connection|NameResolutionError|ConnectTimeout|Connection timed out'
-    [ -z "$partial" ] || remove "$partial"
+    local lost='Could not resolve|Temporary failure|Name or service not known|NameResolution|[Cc]onnect|unreachable|timed out'
+    tidy
     if grep -qE 'No space left on device|not enough free space|Errno 28' "$log"; then
         die "the disk filled up while making $1; what was made of it is removed." "$MORE_ROOM" "Log: $log"
     elif grep -qE "$lost" "$log"; then
-        die "making $1 failed: $2 could not be reached." \
+        die "making $1 failed for lack of network: $(grep -m1 -E "$lost" "$log")" \
             "Check the network; behind a proxy set http_proxy and https_proxy; another Debian mirror: BCID_MIRROR; another" \
             "package index: PIP_INDEX_URL. Then run ./dev again." "Log: $log"
     fi
@@ -97,31 +103,23 @@ explain_failure() {
 }
 
 make_venv() {
-    local step=(bash "$project/environment/make_venv.sh")
-    partial=$venv.partial
-    need_space 1600 "$cache" "the wheels"
-    mkdir -p -- "$partial/venv" "$home" || no_cache
-    case $kind in
-    host) step+=("$host_python" "$partial/venv" ${solver:+solver}) ;;
-    tree) step=(sandbox "${step[@]}" /usr/bin/python3 /run/bcid/venv) ;;
-    esac
-    say "installing the pinned wheels${solver:+, DOLFINx among them} (about 30 s)"
-    make "$venv" "the venv" "the package index" "${step[@]}"
+    local script=$project/environment/make_venv.sh step
+    step=(bash "$script" "$host_python" "$venv.partial/venv" "$solver")
+    [ "$kind" = host ] || step=(sandbox bash "$script" /usr/bin/python3 /run/bcid/venv own)
+    mkdir -p -- "$venv.partial/venv" "$home" || no_cache
+    say "installing the pinned wheels (about 30 s)"
+    make "$venv" "the venv" 1600 "${step[@]}"
 }
 
 make_tree() {
     need_tools
-    partial=$tree.partial
-    need_space 4300 "$cache" "the Debian tree"
-    mkdir -p -- "$partial" || no_cache
     if [ "$EUID" != 0 ]; then
-        # Made where subordinate ids can get at it, which a home folder is often not.
-        need_space 4300 /var/tmp "the Debian tree while it is made"
+        need_space 4300 /var/tmp
         mkdir -m 1777 -- "$scratch" || die "cannot write to /var/tmp, where a tree is made."
     fi
     say "making a private Debian $suite tree in $cache (760 MB to download, about 2 minutes)"
-    make "$tree" "the Debian tree" "$mirror" debian_tree
-    rm -rf -- "$scratch"
+    make "$tree" "the Debian tree" 4300 debian_tree
+    tidy
 }
 
 debian_tree() {
@@ -170,7 +168,7 @@ need_tools() {
     if [ ${#missing[@]} -gt 0 ] && [ "$EUID" = 0 ] && type -P apt-get >/dev/null; then
         say "installing ${missing[*]} on this machine with apt-get"
         { apt-get update && apt-get install -y --no-install-recommends "${missing[@]}"; } >"$log" 2>&1 </dev/null ||
-            explain_failure "the tools to build with (${missing[*]})" "the Debian mirror"
+            explain_failure "the tools to build with (${missing[*]})"
     elif [ ${#missing[@]} -gt 0 ]; then
         die "no DOLFINx was found, and making an environment needs what this machine does not have: ${missing[*]}." \
             "On Debian or Ubuntu:   sudo apt-get install ${missing[*]}" "Elsewhere:             $OR_WHEELS"

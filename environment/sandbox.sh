@@ -18,8 +18,8 @@ sandbox() {
     # Everything that is not part of the machine's system may hold data: at its own place, for who may read or write it.
     for d in /* /run/media /var/*; do
         case $d in
-        /bin | /sbin | /lib | /lib32 | /lib64 | /libx32 | /usr | /etc | /dev | /proc | /sys | /run | /boot | /lost+found) continue ;;
-        /var | /var/lib | /var/run | /var/lock) continue ;;
+        /bin | /sbin | /lib | /lib32 | /lib64 | /libx32 | /usr | /etc | /dev | /proc | /sys | /run | /boot) continue ;;
+        /lost+found | /var | /var/lib | /var/run | /var/lock) continue ;;
         esac
         if [ -L "$d" ]; then
             args+=(--symlink "$(readlink -- "$d")" "$d")
@@ -62,7 +62,7 @@ sandbox() {
 # Does this folder belong to what is the tree's, inside?
 of_the_tree() { [[ $1 =~ ^/((usr/(bin|lib|sbin|share)|etc|proc|dev|sys).*|usr)?$ ]]; }
 
-# Variables of the machine that would mislead programs in the tree. All others go in: proxies, PIP_*, OMP_*, PETSC_OPTIONS...
+# Variables of the machine that would mislead programs in the tree. All others go in, as proxies, PIP_*, OMP_*, PETSC_OPTIONS.
 clean_variables() {
     bwrap=$(type -P bwrap) || die "bubblewrap (the command bwrap) is not installed any more."
     unset PYTHONPATH PYTHONHOME PYTHONSTARTUP PYTHONUSERBASE PYTHONPLATLIBDIR PYTHONPYCACHEPREFIX VIRTUAL_ENV
@@ -76,14 +76,13 @@ clean_variables() {
     export PATH=/run/bcid/venv/bin:/usr/bin:/usr/sbin
 }
 
-# enter_tree CMD...: runs CMD in the tree and returns its exit code. Signals sent to this script reach CMD once: in the foreground
-# of a terminal it shares this script's process group and gets Ctrl-C by itself, otherwise it has a group of its own.
+# enter_tree CMD...: runs CMD in the tree and returns its exit code. Signals sent to this script reach CMD once: at a terminal it
+# shares this script's process group and gets Ctrl-C by itself, otherwise it has a group of its own.
 enter_tree() {
-    local rc child group foreground
-    read -r _ _ _ _ group _ _ foreground _ <"/proc/$$/stat"
+    local rc child
     trap 'forward TERM' TERM
     trap 'forward HUP' HUP
-    if [ "$group" = "$foreground" ]; then
+    if [ -t 0 ]; then
         trap : INT
     else
         trap 'forward INT' INT

@@ -7,10 +7,8 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import IO
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -34,8 +32,16 @@ PARALLEL = "tests/parallel"
 # A process for each of two cores; tests of a file stay together, for they share what they have made.
 SPREAD = ["-n", "2", "--dist", "loadfile", "--no-loadscope-reorder", "--durations", "25"]
 
-# Of a rank: one that waits for another that is gone would otherwise wait forever.
-TIMEOUT = ["-p", "no:cacheprovider", "-o", "timeout=120", "-o", "timeout_method=thread"]
+# Each rank runs the same tests, and only rank 0 is shown; of the others what they say last, if they fail. One that waits for a rank
+# that is gone ends by the timeout. mpirun kills the others when one ends with an error: they get five seconds to have their say.
+ONE_RANK = """
+rank=${OMPI_COMM_WORLD_RANK:-${PMI_RANK:-0}}
+test() { python -m pytest -p no:cacheprovider -o timeout=120 -o timeout_method=thread "$@"; }
+if [ "$rank" = 0 ]; then test "$@"; else said=$(test "$@" 2>&1); fi && exit
+[ "$rank" = 0 ] || tail -n 40 <<<"$said" | sed "s/^/rank $rank: /" >&2
+sleep 5
+exit 1
+"""
 
 
 def test(args: list[str]) -> bool:
@@ -54,7 +60,10 @@ def test(args: list[str]) -> bool:
         spread = SPREAD if len(os.sched_getaffinity(0)) > 1 else []
     steps = {"serial": ["python", "-m", "pytest", *serial, *spread, *options]} if serial else {}
     if parallel:
-        steps |= {f"{n} rank(s)": ["python", __file__, "ranks", str(n), *parallel, *options] for n in counts}
+        steps |= {
+            f"{n} rank(s)": ["mpirun", "-n", str(n), "bash", "-c", ONE_RANK, "rank", *parallel, *options]
+            for n in counts
+        }
     return run("test", steps)
 
 
@@ -62,6 +71,7 @@ def run(task: str, steps: dict[str, list[str]]) -> bool:
     """Run all steps and print one line about them; whether all ended well."""
     said, good, start = [], True, time.monotonic()
     for name, words in steps.items():
+        say(name)
         begun = time.monotonic()
         passed = call(words)
         good = good and passed
@@ -70,9 +80,9 @@ def run(task: str, steps: dict[str, list[str]]) -> bool:
     return good
 
 
-def call(words: list[str], output: IO[bytes] | None = None) -> bool:
+def call(words: list[str]) -> bool:
     """Run a command in the clone, which ends with this process; whether it ended well."""
-    with subprocess.Popen(words, cwd=ROOT, stdout=output, stderr=output) as child:
+    with subprocess.Popen(words, cwd=ROOT) as child:
         try:
             return child.wait() == 0
         except KeyboardInterrupt:
@@ -84,27 +94,6 @@ def call(words: list[str], output: IO[bytes] | None = None) -> bool:
             child.terminate()
 
 
-def on_ranks(n: str, args: list[str]) -> bool:
-    """Run the same tests on each of n ranks. Only rank 0 is shown; of the others the end, where one failed."""
-    with TemporaryDirectory() as folder:
-        say(f"tests on {n} rank(s)")
-        good = call(["mpirun", "-n", n, "python", __file__, "rank", folder, *args])
-        for file in [] if good else sorted(Path(folder).iterdir()):
-            say(f"the end of rank {file.name} of {n}:")
-            print(*("    " + line for line in file.read_text().splitlines()[-40:]), sep="\n", file=sys.stderr)
-    return good
-
-
-def rank(folder: str, args: list[str]) -> bool:
-    """Run tests as one rank."""
-    name = os.environ.get("OMPI_COMM_WORLD_RANK") or os.environ.get("PMI_RANK") or "0"
-    with Path(folder, name).open("wb") if name != "0" else nullcontext() as file:
-        good = call(["python", "-m", "pytest", *TIMEOUT, *args], file)
-    # mpirun kills the others when one ends with an error: they get five seconds to end by themselves and have their say.
-    time.sleep(0 if good else 5)
-    return good
-
-
 def say(text: str) -> None:
     """Print a line beside the output of commands."""
     print(f"dev: {text}", file=sys.stderr, flush=True)
@@ -112,13 +101,7 @@ def say(text: str) -> None:
 
 def main(task: str, *args: str) -> bool:
     """Do a task; whether it ended well."""
-    if task == "test":
-        return test([*args])
-    if task == "ranks":
-        return on_ranks(args[0], [*args[1:]])
-    if task == "rank":
-        return rank(args[0], [*args[1:]])
-    return run(task, {command: command.split() for command in COMMANDS[task]})
+    return test([*args]) if task == "test" else run(task, {command: command.split() for command in COMMANDS[task]})
 
 
 if __name__ == "__main__":
