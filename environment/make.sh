@@ -1,8 +1,6 @@
 # shellcheck shell=bash disable=SC2154 # project, cache, suite, kind, tree, venv, home, host_python and solver are set by dev
 # Makes environments: a private Debian tree with mmdebstrap, and a virtual environment of wheels. Read by ./dev.
-#
-# A folder under its final name is complete: it is made as NAME.partial and renamed. One lock, held by the maker, keeps two from
-# making at once.
+# A folder under its final name is complete: it is made as NAME.partial and renamed, by one maker at a time, who holds a lock.
 
 mirror=${BCID_MIRROR:-http://deb.debian.org/debian}
 maker=''
@@ -52,13 +50,11 @@ remove() {
     rm -rf --one-file-system -- "$@"
 }
 
-# make FOLDER WHAT MB STEP...: runs a step that fills FOLDER.partial, and gives it its name.
+# make FOLDER WHAT STEP...: runs a step that fills FOLDER.partial, and gives it its name.
 make() {
     local start=$SECONDS partial=$1.partial log=$cache/log/${1##*/}.log
     mkdir -p -- "$partial" || no_cache
-    need_space "$3" "$cache"
-    guarded "${@:4}" || explain_failure "$2"
-    echo "$(du -sm -- "$partial" | cut -f1) MB, made $(date +%F) in $((SECONDS - start)) s" >"$partial/info"
+    guarded "${@:3}" || explain_failure "$2"
     mv -- "$partial" "$1" || explain_failure "$2"
     say "$2 made in $((SECONDS - start)) s"
 }
@@ -67,9 +63,7 @@ make() {
 need_space() {
     local free
     free=$(df -Pm -- "$2" | awk 'NR == 2 {print $4}')
-    [ "${free:-0}" -ge "$1" ] && return
-    tidy
-    die "not enough disk space: $1 MB are needed in $2, ${free:-0} MB are free." "$MORE_ROOM"
+    [ "${free:-0}" -ge "$1" ] || die "not enough disk space: $1 MB are needed in $2, ${free:-0} MB are free." "$MORE_ROOM"
 }
 
 # Runs a step in a process group of its own, which is killed when this script dies, however it dies.
@@ -106,19 +100,21 @@ make_venv() {
     local script=$project/environment/make_venv.sh step
     step=(bash "$script" "$host_python" "$venv.partial/venv" "$solver")
     [ "$kind" = host ] || step=(sandbox bash "$script" /usr/bin/python3 /run/bcid/venv own)
+    need_space 1600 "$cache"
     mkdir -p -- "$venv.partial/venv" "$home" || no_cache
     say "installing the pinned wheels (about 30 s)"
-    make "$venv" "the venv" 1600 "${step[@]}"
+    make "$venv" "the venv" "${step[@]}"
 }
 
 make_tree() {
     need_tools
+    need_space 4300 "$cache"
     if [ "$EUID" != 0 ]; then
         need_space 4300 /var/tmp
         mkdir -m 1777 -- "$scratch" || die "cannot write to /var/tmp, where a tree is made."
     fi
     say "making a private Debian $suite tree in $cache (760 MB to download, about 2 minutes)"
-    make "$tree" "the Debian tree" 4300 debian_tree
+    make "$tree" "the Debian tree" debian_tree
     tidy
 }
 

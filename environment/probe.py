@@ -1,7 +1,4 @@
-"""Tells ./dev what this Python is good for: prints ``own`` if it has DOLFINx, ``wheels`` if it can take it, and what identifies it.
-
-Nothing is imported: that would take seconds.
-"""
+"""Prints ``own`` if this Python has DOLFINx, ``wheels`` if it can take it, and what identifies it. Importing would take seconds."""
 
 import platform
 import shutil

@@ -21,11 +21,8 @@ sandbox() {
         /bin | /sbin | /lib | /lib32 | /lib64 | /libx32 | /usr | /etc | /dev | /proc | /sys | /run | /boot) continue ;;
         /lost+found | /var | /var/lib | /var/run | /var/lock) continue ;;
         esac
-        if [ -L "$d" ]; then
-            args+=(--symlink "$(readlink -- "$d")" "$d")
-        elif [ -d "$d" ]; then
-            args+=(--bind-try "$d" "$d")
-        fi
+        [ ! -L "$d" ] || args+=(--symlink "$(readlink -- "$d")" "$d")
+        [ -L "$d" ] || [ ! -d "$d" ] || args+=(--bind-try "$d" "$d")
     done
     args+=(--dir /var/tmp --dir /run/bcid --tmpfs /run/bcid/tmp)
     # Names, time zone, certificates and package index of the machine.
@@ -44,17 +41,12 @@ sandbox() {
     for d in "$cache"/{tree,venv}-*; do
         [ ! -d "$d" ] || [ "${d%.partial}" != "$d" ] || args+=(--ro-bind "$d" "$d")
     done
-    if [ -d "$venv" ]; then
-        args+=(--ro-bind "$venv/venv" /run/bcid/venv)
-    else
-        args+=(--bind "$venv.partial/venv" /run/bcid/venv)
-    fi
+    args+=(--bind-try "$venv.partial/venv" /run/bcid/venv --ro-bind-try "$venv/venv" /run/bcid/venv)
     passwd=$'root:x:0:0:root:/root:/bin/bash\n'"$(id -un):x:$EUID:$(id -g)::${HOME:-/}:/bin/bash"
     group=$'root:x:0:\n'"$(id -gn):x:$(id -g):"
     args+=(--ro-bind-data 5 /etc/passwd --ro-bind-data 6 /etc/group --remount-ro / --chdir "$here")
     clean_variables
-    # bubblewrap would be killed by the first signal and take CMD with it. It ignores them, CMD does not, and enter_tree passes
-    # them on.
+    # bubblewrap would be killed by a signal and take CMD with it. It ignores them, CMD does not, and enter_tree passes them on.
     trap '' INT QUIT TERM HUP
     exec "$bwrap" "${args[@]}" /usr/bin/env --default-signal=INT,QUIT,TERM,HUP -- "$@" 7<&- 8<&- 5<<<"$passwd" 6<<<"$group"
 }
@@ -71,9 +63,8 @@ clean_variables() {
     unset BASH_ENV ENV CDPATH PROMPT_COMMAND LANGUAGE LC_ALL LOCPATH TMP TEMP MANPATH SSL_CERT_DIR
     unset XDG_RUNTIME_DIR XDG_DATA_DIRS XDG_CONFIG_DIRS XDG_STATE_HOME DBUS_SESSION_BUS_ADDRESS
     unset "${!CONDA@}" "${!PYENV@}" "${!LC_@}" "${!LMOD@}" 2>/dev/null
-    export LANG=C.UTF-8 SHELL=/bin/bash TMPDIR=/run/bcid/tmp PYTHONNOUSERSITE=1
+    export LANG=C.UTF-8 SHELL=/bin/bash TMPDIR=/run/bcid/tmp PYTHONNOUSERSITE=1 PATH=/run/bcid/venv/bin:/usr/bin:/usr/sbin
     export SSL_CERT_FILE=$certificates PIP_CERT=$certificates REQUESTS_CA_BUNDLE=$certificates CURL_CA_BUNDLE=$certificates
-    export PATH=/run/bcid/venv/bin:/usr/bin:/usr/sbin
 }
 
 # enter_tree CMD...: runs CMD in the tree and returns its exit code. Signals sent to this script reach CMD once: at a terminal it

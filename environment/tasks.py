@@ -1,7 +1,5 @@
 """The tasks test, lint, coverage and docs of ./dev: ``python environment/tasks.py TASK [ARG...]``, in the environment."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -50,8 +48,7 @@ def test(args: list[str]) -> bool:
     options = [arg for arg in args if arg not in paths]
     parallel = [path for path in paths if path.startswith(PARALLEL)]
     serial = [path for path in paths if path not in parallel]
-    spread: list[str] = []
-    counts = [1, 2, 3]
+    spread, counts = [], [1, 2, 3]
     if not paths:
         serial = [folder for folder in FOLDERS if (ROOT / folder).is_dir()]
     if not args:
@@ -71,43 +68,37 @@ def run(task: str, steps: dict[str, list[str]]) -> bool:
     """Run all steps and print one line about them; whether all ended well."""
     said, good, start = [], True, time.monotonic()
     for name, words in steps.items():
-        say(name)
+        print("dev:", name, file=sys.stderr)
         begun = time.monotonic()
         passed = call(words)
         good = good and passed
         said.append(f"{name} {'passed' if passed else 'FAILED'} ({time.monotonic() - begun:.0f} s)")
-    say(f"{task} {'OK' if good else 'FAILED'} after {time.monotonic() - start:.0f} s: {', '.join(said)}")
+    total = f"{time.monotonic() - start:.0f} s"
+    print(f"dev: {task} {'OK' if good else 'FAILED'} after {total}: {', '.join(said)}", file=sys.stderr)
     return good
 
 
 def call(words: list[str]) -> bool:
     """Run a command in the clone, which ends with this process; whether it ended well."""
-    with subprocess.Popen(words, cwd=ROOT) as child:
-        try:
-            return child.wait() == 0
-        except KeyboardInterrupt:
-            # From a terminal the child has it as well, and may have something to say.
-            with suppress(subprocess.TimeoutExpired):
-                child.wait(10)
-            raise
-        finally:
-            child.terminate()
-
-
-def say(text: str) -> None:
-    """Print a line beside the output of commands."""
-    print(f"dev: {text}", file=sys.stderr, flush=True)
-
-
-def main(task: str, *args: str) -> bool:
-    """Do a task; whether it ended well."""
-    return test([*args]) if task == "test" else run(task, {command: command.split() for command in COMMANDS[task]})
+    child = subprocess.Popen(words, cwd=ROOT)
+    try:
+        return child.wait() == 0
+    except KeyboardInterrupt:
+        # From a terminal the child has it as well, and may have something to say.
+        with suppress(subprocess.TimeoutExpired):
+            child.wait(10)
+        raise
+    finally:
+        child.terminate()
+        child.wait()
 
 
 if __name__ == "__main__":
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda number, _: sys.exit(128 + number))
+    task, args = sys.argv[1], sys.argv[2:]
     try:
-        sys.exit(0 if main(*sys.argv[1:]) else 1)
+        good = test(args) if task == "test" else run(task, {command: command.split() for command in COMMANDS[task]})
     except KeyboardInterrupt:
         sys.exit(130)
+    sys.exit(0 if good else 1)
