@@ -1,11 +1,13 @@
-"""./dev with fakes instead of mmdebstrap and bubblewrap, so that what can go wrong can be made to; and the doctor."""
+"""./dev with fakes instead of mmdebstrap, bubblewrap and Python, so that what can go wrong can be made to; tasks; the doctor."""
 
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -42,7 +44,7 @@ case $* in *--mode=unshare*) tar -C "$root" -c . && rm -r "$root" ;; esac
 BWRAP = r"""
 printf '%s\n' "$@" >"$FAKES/bwrap.words"
 case $* in
-*wheels_venv*)
+*make_venv.sh*)
     [ "${FAKE:-}" = pip ] || exit 0
     echo "OSError: [Errno 28] No space left on device"
     exit 1 ;;
@@ -50,7 +52,23 @@ esac
 for a in "$@"; do case $a in --) break ;; esac; shift; done
 [ $# -gt 0 ] || exit 0  # the trial whether namespaces can be made
 shift
-exec env --default-signal=INT,TERM,HUP "$@"
+# As bubblewrap: CMD is the child of a process that is number 1, and both of these ignore signals.
+bash -c '"$@" <&0 & wait $!' init env --default-signal=INT,TERM,HUP "$@" <&0 &
+wait $!
+"""
+
+# A Python that has DOLFINx: it makes venvs of itself, and says what it is to run.
+PYTHON = r"""
+case $* in
+*/probe.py) echo "own /usr 3.13" ;;
+"-m venv "*)
+    mkdir -p "${@: -1}/bin"
+    cat "$0" >"${@: -1}/bin/python"
+    chmod +x "${@: -1}/bin/python" ;;
+*sysconfig*) echo "${0%/bin/python}" ;;
+"-m pip install "*) printf '#!%s\n' "$0" >"${0%/python}/tool" ;;
+"-P -m "*) echo "$0 runs $3 for ${@:4}" ;;
+esac
 """
 
 FAKES = {
@@ -77,8 +95,11 @@ class Dev:
         self.fakes = folder / "bin"
         (self.clone / "environment").mkdir(parents=True)
         shutil.copy(ROOT / "dev", self.clone)
+        for file in (*ROOT.glob("environment/*.sh"), *ROOT.glob("environment/*.py")):
+            shutil.copy(file, self.clone / "environment")
         (self.clone / "environment/debian.txt").write_text("# comment\npython3-dolfinx\n")
         (self.clone / "environment/wheels.txt").write_text("pytest==1\n")
+        (self.clone / "environment/solver.txt").write_text("dolfinx==1\n")
         if not self.fakes.exists():
             self.fakes.mkdir()
             for tool in TOOLS:
@@ -150,7 +171,7 @@ def alive(pid: int) -> bool:
 
 @pytest.fixture
 def dev(tmp_path: Path) -> Iterator[Dev]:
-    dev = Dev(tmp_path)
+    dev = Dev(tmp_path / "with space")
     yield dev
     for pid in dev.builds:
         if alive(pid):
@@ -168,15 +189,16 @@ def test_builds_once_and_is_then_quiet(dev: Dev) -> None:
 
 
 def test_environment_of_the_command(dev: Dev) -> None:
-    show = "echo ${PYTHONPATH-unset} ${LD_PRELOAD-unset} $BCID_PROJECT $OMP_NUM_THREADS $MKL_NUM_THREADS $http_proxy"
+    show = "echo ${PYTHONPATH-unset} ${LD_PRELOAD-unset} $BCID_PROJECT $OMP_NUM_THREADS $http_proxy"
     given = {"PYTHONPATH": "/x", "LD_PRELOAD": "", "OMP_NUM_THREADS": "2", "http_proxy": "http://p"}
     code, out, err = dev("bash", "-c", show, **given)
-    assert (code, out.split()) == (0, ["unset", "unset", str(dev.clone), "2", "1", "http://p"]), err
+    assert (code, out) == (0, f"unset unset {dev.clone} 2 http://p\n"), err
+    assert dev("bash", "-c", "echo $OMP_NUM_THREADS")[1] == "1\n"
 
 
-def test_clones_share_and_lists_decide(dev: Dev, tmp_path: Path) -> None:
+def test_clones_share_and_lists_decide(dev: Dev) -> None:
     assert dev("true")[0] == 0
-    other = Dev(tmp_path, "other")
+    other = Dev(dev.folder, "other")
     code, out, _ = other("bash", "-c", "echo $BCID_PROJECT")
     assert (code, out.strip()) == (0, str(other.clone))
     (dev.clone / "environment/debian.txt").write_text("python3-dolfinx # another comment\n")
@@ -194,7 +216,7 @@ def test_clones_share_and_lists_decide(dev: Dev, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("fault", "expected"),
     [
-        ("network", "deb.debian.org could not be reached"),
+        ("network", "for lack of network: E: Could not resolve 'deb.debian.org'"),
         ("full", "the disk filled up while making the Debian tree"),
         ("broken", "E: something else"),
         ("pip", "the disk filled up while making the venv"),
@@ -299,6 +321,148 @@ def test_unusable_python(dev: Dev) -> None:
     code, _, err = dev("true", BCID_ENV="auto", BCID_PYTHON="python3")
     assert code == 3
     assert "python3 neither has dolfinx" in err
+
+
+def test_python_of_the_machine_gets_a_venv_with_the_commands(dev: Dev) -> None:
+    dev.fake("python3", PYTHON)
+    code, out, err = dev("bcid-validate", "golden", "-o", "RUN", BCID_ENV="host")
+    (venv,) = dev.cache.glob("venv-host-*")
+    assert (code, out) == (0, f"{venv}/venv/bin/python runs validation for golden -o RUN\n"), err
+    assert dev("bcid", "demo", BCID_ENV="")[:2] == (0, f"{venv}/venv/bin/python runs bcid for demo\n")
+    # What pip wrote names the Python by the path at which the venv was made.
+    assert (venv / "venv/bin/tool").read_text() == f"#!{venv}/venv/bin/python\n"
+    assert not dev.builds
+
+
+def test_inside_of_an_environment_the_command_just_runs(dev: Dev) -> None:
+    code, out, err = dev(
+        "bash", "-c", "echo $BCID_PROJECT; exit 4", BCID_DEV="another", BCID_ENV="", XDG_CACHE_HOME="/x/cache"
+    )
+    assert (code, out, err) == (4, f"{dev.clone}\n", "")
+    assert not dev.cache.exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_signals_reach_the_command_once(dev: Dev, number: signal.Signals) -> None:
+    assert dev("true")[0] == 0
+    wait = "trap 'echo got; n=1' TERM INT HUP; n=0; echo ready; while [ $n = 0 ]; do sleep 0.1; done; sleep 0.3; exit 9"
+    process = dev.start("bash", "-c", wait)
+    assert process.stdout
+    assert process.stdout.readline() == "ready\n"
+    process.send_signal(number)
+    out, err = process.communicate(timeout=10)
+    assert (process.returncode, out) == (9, "got\n"), err
+
+
+def test_size_of_dev() -> None:
+    def lines(path: Path) -> int:
+        return len(path.read_text(encoding="utf-8").splitlines())
+
+    helpers = [path for path in (ROOT / "environment").iterdir() if path.suffix in (".sh", ".py")]
+    assert lines(ROOT / "dev") <= 200
+    assert lines(ROOT / "dev") + sum(map(lines, helpers)) <= 600
+
+
+@pytest.mark.skipif("BCID_DEV" not in os.environ, reason="not run in an environment of ./dev")
+def test_validation_is_a_command_of_the_environment() -> None:
+    run = subprocess.run(["bcid-validate", "--help"], capture_output=True, text=True, timeout=60, cwd="/")
+    assert "python -m validation" in run.stdout, run.stderr
+
+
+class Tasks:
+    """environment/tasks.py in a clone, with fakes instead of pytest and mpirun."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        (folder / "environment").mkdir()
+        shutil.copy(ROOT / "environment/tasks.py", folder / "environment")
+        for name, text in {"mpirun": MPIRUN, "sleep": "", "python": PYTEST}.items():
+            (folder / name).write_text(f"#!/usr/bin/env bash\n{text}\n")
+            (folder / name).chmod(0o755)
+
+    def start(self, *args: str, **env: str) -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            [sys.executable, str(self.folder / "environment/tasks.py"), *args],
+            env=os.environ | {"PATH": f"{self.folder}:{os.environ['PATH']}"} | env,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def __call__(self, *args: str, **env: str) -> tuple[int, str, list[str]]:
+        """Exit code, output, and lines of the other output, in which times are t."""
+        process = self.start(*args, **env)
+        out, err = process.communicate(timeout=60)
+        return process.returncode, out, re.sub(r"\d+ s\b", "t", err).splitlines()
+
+
+# Ranks without MPI, at once.
+MPIRUN = """
+for ((rank = 0; rank < $2; rank++)); do OMPI_COMM_WORLD_RANK=$rank "${@:3}" & done
+code=0
+while wait -n; rc=$?; [ $rc != 127 ]; do [ $rc = 0 ] || code=$rc; done
+exit $code
+"""
+
+# Instead of pytest: what it is to do, and as which rank.
+PYTEST = """
+rank=${OMPI_COMM_WORLD_RANK:-serial}
+echo "$rank: $*"
+[ "$rank" != "$BAD" ]
+"""
+
+
+@pytest.fixture
+def tasks(tmp_path: Path) -> Tasks:
+    tasks = Tasks(tmp_path)
+    for folder in ("unit", "verify", "parallel"):
+        (tmp_path / "tests" / folder).mkdir(parents=True)
+    return tasks
+
+
+def test_all_tests_are_run_also_on_ranks(tasks: Tasks) -> None:
+    code, out, said = tasks("test", BAD="none")
+    assert code == 0, out
+    assert said[-1] == "dev: test OK after t: serial passed (t), 2 rank(s) passed (t), 3 rank(s) passed (t)"
+    serial, *ranks = out.splitlines()
+    assert serial.startswith("serial: -m pytest tests/parallel tests/verify tests/unit")
+    assert ("-n 2 --dist loadfile" in serial) == (len(os.sched_getaffinity(0)) > 1)
+    # Rank 0 of two, and of three: the others are not shown.
+    assert [line.split()[0] for line in ranks] == ["0:", "0:"]
+    assert all(line.endswith(" tests/parallel") for line in ranks)
+
+
+@pytest.mark.parametrize("bad", ["serial", "0", "1"])
+def test_failure_of_any_rank_fails(tasks: Tasks, bad: str) -> None:
+    code, _, said = tasks("test", "tests/unit/test_a.py", "tests/parallel", "-q", BAD=bad)
+    good = [bad != "serial", bad != "0", bad == "serial", bad == "serial"]
+    results = [
+        f"{name} {'passed' if one else 'FAILED'} (t)"
+        for name, one in zip(("serial", "1 rank(s)", "2 rank(s)", "3 rank(s)"), good, strict=True)
+    ]
+    assert (code, said[-1]) == (1, f"dev: test FAILED after t: {', '.join(results)}")
+    # What a rank said that failed and was not shown.
+    assert len([line for line in said if line.startswith("rank 1: 1: -m pytest")]) == (2 if bad == "1" else 0)
+
+
+def test_arguments_go_to_pytest(tasks: Tasks) -> None:
+    code, out, _ = tasks("test", "-k", "wrench", BAD="none")
+    assert (code, out) == (0, "serial: -m pytest tests/verify tests/unit -k wrench\n")
+    code, out, _ = tasks("test", "tests/parallel", "-x", BAD="none")
+    assert code == 0
+    assert [line.split("thread ")[1] for line in out.splitlines()] == ["tests/parallel -x"] * 3
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_terminated_tests_end_at_once(tasks: Tasks, number: signal.Signals) -> None:
+    (tasks.folder / "python").write_text("#!/usr/bin/env bash\n/bin/sleep 0.3\necho $$\nexec /bin/sleep 60\n")
+    process = tasks.start("test")
+    assert process.stdout
+    pid = int(process.stdout.readline())
+    process.send_signal(number)
+    process.communicate(timeout=10)
+    assert process.returncode == 128 + number
+    assert not alive(pid)
 
 
 def test_clean_keeps_what_is_used(dev: Dev) -> None:
