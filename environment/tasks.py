@@ -11,7 +11,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 
 COMMANDS = {
-    "lint": ["ruff check .", "ruff format --check .", "mypy bcid"],
+    "lint": ["ruff check .", "ruff format --check .", "mypy"],
     "coverage": [
         "coverage erase",
         "coverage run -m pytest tests --ignore tests/parallel -n 2 --dist loadfile",
