@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from bcid.base.units import percent
 from bcid.report.diagnosis_picture import LONGEST, diagonal, round_scale, worst_frame
+from bcid.report.figure import completed
 from bcid.report.found import Found
-from bcid.report.gallery import residuals_of
 from bcid.report.identification_picture import telling_frame
-from bcid.report.measured_points import completed
-from bcid.report.residual import Residual
+from bcid.report.residual import Residual, residuals_of
 
 Array = NDArray[np.float64]
 
@@ -34,9 +33,9 @@ def view_data(found: Found) -> dict[str, Any] | None:
     Raises:
         ValueError, KeyError: `body.nc` or the positions are damaged.
     """
-    residual = residuals_of(found)
-    if found.body is None or found.positions is None or residual is None:
+    if found.body is None or found.positions is None or not found.result:
         return None
+    residual = residuals_of(found)
     body, positions = found.body, found.positions
     triangles = body["triangles"].values[:, :3].astype(int)
     nodes, corners = np.unique(triangles, return_inverse=True)

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 import textwrap
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.base.run_folder import RunFolder, writing
-from bcid.report.figure import open_frame, save, styled
+from bcid.report.figure import open_frame
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,14 +28,6 @@ _ARROWS, _LENGTH = 700, 0.018
 _PAIRS, _LINE = 40, 105
 # Room for bars: few are not broad.
 _BARS = 10
-
-
-def draw(folder: str | Path) -> list[Path]:
-    """Draw `calibration.png` into the folder of a finished calibration; returns what was written."""
-    run = RunFolder.open(folder)
-    found = run.read_json("calibration.json")
-    with styled(), writing(run.path):
-        return [save(calibration_figure(found), run.path / "calibration.png")]
 
 
 def calibration_figure(found: dict[str, Any]) -> Figure:

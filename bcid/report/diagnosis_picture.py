@@ -5,22 +5,16 @@ falling error.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from bcid.base.run_folder import RunFolder, writing
 from bcid.base.tails import chi2_tail
 from bcid.base.units import force_unit, percent, uncertain, unit_factor
-from bcid.report.figure import body_entries, cropped, save, styled
-from bcid.report.ladder import head, ladder_figure
-from bcid.report.lengths import in_mm, round_length
-from bcid.report.measured_points import completed
-from bcid.report.paraview import write_paraview
-from bcid.report.scene3d import COLOURS, MAP, Image, arrows_picture, kinds, map_picture
+from bcid.report.figure import COLOURS, MAP, Image, body_entries, completed, cropped, head, round_length
+from bcid.report.scene3d import BodyPicture
 from bcid.report.text import conclusion, model_name
 
 if TYPE_CHECKING:
@@ -39,22 +33,6 @@ _CHANCE = 0.05
 _NOTHING = 0.1
 
 
-def draw(folder: str | Path) -> list[Path]:
-    """Draw the pictures of a finished comparison and write `paraview/`; returns what was written.
-
-    `where.png` needs `where.json`, which is not there when nothing is missing.
-    """
-    run = RunFolder.open(folder)
-    found = in_mm(run.read_json("diagnosis.json"))
-    body, residuals = run.read_dataset("body.nc"), run.read_dataset("residuals.nc")
-    with styled(), writing(run.path):
-        figures = {"picture.png": residual_figure(found, body, residuals), "ladder.png": ladder_figure(found)}
-        if run.holds("where.json"):
-            figures["where.png"] = where_figure(found, in_mm(run.read_json("where.json")), body, residuals)
-        written = [save(figure, run.path / name) for name, figure in figures.items()]
-        return [*written, write_paraview(run.path / "paraview", body, residuals, found["anchored"])]
-
-
 # -- what the models miss
 # ----------------------------------------------------------------------------------------------------------
 
@@ -71,16 +49,17 @@ def residual_figure(found: dict[str, Any], body: xr.Dataset, residuals: xr.Datas
         panels.append((found["ladder"][-1], last))
     shown = [(completed(measured, predicted) - predicted)[frame] for _, predicted in panels]
     most = max(float(np.nanmax(np.linalg.norm(missed, axis=1))) for missed in shown)
-    dense = measured.shape[1] > _ARROWS
+    dense, grasp = measured.shape[1] > _ARROWS, str(residuals["grasp"].values[frame])
     images = []
     for (_, predicted), missed in zip(panels, shown, strict=True):
         seen = np.isfinite(missed).all(axis=1)
-        view = body, found["anchored"], frame, str(residuals["grasp"].values[frame])
-        at = predicted[frame][seen]
+        scene = BodyPicture(body, frame, _SIZE)
+        scene.add_body(found["anchored"], grasp)
         if dense:
-            images.append(map_picture(*view, at, np.linalg.norm(missed[seen], axis=1), most, _SIZE))
+            scene.add_field(predicted[frame][seen], np.linalg.norm(missed[seen], axis=1), most)
         else:
-            images.append(arrows_picture(*view, at, scale * missed[seen], _SIZE))
+            scene.add_arrows(predicted[frame][seen], scale * missed[seen])
+        images.append(scene.image())
     unit = found["length_unit"]
     titles = [f"{model_name(rung['model'])}: {rung['rms']:.3g} {unit}" for rung, _ in panels]
     figure = _panels(images, titles)
@@ -92,7 +71,7 @@ def residual_figure(found: dict[str, Any], body: xr.Dataset, residuals: xr.Datas
     )
     where = f"action {residuals['action'].values[frame]}, step {int(residuals['step'].values[frame])}"
     arrow = "" if dense else f"measured − predicted, {scale:g} × as long as it is ({where})"
-    _legend(figure, arrow, str(residuals["grasp"].values[frame]), body)
+    _legend(figure, arrow, grasp, body)
     if dense:
         _colour_bar(figure, most, f"|measured − predicted|, mm\n({where})")
     return figure
@@ -139,8 +118,10 @@ def where_figure(found: dict[str, Any], where: dict[str, Any], body: xr.Dataset,
     for action, places in (shown or {"": []}).items():
         starts, forces = (np.array([p[what] for p in places]).reshape(-1, 3) for what in ("position", "force"))
         texts = [uncertain(per_newton * _size(p), per_newton * p["stderr"]) for p in places]
-        view = body, found["anchored"], None, _grasp(residuals, action)
-        images.append(arrows_picture(*view, to_mm * starts, scale * forces, _SIZE, texts))
+        scene = BodyPicture(body, None, _SIZE)
+        scene.add_body(found["anchored"], _grasp(residuals, action))
+        scene.add_arrows(to_mm * starts, scale * forces, texts)
+        images.append(scene.image())
         titles.append(parts[action].said(action, places, per_newton, newtons) if shown else "")
     figure = _panels(images, titles)
     first = found["ladder"][-1 if found["adequate"] is False else 0]
@@ -262,5 +243,5 @@ def _legend(figure: Figure, arrow: str, grasp: str, body: xr.Dataset) -> None:
 
     arrows = [Line2D([], [], color=COLOURS.predicted, linewidth=3, label=arrow)] if arrow else []
     narrow = figure.get_figwidth() < 10
-    handles = [*arrows, *body_entries(grasp, kinds(body))]
+    handles = [*arrows, *body_entries(grasp, body)]
     figure.legend(handles=handles, loc="lower center", frameon=False, fontsize=11, ncols=2 if narrow else 4)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bcid.base.run_folder import RunFolder, writing
 from bcid.base.units import percent
-from bcid.report.figure import chart, legend_below, open_frame, save, short, styled
+from bcid.report.figure import open_frame, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,14 +15,6 @@ if TYPE_CHECKING:
 _COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
 _HATCHES = ("", "///", "...", "xx", "\\\\\\", "++")
 _OTHERS = "#BBBBBB"
-
-
-def draw(folder: str | Path) -> list[Path]:
-    """Draw `belief.png` into the folder of a finished exploration; returns what was written."""
-    run = RunFolder.open(folder)
-    found = run.read_json("exploration.json")
-    with styled(), writing(run.path):
-        return [save(belief_figure(found), run.path / "belief.png")]
 
 
 def belief_figure(found: dict[str, Any]) -> Figure:
@@ -38,34 +28,17 @@ def belief_figure(found: dict[str, Any]) -> Figure:
     rivals = bool(steps) and len(steps[0]["effects"]) > 1
     grid.update(left=0.11 if rivals else 0.065, right=0.98, top=0.86, bottom=0.1)
     figure.suptitle(title(found), x=0.02, ha="left", fontsize=14, fontweight="bold")
-    _sets(figure.add_subplot(grid[0, 0]), steps)
-    _patches(figure.add_subplot(grid[1, 0]), steps)
-    _bits(figure.add_subplot(grid[:, 1]), steps)
-    return figure
-
-
-def sets_chart(found: dict[str, Any]) -> Figure:
-    """The belief over anchor sets after each pull."""
-    figure, axes = chart(4.6, 3.6)
-    _sets(axes, found["steps"])
-    legend = axes.get_legend()
-    if legend is not None:
-        legend.remove()
-    legend_below(figure, axes)
-    return figure
-
-
-def patches_chart(found: dict[str, Any]) -> Figure:
-    """The probability of each patch after each pull."""
-    figure, axes = chart(4.6, 3.6)
-    _patches(axes, found["steps"])
-    return figure
-
-
-def bits_chart(found: dict[str, Any]) -> Figure:
-    """Bits that each pull was expected to tell, and told."""
-    figure, axes = chart(4.6, 3.6)
-    _bits(axes, found["steps"])
+    draw_patches(figure.add_subplot(grid[1, 0]), steps)
+    for axes, draw in ((figure.add_subplot(grid[0, 0]), draw_sets), (figure.add_subplot(grid[:, 1]), draw_bits)):
+        draw(axes, steps)
+        if steps:
+            axes.legend(
+                loc="lower left",
+                bbox_to_anchor=(0, 1.0),
+                ncols=4 if draw is draw_sets else 1,
+                frameon=False,
+                fontsize=9,
+            )
     return figure
 
 
@@ -86,7 +59,7 @@ def _name(hypothesis: dict[str, Any]) -> str:
     return "{" + " ".join(hypothesis["anchored"]) + "}" + (f" + {hypothesis['effect']}" if hypothesis["effect"] else "")
 
 
-def _sets(axes: Axes, steps: list[dict[str, Any]]) -> None:
+def draw_sets(axes: Axes, steps: list[dict[str, Any]]) -> None:
     """One stacked bar per pull: the likeliest sets, the rest in grey."""
     weight: dict[str, float] = {}
     for step in steps:
@@ -121,8 +94,6 @@ def _sets(axes: Axes, steps: list[dict[str, Any]]) -> None:
     axes.set_xlim(0.4, len(steps) + 0.6)
     axes.set_xticks(range(1, len(steps) + 1), [_pull(step) for step in steps])
     open_frame(axes)
-    if steps:
-        axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=4, frameon=False, fontsize=9)
 
 
 def _width(steps: list[dict[str, Any]]) -> float:
@@ -134,7 +105,7 @@ def _pull(step: dict[str, Any]) -> str:
     return f"{short(step['grasp'])} {short(step['direction'])}\n{step['amplitude']:.3g} mm"
 
 
-def _patches(axes: Axes, steps: list[dict[str, Any]]) -> None:
+def draw_patches(axes: Axes, steps: list[dict[str, Any]]) -> None:
     """Probability of each patch, and of each effect where there are rivals, by pull, as numbers on shades of grey."""
     if not steps:
         axes.set_axis_off()
@@ -165,7 +136,7 @@ def _probabilities(step: dict[str, Any]) -> dict[str, float]:
     return step["patches"] | {name or "no effect": p for name, p in rivals.items()}
 
 
-def _bits(axes: Axes, steps: list[dict[str, Any]]) -> None:
+def draw_bits(axes: Axes, steps: list[dict[str, Any]]) -> None:
     """Expected against gained information, by pull."""
     numbers = [step["number"] for step in steps]
     known = [step for step in steps if step["expected_bits"] is not None]
@@ -184,5 +155,4 @@ def _bits(axes: Axes, steps: list[dict[str, Any]]) -> None:
     axes.set_xticks(numbers)
     axes.set_xlabel("pull")
     axes.set_ylabel("information (bits)")
-    axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), frameon=False, fontsize=9)
     open_frame(axes)

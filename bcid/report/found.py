@@ -9,13 +9,28 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bcid.base.errors import BcidError
+from bcid.base.errors import BcidError, InputError
 from bcid.base.run_folder import RunFolder
-from bcid.report.lengths import in_mm
-from bcid.report.markup import clean
+from bcid.base.units import unit_factor
+from bcid.report.text import clean
 
 _DOCUMENTS = ("diagnosis", "identification", "exploration", "calibration", "tracking", "where", "model", "proposal")
 _TEXTS = ("summary.txt", "table.txt")
+# What damaged content makes the code raise that shows it, images and the drawing libraries included.
+DAMAGE = (
+    BcidError,
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    OSError,
+    RuntimeError,
+    SyntaxError,
+    TypeError,
+    ValueError,
+)
+# What is a length in the documents of a run.
+_RMS = ("rms", "noise_rms", "discretisation_rms", "held_out_rms", "best_rms", "expected_rms", "fitted_rms")
+_LENGTHS = frozenset((*_RMS, "distance", "position", "positions", "contributions"))
 # Longer texts are cut: they come from names and messages.
 _LONGEST = 4000
 
@@ -142,3 +157,25 @@ def _named(data: xr.Dataset) -> xr.Dataset:
         )
     data.attrs = {key: clean(value) if isinstance(value, str) else value for key, value in data.attrs.items()}
     return data
+
+
+def in_mm(document: dict[str, Any]) -> dict[str, Any]:
+    """A document of a run with its lengths in mm; one that states no usable unit stays as it is."""
+    unit = document.get("length_unit")
+    try:
+        factor = unit_factor(unit, "mm") * 1e3 if isinstance(unit, str) else 1.0
+    except InputError:
+        return document
+    if factor == 1.0 or unit == "mm":
+        return document
+    return _scaled(document, factor, False) | {"length_unit": "mm"}
+
+
+def _scaled(content: Any, factor: float, length: bool) -> Any:
+    if isinstance(content, dict):
+        return {key: _scaled(value, factor, length or key in _LENGTHS) for key, value in content.items()}
+    if isinstance(content, list):
+        return [_scaled(value, factor, length) for value in content]
+    return (
+        content * factor if length and isinstance(content, int | float) and not isinstance(content, bool) else content
+    )

@@ -1,4 +1,4 @@
-"""Which figures a run has: the same for the page and for files."""
+"""Which figures a run has: those of the page and of files, and the pictures that stand in its folder."""
 
 from __future__ import annotations
 
@@ -8,22 +8,24 @@ from typing import TYPE_CHECKING, Any
 
 from bcid.base.run_folder import RunFolder
 from bcid.report import exploration_picture as exploration
-from bcid.report import ladder, residual
+from bcid.report import residual
 from bcid.report.calibration_picture import calibration_figure
-from bcid.report.course_chart import course_chart
 from bcid.report.diagnosis_picture import residual_figure, where_figure
-from bcid.report.force_chart import felt, force_chart, torque_chart
+from bcid.report.figure import chart
 from bcid.report.found import Found
-from bcid.report.identification_picture import body_figure, probability_chart
-from bcid.report.residual import Residual
+from bcid.report.identification_picture import body_figure, draw_probabilities, summary_figure
+from bcid.report.ladder import ladder_chart, ladder_figure, ranking_chart
+from bcid.report.residual import Residual, residuals_of
 from bcid.report.text import model_name
+from bcid.report.time_charts import course_chart, felt, force_chart, torque_chart
 from bcid.report.tracking_picture import rest_picture, tracking_figure
 
 if TYPE_CHECKING:
-    import xarray as xr
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-BODY, RESIDUALS, RANKING, LADDER, BELIEF, IMAGES = "body", "residuals", "ranking", "ladder", "belief", "images"
+BODY, ANSWER, PROPOSAL, RESIDUALS, RANKING = "body", "answer", "proposal", "residuals", "ranking"
+LADDER, BELIEF, IMAGES = "ladder", "belief", "images"
 
 
 @dataclass(frozen=True)
@@ -51,12 +53,20 @@ def drawings(found: Found) -> list[Drawing]:
     return [*made, *_of_images(found)]
 
 
-def residuals_of(found: Found) -> Residual | None:
-    """Residuals of a run, or None where it has none."""
-    result = found.documents.get("diagnosis") or found.documents.get("identification")
-    if found.positions is None or result is None:
-        return None
-    return Residual.of(found.positions, result.get("noise_rms"), str(result.get("length_unit", "mm")))
+def pictures(found: Found) -> dict[str, Callable[[], Figure]]:
+    """The figures that stand in the folder of a finished run, by their files: what a command shows of its result."""
+    documents, body, positions = found.documents, found.body, found.positions
+    made: dict[str, Callable[[], Figure]] = {}
+    if "diagnosis" in documents and body is not None and positions is not None:
+        made["picture.png"] = lambda: residual_figure(documents["diagnosis"], body, positions)
+        made["ladder.png"] = lambda: ladder_figure(documents["diagnosis"])
+        if "where" in documents:
+            made["where.png"] = lambda: where_figure(documents["diagnosis"], documents["where"], body, positions)
+    elif "identification" in documents and body is not None and positions is not None:
+        made["picture.png"] = lambda: summary_figure(documents["identification"], body, positions)
+    if "exploration" in documents:
+        made["belief.png"] = lambda: exploration.belief_figure(documents["exploration"])
+    return made | {f"{drawing.name}.png": drawing.draw for drawing in _of_images(found)}
 
 
 def _of_body(found: Found) -> list[Drawing]:
@@ -73,51 +83,38 @@ def _of_body(found: Found) -> list[Drawing]:
             made.append(Drawing("body", BODY, text, lambda: body_figure(identification, body, positions), True))
     if identification is not None:
         text = "How probable it is that a patch is anchored. Dark: the set that is reported; hatched: the others."
-        made.append(Drawing("patches", BELIEF, text, lambda: probability_chart(identification)))
+        draw = lambda: chart(lambda axes: draw_probabilities(axes, identification))  # noqa: E731
+        made.append(Drawing("patches", BELIEF, text, draw))
     return made
 
 
 def _of_residuals(found: Found) -> list[Drawing]:
-    if found.positions is None or not found.result:
+    positions = found.positions
+    if positions is None or not found.result:
         return []
 
-    def drawn(draw: Callable[[Residual], Figure]) -> Callable[[], Figure]:
-        return lambda: draw(_present(residuals_of(found)))
+    def drawn(draw: Callable[[Axes, Residual], None]) -> Callable[[], Figure]:
+        return lambda: chart(lambda axes: draw(axes, residuals_of(found)))
 
-    last = model_name(str(found.positions.attrs.get("model", "the model")))
-    captions = {
-        "action": "By action. A model that is right misses every action by about the noise.",
-        "step": "By step, over all actions. A residual that grows with the pull, or is there at rest, tells of the model.",
-        "fiducial": "By fiducial. A few that stand out tell where the model fails.",
-        "map": f"How far each fiducial is from where {last} has it, frame by frame; bright is far.",
+    last = model_name(str(positions.attrs.get("model", "the model")))
+    steps = "By step, over all actions. A residual that grows with the pull, or is there at rest, tells of the model."
+    texts: dict[str, tuple[str, Callable[[Axes, Residual], None]]] = {
+        "action": ("By action. A model that is right misses every action by about the noise.", residual.draw_actions),
+        "step": (steps, residual.draw_steps),
+        "fiducial": ("By fiducial. A few that stand out tell where the model fails.", residual.draw_fiducials),
+        "map": (
+            f"How far each fiducial is from where {last} has it, frame by frame; bright is far.",
+            residual.draw_map,
+        ),
     }
-    drawers = {
-        "action": residual.action_chart,
-        "step": residual.step_chart,
-        "fiducial": residual.fiducial_chart,
-        "map": residual.map_chart,
-    }
-    made = [Drawing(f"residual-{name}", RESIDUALS, captions[name], drawn(draw)) for name, draw in drawers.items()]
-    return [*made, *_of_forces(found, found.positions, last)]
-
-
-def _of_forces(found: Found, positions: xr.Dataset, model: str) -> list[Drawing]:
-    """Where the gripper felt something."""
-    if not felt(positions):
-        return []
-    length = str(found.result.get("length_unit", "mm"))
-    stiff = "" if "diagnosis" in found.documents else ", with the stiffness that the scene has"
-    text = f"Force of the gripper: measured, and as {model} predicts it{stiff}."
-    return [
-        Drawing("force-gripper", RESIDUALS, text, lambda: force_chart(positions)),
-        Drawing("torque-gripper", RESIDUALS, "Its torque.", lambda: torque_chart(positions, length)),
-    ]
-
-
-def _present(found: Residual | None) -> Residual:
-    if found is None:
-        raise ValueError("no residuals")
-    return found
+    made = [Drawing(f"residual-{name}", RESIDUALS, text, drawn(draw)) for name, (text, draw) in texts.items()]
+    if felt(positions):
+        length = str(found.result.get("length_unit", "mm"))
+        stiff = "" if "diagnosis" in found.documents else ", with the stiffness that the scene has"
+        text = f"Force of the gripper: measured, and as {last} predicts it{stiff}."
+        made.append(Drawing("force-gripper", RESIDUALS, text, lambda: force_chart(positions)))
+        made.append(Drawing("torque-gripper", RESIDUALS, "Its torque.", lambda: torque_chart(positions, length)))
+    return made
 
 
 def _of_diagnosis(found: Found) -> list[Drawing]:
@@ -129,14 +126,14 @@ def _of_diagnosis(found: Found) -> list[Drawing]:
         text = (
             "What each effect alone would make of the error: expected before any fit (circles), and fitted (diamonds)."
         )
-        made.append(Drawing("ranking", RANKING, text, lambda: ladder.ranking_chart(diagnosis)))
+        made.append(Drawing("ranking", RANKING, text, lambda: ranking_chart(diagnosis)))
     if where is not None and found.body is not None and found.positions is not None:
         body, positions = found.body, found.positions
         text = "The force that would explain what the model misses, where it can be told from none."
         draw: Callable[[], Figure] = lambda: where_figure(diagnosis, where, body, positions)  # noqa: E731
         made.append(Drawing("force", RANKING, text, draw, True))
     text = "The error of each model, fitted to all actions, and each action predicted from the others (held out)."
-    made.append(Drawing("ladder", LADDER, text, lambda: ladder.ladder_chart(diagnosis)))
+    made.append(Drawing("ladder", LADDER, text, lambda: ladder_chart(diagnosis)))
     if courses := diagnosis.get("courses"):
         text = "Amounts that change with time. The bands hold 95 %: of the values (light), and of what they are from each other."
         made.append(Drawing("courses", LADDER, text, lambda: course_chart(courses)))
@@ -147,16 +144,16 @@ def _of_exploration(found: Found) -> list[Drawing]:
     explored = found.documents.get("exploration")
     if explored is None or not explored.get("steps"):
         return []
-    texts: dict[str, tuple[str, Callable[[dict[str, Any]], Figure]]] = {
-        "sets": ("The likeliest anchor sets after each pull.", exploration.sets_chart),
-        "patches-by-pull": ("How probable it is that a patch is anchored, after each pull.", exploration.patches_chart),
-        "bits": ("What each pull was expected to tell, and told.", exploration.bits_chart),
-    }
 
-    def drawn(draw: Callable[[dict[str, Any]], Figure]) -> Callable[[], Figure]:
-        return lambda: draw(explored)
+    def drawn(draw: Callable[[Axes, list[dict[str, Any]]], None]) -> Callable[[], Figure]:
+        return lambda: chart(lambda axes: draw(axes, explored["steps"]), 3.6)
 
-    return [Drawing(name, BELIEF, text, drawn(draw)) for name, (text, draw) in texts.items()]
+    likely = "How probable it is that a patch is anchored, after each pull."
+    return [
+        Drawing("sets", BELIEF, "The likeliest anchor sets after each pull.", drawn(exploration.draw_sets)),
+        Drawing("patches-by-pull", BELIEF, likely, drawn(exploration.draw_patches)),
+        Drawing("bits", BELIEF, "What each pull was expected to tell, and told.", drawn(exploration.draw_bits)),
+    ]
 
 
 def _of_images(found: Found) -> list[Drawing]:

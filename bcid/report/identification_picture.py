@@ -2,34 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
-from bcid.base.run_folder import RunFolder, writing
 from bcid.base.units import percent, unit_factor
-from bcid.report.figure import body_entries, chart, cropped, name_ticks, open_frame, save, styled
-from bcid.report.lengths import in_mm
-from bcid.report.paraview import write_paraview
-from bcid.report.scene3d import COLOURS, kinds, picture
+from bcid.report.figure import COLOURS, body_entries, cropped, name_ticks, open_frame
+from bcid.report.scene3d import BodyPicture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-
-def draw(folder: str | Path) -> list[Path]:
-    """Draw `picture.png` and write `paraview/` into the folder of a finished identification; returns what was written."""
-    run = RunFolder.open(folder)
-    found = in_mm(run.read_json("identification.json"))
-    body, prediction = run.read_dataset("body.nc"), run.read_dataset("prediction.nc")
-    with styled(), writing(run.path):
-        return [
-            save(summary_figure(found, body, prediction), run.path / "picture.png"),
-            write_paraview(run.path / "paraview", body, prediction, found["anchored"]),
-        ]
 
 
 def summary_figure(found: dict[str, Any], body: xr.Dataset, prediction: xr.Dataset) -> Figure:
@@ -43,6 +27,7 @@ def summary_figure(found: dict[str, Any], body: xr.Dataset, prediction: xr.Datas
     _title(figure, found, body)
     right = figure.add_subplot(grid[0, 1])
     draw_probabilities(right, found)
+    right.set_ylabel("")
     right.set_title("Probability that a patch is anchored", fontsize=12, loc="left")
     _residuals(figure.add_subplot(grid[1, 1]), found, prediction)
     return figure
@@ -59,18 +44,12 @@ def body_figure(found: dict[str, Any], body: xr.Dataset, prediction: xr.Dataset)
 
 def _body(axes: Axes, found: dict[str, Any], body: xr.Dataset, prediction: xr.Dataset) -> None:
     frame = telling_frame(prediction)
-    image = picture(body, prediction, found["anchored"], frame, (1800, 1500))
-    axes.imshow(cropped([image])[0])
+    scene = BodyPicture(body, frame, (1800, 1500))
+    scene.add_body(found["anchored"], str(prediction["grasp"].values[frame]), 0.5)
+    scene.add_trajectories(prediction)
+    axes.imshow(cropped([scene.image()])[0])
     axes.set_axis_off()
-    _legend(axes, prediction, frame, kinds(body))
-
-
-def probability_chart(found: dict[str, Any]) -> Figure:
-    """Probability of each patch, as bars."""
-    figure, axes = chart()
-    draw_probabilities(axes, found)
-    axes.set_ylabel("probability of being anchored")
-    return figure
+    _legend(axes, prediction, frame, body)
 
 
 def telling_frame(prediction: xr.Dataset) -> int:
@@ -90,11 +69,11 @@ def _title(figure: Figure, found: dict[str, Any], body: xr.Dataset) -> None:
     figure.text(0.02, 0.905, text, fontsize=12.5, color="#444444")
 
 
-def _legend(axes: Axes, prediction: xr.Dataset, frame: int, places: set[str]) -> None:
+def _legend(axes: Axes, prediction: xr.Dataset, frame: int, body: xr.Dataset) -> None:
     from matplotlib.lines import Line2D
 
     entries = [
-        *body_entries(str(prediction["grasp"].values[frame]), places),
+        *body_entries(str(prediction["grasp"].values[frame]), body),
         Line2D([], [], color=COLOURS.measured, marker="o", linestyle="", markersize=5, label="measured positions"),
         Line2D([], [], color=COLOURS.predicted, linewidth=3, label="predicted paths"),
         Line2D([], [], color=COLOURS.outline, linewidth=1.5, label="rest shape"),
@@ -102,11 +81,6 @@ def _legend(axes: Axes, prediction: xr.Dataset, frame: int, places: set[str]) ->
     shown = f"shown: action {prediction['action'].values[frame]}, step {int(prediction['step'].values[frame])}"
     axes.text(0.01, 1.0, shown, transform=axes.transAxes, fontsize=10.5, color="#666666")
     axes.legend(handles=entries, loc="upper center", bbox_to_anchor=(0.5, 0.02), frameon=False, fontsize=11, ncols=3)
-
-
-def _plain(axes: Axes) -> None:
-    open_frame(axes)
-    axes.tick_params(labelsize=10)
 
 
 def draw_probabilities(axes: Axes, found: dict[str, Any]) -> None:
@@ -123,6 +97,7 @@ def draw_probabilities(axes: Axes, found: dict[str, Any]) -> None:
     axes.set_ylim(0, 1.03)
     axes.set_yticks([0, 0.5, 1])
     axes.set_xlabel("patch")
+    axes.set_ylabel("probability of being anchored")
     open_frame(axes)
 
 
@@ -152,4 +127,4 @@ def _residuals(axes: Axes, found: dict[str, Any], prediction: xr.Dataset) -> Non
     axes.set_ylim(0, 1.25 * max(np.nanmax(rms), found["noise_rms"] or 0.0))
     axes.set_title(f"Residual per coordinate (RMS, {found['length_unit']})", fontsize=12, loc="left")
     axes.set_xlabel("frame" if len(dict.fromkeys(actions)) > 1 else "step", fontsize=10.5)
-    _plain(axes)
+    open_frame(axes)

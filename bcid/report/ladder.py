@@ -5,8 +5,7 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING, Any
 
-from bcid.report.figure import DARK, GREY, LIGHT, chart, legend_below, open_frame, short
-from bcid.report.scene3d import COLOURS
+from bcid.report.figure import COLOURS, DARK, GREY, LIGHT, chart, head, open_frame, short
 from bcid.report.text import conclusion, falling, model_name, plain, rungs
 
 if TYPE_CHECKING:
@@ -54,33 +53,14 @@ def _titled(axes: Axes, title: str, place: float, columns: int) -> None:
     )
 
 
-def head(figure: Figure, title: str, text: str) -> None:
-    """Title and a sentence, at the top of a picture; in smaller letters where they are longer than it is wide."""
-    inches = figure.get_figwidth()
-    margin = 0.28
-    large, small = (19, 12.5) if inches > 10 else (16, 11)
-    room = (inches - 2 * margin) * figure.dpi
-    for line, size in (
-        (figure.text(margin / inches, 0.935, title, fontsize=large, weight="bold"), large),
-        (figure.text(margin / inches, 0.885, text, fontsize=small, color=GREY), small),
-    ):
-        line.set_fontsize(size * room / max(room, line.get_window_extent().width))
-
-
 def ladder_chart(found: dict[str, Any]) -> Figure:
     """The error of each model as bars."""
-    figure, axes = chart(4.6, 1.7 + 0.62 * max(2, len(found["ladder"])))
-    draw_ladder(axes, found)
-    legend_below(figure, axes)
-    return figure
+    return chart(lambda axes: draw_ladder(axes, found), 1.7 + 0.62 * max(2, len(found["ladder"])))
 
 
 def ranking_chart(found: dict[str, Any]) -> Figure:
     """What each effect alone would make of the error."""
-    figure, axes = chart(4.6, 1.5 + 0.3 * max(4, len(found["ranking"][:_ROWS])))
-    draw_ranking(axes, found)
-    legend_below(figure, axes)
-    return figure
+    return chart(lambda axes: draw_ranking(axes, found), 1.5 + 0.3 * max(4, len(found["ranking"][:_ROWS])))
 
 
 def draw_ladder(axes: Axes, found: dict[str, Any]) -> None:

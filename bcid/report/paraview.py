@@ -4,32 +4,19 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from bcid.base.run_folder import write_whole
-from bcid.report.measured_points import completed
+from bcid.report.figure import completed
 
 if TYPE_CHECKING:
     import pyvista as pv
 
 # VTK's numbers for a vertex and a tetrahedron.
 _VERTEX, _TETRA = 1, 10
-
-
-def write_paraview(folder: Path, body: xr.Dataset, prediction: xr.Dataset, anchored: Sequence[str] = ()) -> Path:
-    """Write `paraview_files` into a folder; returns the first.
-
-    Raises:
-        MachineError: a file cannot be written.
-    """
-    for name, content in paraview_files(body, prediction, anchored).items():
-        write_whole(folder / name, content)
-    return folder / "body.vtkhdf"
 
 
 def paraview_files(body: xr.Dataset, prediction: xr.Dataset, anchored: Sequence[str] = ()) -> dict[str, bytes]:

@@ -11,8 +11,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bcid.base.run_folder import writing
-from bcid.report.figure import cropped, save, short, styled
-from bcid.report.scene3d import COLOURS, places_picture
+from bcid.report.figure import COLOURS, PLACES, cropped, save, short, styled
+from bcid.report.scene3d import BodyPicture
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -63,8 +63,7 @@ def place_colours(names: Sequence[str]) -> dict[str, str]:
     """Colours of places by name, as "patch 1" and "grasp I"."""
     patches = [name for name in names if name.startswith("patch ")]
     colours = {name: _PATCHES[i % len(_PATCHES)] for i, name in enumerate(patches)}
-    used = {"grasp": COLOURS.grasp, "held": COLOURS.held, "driven": COLOURS.driven, "region": COLOURS.region}
-    return colours | {name: used[kind] for name in names if (kind := name.partition(" ")[0]) in used}
+    return colours | {name: PLACES[kind] for name in names if (kind := name.partition(" ")[0]) in PLACES}
 
 
 def _figure(
@@ -81,7 +80,10 @@ def _figure(
     figure = Figure(figsize=(14, 7.9), facecolor="white")
     for column, (behind, side) in enumerate(((False, "from above"), (True, "from behind and below"))):
         axes = figure.add_axes((0.01 + 0.495 * column, 0.14, 0.485, 0.71))
-        axes.imshow(cropped([places_picture(body, colours, marks, behind, (1500, 1300))])[0])
+        scene = BodyPicture(body, None, (1500, 1300), behind)
+        scene.add_places(colours)
+        scene.add_marks(marks)
+        axes.imshow(cropped([scene.image()])[0])
         axes.set_axis_off()
         axes.set_title(side, fontsize=11, color="#565c64")
     figure.text(0.02, 0.955, title, fontsize=17, weight="bold", va="center")

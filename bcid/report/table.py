@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import InitVar, dataclass, field
+from typing import Any
 
 from bcid.base.csv_text import csv_text
-from bcid.report.markup import Markup, tag
 
 TEXT, NUMBER = "text", "number"
 # A last column of longer cells gets more room.
@@ -30,53 +31,64 @@ _LATEX = {
 
 @dataclass(frozen=True)
 class Column:
-    """A column: its head, what it holds (`TEXT` or `NUMBER`), and whether a narrow screen can do without it."""
+    """A column: its head, what it holds (`TEXT` or `NUMBER`), how a cell is shown, and whether narrow screens leave it out."""
 
     head: str
-    kind: str = NUMBER
+    kind: str
+    show: Callable[[Any], str]
     less: bool = False
 
 
-@dataclass(frozen=True)
+def text(head: str, show: Callable[[Any], str] = str, less: bool = False) -> Column:
+    """A column of text."""
+    return Column(head, TEXT, show, less)
+
+
+def rounded(value: float | None) -> str:
+    """A number to three digits; "" where there is none."""
+    return "" if value is None or not math.isfinite(value) else f"{value:#.3g}".rstrip(".")
+
+
+def number(head: str, show: Callable[[Any], str] = rounded, less: bool = False) -> Column:
+    """A column of numbers."""
+    return Column(head, NUMBER, show, less)
+
+
+@dataclass
 class Table:
-    """Rows of cells as they are read; `exact` are the same with full numbers, for CSV.
+    """Rows of cells, as they are read and with full numbers.
 
     Attributes:
-        name: of its files.
         caption: what is to be seen.
         columns: of every row.
-        rows: cells as text.
-        exact: cells as numbers and text.
+        cells: values that columns show, or pairs of what is shown and the exact value.
         strong: numbers of rows that stand out.
+        rows: cells as text.
+        exact: cells as numbers and text, for CSV.
     """
 
-    name: str
     caption: str
     columns: Sequence[Column]
-    rows: Sequence[Sequence[str]]
-    exact: Sequence[Sequence[object]]
-    strong: frozenset[int] = frozenset()
+    cells: InitVar[Sequence[Sequence[Any]]]
+    strong: Collection[int] = ()
+    rows: list[list[str]] = field(init=False)
+    exact: list[list[Any]] = field(init=False)
 
-    def html(self) -> Markup:
-        """The table as an element that scrolls by itself where it is too broad."""
-        aligned = self._aligned("\u2007", "\u2008")
-        head = tag("tr", [tag("th", column.head, class_=_class(column), scope="col") for column in self.columns])
-        body = [
-            tag(
-                "tr",
-                [tag("td", cell, class_=_class(column)) for column, cell in zip(self.columns, row, strict=True)],
-                class_="strong" if i in self.strong else None,
-            )
-            for i, row in enumerate(aligned)
-        ]
-        last = (
-            len(self.columns) > 1
-            and self.columns[-1].kind == TEXT
-            and max(map(len, (r[-1] for r in self.rows)), default=0)
-        )
-        shape = "wide-last" if last and last > _LONG else None
-        return tag(
-            "div", tag("table", tag("thead", head), tag("tbody", body), class_=shape), class_="table", tabindex="0"
+    def __post_init__(self, cells: Sequence[Sequence[Any]]) -> None:
+        self.rows, self.exact = [], []
+        for row in cells:
+            pairs = [
+                cell if isinstance(cell, tuple) else (column.show(cell), _exact(cell))
+                for column, cell in zip(self.columns, row, strict=True)
+            ]
+            self.rows.append([shown for shown, _ in pairs])
+            self.exact.append([value for _, value in pairs])
+
+    @property
+    def wide_last(self) -> bool:
+        """Whether the last column needs more room."""
+        return (
+            len(self.columns) > 1 and self.columns[-1].kind == TEXT and any(len(row[-1]) > _LONG for row in self.rows)
         )
 
     def csv(self) -> str:
@@ -88,28 +100,35 @@ class Table:
         shape = "".join("l" if column.kind == TEXT else "r" for column in self.columns)
         lines = [rf"% {_latex(self.caption)}", rf"\begin{{tabular}}{{{shape}}}", r"\toprule"]
         lines += [" & ".join(_latex(column.head) for column in self.columns) + r" \\", r"\midrule"]
-        for row in self._aligned("\u2007", "\u2008"):
+        for row in self.aligned:
             lines.append(" & ".join(map(_latex, row)) + r" \\")
         return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
-    def _aligned(self, digit: str, point: str) -> list[list[str]]:
+    @property
+    def aligned(self) -> list[tuple[str, ...]]:
         """Cells with spaces as wide as the decimals that others have and they have not."""
-        columns = []
-        for k, column in enumerate(self.columns):
-            cells = [row[k] for row in self.rows]
-            columns.append(aligned(cells, digit, point) if column.kind == NUMBER else cells)
-        return [list(row) for row in zip(*columns, strict=True)] if self.rows else []
+        columns = zip(self.columns, zip(*self.rows, strict=True), strict=False)
+        return list(
+            zip(*(aligned(cells) if column.kind == NUMBER else cells for column, cells in columns), strict=True)
+        )
 
 
-def aligned(cells: Sequence[str], digit: str = "\u2007", point: str = "\u2008") -> list[str]:
+def _exact(value: Any) -> Any:
+    """A value as a cell of a file."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return " ".join(map(str, value)) or "none" if isinstance(value, list) else value
+
+
+def aligned(cells: Sequence[str]) -> list[str]:
     """Plain decimal numbers padded on the right, so that their points stand below each other; others as they are."""
     decimals = [_decimals(cell) for cell in cells]
     most = max((count for count in decimals if count is not None), default=0)
     padded = []
     for cell, count in zip(cells, decimals, strict=True):
         missing = 0 if count is None else most - count
-        gap = point if count == 0 and most > 0 else ""
-        padded.append(cell + gap + digit * missing)
+        gap = "\u2008" if count == 0 and most > 0 else ""
+        padded.append(cell + gap + "\u2007" * missing)
     return padded
 
 
@@ -119,10 +138,6 @@ def _decimals(cell: str) -> int | None:
     if not whole.isdecimal() or (decimals and not decimals.isdecimal()):
         return None
     return len(decimals)
-
-
-def _class(column: Column) -> str:
-    return " ".join([column.kind, *(["less"] if column.less else [])])
 
 
 def _latex(cell: str) -> str:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
-from bcid.base.run_folder import RunFolder, writing
-from bcid.report.figure import open_frame, save, styled
+from bcid.base.run_folder import RunFolder
+from bcid.report.figure import open_frame
 from bcid.report.picture_file import Pixels, decoded
 
 if TYPE_CHECKING:
@@ -22,14 +21,6 @@ _BLUE, _ORANGE, _GREY = "#0072B2", "#D55E00", "#BBBBBB"
 REST = "rest.png"
 # Height of the line of text above the images of rest.png, px.
 _LINE = 44
-
-
-def draw(folder: str | Path) -> list[Path]:
-    """Draw `tracking.png` into the folder of a finished tracking; returns what was written."""
-    run = RunFolder.open(folder)
-    found, data = run.read_json("tracking.json"), run.read_dataset("tracking.nc")
-    with styled(), writing(run.path):
-        return [save(tracking_figure(found, data, rest_picture(run)), run.path / "tracking.png")]
 
 
 def rest_picture(run: RunFolder) -> Pixels | None:

@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 
 from bcid.base.errors import InputError
 from bcid.base.run_folder import RunFolder
-from bcid.report.diagnosis_picture import draw, residual_figure, round_scale, where_figure, worst_frame
+from bcid.report.diagnosis_picture import residual_figure, round_scale, where_figure, worst_frame
+from bcid.report.export import draw_pictures
 from bcid.report.labels import Viewpoint, beside_arrows
 from bcid.report.ladder import ladder_figure
 from bcid.report.text import conclusion, falling, model_name
@@ -112,7 +113,7 @@ def names(files: list[Path]) -> set[str]:
 
 def test_every_picture_is_drawn(tmp_path: Path) -> None:
     pytest.importorskip("pyvista")
-    written = draw(folder(tmp_path / "run", diagnosis(), WHERE))
+    written = draw_pictures(folder(tmp_path / "run", diagnosis(), WHERE))
     assert names(written) == {"picture.png", "where.png", "ladder.png", "body.vtkhdf"}
     assert all(file.stat().st_size > (5000 if file.suffix == ".png" else 0) for file in written)
     assert not list((tmp_path / "run").glob(".*.partial*"))
@@ -121,8 +122,7 @@ def test_every_picture_is_drawn(tmp_path: Path) -> None:
 def test_what_a_dense_field_misses_is_a_map() -> None:
     """In colours between the surface's nodes, which lie at its corners alone; where nothing was seen there are none."""
     pytest.importorskip("pyvista")
-    from bcid.report.scene3d import surface
-    from bcid.report.surface_field import coloured
+    from bcid.report.scene3d import coloured, surface
 
     field = dense()
     missed = 1e3 * np.linalg.norm((field["measured"] - field["predicted"]).values[1], axis=1)
@@ -142,9 +142,9 @@ def test_nothing_is_missing(tmp_path: Path) -> None:
     """An adequate plain model has neither a missing force nor a second model, and a force may be no force."""
     pytest.importorskip("pyvista")
     found = diagnosis(verdict="none", ladder=[rung("neo_hooke", 0.2, True)], ranking=[])
-    assert names(draw(folder(tmp_path / "run", found, None))) == {"picture.png", "ladder.png", "body.vtkhdf"}
+    assert names(draw_pictures(folder(tmp_path / "run", found, None))) == {"picture.png", "ladder.png", "body.vtkhdf"}
     nothing = WHERE | {"growing": {}, "steady": [WHERE["steady"][0] | {"force": [0.0, 0.0, 0.0]}]}  # type: ignore[index]
-    assert "where.png" in names(draw(folder(tmp_path / "other", found, nothing)))
+    assert "where.png" in names(draw_pictures(folder(tmp_path / "other", found, nothing)))
 
 
 def orange(figure: Figure) -> int:
@@ -194,14 +194,14 @@ def test_a_force_that_no_region_tells_is_drawn_as_one(stderr: float, told: bool)
 def test_nothing_explains_it(tmp_path: Path) -> None:
     pytest.importorskip("pyvista")
     found = diagnosis(verdict="unknown", adequate=False, ladder=[rung("neo_hooke", 1.4, False)])
-    assert "where.png" in names(draw(folder(tmp_path / "run", found, WHERE)))
+    assert "where.png" in names(draw_pictures(folder(tmp_path / "run", found, WHERE)))
     assert conclusion(found) == "none of the known effects explains it"
 
 
 def test_a_run_without_a_diagnosis(tmp_path: Path) -> None:
     RunFolder.start(tmp_path / "run", "identify", {}).finish({})
-    with pytest.raises(InputError, match=r"diagnosis.json: is missing"):
-        draw(tmp_path / "run")
+    with pytest.raises(InputError, match="has nothing to draw"):
+        draw_pictures(tmp_path / "run")
 
 
 def test_the_ladder_in_one_line() -> None:

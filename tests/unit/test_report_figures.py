@@ -19,7 +19,7 @@ from bcid.app import cli
 from bcid.base.errors import InputError, MachineError
 from bcid.report.export import write_figures
 from bcid.report.found import Found
-from bcid.report.paraview import write_paraview
+from bcid.report.paraview import paraview_files
 
 
 def frame_of(path: Path, frame: int) -> Any:
@@ -38,7 +38,7 @@ def frame_of(path: Path, frame: int) -> Any:
 
 def test_what_the_gripper_felt_is_drawn_where_it_was_measured() -> None:
     pytest.importorskip("matplotlib")
-    from bcid.report.force_chart import felt, force_chart, torque_chart
+    from bcid.report.time_charts import felt, force_chart, torque_chart
 
     plain = runs.positions()
     frames = plain.sizes["frame"]
@@ -159,7 +159,11 @@ def test_fields_for_paraview_by_frame(tmp_path: Path) -> None:
     hidden = found.positions.copy(deep=True)
     hidden["measured"].values[1, 0] = np.nan
     hidden["measured"].values[2] = np.nan
-    file = write_paraview(tmp_path / "fields", found.body, hidden, ["3"])
+    fields = tmp_path / "fields"
+    fields.mkdir()
+    for name, content in paraview_files(found.body, hidden, ["3"]).items():
+        (fields / name).write_bytes(content)
+    file = fields / "body.vtkhdf"
     cells = found.body["cells"].values[:, :4]
     for frame in range(found.body.sizes["frame"]):
         solid = frame_of(file, frame)
