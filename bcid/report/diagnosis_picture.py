@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bcid.base.tails import chi2_tail
-from bcid.base.units import force_unit, percent, uncertain, unit_factor
+from bcid.base.units import force_unit, percent, uncertain
 from bcid.report.figure import COLOURS, MAP, Image, body_entries, completed, cropped, head, round_length
 from bcid.report.scene3d import BodyPicture
 from bcid.report.text import conclusion, model_name
@@ -34,7 +34,6 @@ _NOTHING = 0.1
 
 
 # -- what the models miss
-# ----------------------------------------------------------------------------------------------------------
 
 
 def residual_figure(found: dict[str, Any], body: xr.Dataset, residuals: xr.Dataset) -> Figure:
@@ -60,15 +59,11 @@ def residual_figure(found: dict[str, Any], body: xr.Dataset, residuals: xr.Datas
         else:
             scene.add_arrows(predicted[frame][seen], scale * missed[seen])
         images.append(scene.image())
-    unit = found["length_unit"]
-    titles = [f"{model_name(rung['model'])}: {rung['rms']:.3g} {unit}" for rung, _ in panels]
+    titles = [f"{model_name(rung['model'])}: {rung['rms']:.3g} mm" for rung, _ in panels]
     figure = _panels(images, titles)
     what = "What the model misses" if len(panels) == 1 else "What the models miss"
-    head(
-        figure,
-        f"{body.attrs.get('scene', 'body')}: {conclusion(found)}",
-        f"{what}: residual per coordinate (RMS), noise {found['noise_rms']:.3g} {unit}",
-    )
+    text = f"{what}: residual per coordinate (RMS), noise {found['noise_rms']:.3g} mm"
+    head(figure, f"{body.attrs.get('scene', 'body')}: {conclusion(found)}", text)
     where = f"action {residuals['action'].values[frame]}, step {int(residuals['step'].values[frame])}"
     arrow = "" if dense else f"measured − predicted, {scale:g} × as long as it is ({where})"
     _legend(figure, arrow, grasp, body)
@@ -96,7 +91,26 @@ def diagonal(body: xr.Dataset) -> float:
 
 
 # -- the missing force
-# -------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Force:
+    """A missing force that acts in all frames (`action` ""), or grows in an action: on each region, and in all."""
+
+    action: str
+    regions: list[dict[str, Any]]
+    whole: dict[str, Any]
+
+    def told(self, tries: int) -> list[dict[str, Any]]:
+        """The forces on regions that can be told, or their sum where that can be told alone."""
+        return [p for p in self.regions if _told(p, tries)] or [p for p in (self.whole,) if _told(p, tries)]
+
+    def title(self, told: list[dict[str, Any]], per_newton: float, newtons: str) -> str:
+        """When the force acts, what it is together (as `force_unit` has it), and on how many of the regions it can be told."""
+        when = f"growing in action {self.action}" if self.action else "in all frames"
+        together = " ".join(f"{per_newton * v:+.3g}" for v in self.whole["force"]).replace("-", "−")
+        on = f"{len(told)} of {len(self.regions)} regions" if told[0] in self.regions else "no single region"
+        return f"{when}: together ({together}) {newtons},\ntold on {on}"
 
 
 def where_figure(found: dict[str, Any], where: dict[str, Any], body: xr.Dataset, residuals: xr.Dataset) -> Figure:
@@ -105,84 +119,45 @@ def where_figure(found: dict[str, Any], where: dict[str, Any], body: xr.Dataset,
     Only forces that chance does not make are drawn, each with its size and its standard error: those on regions, or where no
     region tells its own their sum, in the middle of the body.
     """
-    to_mm = unit_factor(where["length_unit"], "m") * 1e3
-    parts = _parts(where)
-    tries = sum(len(part.regions) + 1 for part in parts.values())
-    told = {action: part.told(tries) for action, part in parts.items()} if where["explained"] >= _NOTHING else {}
-    growing = max((action for action in told if action), key=lambda action: _strength(told[action]), default="")
-    shown = {action: told[action] for action in dict.fromkeys(("", growing)) if told.get(action)}
-    largest = max((_size(place) for places in shown.values() for place in places), default=1.0)
-    scale = LONGEST * diagonal(body) / largest
+    shown = _shown(where)
+    largest = max((_size(place) for _, places in shown for place in places), default=1.0)
     per_newton, newtons = force_unit(largest)
     images, titles = [], []
-    for action, places in (shown or {"": []}).items():
+    panels: list[tuple[_Force | None, list[dict[str, Any]]]] = [*shown] or [(None, [])]
+    for force, places in panels:
         starts, forces = (np.array([p[what] for p in places]).reshape(-1, 3) for what in ("position", "force"))
-        texts = [uncertain(per_newton * _size(p), per_newton * p["stderr"]) for p in places]
         scene = BodyPicture(body, None, _SIZE)
-        scene.add_body(found["anchored"], _grasp(residuals, action))
-        scene.add_arrows(to_mm * starts, scale * forces, texts)
+        scene.add_body(found["anchored"], _grasp(residuals, force.action if force else ""))
+        texts = [uncertain(per_newton * _size(p), per_newton * p["stderr"]) for p in places]
+        scene.add_arrows(starts, LONGEST * diagonal(body) / largest * forces, texts)
         images.append(scene.image())
-        titles.append(parts[action].said(action, places, per_newton, newtons) if shown else "")
+        titles.append(force.title(places, per_newton, newtons) if force else "")
     figure = _panels(images, titles)
-    first = found["ladder"][-1 if found["adequate"] is False else 0]
-    model = model_name(first["model"])
-    promised = (
-        f"{percent(where['explained'])} of what is beyond noise, and leave {where['rms']:.3g} {where['length_unit']}"
-    )
+    model = model_name(found["ladder"][-1 if found["adequate"] is False else 0]["model"])
+    left = f"{percent(where['explained'])} of what is beyond noise, and leave {where['rms']:.3g} mm"
     if where["explained"] < _NOTHING:
-        head(
-            figure,
-            "No missing force can be told",
-            f"The {model} model leaves nothing beyond noise that a force on the body explains",
-        )
+        text = f"The {model} model leaves nothing beyond noise that a force on the body explains"
+        head(figure, "No missing force can be told", text)
     elif not shown:
-        head(
-            figure,
-            "A force is missing; where it acts cannot be told",
-            f"Spread over the body it would explain {promised}",
-        )
+        text = f"Spread over the body it would explain {left}"
+        head(figure, "A force is missing; where it acts cannot be told", text)
     else:
-        head(
-            figure,
-            f"The force that the {model} model lacks",
-            f"It would explain {promised} (its size is right if the stiffness is)",
-        )
-    where_drawn = (
-        "force on a region" if any(place in parts[a].regions for a in shown for place in shown[a]) else "force"
-    )
-    _legend(figure, f"{where_drawn}, {newtons} ± standard error" if shown else "", "", body)
+        text = f"It would explain {left} (its size is right if the stiffness is)"
+        head(figure, f"The force that the {model} model lacks", text)
+    on = " on a region" if any(places[0] in force.regions for force, places in shown) else ""
+    _legend(figure, f"force{on}, {newtons} ± standard error" if shown else "", "", body)
     return figure
 
 
-@dataclass(frozen=True)
-class _Part:
-    """A missing force that acts at some time: on each region, and in all (an older run folder does not say it)."""
-
-    regions: list[dict[str, Any]]
-    whole: dict[str, Any] | None
-
-    def told(self, tries: int) -> list[dict[str, Any]]:
-        """The forces on regions that can be told, or their sum where that can be told alone."""
-        regions = [place for place in self.regions if _told(place, tries)]
-        if not regions and self.whole and _told(self.whole, tries):
-            return [self.whole]
-        return regions
-
-    def said(self, action: str, told: list[dict[str, Any]], per_newton: float, newtons: str) -> str:
-        """When the force acts, what it is together (as `force_unit` has it), and on how many of the regions it can be told."""
-        when = f"growing in action {action}" if action else "in all frames"
-        sums = self.whole["force"] if self.whole else np.sum([p["force"] for p in self.regions], axis=0)
-        together = " ".join(f"{per_newton * v:+.3g}" for v in sums).replace("-", "−")
-        number = len([place for place in told if place in self.regions])
-        on = f"{number} of {len(self.regions)} regions" if number else "no single region"
-        return f"{when}: together ({together}) {newtons},\ntold on {on}"
-
-
-def _parts(where: dict[str, Any]) -> dict[str, _Part]:
-    """The missing force in all frames ("") and in each action."""
-    together = where.get("together", {"growing": {}})
-    growing = {action: _Part(places, together["growing"].get(action)) for action, places in where["growing"].items()}
-    return {"": _Part(where["steady"], together.get("steady")), **growing}
+def _shown(where: dict[str, Any]) -> list[tuple[_Force, list[dict[str, Any]]]]:
+    """The steady force and the strongest of those that grow, with their parts that can be told."""
+    together = where["together"]
+    forces = [_Force("", where["steady"], together["steady"])]
+    forces += [_Force(action, places, together["growing"][action]) for action, places in where["growing"].items()]
+    tries = sum(len(force.regions) + 1 for force in forces)
+    told = [(force, places) for force in forces if (places := force.told(tries))]
+    growing = sorted((one for one in told if one[0].action), key=lambda one: -_strength(one[1]))
+    return [*(one for one in told if not one[0].action), *growing[:1]] if where["explained"] >= _NOTHING else []
 
 
 def _told(place: dict[str, Any], tries: int) -> bool:
@@ -206,7 +181,6 @@ def _grasp(residuals: xr.Dataset, action: str) -> str:
 
 
 # -- what figures share
-# ------------------------------------------------------------------------------------------------------------
 
 
 def _panels(images: list[Image], titles: list[str]) -> Figure:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from bcid.base.csv_text import csv_text
 from bcid.base.errors import InputError, nearest
@@ -17,8 +18,12 @@ from bcid.report.paraview import paraview_files
 from bcid.report.provenance import facts
 from bcid.report.tables import listings
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 FORMATS = ("png", "svg", "pdf")
-_FINE = 300
+# Dots to an inch, of figures for a paper and of pictures.
+_FINE, _PICTURE = 300, 150
 
 
 def draw_pictures(folder: str | Path) -> list[Path]:
@@ -29,11 +34,8 @@ def draw_pictures(folder: str | Path) -> list[Path]:
         MachineError: the folder cannot be written.
     """
     found = _whole(Path(folder))
-    drawn = pictures(found)
-    if not drawn:
-        raise _nothing(found)
-    with styled(), writing(found.path):
-        files = {name: encoded(draw(), "png") for name, draw in drawn.items()} | _paraview(found)
+    with writing(found.path):
+        files = _figures(found, pictures(found), ["png"], _PICTURE) | _paraview(found)
         written = [write_whole(found.path / name, content) for name, content in files.items()]
     return [file for file in written if file.name not in ("fiducials.vtkhdf", "patches.vtp")]
 
@@ -66,7 +68,9 @@ def write_figures(
     if target.exists() and not target.is_dir():
         raise InputError(f"{target}: is a file; give the name of a folder")
     found = _whole(folder)
-    files = {**_figures(found, formats, say), **_tables(found)}
+    with _told(found, "a figure"):
+        drawn = {drawing.name: drawing.draw for drawing in drawings(found)}
+    files = _figures(found, drawn, formats, _FINE, say) | _tables(found)
     if found.body is not None and found.positions is not None:
         say("writing fields for ParaView")
         with _told(found, "fields for ParaView"):
@@ -93,10 +97,6 @@ def _whole(folder: Path) -> Found:
     return found
 
 
-def _nothing(found: Found) -> InputError:
-    return InputError(f"{found.path}: has nothing to draw (bcid {found.command}, {found.state}); give a finished run")
-
-
 def _beneath(folder: Path, name: str) -> Path:
     """Path of a file below a folder; the folder that it lies in is made."""
     path = folder / name
@@ -104,17 +104,23 @@ def _beneath(folder: Path, name: str) -> Path:
     return path
 
 
-def _figures(found: Found, formats: Sequence[str], say: Callable[[str], None]) -> dict[str, bytes]:
-    with _told(found, "a figure"):
-        chosen = drawings(found)
-    if not chosen:
-        raise _nothing(found)
+def _figures(
+    found: Found,
+    drawn: Mapping[str, Callable[[], Figure]],
+    formats: Sequence[str],
+    dpi: int,
+    say: Callable[[str], None] = lambda text: None,
+) -> dict[str, bytes]:
+    if not drawn:
+        raise InputError(
+            f"{found.path}: has nothing to draw (bcid {found.command}, {found.state}); give a finished run"
+        )
     files: dict[str, bytes] = {}
-    for drawing in chosen:
-        say(f"drawing {drawing.name}")
-        with _told(found, f"figure '{drawing.name}'"), styled():
-            figure = drawing.draw()
-            files |= {f"{drawing.name}.{kind}": encoded(figure, kind, _FINE) for kind in formats}
+    for name, draw in drawn.items():
+        say(f"drawing {name}")
+        with _told(found, f"figure '{name}'"), styled():
+            figure = draw()
+            files |= {f"{name}.{kind}": encoded(figure, kind, dpi) for kind in formats}
     return files
 
 

@@ -47,6 +47,8 @@ _STYLE: dict[Any, Any] = {
     "xtick.labelsize": 10,
     "ytick.labelsize": 10,
     "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
     "hatch.linewidth": 0.9,
     "legend.fontsize": 10,
     "legend.frameon": False,
@@ -126,7 +128,6 @@ def chart(draw: Callable[[Axes], None], height: float = 3.2, columns: int = 4) -
 
     figure = Figure(figsize=(_WIDTH, height), facecolor="white", layout="constrained")
     axes = figure.add_subplot()
-    open_frame(axes)
     draw(axes)
     _legend_below(figure, axes, columns)
     return figure
@@ -156,15 +157,13 @@ def short(name: object) -> str:
 
 def head(figure: Figure, title: str, text: str) -> None:
     """Title and a sentence, at the top of a picture; in smaller letters where they are longer than it is wide."""
-    inches = figure.get_figwidth()
-    margin = 0.28
+    inches, margin = figure.get_figwidth(), 0.28
     large, small = (19, 12.5) if inches > 10 else (16, 11)
     room = (inches - 2 * margin) * figure.dpi
-    for line, size in (
-        (figure.text(margin / inches, 0.935, title, fontsize=large, weight="bold"), large),
-        (figure.text(margin / inches, 0.885, text, fontsize=small, color=GREY), small),
-    ):
-        line.set_fontsize(size * room / max(room, line.get_window_extent().width))
+    lines = [figure.text(margin / inches, 0.935, title, fontsize=large, weight="bold")]
+    lines.append(figure.text(margin / inches, 0.885, text, fontsize=small, color=GREY))
+    for line in lines:
+        line.set_fontsize(float(line.get_fontsize()) * room / max(room, line.get_window_extent().width))
 
 
 def name_ticks(axes: Axes, names: Sequence[object]) -> None:
@@ -206,9 +205,3 @@ def body_entries(grasp: str, body: xr.Dataset) -> list[Patch]:
     entries += [("held", COLOURS.held, "known to be held"), ("driven", COLOURS.driven, "driven by measured points")]
     entries.append(("region", COLOURS.region, "region of the body"))
     return [Patch(color=colour, label=text) for kind, colour, text in entries if kind in kinds]
-
-
-def open_frame(axes: Axes) -> None:
-    """Leave the axes' frame open at the top and on the right."""
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING, Any
 
-from bcid.report.figure import COLOURS, DARK, GREY, LIGHT, chart, head, open_frame, short
+from bcid.report.figure import COLOURS, DARK, GREY, LIGHT, chart, head, short
 from bcid.report.text import conclusion, falling, model_name, plain, rungs
 
 if TYPE_CHECKING:
@@ -23,19 +23,16 @@ def ladder_figure(found: dict[str, Any]) -> Figure:
     figure = Figure(figsize=(14, 6.6) if rows else (8, 6.6), facecolor="white")
     grid = figure.add_gridspec(1, 2 if rows else 1, width_ratios=[1, 1.15] if rows else [1], wspace=0.42)
     grid.update(left=0.135 if rows else 0.24, right=0.975, top=0.77, bottom=0.17)
-    head(
-        figure,
-        conclusion(found)[:1].upper() + conclusion(found)[1:],
-        falling(found) if len(found["ladder"]) < 5 else "",
-    )
+    title = conclusion(found)
+    head(figure, title[:1].upper() + title[1:], falling(found) if len(found["ladder"]) < 5 else "")
     bars = figure.add_subplot(grid[0, 0])
     draw_ladder(bars, found)
-    _titled(bars, f"Error of the models (RMS, {found['length_unit']})", 0.35, 3)
+    _titled(bars, "Error of the models (RMS, mm)", 0.35, 3)
     if rows:
         ranked = figure.add_subplot(grid[0, 1])
         draw_ranking(ranked, found)
         asked = model_name(asked_rung(found)["model"])
-        _titled(ranked, f"Error of {asked} with one effect more (RMS, {found['length_unit']})", 0.45, 4)
+        _titled(ranked, f"Error of {asked} with one effect more (RMS, mm)", 0.45, 4)
     return figure
 
 
@@ -43,14 +40,7 @@ def _titled(axes: Axes, title: str, place: float, columns: int) -> None:
     axes.set_xlabel("")
     axes.tick_params(axis="y", labelsize=11)
     axes.set_title(title, fontsize=13, loc="left", pad=12)
-    axes.legend(
-        frameon=False,
-        fontsize=10.5,
-        loc="upper center",
-        bbox_to_anchor=(place, -0.12),
-        ncols=columns,
-        columnspacing=1.2,
-    )
+    axes.legend(fontsize=10.5, loc="upper center", bbox_to_anchor=(place, -0.12), ncols=columns, columnspacing=1.2)
 
 
 def ladder_chart(found: dict[str, Any]) -> Figure:
@@ -83,8 +73,7 @@ def draw_ladder(axes: Axes, found: dict[str, Any]) -> None:
     # One model alone gets no bars as thick as the picture.
     axes.set_ylim(max(len(steps), 2) - 0.4, -0.6)
     axes.set_xlim(0, 1.17 * largest)
-    axes.set_xlabel(f"RMS residual per coordinate ({found['length_unit']})")
-    open_frame(axes)
+    axes.set_xlabel("RMS residual per coordinate (mm)")
 
 
 def asked_rung(found: dict[str, Any]) -> dict[str, Any]:
@@ -115,10 +104,9 @@ def draw_ranking(axes: Axes, found: dict[str, Any]) -> None:
     axes.set_ylim(len(rows) - 0.4, -0.6)
     values = [now, noise, *(row["expected_rms"] for row in rows), *(row["fitted_rms"] or 0 for row in rows)]
     axes.set_xlim(0, 1.06 * max(values))
-    axes.set_xlabel(f"RMS residual per coordinate ({found['length_unit']})")
+    axes.set_xlabel("RMS residual per coordinate (mm)")
     axes.grid(axis="y", color="#eeeeee", linewidth=1)
     axes.set_axisbelow(True)
-    open_frame(axes)
 
 
 def place_name(row: dict[str, Any]) -> str:

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -42,17 +41,6 @@ class Report:
     troubles: dict[Path, list[str]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Unreadable:
-    """A run that cannot be read at all, and why; beside `Section` in a page."""
-
-    id: str
-    name: str
-    reason: str
-    sentence: str = "cannot be read"
-    view: None = None
-
-
 def write_report(runs: Sequence[Path], target: Path) -> Report:
     """Write a report of run folders; what of them is damaged is named in it, and in the result.
 
@@ -62,12 +50,18 @@ def write_report(runs: Sequence[Path], target: Path) -> Report:
     """
     _check_target(target)
     report = Report(target)
-    opened: list[Section | Unreadable] = []
+    opened: list[Section | dict[str, str]] = []
     for number, path in enumerate(runs, start=1):
         try:
             section = Section(Found.read(path), f"run-{number}")
         except InputError as error:
-            opened.append(Unreadable(f"run-{number}", Path(path).name, str(error)))
+            unread = {
+                "id": f"run-{number}",
+                "name": Path(path).name,
+                "reason": str(error),
+                "sentence": "cannot be read",
+            }
+            opened.append(unread)
             report.troubles[Path(path)] = [str(error)]
             continue
         opened.append(section)
@@ -94,38 +88,22 @@ def _check_target(target: Path) -> None:
         raise InputError(f"{target}: is there already and is not a report of bcid; choose another file, or remove it")
 
 
-def _document(runs: Sequence[Section | Unreadable]) -> str:
+def _document(runs: Sequence[Section | dict[str, str]]) -> str:
     """The whole page. Its templates escape whatever is put into them; what a page cannot hold at all is taken out before."""
-    style = _web("page.css")
-    scripts = [_three(), _web("viewer.js")] if any(run.view for run in runs) else []
-    policy = "default-src 'none'; img-src data:; base-uri 'none'; form-action 'none'; "
-    policy += f"style-src {_hash(style)}; script-src {' '.join(map(_hash, scripts)) or chr(39) + 'none' + chr(39)}"
+    viewed = any(isinstance(run, Section) and run.view for run in runs)
+    style, scripts = _web("page.css"), [_three(), _web("viewer.js")] if viewed else []
     templates = Environment(
         loader=PackageLoader("bcid.report", "web"),
         autoescape=True,
         undefined=StrictUndefined,
-        finalize=_printable,
+        finalize=lambda value: clean(value) if type(value) is str else value,
         trim_blocks=True,
         lstrip_blocks=True,
     )
     templates.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
-    return templates.get_template("page.html").render(
-        mark=Markup(MARK),
-        policy=Markup(policy),
-        version=VERSION,
-        style=Markup(style),
-        scripts=[Markup(script) for script in scripts],
-        runs=runs,
-        colours=COLOURS,
-    )
-
-
-def _printable(value: Any) -> Any:
-    return clean(value) if isinstance(value, str) and not isinstance(value, Markup) else value
-
-
-def _hash(content: str) -> str:
-    return f"'sha256-{base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()}'"
+    templates.filters["sha256"] = lambda text: base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+    own = {"mark": Markup(MARK), "style": Markup(style), "scripts": [Markup(script) for script in scripts]}
+    return templates.get_template("page.html").render(runs=runs, version=VERSION, colours=COLOURS, **own)
 
 
 def _web(name: str) -> str:

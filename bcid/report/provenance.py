@@ -32,23 +32,19 @@ def facts(found: Found) -> list[tuple[str, str]]:
 
 def _about(record: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "command", f"bcid {record['command']}"
-    yield "state", str(record["state"])
-    for key in ("reason", "started", "ended"):
+    for key in ("state", "reason", "started", "ended"):
         if record.get(key):
             yield key, str(record[key])
-    yield (
-        "took",
-        duration(float(record["seconds"])) + (f" in {record['attempts']} attempts" if record["attempts"] != 1 else ""),
-    )
+    attempts = f" in {record['attempts']} attempts" if record["attempts"] != 1 else ""
+    yield "took", duration(float(record["seconds"])) + attempts
     if "ranks" in record:
         yield "ranks", str(record["ranks"])
 
 
 def _inputs(record: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    names = record.get("names", {})
     for key in _FINGERPRINTED:
-        if key in names:
-            yield key, str(names[key])
+        if key in record.get("names", {}):
+            yield key, str(record["names"][key])
         if record["inputs"].get(key):
             yield f"{key}, fingerprint", _shown(record["inputs"][key])
     if "mesh" in record:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bcid.base.units import unit_factor
 from bcid.report.figure import DARK, GREY, LIGHT, MAP, name_frames, name_ticks, short
 from bcid.report.found import Found
 from bcid.report.text import model_name
@@ -26,11 +25,10 @@ class Residual:
     """Measured minus predicted positions of one or two models.
 
     Attributes:
-        models: by name (the first model before the last), shape (frames, fiducials, 3), in `unit`; NaN where not seen.
+        models: by name (the first model before the last), shape (frames, fiducials, 3), in mm; NaN where not seen.
         actions, steps: of each frame.
         fiducials: their names.
-        noise: standard deviation of a coordinate in `unit`, or None.
-        unit: of length.
+        noise: standard deviation of a coordinate in mm, or None.
     """
 
     models: dict[str, Array]
@@ -38,7 +36,6 @@ class Residual:
     steps: NDArray[np.int64]
     fiducials: list[str]
     noise: float | None
-    unit: str
 
     def by(self, what: str, model: str) -> dict[str, float]:
         """RMS per coordinate of each "action" in turn, "step" over all actions, or "fiducial"."""
@@ -69,17 +66,15 @@ def residuals_of(found: Found) -> Residual:
     result, positions = found.documents.get("diagnosis") or found.documents.get("identification"), found.positions
     if positions is None or result is None:
         raise ValueError("no residuals")
-    unit = str(result.get("length_unit", "mm"))
-    length = unit_factor(unit, "m")
-    measured = positions["measured"].values / length
+    measured = positions["measured"].values / 1e-3
     models = {}
     for suffix in ("_first", ""):
         if f"predicted{suffix}" in positions:
             name = model_name(str(positions.attrs.get(f"model{suffix}", "model")))
-            models[name] = measured - positions[f"predicted{suffix}"].values / length
+            models[name] = measured - positions[f"predicted{suffix}"].values / 1e-3
     names = positions["fiducial"].values if "fiducial" in positions.coords else range(1, measured.shape[1] + 1)
     actions, steps = positions["action"].values.astype(str), positions["step"].values.astype(int)
-    return Residual(models, actions, steps, [str(name) for name in names], result.get("noise_rms"), unit)
+    return Residual(models, actions, steps, [str(name) for name in names], result.get("noise_rms"))
 
 
 def rms(values: Array) -> float:
@@ -137,7 +132,7 @@ def draw_map(axes: Axes, residual: Residual) -> None:
     image = axes.imshow(length, aspect="auto", cmap=MAP, vmin=0, interpolation="nearest", origin="upper")
     bar = axes.get_figure().colorbar(image, ax=axes, pad=0.02)  # type: ignore[union-attr]
     bar.outline.set_visible(False)
-    bar.set_label(f"residual ({residual.unit})")
+    bar.set_label("residual (mm)")
     name_frames(axes, residual.actions, color="white", linewidth=1.6)
     axes.tick_params(axis="x", length=0)
     every = max(1, -(-len(residual.fiducials) // _NAMES))
@@ -158,4 +153,4 @@ def _finish(axes: Axes, residual: Residual, label: str) -> None:
         axes.axhline(residual.noise, color="black", linewidth=1.2, linestyle="--", label="noise")
     axes.set_ylim(bottom=0)
     axes.set_xlabel(label)
-    axes.set_ylabel(f"RMS residual ({residual.unit})")
+    axes.set_ylabel("RMS residual (mm)")

@@ -13,11 +13,10 @@ from bcid.report.body_view import view_data
 from bcid.report.figure import encoded, styled
 from bcid.report.found import DAMAGE, Found
 from bcid.report.gallery import Drawing
-from bcid.report.lacking import lacking
 from bcid.report.provenance import groups
 from bcid.report.table import Table
 from bcid.report.tables import Listing, listings
-from bcid.report.verdict import Verdict, verdict
+from bcid.report.verdict import Verdict, lacking, verdict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -32,7 +31,7 @@ _TITLES = {
     gallery.IMAGES: "Images",
 }
 _LEAD = "What is left between measurement and model, per coordinate. The dashed line is the noise."
-_UNREADABLE = Verdict("What this run found cannot be read.", [], [])
+_UNREADABLE = Verdict("What this run found cannot be read.")
 # Of pictures that VTK draws: pixels to an inch, and colours that are enough, with a third of the bytes.
 _FINE, _COLOURS = 120, 192
 # CSS pixels to an inch.
@@ -97,8 +96,9 @@ class Section:
 
     Attributes:
         found: the run.
-        id: of its element.
-        said: the verdict.
+        id, name: of its element, and of the folder.
+        troubles: what could not be read or shown.
+        said, sentence: the verdict, and its first sentence.
         view, still: data of the turnable view, and the picture that stands for it where it cannot be drawn; or None.
         parts: in the order of the page.
         facts: what was run, by group.
@@ -106,8 +106,9 @@ class Section:
     """
 
     def __init__(self, found: Found, id: str) -> None:
-        self.found, self.id = found, id
+        self.found, self.id, self.name, self.troubles = found, id, found.name, found.troubles
         self.said: Verdict = self._tried("verdict", lambda: verdict(found)) or _UNREADABLE
+        self.sentence = self.said.sentence
         self._drawings: list[Drawing] = self._tried("figures", lambda: gallery.drawings(found)) or []
         self._listings: list[Listing] = self._tried("tables", lambda: listings(found)) or []
         with styled():
@@ -116,32 +117,6 @@ class Section:
             self.parts = [made for part in _TITLES if any((made := self._part(part)).rows)]
         self.facts = self._tried("what was run", lambda: groups(found)) or {}
         self.lacks = self._tried("what is lacking", lambda: lacking(found)) or []
-
-    @property
-    def name(self) -> str:
-        """What the folder is called."""
-        return self.found.name
-
-    @property
-    def about(self) -> str:
-        """Folder, body, command and state."""
-        found = self.found
-        return " · ".join(part for part in (found.name, found.scene, f"bcid {found.command}", found.state) if part)
-
-    @property
-    def sentence(self) -> str:
-        """The verdict in one sentence."""
-        return self.said.sentence
-
-    @property
-    def summary(self) -> str:
-        """What the run itself wrote."""
-        return self.found.summary
-
-    @property
-    def troubles(self) -> list[str]:
-        """What could not be read or shown."""
-        return self.found.troubles
 
     def _part(self, part: str) -> PagePart:
         """Charts beside each other, then tables, then pictures, with few exceptions."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import InitVar, dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from bcid.base.csv_text import csv_text
@@ -29,19 +29,7 @@ _LATEX = {
 }
 
 
-@dataclass(frozen=True)
-class Column:
-    """A column: its head, what it holds (`TEXT` or `NUMBER`), how a cell is shown, and whether narrow screens leave it out."""
-
-    head: str
-    kind: str
-    show: Callable[[Any], str]
-    less: bool = False
-
-
-def text(head: str, show: Callable[[Any], str] = str, less: bool = False) -> Column:
-    """A column of text."""
-    return Column(head, TEXT, show, less)
+_Row = dict[str, Any]
 
 
 def rounded(value: float | None) -> str:
@@ -49,40 +37,65 @@ def rounded(value: float | None) -> str:
     return "" if value is None or not math.isfinite(value) else f"{value:#.3g}".rstrip(".")
 
 
-def number(head: str, show: Callable[[Any], str] = rounded, less: bool = False) -> Column:
-    """A column of numbers."""
-    return Column(head, NUMBER, show, less)
+@dataclass(frozen=True)
+class Column:
+    """A column, of numbers unless `kind` says otherwise.
+
+    Attributes:
+        head: above it.
+        value: its cell of a row: a key (the head, if it is ""), or a function of the row; a pair is what is shown and the exact
+            value.
+        show: how a value is shown.
+        less: whether a narrow screen can do without it.
+        kind: what it holds, `TEXT` or `NUMBER`.
+    """
+
+    head: str
+    value: str | Callable[[_Row], Any] = ""
+    show: Callable[[Any], str] = rounded
+    less: bool = False
+    kind: str = NUMBER
+
+    def cell(self, row: _Row) -> tuple[str, Any]:
+        """What is shown of a row, and the exact value."""
+        found = row[self.value or self.head] if isinstance(self.value, str) else self.value(row)
+        return found if isinstance(found, tuple) else (self.show(found), found)
 
 
-@dataclass
+def text(
+    head: str, value: str | Callable[[_Row], Any] = "", show: Callable[[Any], str] = str, less: bool = False
+) -> Column:
+    """A column of text."""
+    return Column(head, value, show, less, TEXT)
+
+
 class Table:
     """Rows of cells, as they are read and with full numbers.
 
     Attributes:
         caption: what is to be seen.
         columns: of every row.
-        cells: values that columns show, or pairs of what is shown and the exact value.
-        strong: numbers of rows that stand out.
         rows: cells as text.
         exact: cells as numbers and text, for CSV.
+        strong: numbers of rows that stand out.
+
+    Args:
+        rows: what columns find their cells in.
+        strong: whether a row stands out.
     """
 
-    caption: str
-    columns: Sequence[Column]
-    cells: InitVar[Sequence[Sequence[Any]]]
-    strong: Collection[int] = ()
-    rows: list[list[str]] = field(init=False)
-    exact: list[list[Any]] = field(init=False)
-
-    def __post_init__(self, cells: Sequence[Sequence[Any]]) -> None:
-        self.rows, self.exact = [], []
-        for row in cells:
-            pairs = [
-                cell if isinstance(cell, tuple) else (column.show(cell), _exact(cell))
-                for column, cell in zip(self.columns, row, strict=True)
-            ]
-            self.rows.append([shown for shown, _ in pairs])
-            self.exact.append([value for _, value in pairs])
+    def __init__(
+        self,
+        caption: str,
+        columns: Sequence[Column],
+        rows: Sequence[_Row],
+        strong: Callable[[_Row], bool] = lambda row: False,
+    ) -> None:
+        self.caption, self.columns = caption, columns
+        cells = [[column.cell(row) for column in columns] for row in rows]
+        self.rows = [[shown for shown, _ in row] for row in cells]
+        self.exact = [[_exact(value) for _, value in row] for row in cells]
+        self.strong = {i for i, row in enumerate(rows) if strong(row)}
 
     @property
     def wide_last(self) -> bool:

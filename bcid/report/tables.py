@@ -12,7 +12,7 @@ from bcid.report import gallery
 from bcid.report.found import Found
 from bcid.report.ladder import asked_rung, place_name
 from bcid.report.residual import Residual, residuals_of
-from bcid.report.table import Table, number, rounded, text
+from bcid.report.table import Column, Table, rounded, text
 from bcid.report.text import amount, listed, model_name, patches, plain
 
 # Numbers of an effect that a cell holds.
@@ -67,18 +67,16 @@ def listings(found: Found) -> list[Listing]:
 
 def sensitivity_table(d: dict[str, Any]) -> Table | None:
     """The answer with each input of the scene off by two standard deviations; None where that was not computed."""
-    joined = _joined(d.get("scene_sensitivity", ()))
-    columns = [text("input"), text("off by"), text("missing", _verdict), text("probability", percent)]
-    columns += [text("anchored", patches), text("of these", percent), text("depends", _only_yes)]
-    keys = ("label", "off", "verdict", "verdict_probability", "anchored", "anchors_probability", "depends")
+    columns = [text("input", "label"), text("off by", "off"), text("missing", "verdict", _verdict)]
+    columns += [text("probability", "verdict_probability", percent), text("anchored", show=patches)]
+    columns += [text("of these", "anchors_probability", percent), text("depends", show=_only_yes)]
     caption = (
         "The answer where one input of the scene is off by two standard deviations and all else is as it is, of the hypotheses "
         "that were fitted to all steps. It depends on an input where verdict or anchors change, or fall below 95 %. With ± the "
         "smaller probability of both signs stands."
     )
-    rows = [[one[key] for key in keys] for one in joined]
-    strong = {i for i, one in enumerate(joined) if one["depends"]}
-    return Table(caption, columns, rows, strong) if rows else None
+    rows = _joined(d.get("scene_sensitivity", ()))
+    return Table(caption, columns, rows, lambda row: row["depends"]) if rows else None
 
 
 def _joined(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -100,15 +98,15 @@ def _verdict(verdict: str) -> str:
 
 def steps_table(d: dict[str, Any]) -> Table | None:
     """What would tell most; None where the answer is certain, or nothing helps."""
-    columns = [text("what to do"), number("expected (bits)", "{:.2f}".format)]
-    rows = [[step["text"], step["bits"]] for step in d.get("next_steps") or ()]
-    if not rows:
+    if not d.get("next_steps"):
         return None
     caption = (
         f"What to do next: expected information on anchors and effects, of the {d['open_bits']:.2g} bits that are open. What "
         "a pull, a force sensor and markers would tell is estimated from the measured pulls."
     )
-    return Table(caption, columns, rows, {0})
+    rows = d["next_steps"]
+    columns = [text("what to do", "text"), Column("expected (bits)", "bits", _bits)]
+    return Table(caption, columns, rows, lambda row: row is rows[0])
 
 
 # -- models
@@ -118,20 +116,21 @@ def ranking_table(d: dict[str, Any]) -> Table | None:
     """The ranked effects; None where none were ranked."""
     if not d["ranking"]:
         return None
-    asked, unit = asked_rung(d), d["length_unit"]
-    columns = [text("effect"), number(f"now ({unit})", less=True), number(f"expected ({unit})")]
-    columns += [number(f"fitted ({unit})"), number(f"held out ({unit})", less=True)]
-    columns += [number("score", "{:.0f}".format, less=True), number("p", significance, less=True)]
-    columns += [number("power", "{:.2f}".format, less=True), text("what it would be")]
-    keys = ("expected_rms", "fitted_rms", "held_out_rms", "score", "p_value", "power")
-    rows = [[place_name(row), asked["rms"], *(row[key] for key in keys), _amounts(row)] for row in d["ranking"]]
+    asked = asked_rung(d)
+    columns = [text("effect", place_name), Column("now (mm)", lambda _: asked["rms"], less=True)]
+    columns += [Column("expected (mm)", "expected_rms"), Column("fitted (mm)", "fitted_rms")]
+    columns += [
+        Column("held out (mm)", "held_out_rms", less=True),
+        Column("score", show="{:.0f}".format, less=True),
+    ]
+    columns += [Column("p", "p_value", significance, less=True), Column("power", show=_bits, less=True)]
+    columns.append(text("what it would be", _amounts))
     adopted = {one["effect"] for one in d["adopted"]} | set(str(d["verdict"]).split("+"))
     caption = (
         f"Effects that {model_name(asked['model'])} may lack, the best first: error now, expected with the effect, "
         "and after fitting it (RMS per coordinate). Power is the chance that these data would show a notable amount of it."
     )
-    strong = {i for i, row in enumerate(d["ranking"]) if row["effect"] in adopted}
-    return Table(caption, columns, rows, strong)
+    return Table(caption, columns, d["ranking"], lambda row: row["effect"] in adopted)
 
 
 def _amounts(row: dict[str, Any]) -> str | tuple[str, str]:
@@ -148,25 +147,22 @@ def _amounts(row: dict[str, Any]) -> str | tuple[str, str]:
 
 def ladder_table(d: dict[str, Any]) -> Table:
     """The models, the plain one first."""
-    unit = d["length_unit"]
-    columns = [text("model", model_name), text("anchored", _names), number(f"error ({unit})")]
-    columns += [number(f"held out ({unit})"), number("p", significance, less=True), text("adequate", _adequate)]
-    keys = ("model", "anchored", "rms", "held_out_rms", "p_value", "adequate")
-    rows = [[rung[key] for key in keys] for rung in d["ladder"]]
-    caption = f"The models in turn (RMS residual per coordinate; noise {d['noise_rms']:.3g} {unit})."
-    return Table(caption, columns, rows, {len(rows) - 1})
-
-
-def _adequate(adequate: bool | None) -> str:
-    return {True: "yes", False: "no", None: "not known"}[adequate]
+    rungs = d["ladder"]
+    columns = [text("model", show=model_name), text("anchored", show=lambda names: " ".join(names) or "none")]
+    columns += [Column("error (mm)", "rms"), Column("held out (mm)", "held_out_rms")]
+    columns.append(Column("p", "p_value", significance, less=True))
+    columns.append(
+        text("adequate", show=lambda adequate: "not known" if adequate is None else "yes" if adequate else "no")
+    )
+    caption = f"The models in turn (RMS residual per coordinate; noise {d['noise_rms']:.3g} mm)."
+    return Table(caption, columns, rungs, lambda rung: rung is rungs[-1])
 
 
 def tests_table(d: dict[str, Any]) -> Table:
     """The tests of the last model's adequacy."""
-    columns = [text("test"), number("p", significance), text("decides", _only_yes, less=True), text("finding")]
-    rows = [[test[key] for key in ("name", "p_value", "decides", "text")] for test in d["tests"]]
+    columns = [text("test", "name"), Column("p", "p_value", significance), text("decides", show=_only_yes, less=True)]
     caption = f"Is {model_name(d['model'])} adequate? Together {p_value(d['p_value'])}."
-    return Table(caption, columns, rows)
+    return Table(caption, [*columns, text("finding", "text")], d["tests"])
 
 
 # -- terms beyond the catalogue
@@ -174,15 +170,19 @@ def tests_table(d: dict[str, Any]) -> Table:
 
 def proposal_table(proposal: dict[str, Any]) -> Table:
     """Each proposed term, with its numbers and intervals that hold them with 95 %."""
-    columns = [text("term"), text("formula"), text("number"), text("value (95 %)"), number("standard error", less=True)]
+    columns = [text("term"), text("formula"), text("number"), text("value (95 %)", "value")]
+    columns.append(Column("standard error", "stderr", less=True))
     rows = []
     for term in proposal["proposed"]:
-        name = plain(term["family"]) + (f" on {term['place']}" if term["place"] else "")
-        for k, (parameter, found) in enumerate(term["parameters"].items()):
+        first = [plain(term["family"]) + (f" on {term['place']}" if term["place"] else ""), term["formula"]]
+        for k, (name, found) in enumerate(term["parameters"].items()):
             value, error, unit = for_people(found["value"], found["stderr"], found["unit"])
             told = uncertain(value, None if error is None else WIDE * error, unit)
-            first = [(name if k == 0 else "", name), (term["formula"] if k == 0 else "", term["formula"])]
-            rows.append([*first, parameter, (told, found["value"]), (rounded(error), found["stderr"])])
+            cells = {
+                head: (cell if k == 0 else "", cell) for head, cell in zip(("term", "formula"), first, strict=True)
+            }
+            stderr = (rounded(error), found["stderr"])
+            rows.append(cells | {"number": name, "value": (told, found["value"]), "stderr": stderr})
     share = percent(min(max(proposal["explained"], 0.0), 1.0))
     besides = f"with {percent(proposal['missing'])} " if proposal.get("missing") else ""
     rest = (
@@ -197,32 +197,23 @@ def proposal_table(proposal: dict[str, Any]) -> Table:
 
 def path_table(proposal: dict[str, Any]) -> Table:
     """Which term entered when, and what competed."""
-    unit = proposal["length_unit"]
-    columns = [
-        text("beside"),
-        text("term", plain),
-        number(f"expected ({unit})"),
-        number("log-evidence"),
-        text("entered"),
-    ]
-    rows: list[list[Any]] = []
-    strong = set()
+    columns = [text("beside"), text("term", "family", plain), Column("expected (mm)", "expected_rms")]
+    columns += [Column("log-evidence", "log_evidence"), text("entered")]
+    rows = []
     for step in proposal["path"]:
         best = next((c["log_evidence"] for c in step["competed"] if c["log_evidence"] is not None), 0.0)
+        reached = "yes" if step["rms"] is None else f"{step['rms']:.3g} mm when fitted"
         for k, one in enumerate(step["competed"][:_SETS]):
-            entered = one["family"] == step["entered"]
-            if entered:
-                strong.add(len(rows))
+            log, entered = one["log_evidence"], one["family"] == step["entered"]
+            evidence = "" if log is None else f"{log - best:+.1f}".replace("-", "−")
             beside = (model_name(step["beside"]) if k == 0 else "", step["beside"])
-            evidence = "" if one["log_evidence"] is None else f"{one['log_evidence'] - best:+.1f}".replace("-", "−")
-            reached = "yes" if step["rms"] is None else f"{step['rms']:.3g} {unit} when fitted"
-            rows.append([beside, one["family"], one["expected_rms"], (evidence, one["log_evidence"])])
-            rows[-1].append((reached if entered else "", entered))
+            more = {"beside": beside, "log_evidence": (evidence, log), "entered": (reached if entered else "", entered)}
+            rows.append(one | more)
     caption = (
         "The path: what the likeliest terms promised beside each model before any fit, their log-evidence against the best of "
         "them, and the one that proved best when they were fitted."
     )
-    return Table(caption, columns, rows, strong)
+    return Table(caption, columns, rows, lambda row: row["entered"][1])
 
 
 # -- anchors
@@ -230,38 +221,37 @@ def path_table(proposal: dict[str, Any]) -> Table:
 
 def sets_table(d: dict[str, Any]) -> Table:
     """The likeliest anchor sets of an identification."""
-    unit = d["length_unit"]
-    columns = [text("anchored"), text("probability", percent), number(f"residual ({unit})")]
-    columns += [number(f"reported set there ({unit})"), number("level", _whole)]
-    rows = [
-        [_set(one["anchored"]), one["probability"], one["rms"], one.get("best_rms"), one.get("level")]
-        for one in (d, *d["alternatives"][:_SETS])
-    ]
+    columns = [text("anchored", _set), text("probability", show=percent), Column("residual (mm)", "rms")]
+    columns.append(Column("reported set there (mm)", lambda one: one.get("best_rms")))
+    columns.append(Column("level", lambda one: one.get("level", ""), str))
     caption = "The reported set and the next best: what they miss in the frames in which both are known."
-    return Table(caption, columns, rows, {0})
+    return Table(caption, columns, [d, *d["alternatives"][:_SETS]], lambda one: one is d)
 
 
 def pulls_table(d: dict[str, Any]) -> Table:
     """The pulls of an exploration."""
-    columns = [number("pull", _whole), text("grasp"), text("direction"), number("amplitude (mm)", "{:.3g}".format)]
-    columns += [number(f"{what} (bits)", _bits) for what in ("expected", "gained")]
-    columns += [text("likeliest set"), text("probability", percent)]
-    rows = []
-    for step in d["steps"]:
-        top: dict[str, Any] = (
-            step["belief"][0] if step["belief"] else {"anchored": [], "effect": "", "probability": 0.0}
-        )
-        likely = _set(top["anchored"]) + (f" + {plain(top['effect'])}" if top["effect"] else "")
-        keys = ("number", "grasp", "direction", "amplitude", "expected_bits", "gained_bits")
-        rows.append([*(step[key] for key in keys), likely, top["probability"]])
+    columns = [Column("pull", "number", str), text("grasp"), text("direction")]
+    columns.append(Column("amplitude (mm)", "amplitude", "{:.3g}".format))
+    columns += [Column("expected (bits)", "expected_bits", _bits), Column("gained (bits)", "gained_bits", _bits)]
+    columns += [text("likeliest set", _likeliest), text("probability", show=percent)]
+    nothing: dict[str, Any] = {"anchored": [], "effect": "", "probability": 0.0}
+    rows = [(step["belief"][0] if step["belief"] else nothing) | step for step in d["steps"]]
     return Table("The pulls in turn, and what was believed after each.", columns, rows)
+
+
+def _likeliest(row: dict[str, Any]) -> str:
+    return _set(row) + (f" + {plain(row['effect'])}" if row["effect"] else "")
+
+
+def _set(row: dict[str, Any]) -> str:
+    return "{" + " ".join(map(str, row["anchored"])) + "}"
 
 
 def residual_table(residual: Residual, by: str) -> Table:
     """RMS residual by "action", "step" or "fiducial", of each model."""
-    columns = [text(by), *(number(f"{model} ({residual.unit})") for model in residual.models)]
-    groups = [residual.by(by, model) for model in residual.models]
-    rows = [[name, *(values[name] for values in groups)] for name in groups[0]]
+    groups = {model: residual.by(by, model) for model in residual.models}
+    columns = [text(by), *(Column(f"{model} (mm)", model) for model in groups)]
+    rows = [{model: values[name] for model, values in groups.items()} | {by: name} for name in groups[residual.last]]
     return Table(f"RMS residual per coordinate by {by}.", columns, rows)
 
 
@@ -269,17 +259,5 @@ def _only_yes(value: bool) -> str:
     return "yes" if value else ""
 
 
-def _names(names: Sequence[str]) -> str:
-    return " ".join(names) or "none"
-
-
-def _whole(value: int | None) -> str:
-    return "" if value is None else str(value)
-
-
 def _bits(value: float | None) -> str:
     return "" if value is None else f"{value:.2f}"
-
-
-def _set(names: Sequence[str]) -> str:
-    return "{" + " ".join(map(str, names)) + "}"

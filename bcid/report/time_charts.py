@@ -9,8 +9,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from bcid.base.tails import normal_quantile
-from bcid.base.units import for_people, unit_factor
-from bcid.report.figure import DARK, LIGHT, chart, name_frames, open_frame
+from bcid.base.units import for_people
+from bcid.report.figure import DARK, LIGHT, chart, name_frames
 from bcid.report.text import plain
 
 if TYPE_CHECKING:
@@ -38,10 +38,9 @@ def force_chart(positions: xr.Dataset) -> Figure:
     return chart(lambda axes: _draw_wrench(axes, positions, slice(3), 1.0, "force (N)"), columns=5)
 
 
-def torque_chart(positions: xr.Dataset, length: str) -> Figure:
-    """Torque about each axis, N times a unit of length."""
-    unit, label = unit_factor(length, "m"), f"torque (N {length})"
-    return chart(lambda axes: _draw_wrench(axes, positions, slice(3, 6), unit, label), columns=5)
+def torque_chart(positions: xr.Dataset) -> Figure:
+    """Torque about each axis, N mm."""
+    return chart(lambda axes: _draw_wrench(axes, positions, slice(3, 6), 1e-3, "torque (N mm)"), columns=5)
 
 
 def _draw_wrench(axes: Axes, positions: xr.Dataset, part: slice, unit: float, label: str) -> None:
@@ -69,7 +68,6 @@ def course_chart(courses: list[dict[str, Any]]) -> Figure:
     figure = Figure(figsize=(_WIDTH, height), facecolor="white", layout="constrained")
     panels = figure.subplots(len(courses), 1, sharex=True, squeeze=False)[:, 0]
     for axes, course in zip(panels, courses, strict=True):
-        open_frame(axes)
         _draw_course(axes, course)
     panels[-1].set_xlabel("time (s)")
     return figure

@@ -87,13 +87,21 @@ def residuals() -> xr.Dataset:
     )
 
 
-WHERE = {
-    "explained": 0.99,
-    "rms": 0.22,
-    "length_unit": "mm",
-    "steady": [{"position": [20, 20, 20], "force": [0.0, -0.1, 0.0], "stderr": 0.01}],
-    "growing": {"1": [{"position": [20, 20, 20], "force": [0.05, 0.0, 0.0], "stderr": 0.01}]},
-}
+Force = dict[str, Any]
+
+
+def where(steady: list[Force], growing: dict[str, list[Force]], **more: Any) -> dict[str, Any]:
+    """A missing force; what it is in all is its first region, unless that is given."""
+    whole = {"steady": steady[0], "growing": {action: forces[0] for action, forces in growing.items()}}
+    found = {"explained": 0.99, "rms": 0.22, "length_unit": "mm", "steady": steady, "growing": growing}
+    return found | {"together": whole} | more
+
+
+def force(size: list[float], stderr: float = 0.01, position: float = 20) -> Force:
+    return {"position": [position, 20, 20], "force": size, "stderr": stderr}
+
+
+WHERE = where([force([0.0, -0.1, 0.0])], {"1": [force([0.05, 0.0, 0.0])]})
 
 
 def folder(path: Path, found: dict[str, Any], where: dict[str, Any] | None) -> Path:
@@ -143,7 +151,7 @@ def test_nothing_is_missing(tmp_path: Path) -> None:
     pytest.importorskip("pyvista")
     found = diagnosis(verdict="none", ladder=[rung("neo_hooke", 0.2, True)], ranking=[])
     assert names(draw_pictures(folder(tmp_path / "run", found, None))) == {"picture.png", "ladder.png", "body.vtkhdf"}
-    nothing = WHERE | {"growing": {}, "steady": [WHERE["steady"][0] | {"force": [0.0, 0.0, 0.0]}]}  # type: ignore[index]
+    nothing = where([force([0.0, 0.0, 0.0])], {})
     assert "where.png" in names(draw_pictures(folder(tmp_path / "other", found, nothing)))
 
 
@@ -164,12 +172,8 @@ def said(figure: Figure) -> str:
 )
 def test_a_force_is_drawn_only_where_it_can_be_told(stderr: float, explained: float, told: bool) -> None:
     pytest.importorskip("pyvista")
-    steady = [
-        {"position": [20, 20, 20], "force": [0.0, -0.1, 0.0], "stderr": stderr},
-        {"position": [30, 10, 30], "force": [0.0, -9e-6, 0.0], "stderr": 0.01},
-    ]
-    where = WHERE | {"explained": explained, "steady": steady, "growing": {}}
-    figure = where_figure(diagnosis(), where, body(), residuals())
+    steady = [force([0.0, -0.1, 0.0], stderr), force([0.0, -9e-6, 0.0], position=30)]
+    figure = where_figure(diagnosis(), where(steady, {}, explained=explained), body(), residuals())
     assert (orange(figure) > 100) is told
     assert ("No missing force can be told" in said(figure)) is (explained < 0.1)
     assert ("told on 1 of 2 regions" in said(figure)) is told
@@ -181,10 +185,9 @@ def test_a_force_is_drawn_only_where_it_can_be_told(stderr: float, explained: fl
 def test_a_force_that_no_region_tells_is_drawn_as_one(stderr: float, told: bool) -> None:
     """A weight is spread over the body: what it is on each region is lost in the error, and still a force is missing."""
     pytest.importorskip("pyvista")
-    steady = [{"position": [x, 20, 20], "force": [0.0, -0.05, 0.0], "stderr": 0.04} for x in (10, 30)]
-    whole = {"position": [20, 20, 20], "force": [0.0, -0.1, 0.0], "stderr": stderr}
-    where = WHERE | {"steady": steady, "growing": {}, "together": {"steady": whole, "growing": {}}}
-    figure = where_figure(diagnosis(), where, body(), residuals())
+    steady = [force([0.0, -0.05, 0.0], 0.04, x) for x in (10, 30)]
+    whole = {"steady": force([0.0, -0.1, 0.0], stderr), "growing": {}}
+    figure = where_figure(diagnosis(), where(steady, {}, together=whole), body(), residuals())
     assert (orange(figure) > 100) is told
     assert ("together (+0 −100 +0) mN,\ntold on no single region" in said(figure)) is told
     assert ("A force is missing; where it acts cannot be told" in said(figure)) is not told
@@ -233,10 +236,9 @@ def test_scale_and_frame() -> None:
 
 def test_large_forces_are_told_in_newtons_and_long_titles_fit() -> None:
     pytest.importorskip("pyvista")
-    steady = [{"position": [20, 20, 20], "force": [0.0, -138.4, 0.0], "stderr": 28.4}]
-    where = WHERE | {"steady": steady, "growing": {}}
+    found = where([force([0.0, -138.4, 0.0], 28.4)], {})
     models = "neo_hooke + support_friction + active_stress + viscosity + stiffness_gradient + strain_stiffening"
-    figure = where_figure(diagnosis(ladder=[rung(models, 1.4, True)]), where, body(), residuals())
+    figure = where_figure(diagnosis(ladder=[rung(models, 1.4, True)]), found, body(), residuals())
     assert "together (+0 −138 +0) N,\ntold on 1 of 1 regions" in said(figure)
     assert all(text.get_window_extent().x1 < figure.bbox.width for text in figure.texts)
 

@@ -51,8 +51,8 @@ def test_what_the_gripper_felt_is_drawn_where_it_was_measured() -> None:
         marks, line = axes.lines[0], axes.lines[1]
         assert np.allclose(marks.get_ydata(), course[:, 0] + 0.25)
         assert np.allclose(line.get_ydata(), course[: len(line.get_ydata()), 0])
-        assert torque_chart(found, "mm").axes[0].get_ylabel() == "torque (N mm)"
-        assert np.allclose(torque_chart(found, "mm").axes[0].lines[0].get_ydata(), 100 * np.arange(frames) + 250)
+        assert torque_chart(found).axes[0].get_ylabel() == "torque (N mm)"
+        assert np.allclose(torque_chart(found).axes[0].lines[0].get_ydata(), 100 * np.arange(frames) + 250)
     assert not felt(plain)
     assert not felt(plain.assign(wrench_measured=(dims, np.full((frames, 6), np.nan))))
 

@@ -16,7 +16,7 @@ from bcid.base.run_folder import RunFolder
 from bcid.report.export import draw_pictures
 from bcid.report.found import Found
 from bcid.report.gallery import drawings
-from bcid.report.tracking_picture import rest_picture
+from bcid.report.tracks_picture import rest_picture
 
 _DRAWN = np.random.default_rng(0).integers(0, 256, (90, 60, 3), np.uint8)
 
