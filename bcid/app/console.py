@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from bcid.base.collective import Comm
+from bcid.base.errors import MachineError
 from bcid.base.progress import Progress, Silent, clear, progress_on
 from bcid.base.run_folder import RunFolder
 from bcid.base.visible import visible
@@ -34,6 +35,16 @@ def beside_the_result(what: str) -> Iterator[None]:
         complain(f"no {what}: {error.name} is not installed (the extra 'report')")
     except Exception as error:
         complain(f"no {what}: {error}")
+
+
+@contextmanager
+def extra(name: str) -> Iterator[None]:
+    """Names what is not installed of an extra that a command needs."""
+    try:
+        yield
+    except ImportError as error:
+        package = str(error.name).partition(".")[0]
+        raise MachineError(f"{package} is not installed: pip install 'bcid[{name}]'") from None
 
 
 def progress_of(arguments: argparse.Namespace, rank: int) -> Progress:

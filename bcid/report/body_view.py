@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
 from bcid.base.units import percent
@@ -102,9 +104,6 @@ def _places(found: Found, body: xr.Dataset) -> list[dict[str, Any]]:
 
 def shade(share: float) -> str:
     """Colour of a number from 0 to 1 (cividis), as "#00224e"."""
-    from matplotlib import colormaps
-    from matplotlib.colors import to_hex
-
     return to_hex(colormaps["cividis"](min(max(share, 0.0), 1.0)))
 
 

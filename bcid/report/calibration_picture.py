@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 import textwrap
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from bcid.report.figure import name_ticks, round_length
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -32,8 +31,6 @@ _BARS = 10
 
 def calibration_figure(found: dict[str, Any]) -> Figure:
     """The two images with corners and residuals above; the errors of the pairs and all residuals below."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(12, 8.4), facecolor="white")
     lines = textwrap.wrap(f"calibration: {found['verdict']}", _LINE)
     figure.text(0.02, 0.975, "\n".join(lines), ha="left", va="top", fontsize=14, fontweight="bold")
@@ -93,8 +90,6 @@ def _image(axes: Axes, found: dict[str, Any], side: str) -> None:
 
 def _cells(axes: Axes, pixels: Array, size: tuple[int, int], grid: list[int]) -> None:
     """The coverage grid; cells with corners are shaded."""
-    from matplotlib.colors import ListedColormap
-
     across, down = (np.linspace(-0.5, length - 0.5, count + 1) for length, count in zip(size, grid, strict=True))
     counts = np.histogram2d(pixels[:, 0], pixels[:, 1], bins=[across, down])[0]
     shades = ListedColormap(["white", _CELL])

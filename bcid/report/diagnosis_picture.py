@@ -5,10 +5,14 @@ falling error.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from bcid.base.tails import chi2_tail
@@ -16,9 +20,6 @@ from bcid.base.units import force_unit, percent, uncertain
 from bcid.report.figure import COLOURS, MAP, Image, body_entries, completed, cropped, head, round_length
 from bcid.report.scene3d import BodyPicture
 from bcid.report.text import conclusion, model_name
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -184,8 +185,6 @@ def _grasp(residuals: xr.Dataset, action: str) -> str:
 
 
 def _panels(images: list[Image], titles: list[str]) -> Figure:
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(7.2 * len(images) if len(images) > 1 else 9.5, 7.4), facecolor="white")
     grid = figure.add_gridspec(1, len(images), wspace=0.03)
     lines = max(title.count("\n") for title in titles)
@@ -200,9 +199,6 @@ def _panels(images: list[Image], titles: list[str]) -> Figure:
 
 def _colour_bar(figure: Figure, most: float, label: str) -> None:
     """At the right of the pictures, which make room for it."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
     for axes in figure.axes:
         place = axes.get_position()
         axes.set_position((0.9 * place.x0, place.y0, 0.9 * place.width, place.height))
@@ -213,8 +209,6 @@ def _colour_bar(figure: Figure, most: float, label: str) -> None:
 
 
 def _legend(figure: Figure, arrow: str, grasp: str, body: xr.Dataset) -> None:
-    from matplotlib.lines import Line2D
-
     arrows = [Line2D([], [], color=COLOURS.predicted, linewidth=3, label=arrow)] if arrow else []
     narrow = figure.get_figwidth() < 10
     handles = [*arrows, *body_entries(grasp, body)]

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from bcid.base.units import percent
 from bcid.report.figure import DARK, short
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # Okabe & Ito; hatches tell them apart in black and white.
 _COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
@@ -21,8 +19,6 @@ _OTHERS = "#BBBBBB"
 
 def belief_figure(found: dict[str, Any]) -> Figure:
     """Bars of probability by pull (as Figures 13 and 14 of the paper), patches below, bits on the right."""
-    from matplotlib.figure import Figure
-
     steps = found["steps"]
     figure = Figure(figsize=(12, 6.4), facecolor="white")
     grid = figure.add_gridspec(2, 2, width_ratios=[2.1, 1], height_ratios=[1.25, 1], hspace=0.5, wspace=0.2)

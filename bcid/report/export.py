@@ -6,7 +6,8 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from matplotlib.figure import Figure
 
 from bcid.base.csv_text import csv_text
 from bcid.base.errors import InputError, nearest
@@ -17,9 +18,6 @@ from bcid.report.gallery import drawings, pictures
 from bcid.report.paraview import paraview_files
 from bcid.report.provenance import facts
 from bcid.report.tables import listings
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 FORMATS = ("png", "svg", "pdf")
 # Dots to an inch, of figures for a paper and of pictures.

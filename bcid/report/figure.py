@@ -7,18 +7,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import matplotlib as mpl
 import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from bcid.base.run_folder import write_whole
-
-if TYPE_CHECKING:
-    import xarray as xr
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Patch
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -28,8 +27,6 @@ _WIDTH = 4.6
 _MARGIN = 12
 # Names on an axis are cut to so many letters.
 _LETTERS = 22
-# Letters of a line of a small chart's legend.
-_LINE = 62
 # So many names fit below a small chart.
 _NAMES = 24
 # Of actions along an axis of frames.
@@ -104,8 +101,6 @@ def save(figure: Figure, target: Path) -> Path:
 
 def encoded(figure: Figure, kind: str, dpi: int = 150, letters: str = "path") -> bytes:
     """A figure as "png", "svg" (with `letters` as outlines, or "none": as text) or "pdf": the same bytes for the same figure."""
-    import matplotlib as mpl
-
     unsaid = {"png": ["Software"], "svg": ["Date", "Creator"], "pdf": ["Creator", "Producer", "CreationDate"]}[kind]
     stream = BytesIO()
     with mpl.rc_context({"svg.fonttype": letters, "svg.hashsalt": "bcid"}):
@@ -116,16 +111,12 @@ def encoded(figure: Figure, kind: str, dpi: int = 150, letters: str = "path") ->
 @contextmanager
 def styled() -> Iterator[None]:
     """The style in which figures are drawn and saved."""
-    import matplotlib as mpl
-
     with mpl.rc_context(_STYLE):
         yield
 
 
 def chart(draw: Callable[[Axes], None], height: float = 3.2, columns: int = 4) -> Figure:
     """A small figure of one chart, `height` in inches, with its legend below: two fit side by side in a report, one on a phone."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(_WIDTH, height), facecolor="white", layout="constrained")
     axes = figure.add_subplot()
     draw(axes)
@@ -136,17 +127,12 @@ def chart(draw: Callable[[Axes], None], height: float = 3.2, columns: int = 4) -
 def _legend_below(figure: Figure, axes: Axes, columns: int) -> None:
     """Say below a small figure what its marks are, in as many columns as there is room for."""
     handles, labels = axes.get_legend_handles_labels()
-    if not handles:
-        return
-    while columns > 1 and _broad(labels, columns) > _LINE:
-        columns -= 1
-    figure.legend(handles, labels, loc="outside lower center", ncols=columns, columnspacing=1.4, handlelength=1.8)
-
-
-def _broad(labels: Sequence[str], columns: int) -> int:
-    """Letters of a legend's line, its marks counted as some; entries go down the columns."""
-    high = -(-len(labels) // columns)
-    return sum(max(len(label) for label in labels[at : at + high]) + 7 for at in range(0, len(labels), high))
+    style: dict[str, Any] = {"loc": "outside lower center", "columnspacing": 1.4, "handlelength": 1.8}
+    for count in range(columns if handles else 0, 0, -1):
+        legend = figure.legend(handles, labels, ncols=count, **style)
+        if count == 1 or legend.get_window_extent().width < figure.bbox.width:
+            break
+        legend.remove()
 
 
 def short(name: object) -> str:
@@ -197,8 +183,6 @@ def cropped(images: list[Image]) -> list[Image]:
 
 def body_entries(grasp: str, body: xr.Dataset) -> list[Patch]:
     """Legend entries of what a body (`body.nc`) has of patches and what is known to be held, and of the grasp if one is named."""
-    from matplotlib.patches import Patch
-
     kinds = {str(name).partition(" ")[0] for name in body["place_name"].values}
     entries = [("patch", COLOURS.anchored, "anchored patch"), ("patch", COLOURS.free, "free candidate patch")]
     entries += [("grasp", COLOURS.grasp, f"grasp {grasp}")] if grasp else []

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from bcid.base.run_folder import RunFolder
 from bcid.report import exploration_picture as exploration
@@ -20,12 +22,9 @@ from bcid.report.text import model_name
 from bcid.report.time_charts import course_chart, felt, force_chart, torque_chart
 from bcid.report.tracks_picture import rest_picture, tracking_figure
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 BODY, ANSWER, PROPOSAL, RESIDUALS, RANKING = "body", "answer", "proposal", "residuals", "ranking"
 LADDER, BELIEF, IMAGES = "ladder", "belief", "images"
+PARTS = (ANSWER, PROPOSAL, RESIDUALS, RANKING, LADDER, BELIEF, IMAGES)
 
 _BY_STEP = "By step, over all actions. A residual that grows with the pull, or is there at rest, tells of the model."
 

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from bcid.base.units import percent
 from bcid.report.figure import COLOURS, body_entries, cropped, head, name_ticks
 from bcid.report.residual import rms
 from bcid.report.scene3d import BodyPicture
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 def summary_figure(found: dict[str, Any], body: xr.Dataset, prediction: xr.Dataset) -> Figure:
     """The body with its anchors and trajectories; probabilities; the residual against the noise."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(14, 7.6), facecolor="white")
     grid = figure.add_gridspec(2, 2, width_ratios=[2.15, 1], height_ratios=[1, 1], hspace=0.42, wspace=0.12)
     grid.update(left=0.015, right=0.975, top=0.85, bottom=0.1)
@@ -39,16 +36,12 @@ def summary_figure(found: dict[str, Any], body: xr.Dataset, prediction: xr.Datas
 
 def body_figure(found: dict[str, Any], body: xr.Dataset, prediction: xr.Dataset) -> Figure:
     """The body with its anchors and trajectories alone."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(9.5, 7.4), facecolor="white")
     _draw_body(figure.add_axes((0.015, 0.12, 0.97, 0.84)), found, body, prediction)
     return figure
 
 
 def _draw_body(axes: Axes, found: dict[str, Any], body: xr.Dataset, prediction: xr.Dataset) -> None:
-    from matplotlib.lines import Line2D
-
     frame = telling_frame(prediction)
     grasp = str(prediction["grasp"].values[frame])
     scene = BodyPicture(body, frame, (1800, 1500))

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import textwrap
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from bcid.report.figure import COLOURS, DARK, GREY, LIGHT, chart, head, short
 from bcid.report.text import conclusion, falling, model_name, plain, rungs
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _ROWS = 10
 
 
 def ladder_figure(found: dict[str, Any]) -> Figure:
     """Both charts in one picture, below the verdict."""
-    from matplotlib.figure import Figure
-
     rows = found["ranking"][:_ROWS]
     figure = Figure(figsize=(14, 6.6) if rows else (8, 6.6), facecolor="white")
     grid = figure.add_gridspec(1, 2 if rows else 1, width_ratios=[1, 1.15] if rows else [1], wspace=0.42)

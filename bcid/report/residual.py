@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from bcid.report.figure import DARK, GREY, LIGHT, MAP, name_frames, name_ticks, short
 from bcid.report.found import Found
 from bcid.report.text import model_name
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 # More fiducials than these have every so many named.
@@ -100,8 +99,6 @@ def draw_actions(axes: Axes, residual: Residual) -> None:
 
 def draw_steps(axes: Axes, residual: Residual) -> None:
     """Lines over the steps: all actions together, and thin ones of each for the last model."""
-    from matplotlib.ticker import MaxNLocator
-
     for name in residual.action_names:
         own = residual.actions == name
         values = [rms(frame) for frame in residual.models[residual.last][own]]

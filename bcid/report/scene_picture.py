@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from bcid.base.run_folder import writing
 from bcid.report.figure import COLOURS, PLACES, cropped, save, short, styled
 from bcid.report.scene3d import BodyPicture
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # Of patches, in turns: those of Okabe & Ito that neither the grasps nor the tissue have, and lighter ones of them.
 _PATCHES = [
@@ -72,8 +71,6 @@ def draw_scene(
 
 def _figure(body: xr.Dataset, marks: Mapping[str, NDArray[np.float64]], colours: Mapping[str, str]) -> Figure:
     """From two sides; places of marks in mm."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(14, 7.9), facecolor="white")
     for column, (behind, side) in enumerate(((False, "from above"), (True, "from behind and below"))):
         axes = figure.add_axes((0.01 + 0.495 * column, 0.14, 0.485, 0.71))
@@ -87,9 +84,6 @@ def _figure(body: xr.Dataset, marks: Mapping[str, NDArray[np.float64]], colours:
 
 
 def _legend(figure: Figure, colours: Mapping[str, str], places: Mapping[str, str], fiducials: int) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     entries = [
         Patch(color=colours[name], label=f"{short(name)}: {text}") for name, text in places.items() if name in colours
     ]

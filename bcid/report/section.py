@@ -5,8 +5,10 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import Any
+
+from matplotlib.figure import Figure
 
 from bcid.report import gallery
 from bcid.report.body_view import view_data
@@ -18,19 +20,6 @@ from bcid.report.table import Table
 from bcid.report.tables import Listing, listings
 from bcid.report.verdict import Verdict, lacking, verdict
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-_TITLES = {
-    gallery.ANSWER: "How far the answer holds",
-    gallery.PROPOSAL: "Beyond the catalogue",
-    gallery.RESIDUALS: "Residuals",
-    gallery.RANKING: "Missing effects",
-    gallery.LADDER: "The ladder of models",
-    gallery.BELIEF: "Belief by pull",
-    gallery.IMAGES: "Images",
-}
-_LEAD = "What is left between measurement and model, per coordinate. The dashed line is the noise."
 _UNREADABLE = Verdict("What this run found cannot be read.")
 # Of pictures that VTK draws: pixels to an inch, and colours that are enough, with a third of the bytes.
 _FINE, _COLOURS = 120, 192
@@ -56,10 +45,14 @@ class Shown:
     @classmethod
     def of(cls, figure: Figure, caption: str, picture: bool) -> Shown:
         """A chart as SVG, a picture as PNG."""
-        kind, content = ("png", _small_png(figure)) if picture else ("svg+xml", encoded(figure, "svg", letters="none"))
-        source = base64.b64encode(content.replace(b"'DejaVu Sans'", _LETTERS)).decode("ascii")
+        kind, content = ("png", _small_png(figure)) if picture else ("svg+xml", _page_svg(figure))
+        source = base64.b64encode(content).decode("ascii")
         width, height = (round(side * _PIXELS) for side in figure.get_size_inches())
         return cls(f"data:image/{kind};base64,{source}", width, height, caption, picture)
+
+
+def _page_svg(figure: Figure) -> bytes:
+    return encoded(figure, "svg", letters="none").replace(b"'DejaVu Sans'", _LETTERS)
 
 
 def _small_png(figure: Figure) -> bytes:
@@ -71,26 +64,6 @@ def _small_png(figure: Figure) -> bytes:
     return packed.getvalue()
 
 
-Row = list[Shown | Table]
-
-
-@dataclass(frozen=True)
-class PagePart:
-    """What of a run belongs together.
-
-    Attributes:
-        title: above it.
-        rows: figures and tables, those of a row beside each other.
-        lead: a sentence before them.
-        details: tables that are folded.
-    """
-
-    title: str
-    rows: list[Row]
-    lead: str = ""
-    details: list[Table] = field(default_factory=list)
-
-
 class Section:
     """One run of a page, with all that the page shows of it.
 
@@ -100,7 +73,7 @@ class Section:
         troubles: what could not be read or shown.
         said, sentence: the verdict, and its first sentence.
         view, still: data of the turnable view, and the picture that stands for it where it cannot be drawn; or None.
-        parts: in the order of the page.
+        parts: images and tables of each part, in the order of the page.
         facts: what was run, by group.
         lacks: what the run has not.
     """
@@ -114,24 +87,9 @@ class Section:
         with styled():
             self.still = next(iter(self._images(gallery.BODY)), None)
             self.view: dict[str, Any] | None = self._tried("the view of the body", lambda: view_data(found))
-            self.parts = [made for part in _TITLES if any((made := self._part(part)).rows)]
+            self.parts = {part: (self._images(part), self._tables(part)) for part in gallery.PARTS}
         self.facts = self._tried("what was run", lambda: groups(found)) or {}
         self.lacks = self._tried("what is lacking", lambda: lacking(found)) or []
-
-    def _part(self, part: str) -> PagePart:
-        """Charts beside each other, then tables, then pictures, with few exceptions."""
-        images, listed = self._images(part), self._tables(part)
-        charts: Row = [image for image in images if not image.picture]
-        tables: list[Row] = [[table] for table in listed]
-        pictures: list[Row] = [[image] for image in images if image.picture]
-        title = _TITLES[part]
-        if part == gallery.RESIDUALS:
-            return PagePart(title, [charts], _LEAD, listed)
-        if part == gallery.RANKING:
-            return PagePart(title if tables else "The missing force", [*tables, charts, *pictures])
-        if part == gallery.BELIEF and "exploration" not in self.found.documents:
-            return PagePart("Anchor sets", [[*charts, *listed]])
-        return PagePart(title, [charts, *tables, *pictures])
 
     # -- what damaged content may stop
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from bcid.base.units import WIDE, for_people, p_value, percent, significance, uncertain
@@ -11,7 +12,7 @@ from bcid.base.verdict_words import NO_EFFECTS
 from bcid.report import gallery
 from bcid.report.found import Found
 from bcid.report.ladder import asked_rung, place_name
-from bcid.report.residual import Residual, residuals_of
+from bcid.report.residual import residuals_of
 from bcid.report.table import Column, Table, rounded, text
 from bcid.report.text import amount, listed, model_name, patches, plain
 
@@ -35,31 +36,6 @@ class Listing:
     name: str
     part: str
     make: Callable[[], Table | None]
-
-
-def listings(found: Found) -> list[Listing]:
-    """All tables that a run may hold the data of, in the order of the report."""
-    documents = found.documents
-    made: list[Listing] = []
-
-    def add(document: str, part: str, **tables: Callable[[dict[str, Any]], Table | None]) -> None:
-        if document in documents:
-            content = documents[document]
-            for name, make in tables.items():
-                made.append(Listing(name.replace("_", "-"), part, lambda make=make: make(content)))  # type: ignore[misc]
-
-    add("diagnosis", gallery.ANSWER, scene_sensitivity=sensitivity_table, next_steps=steps_table)
-    if documents.get("proposal", {}).get("proposed"):
-        add("proposal", gallery.PROPOSAL, proposal=proposal_table, path=path_table)
-    if found.positions is not None and ("diagnosis" in documents or "identification" in documents):
-        for by in ("action", "step", "fiducial"):
-            make = lambda by=by: residual_table(residuals_of(found), by)  # noqa: E731
-            made.append(Listing(f"residual-{by}", gallery.RESIDUALS, make))
-    add("diagnosis", gallery.RANKING, ranking=ranking_table)
-    add("diagnosis", gallery.LADDER, ladder=ladder_table, tests=tests_table)
-    add("identification", gallery.BELIEF, sets=sets_table)
-    add("exploration", gallery.BELIEF, pulls=pulls_table)
-    return made
 
 
 # -- how far an answer can be trusted
@@ -168,8 +144,8 @@ def tests_table(d: dict[str, Any]) -> Table:
 # -- terms beyond the catalogue
 
 
-def proposal_table(proposal: dict[str, Any]) -> Table:
-    """Each proposed term, with its numbers and intervals that hold them with 95 %."""
+def proposal_table(proposal: dict[str, Any]) -> Table | None:
+    """Each proposed term, with its numbers and intervals that hold them with 95 %; None where nothing is proposed."""
     columns = [text("term"), text("formula"), text("number"), text("value (95 %)", "value")]
     columns.append(Column("standard error", "stderr", less=True))
     rows = []
@@ -192,11 +168,11 @@ def proposal_table(proposal: dict[str, Any]) -> Table:
         f"What is proposed, of {proposal['scored']} terms that were scored: it explains {share} of what is beyond noise, mesh and "
         f"what the scene may have slightly wrong; {rest}."
     )
-    return Table(caption, columns, rows)
+    return Table(caption, columns, rows) if rows else None
 
 
-def path_table(proposal: dict[str, Any]) -> Table:
-    """Which term entered when, and what competed."""
+def path_table(proposal: dict[str, Any]) -> Table | None:
+    """Which term entered when, and what competed; None where nothing is proposed."""
     columns = [text("beside"), text("term", "family", plain), Column("expected (mm)", "expected_rms")]
     columns += [Column("log-evidence", "log_evidence"), text("entered")]
     rows = []
@@ -213,7 +189,8 @@ def path_table(proposal: dict[str, Any]) -> Table:
         "The path: what the likeliest terms promised beside each model before any fit, their log-evidence against the best of "
         "them, and the one that proved best when they were fitted."
     )
-    return Table(caption, columns, rows, lambda row: row["entered"][1])
+    strong: Callable[[dict[str, Any]], bool] = lambda row: row["entered"][1]  # noqa: E731
+    return Table(caption, columns, rows, strong) if proposal["proposed"] else None
 
 
 # -- anchors
@@ -247,8 +224,9 @@ def _set(row: dict[str, Any]) -> str:
     return "{" + " ".join(map(str, row["anchored"])) + "}"
 
 
-def residual_table(residual: Residual, by: str) -> Table:
+def residual_table(found: Found, by: str) -> Table:
     """RMS residual by "action", "step" or "fiducial", of each model."""
+    residual = residuals_of(found)
     groups = {model: residual.by(by, model) for model in residual.models}
     columns = [text(by), *(Column(f"{model} (mm)", model) for model in groups)]
     rows = [{model: values[name] for model, values in groups.items()} | {by: name} for name in groups[residual.last]]
@@ -261,3 +239,27 @@ def _only_yes(value: bool) -> str:
 
 def _bits(value: float | None) -> str:
     return "" if value is None else f"{value:.2f}"
+
+
+_TABLES: tuple[tuple[str, str, str, Callable[[dict[str, Any]], Table | None]], ...] = (
+    ("scene-sensitivity", gallery.ANSWER, "diagnosis", sensitivity_table),
+    ("next-steps", gallery.ANSWER, "diagnosis", steps_table),
+    ("proposal", gallery.PROPOSAL, "proposal", proposal_table),
+    ("path", gallery.PROPOSAL, "proposal", path_table),
+    ("ranking", gallery.RANKING, "diagnosis", ranking_table),
+    ("ladder", gallery.LADDER, "diagnosis", ladder_table),
+    ("tests", gallery.LADDER, "diagnosis", tests_table),
+    ("sets", gallery.BELIEF, "identification", sets_table),
+    ("pulls", gallery.BELIEF, "exploration", pulls_table),
+)
+
+
+def listings(found: Found) -> list[Listing]:
+    """All tables that a run may hold the data of, in the order of the report."""
+    documents = found.documents
+    known = [row for row in _TABLES if row[2] in documents]
+    made = [Listing(name, part, partial(make, documents[document])) for name, part, document, make in known]
+    if found.positions is not None and ("diagnosis" in documents or "identification" in documents):
+        for by in ("action", "step", "fiducial"):
+            made.append(Listing(f"residual-{by}", gallery.RESIDUALS, partial(residual_table, found, by)))
+    return made

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from bcid.base.tails import normal_quantile
 from bcid.base.units import for_people
 from bcid.report.figure import DARK, LIGHT, chart, name_frames
 from bcid.report.text import plain
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 # Of x, y and z (Okabe & Ito).
@@ -62,8 +60,6 @@ def _draw_wrench(axes: Axes, positions: xr.Dataset, part: slice, unit: float, la
 
 def course_chart(courses: list[dict[str, Any]]) -> Figure:
     """The `courses` of a run's `diagnosis.json`, one below the other: values at knots, the course, and its 95 % band."""
-    from matplotlib.figure import Figure
-
     height = _HEIGHT * len(courses) + _EDGE
     figure = Figure(figsize=(_WIDTH, height), facecolor="white", layout="constrained")
     panels = figure.subplots(len(courses), 1, sharex=True, squeeze=False)[:, 0]

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from bcid.base.run_folder import RunFolder, writing
 from bcid.report.figure import DARK, GREY, save, short, styled
 from bcid.report.picture_file import Pixels, decoded
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -41,8 +40,6 @@ def rest_picture(run: RunFolder) -> Pixels | None:
 
 def tracking_figure(found: dict[str, Any], data: xr.Dataset, rest: Pixels | None) -> Figure:
     """The images at rest above; seen and hidden beads, standard deviations and the cameras' agreement below."""
-    from matplotlib.figure import Figure
-
     pictured = rest is not None
     figure = Figure(figsize=(12, 9.4 if pictured else 4.6), facecolor="white")
     rows = [1.55, 1] if pictured else [1]
@@ -85,8 +82,6 @@ def draw_tracks(points: Mapping[str, Array], times: Array, unit: str, title: str
 
 def _tracks_figure(points: Mapping[str, Array], times: Array, unit: str, title: str, clock: str) -> Figure:
     """Paths in space on the left; gaps and distances from the first position on the right."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(11, 5.6), facecolor="white", layout="constrained")
     figure.suptitle(title, x=0.02, ha="left", fontsize=13, fontweight="bold")
     grid = figure.add_gridspec(2, 2, width_ratios=[1.25, 1])
@@ -111,8 +106,6 @@ def _title(axes: Axes, text: str) -> None:
 
 def _draw_gaps(axes: Axes, seen: NDArray[np.bool_], names: Sequence[str] | None, extent: Any = None) -> None:
     """Which marker was seen in which frame, shape (markers, frames)."""
-    from matplotlib.colors import ListedColormap
-
     colours = ListedColormap([_ORANGE, _SEEN])
     axes.imshow(seen, aspect="auto", cmap=colours, vmin=0, vmax=1, extent=extent, interpolation="nearest")
     axes.spines[:].set_visible(True)

@@ -13,8 +13,6 @@ from bcid.report import exploration_picture as exploration
 from bcid.report.found import Found
 from bcid.report.text import amount, listed, model_name, patches, plain
 
-# Of a run that does not say itself whether the set explains the measurement: a residual of so many times the noise does not.
-_EXPLAINED = 2.0
 # Amounts of an effect that a reader looks for first.
 _AMOUNTS = 3
 _GOES_ON = ["The same command goes on where it was."]
@@ -179,7 +177,7 @@ def _identification(found: Found, d: dict[str, Any]) -> Verdict:
     doubts = _remarks(d)
     if not noise:
         doubts.append("No noise is stated: whether this set explains the measurement cannot be told.")
-    elif not d.get("explains", d["rms"] <= _EXPLAINED * noise):
+    elif not d["explains"]:
         best = patches(d["anchored"])
         sentence = f"No set of anchors explains this measurement: the best, {best}, misses it by {left}."
         doubts.append("Probabilities compare the sets with each other only; see bcid explain for what may be missing.")

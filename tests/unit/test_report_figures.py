@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import resource
 import signal
+import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -180,6 +181,17 @@ def test_fields_for_paraview_by_frame(tmp_path: Path) -> None:
             residual = np.delete(hidden["measured"].values[frame], gone, axis=0) * 1e3 - predicted
             np.testing.assert_allclose(points.point_data["residual"], residual)
     assert sorted(p.name for p in (tmp_path / "fields").iterdir()) == ["body.vtkhdf", "fiducials.vtkhdf", "patches.vtp"]
+
+
+@pytest.mark.parametrize(
+    ("command", "name"), [("report", "jinja2"), ("report", "matplotlib"), ("figure", "matplotlib")]
+)
+def test_command_without_a_package_of_its_extra_names_it(tmp_path: Path, command: str, name: str) -> None:
+    arguments = [command, str(runs.explored(tmp_path / "run")), "-o", str(tmp_path / "made")]
+    code = f"import sys; sys.modules[{name!r}] = None; from bcid.app.cli import main; sys.exit(main({arguments!r}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, "Traceback" in done.stderr) == (3, False)
+    assert f"{name} is not installed: pip install 'bcid[report]'" in done.stderr
 
 
 def test_what_is_not_installed_is_named(
