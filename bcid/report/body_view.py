@@ -12,8 +12,8 @@ from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
 from bcid.base.units import percent
-from bcid.report.diagnosis_picture import LONGEST, diagonal, round_scale, worst_frame
-from bcid.report.figure import completed
+from bcid.report.diagnosis_picture import LONGEST, diagonal, worst_frame
+from bcid.report.figure import completed, round_length
 from bcid.report.found import Found
 from bcid.report.identification_picture import telling_frame
 from bcid.report.residual import residuals_of
@@ -78,7 +78,7 @@ def _shown_first(found: Found, missed: Array, body: xr.Dataset, positions: xr.Da
     """The frame that tells most, and how much longer than they are arrows (mm) are drawn in it."""
     frame = worst_frame(missed) if "diagnosis" in found.documents else telling_frame(positions)
     longest = np.max(np.linalg.norm(missed[frame], axis=1), initial=0.0, where=np.isfinite(missed[frame]).all(axis=1))
-    return frame, max(1.0, round_scale(LONGEST * diagonal(body) / longest) if longest > 0 else 1.0)
+    return frame, max(1.0, round_length(LONGEST * diagonal(body) / longest if longest > 0 else 1.0))
 
 
 def _packed(values: NDArray[Any], kind: str) -> str:

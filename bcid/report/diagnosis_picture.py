@@ -43,7 +43,7 @@ def residual_figure(found: dict[str, Any], body: xr.Dataset, residuals: xr.Datas
     first = residuals["predicted_first"].values * 1e3
     frame = worst_frame(measured - first)
     length = np.linalg.norm((completed(measured, first) - first)[frame], axis=1)
-    scale = round_scale(LONGEST * diagonal(body) / float(np.nanmax(length)))
+    scale = round_length(LONGEST * diagonal(body) / float(np.nanmax(length)))
     panels = [(found["ladder"][0], first)]
     if len(found["ladder"]) > 1:
         panels.append((found["ladder"][-1], last))
@@ -79,11 +79,6 @@ def worst_frame(residual: Array) -> int:
     seen = np.isfinite(residual).any(axis=(1, 2))
     square[seen] = np.nanmean(residual[seen] ** 2, axis=(1, 2))
     return int(square.argmax())
-
-
-def round_scale(scale: float) -> float:
-    """The largest of 1, 2, 5, 10, ... that is not larger."""
-    return round_length(scale) if np.isfinite(scale) and scale > 0 else 1.0
 
 
 def diagonal(body: xr.Dataset) -> float:

@@ -17,7 +17,7 @@ from bcid.report.found import DAMAGE, Found
 from bcid.report.gallery import drawings, pictures
 from bcid.report.paraview import paraview_files
 from bcid.report.provenance import facts
-from bcid.report.tables import listings
+from bcid.report.tables import tables
 
 FORMATS = ("png", "svg", "pdf")
 # Dots to an inch, of figures for a paper and of pictures.
@@ -124,11 +124,11 @@ def _figures(
 
 def _tables(found: Found) -> dict[str, bytes]:
     files = {"provenance.csv": csv_text([("what", "value"), *facts(found)]).encode()}
-    for listing in listings(found):
-        with _told(found, f"table '{listing.name}'"):
-            table = listing.make()
+    for name, _, make in tables(found):
+        with _told(found, f"table '{name}'"):
+            table = make()
             if table is not None:
-                files |= {f"{listing.name}.csv": table.csv().encode(), f"{listing.name}.tex": table.latex().encode()}
+                files |= {f"{name}.csv": table.csv().encode(), f"{name}.tex": table.latex().encode()}
     return files
 
 

@@ -79,7 +79,9 @@ MAP = "cividis"
 
 
 def round_length(most: float) -> float:
-    """The largest of 1, 2, 5, 10, ... times a power of ten that is not larger."""
+    """The largest of 1, 2, 5, 10, ... times a power of ten that is not larger; 1 where there is none."""
+    if not (np.isfinite(most) and most > 0):
+        return 1.0
     power = 10.0 ** np.floor(np.log10(most))
     return float(power * max(step for step in (1, 2, 5) if step * power <= most * (1 + 1e-9)))
 

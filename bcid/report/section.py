@@ -17,7 +17,7 @@ from bcid.report.found import DAMAGE, Found
 from bcid.report.gallery import Drawing
 from bcid.report.provenance import groups
 from bcid.report.table import Table
-from bcid.report.tables import Listing, listings
+from bcid.report.tables import tables
 from bcid.report.verdict import Verdict, lacking, verdict
 
 _UNREADABLE = Verdict("What this run found cannot be read.")
@@ -83,7 +83,6 @@ class Section:
         self.said: Verdict = self._tried("verdict", lambda: verdict(found)) or _UNREADABLE
         self.sentence = self.said.sentence
         self._drawings: list[Drawing] = self._tried("figures", lambda: gallery.drawings(found)) or []
-        self._listings: list[Listing] = self._tried("tables", lambda: listings(found)) or []
         with styled():
             self.still = next(iter(self._images(gallery.BODY)), None)
             self.view: dict[str, Any] | None = self._tried("the view of the body", lambda: view_data(found))
@@ -115,6 +114,5 @@ class Section:
 
     def _tables(self, part: str) -> list[Table]:
         """The tables of a part of the report."""
-        chosen = [listing for listing in self._listings if listing.part == part]
-        made = [self._tried(f"table '{listing.name}'", listing.make) for listing in chosen]
+        made = [self._tried(f"table '{name}'", make) for name, own, make in tables(self.found) if own == part]
         return [table for table in made if table is not None]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -21,21 +20,6 @@ _AMOUNTS = 3
 # Above this, nothing of an effect is seen.
 _SEEN = 0.01
 _SETS = 8
-
-
-@dataclass(frozen=True)
-class Listing:
-    """A table of a run that can be made.
-
-    Attributes:
-        name: of its files.
-        part: of the report that it belongs to.
-        make: makes it, or None where there is nothing to show; raises whatever damaged files make it raise.
-    """
-
-    name: str
-    part: str
-    make: Callable[[], Table | None]
 
 
 # -- how far an answer can be trusted
@@ -254,12 +238,15 @@ _TABLES: tuple[tuple[str, str, str, Callable[[dict[str, Any]], Table | None]], .
 )
 
 
-def listings(found: Found) -> list[Listing]:
-    """All tables that a run may hold the data of, in the order of the report."""
+def tables(found: Found) -> list[tuple[str, str, Callable[[], Table | None]]]:
+    """All tables that a run may hold the data of: the name of their files, the part of the report, and what makes them.
+
+    What makes a table gives None where there is nothing to show, and raises whatever damaged files make it raise.
+    """
     documents = found.documents
     known = [row for row in _TABLES if row[2] in documents]
-    made = [Listing(name, part, partial(make, documents[document])) for name, part, document, make in known]
+    made: list[Any] = [(name, part, partial(make, documents[document])) for name, part, document, make in known]
     if found.positions is not None and ("diagnosis" in documents or "identification" in documents):
         for by in ("action", "step", "fiducial"):
-            made.append(Listing(f"residual-{by}", gallery.RESIDUALS, partial(residual_table, found, by)))
+            made.append((f"residual-{by}", gallery.RESIDUALS, partial(residual_table, found, by)))
     return made

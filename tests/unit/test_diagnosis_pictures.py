@@ -10,8 +10,9 @@ from matplotlib.figure import Figure
 
 from bcid.base.errors import InputError
 from bcid.base.run_folder import RunFolder
-from bcid.report.diagnosis_picture import residual_figure, round_scale, where_figure, worst_frame
+from bcid.report.diagnosis_picture import residual_figure, where_figure, worst_frame
 from bcid.report.export import draw_pictures
+from bcid.report.figure import round_length
 from bcid.report.labels import Viewpoint, beside_arrows
 from bcid.report.ladder import ladder_figure
 from bcid.report.text import conclusion, falling, model_name
@@ -230,7 +231,7 @@ def test_one_action_has_nothing_held_out() -> None:
 
 
 def test_scale_and_frame() -> None:
-    assert [round_scale(x) for x in (0.7, 1, 3.9, 19, 50, np.inf, 0)] == [0.5, 1, 2, 10, 50, 1, 1]
+    assert [round_length(x) for x in (0.7, 1, 3.9, 19, 50, np.inf, 0)] == [0.5, 1, 2, 10, 50, 1, 1]
     assert worst_frame(np.array([[[np.nan] * 3], [[1.0, 0, 0]], [[0, 0, 2.0]]])) == 2
 
 

@@ -27,7 +27,7 @@ from bcid.report.page import MARK, write_report
 from bcid.report.residual import residuals_of, rms
 from bcid.report.table import Column, Table, aligned
 from bcid.report.table import text as text_column
-from bcid.report.tables import listings, sensitivity_table
+from bcid.report.tables import sensitivity_table, tables
 from bcid.report.text import amount
 
 FEW = ("body", "ladder", "sets", "calibration")
@@ -142,7 +142,7 @@ def test_report_of_an_answer_shows_on_what_it_depends_and_what_to_do(tmp_path: P
     assert "How far the answer holds" in text
     assert "of the 0.8 bits that are open" in text
     found = Found.read(tmp_path / "run")
-    made: dict[str, Any] = {listing.name: listing.make() for listing in listings(found)}
+    made: dict[str, Any] = {name: make() for name, _, make in tables(found)}
     assert made["scene-sensitivity"].strong == {1}
     row = ["Poisson's ratio", "+2", "gravity", "97 %", "no patch", "96 %", "yes"]
     assert made["scene-sensitivity"].rows[1] == row
