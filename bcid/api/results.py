@@ -224,8 +224,8 @@ class IdentifyResult(Result):
     def plot(self) -> Figure:
         """The body with its anchors, measured and predicted fiducials, and the probability of each patch."""
         from bcid.report.figure import styled
+        from bcid.report.found import in_mm
         from bcid.report.identification_picture import summary_figure
-        from bcid.report.lengths import in_mm
 
         with styled():
             return _shown(summary_figure(in_mm(self.found), self._dataset("body.nc"), self._dataset("prediction.nc")))
@@ -351,8 +351,8 @@ class DiagnosisResult(Result):
         """The falling error beside the ranked effects where effects were ranked, else what the models miss."""
         from bcid.report.diagnosis_picture import residual_figure
         from bcid.report.figure import styled
+        from bcid.report.found import in_mm
         from bcid.report.ladder import ladder_figure
-        from bcid.report.lengths import in_mm
 
         found = in_mm(self.found)
         with styled():
@@ -432,7 +432,7 @@ class ExploreResult(Result):
         """The belief after each pull, and the bits that were expected and gained."""
         from bcid.report.exploration_picture import belief_figure
         from bcid.report.figure import styled
-        from bcid.report.lengths import in_mm
+        from bcid.report.found import in_mm
 
         with styled():
             return _shown(belief_figure(in_mm(self.found)))

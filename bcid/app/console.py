@@ -6,21 +6,13 @@ import argparse
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
 
 from bcid.base.collective import Comm
+from bcid.base.errors import MachineError
 from bcid.base.progress import Progress, Silent, clear, progress_on
 from bcid.base.run_folder import RunFolder
 from bcid.base.visible import visible
-
-# The module of `bcid.report` that draws what a command found.
-_PICTURES = dict.fromkeys(("compare", "diagnose", "fit", "explain", "propose"), "diagnosis_picture") | {
-    "identify": "identification_picture",
-    "explore": "exploration_picture",
-    "calibrate": "calibration_picture",
-    "track": "tracking_picture",
-}
 
 
 def complain(text: object) -> None:
@@ -43,6 +35,16 @@ def beside_the_result(what: str) -> Iterator[None]:
         complain(f"no {what}: {error.name} is not installed (the extra 'report')")
     except Exception as error:
         complain(f"no {what}: {error}")
+
+
+@contextmanager
+def extra(name: str) -> Iterator[None]:
+    """Names what is not installed of an extra that a command needs."""
+    try:
+        yield
+    except ImportError as error:
+        package = str(error.name).partition(".")[0]
+        raise MachineError(f"{package} is not installed: pip install 'bcid[{name}]'") from None
 
 
 def progress_of(arguments: argparse.Namespace, rank: int) -> Progress:
@@ -69,6 +71,7 @@ def print_result(folder: Path, file: str) -> None:
 def draw(folder: Path, progress: Progress) -> None:
     """Pictures of a run."""
     with beside_the_result("picture"):
-        kind = _PICTURES[RunFolder.open(folder).record["command"]]
-        for file in import_module(f"bcid.report.{kind}").draw(folder):
+        from bcid.report.export import draw_pictures
+
+        for file in draw_pictures(folder):
             progress.say(f"wrote {file}")

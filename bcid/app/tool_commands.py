@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from bcid.app.console import beside_the_result, complain, finish, progress_of, tell
+from bcid.app.console import beside_the_result, complain, extra, finish, progress_of, tell
 from bcid.app.options import direction_in, length_in, names_in, noise_in, random_state_in
 from bcid.base.collective import Comm, first
-from bcid.base.errors import InputError, MachineError
+from bcid.base.errors import InputError
 from bcid.base.shipped import copy_examples
 
 if TYPE_CHECKING:
@@ -19,9 +19,10 @@ EXAMPLE = "examples/scenes/slab.toml examples/measurements/slab-34-complex"
 
 def report(arguments: argparse.Namespace) -> None:
     """`bcid report`."""
-    from bcid.report.page import write_report
+    with extra("report"):
+        from bcid.report.page import write_report
 
-    made = write_report(arguments.run_folders, arguments.output)
+        made = write_report(arguments.run_folders, arguments.output)
     for folder, troubles in made.troubles.items():
         for text in troubles:
             complain(text if str(folder) in text else f"{folder}: {text}")
@@ -60,16 +61,14 @@ def _draw_tracks(made: Inspected) -> None:
 
 def figure(arguments: argparse.Namespace) -> None:
     """`bcid figure`."""
-    from bcid.report.export import write_figures
-
     formats = names_in(arguments.format)
     if not formats:
         raise InputError(f"--format '{arguments.format}': names no format; give some, as --format png,pdf")
     progress = progress_of(arguments, 0)
-    try:
+    with extra("report"):
+        from bcid.report.export import write_figures
+
         files = write_figures(arguments.run_folder, arguments.output, formats, arguments.overwrite, progress.say)
-    except ImportError as error:
-        raise MachineError(f"{error.name} is not installed: pip install 'bcid[report]'") from None
     if not arguments.quiet:
         tell(f"{arguments.output}: {len(files)} files")
 

@@ -7,15 +7,16 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
 from bcid.base.units import percent
-from bcid.report.diagnosis_picture import LONGEST, diagonal, round_scale, worst_frame
+from bcid.report.diagnosis_picture import LONGEST, diagonal, worst_frame
+from bcid.report.figure import completed, round_length
 from bcid.report.found import Found
-from bcid.report.gallery import residuals_of
 from bcid.report.identification_picture import telling_frame
-from bcid.report.measured_points import completed
-from bcid.report.residual import Residual
+from bcid.report.residual import residuals_of
 
 Array = NDArray[np.float64]
 
@@ -34,9 +35,9 @@ def view_data(found: Found) -> dict[str, Any] | None:
     Raises:
         ValueError, KeyError: `body.nc` or the positions are damaged.
     """
-    residual = residuals_of(found)
-    if found.body is None or found.positions is None or residual is None:
+    if found.body is None or found.positions is None or not found.result:
         return None
+    residual = residuals_of(found)
     body, positions = found.body, found.positions
     triangles = body["triangles"].values[:, :3].astype(int)
     nodes, corners = np.unique(triangles, return_inverse=True)
@@ -44,21 +45,19 @@ def view_data(found: Found) -> dict[str, Any] | None:
         return None
     corners = corners.reshape(triangles.shape)
     points = body["points"].values[nodes] * 1e3
-    frames = body.sizes["frame"]
-    if frames != len(residual.actions) or not np.isfinite(points).all():
+    if body.sizes["frame"] != len(residual.actions) or not np.isfinite(points).all():
         raise ValueError("body.nc and the positions do not belong together")
-    place = body["place"].values.astype(int)
-    places = _places(found, body)
+    place, places = body["place"].values.astype(int), _places(found, body)
+    # Patches have an outline of their own, all that is no patch shares one.
+    outlined = np.array([i if entry["kind"] == "patch" else 0 for i, entry in enumerate(places)])
     measured = completed(positions["measured"].values, positions["predicted"].values) * 1e3
-    start, scale = _shown_first(found, residual, body, positions)
+    start, scale = _shown_first(found, next(iter(residual.models.values())), body, positions)
     return {
-        "unit": residual.unit,
-        "factor": float(1e-3 / _metres(residual)),
         "up": [float(v) for v in str(body.attrs.get("up", "0 1 0")).split()][:3],
         "points": _packed(points, "<f4"),
         "triangles": _packed(corners, "<u4"),
         "place": _packed(place, "<u2"),
-        "edges": _packed(_edges(points, corners, _told_apart(places)[place]), "<u4"),
+        "edges": _packed(_edges(points, corners, outlined[place]), "<u4"),
         "places": places,
         "shades": [shade(i / 15) for i in range(16)],
         "energy": _energy(body, nodes, residual.actions),
@@ -68,29 +67,18 @@ def view_data(found: Found) -> dict[str, Any] | None:
         "grasps": [str(name) for name in positions["grasp"].values],
         "fiducials": residual.fiducials,
         "measured": _packed(measured, "<f4"),
-        "models": [
-            {"name": name, "predicted": _packed(measured - values * _metres(residual) * 1e3, "<f4")}
-            for name, values in residual.models.items()
-        ],
+        "models": [{"name": n, "predicted": _packed(measured - v, "<f4")} for n, v in residual.models.items()],
         "start": start,
         "scale": scale,
         "scales": sorted({*_SCALES, scale}),
     }
 
 
-def _metres(residual: Residual) -> float:
-    from bcid.base.units import unit_factor
-
-    return unit_factor(residual.unit, "m")
-
-
-def _shown_first(found: Found, residual: Residual, body: xr.Dataset, positions: xr.Dataset) -> tuple[int, float]:
-    """The frame that tells most, and how much longer than they are arrows are drawn in it."""
-    first = next(iter(residual.models.values()))
-    frame = worst_frame(first) if "diagnosis" in found.documents else telling_frame(positions)
-    length = np.linalg.norm(first[frame], axis=1)
-    longest = float(np.nanmax(length)) * _metres(residual) * 1e3 if np.isfinite(length).any() else 0.0
-    return frame, max(1.0, round_scale(LONGEST * diagonal(body) / longest) if longest > 0 else 1.0)
+def _shown_first(found: Found, missed: Array, body: xr.Dataset, positions: xr.Dataset) -> tuple[int, float]:
+    """The frame that tells most, and how much longer than they are arrows (mm) are drawn in it."""
+    frame = worst_frame(missed) if "diagnosis" in found.documents else telling_frame(positions)
+    longest = np.max(np.linalg.norm(missed[frame], axis=1), initial=0.0, where=np.isfinite(missed[frame]).all(axis=1))
+    return frame, max(1.0, round_length(LONGEST * diagonal(body) / longest if longest > 0 else 1.0))
 
 
 def _packed(values: NDArray[Any], kind: str) -> str:
@@ -114,24 +102,15 @@ def _places(found: Found, body: xr.Dataset) -> list[dict[str, Any]]:
     return made
 
 
-def _told_apart(places: list[dict[str, Any]]) -> NDArray[np.int64]:
-    """A number for each place: patches have their own, all that is no patch shares one."""
-    return np.array([i if entry["kind"] == "patch" else 0 for i, entry in enumerate(places)])
-
-
 def shade(share: float) -> str:
     """Colour of a number from 0 to 1 (cividis), as "#00224e"."""
-    from matplotlib import colormaps
-    from matplotlib.colors import to_hex
-
     return to_hex(colormaps["cividis"](min(max(share, 0.0), 1.0)))
 
 
 def _edges(points: Array, triangles: NDArray[np.int64], place: NDArray[np.int64]) -> NDArray[np.int64]:
     """Node pairs of edges where the surface turns sharply, or where another place begins; shape (edges, 2)."""
-    normal = np.cross(
-        points[triangles[:, 1]] - points[triangles[:, 0]], points[triangles[:, 2]] - points[triangles[:, 0]]
-    )
+    corner = points[triangles]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     sides = np.sort(np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     owner = np.tile(np.arange(len(triangles)), 3)
@@ -169,9 +148,4 @@ def _displacement(values: Array, actions: NDArray[np.str_]) -> dict[str, Any]:
     low, high = values.min(axis=(0, 1)), values.max(axis=(0, 1))
     step = np.maximum((high - low) / 65535, 1e-12)
     numbers = np.clip(np.round((np.nan_to_num(values[kept]) - low) / step), 0, 65535)
-    return {
-        "frames": kept.tolist(),
-        "low": low.tolist(),
-        "step": step.tolist(),
-        "numbers": _packed(numbers, "<u2"),
-    }
+    return {"frames": kept.tolist(), "low": low.tolist(), "step": step.tolist(), "numbers": _packed(numbers, "<u2")}

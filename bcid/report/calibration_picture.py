@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import math
 import textwrap
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from bcid.base.run_folder import RunFolder, writing
-from bcid.report.figure import open_frame, save, styled
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from bcid.report.figure import name_ticks, round_length
 
 Array = NDArray[np.float64]
 
@@ -26,26 +23,16 @@ _LEFT_OUT = "#BBBBBB"
 _CELL = "#EAF3EE"
 # Arrows that an image may hold, and the length of a typical one as a share of its width.
 _ARROWS, _LENGTH = 700, 0.018
-# Pairs whose numbers fit below the bars, and letters of a line of the title.
-_PAIRS, _LINE = 40, 105
+# Letters of a line of the title.
+_LINE = 105
 # Room for bars: few are not broad.
 _BARS = 10
 
 
-def draw(folder: str | Path) -> list[Path]:
-    """Draw `calibration.png` into the folder of a finished calibration; returns what was written."""
-    run = RunFolder.open(folder)
-    found = run.read_json("calibration.json")
-    with styled(), writing(run.path):
-        return [save(calibration_figure(found), run.path / "calibration.png")]
-
-
 def calibration_figure(found: dict[str, Any]) -> Figure:
     """The two images with corners and residuals above; the errors of the pairs and all residuals below."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(12, 8.4), facecolor="white")
-    lines = textwrap.wrap(_title(found), _LINE)
+    lines = textwrap.wrap(f"calibration: {found['verdict']}", _LINE)
     figure.text(0.02, 0.975, "\n".join(lines), ha="left", va="top", fontsize=14, fontweight="bold")
     figure.text(0.02, 0.972 - 0.031 * len(lines), _subtitle(found), ha="left", va="top", fontsize=10.5, color="#333333")
     grid = figure.add_gridspec(2, 1, height_ratios=[1.55, 1], hspace=0.24)
@@ -57,10 +44,6 @@ def calibration_figure(found: dict[str, Any]) -> Figure:
     _pairs(figure.add_subplot(below[0]), found)
     _residuals(figure.add_subplot(below[1]), found)
     return figure
-
-
-def _title(found: dict[str, Any]) -> str:
-    return f"calibration: {found['verdict']}"
 
 
 def _subtitle(found: dict[str, Any]) -> str:
@@ -88,58 +71,32 @@ def _image(axes: Axes, found: dict[str, Any], side: str) -> None:
     pixels, residuals = _stacked(found, side), _stacked(found, f"{side}_residuals")
     _cells(axes, pixels, (width, height), found["grid"])
     axes.plot(*pixels.T, ".", color="#777777", ms=1.6, zorder=2)
-    factor = _magnified(width, found["error"])
+    # A typical residual gets a length that can be seen.
+    factor = round_length(_LENGTH * width / max(found["error"], 1e-12))
     step = math.ceil(len(pixels) / _ARROWS)
     shown, ends = pixels[::step], residuals[::step] * factor
-    axes.quiver(
-        *shown.T,
-        *ends.T,
-        color=_COLOURS[side],
-        angles="xy",
-        scale_units="xy",
-        scale=1,
-        width=0.0022,
-        headwidth=3.5,
-        headlength=4,
-        zorder=3,
-        clip_on=True,
-    )
+    head: dict[str, Any] = {"width": 0.0022, "headwidth": 3.5, "headlength": 4, "color": _COLOURS[side]}
+    axes.quiver(*shown.T, *ends.T, angles="xy", scale_units="xy", scale=1, zorder=3, **head)
     axes.set_xlim(-0.5, width - 0.5)
     axes.set_ylim(height - 0.5, -0.5)
     axes.set_aspect("equal", anchor="W")
+    axes.spines[:].set_visible(True)
     axes.tick_params(labelsize=8)
     arrows = f"arrows: found minus projected, × {factor:g}" + (f", one corner in {step}" if step > 1 else "")
-    focal = found[side]["matrix"][0][0]
-    doubt = found[side]["deviations"]["fx"]
-    about = f"{side}: f = {focal:.1f}" + ("" if doubt is None else f" ± {_digits(doubt)}") + " px"
-    axes.set_title(
-        f"{about}, error {found[side]['error']:.3f} px, corners in {found[side]['coverage']:.0%} of the cells\n{arrows}",
-        loc="left",
-        fontsize=9.5,
-    )
+    focal = {"value": found[side]["matrix"][0][0], "deviation": found[side]["deviations"]["fx"]}
+    about = f"{side}: f = {focal['value']:.1f}{_plus_minus(focal)} px, error {found[side]['error']:.3f} px, corners"
+    axes.set_title(f"{about} in {found[side]['coverage']:.0%} of the cells\n{arrows}", loc="left", fontsize=9.5)
 
 
 def _cells(axes: Axes, pixels: Array, size: tuple[int, int], grid: list[int]) -> None:
     """The coverage grid; cells with corners are shaded."""
     across, down = (np.linspace(-0.5, length - 0.5, count + 1) for length, count in zip(size, grid, strict=True))
     counts = np.histogram2d(pixels[:, 0], pixels[:, 1], bins=[across, down])[0]
-    axes.pcolormesh(across, down, np.where(counts.T > 0, 1.0, 0.0), cmap=_shades(), vmin=0, vmax=1, zorder=0)
+    shades = ListedColormap(["white", _CELL])
+    axes.pcolormesh(across, down, np.where(counts.T > 0, 1.0, 0.0), cmap=shades, vmin=0, vmax=1, zorder=0)
     for k, lines in enumerate((across, down)):
         for at in lines[1:-1]:
             (axes.axhline if k else axes.axvline)(at, color="#CCCCCC", lw=0.6, zorder=1)
-
-
-def _shades() -> Any:
-    from matplotlib.colors import ListedColormap
-
-    return ListedColormap(["white", _CELL])
-
-
-def _magnified(width: int, error: float) -> float:
-    """A round factor by which a typical residual gets a length that can be seen."""
-    wanted = _LENGTH * width / max(error, 1e-12)
-    power = 10.0 ** math.floor(math.log10(wanted))
-    return max(step * power for step in (1, 2, 5) if step * power <= wanted)
 
 
 def _pairs(axes: Axes, found: dict[str, Any]) -> None:
@@ -149,32 +106,21 @@ def _pairs(axes: Axes, found: dict[str, Any]) -> None:
     # A pair that is far off would make all other bars flat.
     top = 1.35 * max(pair["error"] for pair in found["pairs"])
     for place, (number, error) in enumerate(errors.items()):
-        out = number in outside
-        style: dict[str, Any] = (
-            {"color": _LEFT_OUT, "hatch": "///", "edgecolor": "white"} if out else {"color": "#009E73"}
-        )
-        axes.bar(place, min(error, top), 0.75, **style)
-        if out:
+        style: dict[str, Any] = {"color": "#009E73"}
+        if number in outside:
+            style = {"color": _LEFT_OUT, "hatch": "///", "edgecolor": "white"}
             box = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
-            text = f"left out, {error:.3g} px"
-            axes.text(place, top / 2, text, rotation=90, ha="center", va="center", fontsize=8, bbox=box)
+            about: dict[str, Any] = {"rotation": 90, "ha": "center", "va": "center", "fontsize": 8, "bbox": box}
+            axes.text(place, top / 2, f"left out, {error:.3g} px", **about)
+        axes.bar(place, min(error, top), 0.75, **style)
     axes.axhline(found["error"], color="black", lw=1, ls="--")
-    axes.annotate(
-        f"all: {found['error']:.3f}",
-        (1, found["error"]),
-        xycoords=("axes fraction", "data"),
-        xytext=(2, 0),
-        textcoords="offset points",
-        fontsize=8,
-        va="center",
-    )
+    beside: dict[str, Any] = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points", "va": "center"}
+    axes.annotate(f"all: {found['error']:.3f}", (1, found["error"]), xytext=(2, 0), fontsize=8, **beside)
     axes.set_ylim(0, top)
     axes.set_xlim(-0.6, max(len(errors), _BARS) - 0.4)
-    step = math.ceil(len(errors) / _PAIRS)
-    axes.set_xticks(range(0, len(errors), step), [str(n) for n in list(errors)[::step]], fontsize=8)
+    name_ticks(axes, list(errors))
     axes.set_xlabel("pair")
     axes.set_ylabel("error (px RMS)")
-    open_frame(axes)
 
 
 def _residuals(axes: Axes, found: dict[str, Any]) -> None:
@@ -190,13 +136,10 @@ def _residuals(axes: Axes, found: dict[str, Any]) -> None:
     axes.set_aspect("equal")
     axes.set_xlabel("found minus projected, u (px)")
     axes.set_ylabel("v (px)")
-    legend = axes.legend(
-        loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False, fontsize=9, markerscale=2.5
-    )
+    legend = axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize=9, markerscale=2.5)
     for handle in legend.legend_handles:
         if handle is not None:
             handle.set_alpha(1.0)
-    open_frame(axes)
 
 
 def _stacked(found: dict[str, Any], name: str) -> Array:

@@ -5,26 +5,21 @@ falling error.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from bcid.base.run_folder import RunFolder, writing
 from bcid.base.tails import chi2_tail
-from bcid.base.units import force_unit, percent, uncertain, unit_factor
-from bcid.report.figure import body_entries, cropped, save, styled
-from bcid.report.ladder import head, ladder_figure
-from bcid.report.lengths import in_mm, round_length
-from bcid.report.measured_points import completed
-from bcid.report.paraview import write_paraview
-from bcid.report.scene3d import COLOURS, MAP, Image, arrows_picture, kinds, map_picture
+from bcid.base.units import force_unit, percent, uncertain
+from bcid.report.figure import COLOURS, MAP, Image, body_entries, completed, cropped, head, round_length
+from bcid.report.scene3d import BodyPicture
 from bcid.report.text import conclusion, model_name
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -39,24 +34,7 @@ _CHANCE = 0.05
 _NOTHING = 0.1
 
 
-def draw(folder: str | Path) -> list[Path]:
-    """Draw the pictures of a finished comparison and write `paraview/`; returns what was written.
-
-    `where.png` needs `where.json`, which is not there when nothing is missing.
-    """
-    run = RunFolder.open(folder)
-    found = in_mm(run.read_json("diagnosis.json"))
-    body, residuals = run.read_dataset("body.nc"), run.read_dataset("residuals.nc")
-    with styled(), writing(run.path):
-        figures = {"picture.png": residual_figure(found, body, residuals), "ladder.png": ladder_figure(found)}
-        if run.holds("where.json"):
-            figures["where.png"] = where_figure(found, in_mm(run.read_json("where.json")), body, residuals)
-        written = [save(figure, run.path / name) for name, figure in figures.items()]
-        return [*written, write_paraview(run.path / "paraview", body, residuals, found["anchored"])]
-
-
 # -- what the models miss
-# ----------------------------------------------------------------------------------------------------------
 
 
 def residual_figure(found: dict[str, Any], body: xr.Dataset, residuals: xr.Dataset) -> Figure:
@@ -65,34 +43,31 @@ def residual_figure(found: dict[str, Any], body: xr.Dataset, residuals: xr.Datas
     first = residuals["predicted_first"].values * 1e3
     frame = worst_frame(measured - first)
     length = np.linalg.norm((completed(measured, first) - first)[frame], axis=1)
-    scale = round_scale(LONGEST * diagonal(body) / float(np.nanmax(length)))
+    scale = round_length(LONGEST * diagonal(body) / float(np.nanmax(length)))
     panels = [(found["ladder"][0], first)]
     if len(found["ladder"]) > 1:
         panels.append((found["ladder"][-1], last))
     shown = [(completed(measured, predicted) - predicted)[frame] for _, predicted in panels]
     most = max(float(np.nanmax(np.linalg.norm(missed, axis=1))) for missed in shown)
-    dense = measured.shape[1] > _ARROWS
+    dense, grasp = measured.shape[1] > _ARROWS, str(residuals["grasp"].values[frame])
     images = []
     for (_, predicted), missed in zip(panels, shown, strict=True):
         seen = np.isfinite(missed).all(axis=1)
-        view = body, found["anchored"], frame, str(residuals["grasp"].values[frame])
-        at = predicted[frame][seen]
+        scene = BodyPicture(body, frame, _SIZE)
+        scene.add_body(found["anchored"], grasp)
         if dense:
-            images.append(map_picture(*view, at, np.linalg.norm(missed[seen], axis=1), most, _SIZE))
+            scene.add_field(predicted[frame][seen], np.linalg.norm(missed[seen], axis=1), most)
         else:
-            images.append(arrows_picture(*view, at, scale * missed[seen], _SIZE))
-    unit = found["length_unit"]
-    titles = [f"{model_name(rung['model'])}: {rung['rms']:.3g} {unit}" for rung, _ in panels]
+            scene.add_arrows(predicted[frame][seen], scale * missed[seen])
+        images.append(scene.image())
+    titles = [f"{model_name(rung['model'])}: {rung['rms']:.3g} mm" for rung, _ in panels]
     figure = _panels(images, titles)
     what = "What the model misses" if len(panels) == 1 else "What the models miss"
-    head(
-        figure,
-        f"{body.attrs.get('scene', 'body')}: {conclusion(found)}",
-        f"{what}: residual per coordinate (RMS), noise {found['noise_rms']:.3g} {unit}",
-    )
+    text = f"{what}: residual per coordinate (RMS), noise {found['noise_rms']:.3g} mm"
+    head(figure, f"{body.attrs.get('scene', 'body')}: {conclusion(found)}", text)
     where = f"action {residuals['action'].values[frame]}, step {int(residuals['step'].values[frame])}"
     arrow = "" if dense else f"measured − predicted, {scale:g} × as long as it is ({where})"
-    _legend(figure, arrow, str(residuals["grasp"].values[frame]), body)
+    _legend(figure, arrow, grasp, body)
     if dense:
         _colour_bar(figure, most, f"|measured − predicted|, mm\n({where})")
     return figure
@@ -106,18 +81,32 @@ def worst_frame(residual: Array) -> int:
     return int(square.argmax())
 
 
-def round_scale(scale: float) -> float:
-    """The largest of 1, 2, 5, 10, ... that is not larger."""
-    return round_length(scale) if np.isfinite(scale) and scale > 0 else 1.0
-
-
 def diagonal(body: xr.Dataset) -> float:
     """Of the body's bounding box at rest, mm."""
     return float(np.linalg.norm(np.ptp(body["points"].values, axis=0))) * 1e3
 
 
 # -- the missing force
-# -------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Force:
+    """A missing force that acts in all frames (`action` ""), or grows in an action: on each region, and in all."""
+
+    action: str
+    regions: list[dict[str, Any]]
+    whole: dict[str, Any]
+
+    def told(self, tries: int) -> list[dict[str, Any]]:
+        """The forces on regions that can be told, or their sum where that can be told alone."""
+        return [p for p in self.regions if _told(p, tries)] or [p for p in (self.whole,) if _told(p, tries)]
+
+    def title(self, told: list[dict[str, Any]], per_newton: float, newtons: str) -> str:
+        """When the force acts, what it is together (as `force_unit` has it), and on how many of the regions it can be told."""
+        when = f"growing in action {self.action}" if self.action else "in all frames"
+        together = " ".join(f"{per_newton * v:+.3g}" for v in self.whole["force"]).replace("-", "−")
+        on = f"{len(told)} of {len(self.regions)} regions" if told[0] in self.regions else "no single region"
+        return f"{when}: together ({together}) {newtons},\ntold on {on}"
 
 
 def where_figure(found: dict[str, Any], where: dict[str, Any], body: xr.Dataset, residuals: xr.Dataset) -> Figure:
@@ -126,82 +115,45 @@ def where_figure(found: dict[str, Any], where: dict[str, Any], body: xr.Dataset,
     Only forces that chance does not make are drawn, each with its size and its standard error: those on regions, or where no
     region tells its own their sum, in the middle of the body.
     """
-    to_mm = unit_factor(where["length_unit"], "m") * 1e3
-    parts = _parts(where)
-    tries = sum(len(part.regions) + 1 for part in parts.values())
-    told = {action: part.told(tries) for action, part in parts.items()} if where["explained"] >= _NOTHING else {}
-    growing = max((action for action in told if action), key=lambda action: _strength(told[action]), default="")
-    shown = {action: told[action] for action in dict.fromkeys(("", growing)) if told.get(action)}
-    largest = max((_size(place) for places in shown.values() for place in places), default=1.0)
-    scale = LONGEST * diagonal(body) / largest
+    shown = _shown(where)
+    largest = max((_size(place) for _, places in shown for place in places), default=1.0)
     per_newton, newtons = force_unit(largest)
     images, titles = [], []
-    for action, places in (shown or {"": []}).items():
+    panels: list[tuple[_Force | None, list[dict[str, Any]]]] = [*shown] or [(None, [])]
+    for force, places in panels:
         starts, forces = (np.array([p[what] for p in places]).reshape(-1, 3) for what in ("position", "force"))
+        scene = BodyPicture(body, None, _SIZE)
+        scene.add_body(found["anchored"], _grasp(residuals, force.action if force else ""))
         texts = [uncertain(per_newton * _size(p), per_newton * p["stderr"]) for p in places]
-        view = body, found["anchored"], None, _grasp(residuals, action)
-        images.append(arrows_picture(*view, to_mm * starts, scale * forces, _SIZE, texts))
-        titles.append(parts[action].said(action, places, per_newton, newtons) if shown else "")
+        scene.add_arrows(starts, LONGEST * diagonal(body) / largest * forces, texts)
+        images.append(scene.image())
+        titles.append(force.title(places, per_newton, newtons) if force else "")
     figure = _panels(images, titles)
-    first = found["ladder"][-1 if found["adequate"] is False else 0]
-    model = model_name(first["model"])
-    promised = (
-        f"{percent(where['explained'])} of what is beyond noise, and leave {where['rms']:.3g} {where['length_unit']}"
-    )
+    model = model_name(found["ladder"][-1 if found["adequate"] is False else 0]["model"])
+    left = f"{percent(where['explained'])} of what is beyond noise, and leave {where['rms']:.3g} mm"
     if where["explained"] < _NOTHING:
-        head(
-            figure,
-            "No missing force can be told",
-            f"The {model} model leaves nothing beyond noise that a force on the body explains",
-        )
+        text = f"The {model} model leaves nothing beyond noise that a force on the body explains"
+        head(figure, "No missing force can be told", text)
     elif not shown:
-        head(
-            figure,
-            "A force is missing; where it acts cannot be told",
-            f"Spread over the body it would explain {promised}",
-        )
+        text = f"Spread over the body it would explain {left}"
+        head(figure, "A force is missing; where it acts cannot be told", text)
     else:
-        head(
-            figure,
-            f"The force that the {model} model lacks",
-            f"It would explain {promised} (its size is right if the stiffness is)",
-        )
-    where_drawn = (
-        "force on a region" if any(place in parts[a].regions for a in shown for place in shown[a]) else "force"
-    )
-    _legend(figure, f"{where_drawn}, {newtons} ± standard error" if shown else "", "", body)
+        text = f"It would explain {left} (its size is right if the stiffness is)"
+        head(figure, f"The force that the {model} model lacks", text)
+    on = " on a region" if any(places[0] in force.regions for force, places in shown) else ""
+    _legend(figure, f"force{on}, {newtons} ± standard error" if shown else "", "", body)
     return figure
 
 
-@dataclass(frozen=True)
-class _Part:
-    """A missing force that acts at some time: on each region, and in all (an older run folder does not say it)."""
-
-    regions: list[dict[str, Any]]
-    whole: dict[str, Any] | None
-
-    def told(self, tries: int) -> list[dict[str, Any]]:
-        """The forces on regions that can be told, or their sum where that can be told alone."""
-        regions = [place for place in self.regions if _told(place, tries)]
-        if not regions and self.whole and _told(self.whole, tries):
-            return [self.whole]
-        return regions
-
-    def said(self, action: str, told: list[dict[str, Any]], per_newton: float, newtons: str) -> str:
-        """When the force acts, what it is together (as `force_unit` has it), and on how many of the regions it can be told."""
-        when = f"growing in action {action}" if action else "in all frames"
-        sums = self.whole["force"] if self.whole else np.sum([p["force"] for p in self.regions], axis=0)
-        together = " ".join(f"{per_newton * v:+.3g}" for v in sums).replace("-", "−")
-        number = len([place for place in told if place in self.regions])
-        on = f"{number} of {len(self.regions)} regions" if number else "no single region"
-        return f"{when}: together ({together}) {newtons},\ntold on {on}"
-
-
-def _parts(where: dict[str, Any]) -> dict[str, _Part]:
-    """The missing force in all frames ("") and in each action."""
-    together = where.get("together", {"growing": {}})
-    growing = {action: _Part(places, together["growing"].get(action)) for action, places in where["growing"].items()}
-    return {"": _Part(where["steady"], together.get("steady")), **growing}
+def _shown(where: dict[str, Any]) -> list[tuple[_Force, list[dict[str, Any]]]]:
+    """The steady force and the strongest of those that grow, with their parts that can be told."""
+    together = where["together"]
+    forces = [_Force("", where["steady"], together["steady"])]
+    forces += [_Force(action, places, together["growing"][action]) for action, places in where["growing"].items()]
+    tries = sum(len(force.regions) + 1 for force in forces)
+    told = [(force, places) for force in forces if (places := force.told(tries))]
+    growing = sorted((one for one in told if one[0].action), key=lambda one: -_strength(one[1]))
+    return [*(one for one in told if not one[0].action), *growing[:1]] if where["explained"] >= _NOTHING else []
 
 
 def _told(place: dict[str, Any], tries: int) -> bool:
@@ -225,12 +177,9 @@ def _grasp(residuals: xr.Dataset, action: str) -> str:
 
 
 # -- what figures share
-# ------------------------------------------------------------------------------------------------------------
 
 
 def _panels(images: list[Image], titles: list[str]) -> Figure:
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(7.2 * len(images) if len(images) > 1 else 9.5, 7.4), facecolor="white")
     grid = figure.add_gridspec(1, len(images), wspace=0.03)
     lines = max(title.count("\n") for title in titles)
@@ -245,9 +194,6 @@ def _panels(images: list[Image], titles: list[str]) -> Figure:
 
 def _colour_bar(figure: Figure, most: float, label: str) -> None:
     """At the right of the pictures, which make room for it."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
     for axes in figure.axes:
         place = axes.get_position()
         axes.set_position((0.9 * place.x0, place.y0, 0.9 * place.width, place.height))
@@ -258,9 +204,7 @@ def _colour_bar(figure: Figure, most: float, label: str) -> None:
 
 
 def _legend(figure: Figure, arrow: str, grasp: str, body: xr.Dataset) -> None:
-    from matplotlib.lines import Line2D
-
     arrows = [Line2D([], [], color=COLOURS.predicted, linewidth=3, label=arrow)] if arrow else []
     narrow = figure.get_figwidth() < 10
-    handles = [*arrows, *body_entries(grasp, kinds(body))]
+    handles = [*arrows, *body_entries(grasp, body)]
     figure.legend(handles=handles, loc="lower center", frameon=False, fontsize=11, ncols=2 if narrow else 4)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from bcid.base.run_folder import RunFolder, writing
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
 from bcid.base.units import percent
-from bcid.report.figure import chart, legend_below, open_frame, save, short, styled
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from bcid.report.figure import DARK, short
 
 # Okabe & Ito; hatches tell them apart in black and white.
 _COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
@@ -19,18 +17,8 @@ _HATCHES = ("", "///", "...", "xx", "\\\\\\", "++")
 _OTHERS = "#BBBBBB"
 
 
-def draw(folder: str | Path) -> list[Path]:
-    """Draw `belief.png` into the folder of a finished exploration; returns what was written."""
-    run = RunFolder.open(folder)
-    found = run.read_json("exploration.json")
-    with styled(), writing(run.path):
-        return [save(belief_figure(found), run.path / "belief.png")]
-
-
 def belief_figure(found: dict[str, Any]) -> Figure:
     """Bars of probability by pull (as Figures 13 and 14 of the paper), patches below, bits on the right."""
-    from matplotlib.figure import Figure
-
     steps = found["steps"]
     figure = Figure(figsize=(12, 6.4), facecolor="white")
     grid = figure.add_gridspec(2, 2, width_ratios=[2.1, 1], height_ratios=[1.25, 1], hspace=0.5, wspace=0.2)
@@ -38,34 +26,12 @@ def belief_figure(found: dict[str, Any]) -> Figure:
     rivals = bool(steps) and len(steps[0]["effects"]) > 1
     grid.update(left=0.11 if rivals else 0.065, right=0.98, top=0.86, bottom=0.1)
     figure.suptitle(title(found), x=0.02, ha="left", fontsize=14, fontweight="bold")
-    _sets(figure.add_subplot(grid[0, 0]), steps)
-    _patches(figure.add_subplot(grid[1, 0]), steps)
-    _bits(figure.add_subplot(grid[:, 1]), steps)
-    return figure
-
-
-def sets_chart(found: dict[str, Any]) -> Figure:
-    """The belief over anchor sets after each pull."""
-    figure, axes = chart(4.6, 3.6)
-    _sets(axes, found["steps"])
-    legend = axes.get_legend()
-    if legend is not None:
-        legend.remove()
-    legend_below(figure, axes)
-    return figure
-
-
-def patches_chart(found: dict[str, Any]) -> Figure:
-    """The probability of each patch after each pull."""
-    figure, axes = chart(4.6, 3.6)
-    _patches(axes, found["steps"])
-    return figure
-
-
-def bits_chart(found: dict[str, Any]) -> Figure:
-    """Bits that each pull was expected to tell, and told."""
-    figure, axes = chart(4.6, 3.6)
-    _bits(axes, found["steps"])
+    draw_patches(figure.add_subplot(grid[1, 0]), steps)
+    for place, draw, columns in ((grid[0, 0], draw_sets, 4), (grid[:, 1], draw_bits, 1)):
+        axes = figure.add_subplot(place)
+        draw(axes, steps)
+        if steps:
+            axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, fontsize=9)
     return figure
 
 
@@ -86,103 +52,59 @@ def _name(hypothesis: dict[str, Any]) -> str:
     return "{" + " ".join(hypothesis["anchored"]) + "}" + (f" + {hypothesis['effect']}" if hypothesis["effect"] else "")
 
 
-def _sets(axes: Axes, steps: list[dict[str, Any]]) -> None:
+def draw_sets(axes: Axes, steps: list[dict[str, Any]]) -> None:
     """One stacked bar per pull: the likeliest sets, the rest in grey."""
-    weight: dict[str, float] = {}
-    for step in steps:
-        for entry in step["belief"]:
-            name = _name(entry)
-            weight[name] = weight.get(name, 0.0) + entry["probability"]
+    beliefs = [{_name(entry): entry["probability"] for entry in step["belief"]} for step in steps]
+    weight = {name: sum(belief.get(name, 0.0) for belief in beliefs) for belief in beliefs for name in belief}
     shown = sorted(weight, key=lambda name: -weight[name])[: len(_COLOURS)]
-    for k, name in enumerate(shown):
-        heights, bottoms = [], []
-        for step in steps:
-            known = {_name(entry): entry["probability"] for entry in step["belief"]}
-            bottoms.append(sum(known.get(other, 0.0) for other in shown[:k]))
-            heights.append(known.get(name, 0.0))
-        axes.bar(
-            range(1, len(steps) + 1),
-            heights,
-            _width(steps),
-            bottoms,
-            color=_COLOURS[k],
-            hatch=_HATCHES[k],
-            edgecolor="white",
-            label=short(name),
-        )
-    rest = []
-    for step in steps:
-        known = {_name(entry): entry["probability"] for entry in step["belief"]}
-        rest.append(max(0.0, 1 - sum(known.get(name, 0.0) for name in shown)))
-    if max(rest, default=0.0) > 1e-3:
-        axes.bar(range(1, len(steps) + 1), rest, _width(steps), [1 - r for r in rest], color=_OTHERS, label="others")
+    # Few bars are not broad.
+    places, width, below = range(1, len(steps) + 1), min(0.6, 0.15 * len(steps)), np.zeros(len(steps))
+    for name, colour, hatch in zip(shown, _COLOURS, _HATCHES, strict=False):
+        heights = np.array([belief.get(name, 0.0) for belief in beliefs])
+        axes.bar(places, heights, width, below, color=colour, hatch=hatch, edgecolor="white", label=short(name))
+        below = below + heights
+    if max(1 - below, default=0.0) > 1e-3:
+        axes.bar(places, np.maximum(1 - below, 0), width, below, color=_OTHERS, label="others")
     axes.set_ylim(0, 1)
     axes.set_ylabel("probability")
     axes.set_xlim(0.4, len(steps) + 0.6)
-    axes.set_xticks(range(1, len(steps) + 1), [_pull(step) for step in steps])
-    open_frame(axes)
-    if steps:
-        axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=4, frameon=False, fontsize=9)
+    names = [f"{short(step['grasp'])} {short(step['direction'])}\n{step['amplitude']:.3g} mm" for step in steps]
+    axes.set_xticks(places, names)
 
 
-def _width(steps: list[dict[str, Any]]) -> float:
-    """Of a bar: few are not broad."""
-    return min(0.6, 0.15 * len(steps))
-
-
-def _pull(step: dict[str, Any]) -> str:
-    return f"{short(step['grasp'])} {short(step['direction'])}\n{step['amplitude']:.3g} mm"
-
-
-def _patches(axes: Axes, steps: list[dict[str, Any]]) -> None:
+def draw_patches(axes: Axes, steps: list[dict[str, Any]]) -> None:
     """Probability of each patch, and of each effect where there are rivals, by pull, as numbers on shades of grey."""
     if not steps:
         axes.set_axis_off()
         return
-    rows = [_probabilities(step) for step in steps]
-    names = list(rows[0])
-    table = [[row[name] for row in rows] for name in names]
-    axes.imshow(
-        table, cmap="Greys", vmin=0, vmax=1.25, aspect="auto", extent=(0.5, len(steps) + 0.5, len(names) - 0.5, -0.5)
-    )
-    for i, row in enumerate(table):
-        for j, p in enumerate(row):
-            axes.text(j + 1, i, f"{p:.2f}", ha="center", va="center", fontsize=8, color="white" if p > 0.6 else "black")
-    patches = len(steps[0]["patches"])
-    if len(names) > patches:
-        axes.axhline(patches - 0.5, color="#0072B2", lw=1.5)
-    axes.set_xlim(0.4, len(steps) + 0.6)
+    patches, count = len(steps[0]["patches"]), len(steps)
+    rivals = len(steps[0]["effects"]) > 1
+    rows = [[*step["patches"].values(), *(step["effects"].values() if rivals else ())] for step in steps]
+    names = [*steps[0]["patches"], *(name or "no effect" for name in steps[0]["effects"] if rivals)]
+    table = np.array(rows).T
+    extent = (0.5, count + 0.5, len(names) - 0.5, -0.5)
+    axes.imshow(table, cmap="Greys", vmin=0, vmax=1.25, aspect="auto", extent=extent)
+    for (i, j), p in np.ndenumerate(table):
+        axes.text(j + 1, i, f"{p:.2f}", ha="center", va="center", fontsize=8, color="white" if p > 0.6 else "black")
+    if rivals:
+        axes.axhline(patches - 0.5, color=DARK, lw=1.5)
+    axes.set_xlim(0.4, count + 0.6)
     axes.set_yticks(range(len(names)), [short(name) for name in names])
-    axes.set_xticks(range(1, len(steps) + 1))
+    axes.set_xticks(range(1, count + 1))
     axes.set_xlabel("pull")
-    axes.set_ylabel("patch anchored" if len(names) == patches else "patch anchored,\neffect acting")
-    open_frame(axes)
+    axes.set_ylabel("patch anchored,\neffect acting" if rivals else "patch anchored")
 
 
-def _probabilities(step: dict[str, Any]) -> dict[str, float]:
-    """Of patches, and of effects where there are rivals."""
-    rivals = step["effects"] if len(step["effects"]) > 1 else {}
-    return step["patches"] | {name or "no effect": p for name, p in rivals.items()}
-
-
-def _bits(axes: Axes, steps: list[dict[str, Any]]) -> None:
+def draw_bits(axes: Axes, steps: list[dict[str, Any]]) -> None:
     """Expected against gained information, by pull."""
     numbers = [step["number"] for step in steps]
     known = [step for step in steps if step["expected_bits"] is not None]
-    axes.bar([n + 0.18 for n in numbers], [s["gained_bits"] for s in steps], 0.34, color="#0072B2", label="gained")
-    axes.bar(
-        [s["number"] - 0.18 for s in known],
-        [s["expected_bits"] for s in known],
-        0.34,
-        yerr=[2 * (s["expected_error"] or 0.0) for s in known],
-        color="white",
-        edgecolor="black",
-        hatch="///",
-        label="expected (2 standard errors)",
-    )
+    places, expected = [step["number"] - 0.18 for step in known], [step["expected_bits"] for step in known]
+    errors = [2 * (step["expected_error"] or 0.0) for step in known]
+    axes.bar([n + 0.18 for n in numbers], [step["gained_bits"] for step in steps], 0.34, color=DARK, label="gained")
+    style: dict[str, Any] = {"color": "white", "edgecolor": "black", "hatch": "///"}
+    axes.bar(places, expected, 0.34, yerr=errors, label="expected (2 standard errors)", **style)
     axes.axhline(0, color="black", lw=0.8)
     axes.set_xticks(numbers)
     axes.set_xlabel("pull")
     axes.set_ylabel("information (bits)")
-    axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), frameon=False, fontsize=9)
-    open_frame(axes)

@@ -1,32 +1,41 @@
-"""`bcid figure`: the figures and tables of a run as files for a paper, and its fields for ParaView."""
+"""Files of a run: pictures in its folder, and `bcid figure`: figures and tables for a paper, and its fields for ParaView."""
 
 from __future__ import annotations
 
-import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from matplotlib.figure import Figure
 
 from bcid.base.csv_text import csv_text
 from bcid.base.errors import InputError, nearest
-from bcid.base.run_folder import writing
-from bcid.report.figure import styled
-from bcid.report.found import Found
-from bcid.report.gallery import drawings
+from bcid.base.run_folder import write_whole, writing
+from bcid.report.figure import encoded, styled
+from bcid.report.found import DAMAGE, Found
+from bcid.report.gallery import drawings, pictures
 from bcid.report.paraview import paraview_files
 from bcid.report.provenance import facts
-from bcid.report.section import DAMAGE
-from bcid.report.svg import svg_bytes
 from bcid.report.tables import tables
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 FORMATS = ("png", "svg", "pdf")
-_FINE = 300
+# Dots to an inch, of figures for a paper and of pictures.
+_FINE, _PICTURE = 300, 150
+
+
+def draw_pictures(folder: str | Path) -> list[Path]:
+    """Draw the pictures of a finished run into its folder, with `paraview/` where it has a body; returns what was written.
+
+    Raises:
+        InputError: the run cannot be read or has nothing to draw.
+        MachineError: the folder cannot be written.
+    """
+    found = _whole(Path(folder))
+    with writing(found.path):
+        files = _figures(found, pictures(found), ["png"], _PICTURE) | _paraview(found)
+        written = [write_whole(found.path / name, content) for name, content in files.items()]
+    return [file for file in written if file.name not in ("fiducials.vtkhdf", "patches.vtp")]
 
 
 def write_figures(
@@ -56,33 +65,34 @@ def write_figures(
             raise InputError(f"--format {name}: {nearest(name, FORMATS)}")
     if target.exists() and not target.is_dir():
         raise InputError(f"{target}: is a file; give the name of a folder")
-    found = Found.read(folder)
-    if found.troubles:
-        raise InputError("\n".join(found.troubles))
-    files = {**_figures(found, formats, say), **_tables(found), **_fields(found, say)}
+    found = _whole(folder)
+    with _told(found, "a figure"):
+        drawn = {drawing.name: drawing.draw for drawing in drawings(found)}
+    files = _figures(found, drawn, formats, _FINE, say) | _tables(found)
+    if found.body is not None and found.positions is not None:
+        say("writing fields for ParaView")
+        with _told(found, "fields for ParaView"):
+            files |= _paraview(found)
     there = [name for name in sorted(files) if (target / name).exists()]
     if there and not overwrite:
         more = f" and {len(there) - 1} more" if len(there) > 1 else ""
         raise InputError(f"{target / there[0]}{more}: there already; choose another folder, or add --overwrite")
-    with writing(target), _aside(target) as made:
-        for name, content in files.items():
-            _beneath(made / "all", name).write_bytes(content)
-        if not target.exists():
-            (made / "all").rename(target)
-            return [target / name for name in sorted(files)]
-        return [(made / "all" / name).replace(_beneath(target, name)) for name in sorted(files)]
+    with writing(target):
+        (target if target.is_dir() else target.parent).mkdir(parents=True, exist_ok=True)
+        # On the same disk, so that files are moved there whole.
+        beside = target if target.is_dir() else target.parent
+        with tempfile.TemporaryDirectory(prefix=".figures-", dir=beside) as aside:
+            for name, content in files.items():
+                _beneath(Path(aside), name).write_bytes(content)
+            return [(Path(aside) / name).replace(_beneath(target, name)) for name in sorted(files)]
 
 
-@contextmanager
-def _aside(target: Path) -> Iterator[Path]:
-    """A folder beside the target, on the same disk, that is gone in the end."""
-    parent = target if target.is_dir() else target.parent
-    parent.mkdir(parents=True, exist_ok=True)
-    made = Path(tempfile.mkdtemp(prefix=".figures-", dir=parent))
-    try:
-        yield made
-    finally:
-        shutil.rmtree(made, ignore_errors=True)
+def _whole(folder: Path) -> Found:
+    """A run that is not damaged."""
+    found = Found.read(folder)
+    if found.troubles:
+        raise InputError("\n".join(found.troubles))
+    return found
 
 
 def _beneath(folder: Path, name: str) -> Path:
@@ -92,49 +102,41 @@ def _beneath(folder: Path, name: str) -> Path:
     return path
 
 
-def _figures(found: Found, formats: Sequence[str], say: Callable[[str], None]) -> dict[str, bytes]:
-    with _told(found, "a figure"):
-        chosen = drawings(found)
-    if not chosen:
+def _figures(
+    found: Found,
+    drawn: Mapping[str, Callable[[], Figure]],
+    formats: Sequence[str],
+    dpi: int,
+    say: Callable[[str], None] = lambda text: None,
+) -> dict[str, bytes]:
+    if not drawn:
         raise InputError(
             f"{found.path}: has nothing to draw (bcid {found.command}, {found.state}); give a finished run"
         )
-    files = {}
-    for drawing in chosen:
-        say(f"drawing {drawing.name}")
-        with _told(found, f"figure '{drawing.name}'"), styled():
-            figure = drawing.draw()
-            for kind in formats:
-                files[f"{drawing.name}.{kind}"] = _content(figure, kind)
+    files: dict[str, bytes] = {}
+    for name, draw in drawn.items():
+        say(f"drawing {name}")
+        with _told(found, f"figure '{name}'"), styled():
+            figure = draw()
+            files |= {f"{name}.{kind}": encoded(figure, kind, dpi) for kind in formats}
     return files
-
-
-def _content(figure: Figure, kind: str) -> bytes:
-    if kind == "svg":
-        return svg_bytes(figure, "path")
-    about = {"png": {"Software": None}, "pdf": {"Creator": None, "Producer": None, "CreationDate": None}}
-    stream = BytesIO()
-    figure.savefig(stream, format=kind, dpi=_FINE, metadata=about[kind])
-    return stream.getvalue()
 
 
 def _tables(found: Found) -> dict[str, bytes]:
-    files = {}
-    with _told(found, "a table"):
-        for table in tables(found):
-            files[f"{table.name}.csv"] = table.csv().encode()
-            files[f"{table.name}.tex"] = table.latex().encode()
-        files["provenance.csv"] = csv_text([("what", "value"), *facts(found)]).encode()
+    files = {"provenance.csv": csv_text([("what", "value"), *facts(found)]).encode()}
+    for name, _, make in tables(found):
+        with _told(found, f"table '{name}'"):
+            table = make()
+            if table is not None:
+                files |= {f"{name}.csv": table.csv().encode(), f"{name}.tex": table.latex().encode()}
     return files
 
 
-def _fields(found: Found, say: Callable[[str], None]) -> dict[str, bytes]:
+def _paraview(found: Found) -> dict[str, bytes]:
     if found.body is None or found.positions is None:
         return {}
-    say("writing fields for ParaView")
     anchored = [str(name) for name in found.result.get("anchored", [])]
-    with _told(found, "fields for ParaView"):
-        files = paraview_files(found.body, found.positions, anchored)
+    files = paraview_files(found.body, found.positions, anchored)
     return {f"paraview/{name}": content for name, content in files.items()}
 
 

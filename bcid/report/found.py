@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -9,13 +10,28 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from bcid.base.errors import BcidError
+from bcid.base.errors import BcidError, InputError
 from bcid.base.run_folder import RunFolder
-from bcid.report.lengths import in_mm
-from bcid.report.markup import clean
+from bcid.base.units import unit_factor
+from bcid.report.text import clean
 
 _DOCUMENTS = ("diagnosis", "identification", "exploration", "calibration", "tracking", "where", "model", "proposal")
 _TEXTS = ("summary.txt", "table.txt")
+# What damaged content makes the code raise that shows it, images and the drawing libraries included.
+DAMAGE = (
+    BcidError,
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    OSError,
+    RuntimeError,
+    SyntaxError,
+    TypeError,
+    ValueError,
+)
+# What is a length in the documents of a run.
+_RMS = ("rms", "noise_rms", "discretisation_rms", "held_out_rms", "best_rms", "expected_rms", "fitted_rms")
+_LENGTHS = frozenset((*_RMS, "distance", "position", "positions", "contributions"))
 # Longer texts are cut: they come from names and messages.
 _LONGEST = 4000
 
@@ -54,40 +70,22 @@ class Found:
         run = RunFolder.open(path)
         found = cls(run.path, _cleaned(run.record))
         for name in _DOCUMENTS:
-            if run.holds(f"{name}.json"):
-                found._document(run, name)
+            content = found._part(run, f"{name}.json", _document)
+            if content is not None:
+                found.documents[name] = content
+        found.body = found._part(run, "body.nc", _dataset)
         arrays = "residuals.nc" if run.holds("residuals.nc") else "prediction.nc"
-        found.body = found._dataset(run, "body.nc")
-        found.positions = found._dataset(run, arrays)
-        found.tracks = found._dataset(run, "tracking.nc")
-        for name in _TEXTS:
-            if not found.summary and run.holds(name):
-                found._summary(run, name)
+        found.positions = found._part(run, arrays, _dataset)
+        found.tracks = found._part(run, "tracking.nc", _dataset)
+        texts = (found._part(run, name, lambda run, name: clean(run.read_text(name))) for name in _TEXTS)
+        found.summary = next((text for text in texts if text), "")
         return found
 
-    def _document(self, run: RunFolder, name: str) -> None:
+    def _part(self, run: RunFolder, name: str, read: Callable[[RunFolder, str], Any]) -> Any:
+        """What a file holds; None where it is not there, or damaged."""
         try:
-            content = run.read_json(f"{name}.json")
-        except (BcidError, RecursionError) as error:
-            self.troubles.append(str(error))
-            return
-        if isinstance(content, dict):
-            self.documents[name] = in_mm(_cleaned(content))
-        else:
-            self.troubles.append(f"{run.path / name}.json: is damaged and cannot be read: it holds no table")
-
-    def _summary(self, run: RunFolder, name: str) -> None:
-        try:
-            self.summary = clean(run.read_text(name))
-        except BcidError as error:
-            self.troubles.append(str(error))
-
-    def _dataset(self, run: RunFolder, name: str) -> xr.Dataset | None:
-        if not run.holds(name):
-            return None
-        try:
-            return _named(run.read_dataset(name))
-        except (BcidError, ValueError, KeyError) as error:
+            return read(run, name) if run.holds(name) else None
+        except (BcidError, RecursionError, ValueError, KeyError) as error:
             self.troubles.append(str(error))
             return None
 
@@ -104,10 +102,7 @@ class Found:
     @property
     def result(self) -> dict[str, Any]:
         """The document that the verdict stands in; empty where there is none."""
-        for name in _DOCUMENTS:
-            if name in self.documents:
-                return self.documents[name]
-        return {}
+        return next(iter(self.documents.values()), {})
 
     @property
     def name(self) -> str:
@@ -133,12 +128,39 @@ def _cleaned(content: Any, depth: int = 40) -> Any:
     return content
 
 
-def _named(data: xr.Dataset) -> xr.Dataset:
+def _document(run: RunFolder, name: str) -> dict[str, Any]:
+    content = run.read_json(name)
+    if not isinstance(content, dict):
+        raise InputError(f"{run.path / name}: is damaged and cannot be read: it holds no table")
+    try:
+        return in_mm(_cleaned(content))
+    except InputError as error:
+        raise InputError(f"{run.path / name}: is damaged and cannot be read: {error}; repeat the run") from None
+
+
+def _dataset(run: RunFolder, name: str) -> xr.Dataset:
     """A dataset whose names and attributes can be shown."""
-    for name in [str(name) for name in data.variables if data[name].dtype.kind == "U"]:
-        data[name] = (
-            data[name].dims,
-            np.array([clean(str(v)) for v in data[name].values.ravel()]).reshape(data[name].shape),
-        )
+    data = run.read_dataset(name)
+    for variable in [str(variable) for variable in data.variables if data[variable].dtype.kind == "U"]:
+        values = data[variable].values
+        data[variable] = (data[variable].dims, np.array([clean(str(v)) for v in values.flat]).reshape(values.shape))
     data.attrs = {key: clean(value) if isinstance(value, str) else value for key, value in data.attrs.items()}
     return data
+
+
+def in_mm(document: dict[str, Any]) -> dict[str, Any]:
+    """A document of a run with its lengths in mm, in which pages and pictures show them.
+
+    Raises:
+        InputError: its `length_unit` is no unit of length.
+    """
+    factor = unit_factor(str(document.get("length_unit", "mm")), "mm") * 1e3
+    return document if factor == 1.0 else _scaled(document, factor, False) | {"length_unit": "mm"}
+
+
+def _scaled(content: Any, factor: float, length: bool) -> Any:
+    if isinstance(content, dict):
+        return {key: _scaled(value, factor, length or key in _LENGTHS) for key, value in content.items()}
+    if isinstance(content, list):
+        return [_scaled(value, factor, length) for value in content]
+    return content * factor if length and type(content) in (int, float) else content

@@ -2,99 +2,55 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
-from bcid.base.run_folder import RunFolder, writing
-from bcid.base.units import percent, unit_factor
-from bcid.report.figure import body_entries, chart, cropped, name_ticks, open_frame, save, styled
-from bcid.report.lengths import in_mm
-from bcid.report.paraview import write_paraview
-from bcid.report.scene3d import COLOURS, kinds, picture
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-
-def draw(folder: str | Path) -> list[Path]:
-    """Draw `picture.png` and write `paraview/` into the folder of a finished identification; returns what was written."""
-    run = RunFolder.open(folder)
-    found = in_mm(run.read_json("identification.json"))
-    body, prediction = run.read_dataset("body.nc"), run.read_dataset("prediction.nc")
-    with styled(), writing(run.path):
-        return [
-            save(summary_figure(found, body, prediction), run.path / "picture.png"),
-            write_paraview(run.path / "paraview", body, prediction, found["anchored"]),
-        ]
+from bcid.base.units import percent
+from bcid.report.figure import COLOURS, body_entries, cropped, head, name_ticks
+from bcid.report.residual import rms
+from bcid.report.scene3d import BodyPicture
 
 
 def summary_figure(found: dict[str, Any], body: xr.Dataset, prediction: xr.Dataset) -> Figure:
     """The body with its anchors and trajectories; probabilities; the residual against the noise."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(14, 7.6), facecolor="white")
     grid = figure.add_gridspec(2, 2, width_ratios=[2.15, 1], height_ratios=[1, 1], hspace=0.42, wspace=0.12)
-    grid.update(left=0.015, right=0.975, top=0.875, bottom=0.1)
-    _body(figure.add_subplot(grid[:, 0]), found, body, prediction)
-    _title(figure, found, body)
+    grid.update(left=0.015, right=0.975, top=0.85, bottom=0.1)
+    names = " ".join(found["anchored"]) or "none"
+    noise = "" if found["noise_rms"] is None else f", noise {found['noise_rms']:.2g} mm"
+    text = f"probability {percent(found['probability'])}   ·   residual {found['rms']:.3g} mm per coordinate{noise}"
+    head(figure, f"{body.attrs.get('scene', 'body')}: anchored patches {{{names}}}", text)
+    _draw_body(figure.add_subplot(grid[:, 0]), found, body, prediction)
     right = figure.add_subplot(grid[0, 1])
     draw_probabilities(right, found)
+    right.set_ylabel("")
     right.set_title("Probability that a patch is anchored", fontsize=12, loc="left")
-    _residuals(figure.add_subplot(grid[1, 1]), found, prediction)
+    _draw_residuals(figure.add_subplot(grid[1, 1]), found, prediction)
     return figure
 
 
 def body_figure(found: dict[str, Any], body: xr.Dataset, prediction: xr.Dataset) -> Figure:
     """The body with its anchors and trajectories alone."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(9.5, 7.4), facecolor="white")
-    _body(figure.add_axes((0.015, 0.12, 0.97, 0.84)), found, body, prediction)
+    _draw_body(figure.add_axes((0.015, 0.12, 0.97, 0.84)), found, body, prediction)
     return figure
 
 
-def _body(axes: Axes, found: dict[str, Any], body: xr.Dataset, prediction: xr.Dataset) -> None:
+def _draw_body(axes: Axes, found: dict[str, Any], body: xr.Dataset, prediction: xr.Dataset) -> None:
     frame = telling_frame(prediction)
-    image = picture(body, prediction, found["anchored"], frame, (1800, 1500))
-    axes.imshow(cropped([image])[0])
+    grasp = str(prediction["grasp"].values[frame])
+    scene = BodyPicture(body, frame, (1800, 1500))
+    scene.add_body(found["anchored"], grasp, 0.5)
+    scene.add_trajectories(prediction)
+    axes.imshow(cropped([scene.image()])[0])
     axes.set_axis_off()
-    _legend(axes, prediction, frame, kinds(body))
-
-
-def probability_chart(found: dict[str, Any]) -> Figure:
-    """Probability of each patch, as bars."""
-    figure, axes = chart()
-    draw_probabilities(axes, found)
-    axes.set_ylabel("probability of being anchored")
-    return figure
-
-
-def telling_frame(prediction: xr.Dataset) -> int:
-    """The frame in which the fiducials have moved furthest from rest."""
-    away = np.linalg.norm(prediction["predicted"].values - prediction["rest"].values, axis=-1)
-    return int(np.nanargmax(np.nanmean(away, axis=1)))
-
-
-def _title(figure: Figure, found: dict[str, Any], body: xr.Dataset) -> None:
-    unit = found["length_unit"]
-    names = " ".join(found["anchored"]) or "none"
-    noise = "" if found["noise_rms"] is None else f", noise {found['noise_rms']:.2g} {unit}"
-    figure.text(
-        0.02, 0.945, f"{body.attrs.get('scene', 'body')}: anchored patches {{{names}}}", fontsize=19, weight="bold"
-    )
-    text = f"probability {percent(found['probability'])}   ·   residual {found['rms']:.3g} {unit} per coordinate{noise}"
-    figure.text(0.02, 0.905, text, fontsize=12.5, color="#444444")
-
-
-def _legend(axes: Axes, prediction: xr.Dataset, frame: int, places: set[str]) -> None:
-    from matplotlib.lines import Line2D
-
     entries = [
-        *body_entries(str(prediction["grasp"].values[frame]), places),
+        *body_entries(grasp, body),
         Line2D([], [], color=COLOURS.measured, marker="o", linestyle="", markersize=5, label="measured positions"),
         Line2D([], [], color=COLOURS.predicted, linewidth=3, label="predicted paths"),
         Line2D([], [], color=COLOURS.outline, linewidth=1.5, label="rest shape"),
@@ -104,9 +60,10 @@ def _legend(axes: Axes, prediction: xr.Dataset, frame: int, places: set[str]) ->
     axes.legend(handles=entries, loc="upper center", bbox_to_anchor=(0.5, 0.02), frameon=False, fontsize=11, ncols=3)
 
 
-def _plain(axes: Axes) -> None:
-    open_frame(axes)
-    axes.tick_params(labelsize=10)
+def telling_frame(prediction: xr.Dataset) -> int:
+    """The frame in which the fiducials have moved furthest from rest."""
+    away = np.linalg.norm(prediction["predicted"].values - prediction["rest"].values, axis=-1)
+    return int(np.nanargmax(np.nanmean(away, axis=1)))
 
 
 def draw_probabilities(axes: Axes, found: dict[str, Any]) -> None:
@@ -123,33 +80,21 @@ def draw_probabilities(axes: Axes, found: dict[str, Any]) -> None:
     axes.set_ylim(0, 1.03)
     axes.set_yticks([0, 0.5, 1])
     axes.set_xlabel("patch")
-    open_frame(axes)
+    axes.set_ylabel("probability of being anchored")
 
 
-def _residuals(axes: Axes, found: dict[str, Any], prediction: xr.Dataset) -> None:
-    length = unit_factor(found["length_unit"], "m")
-    squares = ((prediction["predicted"] - prediction["measured"]) / length).values ** 2
-    seen = np.isfinite(squares).any(axis=(1, 2))
-    rms = np.full(len(squares), np.nan)
-    rms[seen] = np.sqrt(np.nanmean(squares[seen], axis=(1, 2)))
-    actions = prediction["action"].values
-    steps = np.arange(len(rms))
+def _draw_residuals(axes: Axes, found: dict[str, Any], prediction: xr.Dataset) -> None:
+    """By frame, actions apart, beside the noise."""
+    noise = found["noise_rms"]
+    left = (prediction["predicted"] - prediction["measured"]).values * 1e3
+    values, actions = np.array([rms(frame) for frame in left]), prediction["action"].values
     for name in dict.fromkeys(actions):
-        chosen = actions == name
-        axes.plot(steps[chosen], rms[chosen], color=COLOURS.predicted, linewidth=2)
-    if found["noise_rms"] is not None:
-        axes.axhline(found["noise_rms"], color="#555555", linewidth=1.2, linestyle="--")
-        axes.annotate(
-            "noise",
-            (1.0, found["noise_rms"]),
-            xycoords=("axes fraction", "data"),
-            xytext=(-2, 3),
-            textcoords="offset points",
-            ha="right",
-            fontsize=10,
-            color="#555555",
-        )
-    axes.set_ylim(0, 1.25 * max(np.nanmax(rms), found["noise_rms"] or 0.0))
-    axes.set_title(f"Residual per coordinate (RMS, {found['length_unit']})", fontsize=12, loc="left")
-    axes.set_xlabel("frame" if len(dict.fromkeys(actions)) > 1 else "step", fontsize=10.5)
-    _plain(axes)
+        own = np.flatnonzero(actions == name)
+        axes.plot(own, values[own], color=COLOURS.predicted, linewidth=2)
+    if noise is not None:
+        axes.axhline(noise, color="#555555", linewidth=1.2, linestyle="--")
+        style: dict[str, Any] = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points", "ha": "right"}
+        axes.annotate("noise", (1.0, noise), xytext=(-2, 3), fontsize=10, color="#555555", **style)
+    axes.set_ylim(0, 1.25 * max(np.nanmax(values), noise or 0.0))
+    axes.set_title("Residual per coordinate (RMS, mm)", fontsize=12, loc="left")
+    axes.set_xlabel("frame" if len(set(actions)) > 1 else "step", fontsize=10.5)

@@ -3,40 +3,33 @@
 from __future__ import annotations
 
 import textwrap
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from bcid.report.figure import DARK, GREY, LIGHT, chart, legend_below, open_frame, short
-from bcid.report.scene3d import COLOURS
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from bcid.report.figure import COLOURS, DARK, GREY, LIGHT, chart, head, short
 from bcid.report.text import conclusion, falling, model_name, plain, rungs
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _ROWS = 10
 
 
 def ladder_figure(found: dict[str, Any]) -> Figure:
     """Both charts in one picture, below the verdict."""
-    from matplotlib.figure import Figure
-
     rows = found["ranking"][:_ROWS]
     figure = Figure(figsize=(14, 6.6) if rows else (8, 6.6), facecolor="white")
     grid = figure.add_gridspec(1, 2 if rows else 1, width_ratios=[1, 1.15] if rows else [1], wspace=0.42)
     grid.update(left=0.135 if rows else 0.24, right=0.975, top=0.77, bottom=0.17)
-    head(
-        figure,
-        conclusion(found)[:1].upper() + conclusion(found)[1:],
-        falling(found) if len(found["ladder"]) < 5 else "",
-    )
+    title = conclusion(found)
+    head(figure, title[:1].upper() + title[1:], falling(found) if len(found["ladder"]) < 5 else "")
     bars = figure.add_subplot(grid[0, 0])
     draw_ladder(bars, found)
-    _titled(bars, f"Error of the models (RMS, {found['length_unit']})", 0.35, 3)
+    _titled(bars, "Error of the models (RMS, mm)", 0.35, 3)
     if rows:
         ranked = figure.add_subplot(grid[0, 1])
         draw_ranking(ranked, found)
         asked = model_name(asked_rung(found)["model"])
-        _titled(ranked, f"Error of {asked} with one effect more (RMS, {found['length_unit']})", 0.45, 4)
+        _titled(ranked, f"Error of {asked} with one effect more (RMS, mm)", 0.45, 4)
     return figure
 
 
@@ -44,43 +37,17 @@ def _titled(axes: Axes, title: str, place: float, columns: int) -> None:
     axes.set_xlabel("")
     axes.tick_params(axis="y", labelsize=11)
     axes.set_title(title, fontsize=13, loc="left", pad=12)
-    axes.legend(
-        frameon=False,
-        fontsize=10.5,
-        loc="upper center",
-        bbox_to_anchor=(place, -0.12),
-        ncols=columns,
-        columnspacing=1.2,
-    )
-
-
-def head(figure: Figure, title: str, text: str) -> None:
-    """Title and a sentence, at the top of a picture; in smaller letters where they are longer than it is wide."""
-    inches = figure.get_figwidth()
-    margin = 0.28
-    large, small = (19, 12.5) if inches > 10 else (16, 11)
-    room = (inches - 2 * margin) * figure.dpi
-    for line, size in (
-        (figure.text(margin / inches, 0.935, title, fontsize=large, weight="bold"), large),
-        (figure.text(margin / inches, 0.885, text, fontsize=small, color=GREY), small),
-    ):
-        line.set_fontsize(size * room / max(room, line.get_window_extent().width))
+    axes.legend(fontsize=10.5, loc="upper center", bbox_to_anchor=(place, -0.12), ncols=columns, columnspacing=1.2)
 
 
 def ladder_chart(found: dict[str, Any]) -> Figure:
     """The error of each model as bars."""
-    figure, axes = chart(4.6, 1.7 + 0.62 * max(2, len(found["ladder"])))
-    draw_ladder(axes, found)
-    legend_below(figure, axes)
-    return figure
+    return chart(lambda axes: draw_ladder(axes, found), 1.7 + 0.62 * max(2, len(found["ladder"])))
 
 
 def ranking_chart(found: dict[str, Any]) -> Figure:
     """What each effect alone would make of the error."""
-    figure, axes = chart(4.6, 1.5 + 0.3 * max(4, len(found["ranking"][:_ROWS])))
-    draw_ranking(axes, found)
-    legend_below(figure, axes)
-    return figure
+    return chart(lambda axes: draw_ranking(axes, found), 1.5 + 0.3 * max(4, len(found["ranking"][:_ROWS])))
 
 
 def draw_ladder(axes: Axes, found: dict[str, Any]) -> None:
@@ -103,8 +70,7 @@ def draw_ladder(axes: Axes, found: dict[str, Any]) -> None:
     # One model alone gets no bars as thick as the picture.
     axes.set_ylim(max(len(steps), 2) - 0.4, -0.6)
     axes.set_xlim(0, 1.17 * largest)
-    axes.set_xlabel(f"RMS residual per coordinate ({found['length_unit']})")
-    open_frame(axes)
+    axes.set_xlabel("RMS residual per coordinate (mm)")
 
 
 def asked_rung(found: dict[str, Any]) -> dict[str, Any]:
@@ -135,10 +101,9 @@ def draw_ranking(axes: Axes, found: dict[str, Any]) -> None:
     axes.set_ylim(len(rows) - 0.4, -0.6)
     values = [now, noise, *(row["expected_rms"] for row in rows), *(row["fitted_rms"] or 0 for row in rows)]
     axes.set_xlim(0, 1.06 * max(values))
-    axes.set_xlabel(f"RMS residual per coordinate ({found['length_unit']})")
+    axes.set_xlabel("RMS residual per coordinate (mm)")
     axes.grid(axis="y", color="#eeeeee", linewidth=1)
     axes.set_axisbelow(True)
-    open_frame(axes)
 
 
 def place_name(row: dict[str, Any]) -> str:

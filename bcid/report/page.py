@@ -10,14 +10,16 @@ from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 
-from jinja2 import Environment, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 
 from bcid.base.errors import InputError
 from bcid.base.run_folder import write_whole
 from bcid.base.version import VERSION
+from bcid.report.figure import COLOURS
 from bcid.report.found import Found
-from bcid.report.markup import Markup, clean, json_text, tag, verbatim
 from bcid.report.section import Section
+from bcid.report.text import clean
 
 # What a report begins with: only such a file is overwritten.
 MARK = "<!-- bcid-report/1 -->"
@@ -48,22 +50,27 @@ def write_report(runs: Sequence[Path], target: Path) -> Report:
     """
     _check_target(target)
     report = Report(target)
-    opened: list[Found | tuple[Path, str]] = []
-    for path in runs:
+    opened: list[Section | dict[str, str]] = []
+    for number, path in enumerate(runs, start=1):
         try:
-            opened.append(Found.read(path))
+            section = Section(Found.read(path), f"run-{number}")
         except InputError as error:
-            opened.append((Path(path), str(error)))
+            unread = {
+                "id": f"run-{number}",
+                "name": Path(path).name,
+                "reason": str(error),
+                "sentence": "cannot be read",
+            }
+            opened.append(unread)
             report.troubles[Path(path)] = [str(error)]
-    if not any(isinstance(one, Found) for one in opened):
+            continue
+        opened.append(section)
+        report.shown.append(section.found.path)
+        if section.troubles:
+            report.troubles[section.found.path] = section.troubles
+    if not report.shown:
         raise InputError("\n".join(text for texts in report.troubles.values() for text in texts))
-    text = page(opened)
-    for one in opened:
-        if isinstance(one, Found):
-            report.shown.append(one.path)
-            if one.troubles:
-                report.troubles[one.path] = one.troubles
-    write_whole(target, text)
+    write_whole(target, _document(opened))
     return report
 
 
@@ -81,58 +88,22 @@ def _check_target(target: Path) -> None:
         raise InputError(f"{target}: is there already and is not a report of bcid; choose another file, or remove it")
 
 
-def page(runs: Sequence[Found | tuple[Path, str]]) -> str:
-    """The whole page; a run that cannot be read at all is a folder and the reason."""
-    single = len(runs) == 1
-    sections, contents, data = [], [], []
-    for number, one in enumerate(runs, start=1):
-        if isinstance(one, Found):
-            section = Section(one, number)
-            sections.append(section.html("h1" if single else "h2"))
-            contents.append({"id": section.id, "name": one.name, "sentence": section.said.sentence})
-            if section.data is not None:
-                data.append(verbatim("script", json_text(section.data), type="application/json", id=f"view-{number}"))
-        else:
-            sections.append(_unreadable(*one, number))
-            contents.append({"id": f"run-{number}", "name": one[0].name, "sentence": "cannot be read"})
-    # The template escapes what is not markup; what a page cannot hold at all is taken out before.
-    contents = [{key: clean(value) for key, value in entry.items()} for entry in contents]
-    return _document(", ".join(entry["name"] for entry in contents), [] if single else contents, sections, data)
-
-
-def _unreadable(path: Path, reason: str, number: int) -> Markup:
-    about = tag("p", clean(path.name), class_="about")
-    return tag(
-        "section",
-        about,
-        tag("h2", "This run cannot be read."),
-        tag("p", reason, class_="doubt"),
-        class_="run",
-        id=f"run-{number}",
+def _document(runs: Sequence[Section | dict[str, str]]) -> str:
+    """The whole page. Its templates escape whatever is put into them; what a page cannot hold at all is taken out before."""
+    viewed = any(isinstance(run, Section) and run.view for run in runs)
+    style, scripts = _web("page.css"), [_three(), _web("viewer.js")] if viewed else []
+    templates = Environment(
+        loader=PackageLoader("bcid.report", "web"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=lambda value: clean(value) if type(value) is str else value,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
-
-
-def _document(title: str, contents: list[dict[str, str]], sections: list[Markup], data: list[Markup]) -> str:
-    style = _web("page.css")
-    scripts = [_three(), _web("viewer.js")] if data else []
-    policy = "default-src 'none'; img-src data:; base-uri 'none'; form-action 'none'; "
-    policy += f"style-src {_hash(style)}; script-src {' '.join(map(_hash, scripts)) or chr(39) + 'none' + chr(39)}"
-    template = Environment(autoescape=True, undefined=StrictUndefined).from_string(_web("page.html"))
-    return template.render(
-        mark=Markup(MARK),
-        policy=policy,
-        version=VERSION,
-        title=title,
-        style=verbatim("style", style),
-        contents=contents,
-        sections=sections,
-        data=data,
-        scripts=[verbatim("script", script, type="module") for script in scripts],
-    )
-
-
-def _hash(content: str) -> str:
-    return f"'sha256-{base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()}'"
+    templates.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
+    templates.filters["sha256"] = lambda text: base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+    own = {"mark": Markup(MARK), "style": Markup(style), "scripts": [Markup(script) for script in scripts]}
+    return templates.get_template("page.html").render(runs=runs, version=VERSION, colours=COLOURS, **own)
 
 
 def _web(name: str) -> str:

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from typing import Any
 
 from bcid.report.found import Found
-from bcid.report.markup import Markup, tag
 from bcid.report.text import duration
 
 _FINGERPRINTED = ("scene", "measurement", "recording", "layout", "corners", "expected")
@@ -14,22 +13,16 @@ _FINGERPRINTED = ("scene", "measurement", "recording", "layout", "corners", "exp
 _LONGEST = 400
 
 
-def provenance(found: Found) -> Markup:
-    """The record of a run as a table."""
+def groups(found: Found) -> dict[str, list[tuple[str, str]]]:
+    """The record of a run: names and values, by group."""
     record = found.record
-    groups = {
-        "run": dict(_about(record)),
-        "inputs": dict(_inputs(record)),
-        "options": dict(_flat({k: v for k, v in record["inputs"].items() if k not in _FINGERPRINTED})),
-        "effort": dict(_effort(record)),
-        "versions": dict(_flat(record["versions"])),
+    return {
+        "run": list(_about(record)),
+        "inputs": list(_inputs(record)),
+        "options": list(_flat({k: v for k, v in record["inputs"].items() if k not in _FINGERPRINTED})),
+        "effort": list(_effort(record)),
+        "versions": list(_flat(record["versions"])),
     }
-    rows = []
-    for name, facts in groups.items():
-        if facts:
-            rows.append(tag("tr", tag("th", name, colspan="2", scope="rowgroup"), class_="group"))
-            rows += [tag("tr", tag("th", key, scope="row"), tag("td", value)) for key, value in facts.items()]
-    return tag("div", tag("table", tag("tbody", rows), class_="facts"), class_="table")
 
 
 def facts(found: Found) -> list[tuple[str, str]]:
@@ -39,23 +32,19 @@ def facts(found: Found) -> list[tuple[str, str]]:
 
 def _about(record: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "command", f"bcid {record['command']}"
-    yield "state", str(record["state"])
-    for key in ("reason", "started", "ended"):
+    for key in ("state", "reason", "started", "ended"):
         if record.get(key):
             yield key, str(record[key])
-    yield (
-        "took",
-        duration(float(record["seconds"])) + (f" in {record['attempts']} attempts" if record["attempts"] != 1 else ""),
-    )
+    attempts = f" in {record['attempts']} attempts" if record["attempts"] != 1 else ""
+    yield "took", duration(float(record["seconds"])) + attempts
     if "ranks" in record:
         yield "ranks", str(record["ranks"])
 
 
 def _inputs(record: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    names = record.get("names", {})
     for key in _FINGERPRINTED:
-        if key in names:
-            yield key, str(names[key])
+        if key in record.get("names", {}):
+            yield key, str(record["names"][key])
         if record["inputs"].get(key):
             yield f"{key}, fingerprint", _shown(record["inputs"][key])
     if "mesh" in record:

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from bcid.base.run_folder import writing
-from bcid.report.figure import cropped, save, short, styled
-from bcid.report.scene3d import COLOURS, places_picture
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from bcid.report.figure import COLOURS, PLACES, cropped, save, short, styled
+from bcid.report.scene3d import BodyPicture
 
 # Of patches, in turns: those of Okabe & Ito that neither the grasps nor the tissue have, and lighter ones of them.
-_PATCHES = (
+_PATCHES = [
     "#0072b2",
     "#009e73",
     "#cc79a7",
@@ -29,7 +28,7 @@ _PATCHES = (
     "#7fc9b0",
     "#e0b5cf",
     "#8c6d31",
-)
+]
 # So many entries fit below the picture.
 _ENTRIES = 24
 
@@ -55,50 +54,36 @@ def draw_scene(
     Raises:
         MachineError: it cannot be written.
     """
-    with styled(), writing(target):
-        return save(_figure(body, fiducials, title, places, lines), target)
-
-
-def place_colours(names: Sequence[str]) -> dict[str, str]:
-    """Colours of places by name, as "patch 1" and "grasp I"."""
+    names = [str(name) for name in body["place_name"].values]
     patches = [name for name in names if name.startswith("patch ")]
     colours = {name: _PATCHES[i % len(_PATCHES)] for i, name in enumerate(patches)}
-    used = {"grasp": COLOURS.grasp, "held": COLOURS.held, "driven": COLOURS.driven, "region": COLOURS.region}
-    return colours | {name: used[kind] for name in names if (kind := name.partition(" ")[0]) in used}
+    colours |= {name: PLACES[kind] for name in names if (kind := name.partition(" ")[0]) in PLACES}
+    shown = {names[number] for number in np.unique(body["place"].values)}
+    hidden = {name for name in places if name not in shown and not name.startswith("region ")}
+    known = {name: f"{text} (beneath another)" if name in hidden else text for name, text in places.items()}
+    with styled(), writing(target):
+        figure = _figure(body, {name: place * 1e3 for name, place in fiducials.items()}, colours)
+        figure.text(0.02, 0.955, title, fontsize=17, weight="bold", va="center")
+        figure.text(0.02, 0.915, "   ".join(lines), fontsize=11, color="#565c64", va="center")
+        _legend(figure, colours, known, len(fiducials))
+        return save(figure, target)
 
 
-def _figure(
-    body: xr.Dataset,
-    fiducials: Mapping[str, NDArray[np.float64]],
-    title: str,
-    places: Mapping[str, str],
-    lines: Sequence[str],
-) -> Figure:
-    from matplotlib.figure import Figure
-
-    colours = place_colours([str(name) for name in body["place_name"].values])
-    marks = {name: place * 1e3 for name, place in fiducials.items()}
+def _figure(body: xr.Dataset, marks: Mapping[str, NDArray[np.float64]], colours: Mapping[str, str]) -> Figure:
+    """From two sides; places of marks in mm."""
     figure = Figure(figsize=(14, 7.9), facecolor="white")
     for column, (behind, side) in enumerate(((False, "from above"), (True, "from behind and below"))):
         axes = figure.add_axes((0.01 + 0.495 * column, 0.14, 0.485, 0.71))
-        axes.imshow(cropped([places_picture(body, colours, marks, behind, (1500, 1300))])[0])
+        scene = BodyPicture(body, None, (1500, 1300), behind)
+        scene.add_places(colours)
+        scene.add_marks(marks)
+        axes.imshow(cropped([scene.image()])[0])
         axes.set_axis_off()
         axes.set_title(side, fontsize=11, color="#565c64")
-    figure.text(0.02, 0.955, title, fontsize=17, weight="bold", va="center")
-    figure.text(0.02, 0.915, "   ".join(lines), fontsize=11, color="#565c64", va="center")
-    drawn = {str(body["place_name"].values[number]) for number in np.unique(body["place"].values)}
-    known = {
-        name: text if name in drawn or name.startswith("region ") else f"{text} (beneath another)"
-        for name, text in places.items()
-    }
-    _legend(figure, colours, known, len(marks))
     return figure
 
 
 def _legend(figure: Figure, colours: Mapping[str, str], places: Mapping[str, str], fiducials: int) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     entries = [
         Patch(color=colours[name], label=f"{short(name)}: {text}") for name, text in places.items() if name in colours
     ]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from bcid.base.csv_text import csv_text
-from bcid.report.markup import Markup, tag
 
 TEXT, NUMBER = "text", "number"
 # A last column of longer cells gets more room.
@@ -28,55 +29,79 @@ _LATEX = {
 }
 
 
+_Row = dict[str, Any]
+
+
+def rounded(value: float | None) -> str:
+    """A number to three digits; "" where there is none."""
+    return "" if value is None or not math.isfinite(value) else f"{value:#.3g}".rstrip(".")
+
+
 @dataclass(frozen=True)
 class Column:
-    """A column: its head, what it holds (`TEXT` or `NUMBER`), and whether a narrow screen can do without it."""
-
-    head: str
-    kind: str = NUMBER
-    less: bool = False
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows of cells as they are read; `exact` are the same with full numbers, for CSV.
+    """A column, of numbers unless `kind` says otherwise.
 
     Attributes:
-        name: of its files.
+        head: above it.
+        value: its cell of a row: a key (the head, if it is ""), or a function of the row; a pair is what is shown and the exact
+            value.
+        show: how a value is shown.
+        less: whether a narrow screen can do without it.
+        kind: what it holds, `TEXT` or `NUMBER`.
+    """
+
+    head: str
+    value: str | Callable[[_Row], Any] = ""
+    show: Callable[[Any], str] = rounded
+    less: bool = False
+    kind: str = NUMBER
+
+    def cell(self, row: _Row) -> tuple[str, Any]:
+        """What is shown of a row, and the exact value."""
+        found = row[self.value or self.head] if isinstance(self.value, str) else self.value(row)
+        return found if isinstance(found, tuple) else (self.show(found), found)
+
+
+def text(
+    head: str, value: str | Callable[[_Row], Any] = "", show: Callable[[Any], str] = str, less: bool = False
+) -> Column:
+    """A column of text."""
+    return Column(head, value, show, less, TEXT)
+
+
+class Table:
+    """Rows of cells, as they are read and with full numbers.
+
+    Attributes:
         caption: what is to be seen.
         columns: of every row.
         rows: cells as text.
-        exact: cells as numbers and text.
+        exact: cells as numbers and text, for CSV.
         strong: numbers of rows that stand out.
+
+    Args:
+        rows: what columns find their cells in.
+        strong: whether a row stands out.
     """
 
-    name: str
-    caption: str
-    columns: Sequence[Column]
-    rows: Sequence[Sequence[str]]
-    exact: Sequence[Sequence[object]]
-    strong: frozenset[int] = frozenset()
+    def __init__(
+        self,
+        caption: str,
+        columns: Sequence[Column],
+        rows: Sequence[_Row],
+        strong: Callable[[_Row], bool] = lambda row: False,
+    ) -> None:
+        self.caption, self.columns = caption, columns
+        cells = [[column.cell(row) for column in columns] for row in rows]
+        self.rows = [[shown for shown, _ in row] for row in cells]
+        self.exact = [[_exact(value) for _, value in row] for row in cells]
+        self.strong = {i for i, row in enumerate(rows) if strong(row)}
 
-    def html(self) -> Markup:
-        """The table as an element that scrolls by itself where it is too broad."""
-        aligned = self._aligned("\u2007", "\u2008")
-        head = tag("tr", [tag("th", column.head, class_=_class(column), scope="col") for column in self.columns])
-        body = [
-            tag(
-                "tr",
-                [tag("td", cell, class_=_class(column)) for column, cell in zip(self.columns, row, strict=True)],
-                class_="strong" if i in self.strong else None,
-            )
-            for i, row in enumerate(aligned)
-        ]
-        last = (
-            len(self.columns) > 1
-            and self.columns[-1].kind == TEXT
-            and max(map(len, (r[-1] for r in self.rows)), default=0)
-        )
-        shape = "wide-last" if last and last > _LONG else None
-        return tag(
-            "div", tag("table", tag("thead", head), tag("tbody", body), class_=shape), class_="table", tabindex="0"
+    @property
+    def wide_last(self) -> bool:
+        """Whether the last column needs more room."""
+        return (
+            len(self.columns) > 1 and self.columns[-1].kind == TEXT and any(len(row[-1]) > _LONG for row in self.rows)
         )
 
     def csv(self) -> str:
@@ -88,28 +113,35 @@ class Table:
         shape = "".join("l" if column.kind == TEXT else "r" for column in self.columns)
         lines = [rf"% {_latex(self.caption)}", rf"\begin{{tabular}}{{{shape}}}", r"\toprule"]
         lines += [" & ".join(_latex(column.head) for column in self.columns) + r" \\", r"\midrule"]
-        for row in self._aligned("\u2007", "\u2008"):
+        for row in self.aligned:
             lines.append(" & ".join(map(_latex, row)) + r" \\")
         return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
-    def _aligned(self, digit: str, point: str) -> list[list[str]]:
+    @property
+    def aligned(self) -> list[tuple[str, ...]]:
         """Cells with spaces as wide as the decimals that others have and they have not."""
-        columns = []
-        for k, column in enumerate(self.columns):
-            cells = [row[k] for row in self.rows]
-            columns.append(aligned(cells, digit, point) if column.kind == NUMBER else cells)
-        return [list(row) for row in zip(*columns, strict=True)] if self.rows else []
+        columns = zip(self.columns, zip(*self.rows, strict=True), strict=False)
+        return list(
+            zip(*(aligned(cells) if column.kind == NUMBER else cells for column, cells in columns), strict=True)
+        )
 
 
-def aligned(cells: Sequence[str], digit: str = "\u2007", point: str = "\u2008") -> list[str]:
+def _exact(value: Any) -> Any:
+    """A value as a cell of a file."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return " ".join(map(str, value)) or "none" if isinstance(value, list) else value
+
+
+def aligned(cells: Sequence[str]) -> list[str]:
     """Plain decimal numbers padded on the right, so that their points stand below each other; others as they are."""
     decimals = [_decimals(cell) for cell in cells]
     most = max((count for count in decimals if count is not None), default=0)
     padded = []
     for cell, count in zip(cells, decimals, strict=True):
         missing = 0 if count is None else most - count
-        gap = point if count == 0 and most > 0 else ""
-        padded.append(cell + gap + digit * missing)
+        gap = "\u2008" if count == 0 and most > 0 else ""
+        padded.append(cell + gap + "\u2007" * missing)
     return padded
 
 
@@ -119,10 +151,6 @@ def _decimals(cell: str) -> int | None:
     if not whole.isdecimal() or (decimals and not decimals.isdecimal()):
         return None
     return len(decimals)
-
-
-def _class(column: Column) -> str:
-    return " ".join([column.kind, *(["less"] if column.less else [])])
 
 
 def _latex(cell: str) -> str:

@@ -1,18 +1,19 @@
-"""Which tables a run has: missing effects, the ladder of models, tests, anchor sets, pulls, residuals."""
+"""Which tables a run has: how far the answer holds, missing effects, the ladder of models, tests, anchor sets, pulls, residuals."""
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from bcid.base.units import WIDE, for_people, p_value, percent, significance, uncertain
-from bcid.report.answer_tables import sensitivity_table, steps_table
+from bcid.base.verdict_words import NO_EFFECTS
+from bcid.report import gallery
 from bcid.report.found import Found
-from bcid.report.gallery import residuals_of
 from bcid.report.ladder import asked_rung, place_name
-from bcid.report.residual import Residual
-from bcid.report.table import TEXT, Column, Table
-from bcid.report.text import amount, listed, model_name, plain
+from bcid.report.residual import residuals_of
+from bcid.report.table import Column, Table, rounded, text
+from bcid.report.text import amount, listed, model_name, patches, plain
 
 # Numbers of an effect that a cell holds.
 _AMOUNTS = 3
@@ -21,50 +22,127 @@ _SEEN = 0.01
 _SETS = 8
 
 
+# -- how far an answer can be trusted
+
+
+def sensitivity_table(d: dict[str, Any]) -> Table | None:
+    """The answer with each input of the scene off by two standard deviations; None where that was not computed."""
+    columns = [text("input", "label"), text("off by", "off"), text("missing", "verdict", _verdict)]
+    columns += [text("probability", "verdict_probability", percent), text("anchored", show=patches)]
+    columns += [text("of these", "anchors_probability", percent), text("depends", show=_only_yes)]
+    caption = (
+        "The answer where one input of the scene is off by two standard deviations and all else is as it is, of the hypotheses "
+        "that were fitted to all steps. It depends on an input where verdict or anchors change, or fall below 95 %. With ± the "
+        "smaller probability of both signs stands."
+    )
+    rows = _joined(d.get("scene_sensitivity", ()))
+    return Table(caption, columns, rows, lambda row: row["depends"]) if rows else None
+
+
+def _joined(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows with both signs of an input in one, with the smaller probabilities, where the answer depends on neither."""
+    found: list[dict[str, Any]] = []
+    for one in rows:
+        last = found[-1] if found else None
+        if last is None or last["label"] != one["label"] or last["depends"] or one["depends"]:
+            found.append(one)
+            continue
+        least = {key: min(last[key], one[key]) for key in ("verdict_probability", "anchors_probability")}
+        found[-1] = last | least | {"off": f"±{one['off'][1:]}"}
+    return found
+
+
+def _verdict(verdict: str) -> str:
+    return NO_EFFECTS.get(verdict) or listed([plain(name) for name in verdict.split("+")])
+
+
+def steps_table(d: dict[str, Any]) -> Table | None:
+    """What would tell most; None where the answer is certain, or nothing helps."""
+    if not d.get("next_steps"):
+        return None
+    caption = (
+        f"What to do next: expected information on anchors and effects, of the {d['open_bits']:.2g} bits that are open. What "
+        "a pull, a force sensor and markers would tell is estimated from the measured pulls."
+    )
+    rows = d["next_steps"]
+    columns = [text("what to do", "text"), Column("expected (bits)", "bits", _bits)]
+    return Table(caption, columns, rows, lambda row: row is rows[0])
+
+
+# -- models
+
+
 def ranking_table(d: dict[str, Any]) -> Table | None:
     """The ranked effects; None where none were ranked."""
     if not d["ranking"]:
         return None
-    now, unit = asked_rung(d)["rms"], d["length_unit"]
-    columns = [
-        Column("effect", TEXT),
-        Column(f"now ({unit})", less=True),
-        Column(f"expected ({unit})"),
-        Column(f"fitted ({unit})"),
-        Column(f"held out ({unit})", less=True),
-        Column("score", less=True),
-        Column("p", less=True),
-        Column("power", less=True),
-        Column("what it would be", TEXT),
+    asked = asked_rung(d)
+    columns = [text("effect", place_name), Column("now (mm)", lambda _: asked["rms"], less=True)]
+    columns += [Column("expected (mm)", "expected_rms"), Column("fitted (mm)", "fitted_rms")]
+    columns += [
+        Column("held out (mm)", "held_out_rms", less=True),
+        Column("score", show="{:.0f}".format, less=True),
     ]
-    rows, exact = [], []
-    for row in d["ranking"]:
-        errors = [row["expected_rms"], row["fitted_rms"], row["held_out_rms"]]
-        numbers = [f"{row['score']:.0f}", significance(row["p_value"]), f"{row['power']:.2f}"]
-        rows.append([place_name(row), _number(now), *map(_number, errors), *numbers, _what(row)])
-        exact.append([place_name(row), now, *errors, row["score"], row["p_value"], row["power"], _what(row, 99)])
+    columns += [Column("p", "p_value", significance, less=True), Column("power", show=_bits, less=True)]
+    columns.append(text("what it would be", _amounts))
     adopted = {one["effect"] for one in d["adopted"]} | set(str(d["verdict"]).split("+"))
-    strong = frozenset(i for i, row in enumerate(d["ranking"]) if row["effect"] in adopted)
     caption = (
-        f"Effects that {model_name(asked_rung(d)['model'])} may lack, the best first: error now, expected with the effect, "
+        f"Effects that {model_name(asked['model'])} may lack, the best first: error now, expected with the effect, "
         "and after fitting it (RMS per coordinate). Power is the chance that these data would show a notable amount of it."
     )
-    return Table("ranking", caption, columns, rows, exact, strong)
+    return Table(caption, columns, d["ranking"], lambda row: row["effect"] in adopted)
 
 
-def proposal_table(proposal: dict[str, Any]) -> Table:
-    """Each proposed term, with its numbers and intervals that hold them with 95 %."""
-    columns = [Column(name, TEXT) for name in ("term", "formula", "number", "value (95 %)")]
-    columns.append(Column("standard error", less=True))
-    rows, exact = [], []
+def _amounts(row: dict[str, Any]) -> str | tuple[str, str]:
+    """What an effect would be: the first of its numbers, and all of them."""
+    if not row["identifiable"] and row["fitted_rms"] is None:
+        return "cannot be told from these data"
+    if row["p_value"] > _SEEN and row["fitted_rms"] is None:
+        return "nothing of it is seen"
+    parts = [amount(name, number) for name, number in row["parameters"].items()]
+    more = f" and {len(parts) - _AMOUNTS} more" if len(parts) > _AMOUNTS else ""
+    like = f"; like {listed([plain(name) for name in row['confounded_with']])}" if row["confounded_with"] else ""
+    return ", ".join(parts[:_AMOUNTS]) + more + like, ", ".join(parts) + like
+
+
+def ladder_table(d: dict[str, Any]) -> Table:
+    """The models, the plain one first."""
+    rungs = d["ladder"]
+    columns = [text("model", show=model_name), text("anchored", show=lambda names: " ".join(names) or "none")]
+    columns += [Column("error (mm)", "rms"), Column("held out (mm)", "held_out_rms")]
+    columns.append(Column("p", "p_value", significance, less=True))
+    columns.append(
+        text("adequate", show=lambda adequate: "not known" if adequate is None else "yes" if adequate else "no")
+    )
+    caption = f"The models in turn (RMS residual per coordinate; noise {d['noise_rms']:.3g} mm)."
+    return Table(caption, columns, rungs, lambda rung: rung is rungs[-1])
+
+
+def tests_table(d: dict[str, Any]) -> Table:
+    """The tests of the last model's adequacy."""
+    columns = [text("test", "name"), Column("p", "p_value", significance), text("decides", show=_only_yes, less=True)]
+    caption = f"Is {model_name(d['model'])} adequate? Together {p_value(d['p_value'])}."
+    return Table(caption, [*columns, text("finding", "text")], d["tests"])
+
+
+# -- terms beyond the catalogue
+
+
+def proposal_table(proposal: dict[str, Any]) -> Table | None:
+    """Each proposed term, with its numbers and intervals that hold them with 95 %; None where nothing is proposed."""
+    columns = [text("term"), text("formula"), text("number"), text("value (95 %)", "value")]
+    columns.append(Column("standard error", "stderr", less=True))
+    rows = []
     for term in proposal["proposed"]:
-        on = f" on {term['place']}" if term["place"] else ""
-        for k, (name, number) in enumerate(term["parameters"].items()):
-            value, error, unit = for_people(number["value"], number["stderr"], number["unit"])
+        first = [plain(term["family"]) + (f" on {term['place']}" if term["place"] else ""), term["formula"]]
+        for k, (name, found) in enumerate(term["parameters"].items()):
+            value, error, unit = for_people(found["value"], found["stderr"], found["unit"])
             told = uncertain(value, None if error is None else WIDE * error, unit)
-            first = [f"{plain(term['family'])}{on}", term["formula"]] if k == 0 else ["", ""]
-            rows.append([*first, name, told, _number(error)])
-            exact.append([term["family"], term["formula"], name, number["value"], number["stderr"]])
+            cells = {
+                head: (cell if k == 0 else "", cell) for head, cell in zip(("term", "formula"), first, strict=True)
+            }
+            stderr = (rounded(error), found["stderr"])
+            rows.append(cells | {"number": name, "value": (told, found["value"]), "stderr": stderr})
     share = percent(min(max(proposal["explained"], 0.0), 1.0))
     besides = f"with {percent(proposal['missing'])} " if proposal.get("missing") else ""
     rest = (
@@ -74,169 +152,101 @@ def proposal_table(proposal: dict[str, Any]) -> Table:
         f"What is proposed, of {proposal['scored']} terms that were scored: it explains {share} of what is beyond noise, mesh and "
         f"what the scene may have slightly wrong; {rest}."
     )
-    return Table("proposal", caption, columns, rows, exact)
+    return Table(caption, columns, rows) if rows else None
 
 
-def path_table(proposal: dict[str, Any]) -> Table:
-    """Which term entered when, and what competed."""
-    unit = proposal["length_unit"]
-    columns = [
-        Column("beside", TEXT),
-        Column("term", TEXT),
-        Column(f"expected ({unit})"),
-        Column("log-evidence"),
-        Column("entered", TEXT),
-    ]
-    rows: list[list[str]] = []
-    exact: list[list[Any]] = []
-    strong: set[int] = set()
+def path_table(proposal: dict[str, Any]) -> Table | None:
+    """Which term entered when, and what competed; None where nothing is proposed."""
+    columns = [text("beside"), text("term", "family", plain), Column("expected (mm)", "expected_rms")]
+    columns += [Column("log-evidence", "log_evidence"), text("entered")]
+    rows = []
     for step in proposal["path"]:
         best = next((c["log_evidence"] for c in step["competed"] if c["log_evidence"] is not None), 0.0)
+        reached = "yes" if step["rms"] is None else f"{step['rms']:.3g} mm when fitted"
         for k, one in enumerate(step["competed"][:_SETS]):
-            entered = one["family"] == step["entered"]
-            told = "" if one["log_evidence"] is None else f"{one['log_evidence'] - best:+.1f}".replace("-", "−")
-            reached = f"{step['rms']:.3g} {unit} when fitted" if entered and step["rms"] is not None else ""
-            beside = model_name(step["beside"]) if k == 0 else ""
-            if entered:
-                strong.add(len(rows))
-            rows.append(
-                [
-                    beside,
-                    plain(one["family"]),
-                    _number(one["expected_rms"]),
-                    told,
-                    reached or ("yes" if entered else ""),
-                ]
-            )
-            exact.append([step["beside"], one["family"], one["expected_rms"], one["log_evidence"], entered])
+            log, entered = one["log_evidence"], one["family"] == step["entered"]
+            evidence = "" if log is None else f"{log - best:+.1f}".replace("-", "−")
+            beside = (model_name(step["beside"]) if k == 0 else "", step["beside"])
+            more = {"beside": beside, "log_evidence": (evidence, log), "entered": (reached if entered else "", entered)}
+            rows.append(one | more)
     caption = (
         "The path: what the likeliest terms promised beside each model before any fit, their log-evidence against the best of "
         "them, and the one that proved best when they were fitted."
     )
-    return Table("path", caption, columns, rows, exact, frozenset(strong))
+    strong: Callable[[dict[str, Any]], bool] = lambda row: row["entered"][1]  # noqa: E731
+    return Table(caption, columns, rows, strong) if proposal["proposed"] else None
 
 
-def _what(row: dict[str, Any], most: int = _AMOUNTS) -> str:
-    if not row["identifiable"] and row["fitted_rms"] is None:
-        return "cannot be told from these data"
-    if row["p_value"] > _SEEN and row["fitted_rms"] is None:
-        return "nothing of it is seen"
-    parts = [amount(name, number) for name, number in row["parameters"].items()]
-    more = f" and {len(parts) - most} more" if len(parts) > most else ""
-    like = f"; like {listed([plain(name) for name in row['confounded_with']])}" if row["confounded_with"] else ""
-    return ", ".join(parts[:most]) + more + like
-
-
-def ladder_table(d: dict[str, Any]) -> Table:
-    """The models, the plain one first."""
-    unit = d["length_unit"]
-    columns = [
-        Column("model", TEXT),
-        Column("anchored", TEXT),
-        Column(f"error ({unit})"),
-        Column(f"held out ({unit})"),
-        Column("p", less=True),
-        Column("adequate", TEXT),
-    ]
-    rows, exact = [], []
-    for rung in d["ladder"]:
-        names = " ".join(rung["anchored"]) or "none"
-        adequate = {True: "yes", False: "no", None: "not known"}[rung["adequate"]]
-        numbers = [_number(rung["rms"]), _number(rung["held_out_rms"]), significance(rung["p_value"])]
-        rows.append([model_name(rung["model"]), names, *numbers, adequate])
-        exact.append([rung["model"], names, rung["rms"], rung["held_out_rms"], rung["p_value"], adequate])
-    caption = f"The models in turn (RMS residual per coordinate; noise {d['noise_rms']:.3g} {unit})."
-    return Table("ladder", caption, columns, rows, exact, frozenset({len(rows) - 1}))
-
-
-def tests_table(d: dict[str, Any]) -> Table:
-    """The tests of the last model's adequacy."""
-    columns = [Column("test", TEXT), Column("p"), Column("decides", TEXT, less=True), Column("finding", TEXT)]
-    rows = [[t["name"], significance(t["p_value"]), "yes" if t["decides"] else "", t["text"]] for t in d["tests"]]
-    exact = [[t["name"], t["p_value"], "yes" if t["decides"] else "no", t["text"]] for t in d["tests"]]
-    caption = f"Is {model_name(d['model'])} adequate? Together {p_value(d['p_value'])}."
-    return Table("tests", caption, columns, rows, exact)
+# -- anchors
 
 
 def sets_table(d: dict[str, Any]) -> Table:
     """The likeliest anchor sets of an identification."""
-    unit = d["length_unit"]
-    columns = [Column("anchored", TEXT), Column("probability", TEXT), Column(f"residual ({unit})")]
-    columns += [Column(f"reported set there ({unit})"), Column("level")]
-    rows = [[_set(d["anchored"]), percent(d["probability"]), _number(d["rms"]), "", ""]]
-    exact: list[list[object]] = [[_set(d["anchored"]), d["probability"], d["rms"], None, None]]
-    for other in d["alternatives"][:_SETS]:
-        cells = [_set(other["anchored"]), percent(other["probability"]), _number(other["rms"])]
-        rows.append([*cells, _number(other.get("best_rms")), str(other.get("level", ""))])
-        exact.append(
-            [_set(other["anchored"]), other["probability"], other["rms"], other.get("best_rms"), other.get("level")]
-        )
+    columns = [text("anchored", _set), text("probability", show=percent), Column("residual (mm)", "rms")]
+    columns.append(Column("reported set there (mm)", lambda one: one.get("best_rms")))
+    columns.append(Column("level", lambda one: one.get("level", ""), str))
     caption = "The reported set and the next best: what they miss in the frames in which both are known."
-    return Table("sets", caption, columns, rows, exact, frozenset({0}))
+    return Table(caption, columns, [d, *d["alternatives"][:_SETS]], lambda one: one is d)
 
 
 def pulls_table(d: dict[str, Any]) -> Table:
     """The pulls of an exploration."""
-    columns = [
-        Column("pull"),
-        Column("grasp", TEXT),
-        Column("direction", TEXT),
-        Column("amplitude (mm)"),
-        Column("expected (bits)"),
-        Column("gained (bits)"),
-        Column("likeliest set", TEXT),
-        Column("probability", TEXT),
-    ]
-    rows, exact = [], []
-    for step in d["steps"]:
-        nothing: dict[str, Any] = {"anchored": [], "effect": "", "probability": 0.0}
-        top = step["belief"][0] if step["belief"] else nothing
-        likely = _set(top["anchored"]) + (f" + {plain(top['effect'])}" if top["effect"] else "")
-        bits = ["" if v is None else f"{v:.2f}" for v in (step["expected_bits"], step["gained_bits"])]
-        pull = [step["grasp"], step["direction"], f"{step['amplitude']:.3g}"]
-        rows.append([str(step["number"]), *pull, *bits, likely, percent(top["probability"])])
-        numbers = [step["amplitude"], step["expected_bits"], step["gained_bits"]]
-        exact.append([step["number"], *pull[:2], *numbers, likely, top["probability"]])
-    return Table("pulls", "The pulls in turn, and what was believed after each.", columns, rows, exact)
+    columns = [Column("pull", "number", str), text("grasp"), text("direction")]
+    columns.append(Column("amplitude (mm)", "amplitude", "{:.3g}".format))
+    columns += [Column("expected (bits)", "expected_bits", _bits), Column("gained (bits)", "gained_bits", _bits)]
+    columns += [text("likeliest set", _likeliest), text("probability", show=percent)]
+    nothing: dict[str, Any] = {"anchored": [], "effect": "", "probability": 0.0}
+    rows = [(step["belief"][0] if step["belief"] else nothing) | step for step in d["steps"]]
+    return Table("The pulls in turn, and what was believed after each.", columns, rows)
 
 
-def residual_tables(residual: Residual) -> list[Table]:
-    """RMS residual by action, step and fiducial, of each model."""
-    steps, _ = residual.by_step(residual.last)
-    groups: dict[str, tuple[list[str], list[list[float]]]] = {
-        "action": (residual.action_names, [residual.by_action(model) for model in residual.models]),
-        "step": ([str(step) for step in steps], [residual.by_step(model)[1] for model in residual.models]),
-        "fiducial": (residual.fiducials, [residual.by_fiducial(model) for model in residual.models]),
-    }
-    tables = []
-    for what, (names, values) in groups.items():
-        columns = [Column(what, TEXT), *(Column(f"{model} ({residual.unit})") for model in residual.models)]
-        exact = [[name, *numbers] for name, *numbers in zip(names, *values, strict=True)]
-        rows = [[name, *map(_number, numbers)] for name, *numbers in zip(names, *values, strict=True)]
-        tables.append(Table(f"residual-{what}", f"RMS residual per coordinate by {what}.", columns, rows, exact))
-    return tables
+def _likeliest(row: dict[str, Any]) -> str:
+    return _set(row) + (f" + {plain(row['effect'])}" if row["effect"] else "")
 
 
-def tables(found: Found) -> list[Table]:
-    """All tables that a run holds the data of."""
-    made: list[Table | None] = []
+def _set(row: dict[str, Any]) -> str:
+    return "{" + " ".join(map(str, row["anchored"])) + "}"
+
+
+def residual_table(found: Found, by: str) -> Table:
+    """RMS residual by "action", "step" or "fiducial", of each model."""
     residual = residuals_of(found)
-    if residual is not None:
-        made += residual_tables(residual)
-    if "diagnosis" in found.documents:
-        diagnosis = found.documents["diagnosis"]
-        made += [sensitivity_table(diagnosis), steps_table(diagnosis)]
-        made += [ranking_table(diagnosis), ladder_table(diagnosis), tests_table(diagnosis)]
-    if "identification" in found.documents:
-        made.append(sets_table(found.documents["identification"]))
-    if "exploration" in found.documents:
-        made.append(pulls_table(found.documents["exploration"]))
-    return [table for table in made if table is not None]
+    groups = {model: residual.by(by, model) for model in residual.models}
+    columns = [text(by), *(Column(f"{model} (mm)", model) for model in groups)]
+    rows = [{model: values[name] for model, values in groups.items()} | {by: name} for name in groups[residual.last]]
+    return Table(f"RMS residual per coordinate by {by}.", columns, rows)
 
 
-def _number(value: float | None) -> str:
-    return "" if value is None or not math.isfinite(value) else f"{value:#.3g}".rstrip(".")
+def _only_yes(value: bool) -> str:
+    return "yes" if value else ""
 
 
-def _set(names: list[str]) -> str:
-    return "{" + " ".join(map(str, names)) + "}"
+def _bits(value: float | None) -> str:
+    return "" if value is None else f"{value:.2f}"
+
+
+_TABLES: tuple[tuple[str, str, str, Callable[[dict[str, Any]], Table | None]], ...] = (
+    ("scene-sensitivity", gallery.ANSWER, "diagnosis", sensitivity_table),
+    ("next-steps", gallery.ANSWER, "diagnosis", steps_table),
+    ("proposal", gallery.PROPOSAL, "proposal", proposal_table),
+    ("path", gallery.PROPOSAL, "proposal", path_table),
+    ("ranking", gallery.RANKING, "diagnosis", ranking_table),
+    ("ladder", gallery.LADDER, "diagnosis", ladder_table),
+    ("tests", gallery.LADDER, "diagnosis", tests_table),
+    ("sets", gallery.BELIEF, "identification", sets_table),
+    ("pulls", gallery.BELIEF, "exploration", pulls_table),
+)
+
+
+def tables(found: Found) -> list[tuple[str, str, Callable[[], Table | None]]]:
+    """All tables that a run may hold the data of: the name of their files, the part of the report, and what makes them.
+
+    What makes a table gives None where there is nothing to show, and raises whatever damaged files make it raise.
+    """
+    documents = found.documents
+    known = [row for row in _TABLES if row[2] in documents]
+    made: list[Any] = [(name, part, partial(make, documents[document])) for name, part, document, make in known]
+    if found.positions is not None and ("diagnosis" in documents or "identification" in documents):
+        for by in ("action", "step", "fiducial"):
+            made.append((f"residual-{by}", gallery.RESIDUALS, partial(residual_table, found, by)))
+    return made

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
 from bcid.base.units import for_people, limited, uncertain
+
+# Characters that HTML does not allow, or that turn the text after them around.
+_UNWANTED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]")
+
+
+def clean(text: str) -> str:
+    """Text without characters that cannot be in a page."""
+    return _UNWANTED.sub("\ufffd", text)
 
 
 def plain(name: str) -> str:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
 from bcid.base.units import falls, for_people, percent, uncertain
@@ -12,8 +13,9 @@ from bcid.report import exploration_picture as exploration
 from bcid.report.found import Found
 from bcid.report.text import amount, listed, model_name, patches, plain
 
-# Of a run that does not say itself whether the set explains the measurement: a residual of so many times the noise does not.
-_EXPLAINED = 2.0
+# Amounts of an effect that a reader looks for first.
+_AMOUNTS = 3
+_GOES_ON = ["The same command goes on where it was."]
 
 
 @dataclass(frozen=True)
@@ -27,30 +29,22 @@ class Verdict:
     """
 
     sentence: str
-    numbers: list[tuple[str, str]]
-    doubts: list[str]
+    numbers: list[tuple[str, str]] = field(default_factory=list)
+    doubts: list[str] = field(default_factory=list)
 
 
 def verdict(found: Found) -> Verdict:
     """The verdict of a run of any kind and state; raises whatever damaged files make it raise."""
     if found.state == "failed":
         reason = str(found.record.get("reason", "no reason is noted"))
-        return Verdict(f"This run ended early: {reason.rstrip('.')}.", [], ["The same command goes on where it was."])
+        return Verdict(f"This run ended early: {reason.rstrip('.')}.", doubts=_GOES_ON)
     if found.state != "finished":
-        return Verdict("This run is not finished, or was killed.", [], ["The same command goes on where it was."])
-    documents = found.documents
-    if "diagnosis" in documents:
-        return _diagnosis(found, documents["diagnosis"])
-    if "identification" in documents:
-        return _identification(found, documents["identification"])
-    if "exploration" in documents:
-        return _exploration(documents["exploration"])
-    if "calibration" in documents:
-        return _calibration(documents["calibration"])
-    if "tracking" in documents:
-        return _tracking(documents["tracking"])
+        return Verdict("This run is not finished, or was killed.", doubts=_GOES_ON)
+    for name, said in _KINDS.items():
+        if name in found.documents:
+            return said(found, found.documents[name])
     first = next((line for line in found.summary.splitlines() if line.strip()), "")
-    return Verdict(first or "The run holds no result that a report can show.", [], [])
+    return Verdict(first or "The run holds no result that a report can show.")
 
 
 def _body(found: Found) -> str:
@@ -58,71 +52,84 @@ def _body(found: Found) -> str:
 
 
 def _asks(found: Found) -> bool:
-    """Whether the scene has candidate patches (an older run folder does not say, and has)."""
+    """Whether the scene has candidate patches; a run that did not search for anchors does not say it."""
     return found.documents.get("identification", {}).get("patches", True) != {}
 
 
 def _diagnosis(found: Found, d: dict[str, Any]) -> Verdict:
-    unit, noise, ladder = d["length_unit"], d["noise_rms"], d["ladder"]
-    held = f"{_body(found)} is held at {patches(d['anchored'])}, and " if _asks(found) else ""
-    first, last = ladder[0], ladder[-1]
-    left = f"{last['rms']:.3g} {unit}, where the noise is {noise:.3g} {unit}"
-    if d["verdict"] == "none":
-        word = {
-            True: "is adequate",
-            False: "is not quite adequate, though nothing is seen to be missing",
-            None: "has nothing against it",
-        }[d["adequate"]]
-        sentence = (
-            f"{held}the {model_name(last['model'])} model {word}: it misses the measurement by {left} and the scene may be "
-            "slightly wrong."
-        )
-    elif d["verdict"] == "unknown" and d["ranking"]:
-        sentence = f"None of the known effects explains this measurement: the closest model misses it by {left}."
-    elif d["verdict"] == "unknown":
-        sentence = f"The {model_name(last['model'])} model is not adequate: it misses the measurement by {left}."
-    else:
-        effects = listed([plain(name) for name in d["verdict"].split("+")])
-        fitted = next((row["fitted_rms"] for row in d["ranking"] if row["effect"] == d["verdict"]), None)
-        if len(ladder) == 1 and fitted is not None:
-            after = f"with it the error {falls(first['rms'], fitted, noise, unit)}"
-        elif len(ladder) > 1:
-            after = f"with it the error {falls(first['rms'], last['rms'], noise, unit)}"
-        else:
-            after = f"the error is {last['rms']:.3g} {unit}"
-        whose, plainly = f"{held}its" if held else "the", "plain " if len(ladder) > 1 else ""
-        sentence = f"{whose} {plainly}model lacks {effects}: {after} (noise {noise:.3g} {unit})."
+    sentence = _conclusion(found, d)
     if begins := d.get("begins"):
         sentence += f" It is not there from the start, and shows by step {begins['step']} of action {begins['action']}."
-    numbers = [("error before", f"{first['rms']:.3g} {unit}")] if len(ladder) > 1 else []
-    numbers += [("error after" if numbers else "error", f"{last['rms']:.3g} {unit}"), ("noise", f"{noise:.3g} {unit}")]
-    for name, key in (("probability", "verdict_probability"), ("of the anchors", "anchors_probability")):
-        if key in d and (key == "verdict_probability" or _asks(found)):
-            numbers.append((name, percent(d[key])))
+    return Verdict(_capital(sentence), _numbers(found, d), _doubts(d))
+
+
+def _conclusion(found: Found, d: dict[str, Any]) -> str:
+    noise, ladder = d["noise_rms"], d["ladder"]
+    first, last = ladder[0], ladder[-1]
+    held = f"{_body(found)} is held at {patches(d['anchored'])}, and " if _asks(found) else ""
+    model, left = model_name(last["model"]), f"{last['rms']:.3g} mm, where the noise is {noise:.3g} mm"
+    if d["verdict"] == "none":
+        words = {True: "is adequate", None: "has nothing against it"}
+        word = words.get(d["adequate"], "is not quite adequate, though nothing is seen to be missing")
+        return (
+            f"{held}the {model} model {word}: it misses the measurement by {left} and the scene may be slightly wrong."
+        )
+    if d["verdict"] == "unknown" and d["ranking"]:
+        return f"None of the known effects explains this measurement: the closest model misses it by {left}."
+    if d["verdict"] == "unknown":
+        return f"The {model} model is not adequate: it misses the measurement by {left}."
+    effects = listed([plain(name) for name in d["verdict"].split("+")])
+    fitted = next((row["fitted_rms"] for row in d["ranking"] if row["effect"] == d["verdict"]), None)
+    if len(ladder) > 1:
+        fitted = last["rms"]
+    after = f"the error is {last['rms']:.3g} mm"
+    if fitted is not None:
+        after = f"with it the error {falls(first['rms'], fitted, noise, 'mm')}"
+    whose = f"{held}its" if held else "the"
+    return f"{whose} {'plain ' if len(ladder) > 1 else ''}model lacks {effects}: {after} (noise {noise:.3g} mm)."
+
+
+def _numbers(found: Found, d: dict[str, Any]) -> list[tuple[str, str]]:
+    ladder = d["ladder"]
+    errors = {"error before": ladder[0]["rms"], "error after": ladder[-1]["rms"]}
+    if len(ladder) == 1:
+        errors = {"error": ladder[0]["rms"]}
+    errors["noise"] = d["noise_rms"]
+    numbers = [(name, f"{value:.3g} mm") for name, value in errors.items()]
+    if "verdict_probability" in d:
+        numbers.append(("probability", percent(d["verdict_probability"])))
+    if "anchors_probability" in d and _asks(found):
+        numbers.append(("of the anchors", percent(d["anchors_probability"])))
     if d.get("held_out_rms") is not None:
-        numbers.append(("held out", f"{d['held_out_rms']:.3g} {unit}"))
+        numbers.append(("held out", f"{d['held_out_rms']:.3g} mm"))
     for one in d["adopted"]:
-        numbers += (
-            _swings(d, one)
-            or [_pair(one["effect"], name, p) for name, p in one["parameters"].items() if p["value"] is not None][:3]
-        )
-    doubts = [*_remarks(d), *(f"Note: {warning}" for warning in d["warnings"])]
-    doubts += _used_up(d)
-    if d["adequate"] is False and set(d["verdict"].split("+")) <= {one["effect"] for one in d["adopted"]}:
-        doubts.insert(0, not_adequate_either(d["p_value"]))
-    if not d.get("noise_stated", True):
-        doubts.insert(
-            0,
-            "No noise is stated: it was estimated from the measurement itself, so that no model can be called adequate.",
-        )
+        known = [(name, number) for name, number in one["parameters"].items() if number["value"] is not None]
+        numbers += _swings(d, one) or [_pair(one["effect"], *pair) for pair in known[:_AMOUNTS]]
+    return numbers
+
+
+def _doubts(d: dict[str, Any]) -> list[str]:
+    doubts = []
     if d.get("noise_doubt"):
-        doubts.insert(0, f"{d['noise_doubt'][0].upper()}{d['noise_doubt'][1:]}.")
+        doubts.append(f"{_capital(d['noise_doubt'])}.")
+    if not d.get("noise_stated", True):
+        text = (
+            "No noise is stated: it was estimated from the measurement itself, so that no model can be called adequate."
+        )
+        doubts.append(text)
+    if d["adequate"] is False and set(d["verdict"].split("+")) <= {one["effect"] for one in d["adopted"]}:
+        doubts.append(not_adequate_either(d["p_value"]))
+    doubts += [*_remarks(d), *(f"Note: {warning}" for warning in d["warnings"]), *wrong_inputs(d)]
     if d["cannot_be_told_from"]:
-        others = [NO_EFFECTS.get(n) or plain(n) for n in d["cannot_be_told_from"]]
+        others = [NO_EFFECTS.get(name) or plain(name) for name in d["cannot_be_told_from"]]
         doubts.append(f"These data cannot tell it from {listed(others)}.")
     if not d.get("anchors_certain", True):
         doubts.append("These data do not tell for certain which patches hold the body.")
-    return Verdict(f"{sentence[:1].upper()}{sentence[1:]}", numbers, doubts)
+    return doubts
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _remarks(d: dict[str, Any]) -> list[str]:
@@ -130,25 +137,20 @@ def _remarks(d: dict[str, Any]) -> list[str]:
     return [f"Look at this first: {text}." for text in d.get("remarks", ())]
 
 
-def _used_up(d: dict[str, Any]) -> list[str]:
-    """By how much more the scene is wrong than it says (an older run folder says it only at length)."""
-    larger = [one for one in d.get("nuisances", ()) if one["used_up"]]
-    texts = used_up([(one["used_up"], one.get("used_up_briefly", one["used_up"])) for one in larger])
-    return [f"{text[0].upper()}{text[1:]}." for text in texts]
+def wrong_inputs(d: dict[str, Any]) -> list[str]:
+    """By how much more the scene is wrong than it says."""
+    larger = [(one["used_up"], one["used_up_briefly"]) for one in d.get("nuisances", ()) if one["used_up"]]
+    return [f"{_capital(text)}." for text in used_up(larger)]
 
 
 def _swings(d: dict[str, Any], one: dict[str, Any]) -> list[tuple[str, str]]:
     """Between which values the amounts of an effect go, if they follow courses: of those that move most, in their errors."""
-    courses = [
-        row
-        for row in d.get("courses", ())
-        if (f"{row['effect']}_in_time", row["place"]) == (one["effect"], one["place"])
-    ]
-    courses.sort(key=lambda row: -_moves(row))
+    effect = one["effect"].removesuffix("_in_time"), one["place"]
+    courses = [row for row in d.get("courses", ()) if (row["effect"], row["place"]) == effect]
     found = []
-    for row in courses[:3]:
-        ends = [for_people(end, None, row["unit"]) for end in (min(row["values"]), max(row["values"]))]
-        told = f"{uncertain(ends[0][0])} to {uncertain(ends[1][0], None, ends[1][2])}"
+    for row in sorted(courses, key=lambda row: -_moves(row))[:_AMOUNTS]:
+        (low, _, _), (high, _, unit) = (for_people(end(row["values"]), None, row["unit"]) for end in (min, max))
+        told = f"{uncertain(low)} to {uncertain(high, None, unit)}"
         found.append((f"{plain(row['effect'])}: {plain(row['amount'])}", told))
     return found
 
@@ -166,63 +168,83 @@ def _pair(effect: str, name: str, number: dict[str, Any]) -> tuple[str, str]:
 
 
 def _identification(found: Found, d: dict[str, Any]) -> Verdict:
-    unit, noise = d["length_unit"], d["noise_rms"]
+    noise = d["noise_rms"]
+    left = f"{d['rms']:.3g} mm" + (f", where the noise is {noise:.3g} mm" if noise else "")
     held = (
         f"{_body(found)} is held at {patches(d['anchored'])}, with probability {percent(d['probability'])}; the model"
     )
-    misses = f"{held if _asks(found) else 'The model'} misses the measurement by {d['rms']:.3g} {unit}"
-    beside = f", where the noise is {noise:.3g} {unit}" if noise else ""
-    sentence = f"{misses}{beside}."
+    sentence = f"{held if _asks(found) else 'The model'} misses the measurement by {left}."
     doubts = _remarks(d)
     if not noise:
         doubts.append("No noise is stated: whether this set explains the measurement cannot be told.")
-    if noise and not d.get("explains", d["rms"] <= _EXPLAINED * noise):
-        sentence = f"No set of anchors explains this measurement: the best, {patches(d['anchored'])}, misses it by "
-        sentence += f"{d['rms']:.3g} {unit}, where the noise is {noise:.3g} {unit}."
+    elif not d["explains"]:
+        best = patches(d["anchored"])
+        sentence = f"No set of anchors explains this measurement: the best, {best}, misses it by {left}."
         doubts.append("Probabilities compare the sets with each other only; see bcid explain for what may be missing.")
-    doubts += _used_up(d)
+    doubts += wrong_inputs(d)
     if d.get("astray"):
         doubts.append(f"Left out, for they do not go with the body: fiducials {', '.join(d['astray'])}.")
-    doubts += [
-        f"{patches(names)} could not be followed to the end, and may be the answer by the frames before."
-        for names in d.get("unfollowed", ())
-    ]
+    for names in d.get("unfollowed", ()):
+        text = "could not be followed to the end, and may be the answer by the frames before."
+        doubts.append(f"{patches(names)} {text}")
     numbers = [("anchored", " ".join(d["anchored"]) or "none"), ("probability", percent(d["probability"]))]
-    numbers.append(("residual", f"{d['rms']:.3g} {unit}"))
-    numbers += [("noise", f"{noise:.3g} {unit}")] if noise else []
-    if d.get("missing") is not None:
-        numbers.append(("something is missing", percent(d["missing"])))
-    numbers.append(("certified", "yes" if d["certified"] else "no"))
-    return Verdict(sentence, numbers, doubts)
+    numbers.append(("residual", f"{d['rms']:.3g} mm"))
+    numbers += [("noise", f"{noise:.3g} mm")] if noise else []
+    numbers += [("something is missing", percent(d["missing"]))] if d.get("missing") is not None else []
+    return Verdict(sentence, [*numbers, ("certified", "yes" if d["certified"] else "no")], doubts)
 
 
-def _exploration(d: dict[str, Any]) -> Verdict:
-    title = exploration.title(d)
+def _exploration(_: Found, d: dict[str, Any]) -> Verdict:
     numbers = [("anchored", " ".join(d["anchored"]) or "none"), ("probability", percent(d["probability"]))]
     numbers += [("pulls", str(len(d["steps"]))), ("entropy", f"{d['entropy']:.2g} bits")]
-    if d["effect"]:
-        numbers.append(("effect", plain(d["effect"])))
-    return Verdict(f"{title[:1].upper()}{title[1:]}.", numbers, [])
+    numbers += [("effect", plain(d["effect"]))] if d["effect"] else []
+    return Verdict(f"{_capital(exploration.title(d))}.", numbers)
 
 
-def _calibration(d: dict[str, Any]) -> Verdict:
-    sentence = f"Calibration of two cameras: {d['verdict']}."
-    return Verdict(
-        sentence,
-        [
-            ("error", f"{d['error']:.3f} px"),
-            ("baseline", f"{d['baseline']['value'] * 1e3:.2f} mm"),
-            ("angle", f"{d['angle']['value']:.2f} deg"),
-            ("pairs", str(len(d["pairs"]))),
-        ],
-        [],
-    )
+def _calibration(_: Found, d: dict[str, Any]) -> Verdict:
+    numbers = [("error", f"{d['error']:.3f} px"), ("baseline", f"{d['baseline']['value'] * 1e3:.2f} mm")]
+    numbers += [("angle", f"{d['angle']['value']:.2f} deg"), ("pairs", str(len(d["pairs"])))]
+    return Verdict(f"Calibration of two cameras: {d['verdict']}.", numbers)
 
 
-def _tracking(d: dict[str, Any]) -> Verdict:
+def _tracking(_: Found, d: dict[str, Any]) -> Verdict:
     share = f"{100 * d['seen']:.1f} %"
     sentence = (
         f"{d['beads']} beads were followed through {d['frames']} pairs of images: {share} of their positions are known."
     )
     numbers = [("standard deviation", f"{d['sigma'] * 1e3:.2g} mm"), ("seen", share)]
     return Verdict(sentence, numbers, [str(warning) for warning in d["warnings"]])
+
+
+_KINDS: dict[str, Callable[[Found, dict[str, Any]], Verdict]] = {
+    "diagnosis": _diagnosis,
+    "identification": _identification,
+    "exploration": _exploration,
+    "calibration": _calibration,
+    "tracking": _tracking,
+}
+
+
+def lacking(found: Found) -> list[str]:
+    """What a run has not, and which command would make it: sentences."""
+    documents = found.documents
+    if found.command == "study":
+        return ["a body, residuals and models: a study is told by its table"]
+    if found.command in ("calibrate", "track"):
+        return [f"a body, anchors and models: bcid {found.command} makes what bcid identify starts from"]
+    if found.state != "finished":
+        return ["its result: the same command goes on where it was"]
+    body, explored = found.body is not None and found.positions is not None, "exploration" in documents
+    ranked = documents.get("diagnosis", {}).get("ranking")
+    texts = {
+        "the body in 3-D and residuals: give a pull of steps/ to bcid identify or explain": explored and not body,
+        "the body in 3-D and residuals: body.nc or the positions are not in the folder": not explored and not body,
+        "a ladder of models and missing effects: bcid diagnose RUN makes them": not explored
+        and "diagnosis" not in documents,
+        "a table of missing effects: none was ranked; bcid diagnose RUN does it": "diagnosis" in documents
+        and not ranked,
+        "probabilities of the patches: they are in the run of bcid identify or explain that it started from": not explored
+        and "identification" not in documents,
+        "belief by pull: bcid explore makes it": not explored,
+    }
+    return [text for text, lacks in texts.items() if lacks]

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from bcid.report.tracking_picture import draw
+from bcid.report.export import draw_pictures
 
 DOCS = Path(__file__).resolve().parents[1]
 PROJECT = DOCS.parent
@@ -65,7 +65,7 @@ def tracking(folder: Path) -> None:
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
     module.main(folder)
-    draw(folder / "tracked")
+    draw_pictures(folder / "tracked")
     shutil.copyfile(folder / "tracked/tracking.png", DOCS / "tracking.png")
 
 

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from bcid.base.errors import InputError
-from bcid.report.calibration_picture import draw
+from bcid.report.export import draw_pictures
 from bcid.vision.board import Board
 from bcid.vision.calibrate import angle_by_turn, calibrate, coverage
 from bcid.vision.calibrate_run import numbers, run_calibration, summary
@@ -445,7 +445,7 @@ def test_from_pictures_of_a_chessboard_to_a_run_folder(
     text = (run / "summary.txt").read_text()
     assert text.startswith("Calibration of two cameras: usable with care: 5 pairs are few")
     assert "pair 5: left" in text
-    assert draw(run) == [run / "calibration.png"]
+    assert draw_pictures(run) == [run / "calibration.png"]
     assert cv2.imread(str(run / "calibration.png")).shape[1] == 1800
     with pytest.raises(InputError, match="holds a finished run"):
         run_calibration(left, right, "chessboard 10x7 10 mm", run)

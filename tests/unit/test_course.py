@@ -432,7 +432,7 @@ def test_values_that_miss_alike_tell_that_they_change() -> None:
 @pytest.mark.parametrize("stepwise", [False, True])
 def test_a_course_is_drawn_with_its_band(stepwise: bool) -> None:
     pytest.importorskip("matplotlib")
-    from bcid.report.course_chart import course_chart
+    from bcid.report.time_charts import course_chart
 
     row = {"effect": "camera_offset", "place": "", "amount": "tx", "unit": "m", "stepwise": stepwise}
     row |= {"times": [0.0, 10.0], "values": [-1e-3, 2e-3], "stderr": [1e-4, None], "stderr_apart": [2e-5, 2e-5]}

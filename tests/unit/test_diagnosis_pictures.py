@@ -10,7 +10,9 @@ from matplotlib.figure import Figure
 
 from bcid.base.errors import InputError
 from bcid.base.run_folder import RunFolder
-from bcid.report.diagnosis_picture import draw, residual_figure, round_scale, where_figure, worst_frame
+from bcid.report.diagnosis_picture import residual_figure, where_figure, worst_frame
+from bcid.report.export import draw_pictures
+from bcid.report.figure import round_length
 from bcid.report.labels import Viewpoint, beside_arrows
 from bcid.report.ladder import ladder_figure
 from bcid.report.text import conclusion, falling, model_name
@@ -86,13 +88,21 @@ def residuals() -> xr.Dataset:
     )
 
 
-WHERE = {
-    "explained": 0.99,
-    "rms": 0.22,
-    "length_unit": "mm",
-    "steady": [{"position": [20, 20, 20], "force": [0.0, -0.1, 0.0], "stderr": 0.01}],
-    "growing": {"1": [{"position": [20, 20, 20], "force": [0.05, 0.0, 0.0], "stderr": 0.01}]},
-}
+Force = dict[str, Any]
+
+
+def where(steady: list[Force], growing: dict[str, list[Force]], **more: Any) -> dict[str, Any]:
+    """A missing force; what it is in all is its first region, unless that is given."""
+    whole = {"steady": steady[0], "growing": {action: forces[0] for action, forces in growing.items()}}
+    found = {"explained": 0.99, "rms": 0.22, "length_unit": "mm", "steady": steady, "growing": growing}
+    return found | {"together": whole} | more
+
+
+def force(size: list[float], stderr: float = 0.01, position: float = 20) -> Force:
+    return {"position": [position, 20, 20], "force": size, "stderr": stderr}
+
+
+WHERE = where([force([0.0, -0.1, 0.0])], {"1": [force([0.05, 0.0, 0.0])]})
 
 
 def folder(path: Path, found: dict[str, Any], where: dict[str, Any] | None) -> Path:
@@ -112,7 +122,7 @@ def names(files: list[Path]) -> set[str]:
 
 def test_every_picture_is_drawn(tmp_path: Path) -> None:
     pytest.importorskip("pyvista")
-    written = draw(folder(tmp_path / "run", diagnosis(), WHERE))
+    written = draw_pictures(folder(tmp_path / "run", diagnosis(), WHERE))
     assert names(written) == {"picture.png", "where.png", "ladder.png", "body.vtkhdf"}
     assert all(file.stat().st_size > (5000 if file.suffix == ".png" else 0) for file in written)
     assert not list((tmp_path / "run").glob(".*.partial*"))
@@ -121,8 +131,7 @@ def test_every_picture_is_drawn(tmp_path: Path) -> None:
 def test_what_a_dense_field_misses_is_a_map() -> None:
     """In colours between the surface's nodes, which lie at its corners alone; where nothing was seen there are none."""
     pytest.importorskip("pyvista")
-    from bcid.report.scene3d import surface
-    from bcid.report.surface_field import coloured
+    from bcid.report.scene3d import coloured, surface
 
     field = dense()
     missed = 1e3 * np.linalg.norm((field["measured"] - field["predicted"]).values[1], axis=1)
@@ -142,9 +151,9 @@ def test_nothing_is_missing(tmp_path: Path) -> None:
     """An adequate plain model has neither a missing force nor a second model, and a force may be no force."""
     pytest.importorskip("pyvista")
     found = diagnosis(verdict="none", ladder=[rung("neo_hooke", 0.2, True)], ranking=[])
-    assert names(draw(folder(tmp_path / "run", found, None))) == {"picture.png", "ladder.png", "body.vtkhdf"}
-    nothing = WHERE | {"growing": {}, "steady": [WHERE["steady"][0] | {"force": [0.0, 0.0, 0.0]}]}  # type: ignore[index]
-    assert "where.png" in names(draw(folder(tmp_path / "other", found, nothing)))
+    assert names(draw_pictures(folder(tmp_path / "run", found, None))) == {"picture.png", "ladder.png", "body.vtkhdf"}
+    nothing = where([force([0.0, 0.0, 0.0])], {})
+    assert "where.png" in names(draw_pictures(folder(tmp_path / "other", found, nothing)))
 
 
 def orange(figure: Figure) -> int:
@@ -164,12 +173,8 @@ def said(figure: Figure) -> str:
 )
 def test_a_force_is_drawn_only_where_it_can_be_told(stderr: float, explained: float, told: bool) -> None:
     pytest.importorskip("pyvista")
-    steady = [
-        {"position": [20, 20, 20], "force": [0.0, -0.1, 0.0], "stderr": stderr},
-        {"position": [30, 10, 30], "force": [0.0, -9e-6, 0.0], "stderr": 0.01},
-    ]
-    where = WHERE | {"explained": explained, "steady": steady, "growing": {}}
-    figure = where_figure(diagnosis(), where, body(), residuals())
+    steady = [force([0.0, -0.1, 0.0], stderr), force([0.0, -9e-6, 0.0], position=30)]
+    figure = where_figure(diagnosis(), where(steady, {}, explained=explained), body(), residuals())
     assert (orange(figure) > 100) is told
     assert ("No missing force can be told" in said(figure)) is (explained < 0.1)
     assert ("told on 1 of 2 regions" in said(figure)) is told
@@ -181,10 +186,9 @@ def test_a_force_is_drawn_only_where_it_can_be_told(stderr: float, explained: fl
 def test_a_force_that_no_region_tells_is_drawn_as_one(stderr: float, told: bool) -> None:
     """A weight is spread over the body: what it is on each region is lost in the error, and still a force is missing."""
     pytest.importorskip("pyvista")
-    steady = [{"position": [x, 20, 20], "force": [0.0, -0.05, 0.0], "stderr": 0.04} for x in (10, 30)]
-    whole = {"position": [20, 20, 20], "force": [0.0, -0.1, 0.0], "stderr": stderr}
-    where = WHERE | {"steady": steady, "growing": {}, "together": {"steady": whole, "growing": {}}}
-    figure = where_figure(diagnosis(), where, body(), residuals())
+    steady = [force([0.0, -0.05, 0.0], 0.04, x) for x in (10, 30)]
+    whole = {"steady": force([0.0, -0.1, 0.0], stderr), "growing": {}}
+    figure = where_figure(diagnosis(), where(steady, {}, together=whole), body(), residuals())
     assert (orange(figure) > 100) is told
     assert ("together (+0 −100 +0) mN,\ntold on no single region" in said(figure)) is told
     assert ("A force is missing; where it acts cannot be told" in said(figure)) is not told
@@ -194,14 +198,14 @@ def test_a_force_that_no_region_tells_is_drawn_as_one(stderr: float, told: bool)
 def test_nothing_explains_it(tmp_path: Path) -> None:
     pytest.importorskip("pyvista")
     found = diagnosis(verdict="unknown", adequate=False, ladder=[rung("neo_hooke", 1.4, False)])
-    assert "where.png" in names(draw(folder(tmp_path / "run", found, WHERE)))
+    assert "where.png" in names(draw_pictures(folder(tmp_path / "run", found, WHERE)))
     assert conclusion(found) == "none of the known effects explains it"
 
 
 def test_a_run_without_a_diagnosis(tmp_path: Path) -> None:
     RunFolder.start(tmp_path / "run", "identify", {}).finish({})
-    with pytest.raises(InputError, match=r"diagnosis.json: is missing"):
-        draw(tmp_path / "run")
+    with pytest.raises(InputError, match="has nothing to draw"):
+        draw_pictures(tmp_path / "run")
 
 
 def test_the_ladder_in_one_line() -> None:
@@ -227,16 +231,15 @@ def test_one_action_has_nothing_held_out() -> None:
 
 
 def test_scale_and_frame() -> None:
-    assert [round_scale(x) for x in (0.7, 1, 3.9, 19, 50, np.inf, 0)] == [0.5, 1, 2, 10, 50, 1, 1]
+    assert [round_length(x) for x in (0.7, 1, 3.9, 19, 50, np.inf, 0)] == [0.5, 1, 2, 10, 50, 1, 1]
     assert worst_frame(np.array([[[np.nan] * 3], [[1.0, 0, 0]], [[0, 0, 2.0]]])) == 2
 
 
 def test_large_forces_are_told_in_newtons_and_long_titles_fit() -> None:
     pytest.importorskip("pyvista")
-    steady = [{"position": [20, 20, 20], "force": [0.0, -138.4, 0.0], "stderr": 28.4}]
-    where = WHERE | {"steady": steady, "growing": {}}
+    found = where([force([0.0, -138.4, 0.0], 28.4)], {})
     models = "neo_hooke + support_friction + active_stress + viscosity + stiffness_gradient + strain_stiffening"
-    figure = where_figure(diagnosis(ladder=[rung(models, 1.4, True)]), where, body(), residuals())
+    figure = where_figure(diagnosis(ladder=[rung(models, 1.4, True)]), found, body(), residuals())
     assert "together (+0 −138 +0) N,\ntold on 1 of 1 regions" in said(figure)
     assert all(text.get_window_extent().x1 < figure.bbox.width for text in figure.texts)
 

@@ -53,7 +53,7 @@ def explored(scene: Scene, working: PullPredictor, noise: float, budget: float =
 
 def test_anchors_are_decided_and_drawn(scene: Scene, working: PullPredictor, tmp_path: Path) -> None:
     from bcid.base.run_folder import RunFolder
-    from bcid.report.exploration_picture import draw
+    from bcid.report.export import draw_pictures
 
     found = explored(scene, working, NOISE)
     assert (found.reason, found.view.best) == (DECIDED, Hypothesis(TRUTH))
@@ -62,7 +62,7 @@ def test_anchors_are_decided_and_drawn(scene: Scene, working: PullPredictor, tmp
     run = RunFolder.start(tmp_path / "run", "explore", {})
     run.write_json("exploration.json", exploration_json(scene, found))
     run.finish({})
-    assert draw(tmp_path / "run") == [tmp_path / "run/belief.png"]
+    assert draw_pictures(tmp_path / "run") == [tmp_path / "run/belief.png"]
     assert json.loads((tmp_path / "run/exploration.json").read_text())["steps"][0]["expected_bits"] > 0
     assert "Pulls:" in summary(scene, ExploreOptions(), found)
 

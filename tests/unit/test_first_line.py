@@ -87,9 +87,9 @@ def test_what_is_wrong_in_many_ways_is_one_warning() -> None:
         "WARNING: more would have to be wrong than the scene allows for (in brackets): markers 3.6 mm (0.4 mm), "
         "dimensions 18 % (2 %), grip turn 4.5 deg (0.5 deg)."
     ]
-    page = verdict._used_up({"nuisances": nuisance_text.to_json(larger)})
+    page = verdict.wrong_inputs({"nuisances": nuisance_text.to_json(larger)})
     assert page == [f"M{lines[0].removeprefix('WARNING: m')}"]
-    assert len(verdict._used_up({"nuisances": nuisance_text.to_json(larger[:2])})) == 2
+    assert len(verdict.wrong_inputs({"nuisances": nuisance_text.to_json(larger[:2])})) == 2
 
 
 def test_an_unknown_noise_stands_first() -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bcid.app.cli import main
 from bcid.base.errors import InputError
-from bcid.report.calibration_picture import draw
+from bcid.report.export import draw_pictures
 from bcid.vision.calibrate import calibrate
 from bcid.vision.camera import Cameras
 from bcid.vision.corners import Corners
@@ -170,7 +170,7 @@ def test_from_tables_to_a_run_folder(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "over 179 corners of 2 pairs" in text
     assert "The largest residual is 0." in text
     assert "tilted" not in text
-    assert cv2.imread(str(draw(run)[0])).shape[1] == 1800
+    assert cv2.imread(str(draw_pictures(run)[0])).shape[1] == 1800
     # What is missing is said, and nothing is written.
     other = ["-o", str(tmp_path / "other")]
     for arguments, words in (

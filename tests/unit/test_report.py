@@ -21,14 +21,13 @@ from bcid.base.errors import InputError
 from bcid.base.run_folder import RunFolder
 from bcid.base.units import significance, uncertain
 from bcid.report import gallery
-from bcid.report.answer_tables import sensitivity_table
 from bcid.report.body_view import view_data
-from bcid.report.found import Found
-from bcid.report.lengths import in_mm
+from bcid.report.found import Found, in_mm
 from bcid.report.page import MARK, write_report
-from bcid.report.residual import Residual, rms
-from bcid.report.table import NUMBER, TEXT, Column, Table, aligned
-from bcid.report.tables import tables
+from bcid.report.residual import residuals_of, rms
+from bcid.report.table import Column, Table, aligned
+from bcid.report.table import text as text_column
+from bcid.report.tables import sensitivity_table, tables
 from bcid.report.text import amount
 
 FEW = ("body", "ladder", "sets", "calibration")
@@ -104,10 +103,6 @@ def test_a_set_that_explains_nothing(tmp_path: Path) -> None:
     assert "The slab is held at patch left" in text
     assert "something is missing 12 %" in text
     assert "they do not go with the body: fiducials 6, 11" in text
-    written = runs.identification() | {"rms": 1.4}
-    del written["explains"]
-    runs.rewrite(folder, "identification.json", json.dumps(written))
-    assert "No set of anchors explains this measurement" in said(tmp_path, folder)
 
 
 def test_lengths_of_a_measurement_in_metres_are_shown_in_mm(tmp_path: Path) -> None:
@@ -124,7 +119,8 @@ def test_lengths_of_a_measurement_in_metres_are_shown_in_mm(tmp_path: Path) -> N
     text = said(tmp_path, folder)
     assert "falls from 1.42 to 0.21 mm (noise 0.2 mm)" in text
     assert "falls from 1.42 to 0.21 mm (noise 0.2 mm)" in shown
-    assert in_mm({"length_unit": "furlong", "rms": 1}) == {"length_unit": "furlong", "rms": 1}
+    with pytest.raises(InputError, match="furlong"):
+        in_mm({"length_unit": "furlong", "rms": 1})
     where = in_mm({"length_unit": "cm", "steady": [{"position": [1, 2.0, 3], "force": [1.0], "stderr": None}]})
     assert where["steady"][0] == {"position": pytest.approx([10, 20, 30]), "force": [1.0], "stderr": None}
 
@@ -146,8 +142,8 @@ def test_report_of_an_answer_shows_on_what_it_depends_and_what_to_do(tmp_path: P
     assert "How far the answer holds" in text
     assert "of the 0.8 bits that are open" in text
     found = Found.read(tmp_path / "run")
-    made = {table.name: table for table in tables(found)}
-    assert made["scene-sensitivity"].strong == frozenset({1})
+    made: dict[str, Any] = {name: make() for name, _, make in tables(found)}
+    assert made["scene-sensitivity"].strong == {1}
     row = ["Poisson's ratio", "+2", "gravity", "97 %", "no patch", "96 %", "yes"]
     assert made["scene-sensitivity"].rows[1] == row
     # Both signs in one row where the answer depends on neither.
@@ -249,10 +245,6 @@ def test_several_runs_have_contents(tmp_path: Path) -> None:
     ids = re.findall(r'\sid="([^"]+)"', re.sub(r"(?s)<script[^>]*>.*?</script>", "", source))
     assert len(ids) == len(set(ids))
     assert {"run-1", "run-2", "run-3"} <= set(ids)
-    # What a figure points to is its own.
-    assert set(
-        re.findall(r'(?:url\(|href=")#([\w.-]+)', re.sub(r"(?s)<nav.*?</nav>|<script.*?</script>", "", source))
-    ) <= set(ids)
 
 
 @pytest.mark.usefixtures("every_figure")
@@ -406,17 +398,17 @@ def test_made_without_the_solver(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------------------------------------------
 
 
-def test_residuals() -> None:
+def test_residuals(tmp_path: Path) -> None:
     data = runs.positions()
-    residual = Residual.of(data, 0.2, "mm")
+    residual = residuals_of(Found.read(runs.explained(tmp_path / "run")))
     assert list(residual.models) == ["neo-Hookean", "neo-Hookean + gravity"]
     last = (data["measured"] - data["predicted"]).values * 1e3
-    assert residual.by_action(residual.last) == pytest.approx([rms(last[:4]), rms(last[4:])])
-    assert residual.by_fiducial(residual.last)[1] == pytest.approx(np.sqrt(np.nanmean(last[:, 1] ** 2)))
-    steps, values = residual.by_step("neo-Hookean")
-    assert steps == [0, 1, 2, 3]
+    assert residual.by("action", residual.last) == pytest.approx({"1": rms(last[:4]), "2": rms(last[4:])})
+    assert residual.by("fiducial", residual.last)["b"] == pytest.approx(np.sqrt(np.nanmean(last[:, 1] ** 2)))
+    steps = residual.by("step", "neo-Hookean")
+    assert list(steps) == ["0", "1", "2", "3"]
     first = (data["measured"] - data["predicted_first"]).values[[1, 5]] * 1e3
-    assert values[1] == pytest.approx(np.sqrt(np.nanmean(first**2)))
+    assert steps["1"] == pytest.approx(np.sqrt(np.nanmean(first**2)))
     assert np.isnan(rms(np.array([np.nan])))
 
 
@@ -448,9 +440,9 @@ def test_more_frames_than_fit_are_thinned(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_tables() -> None:
-    rows = [["=a_1 & b", "1.42"], ["±", "12"], ["", "≥ 0.2"]]
-    columns = [Column("name", TEXT), Column("error (mm)", NUMBER)]
-    table = Table("t", "100 %", columns, rows, [["=a_1 & b", 1.42], ["-2", 12.0], ["", None]])
+    rows = [("=a_1 & b", 1.42), (("±", "-2"), ("12", 12.0)), ("", ("≥ 0.2", None))]
+    columns = [text_column("name"), Column("error (mm)", "error")]
+    table = Table("100 %", columns, [dict(zip(("name", "error"), row, strict=True)) for row in rows])
     assert table.csv() == "name,error (mm)\n'=a_1 & b,1.42\n-2,12.0\n,\n"
     assert r"=a\_1 \& b & 1.42 \\" in table.latex()
     assert r"$\pm$ & 12\phantom{.}\phantom{0}\phantom{0} \\" in table.latex()

@@ -14,8 +14,9 @@ import runs
 from payloads import PAYLOADS, file_name, poisoned
 
 from bcid.report import gallery
+from bcid.report.found import Found
 from bcid.report.page import write_report
-from bcid.report.residual import Residual, rms
+from bcid.report.residual import Residual, residuals_of, rms
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -121,10 +122,14 @@ def _without_vtk(patch: pytest.MonkeyPatch) -> None:
         patch.setattr(gallery, name, drawn)
 
 
+def _residual(report: Path) -> Residual:
+    return residuals_of(Found.read(report.parent / "explained"))
+
+
 def test_slider_and_numbers(report: Path, visit: Callable[..., Visit]) -> None:
     seen = visit(report)
     view = seen.live()
-    residual = Residual.of(runs.positions(), 0.2, "mm")
+    residual = _residual(report)
     assert view.locator(".where").text_content() == "action 2, step 3, grasp I"
     before = seen.pixels()
     assert (before.max(axis=2) - before.min(axis=2) > 40).sum() > 500, "nothing coloured is drawn"
@@ -193,9 +198,7 @@ def test_the_surface_is_coloured_by_what_is_asked_for(report: Path, visit: Calla
     assert most["displacement"] == "20 mm"
     assert most["energy"].endswith(" J/m³")
     assert 20 < float(most["energy"].split()[0]) <= 40
-    largest = np.nanmax(
-        np.linalg.norm(Residual.of(runs.positions(), 0.2, "mm").models["neo-Hookean + gravity"], axis=2)
-    )
+    largest = np.nanmax(np.linalg.norm(_residual(report).models["neo-Hookean + gravity"], axis=2))
     assert most["residual"] == f"{largest:.3g} mm"
     # Yellow where it moves most, dark blue where it is held.
     view.locator("select.shown").select_option("displacement")
@@ -257,6 +260,12 @@ def test_printed(report: Path, visit: Callable[..., Visit], tmp_path: Path) -> N
     assert seen.page.locator(".stage img").is_visible()
 
 
+def test_every_image_is_drawn(report: Path, visit: Callable[..., Visit]) -> None:
+    sizes = visit(report).page.evaluate("[...document.images].map(e => e.naturalWidth)")
+    assert len(sizes) == 11
+    assert min(sizes) > 100
+
+
 def test_without_scripts(report: Path, visit: Callable[..., Visit]) -> None:
     """The picture stays, and controls that would do nothing are not there."""
     seen = visit(report, script=False)
@@ -277,7 +286,7 @@ def test_no_payload_runs(tmp_path: Path, visit: Callable[..., Visit], monkeypatc
         for i in range(10):
             view = seen.page.locator("figure[data-view]").nth(i)
             view.scroll_into_view_if_needed()
-            seen.page.wait_for_selector(f"figure[data-view=view-{i + 1}][data-frame]")
+            seen.page.wait_for_selector(f"figure[data-view=view-run-{i + 1}][data-frame]")
             view.locator("select.shown").select_option("chance")
             view.locator("input.frame").press("ArrowLeft")
         assert seen.page.evaluate("document.querySelectorAll('script').length") == 12

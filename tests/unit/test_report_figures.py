@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import resource
 import signal
+import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,7 +20,7 @@ from bcid.app import cli
 from bcid.base.errors import InputError, MachineError
 from bcid.report.export import write_figures
 from bcid.report.found import Found
-from bcid.report.paraview import write_paraview
+from bcid.report.paraview import paraview_files
 
 
 def frame_of(path: Path, frame: int) -> Any:
@@ -38,7 +39,7 @@ def frame_of(path: Path, frame: int) -> Any:
 
 def test_what_the_gripper_felt_is_drawn_where_it_was_measured() -> None:
     pytest.importorskip("matplotlib")
-    from bcid.report.force_chart import felt, force_chart, torque_chart
+    from bcid.report.time_charts import felt, force_chart, torque_chart
 
     plain = runs.positions()
     frames = plain.sizes["frame"]
@@ -51,8 +52,8 @@ def test_what_the_gripper_felt_is_drawn_where_it_was_measured() -> None:
         marks, line = axes.lines[0], axes.lines[1]
         assert np.allclose(marks.get_ydata(), course[:, 0] + 0.25)
         assert np.allclose(line.get_ydata(), course[: len(line.get_ydata()), 0])
-        assert torque_chart(found, "mm").axes[0].get_ylabel() == "torque (N mm)"
-        assert np.allclose(torque_chart(found, "mm").axes[0].lines[0].get_ydata(), 100 * np.arange(frames) + 250)
+        assert torque_chart(found).axes[0].get_ylabel() == "torque (N mm)"
+        assert np.allclose(torque_chart(found).axes[0].lines[0].get_ydata(), 100 * np.arange(frames) + 250)
     assert not felt(plain)
     assert not felt(plain.assign(wrench_measured=(dims, np.full((frames, 6), np.nan))))
 
@@ -159,7 +160,11 @@ def test_fields_for_paraview_by_frame(tmp_path: Path) -> None:
     hidden = found.positions.copy(deep=True)
     hidden["measured"].values[1, 0] = np.nan
     hidden["measured"].values[2] = np.nan
-    file = write_paraview(tmp_path / "fields", found.body, hidden, ["3"])
+    fields = tmp_path / "fields"
+    fields.mkdir()
+    for name, content in paraview_files(found.body, hidden, ["3"]).items():
+        (fields / name).write_bytes(content)
+    file = fields / "body.vtkhdf"
     cells = found.body["cells"].values[:, :4]
     for frame in range(found.body.sizes["frame"]):
         solid = frame_of(file, frame)
@@ -176,6 +181,17 @@ def test_fields_for_paraview_by_frame(tmp_path: Path) -> None:
             residual = np.delete(hidden["measured"].values[frame], gone, axis=0) * 1e3 - predicted
             np.testing.assert_allclose(points.point_data["residual"], residual)
     assert sorted(p.name for p in (tmp_path / "fields").iterdir()) == ["body.vtkhdf", "fiducials.vtkhdf", "patches.vtp"]
+
+
+@pytest.mark.parametrize(
+    ("command", "name"), [("report", "jinja2"), ("report", "matplotlib"), ("figure", "matplotlib")]
+)
+def test_command_without_a_package_of_its_extra_names_it(tmp_path: Path, command: str, name: str) -> None:
+    arguments = [command, str(runs.explored(tmp_path / "run")), "-o", str(tmp_path / "made")]
+    code = f"import sys; sys.modules[{name!r}] = None; from bcid.app.cli import main; sys.exit(main({arguments!r}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, "Traceback" in done.stderr) == (3, False)
+    assert f"{name} is not installed: pip install 'bcid[report]'" in done.stderr
 
 
 def test_what_is_not_installed_is_named(

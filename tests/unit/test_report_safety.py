@@ -8,19 +8,20 @@ import json
 import re
 from html.parser import HTMLParser
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 import runs
 from payloads import PAYLOADS, file_name, poisoned
 
 from bcid.report import gallery, page
-from bcid.report.markup import clean, json_text, tag, text, verbatim
+from bcid.report.text import clean
 
 ELEMENTS = re.findall(
     r"\w+",
     "html head meta title style body header main footer nav section figure figcaption div span p b h1 h2 h3 dl dt dd ul ol li a "
     "table thead tbody tr th td details summary pre canvas label select option input button output img script "
-    "svg g path text tspan rect circle defs clippath use image pattern",
+    "svg g path text rect circle",
 )
 
 
@@ -68,12 +69,14 @@ def harmless(source: str) -> Parsed:
         for key, value in attributes.items():
             assert not key.startswith("on"), (name, key)
             assert key not in ("style", "action", "formaction", "srcdoc", "srcset", "background"), (name, key)
-            if key in ("href", "xlink:href"):
-                assert value.startswith(("#", "data:image/png;base64,")), (name, value[:80])
+            assert "url(" not in value or key in ("alt", "value"), (name, value)
+            if key == "href":
+                assert value.startswith("#"), (name, value[:80])
             if key == "src":
-                assert re.fullmatch(r"data:image/png;base64,[A-Za-z0-9+/=]+", value), (name, value[:80])
-            if "url(" in value:
-                assert re.fullmatch(r"url\(#[\w-]+\)", value), (name, value)
+                image = re.fullmatch(r"data:image/(png|svg\+xml);base64,([A-Za-z0-9+/=]+)", value)
+                assert image, (name, value[:80])
+                if image[1] == "svg+xml":
+                    ElementTree.fromstring(base64.b64decode(image[2]))
         if name == "meta" and "http-equiv" in attributes:
             policies.append(attributes["content"])
     assert len(policies) == 1
@@ -144,37 +147,3 @@ def test_payloads_in_damaged_and_unfinished_runs(tmp_path: Path) -> None:
     report = page.write_report([*folders, unit, broken, gone], tmp_path / "report.html")
     harmless(report.path.read_text(encoding="utf-8"))
     assert set(report.troubles) == {unit, broken, gone}
-
-
-def test_text_is_escaped_and_elements_are_not() -> None:
-    assert text("<b>&\"'") == "&lt;b&gt;&amp;&#34;&#39;"
-    assert tag("p", "<b>", tag("b", "x"), [1, None, "é"], class_='a"b') == '<p class="a&#34;b">&lt;b&gt;<b>x</b>1é</p>'
-    assert tag("input", disabled=True, hidden=False, title=None) == "<input disabled>"
-    assert clean("a\x00b\ud800c\u202ed") == "a\ufffdb\ufffdc\ufffdd"
-
-
-@pytest.mark.parametrize(
-    "attributes",
-    [
-        {"onclick": "x"},
-        {"style": "x"},
-        {"href": "http://example.invalid"},
-        {"src": "x.png"},
-        {"a b": "x"},
-        {"ONLOAD": "x"},
-    ],
-)
-def test_attributes_that_a_report_never_has(attributes: dict[str, str]) -> None:
-    with pytest.raises(ValueError):
-        tag("a", "x", **attributes)
-
-
-def test_scripts_cannot_be_left_early() -> None:
-    for payload in PAYLOADS:
-        packed = json_text({clean(payload): clean(payload)})
-        assert not re.search("[<>&\u2028\u2029]", packed)
-        assert json.loads(packed) == {clean(payload): clean(payload)}
-        verbatim("script", packed)
-    for content in ("</script>", "x</SCRIPT", "<!-- x"):
-        with pytest.raises(ValueError, match="would end it"):
-            verbatim("script", content)

@@ -13,9 +13,10 @@ import xarray as xr
 
 from bcid.base.errors import InputError
 from bcid.base.run_folder import RunFolder
+from bcid.report.export import draw_pictures
 from bcid.report.found import Found
 from bcid.report.gallery import drawings
-from bcid.report.tracking_picture import draw, rest_picture
+from bcid.report.tracks_picture import rest_picture
 
 _DRAWN = np.random.default_rng(0).integers(0, 256, (90, 60, 3), np.uint8)
 
@@ -47,18 +48,18 @@ def _drawn(folder: Path) -> None:
 def test_picture_of_a_run_is_what_was_drawn(tracked: Path) -> None:
     np.testing.assert_array_equal(rest_picture(RunFolder.open(tracked)), _DRAWN[..., ::-1])
     _drawn(tracked)
-    assert draw(tracked)[0].stat().st_size > 10_000
+    assert draw_pictures(tracked)[0].stat().st_size > 10_000
 
 
 def test_picture_that_the_run_did_not_write_is_not_shown(tmp_path: Path, tracked: Path) -> None:
     shutil.move(tracked / "rest.png", tmp_path / "other.png")
     (tracked / "rest.png").symlink_to(tmp_path / "other.png")
-    for read in (draw, _drawn):
+    for read in (draw_pictures, _drawn):
         with pytest.raises(InputError, match=r"rest\.png: cannot be read: .*expected a regular file, no link"):
             read(tracked)
     (tracked / "rest.png").unlink()
     (tracked / "rest.png").write_bytes(bytes(cv2.imencode(".png", _DRAWN[1:])[1]))
-    for read in (draw, _drawn):
+    for read in (draw_pictures, _drawn):
         with pytest.raises(InputError, match=r"rest\.png: is damaged: it is not what the run wrote"):
             read(tracked)
 
@@ -68,4 +69,4 @@ def test_picture_that_is_none_is_refused(tracked: Path, content: bytes) -> None:
     (tracked / "rest.png").write_bytes(content)
     runs.seal(tracked, "rest.png")
     with pytest.raises(InputError, match=r"rest\.png: is damaged and cannot be read: .*; repeat the run"):
-        draw(tracked)
+        draw_pictures(tracked)

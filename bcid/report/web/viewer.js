@@ -334,8 +334,8 @@ class Body {
     const label = `action ${data.actions[frame]}, step ${data.steps[frame]}${grasp}`;
     this.find("where").textContent = label;
     this.find("frame").setAttribute("aria-valuetext", label);
-    this.find("rms").textContent = `${digits(Math.sqrt(sum / numbers) * data.factor)} ${data.unit}`;
-    this.find("worst").textContent = worst < 0 ? "none is seen" : `${digits(farthest * data.factor)} ${data.unit} at fiducial ${data.fiducials[worst]}`;
+    this.find("rms").textContent = `${digits(Math.sqrt(sum / numbers))} mm`;
+    this.find("worst").textContent = worst < 0 ? "none is seen" : `${digits(farthest)} mm at fiducial ${data.fiducials[worst]}`;
     this.find("count").textContent = `${seen} of ${count}`;
     this.figure.dataset.frame = frame;
   }
